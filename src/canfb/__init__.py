@@ -1,0 +1,1 @@
+"""CANopen drive feedback module: sine/cosine encoder tracks in, a supervised position out."""
