@@ -1,0 +1,44 @@
+"""Where the EDS files are: the one source of every object of the devices.
+
+They live in the folder eds/ of the repository and are part of the wheel as canfb/eds/.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from canfb.errors import CanfbError
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+class EdsNotFoundError(CanfbError, FileNotFoundError):
+    """An EDS file that is not there; also a FileNotFoundError, for those who catch that."""
+
+
+def eds_path(name: str) -> Path:
+    """Path of the EDS file `name`, for example `canfb-module.eds`; `.eds` may be left out.
+
+    Looks into the installed package first, then, when it runs from a checkout (an editable install), into
+    the eds/ folder of the repository. Raises EdsNotFoundError when there is no such file, ValueError when
+    `name` is a path and not a bare name.
+    """
+    if not name or Path(name).name != name:
+        raise ValueError(f"name of an EDS file expected, without folders, not {name!r}")
+    file_name = name if name.endswith(".eds") else f"{name}.eds"
+    folders = _folders(_PACKAGE)
+    for folder in folders:
+        path = folder / file_name
+        if path.is_file():
+            return path
+    known = sorted(path.name for folder in folders for path in folder.glob("*.eds"))
+    there = f"there are {', '.join(known)}" if known else "there is none at all, so reinstall canfb"
+    raise EdsNotFoundError(f"no EDS file {file_name} in {' or '.join(map(str, folders))}: {there}")
+
+
+def _folders(package: Path) -> list[Path]:
+    """Where EDS files may be, given the folder of the package."""
+    folders = [package / "eds"]
+    if package.parent.name == "src":  # a checkout: src/canfb beside eds
+        folders.append(package.parent.parent / "eds")
+    return folders
