@@ -1,0 +1,102 @@
+"""Abort codes, emergency codes and error register bits of CiA 301, each defined once."""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+
+
+class AbortCode(IntEnum):
+    """SDO abort codes (CiA 301, 7.2.4.3.17); `.text` says what it means."""
+
+    text: str
+
+    def __new__(cls, value: int, text: str) -> AbortCode:
+        """Make the member with its text."""
+        member = int.__new__(cls, value)
+        member._value_ = value
+        member.text = text
+        return member
+
+    TOGGLE = 0x05030000, "toggle bit not alternated"
+    TIMEOUT = 0x05040000, "SDO protocol timed out"
+    COMMAND = 0x05040001, "command specifier not valid or unknown"
+    BLOCK_SIZE = 0x05040002, "invalid block size"
+    SEQUENCE_NUMBER = 0x05040003, "invalid sequence number"
+    CRC = 0x05040004, "CRC error"
+    OUT_OF_MEMORY = 0x05040005, "out of memory"
+    UNSUPPORTED_ACCESS = 0x06010000, "unsupported access to an object"
+    WRITE_ONLY = 0x06010001, "attempt to read a write only object"
+    READ_ONLY = 0x06010002, "attempt to write a read only object"
+    NO_OBJECT = 0x06020000, "object does not exist in the object dictionary"
+    NOT_MAPPABLE = 0x06040041, "object cannot be mapped to the PDO"
+    PDO_LENGTH = 0x06040042, "number and length of the objects to be mapped exceed the PDO length"
+    PARAMETER_INCOMPATIBLE = 0x06040043, "general parameter incompatibility"
+    INTERNAL_INCOMPATIBLE = 0x06040047, "general internal incompatibility in the device"
+    HARDWARE = 0x06060000, "access failed due to a hardware error"
+    LENGTH = 0x06070010, "data type does not match, length of service parameter does not match"
+    TOO_LONG = 0x06070012, "data type does not match, length of service parameter too high"
+    TOO_SHORT = 0x06070013, "data type does not match, length of service parameter too low"
+    NO_SUBINDEX = 0x06090011, "sub-index does not exist"
+    INVALID_VALUE = 0x06090030, "invalid value for parameter"
+    VALUE_TOO_HIGH = 0x06090031, "value of parameter written too high"
+    VALUE_TOO_LOW = 0x06090032, "value of parameter written too low"
+    MAXIMUM_BELOW_MINIMUM = 0x06090036, "maximum value is less than minimum value"
+    NO_CONNECTION = 0x060A0023, "resource not available: SDO connection"
+    GENERAL = 0x08000000, "general error"
+    NOT_STORED = 0x08000020, "data cannot be transferred or stored to the application"
+    LOCAL_CONTROL = 0x08000021, "data cannot be transferred or stored because of local control"
+    DEVICE_STATE = 0x08000022, "data cannot be transferred or stored because of the present device state"
+    NO_DICTIONARY = 0x08000023, "object dictionary dynamic generation fails or none is present"
+    NO_DATA = 0x08000024, "no data available"
+
+
+class EmergencyCode(IntEnum):
+    """Emergency error codes (CiA 301, 7.2.7.1)."""
+
+    NO_ERROR = 0x0000
+    GENERIC = 0x1000
+    CURRENT = 0x2000
+    VOLTAGE = 0x3000
+    TEMPERATURE = 0x4000
+    HARDWARE = 0x5000
+    SOFTWARE = 0x6000
+    INTERNAL_SOFTWARE = 0x6100
+    USER_SOFTWARE = 0x6200
+    DATA_SET = 0x6310
+    ADDITIONAL_MODULES = 0x7000
+    SENSOR = 0x7300
+    MONITORING = 0x8000
+    COMMUNICATION = 0x8100
+    CAN_OVERRUN = 0x8110
+    CAN_ERROR_PASSIVE = 0x8120
+    HEARTBEAT = 0x8130
+    BUS_OFF_RECOVERED = 0x8140
+    CAN_ID_COLLISION = 0x8150
+    PROTOCOL = 0x8200
+    RPDO_LENGTH = 0x8210
+    RPDO_LENGTH_EXCEEDED = 0x8220
+    SYNC_LENGTH = 0x8240
+    RPDO_TIMEOUT = 0x8250
+    EXTERNAL = 0x9000
+    ADDITIONAL_FUNCTIONS = 0xF000
+    DEVICE_SPECIFIC = 0xFF00
+
+
+class ErrorRegister(IntFlag):
+    """Bits of the error register 1001h."""
+
+    GENERIC = 0x01
+    CURRENT = 0x02
+    VOLTAGE = 0x04
+    TEMPERATURE = 0x08
+    COMMUNICATION = 0x10
+    DEVICE_PROFILE = 0x20
+    MANUFACTURER = 0x80
+
+
+class SdoAbort(Exception):
+    """An SDO access is refused, for the reason in `code`. Never leaves the device."""
+
+    def __init__(self, code: AbortCode) -> None:
+        super().__init__(f"{code:08X}h {code.text}")
+        self.code = code

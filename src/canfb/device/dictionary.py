@@ -1,0 +1,186 @@
+"""The object dictionary: entries by index and sub-index, loaded from an EDS file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from configparser import RawConfigParser
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+from canopen import import_od
+from canopen.objectdictionary import ODArray, ODRecord, ODVariable
+
+from canfb.device import eds
+from canfb.device.codes import AbortCode, SdoAbort
+from canfb.device.datatypes import DataType
+from canfb.device.entry import Entry
+
+__all__ = ["Dictionary", "Entry", "ObjectInfo", "ObjectKind"]
+
+
+class ObjectKind(IntEnum):
+    """Object code (CiA 301, 7.4.3)."""
+
+    DOMAIN = 0x02
+    VAR = 0x07
+    ARRAY = 0x08
+    RECORD = 0x09
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectInfo:
+    """What an index holds: its name, its kind and its sub-indices in ascending order."""
+
+    index: int
+    name: str
+    kind: ObjectKind
+    subindices: tuple[int, ...]
+
+
+class Dictionary:
+    """The objects of one device (CiA 301, 7.4), in the order of their indices.
+
+    `dummies` are the data types that may fill gaps in an RPDO (CiA 301, 7.4.7).
+    """
+
+    def __init__(
+        self,
+        entries: Iterable[Entry],
+        objects: Iterable[ObjectInfo] | None = None,
+        dummies: Iterable[int] = (),
+    ) -> None:
+        self._entries = {
+            (entry.index, entry.subindex): entry
+            for entry in sorted(entries, key=lambda entry: (entry.index, entry.subindex))
+        }
+        described = _guess_objects(self._entries) if objects is None else objects
+        self._objects = {info.index: info for info in described}
+        self.dummies = frozenset(dummies)
+
+    @classmethod
+    def load(cls, path: str | Path, node_id: int) -> Dictionary:
+        """The objects of an EDS file for node `node_id` (1..127), all at their defaults.
+
+        Raises OSError when the file cannot be read, and ValueError that names the section when it
+        describes something impossible. ParameterValue of a DCF is not used.
+        """
+        if not 1 <= node_id <= 127:
+            raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127")
+        path = Path(path)
+        parser = eds.read(path)
+        try:
+            imported = import_od(eds.as_file(parser), node_id)
+        except Exception as error:
+            raise ValueError(f"{path} is not a usable EDS: {error}") from error
+        sections = eds.sections(parser)
+        entries: list[Entry] = []
+        objects: list[ObjectInfo] = []
+        for index in sorted(imported.indices):
+            if index <= 0x1F:  # the dummies, which are no objects of the device
+                continue
+            thing = imported.indices[index]
+            variables = _variables(thing)
+            for variable in variables:
+                section = sections[variable.index, variable.subindex]
+                entries.append(_entry(parser, section, variable, node_id, path))
+            subindices = tuple(variable.subindex for variable in variables)
+            objects.append(ObjectInfo(index, str(thing.name), _kind(thing), subindices))
+        return cls(entries, objects, eds.dummy_types(parser))
+
+    def entry(self, index: int, subindex: int = 0) -> Entry:
+        """The entry, for code that knows its device. KeyError when there is none."""
+        try:
+            return self._entries[index, subindex]
+        except KeyError:
+            raise KeyError(
+                f"{index:04X}h:{subindex:02X} is not in this object dictionary; add it to the EDS"
+            ) from None
+
+    def find(self, index: int, subindex: int = 0) -> Entry | None:
+        """The entry, or None when the device does not have it."""
+        return self._entries.get((index, subindex))
+
+    def lookup(self, index: int, subindex: int) -> Entry:
+        """The entry, for a request from the bus. SdoAbort when there is none."""
+        found = self._entries.get((index, subindex))
+        if found is None:
+            raise SdoAbort(AbortCode.NO_SUBINDEX if index in self._objects else AbortCode.NO_OBJECT)
+        return found
+
+    def __contains__(self, key: tuple[int, int]) -> bool:
+        return key in self._entries
+
+    def __iter__(self) -> Iterator[Entry]:
+        return iter(self._entries.values())
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def objects(self) -> Iterator[ObjectInfo]:
+        """What each index holds, ascending."""
+        return iter(self._objects.values())
+
+    def reset(self, first: int = 0x1000, last: int = 0xFFFF) -> None:
+        """Values of the indices `first` to `last`, both included, back to their defaults.
+
+        No hook runs: the services read their parameters again after it.
+        """
+        for entry in self._entries.values():
+            if first <= entry.index <= last:
+                entry.reset()
+
+
+def _variables(thing: ODVariable | ODArray | ODRecord) -> list[ODVariable]:
+    if isinstance(thing, ODVariable):
+        return [thing]
+    return [thing.subindices[subindex] for subindex in sorted(thing.subindices)]
+
+
+def _kind(thing: ODVariable | ODArray | ODRecord) -> ObjectKind:
+    if isinstance(thing, ODArray):
+        return ObjectKind.ARRAY
+    if isinstance(thing, ODRecord):
+        return ObjectKind.RECORD
+    return ObjectKind.DOMAIN if thing.data_type == DataType.DOMAIN else ObjectKind.VAR
+
+
+def _entry(parser: RawConfigParser, section: str, variable: ODVariable, node_id: int, path: Path) -> Entry:
+    data_type = int(variable.data_type or 0)
+
+    def number(option: str) -> Any:
+        try:
+            return eds.number(parser.get(section, option, fallback=""), data_type, node_id)
+        except ValueError as error:
+            raise ValueError(f"{path} [{section}] {option}: {error}") from error
+
+    try:
+        entry = Entry(
+            variable.index,
+            variable.subindex,
+            data_type,
+            name=variable.name,
+            access=variable.access_type,
+            default=number("DefaultValue"),
+            low=number("LowLimit"),
+            high=number("HighLimit"),
+            pdo_mappable=variable.pdo_mappable,
+        )
+        entry.encode()
+        if entry.default is not None:
+            entry.check_limits(entry.default)
+    except (ValueError, SdoAbort) as error:
+        raise ValueError(f"{path} [{section}]: {error}") from error
+    return entry
+
+
+def _guess_objects(entries: Iterable[tuple[int, int]]) -> list[ObjectInfo]:
+    """For a dictionary made of entries alone: one sub-index 0 is a VAR, more are a RECORD."""
+    subindices: dict[int, list[int]] = {}
+    for index, subindex in entries:
+        subindices.setdefault(index, []).append(subindex)
+    return [
+        ObjectInfo(index, "", ObjectKind.VAR if subs == [0] else ObjectKind.RECORD, tuple(subs))
+        for index, subs in subindices.items()
+    ]

@@ -1,0 +1,157 @@
+"""One entry of the object dictionary: a sub-index with its value, its limits and its hooks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from canfb.device import datatypes
+from canfb.device.codes import AbortCode, SdoAbort
+
+READABLE = frozenset({"ro", "rw", "rwr", "rww", "const"})
+WRITABLE = frozenset({"wo", "rw", "rwr", "rww"})
+TPDO_ACCESS = frozenset({"ro", "rw", "rwr", "const"})
+RPDO_ACCESS = frozenset({"wo", "rw", "rww"})
+ACCESS = READABLE | WRITABLE
+
+
+class Entry:
+    """A sub-index of the object dictionary (CiA 301, 7.4).
+
+    `value` is a plain Python int, float, bool, str or bytes, and is read and written directly by
+    whoever owns the object; only SDO and PDO go through the checks below. `access` is ro, wo, rw,
+    const, rww (rw, and mappable into an RPDO only) or rwr (rw, and mappable into a TPDO only).
+    `low` and `high` are the limits for values from the bus, None where there is none.
+
+    Hooks: `on_read()` gives a live value (bytes for a DOMAIN) in place of `value`, and may raise
+    SdoAbort. `on_write(value)` runs after all generic checks and before the value is stored, and
+    raises SdoAbort to refuse it. `on_written()` runs after the value is stored.
+    """
+
+    __slots__ = (
+        "access",
+        "data_type",
+        "default",
+        "high",
+        "index",
+        "low",
+        "name",
+        "on_read",
+        "on_write",
+        "on_written",
+        "pdo_mappable",
+        "subindex",
+        "value",
+    )
+
+    # A hot slot of whatever type the object has; each reader knows its own.
+    value: Any
+
+    def __init__(
+        self,
+        index: int,
+        subindex: int,
+        data_type: int,
+        *,
+        name: str = "",
+        access: str = "rw",
+        default: Any = None,
+        low: float | None = None,
+        high: float | None = None,
+        pdo_mappable: bool = False,
+    ) -> None:
+        where = f"{index:04X}h:{subindex:02X}"
+        if data_type not in datatypes.KNOWN:
+            raise ValueError(f"{where} has the unknown data type {data_type:#06x}; see CiA 301, 7.4.7")
+        if access not in ACCESS:
+            raise ValueError(f"{where} has access {access!r}; use one of {', '.join(sorted(ACCESS))}")
+        self.index = index
+        self.subindex = subindex
+        self.name = name
+        self.data_type = int(data_type)
+        self.access = access
+        self.default = default
+        self.low = low
+        self.high = high
+        self.pdo_mappable = pdo_mappable
+        self.on_read: Callable[[], Any] | None = None
+        self.on_write: Callable[[Any], None] | None = None
+        self.on_written: Callable[[], None] | None = None
+        self.reset()
+
+    def __repr__(self) -> str:
+        return f"<Entry {self.index:04X}h:{self.subindex:02X} {self.name!r} = {self.value!r}>"
+
+    def reset(self) -> None:
+        """Back to the default, or to zero or empty where there is none. No hook runs."""
+        self.value = datatypes.zero(self.data_type) if self.default is None else self.default
+
+    @property
+    def bit_length(self) -> int:
+        """Length in a PDO, bits; 0 for strings and DOMAIN, which have none."""
+        return datatypes.bit_length(self.data_type)
+
+    @property
+    def byte_length(self) -> int:
+        """Length in an SDO, bytes; 0 for strings and DOMAIN, which have none."""
+        return datatypes.byte_length(self.data_type)
+
+    def current(self) -> Any:
+        """The live value where there is an `on_read`, else `value`."""
+        return self.value if self.on_read is None else self.on_read()
+
+    def encode(self) -> bytes:
+        """Bytes of the current value. ValueError when it does not fit the data type."""
+        value = self.current()
+        try:
+            return datatypes.encode(self.data_type, value)
+        except ValueError as error:
+            raise ValueError(f"{self!r}: {error}") from error
+
+    def decode(self, data: bytes) -> Any:
+        """Value of bytes from the bus. SdoAbort for a wrong size or a value beyond the limits."""
+        size = self.byte_length
+        if size and len(data) != size:
+            raise SdoAbort(AbortCode.TOO_LONG if len(data) > size else AbortCode.TOO_SHORT)
+        value = datatypes.decode(self.data_type, data)
+        self.check_limits(value)
+        return value
+
+    def check_limits(self, value: Any) -> None:
+        """SdoAbort for a value beyond `low` or `high`; a NaN is beyond any limit."""
+        if self.high is not None and not value <= self.high:
+            raise SdoAbort(AbortCode.VALUE_TOO_HIGH if value > self.high else AbortCode.INVALID_VALUE)
+        if self.low is not None and not value >= self.low:
+            raise SdoAbort(AbortCode.VALUE_TOO_LOW if value < self.low else AbortCode.INVALID_VALUE)
+
+    def check_readable(self) -> None:
+        """SdoAbort unless SDO may read the entry."""
+        if self.access not in READABLE:
+            raise SdoAbort(AbortCode.WRITE_ONLY)
+
+    def check_writable(self) -> None:
+        """SdoAbort unless SDO may write the entry."""
+        if self.access not in WRITABLE:
+            raise SdoAbort(AbortCode.READ_ONLY)
+
+    def store(self, value: Any) -> None:
+        """Take over a value from the bus: limits, `on_write`, the value, `on_written`.
+
+        SdoAbort when it is refused; the value is then untouched.
+        """
+        self.check_limits(value)
+        if self.on_write is not None:
+            self.on_write(value)
+        self.value = value
+        if self.on_written is not None:
+            self.on_written()
+
+    def upload(self) -> bytes:
+        """What an SDO read gives; SdoAbort when it is refused."""
+        self.check_readable()
+        return self.encode()
+
+    def download(self, data: bytes) -> None:
+        """What an SDO write does; SdoAbort when it is refused, the value then untouched."""
+        self.check_writable()
+        self.store(self.decode(data))

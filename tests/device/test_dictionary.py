@@ -1,0 +1,258 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import sample_eds
+
+from canfb.device.codes import AbortCode, SdoAbort
+from canfb.device.dictionary import Dictionary, ObjectKind
+from canfb.device.entry import Entry
+
+SHIPPED = Path(__file__).parents[2] / "eds"
+
+
+@pytest.fixture
+def dictionary(tmp_path: Path) -> Dictionary:
+    return Dictionary.load(sample_eds.write(tmp_path / "sample.eds"), 32)
+
+
+def load_text(tmp_path: Path, text: str, node_id: int = 5) -> Dictionary:
+    path = tmp_path / "device.eds"
+    path.write_text(sample_eds.HEAD + text)
+    return Dictionary.load(path, node_id)
+
+
+def variable(section: str, data_type: int, **options: str) -> str:
+    fields = {"ParameterName": section, "DataType": str(data_type), "AccessType": "rw", **options}
+    return "\n".join([f"[{section}]", *(f"{key}={text}" for key, text in fields.items())]) + "\n"
+
+
+def abort_of(call: object, *arguments: object) -> AbortCode:
+    assert callable(call)
+    with pytest.raises(SdoAbort) as caught:
+        call(*arguments)
+    return caught.value.code
+
+
+@pytest.mark.parametrize("name", ["canfb-module.eds", "encoder-interface.eds"])
+def test_the_shipped_files_load(name: str) -> None:
+    dictionary = Dictionary.load(SHIPPED / name, 32)
+    assert dictionary.entry(0x1014).value == 0x80 + 32
+    assert dictionary.entry(0x1200, 1).value == 0x600 + 32
+    assert len(list(dictionary.objects())) > 15
+
+
+def test_defaults_with_node_id_sign_float_and_boolean(dictionary: Dictionary) -> None:
+    assert dictionary.entry(0x1014).value == 0xA0
+    assert dictionary.entry(0x1800, 1).value == 0x400001A0
+    assert dictionary.entry(0x2010, 7).value == -5
+    assert dictionary.entry(0x2027).value == -2
+    assert dictionary.entry(0x2023).value == 1.5
+    assert dictionary.entry(0x2028).value is True
+    assert dictionary.entry(0x2010, 4).value is False
+    assert dictionary.entry(0x1008).value == "a sample device!"
+    assert dictionary.entry(0x2020).value == b""
+
+
+def test_kinds_and_dummies(dictionary: Dictionary) -> None:
+    kinds = {info.index: info.kind for info in dictionary.objects()}
+    assert kinds[0x1000] is ObjectKind.VAR
+    assert kinds[0x1018] is ObjectKind.RECORD
+    assert kinds[0x2020] is ObjectKind.DOMAIN
+    assert dictionary.dummies == set(range(1, 8))
+    assert (5, 0) not in dictionary
+
+
+def test_missing_entries(dictionary: Dictionary) -> None:
+    with pytest.raises(KeyError, match="2FFFh:03 is not in"):
+        dictionary.entry(0x2FFF, 3)
+    assert dictionary.find(0x2FFF) is None
+    assert abort_of(dictionary.lookup, 0x2FFF, 0) is AbortCode.NO_OBJECT
+    assert abort_of(dictionary.lookup, 0x1000, 1) is AbortCode.NO_SUBINDEX
+    assert abort_of(dictionary.lookup, 0x0005, 0) is AbortCode.NO_OBJECT
+    assert abort_of(dictionary.lookup, 0x1003, 5) is AbortCode.NO_SUBINDEX
+
+
+@pytest.mark.parametrize(
+    ("index", "data"),
+    [
+        (0x2023, bytes.fromhex("0000C03F")),
+        (0x2025, b"\x07"),
+        (0x2026, bytes(range(8))),
+        (0x2027, b"\xf6\xff"),
+        (0x2028, b"\x01"),
+        (0x2021, b"grown text"),
+        (0x2024, b"\x00\xff"),
+        (0x2020, bytes(300)),
+    ],
+)
+def test_encode_and_decode_are_inverse(dictionary: Dictionary, index: int, data: bytes) -> None:
+    entry = dictionary.entry(index)
+    entry.download(data)
+    assert entry.upload() == data
+
+
+def test_three_byte_integers(dictionary: Dictionary) -> None:
+    entry = dictionary.entry(0x2000, 5)
+    entry.value = 0x123456
+    assert entry.encode() == b"\x56\x34\x12"
+    assert entry.decode(b"\x01\x02\x80") == 0x800201
+    assert (entry.bit_length, entry.byte_length) == (24, 3)
+
+
+def test_boolean_is_one_bit_in_a_pdo_and_one_byte_in_an_sdo(dictionary: Dictionary) -> None:
+    entry = dictionary.entry(0x2028)
+    assert (entry.bit_length, entry.byte_length) == (1, 1)
+    assert abort_of(entry.download, bytes(4)) is AbortCode.TOO_LONG
+
+
+@pytest.mark.parametrize(
+    ("index", "data", "code"),
+    [
+        (0x2025, b"\x02", AbortCode.VALUE_TOO_LOW),
+        (0x2025, b"\xc9", AbortCode.VALUE_TOO_HIGH),
+        (0x2025, b"\x00\x07", AbortCode.TOO_LONG),
+        (0x2026, bytes(7), AbortCode.TOO_SHORT),
+        (0x2027, b"\xf5\xff", AbortCode.VALUE_TOO_LOW),
+        (0x2027, b"\x0b\x00", AbortCode.VALUE_TOO_HIGH),
+        (0x2023, bytes.fromhex("00002140"), None),
+        (0x2023, bytes.fromhex("0000F040"), AbortCode.VALUE_TOO_HIGH),
+        (0x2023, bytes.fromhex("000030C0"), AbortCode.VALUE_TOO_LOW),
+        (0x2023, bytes.fromhex("0000C07F"), AbortCode.INVALID_VALUE),
+        (0x1000, bytes(4), AbortCode.READ_ONLY),
+        (0x1008, b"name", AbortCode.READ_ONLY),
+    ],
+)
+def test_refused_values(dictionary: Dictionary, index: int, data: bytes, code: AbortCode | None) -> None:
+    entry = dictionary.entry(index)
+    before = entry.value
+    if code is None:
+        entry.download(data)
+        assert entry.value != before
+    else:
+        assert abort_of(entry.download, data) is code
+        assert entry.value == before
+
+
+def test_a_write_only_entry_is_not_read(dictionary: Dictionary) -> None:
+    assert abort_of(dictionary.entry(0x2022).upload) is AbortCode.WRITE_ONLY
+
+
+def test_hooks_run_around_the_store(dictionary: Dictionary) -> None:
+    entry = dictionary.entry(0x2025)
+    entry.value = 3
+    seen: list[object] = []
+    entry.on_write = lambda value: seen.append(("before", value, entry.value))
+    entry.on_written = lambda: seen.append(("after", entry.value))
+    entry.download(b"\x09")
+    assert seen == [("before", 9, 3), ("after", 9)]
+
+
+def test_a_refusing_hook_leaves_the_value(dictionary: Dictionary) -> None:
+    entry = dictionary.entry(0x2025)
+    entry.value = 3
+
+    def refuse(value: object) -> None:
+        raise SdoAbort(AbortCode.DEVICE_STATE)
+
+    entry.on_write = refuse
+    entry.on_written = lambda: pytest.fail("the value was refused")
+    assert abort_of(entry.download, b"\x09") is AbortCode.DEVICE_STATE
+    assert entry.value == 3
+
+
+def test_on_read_gives_the_live_value(dictionary: Dictionary) -> None:
+    entry = dictionary.entry(0x2020)
+    entry.value = b"stored"
+    entry.on_read = lambda: b"live"
+    assert entry.upload() == b"live"
+
+
+def test_a_value_that_does_not_fit_is_named(dictionary: Dictionary) -> None:
+    entry = dictionary.entry(0x1017)
+    entry.value = 70000
+    with pytest.raises(ValueError, match="1017h:00"):
+        entry.encode()
+
+
+def test_reset_by_range(dictionary: Dictionary) -> None:
+    communication, application = dictionary.entry(0x1017), dictionary.entry(0x2010, 7)
+    communication.value, application.value = 9, 9
+    communication.on_written = lambda: pytest.fail("a reset runs no hook")
+    dictionary.reset(0x1000, 0x1FFF)
+    assert (communication.value, application.value) == (0, 9)
+    dictionary.reset()
+    assert application.value == -5
+
+
+def test_compact_arrays_are_expanded(tmp_path: Path) -> None:
+    dictionary = load_text(
+        tmp_path,
+        "[2100]\nParameterName=Level\nObjectType=8\nDataType=6\nAccessType=rw\nDefaultValue=7\n"
+        "PDOMapping=1\nCompactSubObj=12\n"
+        "[2100Name]\nNrOfEntries=1\n2=Second\n[2100Value]\nNrOfEntries=1\n12=0x10\n",
+    )
+    assert dictionary.entry(0x2100, 0).value == 12
+    assert dictionary.entry(0x2100, 0).access == "ro"
+    assert [dictionary.entry(0x2100, sub).value for sub in (1, 2, 11, 12)] == [7, 7, 7, 16]
+    assert dictionary.entry(0x2100, 2).name == "Second"
+    assert dictionary.entry(0x2100, 12).pdo_mappable
+    assert abort_of(dictionary.lookup, 0x2100, 13) is AbortCode.NO_SUBINDEX
+    (info,) = dictionary.objects()
+    assert info.kind is ObjectKind.ARRAY
+    assert info.subindices == tuple(range(13))
+
+
+def test_a_domain_needs_no_data_type(tmp_path: Path) -> None:
+    dictionary = load_text(tmp_path, "[2101]\nParameterName=Table\nObjectType=0x2\n")
+    entry = dictionary.entry(0x2101)
+    assert (entry.data_type, entry.access, entry.value) == (15, "rw", b"")
+
+
+def test_sub_sections_in_any_case(tmp_path: Path) -> None:
+    text = "[210A]\nParameterName=R\nObjectType=9\n" + variable("210aSub0C", 5, DefaultValue="3")
+    assert load_text(tmp_path, text).entry(0x210A, 12).value == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (variable("2100", 5, DefaultValue="many"), "DefaultValue"),
+        (variable("2100", 5, DefaultValue="256"), r"\[2100\]"),
+        (variable("2100", 5, DefaultValue="3", LowLimit="4"), "too low"),
+        (variable("2100", 5, AccessType="rx"), "access 'rx'"),
+        (variable("2100", 8, LowLimit="half"), "LowLimit"),
+        ("[2100]\nParameterName=x\nObjectType=8\nCompactSubObj=300\nDataType=5\n", "CompactSubObj"),
+        ("[2100]\nParameterName=x\n", "not a usable EDS"),
+        ("no section\n", "not an EDS"),
+    ],
+)
+def test_an_impossible_file_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_text(tmp_path, text)
+
+
+@pytest.mark.parametrize("node_id", [0, 128, -1])
+def test_node_id_range(tmp_path: Path, node_id: int) -> None:
+    with pytest.raises(ValueError, match="1 to 127"):
+        load_text(tmp_path, "", node_id)
+
+
+def test_limits_of_every_number_type(tmp_path: Path) -> None:
+    dictionary = load_text(tmp_path, variable("2100", 0x10, LowLimit="0x800000", HighLimit="-1"))
+    entry = dictionary.entry(0x2100)
+    assert (entry.low, entry.high) == (-(1 << 23), -1)
+
+
+def test_a_dictionary_of_entries_alone() -> None:
+    dictionary = Dictionary([Entry(0x2001, 1, 5), Entry(0x2001, 0, 5), Entry(0x2000, 0, 7)])
+    assert [entry.index for entry in dictionary] == [0x2000, 0x2001, 0x2001]
+    assert [info.kind for info in dictionary.objects()] == [ObjectKind.VAR, ObjectKind.RECORD]
+    assert len(dictionary) == 3
+
+
+def test_every_abort_code_has_a_text() -> None:
+    for code in AbortCode:
+        assert len(code.text) > 5
+        assert f"{code:08X}" in str(SdoAbort(code))
