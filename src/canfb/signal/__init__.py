@@ -1,0 +1,7 @@
+"""The signal chain: pure arithmetic from ADC counts to a supervised position.
+
+Nothing here knows CAN, a clock or a file. One sample flows through the modules in
+this order::
+
+    sample -> conditioning -> phase -> correction -> tracker -> supervision/recovery -> chain
+"""

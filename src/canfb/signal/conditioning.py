@@ -1,0 +1,68 @@
+"""Conditioning of the tracks before Table 1: offset, gain and phase error (2002:01..05)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Conditioning:
+    """Turns an offset, skewed ellipse into a circle. The identity (default) is the paper's method.
+
+    The model is sine = sine_offset + A/sine_gain sin(x), cosine = cosine_offset +
+    A/cosine_gain cos(x - phase_error), with x the angle in the cycle. Offsets in ADC
+    counts, gains without unit and not zero, phase error in radians, |phase error| < pi/3.
+    Raises ValueError for anything else.
+    """
+
+    sine_offset_counts: float = 0.0
+    cosine_offset_counts: float = 0.0
+    sine_gain: float = 1.0
+    cosine_gain: float = 1.0
+    phase_error_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in (
+            "sine_offset_counts",
+            "cosine_offset_counts",
+            "sine_gain",
+            "cosine_gain",
+            "phase_error_rad",
+        ):
+            if not math.isfinite(getattr(self, name)):
+                raise ValueError(f"{name} is not a finite number")
+        for name in ("sine_gain", "cosine_gain"):
+            if not 1e-3 <= abs(getattr(self, name)) <= 1e3:
+                raise ValueError(f"{name} is out of range: its size must be 0.001 to 1000")
+        if abs(self.phase_error_rad) >= math.pi / 3:
+            raise ValueError("phase_error_rad is out of range: its size must be below pi/3")
+
+    @property
+    def is_identity(self) -> bool:
+        """True if it changes nothing."""
+        return self == IDENTITY
+
+    def coefficients(self) -> tuple[float, float, float, float, float]:
+        """(sine offset, sine gain, cosine offset, cosine factor, skew): what :meth:`apply` computes with.
+
+        s' = (sine - offset) gain;  c' = (cosine - offset) factor - s' skew, where
+        factor = gain / cos(phase error) and skew = tan(phase error).
+        """
+        return (
+            float(self.sine_offset_counts),
+            float(self.sine_gain),
+            float(self.cosine_offset_counts),
+            float(self.cosine_gain) / math.cos(self.phase_error_rad),
+            math.tan(self.phase_error_rad),
+        )
+
+    def apply(self, sine: Any, cosine: Any) -> tuple[Any, Any]:
+        """Conditioned tracks in counts, scalars or float64 arrays; both give the same bits."""
+        offset_s, gain_s, offset_c, factor_c, skew = self.coefficients()
+        s = (sine - offset_s) * gain_s
+        return s, (cosine - offset_c) * factor_c - s * skew
+
+
+IDENTITY = Conditioning()

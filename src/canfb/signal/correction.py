@@ -1,0 +1,142 @@
+"""The individual correction table: phase as a function of raw phase (paper, section 2)."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from typing import Any, Self, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.signal.phase import FloatArray
+
+MIN_ENTRIES = 16
+MAX_ENTRIES = 4096
+MAX_DEVIATION_CYCLES = 0.25
+
+
+class CorrectionTable:
+    """Phase of one encoder as a function of its raw phase, by linear interpolation.
+
+    ``entries[n]`` is the phase, in cycles, at raw phase ``n / len(entries)``. Entries are
+    kept with the precision of the object dictionary (2020:01, REAL32), so that a table
+    computes the same before and after an upload.
+
+    Raises ValueError unless 16 <= N <= 4096, every entry is finite, the entries are
+    strictly increasing including the wrap to ``entries[0] + 1``, and none is further than
+    0.25 cycle from ``n / N``.
+    """
+
+    __slots__ = ("_bytes", "_first", "_first_list", "_n", "_slope", "_slope_list")
+
+    def __init__(self, entries: npt.ArrayLike) -> None:
+        try:
+            single = np.array(entries, dtype="<f4", ndmin=1)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"a correction table is a sequence of numbers: {error}") from None
+        _check(single)
+        self._n = len(single)
+        self._bytes = single.tobytes()
+        # One guard entry more: raw * n may round up to n.
+        first = np.append(single.astype(np.float64), float(single[0]) + 1.0)
+        self._first: FloatArray = first
+        self._slope: FloatArray = np.append(np.diff(first), 0.0)
+        self._first_list: list[float] = self._first.tolist()
+        self._slope_list: list[float] = self._slope.tolist()
+
+    @classmethod
+    def identity(cls, n: int = 256) -> Self:
+        """The table that changes nothing, with ``n`` entries (16..4096)."""
+        return cls(np.arange(n) / n)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Table from the bytes of object 2020:01: N x REAL32, little-endian. ValueError if bad."""
+        if len(data) % 4:
+            raise ValueError(f"a correction table is N x REAL32: {len(data)} bytes is no multiple of 4")
+        return cls(np.frombuffer(bytes(data), dtype="<f4"))
+
+    def to_bytes(self) -> bytes:
+        """The table as object 2020:01 has it: N x REAL32, little-endian."""
+        return self._bytes
+
+    @property
+    def crc32(self) -> int:
+        """CRC-32 (zlib) of :meth:`to_bytes`: what 2020:03 activates."""
+        return zlib.crc32(self._bytes)
+
+    @property
+    def entries(self) -> FloatArray:
+        """The entries in cycles, shape (N,), a copy."""
+        return self._first[:-1].copy()
+
+    def __len__(self) -> int:
+        return self._n
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, CorrectionTable) and self._bytes == other._bytes
+
+    def __hash__(self) -> int:
+        return hash(self._bytes)
+
+    def __repr__(self) -> str:
+        return f"CorrectionTable({self._n} entries, crc32={self.crc32:08X}h)"
+
+    @overload
+    def __call__(self, raw_phase: float) -> float: ...
+    @overload
+    def __call__(self, raw_phase: npt.ArrayLike) -> FloatArray: ...
+    def __call__(self, raw_phase: Any) -> Any:
+        """Phase at ``raw_phase`` (cycles, taken modulo 1): 0 <= phase < 1, NaN stays NaN.
+
+        A float for scalars, an ndarray for arrays; both give the same bits.
+        """
+        if isinstance(raw_phase, (int, float, np.generic)):
+            raw = float(raw_phase)
+            return self.correct(raw % 1.0 % 1.0) if math.isfinite(raw) else math.nan
+        raws = np.asarray(raw_phase, dtype=np.float64)
+        with np.errstate(invalid="ignore"):
+            return self.correct_array(raws % 1.0 % 1.0)
+
+    def correct(self, raw: float) -> float:
+        """Phase at one raw phase, which must lie in 0..1 (the hot path: unchecked)."""
+        place = raw * self._n
+        index = int(place)
+        phase = self._first_list[index] + (place - index) * self._slope_list[index]
+        if phase < 0.0:
+            phase += 1.0
+        if phase >= 1.0:
+            phase -= 1.0
+        return phase
+
+    def correct_array(self, raw: FloatArray) -> FloatArray:
+        """Phases at raw phases in 0..1, NaN allowed: the same operations as :meth:`correct`."""
+        place = raw * self._n
+        with np.errstate(invalid="ignore"):
+            index = place.astype(np.intp)
+        # NaN has no index; "clip" keeps the look-up inside, and NaN comes back by the fraction.
+        phase = self._slope.take(index, mode="clip")
+        phase *= place - index
+        phase += self._first.take(index, mode="clip")
+        phase += phase < 0.0
+        phase -= phase >= 1.0
+        return phase
+
+
+def _check(entries: npt.NDArray[np.float32]) -> None:
+    if entries.ndim != 1:
+        raise ValueError(f"a correction table has one dimension, not {entries.ndim}")
+    n = len(entries)
+    if not MIN_ENTRIES <= n <= MAX_ENTRIES:
+        raise ValueError(f"a correction table has {MIN_ENTRIES} to {MAX_ENTRIES} entries, not {n}")
+    bad = np.flatnonzero(~np.isfinite(entries))
+    if len(bad):
+        raise ValueError(f"entry {bad[0]} is not a finite number")
+    values = entries.astype(np.float64)
+    far = np.flatnonzero(np.abs(values - np.arange(n) / n) > MAX_DEVIATION_CYCLES)
+    if len(far):
+        raise ValueError(f"entry {far[0]} is further than {MAX_DEVIATION_CYCLES} cycle from {far[0]}/{n}")
+    falling = np.flatnonzero(np.diff(values, append=values[0] + 1.0) <= 0.0)
+    if len(falling):
+        raise ValueError(f"not strictly increasing from entry {falling[0]} to {(falling[0] + 1) % n}")

@@ -1,0 +1,24 @@
+"""What the prediction of eq. 9 allows: limits of acceleration (paper, eq. 10 and 12)."""
+
+from __future__ import annotations
+
+import math
+
+from canfb.signal.tracker import check_residual_limit
+
+
+def max_acceleration(
+    cycles_per_revolution: float, sample_rate_hz: float, residual_limit: float = 0.5
+) -> float:
+    """Largest acceleration in rad/s^2 that eq. 9 follows, pi/N fs^2 (eq. 10) at the limit 1/2.
+
+    A smaller ``residual_limit`` (cycles, 0 < limit <= 0.5) reduces it in proportion: 1/3
+    leaves two thirds (section 4 of the paper). ``cycles_per_revolution`` and
+    ``sample_rate_hz`` are positive. ValueError otherwise.
+    """
+    if not 0.0 < cycles_per_revolution < math.inf:
+        raise ValueError(f"cycles_per_revolution must be positive, not {cycles_per_revolution!r}")
+    if not 0.0 < sample_rate_hz < math.inf:
+        raise ValueError(f"sample_rate_hz must be positive, not {sample_rate_hz!r}")
+    limit = check_residual_limit(residual_limit)
+    return 2.0 * math.pi / cycles_per_revolution * limit * sample_rate_hz**2

@@ -1,0 +1,259 @@
+"""Cycle count by second-order prediction (paper, eq. 9) with error detection (eq. 12).
+
+The cycle count is an integer, the position is cycle count + phase and is never added up
+in a float: i(k) = 2 i(k-1) - i(k-2) + round(2 p(k-1) - p(k-2) - p(k)) is exact over any
+range. Between samples that are not one interval apart the last speed is carried over the
+elapsed intervals.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.signal.phase import FloatArray
+
+RESIDUAL_LIMIT = 1.0 / 3.0
+
+
+class Track(NamedTuple):
+    """Position after one sample.
+
+    cycles      cycle count, int
+    phase       phase within the cycle, 0 <= phase < 1
+    residual    |round(c) - c| of eq. 12 in cycles, 0..0.5
+    ok          residual < residual limit, and there was a phase
+    """
+
+    cycles: int
+    phase: float
+    residual: float
+    ok: bool
+
+
+class Tracker:
+    """The recursion of eq. 9, one sample at a time.
+
+    It starts at cycle count 0 with the first phase, and takes the machine to stand still
+    there: until the second sample it may move less than half a cycle. From then on the
+    speed has no limit, the change of speed has (eq. 10).
+
+    ``residual_limit`` in cycles, 0 < limit <= 0.5: eq. 12, the paper's choice is 1/3.
+    ValueError otherwise.
+    """
+
+    __slots__ = (
+        "_cycles",
+        "_elapsed",
+        "_gap",
+        "_phase",
+        "_phase_before",
+        "_started",
+        "_step",
+        "residual_limit",
+    )
+
+    def __init__(self, residual_limit: float = RESIDUAL_LIMIT) -> None:
+        self.residual_limit = check_residual_limit(residual_limit)
+        self.restart()
+
+    def restart(self, cycles: int = 0) -> None:
+        """Forget speed and phase; the next phase starts at standstill with this cycle count."""
+        self._cycles = cycles  # i(k-1)
+        self._step = 0  # i(k-1) - i(k-2)
+        self._phase = 0.0  # p(k-1)
+        self._phase_before = 0.0  # p(k-2)
+        self._elapsed = 1.0  # intervals between samples k-2 and k-1
+        self._gap = 0.0  # intervals since sample k-1 that brought no phase
+        self._started = False
+
+    @property
+    def step_cycles(self) -> float:
+        """Speed between the last two samples, in cycles per sampling interval."""
+        return (self._step + (self._phase - self._phase_before)) / self._elapsed
+
+    @property
+    def is_steady(self) -> bool:
+        """True if the next sample is one interval after two that were one interval apart."""
+        return self._started and self._gap == 0.0 and self._elapsed == 1.0
+
+    def state(self) -> tuple[float, float, int, int]:
+        """(p(k-2), p(k-1), i(k-1), i(k-1) - i(k-2)) of a steady tracker."""
+        return self._phase_before, self._phase, self._cycles, self._step
+
+    def set_state(self, phase_before: float, phase: float, cycles: int, step: int) -> None:
+        """Set what :meth:`state` gives; the tracker is steady then."""
+        self._started, self._elapsed, self._gap = True, 1.0, 0.0
+        self._phase_before, self._phase, self._cycles, self._step = phase_before, phase, cycles, step
+
+    def update(self, phase: float, elapsed: float = 1.0) -> Track:
+        """Take one phase, ``elapsed`` sampling intervals after the one before, and track it.
+
+        ``phase`` in cycles, 0 <= phase < 1. NaN stands for a sample without a phase: the
+        position is then the predicted one, marked not ok, and the recursion steps over it.
+        ``elapsed`` > 0. Raises ValueError outside these ranges.
+
+        The count follows the phase even if the residual is over the limit, as in the
+        paper; the sample is then marked not ok.
+        """
+        if not 0.0 <= phase < 1.0 and phase == phase:
+            raise ValueError(f"phase must be 0 <= phase < 1 cycle, not {phase!r}")
+        if not 0.0 < elapsed < math.inf:
+            raise ValueError(f"elapsed must be a positive number of sampling intervals, not {elapsed!r}")
+        track = self.look(phase, elapsed)
+        if phase == phase:
+            self.accept(track, elapsed)
+        else:
+            self.skip(elapsed)
+        return track
+
+    def look(self, phase: float, elapsed: float = 1.0) -> Track:
+        """What :meth:`update` would give for this phase; nothing changes. Arguments unchecked."""
+        if phase != phase:
+            return self.predict(elapsed)
+        if not self._started:
+            return Track(self._cycles, phase, 0.0, True)
+        elapsed += self._gap
+        if elapsed == self._elapsed:
+            cycles = self._cycles + self._step
+            c = 2.0 * self._phase - self._phase_before - phase
+        else:
+            whole, c = self._carry(elapsed)
+            cycles = self._cycles + whole
+            c = self._phase + c - phase
+        turns = round(c)
+        residual = abs(turns - c)
+        return Track(cycles + turns, phase, residual, residual < self.residual_limit)
+
+    def accept(self, track: Track, elapsed: float = 1.0) -> None:
+        """Make ``track``, from :meth:`look`, the last sample of the recursion."""
+        if self._started:
+            self._step = track.cycles - self._cycles
+            self._phase_before = self._phase
+            self._elapsed = elapsed + self._gap
+        else:
+            self._started = True
+            self._phase_before = track.phase
+        self._cycles = track.cycles
+        self._phase = track.phase
+        self._gap = 0.0
+
+    def skip(self, elapsed: float = 1.0) -> None:
+        """Step over a sample without a usable phase; the next prediction spans the gap."""
+        if self._started:
+            self._gap += elapsed
+
+    def predict(self, elapsed: float = 1.0) -> Track:
+        """Position after ``elapsed`` intervals at the last speed; residual 0.5, never ok."""
+        if not self._started:
+            return Track(self._cycles, 0.0, 0.5, False)
+        whole, part = self._carry(elapsed + self._gap)
+        position = self._phase + part
+        turns = math.floor(position)
+        phase = position - turns
+        if phase >= 1.0:
+            turns, phase = turns + 1, 0.0
+        return Track(self._cycles + whole + turns, phase, 0.5, False)
+
+    def _carry(self, elapsed: float) -> tuple[int, float]:
+        """Way at the last speed over ``elapsed`` intervals: whole cycles and a small rest."""
+        ratio = elapsed / self._elapsed
+        way = self._step * ratio
+        whole = math.floor(way)
+        return whole, (way - whole) + (self._phase - self._phase_before) * ratio
+
+
+@dataclass(frozen=True)
+class TrackResult:
+    """Positions of an array of samples: arrays of one length, as the fields of :class:`Track`.
+
+    cycles int64, phase float64 (cycles), residual float64 (cycles, 0..0.5), ok bool.
+    """
+
+    cycles: npt.NDArray[np.int64]
+    phase: FloatArray
+    residual: FloatArray
+    ok: npt.NDArray[np.bool_]
+
+
+def track(phase: npt.ArrayLike, residual_limit: float = RESIDUAL_LIMIT) -> TrackResult:
+    """:class:`Tracker` over an array of phases, vectorised; bit for bit the same result.
+
+    ``phase`` has shape (n,), cycles, 0 <= phase < 1, NaN where a sample has no phase.
+    ValueError for anything else.
+    """
+    phases = np.asarray(phase, dtype=np.float64)
+    if phases.ndim != 1:
+        raise ValueError(f"phase must have one dimension, not {phases.ndim}")
+    wrong = np.flatnonzero((phases < 0.0) | (phases >= 1.0))
+    if len(wrong):
+        raise ValueError(f"phase must be 0 <= phase < 1 cycle, not {phases[wrong[0]]!r} at {wrong[0]}")
+    return track_block(Tracker(residual_limit), phases)
+
+
+def track_block(tracker: Tracker, phases: FloatArray) -> TrackResult:
+    """Continue ``tracker`` over an array of phases (unchecked), as :meth:`Tracker.update` would."""
+    result = TrackResult(
+        np.empty(len(phases), np.int64),
+        np.array(phases),
+        np.empty(len(phases)),
+        np.empty(len(phases), np.bool_),
+    )
+    start = 0
+    for gap in np.flatnonzero(np.isnan(phases)).tolist():
+        if gap >= start:
+            _steady_run(tracker, result, start, gap)
+            start = _step_over(tracker, result, gap)
+    _steady_run(tracker, result, start, len(phases))
+    return result
+
+
+def _step_over(tracker: Tracker, result: TrackResult, at: int) -> int:
+    """Samples without a phase, and the two after them, one by one; where to go on."""
+    usable = 0
+    while at < len(result.phase) and usable < 2:
+        usable = 0 if math.isnan(result.phase[at]) else usable + 1
+        _put(result, at, tracker.update(float(result.phase[at])))
+        at += 1
+    return at
+
+
+def _put(result: TrackResult, at: int, one: Track) -> None:
+    result.cycles[at], result.phase[at], result.residual[at], result.ok[at] = one
+
+
+def _steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int) -> None:
+    """Samples start..stop, all with a phase and one interval apart: an integer double cumulative sum."""
+    while start < stop and not tracker.is_steady:
+        _put(result, start, tracker.update(float(result.phase[start])))
+        start += 1
+    if start == stop:
+        return
+    before, last, cycles, step = tracker.state()
+    p = np.empty(stop - start + 2)
+    p[0], p[1] = before, last
+    p[2:] = result.phase[start:stop]
+    c = 2.0 * p[1:-1]
+    c -= p[:-2]
+    c -= p[2:]
+    turns = np.rint(c)
+    np.abs(np.subtract(turns, c, out=c), out=result.residual[start:stop])
+    np.less(result.residual[start:stop], tracker.residual_limit, out=result.ok[start:stop])
+    steps = turns.astype(np.int64)
+    steps[0] += step
+    np.cumsum(steps, out=steps)
+    last_step = int(steps[-1])
+    steps[0] += cycles
+    np.cumsum(steps, out=result.cycles[start:stop])
+    tracker.set_state(float(p[-2]), float(p[-1]), int(result.cycles[stop - 1]), last_step)
+
+
+def check_residual_limit(limit: float) -> float:
+    """``limit`` as a float if 0 < limit <= 0.5, ValueError otherwise (eq. 12)."""
+    if not 0.0 < limit <= 0.5:
+        raise ValueError(f"residual_limit must be above 0 and at most 0.5 cycle, not {limit!r}")
+    return float(limit)

@@ -1,0 +1,1 @@
+"""A simulated plant: encoder, motion, converter, faults, and the encoder interface as a CANopen node."""

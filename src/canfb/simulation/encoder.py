@@ -1,0 +1,88 @@
+"""A sine/cosine encoder with the errors that real ones have, and its ADC."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.signal.phase import FloatArray
+
+
+class Harmonic(NamedTuple):
+    """One harmonic of a track: size relative to the fundamental, shift in radians."""
+
+    order: int
+    sine: float
+    cosine: float
+    sine_shift_rad: float = 0.0
+    cosine_shift_rad: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Encoder:
+    """Two tracks as functions of the phase, sampled by an ADC.
+
+    amplitude_counts                nominal amplitude A of the tracks
+    sine_offset, cosine_offset      relative to A
+    sine_amplitude, cosine_amplitude  relative to A
+    phase_error_rad                 the cosine track is A cos(x - phase_error)
+    harmonics                       of either track, relative to its amplitude
+    adc_bits                        4..16; counts are rounded and held at the ends
+    noise_lsb                       rms of Gaussian noise before the ADC, counts
+    """
+
+    amplitude_counts: float = 1500.0
+    sine_offset: float = 0.0
+    cosine_offset: float = 0.0
+    sine_amplitude: float = 1.0
+    cosine_amplitude: float = 1.0
+    phase_error_rad: float = 0.0
+    harmonics: tuple[Harmonic, ...] = field(default=())
+    adc_bits: int = 12
+    noise_lsb: float = 0.0
+
+    def tracks(self, position_cycles: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Analog tracks in counts, before noise and ADC; any shape."""
+        x = 2.0 * np.pi * np.asarray(np.mod(position_cycles, 1.0), dtype=np.float64)
+        sine, cosine = np.sin(x), np.cos(x - self.phase_error_rad)
+        for h in self.harmonics:
+            sine = sine + h.sine * np.sin(h.order * x + h.sine_shift_rad)
+            cosine = cosine + h.cosine * np.cos(h.order * x + h.cosine_shift_rad)
+        return (
+            self.amplitude_counts * (self.sine_offset + self.sine_amplitude * sine),
+            self.amplitude_counts * (self.cosine_offset + self.cosine_amplitude * cosine),
+        )
+
+    def sample(
+        self, position_cycles: npt.ArrayLike, rng: np.random.Generator | None = None
+    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """ADC counts at these positions (cycles), signed, zero at mid-scale.
+
+        Without ``rng`` there is no noise.
+        """
+        sine, cosine = self.tracks(position_cycles)
+        if rng is not None and self.noise_lsb > 0.0:
+            sine = sine + rng.normal(0.0, self.noise_lsb, np.shape(sine))
+            cosine = cosine + rng.normal(0.0, self.noise_lsb, np.shape(cosine))
+        return self._convert(sine), self._convert(cosine)
+
+    def _convert(self, track: FloatArray) -> npt.NDArray[np.int64]:
+        full = 1 << (self.adc_bits - 1)
+        return np.clip(np.rint(track), -full, full - 1).astype(np.int64)
+
+
+def demo_encoder() -> Encoder:
+    """The encoder of ``canfb demo``: every error of a mediocre one at once."""
+    return Encoder(
+        amplitude_counts=1500.0,
+        sine_offset=0.04,
+        cosine_offset=-0.03,
+        sine_amplitude=1.03,
+        cosine_amplitude=0.96,
+        phase_error_rad=0.05,
+        harmonics=(Harmonic(2, 0.006, 0.005, 0.4, 1.1), Harmonic(3, 0.012, 0.010), Harmonic(5, 0.003, 0.004)),
+        noise_lsb=0.5,
+    )

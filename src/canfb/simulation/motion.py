@@ -1,0 +1,54 @@
+"""Motions as functions of time: ramps between speeds, with ripple on top."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class Ramp(NamedTuple):
+    """A stretch of ``duration_s`` that ends at ``end_rpm``; the speed changes linearly."""
+
+    duration_s: float
+    end_rpm: float
+
+
+class Ripple(NamedTuple):
+    """A speed ripple, a sine over time: its amplitude in rpm and its frequency."""
+
+    size_rpm: float
+    frequency_hz: float
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Position over time: from ``start_rpm`` through ``ramps``, then on at the last speed.
+
+    The ripple starts at phase zero, so the motion starts with the speed ``start_rpm``.
+    """
+
+    ramps: tuple[Ramp, ...]
+    ripples: tuple[Ripple, ...] = ()
+    start_rpm: float = 0.0
+
+    def revolutions(self, time_s: float) -> float:
+        """Position in revolutions at ``time_s`` >= 0, zero at the start."""
+        position, speed, left = 0.0, self.start_rpm / 60.0, time_s
+        for ramp in self.ramps:
+            end = ramp.end_rpm / 60.0
+            spent = min(left, ramp.duration_s)
+            if ramp.duration_s > 0.0:
+                position += spent * (speed + (end - speed) * spent / ramp.duration_s / 2.0)
+            left -= spent
+            if left <= 0.0:
+                break
+            speed = end
+        else:
+            position += left * speed
+        return position + sum(self._swing(ripple, time_s) for ripple in self.ripples)
+
+    @staticmethod
+    def _swing(ripple: Ripple, time_s: float) -> float:
+        omega = 2.0 * math.pi * ripple.frequency_hz
+        return ripple.size_rpm / 60.0 * (1.0 - math.cos(omega * time_s)) / omega

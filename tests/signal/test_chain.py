@@ -1,0 +1,216 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canfb.signal.batch import process
+from canfb.signal.chain import ChainConfig, Feedback, SignalChain
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import CorrectionTable
+from canfb.signal.sample import Sample
+from canfb.signal.supervision import StatusBit
+
+AMPLITUDE = 1500.0
+
+
+def sample_at(position: float, **rest: object) -> Sample:
+    angle = 2 * math.pi * position
+    return Sample(AMPLITUDE * math.sin(angle), AMPLITUDE * math.cos(angle), **rest)
+
+
+def ramp_up(chain: SignalChain, speed: float) -> float:
+    """Drive the chain from standstill to ``speed`` (cycles per sample); the position reached."""
+    position, now = 0.0, 0.0
+    chain.step(sample_at(position))
+    while now < speed:
+        now = min(speed, now + 0.25)
+        position += now
+        assert chain.step(sample_at(position)).valid
+    return position
+
+
+def flags(feedback: Feedback) -> StatusBit:
+    return StatusBit(feedback.status)
+
+
+@settings(max_examples=50)
+@given(
+    st.lists(st.tuples(st.integers(-1900, 1900), st.integers(-1900, 1900)), min_size=1, max_size=60),
+    st.floats(-0.15, 0.15),
+    st.floats(-0.5, 0.5),
+)
+def test_batch_and_single_samples_give_the_same_bits(
+    counts: list[tuple[int, int]], bend: float, skew: float
+) -> None:
+    x = np.arange(200) / 200
+    table = CorrectionTable(x + bend * np.sin(2 * np.pi * x))
+    conditioning = Conditioning(12.5, -7.0, 1.1, 0.9, skew)
+    chain = SignalChain(
+        ChainConfig(amplitude_low_counts=0, amplitude_high_counts=65535, residual_limit=0.5), table
+    )
+    chain.activate(table, conditioning)
+    result = process(*np.array(counts).T, table, 0.5, conditioning)
+    for k, (sine, cosine) in enumerate(counts):
+        got = chain.step(Sample(sine, cosine))
+        if not got.valid:
+            break  # a random walk exceeds any limit soon; up to there the bits agree
+        assert (got.cycles, got.phase, got.residual) == (
+            result.cycles[k],
+            result.phase[k],
+            result.residual[k],
+        )
+
+
+def test_83_cycles_per_sample_are_counted_right() -> None:
+    chain = SignalChain(ChainConfig())
+    position = ramp_up(chain, 83.37)
+    for _ in range(1000):
+        position += 83.37
+        got = chain.step(sample_at(position))
+        assert got.valid
+        assert got.cycles == math.floor(position)
+        assert got.speed_cycles == pytest.approx(83.37, abs=0.03)
+
+
+@pytest.mark.parametrize("length", [1, 2, 3])
+@pytest.mark.parametrize(
+    ("bad", "bit"),
+    [
+        (Sample(0.0, 0.0), StatusBit.AMPLITUDE),
+        (Sample(2047.0, 10.0), StatusBit.CLIPPED),
+        (Sample(-2048.0, 10.0), StatusBit.CLIPPED),
+        (Sample(math.nan, 10.0), StatusBit.AMPLITUDE),
+        (Sample(1500.0, 0.0, invalid=True), StatusBit.COASTING),
+        (None, StatusBit.MISSED),
+    ],
+)
+def test_up_to_three_bad_samples_cost_no_cycle_and_are_flagged_at_once(
+    bad: Sample | None, bit: StatusBit, length: int
+) -> None:
+    chain = SignalChain(ChainConfig())
+    position = ramp_up(chain, 41.3)
+    for _ in range(length):
+        position += 41.3
+        got = chain.miss() if bad is None else chain.step(bad)
+        assert bit in flags(got)
+        assert StatusBit.COASTING in flags(got)
+        assert not got.valid
+        assert got.cycles + got.phase == pytest.approx(position, abs=0.1)
+    for k in range(6):
+        position += 41.3
+        got = chain.step(sample_at(position))
+        assert got.valid == (k >= 2)
+        assert got.cycles == math.floor(position)
+
+
+def test_a_glitch_of_the_phase_is_flagged_by_the_residual_and_costs_no_cycle() -> None:
+    chain = SignalChain(ChainConfig())
+    position = ramp_up(chain, 10.2)
+    position += 10.2
+    got = chain.step(sample_at(position + 0.4))
+    assert flags(got) == StatusBit.RESIDUAL | StatusBit.COASTING
+    assert got.residual == pytest.approx(0.4, abs=0.05)
+    for k in range(4):
+        position += 10.2
+        got = chain.step(sample_at(position))
+        assert got.cycles == math.floor(position)
+        assert got.valid == (k >= 2)
+
+
+def test_a_fourth_bad_sample_loses_the_position_for_good_until_a_restart() -> None:
+    chain = SignalChain(ChainConfig(coast_samples=3))
+    position = ramp_up(chain, 5.5)
+    for k in range(5):
+        got = chain.step(Sample(0.0, 0.0))
+        assert (StatusBit.LOST in flags(got)) == (k >= 3)
+    for _ in range(20):
+        position += 5.5
+        got = chain.step(sample_at(position))
+        assert StatusBit.LOST in flags(got)
+        assert not got.valid
+    assert chain.lost
+    chain.restart(cycles=7)
+    assert chain.step(sample_at(0.25)).valid
+    assert chain.step(sample_at(0.30)).cycles == 7
+
+
+def test_a_gap_that_the_caller_counted_is_stepped_over_and_flagged() -> None:
+    chain = SignalChain(ChainConfig())
+    position = ramp_up(chain, 20.4) + 3 * 20.4
+    got = chain.step(sample_at(position, elapsed=3.0))
+    assert got.cycles == math.floor(position)
+    assert StatusBit.MISSED in flags(got)
+    assert not got.valid
+    too_long = chain.step(sample_at(position, elapsed=9.0))
+    assert StatusBit.LOST in flags(too_long)
+
+
+def test_the_table_and_the_conditioning_change_between_two_samples() -> None:
+    chain = SignalChain(ChainConfig())
+    x = np.arange(64) / 64
+    table = CorrectionTable(x + 0.01)
+    assert chain.step(sample_at(0.25)).phase == 0.25
+    chain.activate(table, Conditioning(sine_gain=1.5))
+    got = chain.step(sample_at(0.25))
+    assert got.phase == pytest.approx(0.26, abs=1e-6)
+    assert got.sine == pytest.approx(2250)
+    assert StatusBit.TABLE_ACTIVE in flags(got)
+    assert chain.table is table
+
+
+def test_the_amplitude_is_checked_after_conditioning() -> None:
+    chain = SignalChain(ChainConfig(amplitude_low_counts=1200))
+    offset = Sample(AMPLITUDE * 0.4, -AMPLITUDE + AMPLITUDE * 0.4)
+    assert StatusBit.AMPLITUDE in flags(chain.step(offset))
+    chain.activate(
+        None, Conditioning(sine_offset_counts=AMPLITUDE * 0.4, cosine_offset_counts=AMPLITUDE * 0.4)
+    )
+    assert chain.step(offset).valid
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("cycles_per_revolution", 0), ("cycles_per_revolution", 1048577), ("cycles_per_revolution", 2.5),
+        ("adc_bits", 3), ("adc_bits", 17), ("adc_bits", True), ("residual_limit", 0.6), ("coast_samples", -1),
+        ("coast_samples", 256), ("amplitude_low_counts", -1), ("amplitude_low_counts", 5000),
+        ("conditioning", 3),
+    ],
+)  # fmt: skip
+def test_a_bad_parameter_raises_at_once_and_is_named(field: str, value: object) -> None:
+    with pytest.raises(ValueError, match=field):
+        ChainConfig(**{field: value})
+
+
+def test_batch_refuses_tracks_of_different_length_and_takes_integers() -> None:
+    with pytest.raises(ValueError, match="one length"):
+        process([1, 2], [1])
+    result = process(np.array([0, 100], np.int16), np.array([100, 0], np.int16))
+    assert result.phase.tolist() == [0.0, 0.25]
+    assert process([], []).cycles.shape == (0,)
+    assert process([0, 0, 1], [1, 0, 1]).ok.tolist() == [True, False, True]
+
+
+def test_batch_over_several_blocks_is_one_run() -> None:
+    x = np.arange(30_000) * 0.237
+    s, c = np.rint(1500 * np.sin(2 * np.pi * x)), np.rint(1500 * np.cos(2 * np.pi * x))
+    result = process(s, c)
+    assert (np.abs(result.cycles + result.phase - x) < 0.02).all()
+
+
+@pytest.mark.parametrize("bad", [{"sine_gain": 0.0}, {"cosine_gain": math.nan}, {"phase_error_rad": 1.1}])
+def test_conditioning_refuses_nonsense(bad: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        Conditioning(**bad)
+
+
+def test_conditioning_turns_the_ellipse_into_a_circle() -> None:
+    x = np.linspace(0, 2 * np.pi, 100)
+    sine, cosine = 100 + 1000 / 1.1 * np.sin(x), -50 + 1000 / 0.9 * np.cos(x - 0.25)
+    s, c = Conditioning(100, -50, 1.1, 0.9, 0.25).apply(sine, cosine)
+    assert np.allclose(s, 1000 * np.sin(x))
+    assert np.allclose(c, 1000 * np.cos(x))

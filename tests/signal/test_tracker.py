@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.signal.limits import max_acceleration
+from canfb.signal.tracker import Tracker, track
+
+phases = st.floats(0, 1, exclude_max=True)
+limits = st.floats(0.01, 0.5)
+
+
+def one_by_one(values: list[float], limit: float) -> list[tuple[int, float, float, bool]]:
+    tracker = Tracker(limit)
+    return [tracker.update(value) for value in values]
+
+
+def rows(result: object) -> list[tuple[int, float, float, bool]]:
+    return list(
+        zip(
+            result.cycles.tolist(),
+            result.phase.tolist(),
+            result.residual.tolist(),
+            result.ok.tolist(),
+            strict=True,
+        )
+    )
+
+
+@given(st.lists(phases, max_size=60), limits)
+def test_the_array_path_gives_the_same_bits(values: list[float], limit: float) -> None:
+    assert rows(track(values, limit)) == one_by_one(values, limit)
+
+
+@given(st.lists(st.one_of(phases, phases, st.just(math.nan)), max_size=60), limits)
+def test_also_with_samples_that_have_no_phase(values: list[float], limit: float) -> None:
+    assert rows(track(values, limit)) == one_by_one(values, limit)
+
+
+@given(st.integers(1, 400), st.fractions(-Fraction(3, 10), Fraction(3, 10)), st.randoms())
+def test_any_speed_is_followed_exactly_while_the_acceleration_is_bounded(
+    n: int, start_speed: Fraction, random: object
+) -> None:
+    position, speed, truth = Fraction(0), start_speed, []
+    for _ in range(n):
+        truth.append(position)
+        position += speed
+        speed += Fraction(random.randrange(-300, 301), 1000)
+    result = track([float(p % 1) for p in truth])
+    assert result.cycles.tolist() == [math.floor(p) for p in truth]
+    assert result.ok.all()
+
+
+def test_exact_more_than_ten_to_the_twelfth_cycles_away() -> None:
+    # Constant acceleration of 5/16 cycle per interval squared: exact in binary, closed form known.
+    n = 2_600_000
+    k = np.arange(n, dtype=object)
+    sixteenths = 5 * k * (k - 1) // 2
+    phase = np.array(sixteenths % 16, dtype=np.float64) / 16
+    result = track(phase)
+    assert result.cycles[-1] == sixteenths[-1] // 16 > 10**12
+    assert (result.cycles == np.array(sixteenths // 16, dtype=np.int64)).all()
+    assert (result.residual[2:] == 5 / 16).all()
+    tracker = Tracker()
+    tracker.set_state(
+        phase[-3], phase[-2], int(result.cycles[-2]), int(result.cycles[-2] - result.cycles[-3])
+    )
+    assert tracker.look(phase[-1]).cycles == result.cycles[-1]
+
+
+@given(st.integers(-(10**30), 10**30), st.integers(-(10**15), 10**15), phases, phases, phases)
+def test_the_scalar_path_has_no_limit_at_all(cycles: int, step: int, p2: float, p1: float, p: float) -> None:
+    tracker = Tracker()
+    tracker.set_state(p2, p1, cycles, step)
+    c = 2.0 * p1 - p2 - p
+    assert tracker.update(p).cycles == cycles + step + round(c)
+
+
+@given(phases, phases, st.integers(2, 50), st.integers(-400, 400))
+def test_a_gap_of_n_intervals_is_stepped_over(first: float, move: float, gap: int, whole: int) -> None:
+    speed = whole + move
+    tracker = Tracker()
+    tracker.update(first)
+    tracker.set_state((first - speed) % 1.0, first, 0, -math.floor(first - speed))
+    position = first + gap * speed
+    got = tracker.update(position % 1.0 % 1.0, elapsed=gap)
+    assert got.cycles + got.phase == pytest.approx(position, abs=1e-9)
+    assert got.residual < 1e-9
+    assert tracker.step_cycles == pytest.approx(speed, abs=1e-9)
+    following = tracker.update((position + speed) % 1.0 % 1.0)
+    assert following.cycles + following.phase == pytest.approx(position + speed, abs=1e-6)
+
+
+def test_the_residual_is_eq_12_and_the_limit_is_strict() -> None:
+    tracker = Tracker(0.25)
+    assert tracker.update(0.5) == (0, 0.5, 0.0, True)
+    assert tracker.update(0.75) == (0, 0.75, 0.25, False)
+    assert Tracker(0.26).update(0.0).ok
+
+
+def test_without_a_phase_the_position_is_predicted_and_not_ok() -> None:
+    tracker = Tracker()
+    for phase in (0.0, 0.25, 0.5):
+        tracker.update(phase)
+    assert tracker.update(math.nan) == (0, 0.75, 0.5, False)
+    assert tracker.update(math.nan) == (1, 0.0, 0.5, False)
+    assert tracker.update(0.25) == (1, 0.25, 0.0, True)
+
+
+@pytest.mark.parametrize("phase", [-0.1, 1.0, 7.0, math.inf])
+def test_a_phase_out_of_range_raises_at_once(phase: float) -> None:
+    with pytest.raises(ValueError, match="0 <= phase < 1"):
+        Tracker().update(phase)
+    with pytest.raises(ValueError, match="0 <= phase < 1"):
+        track([0.5, phase])
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, 0.51, math.nan])
+def test_a_residual_limit_out_of_range_raises_at_once(limit: float) -> None:
+    with pytest.raises(ValueError, match="residual_limit"):
+        Tracker(limit)
+
+
+def test_elapsed_must_be_positive() -> None:
+    for elapsed in (0.0, -1.0, math.inf, math.nan):
+        with pytest.raises(ValueError, match="elapsed"):
+            Tracker().update(0.5, elapsed)
+
+
+def test_eq_10_and_two_thirds_of_it() -> None:
+    assert max_acceleration(2500, 25_000) == pytest.approx(785_398, abs=1)
+    assert max_acceleration(2500, 25_000, 1 / 3) == pytest.approx(785_398 * 2 / 3, abs=1)
+    assert max_acceleration(2500, 1000) == pytest.approx(1257, abs=0.5)
+    for bad in ((0, 1000, 0.5), (2500, 0, 0.5), (2500, 1000, 0.6), (math.nan, 1000, 0.5)):
+        with pytest.raises(ValueError, match="must be"):
+            max_acceleration(*bad)
