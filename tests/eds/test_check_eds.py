@@ -1,0 +1,221 @@
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.eds_files import eds_path
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+
+import check_eds
+
+MODULE, INTERFACE = "canfb-module.eds", "encoder-interface.eds"
+TEXTS = {name: eds_path(name).read_text(encoding="ascii") for name in (MODULE, INTERFACE)}
+
+
+def put(section: str, key: str, value: str) -> Callable[[str], str]:
+    """Give one key of one section another value, or add it."""
+
+    def mutate(text: str) -> str:
+        head, start, rest = text.partition(f"[{section}]\n")
+        body, gap, tail = rest.partition("\n\n")
+        lines = [line for line in body.splitlines() if not line.startswith(f"{key}=")]
+        return head + start + "\n".join([*lines, f"{key}={value}"]) + gap + tail
+
+    return mutate
+
+
+def drop(section: str, key: str | None = None) -> Callable[[str], str]:
+    """Delete one key of one section, or the whole section."""
+
+    def mutate(text: str) -> str:
+        head, start, rest = text.partition(f"[{section}]\n")
+        body, gap, tail = rest.partition("\n\n")
+        if key is None:
+            return head + tail
+        lines = [line for line in body.splitlines() if not line.startswith(f"{key}=")]
+        return head + start + "\n".join(lines) + gap + tail
+
+    return mutate
+
+
+def swap(old: str, new: str) -> Callable[[str], str]:
+    return lambda text: text.replace(old, new, 1)
+
+
+MUTATIONS = [
+    # form of the file
+    ("DummyUsage", "section is missing", drop("DummyUsage")),
+    ("Comments", "section is missing", drop("Comments")),
+    ("ManufacturerObjects", "section is missing", drop("ManufacturerObjects")),
+    ("6000", "second section header", swap("[6001]", "[6000]")),
+    ("6000", "bad or a second", swap("[6000]", "[6000")),
+    ("6000", "not a new key=value", swap("[6000]\n", "[6000]\nObjectType=0x7\n")),
+    ("6000", "not a new key=value", swap("[6000]\n", "[6000]\nno value here\n")),
+    ("6000", "not ASCII", swap("Operating parameters", "Operating parameters in °")),
+    ("Comments", "longer than 255", put("Comments", "Line1", "x" * 255)),
+    ("1016sub02", "unknown section", swap("[1016sub2]", "[1016sub02]")),
+    ("0x6000", "unknown section", swap("[6000]", "[0x6000]")),
+    ("Comments", "Lines is not", put("Comments", "Lines", "1")),
+    # FileInfo, DeviceInfo, DummyUsage
+    ("FileInfo", "CreationDate", put("FileInfo", "CreationDate", "2026-11-21")),
+    ("FileInfo", "CreationTime", put("FileInfo", "CreationTime", "13:10PM")),
+    ("FileInfo", "ModifiedBy", drop("FileInfo", "ModifiedBy")),
+    ("FileInfo", "FileName is not", put("FileInfo", "FileName", "other.eds")),
+    ("FileInfo", "entry author", put("FileInfo", "Author", "canfb")),
+    ("DeviceInfo", "VendorName", drop("DeviceInfo", "VendorName")),
+    ("DeviceInfo", "BaudRate_125", put("DeviceInfo", "BaudRate_125", "2")),
+    ("DeviceInfo", "Granularity", put("DeviceInfo", "Granularity", "65")),
+    ("DeviceInfo", "Granularity is 0 where", put("DeviceInfo", "Granularity", "0")),
+    ("1600sub1", "shorter than Granularity", put("DeviceInfo", "Granularity", "32")),
+    ("DummyUsage", "shorter than Granularity", put("DeviceInfo", "Granularity", "16")),
+    ("DeviceInfo", "NrOfRXPDO is not 2", put("DeviceInfo", "NrOfRXPDO", "4")),
+    ("DeviceInfo", "NrOfTXPDO is not 4", put("DeviceInfo", "NrOfTXPDO", "0")),
+    ("6004", "but NrOfTXPDO=0", put("DeviceInfo", "NrOfTXPDO", "0")),
+    ("1018sub2", "ProductNumber", put("DeviceInfo", "ProductNumber", "7")),
+    ("DummyUsage", "Dummy0003", drop("DummyUsage", "Dummy0003")),
+    # object lists
+    ("OptionalObjects", "numbers have gaps", put("OptionalObjects", "SupportedObjects", "45")),
+    ("OptionalObjects", "numbers have gaps", swap("\n3=0x1006\n", "\n99=0x1006\n")),
+    ("OptionalObjects", "listed twice", swap("=0x1006\n", "=0x1005\n")),
+    ("OptionalObjects", "not a new key=value", swap("\n3=0x1006\n", "\n2=0x1006\n")),
+    ("OptionalObjects", "does not belong here", swap("=0x1006\n", "=0x2000\n")),
+    ("ManufacturerObjects", "does not belong here", swap("=0x2012\n", "=0x6012\n")),
+    ("OptionalObjects", "0x6003 has no section", drop("6003")),
+    ("6003", "in none of the object lists", swap("=0x6003\n", "=0x6777\n")),
+    ("MandatoryObjects", "1001h:00 is missing", drop("1001")),
+    ("MandatoryObjects", "1018h:01 is missing", drop("1018sub1")),
+    # objects and entries
+    ("1016", "SubNumber is not 4", drop("1016sub3")),
+    ("2011", "SubNumber is not 9", put("2011", "SubNumber", "8")),
+    ("2011", "SubNumber is not 9", drop("2011", "SubNumber")),
+    ("2011sub0", "highest sub-index", put("2011sub0", "DefaultValue", "9")),
+    ("2011", "sub-index 0 is missing", drop("2011sub0")),
+    ("2011", "sub-index 0 is missing", put("2011sub0", "DataType", "0x0006")),
+    ("2011sub1", "there is no object [2011]", drop("2011")),
+    ("1A00", "have a gap", drop("1A00sub4")),
+    ("1016sub2", "CiA 301 gives it DataType=0x0007", put("1016sub2", "DataType", "0x0006")),
+    ("1016", "have one data type", put("1016sub2", "DataType", "0x0006")),
+    ("1018", "CiA 301 gives it ObjectType=0x9", put("1018", "ObjectType", "0x8")),
+    ("1800sub2", "CiA 301 gives it DataType=0x0005", put("1800sub2", "DataType", "0x0006")),
+    ("2012", "not one of ours", put("2012", "ObjectType", "0x5")),
+    ("2012", "datatype", put("2012", "DataType", "0x0007")),
+    ("6004", "ObjectType does not fit", put("6004", "ObjectType", "0x2")),
+    ("2020sub1", "ObjectType does not fit", put("2020sub1", "ObjectType", "0x7")),
+    ("6004", "DataType=0x0017 is unknown", put("6004", "DataType", "0x0017")),
+    ("6004", "DataType=None is unknown", drop("6004", "DataType")),
+    ("6004", "AccessType=r is unknown", put("6004", "AccessType", "r")),
+    ("6004", "ParameterName is missing", put("6004", "ParameterName", "")),
+    ("6004", "PDOMapping is missing", drop("6004", "PDOMapping")),
+    ("6004", "entry unit", put("6004", "Unit", "1/8192 cycle")),
+    ("2000sub1", "gives no PDO direction", put("2000sub1", "AccessType", "rw")),
+    ("6000", "is for PDO mapping", put("6000", "AccessType", "rww")),
+    ("1008", "VISIBLE_STRING cannot be mapped", put("1008", "PDOMapping", "1")),
+    ("6000", "is not a number in 0..65535", put("6000", "DefaultValue", "65536")),
+    ("6000", "is not a number in 0..65535", put("6000", "DefaultValue", "-1")),
+    ("6000", "is not a number in 0..65535", put("6000", "DefaultValue", "018")),
+    ("6000", "is not a number in 0..65535", put("6000", "DefaultValue", "none")),
+    ("1017", "is not a number in 0..65535", put("1017", "DefaultValue", "$NODEID+0xFFF0")),
+    ("2001sub1", "is not a number in 1..1048576", put("2001sub1", "DefaultValue", "0")),
+    ("2001sub1", "is not a number in 1..1048576", put("2001sub1", "DefaultValue", "0x100001")),
+    ("2001sub1", "LowLimit is above", put("2001sub1", "LowLimit", "1048577")),
+    ("2001sub1", "HighLimit=$NODEID", put("2001sub1", "HighLimit", "$NODEID+0x1000")),
+    ("2001sub2", "HighLimit=65536", put("2001sub2", "HighLimit", "65536")),
+    ("2002sub3", "DefaultValue=nan", put("2002sub3", "DefaultValue", "nan")),
+    ("2002sub3", "DefaultValue=1e39", put("2002sub3", "DefaultValue", "1e39")),
+    ("2002sub3", "DefaultValue=1 is not", put("2002sub3", "LowLimit", "1.5")),
+    ("2020sub1", "row of hexadecimal", put("2020sub1", "DefaultValue", "abc")),
+    ("2020sub1", "has no limits", put("2020sub1", "LowLimit", "0")),
+    # PDO and COB-ID
+    ("1A03", "only one of communication and mapping", drop("1803")),
+    ("1803", "sub-index 1 or 2", drop("1803sub2")),
+    ("1800sub2", "no transmission type of a TPDO", put("1800sub2", "DefaultValue", "241")),
+    ("1400sub2", "no transmission type of a RPDO", put("1400sub2", "DefaultValue", "252")),
+    ("1A00", "does not count 0..8", put("1A00sub0", "DefaultValue", "9")),
+    ("1A00sub0", "writable or not", put("1A00sub0", "AccessType", "ro")),
+    ("1A00sub1", "6004h:00 has 32 bits, mapped are 16", put("1A00sub1", "DefaultValue", "0x60040010")),
+    ("1A00sub1", "6005h:00 does not exist", put("1A00sub1", "DefaultValue", "0x60050020")),
+    ("1A00sub1", "2000h:05 must not be mapped into a TPDO", put("1A00sub1", "DefaultValue", "0x20000520")),
+    ("1600sub1", "2011h:01 must not be mapped into a RPDO", put("1600sub1", "DefaultValue", "0x20110110")),
+    ("1A00sub1", "6004h:00 must not be mapped", put("6004", "PDOMapping", "0")),
+    ("1A00sub4", "1017h:00 must not be mapped", put("1A00sub4", "DefaultValue", "0x10170010")),
+    ("1A00sub4", "not a dummy", put("1A00sub4", "DefaultValue", "0x00050008")),
+    ("1600sub2", "not a dummy", put("1600sub2", "DefaultValue", "0x00010001")),
+    ("1A00sub3", "0000h:00 is not a dummy", put("1A00sub3", "DefaultValue", "0x00000000")),
+    ("1801sub1", "CAN-ID 1A0h is also that of [1800sub1]", put("1801sub1", "DefaultValue", "$NODEID+0x180")),
+    ("1400sub1", "CAN-ID 080h is also that of [1005]", put("1400sub1", "DefaultValue", "0x80")),
+    ("1802sub1", "restricted", put("1802sub1", "DefaultValue", "$NODEID+0xC0000600")),
+    ("1005", "restricted", put("1005", "DefaultValue", "0x20000080")),
+    ("1014", "restricted", put("1014", "DefaultValue", "$NODEID+0x800")),
+    ("1014", "no DefaultValue", drop("1014", "DefaultValue")),
+    ("1200sub1", "600h and 580h", put("1200sub1", "DefaultValue", "$NODEID+0x580")),
+]
+
+
+@pytest.mark.parametrize(
+    ("section", "text", "mutate"), MUTATIONS, ids=[f"{section}: {text}" for section, text, _ in MUTATIONS]
+)
+def test_a_mistake_is_found(section: str, text: str, mutate: Callable[[str], str]) -> None:
+    mutated = mutate(TEXTS[MODULE])
+    assert mutated != TEXTS[MODULE]
+    findings = check_eds.check_text(mutated, MODULE)
+    assert [finding for finding in findings if finding.section == section and text in finding.text], findings
+
+
+def test_too_many_bits_are_found() -> None:
+    text = put("1A00sub0", "DefaultValue", "4")(TEXTS[MODULE])
+    findings = check_eds.check_text(put("1A00sub4", "DefaultValue", "0x20110510")(text), MODULE)
+    assert findings == [check_eds.Finding("1A00", "80 bits are mapped, a PDO has 64")]
+
+
+def test_a_dummy_may_fill_an_rpdo() -> None:
+    text = put("1600sub0", "DefaultValue", "3")(TEXTS[MODULE])
+    assert check_eds.check_text(put("1600sub3", "DefaultValue", "0x00070020")(text), MODULE) == []
+
+
+def test_a_module_must_not_share_the_node_id_of_its_encoder_interface() -> None:
+    findings = check_eds.check_text(TEXTS[MODULE], MODULE, node_id=16)
+    assert findings == [check_eds.Finding("1800sub1", "CAN-ID 190h is also that of [1400sub1]")]
+
+
+OPTIONAL_LINES = ("DefaultValue=", "LowLimit=", "HighLimit=", "ObjectType=0x7")
+LINES = TEXTS[INTERFACE].splitlines()
+
+
+def test_no_line_can_be_lost_unseen() -> None:
+    needed = [place for place, line in enumerate(LINES) if line and not line.startswith(OPTIONAL_LINES)]
+    texts = {place: "\n".join(LINES[:place] + LINES[place + 1 :]) for place in needed}
+    assert [LINES[place] for place, text in texts.items() if not check_eds.check_text(text, INTERFACE)] == []
+
+
+@given(
+    place=st.integers(0, len(LINES) - 1),
+    line=st.one_of(
+        st.text(max_size=20),
+        st.sampled_from(
+            ["[", "[]", "[1000sub0]", "=", "1=", "SubNumber=-1", "DefaultValue=$NODEID", "DataType=0x8"]
+        ),
+        st.sampled_from(LINES),
+    ),
+)
+def test_the_check_never_fails_on_a_damaged_file(place: int, line: str) -> None:
+    text = "\n".join([*LINES[:place], line, *LINES[place + 1 :]])
+    for finding in check_eds.check_text(text, INTERFACE):
+        assert finding.text
+
+
+def test_the_command_prints_one_line_per_finding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / MODULE
+    path.write_text(drop("6003")(TEXTS[MODULE]), encoding="ascii")
+    assert check_eds.main([str(path)]) == 1
+    assert capsys.readouterr().out == f"{path}:OptionalObjects: 0x6003 has no section\n"
+
+
+def test_the_command_checks_all_files_of_ours(capsys: pytest.CaptureFixture[str]) -> None:
+    assert check_eds.main([]) == 0
+    assert capsys.readouterr().out == ""

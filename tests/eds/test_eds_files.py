@@ -1,0 +1,258 @@
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import canopen
+import pytest
+
+from canfb import eds_files
+from canfb.eds_files import EdsNotFoundError, eds_path
+from canfb.errors import CanfbError
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "tools"))
+
+import check_eds  # noqa: E402
+from eds_model import BITS, number, number_of_type, read  # noqa: E402
+
+MODULE, INTERFACE = "canfb-module.eds", "encoder-interface.eds"
+NAMES = (MODULE, INTERFACE)
+TEXTS = {name: eds_path(name).read_text(encoding="ascii") for name in NAMES}
+TYPES = {
+    "U8": 0x05,
+    "U16": 0x06,
+    "U32": 0x07,
+    "U64": 0x1B,
+    "I16": 0x03,
+    "I32": 0x04,
+    "I64": 0x15,
+    "REAL32": 0x08,
+    "STRING": 0x09,
+    "DOMAIN": 0x0F,
+}
+
+# The contract with users, restated: a change here breaks their masters.
+MODULE_CONTRACT = """
+1000:00 U32 ro 0x00040196
+1005:00 U32 rw 0x80
+1014:00 U32 rw $NODEID+0x80
+1017:00 U16 rw 0
+1200:01 U32 ro $NODEID+0x600
+1200:02 U32 ro $NODEID+0x580
+1201:01 U32 rw 0x80000000
+1201:02 U32 rw 0x80000000
+1400:01 U32 rw 0x190
+1400:02 U8 rw 255
+1401:01 U32 rw $NODEID+0x80000300
+1401:02 U8 rw 255
+1600:00 U8 rw 2
+1600:01 U32 rw 0x20000110
+1600:02 U32 rw 0x20000210
+1601:00 U8 rw 0
+1800:01 U32 rw $NODEID+0x40000180
+1800:02 U8 rw 254
+1801:01 U32 rw $NODEID+0x280
+1801:02 U8 rw 1
+1802:01 U32 rw $NODEID+0xC0000380
+1803:01 U32 rw $NODEID+0xC0000480
+1A00:00 U8 rw 3
+1A00:01 U32 rw 0x60040020
+1A00:02 U32 rw 0x20110110
+1A00:03 U32 rw 0x20110210
+1A01:00 U8 rw 1
+1A01:01 U32 rw 0x60080040
+1A02:00 U8 rw 0
+1A03:00 U8 rw 0
+2000:01 I16 rww pdo
+2000:02 I16 rww pdo
+2000:03 I16 rww pdo
+2000:04 I16 rww pdo
+2000:05 U32 rww pdo
+2000:06 U8 rww pdo
+2000:07 U16 rww pdo
+2001:01 U32 rw 2500 1..1048576
+2001:02 U16 rw 2048
+2001:03 U16 rw 410
+2001:04 U16 rw 2560
+2002:01 REAL32 rw 0
+2002:02 REAL32 rw 0
+2002:03 REAL32 rw 1
+2002:04 REAL32 rw 1
+2002:05 REAL32 rw 0
+2010:01 U16 rw 21845
+2010:02 REAL32 rw 0
+2010:03 U8 rw 3
+2011:01 U16 ro pdo
+2011:02 U16 ro pdo
+2011:03 U32 ro pdo
+2011:04 I64 ro pdo
+2011:05 U16 ro pdo
+2011:06 U16 ro pdo
+2011:07 REAL32 ro pdo
+2011:08 U32 ro pdo
+2012:01 U32 ro
+2012:08 U32 ro
+2020:01 DOMAIN rw
+2020:02 U32 ro
+2020:03 U32 wo
+2020:04 U32 ro
+2020:05 U16 ro
+6000:00 U16 rw 0
+6001:00 U32 rw 20480000
+6002:00 U32 rw 4280320000
+6003:00 U32 rw 0
+6004:00 U32 ro pdo
+6008:00 U64 ro pdo
+600C:00 U32 ro pdo
+6500:00 U16 ro
+6501:00 U32 ro 20480000
+6502:00 U16 ro 209
+6503:00 U16 ro pdo
+6504:00 U16 ro 0x1001
+6505:00 U16 ro pdo
+6506:00 U16 ro 0x0003
+6507:00 U32 ro 0x00010302
+6508:00 U32 ro 0xFFFFFFFF
+6509:00 I32 ro
+650A:01 I32 ro
+650A:03 I32 ro
+650B:00 U32 ro
+"""
+INTERFACE_CONTRACT = """
+1000:00 U32 ro 0x00040191
+1800:01 U32 rw $NODEID+0x180
+1800:02 U8 rw 1
+1801:01 U32 rw $NODEID+0x80000280
+1A00:00 U8 rw 2
+1A00:01 U32 rw 0x64010110
+1A00:02 U32 rw 0x64010210
+1A01:00 U8 rw 0
+2000:01 U32 ro pdo
+2000:02 U8 ro pdo
+2000:03 U16 ro pdo
+6401:01 I16 ro pdo
+6401:02 I16 ro pdo
+6401:03 I16 ro pdo
+6401:04 I16 ro pdo
+"""
+CONTRACT = [
+    (name, line)
+    for name, table in ((MODULE, MODULE_CONTRACT), (INTERFACE, INTERFACE_CONTRACT))
+    for line in table.strip().splitlines()
+]
+
+
+@pytest.mark.parametrize(("name", "line"), CONTRACT)
+def test_the_contract_is_kept(name: str, line: str) -> None:
+    place, data_type, access, *rest = line.split()
+    index, sub = (int(part, 16) for part in place.split(":"))
+    eds, _ = read(TEXTS[name], name, 32)
+    entry = eds.entries[index, sub]
+    limits = [word for word in rest if ".." in word]
+    defaults = [word for word in rest if word not in ("pdo", *limits)]
+    assert entry.data_type == TYPES[data_type]
+    assert entry.access == access
+    assert entry.mappable == ("pdo" in rest)
+    assert entry.default(32) == (number(defaults[0], 32) if defaults else None)
+    for limit in limits:
+        assert f"{entry.section.number('LowLimit')}..{entry.section.number('HighLimit')}" == limit
+
+
+def test_the_counters_are_in_the_order_of_the_contract() -> None:
+    counters = canopen.import_od(str(eds_path(MODULE)), 32)[0x2012]
+    assert [counters[sub].name for sub in sorted(counters)[1:]] == [
+        *("Missed samples", "Residual faults", "Amplitude faults", "Coasted samples"),
+        *("Position lost", "Recovered by coarse track", "Zero pulses", "Bad frames"),
+    ]
+
+
+def test_versions_agree_with_the_package() -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    major, minor, _ = version.split(".")
+    for name in NAMES:
+        assert canopen.import_od(str(eds_path(name)), 32)[0x100A].default == version
+    software_and_profile = canopen.import_od(str(eds_path(MODULE)), 32)[0x6507].default
+    assert software_and_profile == int(major) << 24 | int(minor) << 16 | 0x0302
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_objects_are_in_order(name: str) -> None:
+    eds, _ = read(TEXTS[name], name, 32)
+    for in_list in check_eds.LISTS.values():
+        listed = [index for index in eds.objects if in_list(index)]
+        assert listed == sorted(listed)
+    assert TEXTS[name].endswith("\n")
+    assert not re.search(r"[ \t]\n|\n\n\n|\r", TEXTS[name])
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("node_id", [1, 32, 127])
+def test_our_check_finds_nothing(name: str, node_id: int) -> None:
+    assert check_eds.check_text(TEXTS[name], name, node_id) == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_dcfchk_finds_nothing(name: str) -> None:
+    command = [sys.executable, "-W", "error", "-m", "dcf.cli", "-n", "32", str(eds_path(name))]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("node_id", [1, 32, 127])
+def test_canopen_reads_what_we_wrote(name: str, node_id: int, caplog: pytest.LogCaptureFixture) -> None:
+    dictionary = canopen.import_od(str(eds_path(name)), node_id)
+    eds, _ = read(TEXTS[name], name, node_id)
+    assert caplog.text == ""
+    assert {index for index in dictionary if index >= 0x1000} == set(eds.objects)
+    for (index, sub), entry in eds.entries.items():
+        variable = dictionary.get_variable(index, sub)
+        assert variable is not None
+        assert variable.data_type == entry.data_type
+        assert variable.access_type == entry.access
+        assert variable.pdo_mappable == entry.mappable
+        default = entry.section.text("DefaultValue")
+        if default is not None and entry.data_type in BITS:
+            assert variable.default == number_of_type(default, entry.data_type, node_id)
+        else:
+            assert variable.default == default
+        assert (variable.min, variable.max) == (
+            entry.section.number("LowLimit"),
+            entry.section.number("HighLimit"),
+        )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_file_is_found_with_and_without_its_suffix(name: str) -> None:
+    assert eds_path(name) == eds_path(name.removesuffix(".eds"))
+    assert eds_path(name).name == name
+    assert eds_path(name).is_file()
+
+
+def test_an_unknown_file_is_refused_with_the_names_there_are() -> None:
+    with pytest.raises(EdsNotFoundError, match=r"no EDS file drive\.eds in .*canfb-module\.eds, encoder-int"):
+        eds_path("drive")
+    assert issubclass(EdsNotFoundError, CanfbError)
+    assert issubclass(EdsNotFoundError, FileNotFoundError)
+
+
+@pytest.mark.parametrize("name", ["", "eds/canfb-module.eds", "../canfb-module", "/canfb-module.eds"])
+def test_a_path_is_no_name(name: str) -> None:
+    with pytest.raises(ValueError, match="without folders"):
+        eds_path(name)
+
+
+def test_an_installed_package_uses_its_own_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "site-packages" / "canfb"
+    (package / "eds").mkdir(parents=True)
+    (tmp_path / "eds").mkdir()
+    (tmp_path / "eds" / MODULE).touch()
+    monkeypatch.setattr(eds_files, "_PACKAGE", package)
+    with pytest.raises(EdsNotFoundError, match="there is none at all, so reinstall canfb"):
+        eds_path(MODULE)
+    (package / "eds" / MODULE).touch()
+    assert eds_path(MODULE) == package / "eds" / MODULE
