@@ -214,3 +214,25 @@ def test_conditioning_turns_the_ellipse_into_a_circle() -> None:
     s, c = Conditioning(100, -50, 1.1, 0.9, 0.25).apply(sine, cosine)
     assert np.allclose(s, 1000 * np.sin(x))
     assert np.allclose(c, 1000 * np.cos(x))
+
+
+def test_before_the_first_good_sample_nothing_is_lost_and_nothing_is_valid() -> None:
+    chain = SignalChain(ChainConfig())
+    for _ in range(10):
+        assert flags(chain.step(Sample(0.0, 0.0))) == StatusBit.AMPLITUDE
+    assert chain.step(sample_at(0.3)).valid
+
+
+def test_after_a_pause_at_standstill_the_count_goes_on_from_the_nearest_cycle() -> None:
+    chain = SignalChain(ChainConfig())
+    position = ramp_up(chain, 3.0)
+    chain.resume()
+    got = chain.step(sample_at(position + 0.3))
+    assert got.valid
+    assert got.cycles == math.floor(position + 0.3)
+    for _ in range(5):
+        chain.miss()
+    assert chain.lost
+    chain.resume()
+    assert not chain.lost
+    assert chain.step(sample_at(0.5)).cycles == 0

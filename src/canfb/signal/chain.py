@@ -119,7 +119,7 @@ class SignalChain:
         self._recovery = Recovery(self._tracker, config.coast_samples)
         self._samples = 0
         self._table: CorrectionTable | None = None
-        self.configure(config)
+        self.set_limits(config.limits, config.residual_limit, config.coast_samples)
         self.activate(table, config.conditioning)
 
     @property
@@ -137,12 +137,11 @@ class SignalChain:
         """True from the moment the position is lost until :meth:`restart`."""
         return self._recovery.lost
 
-    def configure(self, config: ChainConfig) -> None:
-        """Take new limits, between two samples. Conditioning changes by :meth:`activate` only."""
-        self.config = config
-        self._limits = config.limits
-        self._tracker.residual_limit = config.residual_limit
-        self._recovery.coast_samples = config.coast_samples
+    def set_limits(self, limits: SampleLimits, residual_limit: float, coast_samples: int) -> None:
+        """Take new limits, between two samples. ValueError for a bad one, nothing changed then."""
+        self._tracker.residual_limit = check_residual_limit(residual_limit)
+        self._limits = limits
+        self._recovery.coast_samples = coast_samples
 
     def activate(self, table: CorrectionTable | None, conditioning: Conditioning) -> None:
         """Take a table (None: the identity) and a conditioning together, between two samples."""
@@ -154,6 +153,13 @@ class SignalChain:
     def restart(self, cycles: int = 0) -> None:
         """Forget the position: the next good sample starts at standstill with this cycle count."""
         self._recovery.restart(cycles)
+
+    def resume(self) -> None:
+        """Go on after a pause in which the machine stood still: less than half a cycle from here.
+
+        A lost position is not picked up again: it starts anew at cycle count 0.
+        """
+        self._recovery.resume()
 
     def step(self, sample: Sample) -> Feedback:
         """Take one sample through the whole chain. A bad sample is flagged, it never raises."""

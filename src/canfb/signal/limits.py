@@ -22,3 +22,23 @@ def max_acceleration(
         raise ValueError(f"sample_rate_hz must be positive, not {sample_rate_hz!r}")
     limit = check_residual_limit(residual_limit)
     return 2.0 * math.pi / cycles_per_revolution * limit * sample_rate_hz**2
+
+
+# Four times the error of the raw phase without a table (eq. 9 weighs three phases with 1, 2, 1),
+# so that a narrowed limit holds before the reference measurement as well.
+PHASE_ERROR_MARGIN_CYCLES = 0.05
+
+
+def narrowed_residual_limit(
+    residual_limit: float, max_acceleration_rad_s2: float, cycles_per_revolution: float, interval_s: float
+) -> float:
+    """Residual limit in cycles when the machine's largest acceleration is known (2010:02).
+
+    An acceleration a leaves the residual a N/(2 pi) T^2, here with a margin for the error of
+    an uncorrected phase; never more than ``residual_limit``. ``max_acceleration_rad_s2`` = 0
+    means not known. ``interval_s`` is the sampling interval T.
+    """
+    if max_acceleration_rad_s2 <= 0.0:
+        return residual_limit
+    expected = max_acceleration_rad_s2 * cycles_per_revolution / (2.0 * math.pi) * interval_s**2
+    return min(residual_limit, expected + PHASE_ERROR_MARGIN_CYCLES)

@@ -39,6 +39,15 @@ class Recovery:
         self._bridged = 0.0  # intervals since the last good sample
         self._unconfirmed = 0
 
+    def resume(self) -> None:
+        """Go on at standstill from the last position, or from cycle count 0 if it was lost."""
+        if self.lost or not self.tracker.started:
+            self.restart()
+        else:
+            self.tracker.halt()
+            self._bridged = 0.0
+            self._unconfirmed = 0
+
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
         """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL."""
         track = self.tracker.look(phase, elapsed)
@@ -53,11 +62,14 @@ class Recovery:
     def bad(self, elapsed: float) -> tuple[Track, int]:
         """A sample that failed its checks, or none at all: the predicted position and status bits."""
         predicted = self.tracker.predict(elapsed)
+        if not self.tracker.started:  # no position yet: nothing to coast on, nothing to lose
+            return predicted, LOST if self.lost else 0
         self._bridged += elapsed
         if not self.lost and self._bridged <= self.coast_samples:
             self.tracker.skip(elapsed)
             return predicted, COASTING
         self.lost = True
+        self._bridged = 0.0
         self.tracker.restart(predicted.cycles)
         return predicted, LOST
 

@@ -71,6 +71,16 @@ class Tracker:
         self._gap = 0.0  # intervals since sample k-1 that brought no phase
         self._started = False
 
+    def halt(self) -> None:
+        """Keep the position and forget the speed: the next phase is less than half a cycle away."""
+        self._step, self._phase_before = 0, self._phase
+        self._elapsed, self._gap = 1.0, 0.0
+
+    @property
+    def started(self) -> bool:
+        """True once there was a phase."""
+        return self._started
+
     @property
     def step_cycles(self) -> float:
         """Speed between the last two samples, in cycles per sampling interval."""
