@@ -1,12 +1,35 @@
 """The errors of the package, one tree.
 
-    CanfbError
-    ├── ConfigError         a configuration that cannot be used; names key and line
-    └── CalibrationError    a reference measurement that was refused
+CanfbError
+├── ConfigError         a configuration that cannot be used; names key and line
+└── CalibrationError    a reference measurement that was refused
 """
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from canfb.calibration.result import Calibration
+
 
 class CanfbError(Exception):
     """Root of all errors of this package."""
+
+
+class CalibrationError(CanfbError):
+    """A reference measurement that was refused.
+
+    reason        a short stable word, one of ``canfb.calibration.result.REASONS``
+    calibration   the refused :class:`canfb.calibration.result.Calibration`, for diagnosis
+                  only, where there is one; else None
+    """
+
+    def __init__(self, message: str, reason: str, calibration: Calibration | None = None) -> None:
+        super().__init__(message)
+        self.reason = reason
+        self.calibration = calibration
+
+
+class ConfigError(CanfbError):
+    """A configuration that cannot be used; the text names file, line and key."""

@@ -43,15 +43,15 @@ class ChainConfig:
     conditioning: Conditioning = field(default=IDENTITY)
 
     def __post_init__(self) -> None:
-        _integer_in("cycles_per_revolution", self.cycles_per_revolution, 1, 1048576)
-        _integer_in("adc_bits", self.adc_bits, 4, 16)
-        _integer_in("coast_samples", self.coast_samples, 0, 255)
+        integer_in("cycles_per_revolution", self.cycles_per_revolution, 1, 1048576)
+        integer_in("adc_bits", self.adc_bits, 4, 16)
+        integer_in("coast_samples", self.coast_samples, 0, 255)
         check_residual_limit(self.residual_limit)
         if not isinstance(self.conditioning, Conditioning):
             raise ValueError("conditioning must be a Conditioning")
         for name in ("amplitude_low_counts", "amplitude_high_counts"):
             if getattr(self, name) is not None:
-                _integer_in(name, getattr(self, name), 0, 65535)
+                integer_in(name, getattr(self, name), 0, 65535)
         if self.limits.amplitude_low_counts >= self.limits.amplitude_high_counts:
             raise ValueError("amplitude_low_counts must be below amplitude_high_counts")
 
@@ -71,7 +71,8 @@ class ChainConfig:
         )
 
 
-def _integer_in(name: str, value: object, low: int, high: int) -> None:
+def integer_in(name: str, value: object, low: int, high: int) -> None:
+    """ValueError that names the parameter unless ``value`` is a whole number low..high."""
     if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
         raise ValueError(f"{name} must be a whole number {low}..{high}, not {value!r}")
 

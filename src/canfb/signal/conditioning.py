@@ -31,8 +31,9 @@ class Conditioning:
             "cosine_gain",
             "phase_error_rad",
         ):
-            if not math.isfinite(getattr(self, name)):
-                raise ValueError(f"{name} is not a finite number")
+            value = getattr(self, name)
+            if not isinstance(value, (int, float)) or not math.isfinite(value):
+                raise ValueError(f"{name} must be a finite number, not {value!r}")
         for name in ("sine_gain", "cosine_gain"):
             if not 1e-3 <= abs(getattr(self, name)) <= 1e3:
                 raise ValueError(f"{name} is out of range: its size must be 0.001 to 1000")

@@ -264,6 +264,6 @@ def _steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int) ->
 
 def check_residual_limit(limit: float) -> float:
     """``limit`` as a float if 0 < limit <= 0.5, ValueError otherwise (eq. 12)."""
-    if not 0.0 < limit <= 0.5:
+    if not isinstance(limit, (int, float, np.floating)) or not 0.0 < limit <= 0.5:
         raise ValueError(f"residual_limit must be above 0 and at most 0.5 cycle, not {limit!r}")
     return float(limit)

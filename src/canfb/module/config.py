@@ -1,0 +1,41 @@
+"""Parameters of one module."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from canfb.signal.chain import ChainConfig, integer_in
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModuleConfig(ChainConfig):
+    """One drive feedback module: the fields of ChainConfig, and its place on the bus.
+
+    node_id                  1..127, required
+    encoder_interface        1..127: the node whose TPDO1 carries the ADC counts; not node_id
+    max_acceleration_rad_s2  largest acceleration of the machine (2010:02); 0 = not known
+    state_dir                folder for what `save` (1010h) keeps
+    autostart                True: operational without a master
+    """
+
+    node_id: int
+    encoder_interface: int = 16
+    max_acceleration_rad_s2: float = 0.0
+    state_dir: str | None = None
+    autostart: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        integer_in("node_id", self.node_id, 1, 127)
+        integer_in("encoder_interface", self.encoder_interface, 1, 127)
+        if self.encoder_interface == self.node_id:
+            raise ValueError(f"encoder_interface must be another node than node_id {self.node_id}")
+        if (
+            not isinstance(self.max_acceleration_rad_s2, (int, float))
+            or not 0.0 <= self.max_acceleration_rad_s2 <= 1e9
+        ):
+            raise ValueError("max_acceleration_rad_s2 must be 0 (not known) or positive, at most 1e9")
+        if not isinstance(self.autostart, bool):
+            raise ValueError(f"autostart must be true or false, not {self.autostart!r}")
+        if not isinstance(self.state_dir, (str, type(None))):
+            raise ValueError(f"state_dir must be the name of a folder, not {self.state_dir!r}")

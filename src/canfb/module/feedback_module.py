@@ -1,0 +1,148 @@
+"""The drive feedback module: a CANopen device, sans-I/O."""
+
+from __future__ import annotations
+
+from canfb.device.codes import EmergencyCode, ErrorRegister
+from canfb.device.dictionary import Dictionary
+from canfb.device.frame import Frame
+from canfb.device.nmt import NmtState
+from canfb.device.node import Node
+from canfb.eds_files import eds_path
+from canfb.module.config import ModuleConfig
+from canfb.module.interval import IntervalEstimate
+from canfb.module.parameters import Limits, apply_defaults, configured_defaults
+from canfb.module.profile import EncoderProfile
+from canfb.module.publication import Publication
+from canfb.module.table_store import TableStore
+from canfb.signal.chain import Feedback, SignalChain
+from canfb.signal.sample import Sample
+
+EDS = "canfb-module"
+SAMPLE_INVALID = 1 << 1  # 2000:06
+POSITION_REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE
+BAD_FRAMES = 8  # 2012:08
+POSITION_TPDO = 1
+
+
+class FeedbackModule:
+    """ADC sine/cosine PDOs in, a supervised position PDO out.
+
+    Time goes in as ``now`` (seconds, monotonic), frames come out; see
+    :class:`canfb.device.node.Node` for start, receive, tick and deadline. A frame never
+    raises, whatever it holds.
+    """
+
+    def __init__(self, config: ModuleConfig) -> None:
+        self.config = config
+        self.dictionary = Dictionary.load(eds_path(EDS), config.node_id)
+        apply_defaults(self.dictionary, configured_defaults(config))
+        self.chain = SignalChain(config)
+        self.node = Node(self.dictionary, config.node_id, autostart=config.autostart)
+        self._limits = Limits(self.dictionary, self.chain)
+        self._tables = TableStore(self.dictionary, self.chain)
+        self._profile = EncoderProfile(self.dictionary)
+        self._publication = Publication(self.dictionary)
+        self._interval = IntervalEstimate(self.dictionary.entry(0x1006))
+        self._sine, self._cosine = self.dictionary.entry(0x2000, 1), self.dictionary.entry(0x2000, 2)
+        self._flags = self.dictionary.entry(0x2000, 6)
+        self._bad_frames = self.dictionary.entry(0x2012, BAD_FRAMES)
+        self._feedback: Feedback | None = None
+        self._alarmed = False
+        self._listen()
+        self.node.on_rpdo = self._on_rpdo
+        self.node.on_sync = self._on_sync
+        self.node.on_state = self._on_state
+        self.node.on_reset = self._on_reset
+        self.node.on_bad_rpdo = self._on_bad_rpdo
+        self._limits.apply()
+
+    @property
+    def feedback(self) -> Feedback | None:
+        """Every stage of the last sample, None before the first one."""
+        return self._feedback
+
+    @property
+    def state(self) -> NmtState:
+        """The NMT state."""
+        return self.node.state
+
+    def start(self, now: float) -> list[Frame]:
+        """Power-on at ``now``: the boot-up frame."""
+        return self.node.start(now)
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """Take a frame from the bus; the frames to send."""
+        return self.node.receive(frame, now)
+
+    def tick(self, now: float) -> list[Frame]:
+        """Do what is due at ``now``; the frames to send."""
+        return self.node.tick(now)
+
+    def deadline(self) -> float | None:
+        """When :meth:`tick` is wanted next, None for not at all."""
+        return self.node.deadline()
+
+    def _listen(self) -> None:
+        """Wait for the first sample, and for the first SYNC."""
+        self._sample_came = False  # since the last SYNC
+        self._synced = False  # a SYNC came since OPERATIONAL
+        self._sampled = False  # a sample came since OPERATIONAL
+
+    def _on_rpdo(self, number: int, now: float) -> None:
+        if number != 1:
+            return
+        if self._sample_came and self._synced:  # one sample per SYNC: this is a repeated one
+            self._bad_frames.value = (self._bad_frames.value + 1) & 0xFFFFFFFF
+            return
+        self._sample_came = self._sampled = True
+        if not self._synced:
+            self._interval.event(now)
+        invalid = bool(self._flags.value & SAMPLE_INVALID)
+        self._publish(self.chain.step(Sample(self._sine.value, self._cosine.value, 1.0, invalid)), now)
+
+    def _on_sync(self, counter: int | None, now: float) -> None:
+        self._interval.event(now)
+        if self._synced and self._sampled and not self._sample_came and not self.chain.lost:
+            self._publish(self.chain.miss(), now)
+        self._sample_came = False
+        self._synced = True
+
+    def _publish(self, feedback: Feedback, now: float) -> None:
+        self._feedback = feedback
+        interval_s = self._interval.seconds
+        self._limits.set_interval(interval_s)
+        phase_units = self._publication.publish(feedback, interval_s)
+        self._profile.publish(feedback, phase_units)
+        if self._profile.alarm != self._alarmed:
+            self._report_alarm(now)
+        self.node.trigger_tpdo(POSITION_TPDO, now)
+
+    def _report_alarm(self, now: float) -> None:
+        self._alarmed = self._profile.alarm
+        if self._alarmed:
+            status = self._feedback.status if self._feedback else 0
+            detail = status.to_bytes(2, "little")
+            self.node.emergency(EmergencyCode.SENSOR, POSITION_REGISTER, detail, now)
+        else:
+            self.node.clear_emergency(EmergencyCode.SENSOR, now)
+
+    def _on_state(self, old: NmtState, new: NmtState, now: float) -> None:
+        if new is NmtState.OPERATIONAL:
+            self._listen()
+            self._interval.pause()
+            self.chain.resume()
+
+    def _on_reset(self, communication_only: bool, now: float) -> None:
+        self._alarmed = False
+        self._interval.reset()
+        if communication_only:
+            return
+        self.chain.restart()
+        self._feedback = None
+        self._limits.apply()
+        self._tables.reset()
+        self._profile.reset()
+        self._publication.reset()
+
+    def _on_bad_rpdo(self, number: int, received: int, mapped: int, now: float) -> None:
+        self._bad_frames.value = (self._bad_frames.value + 1) & 0xFFFFFFFF

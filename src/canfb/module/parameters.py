@@ -1,0 +1,100 @@
+"""Between the configuration, the object dictionary and the signal chain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from canfb.device.codes import AbortCode, SdoAbort
+from canfb.device.dictionary import Dictionary
+from canfb.module.config import ModuleConfig
+from canfb.module.position import distinguishable_revolutions, single_turn_resolution
+from canfb.signal.chain import SignalChain
+from canfb.signal.limits import narrowed_residual_limit
+from canfb.signal.supervision import SampleLimits
+
+ENCODER, SUPERVISION = 0x2001, 0x2010
+LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
+
+
+def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
+    """The defaults of the EDS that a configuration replaces, by index and sub-index."""
+    limits, conditioning = config.limits, config.conditioning
+    resolution = single_turn_resolution(config.cycles_per_revolution)
+    revolutions = distinguishable_revolutions(resolution)
+    return {
+        (0x1400, 1): 0x180 + config.encoder_interface,
+        (ENCODER, 1): config.cycles_per_revolution,
+        (ENCODER, 2): limits.full_scale_counts,
+        (ENCODER, 3): limits.amplitude_low_counts,
+        (ENCODER, 4): limits.amplitude_high_counts,
+        (0x2002, 1): conditioning.sine_offset_counts,
+        (0x2002, 2): conditioning.cosine_offset_counts,
+        (0x2002, 3): conditioning.sine_gain,
+        (0x2002, 4): conditioning.cosine_gain,
+        (0x2002, 5): conditioning.phase_error_rad,
+        (SUPERVISION, 1): int(config.residual_limit * LIMIT_UNITS),
+        (SUPERVISION, 2): config.max_acceleration_rad_s2,
+        (SUPERVISION, 3): config.coast_samples,
+        (0x6001, 0): resolution,
+        (0x6002, 0): resolution * revolutions,
+        (0x6501, 0): resolution,
+        (0x6502, 0): revolutions,
+    }
+
+
+def apply_defaults(dictionary: Dictionary, defaults: dict[tuple[int, int], Any]) -> None:
+    """Replace defaults and values of the dictionary: a reset comes back to these."""
+    for (index, subindex), value in defaults.items():
+        entry = dictionary.entry(index, subindex)
+        entry.default = value
+        entry.reset()
+
+
+class Limits:
+    """Objects 2001:02..04 and 2010h: written by SDO, in force from the next sample on."""
+
+    def __init__(self, dictionary: Dictionary, chain: SignalChain) -> None:
+        self._chain = chain
+        entry = dictionary.entry
+        self._cycles_per_revolution = entry(ENCODER, 1)
+        self._full_scale, self._low, self._high = entry(ENCODER, 2), entry(ENCODER, 3), entry(ENCODER, 4)
+        self._residual, self._acceleration = entry(SUPERVISION, 1), entry(SUPERVISION, 2)
+        self._coast = entry(SUPERVISION, 3)
+        self._interval_s = 0.0
+        self._low.on_write = self._check(lambda low: low < self._high.value)
+        self._high.on_write = self._check(lambda high: high > self._low.value)
+        self._acceleration.on_write = self._check(lambda value: 0.0 <= value <= 1e9)
+        for changed in (
+            self._full_scale,
+            self._low,
+            self._high,
+            self._residual,
+            self._acceleration,
+            self._coast,
+        ):
+            changed.on_written = self.apply
+
+    def set_interval(self, interval_s: float) -> None:
+        """The sampling interval, seconds: a known acceleration narrows the residual limit with it."""
+        if abs(interval_s - self._interval_s) > 0.02 * self._interval_s:
+            self._interval_s = interval_s
+            self.apply()
+
+    def apply(self) -> None:
+        """Put the values of the dictionary in force."""
+        limit = self._residual.value / LIMIT_UNITS
+        if self._interval_s > 0.0:
+            limit = narrowed_residual_limit(
+                limit, self._acceleration.value, self._cycles_per_revolution.value, self._interval_s
+            )
+        limits = SampleLimits(self._full_scale.value, self._low.value, self._high.value)
+        self._chain.set_limits(limits, limit, self._coast.value)
+
+    @staticmethod
+    def _check(good: Callable[[Any], bool]) -> Callable[[Any], None]:
+        def check(value: Any) -> None:
+            if not good(value):
+                raise SdoAbort(AbortCode.INVALID_VALUE)
+
+        return check

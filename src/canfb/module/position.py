@@ -1,0 +1,59 @@
+"""From cycles to measuring units: scaling, code sequence, preset (CiA 406, 6000h to 6509h)."""
+
+from __future__ import annotations
+
+PHASE_UNITS = 1 << 32  # 2011:03 counts the phase in 1/2^32 cycle
+MAX_UNITS_PER_CYCLE = 8192  # 1/5800 cycle is what a 12-bit converter resolves
+CODE_SEQUENCE = 1 << 0  # 6000h: set = position falls when the machine turns clockwise
+SCALING = 1 << 2  # 6000h: 6001h and 6002h are used
+U32 = 0xFFFFFFFF
+U64 = 0xFFFFFFFFFFFFFFFF
+
+
+def single_turn_resolution(cycles_per_revolution: int) -> int:
+    """Measuring units per revolution without scaling (6501h): 8192 units a cycle, fewer if N is huge."""
+    units = MAX_UNITS_PER_CYCLE
+    while cycles_per_revolution * units > U32:
+        units //= 2
+    return cycles_per_revolution * units
+
+
+def distinguishable_revolutions(resolution: int) -> int:
+    """Whole revolutions that a 32-bit position tells apart (6502h, UNSIGNED16)."""
+    return min((U32 + 1) // resolution, 0xFFFF) or 1
+
+
+class PositionScale:
+    """Exact integer scaling of a position to measuring units.
+
+    ``units_per_revolution`` and ``total_range`` are the 6001h and 6002h in force;
+    ``reverse`` is the code sequence of 6000h; ``offset`` comes from the preset (6509h).
+    """
+
+    __slots__ = ("_denominator", "_numerator", "offset", "total_range")
+
+    def __init__(
+        self,
+        cycles_per_revolution: int,
+        units_per_revolution: int,
+        total_range: int,
+        reverse: bool,
+        offset: int,
+    ) -> None:
+        self._numerator = -units_per_revolution if reverse else units_per_revolution
+        self._denominator = cycles_per_revolution * PHASE_UNITS
+        self.total_range = total_range
+        self.offset = offset
+
+    def units(self, cycles: int, phase_units: int) -> int:
+        """Measuring units since the start, unwrapped, rounded down; phase in 1/2^32 cycle."""
+        return (cycles * PHASE_UNITS + phase_units) * self._numerator // self._denominator
+
+    def position(self, units: int) -> int:
+        """Position value 6004h of these units: with the offset, 0 .. total_range - 1."""
+        return (units + self.offset) % self.total_range
+
+    def offset_for(self, units: int, preset: int) -> int:
+        """The offset that makes these units the position ``preset``, nearest to zero."""
+        offset = (preset - units) % self.total_range
+        return offset - self.total_range if offset > self.total_range // 2 else offset

@@ -1,0 +1,105 @@
+"""The encoder profile CiA 406 of one channel: scaled position, preset, alarms and warnings."""
+
+from __future__ import annotations
+
+from canfb.device.codes import AbortCode, SdoAbort
+from canfb.device.dictionary import Dictionary
+from canfb.module.position import (
+    CODE_SEQUENCE,
+    PHASE_UNITS,
+    SCALING,
+    U64,
+    PositionScale,
+    distinguishable_revolutions,
+    single_turn_resolution,
+)
+from canfb.signal.chain import Feedback
+
+ALARM_POSITION = 1 << 0  # 6503h
+WARNING_FREQUENCY, WARNING_AMPLITUDE = 1 << 0, 1 << 1  # 6505h
+STANDSTILL_CYCLES = 0.05  # per sample: what counts as standstill for a preset
+NEAR_LIMIT = 0.75  # residual over this part of the limit: warning
+AMPLITUDE_RESERVE = 1.15  # amplitude below this multiple of the lowest accepted one: warning
+
+
+class EncoderProfile:
+    """Objects 6000h to 650Bh over the feedback of a signal chain."""
+
+    def __init__(self, dictionary: Dictionary) -> None:
+        entry = dictionary.entry
+        self._operating, self._units_per_rev, self._range = entry(0x6000), entry(0x6001), entry(0x6002)
+        self._position, self._fine, self._raw = entry(0x6004), entry(0x6008), entry(0x600C)
+        self._status, self._alarms, self._warnings = entry(0x6500), entry(0x6503), entry(0x6505)
+        self._resolution, self._revolutions, self._offset = entry(0x6501), entry(0x6502), entry(0x6509)
+        self._cycles_per_revolution = entry(0x2001, 1)
+        self._low, self._limit = entry(0x2001, 3), entry(0x2010, 1)
+        self._last: Feedback | None = None
+        entry(0x6003).on_write = self._preset
+        self._operating.on_write = self._check_operating
+        for changed in (self._operating, self._units_per_rev, self._range, self._cycles_per_revolution):
+            changed.on_written = self.rescale
+        self._serial, self._module_range = entry(0x650B), (entry(0x650A, 2), entry(0x650A, 3))
+        self._serial.value = entry(0x1018, 4).value
+        self.reset()
+
+    @property
+    def alarm(self) -> bool:
+        """True while 6503h has the position error."""
+        return bool(self._alarms.value & ALARM_POSITION)
+
+    def reset(self) -> None:
+        """No position, no preset."""
+        self._last = None
+        self.rescale()
+
+    def rescale(self) -> None:
+        """Take over 2001:01, 6000h, 6001h, 6002h and 6509h."""
+        cycles = self._cycles_per_revolution.value
+        self._resolution.value = resolution = single_turn_resolution(cycles)
+        self._revolutions.value = revolutions = distinguishable_revolutions(resolution)
+        scaling = self._operating.value & SCALING
+        self._scale = PositionScale(
+            cycles,
+            self._units_per_rev.value if scaling else resolution,
+            self._range.value if scaling else resolution * revolutions,
+            bool(self._operating.value & CODE_SEQUENCE),
+            self._offset.value,
+        )
+        self._raw_scale = PositionScale(cycles, resolution, resolution * revolutions, False, 0)
+        self._status.value = self._operating.value
+        # INTEGER32 objects for a range that needs 32 bits without sign: saturated, not wrapped.
+        self._module_range[0].value = 0
+        self._module_range[1].value = min(self._scale.total_range - 1, 0x7FFFFFFF)
+
+    def publish(self, feedback: Feedback, phase_units: int) -> None:
+        """Write the position objects and the warnings; ``phase_units`` is the phase in 1/2^32 cycle."""
+        self._last = feedback
+        units = self._scale.units(feedback.cycles, phase_units)
+        self._position.value = self._scale.position(units)
+        self._fine.value = (units + self._scale.offset) & U64
+        self._raw.value = self._raw_scale.position(self._raw_scale.units(feedback.cycles, phase_units))
+        warnings = 0
+        if feedback.status & 1:
+            if feedback.residual > NEAR_LIMIT / 65536 * self._limit.value:
+                warnings = WARNING_FREQUENCY
+            if feedback.amplitude < AMPLITUDE_RESERVE * self._low.value:
+                warnings |= WARNING_AMPLITUDE
+            self._alarms.value &= ~ALARM_POSITION
+        else:
+            self._alarms.value |= ALARM_POSITION
+        self._warnings.value = warnings
+
+    def _check_operating(self, value: int) -> None:
+        if value & ~(CODE_SEQUENCE | SCALING):
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+
+    def _preset(self, value: int) -> None:
+        if value >= self._scale.total_range:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+        last = self._last
+        if last is None or not last.valid or abs(last.speed_cycles) > STANDSTILL_CYCLES:
+            raise SdoAbort(AbortCode.DEVICE_STATE)
+        units = self._scale.units(last.cycles, int(last.phase * PHASE_UNITS))
+        offset = self._scale.offset_for(units, value)
+        self._offset.value = self._scale.offset = max(-0x80000000, min(offset, 0x7FFFFFFF))
+        self.publish(last, int(last.phase * PHASE_UNITS))

@@ -1,0 +1,73 @@
+"""Staging and activation of correction table and conditioning (2020h with 2002h)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from canfb.device.codes import AbortCode, SdoAbort
+from canfb.device.dictionary import Dictionary
+from canfb.signal.chain import SignalChain
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import CorrectionTable
+
+TABLE, CONDITIONING = 0x2020, 0x2002
+STAGED, STAGED_CRC, ACTIVATE, ACTIVE_CRC, ACTIVE_ENTRIES = 1, 2, 3, 4, 5
+
+
+class TableStore:
+    """Object 2020h: a table is staged by 2020:01 and takes effect, with 2002h, by 2020:03."""
+
+    def __init__(self, dictionary: Dictionary, chain: SignalChain) -> None:
+        self._dictionary = dictionary
+        self._chain = chain
+        self._staged: CorrectionTable | None = None
+        staged, activate = dictionary.entry(TABLE, STAGED), dictionary.entry(TABLE, ACTIVATE)
+        staged.on_write = self._stage
+        staged.on_read = self._read_active
+        activate.on_write = self._activate
+        for subindex in range(1, 6):
+            dictionary.entry(CONDITIONING, subindex).on_write = self._checker(subindex)
+
+    def reset(self) -> None:
+        """Nothing staged, no table active, the conditioning of 2002h in force."""
+        self._staged = None
+        self._put_in_force(None)
+
+    def _stage(self, data: bytes) -> None:
+        try:
+            self._staged = CorrectionTable.from_bytes(data)
+        except ValueError:
+            raise SdoAbort(AbortCode.INVALID_VALUE) from None
+        self._dictionary.entry(TABLE, STAGED_CRC).value = self._staged.crc32
+
+    def _read_active(self) -> bytes:
+        return (self._chain.table or CorrectionTable.identity()).to_bytes()
+
+    def _activate(self, crc32: int) -> None:
+        if crc32 == 0:
+            self._put_in_force(None)
+        elif self._staged is not None and crc32 == self._staged.crc32:
+            self._put_in_force(self._staged)
+        elif self._chain.table is not None and crc32 == self._chain.table.crc32:
+            self._put_in_force(self._chain.table)
+        else:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+
+    def _put_in_force(self, table: CorrectionTable | None) -> None:
+        self._chain.activate(table, self._conditioning())
+        self._dictionary.entry(TABLE, ACTIVE_CRC).value = 0 if table is None else table.crc32
+        self._dictionary.entry(TABLE, ACTIVE_ENTRIES).value = 0 if table is None else len(table)
+        self._dictionary.entry(TABLE, STAGED_CRC).value = 0 if self._staged is None else self._staged.crc32
+
+    def _conditioning(self, changed: int = 0, value: float = 0.0) -> Conditioning:
+        entries = (self._dictionary.entry(CONDITIONING, subindex).value for subindex in range(1, 6))
+        return Conditioning(*(value if n == changed else old for n, old in enumerate(entries, start=1)))
+
+    def _checker(self, subindex: int) -> Callable[[float], None]:
+        def check(value: float) -> None:
+            try:
+                self._conditioning(subindex, value)
+            except ValueError:
+                raise SdoAbort(AbortCode.INVALID_VALUE) from None
+
+        return check

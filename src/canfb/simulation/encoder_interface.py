@@ -1,0 +1,64 @@
+"""The remote encoder interface: a CiA 401 analog input node that samples at every SYNC."""
+
+from __future__ import annotations
+
+from canfb.device.dictionary import Dictionary
+from canfb.device.frame import Frame
+from canfb.device.node import Node
+from canfb.eds_files import eds_path
+from canfb.simulation.sources import Source, SourceEnded
+
+EDS = "encoder-interface"
+
+
+class EncoderInterface:
+    """A CANopen node, sans-I/O, with two ADC channels in 6401h and TPDO1 at each SYNC.
+
+    ``source`` gives the samples; a SYNC for which it has none gets no TPDO1, as if the
+    sample were lost on the bus. ``ended`` becomes True when a recording is over.
+    """
+
+    def __init__(self, node_id: int, source: Source, *, autostart: bool = False) -> None:
+        self.dictionary = Dictionary.load(eds_path(EDS), node_id)
+        self.node = Node(self.dictionary, node_id, autostart=autostart)
+        self.node.on_sync = self._on_sync
+        self.source = source
+        self.ended = False
+        self.samples = 0
+        self._silent = False
+        self._channels = [self.dictionary.entry(0x6401, n) for n in (1, 2)]
+        self._cob_id = self.dictionary.entry(0x1800, 1)
+
+    def start(self, now: float) -> list[Frame]:
+        """Power-on at ``now`` (seconds): the boot-up frame."""
+        return self.node.start(now)
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """Take a frame from the bus; the frames to send."""
+        self._silent = False
+        return self._audible(self.node.receive(frame, now))
+
+    def tick(self, now: float) -> list[Frame]:
+        """Do what is due at ``now``; the frames to send."""
+        return self.node.tick(now)
+
+    def deadline(self) -> float | None:
+        """When :meth:`tick` is wanted next, None for not at all."""
+        return self.node.deadline()
+
+    def _on_sync(self, counter: int | None, now: float) -> None:
+        try:
+            counts = None if self.ended else self.source.next()
+        except SourceEnded:
+            self.ended, counts = True, None
+        if counts is None:
+            self._silent = True
+            return
+        self.samples += 1
+        for channel, value in zip(self._channels, counts, strict=True):
+            channel.value = value
+
+    def _audible(self, frames: list[Frame]) -> list[Frame]:
+        if not self._silent:
+            return frames
+        return [frame for frame in frames if frame.can_id != self._cob_id.value & 0x7FF]

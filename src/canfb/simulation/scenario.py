@@ -1,0 +1,101 @@
+"""What ``canfb simulate`` plays: an encoder and a motion, as the configuration has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from canfb.simulation.encoder import Encoder, Harmonic
+from canfb.simulation.motion import Motion, Ramp, Ripple
+
+
+def _number(name: str, value: object, low: float, high: float) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        raise ValueError(f"{name} must be a number {low:g}..{high:g}, not {value!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class HarmonicConfig:
+    """One harmonic of the tracks, relative to the fundamental."""
+
+    order: int
+    sine: float = 0.0
+    cosine: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.order, int) or not 2 <= self.order <= 50:
+            raise ValueError(f"order must be a whole number 2..50, not {self.order!r}")
+        _number("sine", self.sine, -1.0, 1.0)
+        _number("cosine", self.cosine, -1.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncoderScenario:
+    """Errors of the simulated encoder, relative to the amplitude; ``amplitude`` relative to full scale."""
+
+    amplitude: float = 0.75
+    sine_offset: float = 0.0
+    cosine_offset: float = 0.0
+    sine_amplitude: float = 1.0
+    cosine_amplitude: float = 1.0
+    phase_error_rad: float = 0.0
+    noise_lsb: float = 0.5
+    harmonics: list[HarmonicConfig] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        _number("amplitude", self.amplitude, 0.0, 2.0)
+        for name in ("sine_offset", "cosine_offset"):
+            _number(name, getattr(self, name), -1.0, 1.0)
+        for name in ("sine_amplitude", "cosine_amplitude"):
+            _number(name, getattr(self, name), 0.0, 2.0)
+        _number("phase_error_rad", self.phase_error_rad, -1.0, 1.0)
+        _number("noise_lsb", self.noise_lsb, 0.0, 1000.0)
+
+    def encoder(self, adc_bits: int) -> Encoder:
+        """The encoder with an ADC of ``adc_bits``."""
+        return Encoder(
+            amplitude_counts=self.amplitude * (1 << (adc_bits - 1)),
+            sine_offset=self.sine_offset,
+            cosine_offset=self.cosine_offset,
+            sine_amplitude=self.sine_amplitude,
+            cosine_amplitude=self.cosine_amplitude,
+            phase_error_rad=self.phase_error_rad,
+            harmonics=tuple(Harmonic(h.order, h.sine, h.cosine) for h in self.harmonics),
+            adc_bits=adc_bits,
+            noise_lsb=self.noise_lsb,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionConfig:
+    """Standstill, a ramp up to ``rpm``, then that speed with a ripple."""
+
+    rpm: float = 60.0
+    standstill_s: float = 0.5
+    ramp_s: float = 2.0
+    ripple_rpm: float = 0.0
+    ripple_hz: float = 1.0
+
+    def __post_init__(self) -> None:
+        _number("rpm", self.rpm, -1e6, 1e6)
+        _number("standstill_s", self.standstill_s, 0.0, 1e6)
+        _number("ramp_s", self.ramp_s, 0.0, 1e6)
+        _number("ripple_rpm", self.ripple_rpm, -1e6, 1e6)
+        _number("ripple_hz", self.ripple_hz, 1e-6, 1e6)
+
+    def motion(self) -> Motion:
+        """The motion as a function of time."""
+        ramps = (Ramp(self.standstill_s, 0.0), Ramp(self.ramp_s, self.rpm))
+        return Motion(ramps, (Ripple(self.ripple_rpm, self.ripple_hz),) if self.ripple_rpm else ())
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationConfig:
+    """Encoder, motion and seed of the noise for ``canfb simulate``."""
+
+    encoder: EncoderScenario = field(default_factory=EncoderScenario)
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.seed, int) or self.seed < 0:
+            raise ValueError(f"seed must be a whole number from 0, not {self.seed!r}")

@@ -1,0 +1,153 @@
+"""Where the samples of a simulated encoder interface come from: a motion, or a recording."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from canfb.errors import CanfbError
+from canfb.simulation.encoder import Encoder
+from canfb.simulation.motion import Motion
+
+Counts = tuple[int, int]
+"""Sine and cosine in ADC counts, signed, zero at mid-scale."""
+
+
+class Source(Protocol):
+    """Gives one sample for each SYNC."""
+
+    def next(self) -> Counts | None:
+        """The next sample, None for a SYNC that gets no answer. SourceEnded at the end."""
+
+
+class SourceEnded(Exception):
+    """A recording has no sample left."""
+
+
+class MotionSource:
+    """An encoder on a machine that moves; one interval passes with every sample."""
+
+    def __init__(
+        self, encoder: Encoder, motion: Motion, cycles_per_revolution: int, interval_s: float, seed: int = 1
+    ) -> None:
+        self._encoder = encoder
+        self._motion = motion
+        self._cycles_per_revolution = cycles_per_revolution
+        self._interval_s = interval_s
+        self._rng = np.random.default_rng(seed)
+        self._count = 0
+        self.position_cycles = 0.0
+
+    def next(self) -> Counts:
+        """The sample at this interval; ``position_cycles`` is then its true position."""
+        time_s = self._count * self._interval_s
+        self._count += 1
+        self.position_cycles = self._motion.revolutions(time_s) * self._cycles_per_revolution
+        sine, cosine = self._encoder.sample(self.position_cycles, self._rng)
+        return int(sine), int(cosine)
+
+
+@dataclass(frozen=True)
+class RecordingLayout:
+    """How a CSV file with a header line holds the tracks.
+
+    columns             names (or numbers from 0) of the sine and the cosine column
+    mid_scale           the reading that means zero, subtracted from both
+    time_column         name or number of a column with seconds, or None
+    gap_s               a step of time longer than this is a gap: the last sample before it is
+                        left out and ``gap_samples`` SYNCs get no answer
+    """
+
+    columns: tuple[str, str]
+    mid_scale: float = 0.0
+    time_column: str | None = None
+    gap_s: float = 0.1
+    gap_samples: int = 20
+
+
+class RecordingSource:
+    """Plays a recording, one row for each SYNC; ``row`` is the row (from 0) of the last sample."""
+
+    def __init__(self, path: str | Path, layout: RecordingLayout) -> None:
+        self._rows = _read(Path(path), layout)
+        self._pauses = _pauses(self._rows, layout)
+        self._waiting = 0
+        self._next_row = 0
+        self.row = -1
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def next(self) -> Counts | None:
+        """The next sample, None within a gap. SourceEnded at the end."""
+        if self._waiting:
+            self._waiting -= 1
+            return None
+        while self._next_row in self._pauses:
+            self._waiting = self._pauses.pop(self._next_row) - 1
+            self._next_row += 1
+            return None
+        if self._next_row >= len(self._rows):
+            raise SourceEnded
+        self.row = self._next_row
+        self._next_row += 1
+        _, sine, cosine = self._rows[self.row]
+        return sine, cosine
+
+
+def _pauses(rows: list[tuple[float, int, int]], layout: RecordingLayout) -> dict[int, int]:
+    """Rows before a gap, each with the number of SYNCs without an answer there."""
+    if layout.time_column is None:
+        return {}
+    return {
+        n: max(layout.gap_samples, 1)
+        for n, (row, after) in enumerate(zip(rows, rows[1:], strict=False))
+        if after[0] - row[0] > layout.gap_s
+    }
+
+
+def _read(path: Path, layout: RecordingLayout) -> list[tuple[float, int, int]]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.reader(file)
+            header = next(reader, [])
+            places = [_column(path, header, name) for name in layout.columns]
+            time = None if layout.time_column is None else _column(path, header, layout.time_column)
+            rows = list(_rows(path, reader, places, time, layout.mid_scale))
+    except OSError as error:
+        raise CanfbError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise CanfbError(f"{path}: this is not a text file with columns") from None
+    if not rows:
+        raise CanfbError(f"{path}: there are no samples in it")
+    return rows
+
+
+def _column(path: Path, header: list[str], name: str) -> int:
+    names = [column.strip() for column in header]
+    if name in names:
+        return names.index(name)
+    if name.isdigit() and int(name) < len(names):
+        return int(name)
+    raise CanfbError(f"{path}:1: there is no column '{name}'; there are {', '.join(names)}")
+
+
+def _rows(
+    path: Path, reader: Iterator[list[str]], places: list[int], time: int | None, mid_scale: float
+) -> Iterator[tuple[float, int, int]]:
+    for line, row in enumerate(reader, start=2):
+        if not row:
+            continue
+        try:
+            sine, cosine = (round(float(row[place]) - mid_scale) for place in places)
+            seconds = 0.0 if time is None else float(row[time])
+        except (IndexError, ValueError, OverflowError):
+            raise CanfbError(f"{path}:{line}: not a number in one of the columns asked for") from None
+        if not (-32768 <= sine <= 32767 and -32768 <= cosine <= 32767):
+            raise CanfbError(f"{path}:{line}: {sine}, {cosine} does not fit INTEGER16; is mid-scale right?")
+        yield seconds, sine, cosine
