@@ -1,0 +1,149 @@
+"""A recording of both tracks, checked: what may be used, where it breaks, and its positions."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.calibration.blocks import BoolArray, IntArray
+from canfb.errors import CalibrationError
+from canfb.signal.phase import FloatArray
+from canfb.signal.tracker import Tracker, track
+
+MIN_SAMPLES = 200
+BINS = 64
+MIN_PER_BIN = 3
+# Faults may hit the end of the range now and then; a track that is too large hits it in
+# every cycle at the same phase.
+CLIPPED_PART = 0.05
+CLIPPED_PART_OF_BIN = 0.2
+BREAK_INTERVALS = 10.0
+ADC_BITS = (12, 14, 16)
+UNEVEN = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Samples of both tracks, float64, with 0 in place of what is not a number.
+
+    valid    False: left out;  clipped: at the ends of the converter's range
+    time     in sampling intervals (median), rising
+    uneven   the intervals differ
+    breaks   first samples after gaps over which the position is not followed
+    """
+
+    sine: FloatArray
+    cosine: FloatArray
+    valid: BoolArray
+    clipped: BoolArray
+    time: FloatArray
+    uneven: bool
+    breaks: IntArray
+
+    def positions(self, phase: FloatArray) -> FloatArray:
+        """Positions in cycles of these phases (cycles, NaN where there is none), each segment from 0."""
+        positions = np.empty(len(phase))
+        edges = [0, *(int(b) for b in self.breaks), len(phase)]
+        for start, stop in itertools.pairwise(edges):
+            part = slice(start, stop)
+            if self.uneven:
+                positions[part] = _track_uneven(phase[part], self.time[part])
+            else:
+                result = track(phase[part], 0.5)
+                positions[part] = result.cycles + result.phase
+        return positions
+
+
+def recording(
+    sine: npt.ArrayLike,
+    cosine: npt.ArrayLike,
+    time_s: npt.ArrayLike | None,
+    valid: npt.ArrayLike | None,
+    adc_bits: int | None,
+) -> Recording:
+    """Check the arguments of a reference measurement. ValueError for wrong ones, CalibrationError
+    ("samples") for too few usable samples."""
+    s, c = np.array(sine, np.float64), np.array(cosine, np.float64)
+    if s.ndim != 1 or s.shape != c.shape:
+        raise ValueError(f"sine and cosine must have one dimension and one length: {s.shape}, {c.shape}")
+    usable = np.isfinite(s) & np.isfinite(c)
+    if valid is not None:
+        mask = np.asarray(valid)
+        if mask.shape != s.shape or mask.dtype != np.bool_:
+            raise ValueError("valid must be booleans, one for each sample")
+        usable &= mask
+    clipped = usable & _clipped(s, c, usable, adc_bits)
+    usable &= ~clipped
+    if usable.sum() < MIN_SAMPLES:
+        if clipped.sum() > usable.sum():
+            raise CalibrationError("most samples are at the ends of the converter's range", "clipped")
+        raise CalibrationError(f"{usable.sum()} usable samples: at least {MIN_SAMPLES} are needed", "samples")
+    time, uneven = _intervals(time_s, len(s))
+    at = np.flatnonzero(usable)
+    breaks = at[1:][np.diff(time[at]) > BREAK_INTERVALS]
+    s, c = np.nan_to_num(s, posinf=0.0, neginf=0.0), np.nan_to_num(c, posinf=0.0, neginf=0.0)
+    return Recording(s, c, usable, clipped, time, uneven, breaks.astype(np.int64))
+
+
+def _clipped(s: FloatArray, c: FloatArray, usable: BoolArray, adc_bits: int | None) -> BoolArray:
+    if not usable.any():
+        return usable
+    low = min(float(s[usable].min()), float(c[usable].min()))
+    high = max(float(s[usable].max()), float(c[usable].max()))
+    if adc_bits is None:
+        fitting = [bits for bits in ADC_BITS if -(1 << bits - 1) <= low and high < 1 << bits - 1]
+        if not fitting:
+            return np.zeros_like(usable)
+        adc_bits = fitting[0]
+    full = 1 << (adc_bits - 1)
+    if low < -full or high > full - 1:
+        raise ValueError(f"samples from {low:g} to {high:g} counts do not fit {adc_bits} bits: set adc_bits")
+    with np.errstate(invalid="ignore"):
+        return np.asarray((np.minimum(s, c) <= -full) | (np.maximum(s, c) >= full - 1), np.bool_)
+
+
+def _intervals(time_s: npt.ArrayLike | None, n: int) -> tuple[FloatArray, bool]:
+    if time_s is None:
+        return np.arange(n, dtype=np.float64), False
+    time = np.array(time_s, np.float64)
+    if time.shape != (n,) or not np.isfinite(time).all():
+        raise ValueError("time_s must be finite numbers, one for each sample")
+    steps = np.diff(time)
+    if n < 2 or steps.min() <= 0.0:
+        raise ValueError("time_s must rise from sample to sample")
+    interval = float(np.median(steps))
+    return (time - time[0]) / interval, bool(np.ptp(steps) > UNEVEN * interval)
+
+
+def _track_uneven(phase: FloatArray, time: FloatArray) -> FloatArray:
+    tracker = Tracker(0.5)
+    elapsed = np.diff(time, prepend=time[0] - 1.0).tolist()
+    positions = []
+    for one, interval in zip(phase.tolist(), elapsed, strict=True):
+        result = tracker.update(one, interval)
+        positions.append(result.cycles + result.phase)
+    return np.array(positions)
+
+
+def check_clipped(record: Recording, angle: FloatArray) -> None:
+    """Refuse tracks that are cut off. ``angle`` of all samples, clipped ones included, in cycles."""
+    count = int(record.clipped.sum())
+    seen = record.valid | record.clipped
+    bins = (angle * BINS).astype(np.int64) % BINS
+    cut = np.bincount(bins[record.clipped], minlength=BINS)
+    every = np.maximum(1, np.bincount(bins[seen], minlength=BINS))
+    worst = float((cut / every).max())
+    if count > CLIPPED_PART * seen.sum() or (worst > CLIPPED_PART_OF_BIN and count > MIN_PER_BIN * 2):
+        raise CalibrationError(
+            f"{count} samples are at the ends of the converter's range: reduce the amplitude of the tracks",
+            "clipped",
+        )
+
+
+def coverage(phase: FloatArray) -> float:
+    """Part of the cycle, in bins of 1/64, that has at least three of these phases (cycles)."""
+    counts = np.bincount((phase % 1.0 * BINS).astype(np.int64) % BINS, minlength=BINS)
+    return float(np.mean(counts >= MIN_PER_BIN))

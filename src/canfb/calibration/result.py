@@ -1,0 +1,142 @@
+"""What a reference measurement gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import CorrectionTable
+from canfb.signal.phase import FloatArray
+
+ACCEPTED = "accepted"
+SAMPLES = "samples"
+CLIPPED = "clipped"
+ELLIPSE = "ellipse"
+COVERAGE = "coverage"
+CYCLES = "cycles"
+LOCKED = "locked"
+NOISE = "noise"
+MONOTONIC = "monotonic"
+
+REASONS = {
+    ACCEPTED: "the measurement can be used",
+    SAMPLES: "too few samples that can be used",
+    CLIPPED: "the tracks reach the ends of the converter's range",
+    ELLIPSE: "the tracks form no ellipse: a dead track, noise, too short a way",
+    COVERAGE: "parts of the cycle were never or hardly sampled",
+    CYCLES: "too few cycles",
+    LOCKED: "the motion is locked to the samples: too few different phases close together",
+    NOISE: "noise of tracks or motion leaves the table too uncertain",
+    MONOTONIC: "raw phase does not rise through the cycle, or is too far from the phase",
+}
+"""Every reason, in the order of their numbers in object 2030:07 (0 = accepted)."""
+
+
+class Harmonic(NamedTuple):
+    """One harmonic of the error: amplitude cos(2 pi order phase + angle), amplitude in cycles."""
+
+    order: int
+    amplitude_cycles: float
+    angle_rad: float
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorCurve:
+    """Mean deviation from smooth motion over the phase, in cycles, on data not used for the fit.
+
+    phase    middle of each bin, cycles
+    before   identity table, its mean taken off
+    after    correction table
+    NaN in a bin without samples.
+    """
+
+    phase: FloatArray
+    before: FloatArray
+    after: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Calibration:
+    """A reference measurement: correction table, conditioning, and how good they are.
+
+    table            correction table; phase 0 at the positive zero crossing of the conditioned sine
+    conditioning     to be activated together with the table
+    method           "motion" or "zero crossings"
+    reason           "accepted", else the reason of the refusal, one of ``REASONS``
+    coverage         part of the cycle that has samples, 0..1
+    cycles_used      cycles that the samples used went through, as far as samples can tell it
+    samples_used     samples used; samples_rejected: usable ones left out as faults
+    residual_rms     rms deviation of a sample from smooth motion with the table, cycles: noise
+                     of the samples included, on data not used for the table it is measured with
+    residual_peak    largest such deviation
+    before_rms       the same with the same conditioning and the identity table
+    before_peak
+    uncertainty_rms  expected error of the table itself, rms over the cycle, cycles
+    uncertainty_peak expected largest error of the table
+    noise_counts     rms noise of a track, counts (converter, quantisation)
+    noise_cycles     rms of what the smooth motion leaves, as a phase
+    bound_rms        Cramer-Rao bound of the table's rms error with noise_counts, cycles; None
+                     where it is not computed
+    cramer_rao_ratio measured error of the table (from two independent halves of the data) over
+                     that bound; scatters by some 20 %; None where it is not computed
+    harmonics        of the error of the conditioned arc tangent, largest first
+    curve            deviation over the phase, before and after
+    block_samples    samples over which motion was taken to be smooth
+    """
+
+    table: CorrectionTable
+    conditioning: Conditioning
+    method: str
+    reason: str = ACCEPTED
+    coverage: float
+    cycles_used: float
+    samples_used: int
+    samples_rejected: int
+    residual_rms: float
+    residual_peak: float
+    before_rms: float
+    before_peak: float
+    uncertainty_rms: float
+    uncertainty_peak: float
+    noise_counts: float
+    noise_cycles: float
+    bound_rms: float | None = None
+    cramer_rao_ratio: float | None = None
+    harmonics: tuple[Harmonic, ...] = ()
+    curve: ErrorCurve
+    block_samples: int
+
+    @property
+    def accepted(self) -> bool:
+        """True if the measurement can be used."""
+        return self.reason == ACCEPTED
+
+    @property
+    def verdict(self) -> str:
+        """One line for people."""
+        return (
+            f"{'accepted' if self.accepted else 'refused'}: {REASONS[self.reason]}; "
+            f"deviation from smooth motion {100 * self.before_rms:.3g} % -> {100 * self.residual_rms:.3g} % "
+            f"of a cycle rms, table good to {100 * self.uncertainty_peak:.2g} %, "
+            f"{self.cycles_used:.0f} cycles, coverage {100 * self.coverage:.0f} %"
+        )
+
+
+def error_harmonics(
+    phase: FloatArray, angle: FloatArray, smallest_cycles: float, highest: int = 64
+) -> tuple[Harmonic, ...]:
+    """Harmonics of ``angle - phase`` at equidistant ``phase`` (cycles), those above ``smallest_cycles``."""
+    spectrum = np.fft.rfft(angle - phase) / len(phase)
+    found = [
+        Harmonic(order, 2.0 * float(abs(spectrum[order])), float(np.angle(spectrum[order])))
+        for order in range(1, min(highest, len(spectrum) - 1) + 1)
+    ]
+    return tuple(
+        sorted(
+            (h for h in found if h.amplitude_cycles > smallest_cycles),
+            key=lambda h: -h.amplitude_cycles,
+        )
+    )

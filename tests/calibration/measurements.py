@@ -1,0 +1,81 @@
+"""Simulated reference measurements with a known truth, for the tests of this folder."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.correction import CorrectionTable
+from canfb.signal.phase import FloatArray, raw_phases
+from canfb.simulation.encoder import Encoder, Harmonic
+
+CYCLES_PER_REVOLUTION = 2500
+RATE_HZ = 1000.0
+PERCENT = 0.01
+
+
+def true_phases(encoder: Encoder, n: int, conditioning: Conditioning = IDENTITY) -> FloatArray:
+    """Position in the cycle at raw phase k/n, from the encoder's own equations, continuous."""
+    position = np.arange(1 << 17) / (1 << 17)
+    raw = np.unwrap(raw_phases(*conditioning.apply(*encoder.tracks(position))), period=1.0)
+    assert np.diff(raw).min() > 0.0
+    raw = raw - np.floor(raw[0])
+    curve = np.concatenate([raw - 1.0, raw, raw + 1.0])
+    cycles = np.concatenate([position - 1.0, position, position + 1.0])
+    return np.interp(np.arange(n) / n, curve, cycles)
+
+
+def table_error(
+    table: CorrectionTable, encoder: Encoder, conditioning: Conditioning = IDENTITY
+) -> FloatArray:
+    """Error of the table in cycles, between its entries too, mean taken off.
+
+    The mean is no error of the table: where phase 0 lies is a convention. The simulation
+    counts from the zero crossing of the fundamental, the table from that of the whole track.
+    """
+    n = 4096
+    error = table(np.arange(n) / n) - true_phases(encoder, n, conditioning)
+    error = (error - error[0] + 0.5) % 1.0 - 0.5
+    return error - error.mean()
+
+
+def wandering(rpm: float, rng: np.random.Generator, seconds: float = 20.0, part: float = 0.03) -> FloatArray:
+    """Positions in cycles at the SYNC rate: a speed that wanders by ``part``."""
+    time = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    swing = sum(
+        rng.uniform(0.3, 1.0) * np.sin(2.0 * np.pi * (f * time + rng.uniform()))
+        for f in rng.uniform(0.1, 3.0, 5)
+    )
+    speed = rpm / 60.0 * CYCLES_PER_REVOLUTION * (1.0 + part * swing / np.abs(swing).max())
+    return np.cumsum(speed) / RATE_HZ
+
+
+def random_encoder(rng: np.random.Generator, noise_lsb: float) -> Encoder:
+    """An encoder with offset, gain, phase error and 2nd, 3rd and 5th harmonic, all drawn at random."""
+    sizes = {2: 0.02, 3: 0.03, 5: 0.01}
+    return Encoder(
+        amplitude_counts=rng.uniform(1200.0, 1700.0),
+        sine_offset=rng.uniform(-0.06, 0.06),
+        cosine_offset=rng.uniform(-0.06, 0.06),
+        sine_amplitude=rng.uniform(0.94, 1.06),
+        cosine_amplitude=rng.uniform(0.94, 1.06),
+        phase_error_rad=rng.uniform(-0.1, 0.1),
+        harmonics=tuple(
+            Harmonic(order, *rng.uniform(0.0, size, 2), *rng.uniform(0.0, 2.0 * np.pi, 2))
+            for order, size in sizes.items()
+        ),
+        noise_lsb=noise_lsb,
+    )
+
+
+def extreme_encoder(rng: np.random.Generator, noise_lsb: float) -> Encoder:
+    """The paper's extreme case: 40 % offset and 20 % amplitude error, of either sign."""
+    sign = rng.choice([-1.0, 1.0], 3)
+    return Encoder(
+        amplitude_counts=1250.0,
+        sine_offset=0.4 * sign[0],
+        cosine_offset=0.4 * sign[1],
+        sine_amplitude=1.0 + 0.2 * sign[2],
+        cosine_amplitude=1.0 - 0.2 * sign[2],
+        noise_lsb=noise_lsb,
+    )
