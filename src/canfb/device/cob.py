@@ -1,0 +1,46 @@
+"""COB-ID entries: their flags, the restricted CAN-IDs, and when a new value is allowed."""
+
+from __future__ import annotations
+
+from canfb.device.codes import AbortCode, SdoAbort
+
+NOT_VALID = 1 << 31
+"""Bit 31 of PDO, SDO and EMCY COB-IDs: the object does not exist."""
+NO_RTR = 1 << 30
+"""Bit 30 of a TPDO COB-ID: no remote frame allowed."""
+GENERATE = 1 << 30
+"""Bit 30 of 1005h: the device produces SYNC."""
+
+CAN_ID = 0x7FF
+_EXTENDED_OR_RESERVED = 0x3FFFF800
+
+_RESTRICTED = (
+    (0x000, 0x07F),
+    (0x101, 0x180),
+    (0x581, 0x5FF),
+    (0x601, 0x67F),
+    (0x6E0, 0x6FF),
+    (0x701, 0x7FF),
+)
+
+
+def is_valid(value: int) -> bool:
+    """Whether the communication object of this COB-ID exists."""
+    return not value & NOT_VALID
+
+
+def is_restricted(can_id: int) -> bool:
+    """Whether no configurable object may use the CAN-ID (CiA 301, 7.3.5)."""
+    return any(first <= can_id <= last for first, last in _RESTRICTED)
+
+
+def check(new: int, old: int, *, uses_new: bool, uses_old: bool) -> None:
+    """Refuse a COB-ID that an 11-bit device cannot use, or a change of one in use.
+
+    `uses_new` and `uses_old` say whether the object exists with the new and the old value. The
+    frame bit 29 and the bits 11 to 28 must be 0. SdoAbort 06090030h otherwise (CiA 301, 7.5.2).
+    """
+    restricted = uses_new and is_restricted(new & CAN_ID)
+    moved = uses_new and uses_old and (new ^ old) & CAN_ID
+    if new & _EXTENDED_OR_RESERVED or restricted or moved:
+        raise SdoAbort(AbortCode.INVALID_VALUE)

@@ -1,0 +1,160 @@
+"""EMCY producer with error register 1001h and error history 1003h (CiA 301, 7.2.7)."""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Hashable
+
+from canfb.device import cob
+from canfb.device.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
+from canfb.device.counters import Counters
+from canfb.device.dictionary import Dictionary
+from canfb.device.entry import Entry
+from canfb.device.frame import NEVER, Emit, Frame
+
+_EMERGENCY = struct.Struct("<HB5s")
+_WAITING = 8
+
+APPLICATION = None
+"""Source of the errors that are not the device's own."""
+
+
+class Emergency:
+    """Reports errors: each once, until it is cleared.
+
+    An error is known by its code and its source, so that two RPDOs that are both too short are two
+    errors. Frames that may not go out now (inhibit time 1015h, NMT state) wait, up to eight.
+    """
+
+    def __init__(self, dictionary: Dictionary, node_id: int, emit: Emit, counters: Counters) -> None:
+        self.deadline = NEVER
+        self._emit = emit
+        self._counters = counters
+        self._register = dictionary.find(0x1001)
+        self._history_count = dictionary.find(0x1003)
+        self._history = [entry for entry in dictionary if entry.index == 0x1003 and entry.subindex]
+        self._cob_id = dictionary.find(0x1014)
+        self._default_cob_id = 0x80 + node_id
+        self._inhibit = dictionary.find(0x1015)
+        self._active: dict[tuple[int, Hashable], int] = {}
+        self._waiting: deque[bytes] = deque()
+        self._allowed = False
+        self._not_before = -NEVER
+        self._install()
+
+    def reset(self, *, communication_only: bool) -> None:
+        """Forget the errors; after a reset of communication only, the application's are kept."""
+        kept = self._active if communication_only else {}
+        self._active = {key: bits for key, bits in kept.items() if key[1] is APPLICATION}
+        self._waiting.clear()
+        self._not_before = -NEVER
+        self.deadline = NEVER
+        self._set_register()
+        if self._history_count is not None:
+            self._history_count.value = 0
+
+    def enable(self, allowed: bool, now: float) -> None:
+        """Whether the NMT state allows EMCY; what waited goes out."""
+        self._allowed = allowed
+        self.tick(now)
+
+    def report(
+        self,
+        code: int,
+        register_bits: int,
+        manufacturer: bytes,
+        now: float,
+        source: Hashable = APPLICATION,
+    ) -> None:
+        """An error appeared: 1001h, 1003h and EMCY. Nothing happens when it is active already.
+
+        `register_bits` are bits of 1001h (the generic bit is added), `manufacturer` up to 5 bytes.
+        """
+        key = (int(code), source)
+        if key in self._active:
+            return
+        self._active[key] = int(register_bits)
+        self._set_register()
+        self._remember(int(code), manufacturer)
+        self._send(int(code), manufacturer, now)
+
+    def clear(self, code: int, now: float, source: Hashable = APPLICATION) -> None:
+        """An error is gone: EMCY 0000h with what is left in 1001h. Nothing when it was not active."""
+        if self._active.pop((int(code), source), None) is None:
+            return
+        self._set_register()
+        self._send(EmergencyCode.NO_ERROR, b"", now)
+
+    def tick(self, now: float) -> None:
+        """Send what waited for the inhibit time."""
+        if not self._is_valid():
+            self._waiting.clear()
+        while self._waiting and self._allowed and now >= self._not_before:
+            self._emit(Frame(self._can_id(), self._waiting.popleft()))
+            inhibit = self._inhibit_s()
+            self._not_before = now + inhibit if inhibit else -NEVER
+        self.deadline = self._not_before if self._waiting and self._allowed else NEVER
+
+    def _send(self, code: int, manufacturer: bytes, now: float) -> None:
+        if len(self._waiting) == _WAITING:
+            self._waiting.popleft()
+            self._counters.lost_emergencies += 1
+        self._waiting.append(_EMERGENCY.pack(code, self._bits(), manufacturer))
+        self.tick(now)
+
+    def _bits(self) -> int:
+        bits = 0
+        for own in self._active.values():
+            bits |= own | ErrorRegister.GENERIC
+        return int(bits)
+
+    def _set_register(self) -> None:
+        if self._register is not None:
+            self._register.value = self._bits()
+
+    def _remember(self, code: int, manufacturer: bytes) -> None:
+        if self._history_count is None or not self._history:
+            return
+        for newer, older in zip(self._history[-2::-1], self._history[:0:-1], strict=True):
+            older.value = newer.value
+        self._history[0].value = code | int.from_bytes(manufacturer[:2], "little") << 16
+        self._history_count.value = min(self._history_count.value + 1, len(self._history))
+
+    def _is_valid(self) -> bool:
+        return self._cob_id is None or cob.is_valid(self._cob_id.value)
+
+    def _can_id(self) -> int:
+        return self._default_cob_id if self._cob_id is None else self._cob_id.value & cob.CAN_ID
+
+    def _inhibit_s(self) -> float:
+        return 0.0 if self._inhibit is None else self._inhibit.value / 10_000
+
+    def _install(self) -> None:
+        if self._cob_id is not None:
+            self._cob_id.on_write = self._check_cob_id
+        if self._history_count is not None:
+            self._history_count.on_write = _check_clear
+        for entry in self._history:
+            self._install_history(entry)
+
+    def _install_history(self, entry: Entry) -> None:
+        def read() -> int:
+            count = 0 if self._history_count is None else self._history_count.value
+            if entry.subindex > count:
+                raise SdoAbort(AbortCode.NO_DATA)
+            return int(entry.value)
+
+        entry.on_read = read
+
+    def _check_cob_id(self, value: int) -> None:
+        if value & cob.NO_RTR:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+        old = 0 if self._cob_id is None else self._cob_id.value
+        cob.check(value, old, uses_new=cob.is_valid(value), uses_old=cob.is_valid(old))
+
+
+def _check_clear(value: int) -> None:
+    """Only 0, which clears the history, may be written to 1003h:00."""
+    if value:
+        raise SdoAbort(AbortCode.INVALID_VALUE)

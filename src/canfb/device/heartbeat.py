@@ -1,0 +1,193 @@
+"""Heartbeat producer 1017h and consumer 1016h (CiA 301, 7.2.8.3.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from canfb.device.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
+from canfb.device.counters import Counters
+from canfb.device.dictionary import Dictionary
+from canfb.device.emergency import Emergency
+from canfb.device.entry import Entry
+from canfb.device.frame import NEVER, Emit, Frame, Moment
+from canfb.device.nmt import NmtState
+
+ERROR_CONTROL = 0x700
+"""CAN-ID of boot-up and heartbeat of node 0; the node-ID is added."""
+
+
+class HeartbeatProducer:
+    """Sends the NMT state every 1017h milliseconds; 0 is off.
+
+    The boot-up counts as the first heartbeat. A new period starts with a heartbeat at once.
+    """
+
+    def __init__(
+        self,
+        entry: Entry | None,
+        node_id: int,
+        emit: Emit,
+        moment: Moment,
+        state: Callable[[], NmtState],
+    ) -> None:
+        self.deadline = NEVER
+        self._entry = entry
+        self._can_id = ERROR_CONTROL + node_id
+        self._emit = emit
+        self._moment = moment
+        self._state = state
+        if entry is not None:
+            entry.on_written = self._written
+
+    @property
+    def _period_s(self) -> float:
+        return 0.0 if self._entry is None else self._entry.value / 1000
+
+    def boot_up(self, now: float) -> None:
+        """Send the boot-up message and begin the period."""
+        self._emit(Frame(self._can_id, b"\x00"))
+        period = self._period_s
+        self.deadline = now + period if period else NEVER
+
+    def stop(self) -> None:
+        """Send nothing until the next boot-up."""
+        self.deadline = NEVER
+
+    def tick(self, now: float) -> None:
+        """Send the heartbeat that is due. What was missed by a late tick is left out."""
+        if now < self.deadline:
+            return
+        self._emit(Frame(self._can_id, bytes([self._state()])))
+        period = self._period_s
+        following = self.deadline + period if period else NEVER
+        self.deadline = following if following > now else now + period
+
+    def _written(self) -> None:
+        self.deadline = self._moment.now if self._period_s else NEVER
+
+
+class HeartbeatMonitor:
+    """One sub-index of 1016h: watches one node from its first heartbeat on."""
+
+    def __init__(
+        self,
+        entry: Entry,
+        counters: Counters,
+        emergency: Emergency,
+        lost: Callable[[float], None],
+    ) -> None:
+        self.entry = entry
+        self.deadline = NEVER
+        self._counters = counters
+        self._emergency = emergency
+        self._lost = lost
+
+    @property
+    def node_id(self) -> int:
+        """The watched node, 0 when the entry is unused (time 0, or no node-ID)."""
+        return watched_node(self.entry.value)
+
+    def forget(self, now: float) -> None:
+        """Wait for the first heartbeat again, with no error."""
+        self.deadline = NEVER
+        self._emergency.clear(EmergencyCode.HEARTBEAT, now, self._source)
+
+    def handle(self, data: bytes, now: float) -> None:
+        """A heartbeat or boot-up of the node."""
+        if len(data) != 1:
+            self._counters.malformed_frames += 1
+            return
+        self.deadline = now + (self.entry.value & 0xFFFF) / 1000
+        self._emergency.clear(EmergencyCode.HEARTBEAT, now, self._source)
+
+    def tick(self, now: float) -> None:
+        """Report a heartbeat that did not come in time, once."""
+        if now < self.deadline:
+            return
+        self.deadline = NEVER
+        self._emergency.report(
+            EmergencyCode.HEARTBEAT,
+            ErrorRegister.COMMUNICATION,
+            bytes([self.node_id]),
+            now,
+            self._source,
+        )
+        self._lost(now)
+
+    @property
+    def _source(self) -> tuple[int, int]:
+        return self.entry.index, self.entry.subindex
+
+
+class HeartbeatConsumer:
+    """Object 1016h. `changed()` is called when other nodes are to be watched."""
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        moment: Moment,
+        counters: Counters,
+        emergency: Emergency,
+        lost: Callable[[float], None],
+        changed: Callable[[], None],
+    ) -> None:
+        self.deadline = NEVER
+        self._moment = moment
+        self._changed = changed
+        entries = [entry for entry in dictionary if entry.index == 0x1016 and entry.subindex]
+        self._monitors = [HeartbeatMonitor(entry, counters, emergency, lost) for entry in entries]
+        for monitor in self._monitors:
+            self._install(monitor)
+
+    def configure(self, now: float) -> None:
+        """Read 1016h again and wait for each first heartbeat."""
+        for monitor in self._monitors:
+            monitor.forget(now)
+        self.deadline = NEVER
+
+    def routes(self) -> dict[int, Callable[[bytes, float], None]]:
+        """Who listens to which CAN-ID."""
+        return {
+            ERROR_CONTROL + monitor.node_id: self._handler(monitor)
+            for monitor in self._monitors
+            if monitor.node_id
+        }
+
+    def tick(self, now: float) -> None:
+        """Report the heartbeats that did not come."""
+        for monitor in self._monitors:
+            monitor.tick(now)
+        self._schedule()
+
+    def _handler(self, monitor: HeartbeatMonitor) -> Callable[[bytes, float], None]:
+        def handle(data: bytes, now: float) -> None:
+            monitor.handle(data, now)
+            self._schedule()
+
+        return handle
+
+    def _schedule(self) -> None:
+        self.deadline = min((monitor.deadline for monitor in self._monitors), default=NEVER)
+
+    def _install(self, monitor: HeartbeatMonitor) -> None:
+        def check(value: int) -> None:
+            if value >> 24:
+                raise SdoAbort(AbortCode.INVALID_VALUE)
+            node_id = watched_node(value)
+            others = [other for other in self._monitors if other is not monitor]
+            if node_id and any(other.node_id == node_id for other in others):
+                raise SdoAbort(AbortCode.PARAMETER_INCOMPATIBLE)
+
+        def written() -> None:
+            monitor.forget(self._moment.now)
+            self._schedule()
+            self._changed()
+
+        monitor.entry.on_write = check
+        monitor.entry.on_written = written
+
+
+def watched_node(value: int) -> int:
+    """Node-ID of a value of 1016h, 0 for one that watches nothing."""
+    node_id = value >> 16 & 0xFF
+    return node_id if value & 0xFFFF and 1 <= node_id <= 127 else 0

@@ -1,0 +1,318 @@
+"""The CANopen slave: wires the services and routes frames to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from canfb.device import pdo
+from canfb.device.codes import EmergencyCode
+from canfb.device.counters import Counters
+from canfb.device.dictionary import Dictionary
+from canfb.device.emergency import Emergency
+from canfb.device.frame import NEVER, Frame, Moment, Timed
+from canfb.device.heartbeat import HeartbeatConsumer, HeartbeatProducer
+from canfb.device.mapping import Direction
+from canfb.device.nmt import COMMUNICATING, ErrorBehaviour, Nmt, NmtState
+from canfb.device.rpdo import Rpdo
+from canfb.device.sdo_channel import SdoChannel, channel_indices
+from canfb.device.sync import Sync
+from canfb.device.tpdo import Tpdo
+
+NMT_COMMAND = 0x000
+LAST_COMMUNICATION_INDEX = 0x1FFF
+_LONGEST_DATA = 8
+
+Handler = Callable[[bytes, float], None]
+
+
+class Node:
+    """A CiA 301 slave without I/O.
+
+    Frames and times go in, frames and the next deadline come out: `start`, `receive` and `tick`
+    return what is to be sent, in order, and `deadline` says when `tick` is wanted next. `now` is
+    seconds (monotonic) and must not go back. The node is given its object dictionary and takes its
+    communication parameters from it; write those by SDO, or before `start`.
+
+    The hooks `on_...` are called from within these calls. They may write entries and call
+    `trigger_tpdo`, `emergency` and `clear_emergency`, but not `receive` or `tick`. What they raise
+    comes out of the call: it is a mistake in the program. No frame from the bus raises by itself.
+
+    on_rpdo(number, now): the data of RPDO `number` stands in the dictionary.
+    on_sync(counter, now): a SYNC in OPERATIONAL, after synchronous RPDOs were taken over, before
+    synchronous TPDOs are sampled; `counter` is None without 1019h.
+    on_state(old, new, now): after a change of the NMT state.
+    on_reset(communication_only, now): the dictionary is back at its defaults (at `start`: is as it
+    is), before boot-up.
+    on_bad_rpdo(number, received, mapped, now): an RPDO too short, in bytes; its data was dropped.
+    """
+
+    def __init__(self, dictionary: Dictionary, node_id: int, *, autostart: bool = False) -> None:
+        """Make the node `node_id` (1..127); ValueError for another, or for an impossible EDS.
+
+        With `autostart` it goes on to OPERATIONAL after each boot-up without a master.
+        """
+        if not 1 <= node_id <= 127:
+            raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127")
+        self.dictionary = dictionary
+        self.node_id = node_id
+        self.autostart = autostart
+        self.counters = Counters()
+        self.on_rpdo: Callable[[int, float], None] | None = None
+        self.on_sync: Callable[[int | None, float], None] | None = None
+        self.on_state: Callable[[NmtState, NmtState, float], None] | None = None
+        self.on_reset: Callable[[bool, float], None] | None = None
+        self.on_bad_rpdo: Callable[[int, int, int, float], None] | None = None
+
+        self._outbox: list[Frame] = []
+        self._moment = Moment()
+        self._routes: dict[int, Handler] = {}
+        self._remote_routes: dict[int, Callable[[float], None]] = {}
+        self._sync_rpdos: list[Rpdo] = []
+        self._sync_tpdos: list[Tpdo] = []
+        self._make_services()
+
+    def _make_services(self) -> None:
+        dictionary, node_id, counters, moment = self.dictionary, self.node_id, self.counters, self._moment
+        emit, changed = self._outbox.append, self._route
+        self._nmt = Nmt(node_id, counters, self._state_changed, self._reset)
+        self._error_behaviour = ErrorBehaviour(dictionary.find(0x1029, 1))
+        self._emergency = Emergency(dictionary, node_id, emit, counters)
+        self._producer = HeartbeatProducer(dictionary.find(0x1017), node_id, emit, moment, self._get_state)
+        self._consumer = HeartbeatConsumer(
+            dictionary, moment, counters, self._emergency, self._communication_error, changed
+        )
+        self._sync = Sync(dictionary, emit, moment, counters, self._emergency, self._synchronise, changed)
+        self._channels = [
+            SdoChannel(dictionary, index, node_id, emit, counters, changed)
+            for index in channel_indices(dictionary)
+        ]
+        self._rpdos = [
+            Rpdo(
+                dictionary,
+                number,
+                moment=moment,
+                counters=counters,
+                emergency=self._emergency,
+                window_open=self._sync.window_open,
+                delivered=self._rpdo_delivered,
+                too_short=self._rpdo_too_short,
+                changed=changed,
+            )
+            for number in pdo.numbers(dictionary, Direction.RECEIVE)
+        ]
+        self._tpdos = {
+            number: Tpdo(dictionary, number, emit=emit, moment=moment, counters=counters, changed=changed)
+            for number in pdo.numbers(dictionary, Direction.TRANSMIT)
+        }
+        self._timed: list[Timed] = [
+            self._sync,
+            *self._rpdos,
+            *self._tpdos.values(),
+            self._producer,
+            self._consumer,
+            self._emergency,
+            *(channel.server for channel in self._channels),
+        ]
+
+    @property
+    def state(self) -> NmtState:
+        """The NMT state."""
+        return self._nmt.state
+
+    def start(self, now: float) -> list[Frame]:
+        """Power on: the boot-up message, then PRE-OPERATIONAL. The values stay as they are."""
+        self._moment.now = now
+        self._begin(False, now)
+        return self._sent()
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """Take a frame from the bus, whatever it holds; gives what is to be sent."""
+        self._moment.now = now
+        can_id, data, rtr, _ = frame
+        if rtr:
+            self._receive_remote(can_id, now)
+        elif len(data) > _LONGEST_DATA:
+            self.counters.malformed_frames += 1
+        else:
+            handler = self._routes.get(can_id)
+            if handler is None:
+                self.counters.unknown_cob_ids += 1
+            else:
+                handler(data, now)
+        return self._sent()
+
+    def tick(self, now: float) -> list[Frame]:
+        """Do what is due at `now`; gives what is to be sent."""
+        self._moment.now = now
+        for service in self._timed:
+            if service.deadline <= now:
+                service.tick(now)
+        return self._sent()
+
+    def deadline(self) -> float | None:
+        """When `tick` is wanted next, seconds; None when nothing is waiting."""
+        if self._outbox:
+            return self._moment.now
+        due = min(service.deadline for service in self._timed)
+        return None if due == NEVER else due
+
+    def trigger_tpdo(self, number: int, now: float) -> None:
+        """An event for TPDO `number`. Outside of OPERATIONAL, or while it is not valid: nothing.
+
+        Types FEh and FFh are sent, at once or after the inhibit time; type 0 at the next SYNC.
+        ValueError when the device has no such TPDO.
+        """
+        tpdo = self._tpdos.get(number)
+        if tpdo is None:
+            raise ValueError(f"there is no TPDO {number}; the EDS has {sorted(self._tpdos)}")
+        self._moment.now = now
+        tpdo.trigger(now)
+
+    def emergency(
+        self,
+        code: EmergencyCode,
+        register_bits: int,
+        manufacturer: bytes = b"",
+        now: float | None = None,
+    ) -> None:
+        """Report an error (CiA 301, 7.2.7): EMCY, 1001h and 1003h. Nothing while it is active.
+
+        `register_bits` are the bits of 1001h (0..255), the generic bit is added; `manufacturer` is
+        up to 5 bytes. `now` is the time of the running call when it is not given. ValueError for
+        values beyond these ranges.
+        """
+        if not 0 <= register_bits <= 0xFF:
+            raise ValueError(f"register_bits {register_bits:#x} do not fit the 8 bits of 1001h")
+        if len(manufacturer) > 5:
+            raise ValueError(f"an EMCY has 5 manufacturer bytes, not {len(manufacturer)}")
+        if not 0 < code <= 0xFFFF:
+            raise ValueError(f"{code:#x} is no error code; use clear_emergency to end an error")
+        self._emergency.report(code, register_bits, manufacturer, self._time(now))
+
+    def clear_emergency(self, code: EmergencyCode, now: float | None = None) -> None:
+        """End an error: EMCY 0000h with what is left of 1001h. Nothing when it is not active."""
+        self._emergency.clear(code, self._time(now))
+
+    def _time(self, now: float | None) -> float:
+        if now is not None:
+            self._moment.now = now
+        return self._moment.now
+
+    def _sent(self) -> list[Frame]:
+        outbox = self._outbox
+        if not outbox:
+            return []
+        sent = outbox[:]
+        outbox.clear()
+        return sent
+
+    def _get_state(self) -> NmtState:
+        return self._nmt.state
+
+    def _receive_remote(self, can_id: int, now: float) -> None:
+        handler = self._remote_routes.get(can_id)
+        if handler is None:
+            self.counters.remote_frames += 1
+        else:
+            handler(now)
+
+    def _reset(self, communication_only: bool, now: float) -> None:
+        """NMT reset node or reset communication."""
+        self._nmt.enter(NmtState.INITIALISING, now)
+        last = LAST_COMMUNICATION_INDEX if communication_only else 0xFFFF
+        self.dictionary.reset(0x1000, last)
+        self._begin(communication_only, now)
+
+    def _begin(self, communication_only: bool, now: float) -> None:
+        """INITIALISING, from the values in the dictionary, up to the state after the boot-up."""
+        self._nmt.enter(NmtState.INITIALISING, now)
+        self._producer.stop()
+        self._emergency.reset(communication_only=communication_only)
+        self._consumer.configure(now)
+        self._sync.configure()
+        for channel in self._channels:
+            channel.configure()
+        for rpdo in self._rpdos:
+            rpdo.reset()
+        if self.on_reset is not None:
+            self.on_reset(communication_only, now)
+        self._producer.boot_up(now)
+        self._nmt.enter(NmtState.PRE_OPERATIONAL, now)
+        if self.autostart:
+            self._nmt.enter(NmtState.OPERATIONAL, now)
+
+    def _state_changed(self, old: NmtState, new: NmtState, now: float) -> None:
+        operational = new is NmtState.OPERATIONAL
+        if operational or old is NmtState.OPERATIONAL:
+            for rpdo in self._rpdos:
+                rpdo.enable(operational, now)
+            for tpdo in self._tpdos.values():
+                tpdo.enable(operational, now)
+        if new not in COMMUNICATING:
+            for channel in self._channels:
+                channel.server.drop()
+        self._sync.enable(new in COMMUNICATING, now)
+        self._emergency.enable(new in COMMUNICATING, now)
+        self._route()
+        if self.on_state is not None:
+            self.on_state(old, new, now)
+
+    def _communication_error(self, now: float) -> None:
+        self._nmt.enter(self._error_behaviour.reaction(self._nmt.state), now)
+
+    def _route(self) -> None:
+        """Who listens to which CAN-ID, in this NMT state and with these COB-IDs."""
+        self._routes = {}
+        self._remote_routes = {}
+        self._sync_rpdos = [rpdo for rpdo in self._rpdos if rpdo.is_synchronous]
+        self._sync_tpdos = [tpdo for tpdo in self._tpdos.values() if tpdo.is_synchronous]
+        state = self._nmt.state
+        if state is NmtState.INITIALISING:
+            return
+        self._add_route(NMT_COMMAND, self._nmt.handle)
+        for can_id, handler in self._consumer.routes().items():
+            self._add_route(can_id, handler)
+        if state in COMMUNICATING:
+            self._add_route(self._sync.can_id, self._sync.handle)
+            for channel in self._channels:
+                self._add_route(channel.request_id, channel.server.handle)
+        if state is NmtState.OPERATIONAL:
+            for rpdo in self._rpdos:
+                self._add_route(rpdo.can_id, rpdo.handle)
+            for tpdo in self._tpdos.values():
+                if tpdo.remote_can_id is not None:
+                    self._remote_routes[tpdo.remote_can_id] = tpdo.request
+
+    def _add_route(self, can_id: int | None, handler: Handler) -> None:
+        if can_id is None:
+            return
+        other = self._routes.get(can_id)
+        self._routes[can_id] = handler if other is None else _both(other, handler)
+
+    def _rpdo_delivered(self, number: int, now: float) -> None:
+        if self.on_rpdo is not None:
+            self.on_rpdo(number, now)
+
+    def _rpdo_too_short(self, number: int, received: int, mapped: int, now: float) -> None:
+        if self.on_bad_rpdo is not None:
+            self.on_bad_rpdo(number, received, mapped, now)
+
+    def _synchronise(self, counter: int | None, now: float) -> None:
+        if self._nmt.state is not NmtState.OPERATIONAL:
+            return
+        for rpdo in self._sync_rpdos:
+            rpdo.synchronise(now)
+        if self.on_sync is not None:
+            self.on_sync(counter, now)
+        for tpdo in self._sync_tpdos:
+            tpdo.synchronise(counter, now)
+
+
+def _both(first: Handler, second: Handler) -> Handler:
+    """Two services on one CAN-ID, which the configuration allows."""
+
+    def handle(data: bytes, now: float) -> None:
+        first(data, now)
+        second(data, now)
+
+    return handle

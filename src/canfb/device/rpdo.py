@@ -1,0 +1,142 @@
+"""One receive PDO (CiA 301, 7.2.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from canfb.device.codes import EmergencyCode, ErrorRegister
+from canfb.device.counters import Counters
+from canfb.device.dictionary import Dictionary
+from canfb.device.emergency import Emergency
+from canfb.device.frame import NEVER, Moment
+from canfb.device.mapping import Direction, Layout
+from canfb.device.pdo import SYNCHRONOUS, PdoParameters
+
+
+class Rpdo:
+    """Takes data into the dictionary: at once (types FEh, FFh) or at the next SYNC (0 to F0h).
+
+    `delivered(number, now)` is called when the data stands in the dictionary, `too_short(number,
+    received, mapped, now)` for a PDO that was kept out because it is too short. Sub-index 5 is the
+    time-out in milliseconds: it runs from the first PDO on and gives EMCY 8250h.
+    """
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        number: int,
+        *,
+        moment: Moment,
+        counters: Counters,
+        emergency: Emergency,
+        window_open: Callable[[float], bool],
+        delivered: Callable[[int, float], None],
+        too_short: Callable[[int, int, int, float], None],
+        changed: Callable[[], None],
+    ) -> None:
+        self.number = number
+        self.deadline = NEVER
+        self._moment = moment
+        self._counters = counters
+        self._emergency = emergency
+        self._window_open = window_open
+        self._delivered = delivered
+        self._too_short = too_short
+        self._changed = changed
+        self._parameters = PdoParameters(dictionary, number, Direction.RECEIVE, self._written)
+        self._timeout = self._parameters.find(5)
+        if self._timeout is not None:
+            self._timeout.on_written = self._written
+        self._operational = False
+        self._layout: Layout | None = None
+        self._timeout_s = 0.0
+        self.is_synchronous = False
+        self._failed = False
+        self._supervised = False
+        self._pending: bytes | None = None
+
+    @property
+    def can_id(self) -> int | None:
+        """The CAN-ID it listens to now, None while it is not active."""
+        return None if self._layout is None else self._parameters.can_id
+
+    def enable(self, operational: bool, now: float) -> None:
+        """Whether the NMT state allows PDOs. The mapping is compiled here."""
+        self._operational = operational
+        self._layout = self._parameters.layout() if operational else None
+        self.is_synchronous = self._parameters.type.value in SYNCHRONOUS
+        self._timeout_s = 0.0 if self._timeout is None else self._timeout.value / 1000
+        self._supervised = self._failed or self._timeout_s > 0
+        self._pending = None
+        self.deadline = NEVER
+
+    def reset(self) -> None:
+        """Forget the errors, after they were reset with the node."""
+        self._failed = False
+
+    def handle(self, data: bytes, now: float) -> None:
+        """The PDO from the bus."""
+        layout = self._layout
+        if layout is None:
+            return
+        if len(data) != layout.length:
+            if len(data) < layout.length:
+                self._refuse(len(data), layout.length, now)
+                return
+            self._counters.long_rpdos += 1
+        if self._supervised:
+            self._supervise(now)
+        if self.is_synchronous:
+            if self._window_open(now):
+                self._pending = data
+            else:
+                self._counters.late_rpdos += 1
+            return
+        self._take(layout, data, now)
+
+    def synchronise(self, now: float) -> None:
+        """Take over what came since the last SYNC."""
+        data, layout = self._pending, self._layout
+        if data is not None and layout is not None:
+            self._pending = None
+            self._take(layout, data, now)
+
+    def tick(self, now: float) -> None:
+        """Report that the PDO did not come in time, once."""
+        if now >= self.deadline:
+            self.deadline = NEVER
+            self._report(EmergencyCode.RPDO_TIMEOUT, bytes([self.number & 0xFF]), now)
+
+    def _take(self, layout: Layout, data: bytes, now: float) -> None:
+        self._counters.refused_rpdo_values += layout.unpack(data)
+        self._delivered(self.number, now)
+
+    def _refuse(self, received: int, mapped: int, now: float) -> None:
+        self._counters.short_rpdos += 1
+        self._report(EmergencyCode.RPDO_LENGTH, bytes([self.number & 0xFF, received, mapped]), now)
+        self._too_short(self.number, received, mapped, now)
+
+    def _report(self, code: EmergencyCode, manufacturer: bytes, now: float) -> None:
+        self._failed = self._supervised = True
+        self._emergency.report(code, ErrorRegister.COMMUNICATION, manufacturer, now, self._source)
+
+    def _supervise(self, now: float) -> None:
+        """A good PDO: errors are over, the time-out starts anew."""
+        if self._failed:
+            self._clear_errors(now)
+        self._supervised = self._timeout_s > 0
+        self.deadline = now + self._timeout_s if self._supervised else NEVER
+
+    def _clear_errors(self, now: float) -> None:
+        self._failed = False
+        self._emergency.clear(EmergencyCode.RPDO_LENGTH, now, self._source)
+        self._emergency.clear(EmergencyCode.RPDO_TIMEOUT, now, self._source)
+
+    @property
+    def _source(self) -> tuple[str, int]:
+        return "RPDO", self.number
+
+    def _written(self) -> None:
+        self._clear_errors(self._moment.now)
+        self.enable(self._operational, self._moment.now)
+        self._changed()

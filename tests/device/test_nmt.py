@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from device_kit import ID, OK, Bench
+
+from canfb.device.dictionary import Dictionary
+from canfb.device.nmt import NmtState
+
+COMMANDS = {1: NmtState.OPERATIONAL, 2: NmtState.STOPPED, 128: NmtState.PRE_OPERATIONAL}
+STATES = {state: command for command, state in COMMANDS.items()}
+
+
+def test_start_sends_the_boot_up(silent: Bench) -> None:
+    assert silent.node.state is NmtState.INITIALISING
+    assert silent.start() == ["720#00"]
+    assert silent.node.state is NmtState.PRE_OPERATIONAL
+    assert silent.node.deadline() is None
+
+
+def test_autostart(sample_path: Path) -> None:
+    bench = Bench(Dictionary.load(sample_path, ID), autostart=True)
+    states: list[tuple[NmtState, NmtState]] = []
+    bench.node.on_state = lambda old, new, now: states.append((old, new))
+    assert bench.start() == ["720#00"]
+    assert states == [
+        (NmtState.INITIALISING, NmtState.PRE_OPERATIONAL),
+        (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL),
+    ]
+    assert bench.nmt(129) == ["720#00"]
+    assert bench.node.state is NmtState.OPERATIONAL
+
+
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("addressed", [0, ID])
+def test_every_command_in_every_state(bench: Bench, state: NmtState, command: int, addressed: int) -> None:
+    bench.nmt(STATES[state])
+    changes: list[NmtState] = []
+    bench.node.on_state = lambda old, new, now: changes.append(new)
+    assert bench.nmt(command, addressed) == []
+    assert bench.node.state is COMMANDS[command]
+    assert changes == ([] if COMMANDS[command] is state else [COMMANDS[command]])
+
+
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("command", [129, 130])
+def test_reset_in_every_state(bench: Bench, state: NmtState, command: int) -> None:
+    bench.nmt(STATES[state])
+    assert bench.nmt(command) == ["720#00"]
+    assert bench.node.state is NmtState.PRE_OPERATIONAL
+
+
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize(
+    "data", ["", "01", "0121", "0320", "012000", "0000", "8121", "FF20", "8220FF", "81207F0000000000"]
+)
+def test_what_is_no_command_changes_nothing(bench: Bench, state: NmtState, data: str) -> None:
+    bench.nmt(STATES[state])
+    assert bench.send(0, data) == []
+    assert bench.node.state is state
+
+
+def test_nothing_is_served_before_start(silent: Bench) -> None:
+    assert silent.nmt(1) == []
+    assert silent.sdo("40001000") == []
+    assert silent.sync() == []
+    assert silent.node.state is NmtState.INITIALISING
+    assert silent.node.counters.unknown_cob_ids == 3
+
+
+def test_reset_communication_keeps_the_application(bench: Bench) -> None:
+    bench.dictionary.entry(0x2010, 7).value = 99
+    bench.write(0x1006, 0, 5000, 4)
+    seen: list[object] = []
+    bench.node.on_reset = lambda only, now: seen.append((only, bench.dictionary.entry(0x1006).value))
+    bench.nmt(130)
+    assert seen == [(True, 0)]
+    assert bench.dictionary.entry(0x2010, 7).value == 99
+    bench.nmt(129)
+    assert seen == [(True, 0), (False, 0)]
+    assert bench.dictionary.entry(0x2010, 7).value == -5
+
+
+def test_start_keeps_what_was_set_before(silent: Bench) -> None:
+    silent.dictionary.entry(0x2010, 7).value = 99
+    seen: list[bool] = []
+    silent.node.on_reset = lambda only, now: seen.append(only)
+    silent.start()
+    assert seen == [False]
+    assert silent.dictionary.entry(0x2010, 7).value == 99
+
+
+def test_the_order_of_a_reset(bench: Bench) -> None:
+    bench.operational()
+    seen: list[object] = []
+    bench.node.on_state = lambda old, new, now: seen.append(new)
+    bench.node.on_reset = lambda only, now: seen.append("reset")
+    bench.nmt(129)
+    assert seen == [NmtState.INITIALISING, "reset", NmtState.PRE_OPERATIONAL]
+
+
+def test_stopped_serves_only_nmt_and_heartbeat(bench: Bench) -> None:
+    bench.write(0x1800, 5, 10, 2)
+    bench.operational()
+    bench.write(0x1017, 0, 100, 2)
+    bench.run(0.0)
+    bench.nmt(2)
+    bench.node.trigger_tpdo(1, bench.now)
+    bench.node.emergency(0x7300, 0x20, now=bench.now)
+    assert bench.sdo("40001000") == []
+    assert bench.sync() == []
+    assert bench.send(0x190, "01000200") == []
+    assert bench.dictionary.entry(0x2000, 1).value == 0
+    assert [text for _, text in bench.run(0.35)] == ["720#04"] * 3
+    assert bench.nmt(128) == ["0A0#0073210000000000"]
+    assert bench.write(0x1017, 0, 0, 2) == OK
+
+
+@pytest.mark.parametrize("node_id", [0, 128])
+def test_node_id_range(silent: Bench, node_id: int) -> None:
+    with pytest.raises(ValueError, match="1 to 127"):
+        type(silent.node)(silent.dictionary, node_id)

@@ -1,0 +1,289 @@
+from __future__ import annotations
+
+import pytest
+from device_kit import ID, OK, Bench
+
+from canfb.device.codes import AbortCode, SdoAbort
+from canfb.device.sdo_server import TIMEOUT_S
+
+SERVER = 0x600 + ID
+
+
+def abort(multiplexer: str, code: AbortCode) -> list[str]:
+    return [f"80{multiplexer}" + code.to_bytes(4, "little").hex().upper()]
+
+
+def upload(bench: Bench, multiplexer: str) -> bytes:
+    """A segmented upload by the book."""
+    (answer,) = bench.sdo(f"40{multiplexer}")
+    assert answer.startswith(f"41{multiplexer}")
+    size = int.from_bytes(bytes.fromhex(answer)[4:], "little")
+    data, toggle = b"", 0
+    while True:
+        (answer,) = bench.sdo(f"{0x60 | toggle:02X}")
+        raw = bytes.fromhex(answer)
+        assert raw[0] & 0xF0 == toggle
+        data += raw[1 : 8 - (raw[0] >> 1 & 7)]
+        toggle ^= 0x10
+        if raw[0] & 1:
+            assert len(data) == size
+            return data
+
+
+def download(bench: Bench, multiplexer: str, data: bytes, *, announce: bool = True) -> str:
+    """A segmented download by the book; the last answer."""
+    size = len(data).to_bytes(4, "little").hex()
+    (answer,) = bench.sdo(f"21{multiplexer}{size}" if announce else f"20{multiplexer}")
+    if answer != f"60{multiplexer}00000000":
+        return answer
+    parts = [data[place : place + 7] for place in range(0, len(data), 7)] or [b""]
+    for number, part in enumerate(parts):
+        toggle = 0x10 * (number & 1)
+        last = number == len(parts) - 1
+        (answer,) = bench.sdo(bytes([toggle | (7 - len(part)) << 1 | last, *part]).hex())
+        if answer[:2] != f"{0x20 | toggle:02X}":
+            return answer
+    return OK
+
+
+def test_expedited_upload_of_every_size(bench: Bench) -> None:
+    assert bench.sdo("40001000") == ["4300100091010400"]
+    assert bench.sdo("40171000") == ["4B17100000000000"]
+    assert bench.sdo("40011000") == ["4F01100000000000"]
+    bench.dictionary.entry(0x2021).value = "abc"
+    assert bench.sdo("40212000") == ["4721200061626300"]
+
+
+def test_expedited_download(bench: Bench) -> None:
+    assert bench.sdo("2B17100010270000") == ["6017100000000000"]
+    assert bench.dictionary.entry(0x1017).value == 10000
+    assert bench.sdo("2217100011270000")[0] == "6017100000000000"
+    assert bench.dictionary.entry(0x1017).value == 10001
+
+
+@pytest.mark.parametrize(
+    ("request_", "multiplexer", "code"),
+    [
+        ("2300100001020304", "001000", AbortCode.READ_ONLY),
+        ("40222000", "222000", AbortCode.WRITE_ONLY),
+        ("40001001", "001001", AbortCode.NO_SUBINDEX),
+        ("40041000", "041000", AbortCode.NO_OBJECT),
+        ("E000100000000000", "001000", AbortCode.COMMAND),
+        ("23031000", "031000", AbortCode.TOO_LONG),
+        ("2F05100080", "051000", AbortCode.TOO_SHORT),
+        ("2F031000FF", "031000", AbortCode.INVALID_VALUE),
+        ("2F252000C9", "252000", AbortCode.VALUE_TOO_HIGH),
+        ("2F25200002", "252000", AbortCode.VALUE_TOO_LOW),
+        ("2108100010000000", "081000", AbortCode.READ_ONLY),
+        ("2017100000000000", "171000", None),
+        ("2117100003000000", "171000", AbortCode.TOO_LONG),
+        ("2117100001000000", "171000", AbortCode.TOO_SHORT),
+        ("2120200001000100", "202000", AbortCode.OUT_OF_MEMORY),
+        ("40000500", "000500", AbortCode.NO_OBJECT),
+        ("400010FF", "0010FF", AbortCode.NO_SUBINDEX),
+    ],
+)
+def test_refusals(bench: Bench, request_: str, multiplexer: str, code: AbortCode | None) -> None:
+    expected = [f"60{multiplexer}00000000"] if code is None else abort(multiplexer, code)
+    assert bench.sdo(request_) == expected
+    assert bench.node.counters.sdo_aborts == (code is not None)
+
+
+def test_a_segmented_upload_frame_by_frame(bench: Bench) -> None:
+    assert bench.sdo("40081000") == ["4108100010000000"]
+    assert bench.sdo("60") == ["00" + b"a sampl".hex().upper()]
+    assert bench.sdo("70") == ["10" + b"e devic".hex().upper()]
+    assert bench.sdo("60") == ["0B" + b"e!".hex().upper() + "0000000000"]
+    assert bench.node.deadline() is None
+
+
+@pytest.mark.parametrize("text", ["", "12345", "1234567", "12345678", "x" * 700])
+def test_segmented_both_ways(bench: Bench, text: str) -> None:
+    assert download(bench, "212000", text.encode()) == OK
+    assert bench.dictionary.entry(0x2021).value == text
+    assert upload(bench, "212000").decode() == text
+
+
+@pytest.mark.parametrize("announce", [True, False])
+def test_a_domain_of_16_kib_both_ways(bench: Bench, announce: bool) -> None:
+    content = bytes(place * 7 & 0xFF for place in range(16384))
+    seen: list[bytes] = []
+    bench.dictionary.entry(0x2020).on_write = seen.append
+    assert download(bench, "202000", content, announce=announce) == OK
+    assert seen == [content]
+    bench.dictionary.entry(0x2020).on_read = lambda: content[::-1]
+    assert upload(bench, "202000") == content[::-1]
+
+
+def test_a_number_by_segments(bench: Bench) -> None:
+    assert bench.sdo("2117100002000000") == ["6017100000000000"]
+    assert bench.sdo("0B3412") == ["2000000000000000"]
+    assert bench.read(0x1017) == 0x1234
+
+
+def test_the_upload_is_a_snapshot(bench: Bench) -> None:
+    bench.sdo("40212000")
+    bench.dictionary.entry(0x2021).value = "changed meanwhile"
+    bench.dictionary.entry(0x2021).value = "text"
+    bench.dictionary.entry(0x2026).value = 0x0807060504030201
+    bench.sdo("40262000")
+    bench.dictionary.entry(0x2026).value = 0
+    assert bench.sdo("60") == ["0001020304050607"]
+    assert bench.sdo("70") == ["1D08000000000000"]
+
+
+def test_wrong_toggle_ends_an_upload(bench: Bench) -> None:
+    bench.sdo("40081000")
+    assert bench.sdo("70") == abort("081000", AbortCode.TOGGLE)
+    assert bench.sdo("60")[0].endswith("01000405")
+
+
+def test_wrong_toggle_ends_a_download(bench: Bench) -> None:
+    bench.sdo("2121200009000000")
+    assert bench.sdo("10") == abort("212000", AbortCode.TOGGLE)
+    assert bench.dictionary.entry(0x2021).value == "text"
+    assert bench.sdo("00")[0].endswith("01000405")
+
+
+@pytest.mark.parametrize("segment", ["00", "60"])
+def test_a_segment_without_a_transfer(bench: Bench, segment: str) -> None:
+    assert bench.sdo(segment)[0].endswith("01000405")
+    assert bench.read(0x1000) == 0x40191
+
+
+def test_an_abort_is_not_answered(bench: Bench) -> None:
+    assert bench.sdo("8008100000000405") == []
+    bench.sdo("40081000")
+    assert bench.sdo("8008100000000405") == []
+    assert bench.node.deadline() is None
+    assert bench.sdo("60")[0].endswith("01000405")
+
+
+def test_segments_of_the_other_direction_end_a_transfer(bench: Bench) -> None:
+    bench.sdo("40081000")
+    assert bench.sdo("00") == abort("081000", AbortCode.COMMAND)
+    assert bench.sdo("60")[0].startswith("80")
+
+
+def test_a_new_request_replaces_the_transfer(bench: Bench) -> None:
+    bench.sdo("2121200009000000")
+    assert bench.sdo("40001000") == ["4300100091010400"]
+    assert bench.sdo("00")[0].endswith("01000405")
+    assert bench.dictionary.entry(0x2021).value == "text"
+
+
+@pytest.mark.parametrize("length", range(8))
+def test_a_short_request_is_ignored(bench: Bench, length: int) -> None:
+    bench.sdo("40081000")
+    assert bench.send(SERVER, bytes.fromhex("6000000000000000")[:length]) == []
+    assert bench.sdo("60") == ["00" + b"a sampl".hex().upper()]
+
+
+def test_a_silent_client_is_given_up_once(bench: Bench) -> None:
+    bench.sdo("40081000")
+    assert bench.node.deadline() == TIMEOUT_S
+    bench.now = 0.4
+    bench.sdo("60")
+    assert bench.run(5.0) == [(0.4 + TIMEOUT_S, "5A0#8008100000000405")]
+    assert bench.sdo("70")[0].endswith("01000405")
+
+
+def test_more_data_than_announced(bench: Bench) -> None:
+    bench.sdo("2121200003000000")
+    assert bench.sdo("01" + "41" * 7) == abort("212000", AbortCode.TOO_LONG)
+    assert bench.dictionary.entry(0x2021).value == "text"
+
+
+def test_less_data_than_announced(bench: Bench) -> None:
+    assert bench.sdo("2121200009000000")[0].startswith("60")
+    assert bench.sdo("01" + "41" * 7) == abort("212000", AbortCode.TOO_SHORT)
+    assert bench.dictionary.entry(0x2021).value == "text"
+
+
+def test_more_data_than_the_object_has(bench: Bench) -> None:
+    bench.sdo("20171000")
+    assert bench.sdo("00" + "41" * 7) == abort("171000", AbortCode.TOO_LONG)
+
+
+def test_the_buffer_is_bounded(bench: Bench) -> None:
+    answer = download(bench, "202000", bytes(70000), announce=False)
+    assert answer == abort("202000", AbortCode.OUT_OF_MEMORY)[0]
+
+
+def test_a_refusing_hook_aborts_with_its_code(bench: Bench) -> None:
+    def refuse(value: bytes) -> None:
+        raise SdoAbort(AbortCode.INVALID_VALUE)
+
+    bench.dictionary.entry(0x2020).on_write = refuse
+    assert download(bench, "202000", bytes(9)) == abort("202000", AbortCode.INVALID_VALUE)[0]
+    assert bench.dictionary.entry(0x2020).value == b""
+
+
+def test_a_raising_program_leaves_the_server_usable(bench: Bench) -> None:
+    def broken(value: int) -> None:
+        raise RuntimeError("a mistake in the program")
+
+    bench.dictionary.entry(0x2025).on_write = broken
+    with pytest.raises(RuntimeError):
+        bench.sdo("2F25200009")
+    assert bench.read(0x1000) == 0x40191
+
+
+@pytest.mark.parametrize("command", [129, 130, 2])
+def test_nmt_ends_a_transfer_without_a_word(bench: Bench, command: int) -> None:
+    bench.sdo("2121200009000000")
+    sent = bench.nmt(command)
+    assert sent == ([] if command == 2 else ["720#00"])
+    assert bench.run(10.0) == []
+    bench.nmt(128)
+    assert bench.sdo("00")[0].endswith("01000405")
+    assert bench.dictionary.entry(0x2021).value == "text"
+
+
+def test_default_channel_is_shown(bench: Bench) -> None:
+    assert bench.read(0x1200, 1) == 0x600 + ID
+    assert bench.read(0x1200, 2) == 0x580 + ID
+
+
+REQUEST_2, RESPONSE_2 = 0x680, 0x6C0
+
+
+def open_second(bench: Bench) -> None:
+    assert bench.write(0x1201, 1, REQUEST_2, 4) == OK
+    assert bench.send(REQUEST_2, "4000100000000000") == []
+    assert bench.write(0x1201, 2, RESPONSE_2, 4) == OK
+
+
+def test_the_second_channel(bench: Bench) -> None:
+    open_second(bench)
+    assert bench.send(REQUEST_2, "4000100000000000") == ["6C0#4300100091010400"]
+    assert bench.nmt(130) == ["720#00"]
+    assert bench.send(REQUEST_2, "4000100000000000") == []
+    assert bench.read(0x1201, 1) == 0x80000000
+
+
+def test_channels_are_interleaved_frame_by_frame(bench: Bench) -> None:
+    open_second(bench)
+    bench.sdo("40081000")
+    bench.send(REQUEST_2, "2121200009000000")
+    assert bench.sdo("60") == ["00" + b"a sampl".hex().upper()]
+    assert bench.send(REQUEST_2, "00" + b"0123456".hex()) == ["6C0#2000000000000000"]
+    assert bench.sdo("70") == ["10" + b"e devic".hex().upper()]
+    assert bench.send(REQUEST_2, "1B" + b"78".hex() + "0000000000") == ["6C0#3000000000000000"]
+    assert bench.sdo("60")[0].startswith("0B")
+    assert bench.dictionary.entry(0x2021).value == "012345678"
+
+
+@pytest.mark.parametrize("value", [0x681, 0x20000680, 0x40000680, 0x00001680])
+def test_channel_ids_are_fixed_while_valid(bench: Bench, value: int) -> None:
+    open_second(bench)
+    assert bench.write(0x1201, 1, value, 4) is AbortCode.INVALID_VALUE
+    assert bench.read(0x1201, 1) == REQUEST_2
+    assert bench.write(0x1201, 1, 0x80000681, 4) == OK
+    assert bench.write(0x1201, 1, 0x681, 4) == OK
+    assert bench.send(0x681, "4000100000000000") == ["6C0#4300100091010400"]
+
+
+@pytest.mark.parametrize("can_id", [0x000, 0x601, 0x67F, 0x701])
+def test_channel_ids_are_not_restricted_ones(bench: Bench, can_id: int) -> None:
+    assert bench.write(0x1201, 1, can_id, 4) is AbortCode.INVALID_VALUE
