@@ -50,6 +50,13 @@ def wandering(rpm: float, rng: np.random.Generator, seconds: float = 20.0, part:
     return np.cumsum(speed) / RATE_HZ
 
 
+def paper_motion(rng: np.random.Generator, seconds: float) -> FloatArray:
+    """Positions in cycles at 50 kHz: 9 to 20 rpm, as the constant voltage phasor of the paper gives."""
+    time = np.arange(round(seconds * 50e3)) / 50e3
+    rpm = 14.5 + 5.5 * np.sin(2.0 * np.pi * (6.0 * time + rng.uniform()))
+    return np.cumsum(rpm / 60.0 * CYCLES_PER_REVOLUTION) / 50e3
+
+
 def random_encoder(rng: np.random.Generator, noise_lsb: float) -> Encoder:
     """An encoder with offset, gain, phase error and 2nd, 3rd and 5th harmonic, all drawn at random."""
     sizes = {2: 0.02, 3: 0.03, 5: 0.01}

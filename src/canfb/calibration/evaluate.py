@@ -42,7 +42,7 @@ def finish(
     curve = raw_phase_curve(fit.waveform, conditioning)
     sensitivity = table_sensitivity(fit.waveform, conditioning)
     spread = np.sqrt(_variance(sensitivity, fit.covariance))
-    expected = _root_mean(spread)
+    expected = root_mean(spread)
     tables = [table_of(raw_phase_curve(half, conditioning), entries) for half in _halves(record, blocks, fit)]
     measured = float(np.std(tables[0].entries - tables[1].entries)) / 2.0
     covariance = bound_covariance(blocks, record.sine, record.cosine, fit, fit.noise.across)
@@ -59,10 +59,10 @@ def finish(
         cycles_used=cycles,
         samples_used=blocks.samples,
         samples_rejected=int(record.valid.sum()) - blocks.samples,
-        residual_rms=_root_mean(after[moving]) * correct,
-        residual_peak=_peak(after[moving]),
-        before_rms=_root_mean(before[moving]) * correct,
-        before_peak=_peak(before[moving]),
+        residual_rms=root_mean(after[moving]) * correct,
+        residual_peak=peak(after[moving]),
+        before_rms=root_mean(before[moving]) * correct,
+        before_peak=peak(before[moving]),
         uncertainty_rms=max(expected, measured),
         uncertainty_peak=PEAK_SIGMAS * max(float(spread.max()), measured),
         noise_counts=fit.noise.across,
@@ -70,14 +70,18 @@ def finish(
         bound_rms=bound,
         cramer_rao_ratio=measured / bound,
         harmonics=_harmonics(fit.waveform, conditioning, expected),
-        curve=_error_curve(position[moving], before[moving], after[moving]),
+        curve=error_curve(position[moving], before[moving], after[moving]),
         block_samples=blocks.index.shape[1],
     )
-    known = _root_mean(np.sqrt(_variance(sensitivity, fit.known_motion)))
-    return _judged(found, expected / known)
+    known = root_mean(np.sqrt(_variance(sensitivity, fit.known_motion)))
+    return judge(found, expected / known)
 
 
-def _judged(found: Calibration, loss: float) -> Calibration:
+def judge(found: Calibration, loss: float = 1.0) -> Calibration:
+    """The calibration if it can be used, else CalibrationError with it and the reason.
+
+    ``loss``: how many times the uncertainty grew because the motion had to be found as well.
+    """
     reason, text = reasons.ACCEPTED, ""
     if found.coverage < 1.0:
         reason = reasons.COVERAGE
@@ -104,11 +108,13 @@ def _variance(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.maximum(variance, 0.0)
 
 
-def _root_mean(values: FloatArray) -> float:
+def root_mean(values: FloatArray) -> float:
+    """Root mean square, 0 of nothing."""
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
-def _peak(values: FloatArray) -> float:
+def peak(values: FloatArray) -> float:
+    """Largest size, 0 of nothing."""
     return float(np.abs(values).max()) if len(values) else 0.0
 
 
@@ -163,7 +169,8 @@ def _from_smooth(blocks: Blocks, phase: FloatArray, position: FloatArray) -> Flo
     return np.asarray(off - blocks.evaluate(blocks.smooth(off)), np.float64)
 
 
-def _error_curve(position: FloatArray, before: FloatArray, after: FloatArray) -> ErrorCurve:
+def error_curve(position: FloatArray, before: FloatArray, after: FloatArray) -> ErrorCurve:
+    """Mean of both deviations in bins of the phase."""
     bins = (position % 1.0 * BINS).astype(np.int64) % BINS
     count = np.bincount(bins, minlength=BINS)
     with np.errstate(invalid="ignore"):

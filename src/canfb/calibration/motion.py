@@ -68,7 +68,7 @@ def calibrate_from_motion(
         raise ValueError(f"entries must be 16..4096, not {entries!r}")
     if not (conditioning is None or conditioning == "fit" or isinstance(conditioning, Conditioning)):
         raise ValueError('conditioning must be None, "fit" or a Conditioning')
-    report = progress or _no_progress
+    report = progress or no_progress
     record = recording(sine, cosine, time_s, valid, adc_bits)
     ellipse = fit_ellipse(record.sine, record.cosine, record.valid)
     angle = angle_cycles(ellipse, record.sine, record.cosine)
@@ -85,8 +85,8 @@ def calibrate_from_motion(
     return result
 
 
-def _no_progress(_: float) -> None:
-    pass
+def no_progress(_: float) -> None:
+    """Report nothing."""
 
 
 @dataclass(frozen=True, eq=False)

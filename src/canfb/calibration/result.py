@@ -20,6 +20,7 @@ CYCLES = "cycles"
 LOCKED = "locked"
 NOISE = "noise"
 MONOTONIC = "monotonic"
+SPEED = "speed"
 
 REASONS = {
     ACCEPTED: "the measurement can be used",
@@ -31,6 +32,7 @@ REASONS = {
     LOCKED: "the motion is locked to the samples: too few different phases close together",
     NOISE: "noise of tracks or motion leaves the table too uncertain",
     MONOTONIC: "raw phase does not rise through the cycle, or is too far from the phase",
+    SPEED: "too few samples in each cycle for this method: too fast",
 }
 """Every reason, in the order of their numbers in object 2030:07 (0 = accepted)."""
 

@@ -1,0 +1,306 @@
+"""Reference measurement of the paper (section 2): a slow recording, many samples in each cycle.
+
+A cubic through four positive zero crossings of the sine track gives the position between the
+inner two, whatever the speed does; the samples there are resampled to equidistant raw phases
+and averaged over many cycles. Two things are better than printed at no cost: the crossing
+comes from four samples instead of two, and what is resampled is the small difference to the
+arc tangent, which is smooth, instead of the phase itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.calibration.blocks import BoolArray, IntArray
+from canfb.calibration.ellipse import angle_cycles, as_real32, fit_ellipse
+from canfb.calibration.evaluate import error_curve, judge, peak, root_mean
+from canfb.calibration.motion import Progress, no_progress
+from canfb.calibration.recording import Recording, check_clipped, coverage, recording
+from canfb.calibration.result import CYCLES, SPEED, Calibration, Harmonic, error_harmonics
+from canfb.calibration.waveform import grid_phases, table_from_phases
+from canfb.errors import CalibrationError
+from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.phase import FloatArray, raw_phases
+
+MIN_SAMPLES_PER_CYCLE = 40
+MIN_CYCLES = 16
+MAX_CYCLES = 4096  # more would only cost memory
+# Raw phase moves up to three times faster than the phase with 40 % offset.
+LARGEST_STEP_CYCLES = 0.125
+REJECT_CYCLE = 4.0
+CHUNK_CYCLES = 128
+PEAK_SIGMAS = 3.0
+
+
+def calibrate_from_zero_crossings(
+    sine: npt.ArrayLike,
+    cosine: npt.ArrayLike,
+    conditioning: Conditioning | str | None = None,
+    *,
+    time_s: npt.ArrayLike | None = None,
+    valid: npt.ArrayLike | None = None,
+    adc_bits: int | None = None,
+    entries: int = 1024,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Correction table from a slow recording: at least 40 samples in each cycle used (section 2).
+
+    Arguments and errors are those of :func:`canfb.calibration.motion.calibrate_from_motion`.
+    The speed may vary, also its direction; only cycles passed in the direction in which the
+    machine went further are used, and only whole ones without a sample that is not valid.
+    """
+    if not 16 <= entries <= 4096:
+        raise ValueError(f"entries must be 16..4096, not {entries!r}")
+    if not (conditioning is None or conditioning == "fit" or isinstance(conditioning, Conditioning)):
+        raise ValueError('conditioning must be None, "fit" or a Conditioning')
+    report = progress or no_progress
+    record = recording(sine, cosine, time_s, valid, adc_bits)
+    ellipse = fit_ellipse(record.sine, record.cosine, record.valid)
+    check_clipped(record, angle_cycles(ellipse, record.sine, record.cosine))
+    chosen = IDENTITY if conditioning is None else conditioning
+    chosen = as_real32(chosen if isinstance(chosen, Conditioning) else ellipse)
+    report(0.2)
+    passage = _Passage.of(record, chosen)
+    cycles = _find_cycles(passage)
+    report(0.4)
+    nodes = _ideal_phase(np.arange(entries) / entries)
+    curves = _resample(passage, cycles, nodes)
+    good = _agreeing(curves)
+    if good.sum() < MIN_CYCLES:
+        raise CalibrationError(f"{good.sum()} cycles agree: at least {MIN_CYCLES} are needed", CYCLES)
+    report(0.9)
+    found = _finish(passage, cycles.take(good), nodes, curves[good], chosen, record)
+    report(1.0)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Passage:
+    """The samples in the direction of positive raw phase.
+
+    time  sampling intervals;  sine  conditioned, counts;  usable  may be used;
+    raw  raw phase;  angle  ideal phase at that raw phase (the arc tangent), continuous, cycles;
+    amplitude  of the tracks, counts
+    """
+
+    time: FloatArray
+    sine: FloatArray
+    usable: BoolArray
+    angle: FloatArray
+    raw: FloatArray
+    amplitude: float
+
+    @classmethod
+    def of(cls, record: Recording, conditioning: Conditioning) -> _Passage:
+        s, c = conditioning.apply(record.sine, record.cosine)
+        usable = record.valid & ((s != 0.0) | (c != 0.0))
+        raw = np.where(usable, raw_phases(s, c), 0.0)
+        # A sample that is not usable keeps the phase before it, so the count goes on.
+        last = np.maximum.accumulate(np.where(usable, np.arange(len(raw)), 0))
+        angle = np.unwrap(_ideal_phase(raw[last]), period=1.0)
+        amplitude = root_mean(np.hypot(s[usable], c[usable]))
+        if angle[-1] >= angle[0]:
+            return cls(record.time, s, usable, angle, raw, amplitude)
+        # Backwards: read the recording from its end.
+        return cls(-record.time[::-1], s[::-1], usable[::-1], angle[::-1], raw[::-1], amplitude)
+
+
+@dataclass(frozen=True, eq=False)
+class _Cycles:
+    """Whole cycles: first and last sample inside, count at the start, times of four crossings."""
+
+    first: IntArray
+    last: IntArray
+    count: FloatArray
+    times: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    def take(self, rows: IntArray | BoolArray) -> _Cycles:
+        return _Cycles(self.first[rows], self.last[rows], self.count[rows], self.times[rows])
+
+    def position(self, time: FloatArray) -> FloatArray:
+        """Cubic through the crossings, 0..1 between the inner two; time has shape (cycles, n)."""
+        position = np.zeros_like(time)
+        for one in (0, 2, 3):  # the second crossing has position 0
+            part = np.full_like(time, float(one - 1))
+            for other in range(4):
+                if other != one:
+                    span = self.times[:, one] - self.times[:, other]
+                    part *= (time - self.times[:, other, None]) / span[:, None]
+            position += part
+        return position
+
+
+def _ideal_phase(raw: FloatArray) -> FloatArray:
+    """Phase of ideal tracks at these raw phases: Table 1 inverted."""
+    quarter = np.rint(4.0 * raw) / 4.0
+    return np.asarray(quarter + np.arctan(8.0 * (raw - quarter)) / (2.0 * np.pi), np.float64)
+
+
+def _find_cycles(passage: _Passage) -> _Cycles:
+    """Whole cycles between two positive zero crossings, with one more whole cycle on either side."""
+    whole = np.floor(passage.angle)
+    # The crossing lies between samples at and at + 1; four samples around it are needed.
+    at = np.flatnonzero(np.diff(whole) != 0.0)
+    at = at[(at >= 1) & (at + 2 < len(whole))]
+    upward = np.diff(whole)[at] == 1.0
+    step = np.diff(passage.angle)
+    rough = np.cumsum((step <= 0.0) | (step > LARGEST_STEP_CYCLES))
+    bad = np.cumsum(~passage.usable)
+    start, stop = np.maximum(at[:-3] - 2, 0), at[3:]
+    clean = (bad[stop + 2] == bad[start]) & (rough[stop + 1] == rough[start])
+    clean &= upward[:-3] & upward[1:-2] & upward[2:-1] & upward[3:]
+    rows = np.flatnonzero(clean)
+    if len(rows) < MIN_CYCLES:
+        raise CalibrationError(
+            f"{len(rows)} whole cycles without a fault: at least {MIN_CYCLES} are needed. "
+            "Record longer, at a steady slow speed",
+            CYCLES if _is_slow(passage) else SPEED,
+        )
+    samples = np.diff(at)[rows + 1]
+    if np.sum(samples >= MIN_SAMPLES_PER_CYCLE) < MIN_CYCLES:
+        raise CalibrationError(
+            f"{np.median(samples):.0f} samples in a cycle: at least {MIN_SAMPLES_PER_CYCLE} are needed. "
+            "Go slower, sample faster, or calibrate from motion",
+            SPEED,
+        )
+    rows = rows[samples >= MIN_SAMPLES_PER_CYCLE]
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_CYCLES)).astype(np.int64)]
+    crossing = _crossing_times(passage, at)
+    times = crossing[rows[:, None] + np.arange(4)]
+    return _Cycles(at[rows + 1] + 1, at[rows + 2], whole[at[rows + 1] + 1], times)
+
+
+def _is_slow(passage: _Passage) -> bool:
+    return float(np.median(np.abs(np.diff(passage.angle)))) < 1.0 / MIN_SAMPLES_PER_CYCLE
+
+
+def _crossing_times(passage: _Passage, at: IntArray) -> FloatArray:
+    """Time of zero sine between samples ``at`` and ``at + 1``: inverse cubic through four samples."""
+    around = at[:, None] + np.arange(-1, 3)
+    sine, time = passage.sine[around], passage.time[around]
+    crossing = np.zeros(len(at))
+    with np.errstate(divide="ignore", invalid="ignore"):  # events that are no clean crossing
+        for one in range(4):
+            part = time[:, one] - time[:, 1]
+            for other in range(4):
+                if other != one:
+                    part = part * sine[:, other] / (sine[:, other] - sine[:, one])
+            crossing += part
+    return crossing + passage.time[at]
+
+
+def _resample(passage: _Passage, cycles: _Cycles, nodes: FloatArray) -> FloatArray:
+    """Position in the cycle where the angle is ``nodes``, shape (cycles, nodes)."""
+    rising = np.maximum.accumulate(passage.angle)
+    curves = np.empty((len(cycles), len(nodes)))
+    for start in range(0, len(cycles), CHUNK_CYCLES):
+        part = np.arange(start, min(start + CHUNK_CYCLES, len(cycles)))
+        some = cycles.take(part)
+        target = some.count[:, None] + nodes
+        before = np.searchsorted(rising, target, side="right") - 1
+        around = before[..., None] + np.arange(-1, 3)
+        angle = passage.angle[around]
+        time = passage.time[around]
+        position = some.position(time.reshape(len(some), -1)).reshape(time.shape)
+        difference = position - (angle - some.count[:, None, None])
+        curves[part] = nodes + _cubic(angle, difference, target)
+    return curves
+
+
+def _cubic(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
+    """Cubic through the four points of the last axis."""
+    value = np.zeros_like(at)
+    for one in range(4):
+        part = y[..., one]
+        for other in range(4):
+            if other != one:
+                part = part * (at - x[..., other]) / (x[..., one] - x[..., other])
+        value += part
+    return value
+
+
+def _agreeing(curves: FloatArray) -> BoolArray:
+    """Cycles that are like the others."""
+    off = np.sqrt(np.mean((curves - np.median(curves, axis=0)) ** 2, axis=1))
+    good: BoolArray = off <= REJECT_CYCLE * np.median(off) + 1e-9
+    return good
+
+
+def _finish(
+    passage: _Passage,
+    cycles: _Cycles,
+    nodes: FloatArray,
+    curves: FloatArray,
+    conditioning: Conditioning,
+    record: Recording,
+) -> Calibration:
+    mean = curves.mean(axis=0)
+    tables = [
+        table_from_phases(half - half[0]) for half in (curves[0::2].mean(axis=0), curves[1::2].mean(axis=0))
+    ]
+    measured = float(np.std(tables[0].entries - tables[1].entries)) / 2.0
+    spread = np.std(curves, axis=0) / np.sqrt(len(curves))
+    inside, owner = _members(cycles)
+    position = _positions(passage, cycles, inside, owner)
+    raw = passage.raw[inside]
+    after = np.where(owner % 2 == 0, tables[1].correct_array(raw), tables[0].correct_array(raw))
+    before, after = _centred(raw - position), _centred(after - position)
+    noise = root_mean(after)
+    found = Calibration(
+        table=table_from_phases(mean - mean[0]),
+        conditioning=conditioning,
+        method="zero crossings",
+        coverage=coverage(position),
+        cycles_used=float(len(cycles)),
+        samples_used=len(inside),
+        samples_rejected=int(record.valid.sum()) - len(inside),
+        residual_rms=noise,
+        residual_peak=peak(after),
+        before_rms=root_mean(before),
+        before_peak=peak(before),
+        uncertainty_rms=max(root_mean(spread), measured),
+        uncertainty_peak=PEAK_SIGMAS * max(float(spread.max()), measured),
+        noise_counts=noise * 2.0 * np.pi * passage.amplitude,
+        noise_cycles=noise,
+        harmonics=_harmonics(nodes, mean, max(root_mean(spread), measured)),
+        curve=error_curve(position, before, after),
+        block_samples=round(len(inside) / len(cycles)),
+    )
+    return judge(found)
+
+
+def _members(cycles: _Cycles) -> tuple[IntArray, IntArray]:
+    """Samples inside the cycles, and the cycle of each."""
+    length = cycles.last - cycles.first + 1
+    owner = np.repeat(np.arange(len(cycles)), length)
+    begin = np.repeat(np.cumsum(length) - length, length)
+    return cycles.first[owner] + np.arange(len(owner)) - begin, owner
+
+
+def _positions(passage: _Passage, cycles: _Cycles, inside: IntArray, owner: IntArray) -> FloatArray:
+    positions = np.empty(len(inside))
+    edges = np.flatnonzero(np.diff(owner, prepend=-1))
+    stops = np.append(edges[1:], len(owner))
+    for row, (start, stop) in enumerate(zip(edges.tolist(), stops.tolist(), strict=True)):
+        one = cycles.take(np.array([row]))
+        positions[start:stop] = one.position(passage.time[inside[start:stop]][None])[0]
+    return positions
+
+
+def _centred(off: FloatArray) -> FloatArray:
+    """Deviations within half a cycle about their mean."""
+    middle = np.angle(np.mean(np.exp(2j * np.pi * off))) / (2.0 * np.pi)
+    return np.asarray((off - middle + 0.5) % 1.0 - 0.5, np.float64)
+
+
+def _harmonics(nodes: FloatArray, phase: FloatArray, uncertainty: float) -> tuple[Harmonic, ...]:
+    even = grid_phases(1024)[:-1]
+    ahead = np.concatenate([phase - 1.0, phase, phase + 1.0])
+    angle = np.interp(even, ahead, np.concatenate([nodes - 1.0, nodes, nodes + 1.0]))
+    return error_harmonics(even, angle, 3.0 * uncertainty)
