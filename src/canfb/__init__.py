@@ -1,1 +1,55 @@
-"""CANopen drive feedback module: sine/cosine encoder tracks in, a supervised position out."""
+"""CANopen drive feedback module: sine/cosine encoder tracks in, a supervised position out.
+
+The method is that of Hoescheler and Szamel (1997): phase by division (Table 1), an
+individual correction table, cycle count by second-order prediction (eq. 9), error
+detection by the residual (eq. 12).
+"""
+
+from __future__ import annotations
+
+from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.result import Calibration
+from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
+from canfb.configuration import Config, load_config
+from canfb.device.frame import Frame
+from canfb.errors import BusError, CalibrationError, CanfbError, ConfigError
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.batch import process
+from canfb.signal.chain import ChainConfig, Feedback, SignalChain
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import CorrectionTable
+from canfb.signal.limits import max_acceleration
+from canfb.signal.phase import phase_in_cycle
+from canfb.signal.sample import Sample
+from canfb.signal.supervision import StatusBit
+from canfb.signal.tracker import Track, Tracker, TrackResult, track
+
+__all__ = [
+    "BusError",
+    "Calibration",
+    "CalibrationError",
+    "CanfbError",
+    "ChainConfig",
+    "Conditioning",
+    "Config",
+    "ConfigError",
+    "CorrectionTable",
+    "Feedback",
+    "FeedbackModule",
+    "Frame",
+    "ModuleConfig",
+    "Sample",
+    "SignalChain",
+    "StatusBit",
+    "Track",
+    "TrackResult",
+    "Tracker",
+    "calibrate_from_motion",
+    "calibrate_from_zero_crossings",
+    "load_config",
+    "max_acceleration",
+    "phase_in_cycle",
+    "process",
+    "track",
+]

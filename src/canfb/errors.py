@@ -33,3 +33,11 @@ class CalibrationError(CanfbError):
 
 class ConfigError(CanfbError):
     """A configuration that cannot be used; the text names file, line and key."""
+
+
+class BusError(CanfbError):
+    """A bus that cannot be opened or that has gone for good."""
+
+
+class ProcedureError(CanfbError):
+    """A job that did not come to its end; the text says where it stopped and why."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -106,7 +107,7 @@ def _pauses(rows: list[tuple[float, int, int]], layout: RecordingLayout) -> dict
         return {}
     return {
         n: max(layout.gap_samples, 1)
-        for n, (row, after) in enumerate(zip(rows, rows[1:], strict=False))
+        for n, (row, after) in enumerate(itertools.pairwise(rows))
         if after[0] - row[0] > layout.gap_s
     }
 

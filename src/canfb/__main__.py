@@ -1,0 +1,9 @@
+"""``python -m canfb``: the command line."""
+
+from __future__ import annotations
+
+import sys
+
+from canfb.cli.main import main
+
+sys.exit(main())

@@ -1,0 +1,41 @@
+"""Real-time options of the process (Linux): scheduling, memory lock, processor."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Callable
+
+from canfb.configuration import RealtimeConfig
+
+MCL_CURRENT, MCL_FUTURE = 1, 2
+
+
+def apply_realtime(config: RealtimeConfig, report: Callable[[str], None]) -> None:
+    """Ask for what ``config`` wants; what the system refuses is reported, and the program goes on."""
+    if config.priority:
+        _try("priority", report, lambda: _set_fifo(config.priority))
+    if config.lock_memory:
+        _try("lock_memory", report, _lock_memory)
+    if config.cpu is not None:
+        cpu = config.cpu
+        _try("cpu", report, lambda: os.sched_setaffinity(0, {cpu}))
+
+
+def _try(name: str, report: Callable[[str], None], action: Callable[[], None]) -> None:
+    try:
+        action()
+    except (OSError, AttributeError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        report(f"realtime: {name} is not in force: {reason}")
+
+
+def _set_fifo(priority: int) -> None:
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+
+
+def _lock_memory() -> None:
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(MCL_CURRENT | MCL_FUTURE) != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))

@@ -1,0 +1,52 @@
+"""``canfb config check|example``: help with the configuration."""
+
+from __future__ import annotations
+
+import argparse
+
+from canfb.cli.options import Commands, add_command
+from canfb.configuration import load_config
+
+EXAMPLE = """\
+# canfb run CONFIG.yaml, canfb simulate CONFIG.yaml
+bus: {interface: socketcan, channel: vcan0}     # python-can's own words; add bitrate: 1000000 on a real bus
+
+modules:                                        # one process serves several nodes
+  - node_id: 0x20
+    encoder_interface: 0x10                     # the node whose TPDO1 carries the ADC counts
+    cycles_per_revolution: 2500
+    adc_bits: 12
+    residual_limit: 0.3333                      # cycles; the paper's 1/3
+    coast_samples: 3                            # bad samples to bridge before the position is lost
+    autostart: false                            # true: operational without a master
+    # conditioning:                             # offset, gain and phase error of the tracks; default: none
+    #   {sine_offset_counts: 0, cosine_offset_counts: 0, sine_gain: 1, cosine_gain: 1, phase_error_rad: 0}
+
+simulation:                                     # what canfb simulate plays in place of a machine
+  encoder: {amplitude: 0.75, sine_offset: 0.03, cosine_amplitude: 0.97, noise_lsb: 0.5}
+  motion: {standstill_s: 0.5, ramp_s: 2, rpm: 600}
+
+# realtime: {priority: 80, lock_memory: true, cpu: 3}
+"""
+
+
+def register(commands: Commands) -> None:
+    """Add the commands."""
+    parser = commands.add_parser("config", help="check a configuration, or print an example")
+    parts = parser.add_subparsers(dest="part", required=True, metavar="check|example")
+    add_command(parts, "check", "check a configuration", check).add_argument("config", metavar="CONFIG.yaml")
+    add_command(parts, "example", "print an example", example)
+
+
+def check(options: argparse.Namespace) -> int:
+    """Say what is in the configuration, or what is wrong with it."""
+    config = load_config(options.config)
+    nodes = ", ".join(f"{module.node_id:02X}h" for module in config.modules)
+    print(f"{options.config}: good; modules: {nodes}")
+    return 0
+
+
+def example(options: argparse.Namespace) -> int:
+    """Print an example configuration."""
+    print(EXAMPLE, end="")
+    return 0

@@ -1,0 +1,47 @@
+"""``canfb demo``: the whole story on an in-process bus."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from canfb.cli.options import Commands, add_command
+from canfb.demo.figures import write_figures
+from canfb.demo.plant import Plant
+from canfb.demo.report import report
+from canfb.demo.story import as_json, tell
+
+
+def register(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "demo",
+        "start, track, calibrate, upload, verify and survive faults on an in-process bus",
+        demo,
+    )
+    parser.add_argument("--json", action="store_true", help="the figures, for programs")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="write the pictures there (needs canfb[plot])"
+    )
+
+
+def demo(options: argparse.Namespace) -> int:
+    """Tell the story; 0 if everything held, else 1."""
+    plant = Plant()
+    show = None if options.json or not sys.stderr.isatty() else _progress
+    story = tell(plant, show) if show else tell(plant)
+    pictures = write_figures(plant, story, options.out) if options.out else []
+    if options.json:
+        print(json.dumps(as_json(story) | {"figures": [str(path) for path in pictures]}, indent=2))
+    else:
+        print(report(story))
+        for path in pictures:
+            print(f"  picture  {path}")
+    return 0 if story.held else 1
+
+
+def _progress(text: str) -> None:
+    print(f"... {text}", file=sys.stderr)

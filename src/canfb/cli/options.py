@@ -1,0 +1,44 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import can.cli
+
+Commands = Any  # argparse's sub-parser action has no public name
+
+
+def add_command(
+    commands: Commands, name: str, summary: str, action: Callable[[argparse.Namespace], int]
+) -> argparse.ArgumentParser:
+    """Add a command that calls ``action``; its parser, for its own options."""
+    parser: argparse.ArgumentParser = commands.add_parser(name, help=summary, description=summary)
+    parser.set_defaults(action=action)
+    return parser
+
+
+def add_bus_options(parser: argparse.ArgumentParser) -> None:
+    """The bus options of python-can: -i, -c, -b and so on."""
+    can.cli.add_bus_arguments(parser)
+
+
+BUS_WORDS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
+
+
+def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict[str, Any]:
+    """python-can's words: the configuration's, replaced by those of the command line."""
+    merged = dict(configured)
+    for word in BUS_WORDS:
+        if hasattr(options, word):
+            merged[word] = getattr(options, word)
+    merged.update(getattr(options, "bus_kwargs", {}))
+    return merged
+
+
+def report(text: str) -> None:
+    """One line on stderr."""
+    print(f"canfb: {text}", file=sys.stderr, flush=True)

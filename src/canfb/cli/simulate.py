@@ -1,0 +1,119 @@
+"""``canfb simulate CONFIG.yaml``: the encoder interface on a real bus, with a motion or a recording."""
+
+from __future__ import annotations
+
+import argparse
+
+from canfb.bus.opening import describe, open_bus
+from canfb.bus.realtime import apply_realtime
+from canfb.bus.runner import Device, Runner, ending_on_signals
+from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, report
+from canfb.configuration import Config, load_config
+from canfb.errors import ConfigError
+from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.sources import MotionSource, RecordingLayout, RecordingSource, Source
+from canfb.simulation.sync_producer import SyncProducer
+
+DEFAULT_RATE_HZ = 1000.0
+
+
+def register(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "simulate",
+        "simulate the encoder interface, with a motion or a recording, on a bus",
+        simulate,
+    )
+    parser.add_argument("config", metavar="CONFIG.yaml")
+    parser.add_argument(
+        "--rate",
+        type=float,
+        metavar="HZ",
+        help="produce the SYNC at this rate; without it, follow the SYNC of the bus",
+    )
+    parser.add_argument(
+        "--module", type=int, default=0, metavar="N", help="the module it feeds (default: 0, the first)"
+    )
+    parser.add_argument("--rpm", type=float, help="speed after the ramp, in place of the configuration's")
+    parser.add_argument("--autostart", action="store_true", help="operational without a master")
+    play = parser.add_argument_group("playing a recording")
+    play.add_argument("--samples", metavar="FILE", help="CSV file with a header line, one row for each SYNC")
+    play.add_argument(
+        "--columns",
+        default="sine,cosine",
+        metavar="SINE,COSINE",
+        help="names or numbers (from 0) of the two columns",
+    )
+    play.add_argument(
+        "--mid-scale", type=float, default=0.0, metavar="COUNTS", help="the reading that means zero"
+    )
+    play.add_argument(
+        "--time-column", metavar="NAME", help="column with seconds; gaps in it become lost samples"
+    )
+    play.add_argument(
+        "--gap", type=float, default=0.1, metavar="S", help="a longer step of time is a gap (0.1)"
+    )
+    play.add_argument(
+        "--gap-samples", type=int, default=20, metavar="N", help="samples lost at each gap (20)"
+    )
+    add_bus_options(parser)
+
+
+def simulate(options: argparse.Namespace) -> int:
+    """Serve the encoder interface until Ctrl-C, SIGTERM or the end of the recording."""
+    config = load_config(options.config)
+    words = bus_options(options, config.bus)
+    if not 0 <= options.module < len(config.modules):
+        raise ConfigError(f"--module {options.module}: the configuration has {len(config.modules)} modules")
+    if options.rate is not None and not 0.1 <= options.rate <= 100_000:
+        raise ConfigError(f"--rate {options.rate:g}: must be 0.1 to 100000 Hz")
+    module = config.modules[options.module]
+    source = _source(options, config)
+    interface = EncoderInterface(
+        module.encoder_interface, source, autostart=options.autostart or module.autostart
+    )
+    devices: list[Device] = [interface]
+    if options.rate is not None:
+        devices.append(SyncProducer(1.0 / options.rate))
+    with open_bus(words) as bus:
+        runner = Runner(bus, devices, report)
+        apply_realtime(config.realtime, report)
+        with ending_on_signals(runner.stop):
+            node = module.encoder_interface
+            print(
+                f"encoder interface: node {node} ({node:02X}h) on {describe(words)}; end with Ctrl-C",
+                flush=True,
+            )
+            runner.run(finished=lambda: interface.ended)
+    print(
+        f"{interface.samples} samples sent{'; the recording is over' if interface.ended else ''}", flush=True
+    )
+    return 0
+
+
+def _source(options: argparse.Namespace, config: Config) -> Source:
+    module = config.modules[options.module]
+    if options.samples is not None:
+        return RecordingSource(options.samples, _layout(options))
+    motion = config.simulation.motion
+    if options.rpm is not None:
+        motion = type(motion)(**{**vars(motion), "rpm": options.rpm})
+    return MotionSource(
+        config.simulation.encoder.encoder(module.adc_bits),
+        motion.motion(),
+        module.cycles_per_revolution,
+        1.0 / (options.rate or DEFAULT_RATE_HZ),
+        config.simulation.seed,
+    )
+
+
+def _layout(options: argparse.Namespace) -> RecordingLayout:
+    columns = [name.strip() for name in options.columns.split(",")]
+    if len(columns) != 2:
+        raise ConfigError(f"--columns {options.columns}: two columns, sine,cosine, are wanted")
+    if options.gap_samples < 1:
+        raise ConfigError(f"--gap-samples {options.gap_samples}: must be 1 or more")
+    return RecordingLayout(
+        (columns[0], columns[1]), options.mid_scale, options.time_column, options.gap, options.gap_samples
+    )

@@ -1,0 +1,125 @@
+"""The network of the demo: a drive, the encoder interface and the module, and python canopen as master."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import canopen
+import numpy as np
+
+from canfb.device.frame import Frame
+from canfb.eds_files import eds_path
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.phase import FloatArray
+from canfb.simulation.drive import Drive
+from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.simulation.encoder import Encoder, demo_encoder
+from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.motion import Motion, Ramp, Ripple
+from canfb.simulation.sources import Counts, MotionSource
+
+SYNC_PERIOD_S = 1e-3
+BIT_RATE = 1_000_000
+CYCLES_PER_REVOLUTION = 2500
+UNITS_PER_CYCLE = 1_638_400  # fine enough to see 1e-6 of a cycle in a 32-bit position
+UNITS_PER_REVOLUTION = CYCLES_PER_REVOLUTION * UNITS_PER_CYCLE
+DRIVE_RPM = 2000.0
+NODE_ID, INTERFACE_ID = 0x20, 0x10
+POSITION_COB_ID = 0x180 + NODE_ID
+ADC_COB_ID = 0x180 + INTERFACE_ID
+
+
+class EmbeddedNetwork(canopen.Network):
+    """python canopen's master on an embedded bus: no thread, no waiting, the answer is there at once."""
+
+    def __init__(self, bus: EmbeddedBus) -> None:
+        super().__init__()
+        self._embedded = bus
+        bus.taps.append(self._hear)
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Put a frame on the embedded bus."""
+        self._embedded.send(Frame(can_id, bytes(data), remote))
+
+    def _hear(self, frame: Frame, now: float) -> None:
+        if not frame.rtr:
+            self.notify(frame.can_id, bytearray(frame.data), now)
+
+
+class FaultySource:
+    """A motion with faults on request: sample number -> what becomes of its counts, None = lost."""
+
+    def __init__(self, motion: MotionSource) -> None:
+        self.motion = motion
+        self.faults: dict[int, Callable[[Counts], Counts | None]] = {}
+        self.truth_cycles: list[float] = []
+
+    def next(self) -> Counts | None:
+        """The next sample; its true position is noted."""
+        counts = self.motion.next()
+        number = len(self.truth_cycles)
+        self.truth_cycles.append(self.motion.position_cycles)
+        fault = self.faults.get(number)
+        return counts if fault is None else fault(counts)
+
+
+def demo_motion() -> Motion:
+    """Standstill, a ramp to 2000 rpm within what eq. 10 allows at 1 kHz, then speed that wanders by 3 %."""
+    ramps = (Ramp(0.5, 0.0), Ramp(1.5, DRIVE_RPM))
+    return Motion(ramps, (Ripple(0.02 * DRIVE_RPM, 0.31), Ripple(0.01 * DRIVE_RPM, 1.7)))
+
+
+@dataclass
+class AdcLog:
+    """What the master hears of the encoder interface: the counts of every ADC PDO."""
+
+    sine: list[int] = field(default_factory=list)
+    cosine: list[int] = field(default_factory=list)
+
+    def hear(self, frame: Frame, now: float) -> None:
+        """Keep the counts of an ADC PDO."""
+        if frame.can_id == ADC_COB_ID and len(frame.data) == 4:
+            self.sine.append(int.from_bytes(frame.data[:2], "little", signed=True))
+            self.cosine.append(int.from_bytes(frame.data[2:], "little", signed=True))
+
+
+class Plant:
+    """The network, powered on but not yet started."""
+
+    def __init__(self, encoder: Encoder | None = None, seed: int = 1) -> None:
+        self.encoder = encoder or demo_encoder()
+        self.bus = EmbeddedBus()
+        self.adc = AdcLog()
+        self.bus.taps.append(self.adc.hear)
+        self.network = EmbeddedNetwork(self.bus)
+        self.source = FaultySource(
+            MotionSource(self.encoder, demo_motion(), CYCLES_PER_REVOLUTION, SYNC_PERIOD_S, seed)
+        )
+        self.module = FeedbackModule(ModuleConfig(node_id=NODE_ID, encoder_interface=INTERFACE_ID))
+        self.interface = EncoderInterface(INTERFACE_ID, self.source)
+        self.drive = Drive(SYNC_PERIOD_S, POSITION_COB_ID, UNITS_PER_REVOLUTION)
+        self.master = canopen.RemoteNode(NODE_ID, str(eds_path("canfb-module")))
+        self.interface_master = canopen.RemoteNode(INTERFACE_ID, str(eds_path("encoder-interface")))
+        self.network.add_node(self.master)
+        self.network.add_node(self.interface_master)
+        for participant in (self.module, self.interface, self.drive):
+            self.bus.attach(participant)
+
+    def run(self, samples: int) -> None:
+        """Let so many SYNC periods pass."""
+        self.bus.run_until(self.bus.now + samples * SYNC_PERIOD_S)
+
+    def errors_cycles(self, first: int, last: int) -> FloatArray:
+        """Position of the drive minus the truth, in cycles, for the samples first..last-1.
+
+        Each position PDO belongs to the sample of the same SYNC, or, flagged, to the one
+        before that was lost.
+        """
+        consumed = self.drive.consumed
+        number = np.array(consumed.sync_number) - 1
+        chosen = (number >= first) & (number < last)
+        position = np.array(consumed.position_units, dtype=np.float64)[chosen] / UNITS_PER_CYCLE
+        error: FloatArray = position - np.array(self.source.truth_cycles)[number[chosen]]
+        return error

@@ -1,0 +1,216 @@
+"""The chapters of the demo, each with its figures and what had to hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.result import Calibration
+from canfb.demo.plant import BIT_RATE, SYNC_PERIOD_S, UNITS_PER_REVOLUTION, Plant
+from canfb.signal.phase import FloatArray
+from canfb.signal.supervision import VALID
+from canfb.simulation.sources import Counts
+
+RUN_UP_SAMPLES = 2500
+TRACK_SAMPLES = 3000
+REFERENCE_SAMPLES = 20_000
+FAULT_SAMPLES = 80
+LOST_SAMPLE = 60
+FAULTS: dict[int, tuple[str, Callable[[Counts], Counts | None]]] = {
+    15: ("both tracks open", lambda counts: (0, 0)),
+    30: ("tracks inverted", lambda counts: (-counts[0], -counts[1])),
+    45: ("sine track at its stop", lambda counts: (2047, counts[1])),
+    LOST_SAMPLE: ("sample lost", lambda counts: None),
+}
+SCALING_ON = 1 << 2
+INVALID = 1 << 31
+MIN_IMPROVEMENT = 50.0
+MAX_ERROR_AFTER = 5e-4  # cycles, noise of a single 12-bit sample included
+
+
+@dataclass
+class Faults:
+    """What the provoked faults did."""
+
+    provoked: int = 0
+    flagged_at_once: int = 0
+    flagged_samples: int = 0
+    wrong_and_valid: int = 0
+    wrong_counts_after: int = 0
+
+
+@dataclass
+class Story:
+    """Everything that the report, the figures and ``--json`` tell."""
+
+    samples: int = 0
+    cycles_per_sample: float = 0.0
+    wrong_counts: int = 0
+    error_before: FloatArray = field(default_factory=lambda: np.zeros(0))
+    error_after: FloatArray = field(default_factory=lambda: np.zeros(0))
+    phase_before: FloatArray = field(default_factory=lambda: np.zeros(0))
+    phase_after: FloatArray = field(default_factory=lambda: np.zeros(0))
+    calibration: Calibration | None = None
+    table_crc32: int = 0
+    faults: Faults = field(default_factory=Faults)
+    residual_number: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    residual: FloatArray = field(default_factory=lambda: np.zeros(0))
+    fault_window: tuple[int, int] = (0, 0)
+    bus_load: float = 0.0
+    checks: dict[str, bool] = field(default_factory=dict)
+
+    @property
+    def held(self) -> bool:
+        """True if everything held."""
+        return bool(self.checks) and all(self.checks.values())
+
+
+def tell(plant: Plant, progress: Callable[[str], None] = lambda text: None) -> Story:
+    """Run all chapters on ``plant``; ``progress`` gets a line at the start of each."""
+    story = Story()
+    progress("starting the network")
+    _start_network(plant, story)
+    progress("tracking")
+    _track(plant, story)
+    progress("reference measurement")
+    _calibrate(plant, story)
+    progress("verifying")
+    _verify(plant, story)
+    progress("provoking faults")
+    _provoke_faults(plant, story)
+    _finish(plant, story)
+    return story
+
+
+def _start_network(plant: Plant, story: Story) -> None:
+    """As a master does: link the PDOs by SDO, set the scaling, start the nodes, start the SYNC."""
+    sdo, interface_sdo = plant.master.sdo, plant.interface_master.sdo
+    adc_cob_id = interface_sdo[0x1800][1].raw & 0x7FF
+    sdo[0x1400][1].raw = INVALID | adc_cob_id
+    sdo[0x1400][1].raw = adc_cob_id
+    sdo[0x1801][1].raw = INVALID | sdo[0x1801][1].raw
+    sdo[0x6001].raw = sdo[0x6002].raw = UNITS_PER_REVOLUTION
+    sdo[0x6000].raw = SCALING_ON
+    sdo[0x1006].raw = round(SYNC_PERIOD_S * 1e6)
+    story.checks["RPDO linked by SDO"] = sdo[0x1400][1].raw == adc_cob_id
+    plant.master.nmt.state = "OPERATIONAL"
+    plant.interface_master.nmt.state = "OPERATIONAL"
+    plant.drive.start_sync(plant.bus.now)
+
+
+def _track(plant: Plant, story: Story) -> None:
+    """Up to 2000 rpm, then on at 83 cycles per sample, without a table."""
+    plant.run(RUN_UP_SAMPLES)
+    plant.run(TRACK_SAMPLES)
+    truth = plant.source.truth_cycles
+    story.cycles_per_sample = (truth[-1] - truth[-TRACK_SAMPLES]) / (TRACK_SAMPLES - 1)
+    story.error_before, story.phase_before = _error(plant, RUN_UP_SAMPLES, RUN_UP_SAMPLES + TRACK_SAMPLES)
+    story.checks["one position PDO for each sample"] = len(plant.drive.consumed.status) == len(truth)
+
+
+def _calibrate(plant: Plant, story: Story) -> None:
+    """Reference measurement at speed, upload by segmented SDO, check of the CRC, activation."""
+    first = len(plant.adc.sine)
+    plant.run(REFERENCE_SAMPLES)
+    story.calibration = calibrate_from_motion(plant.adc.sine[first:], plant.adc.cosine[first:])
+    table = story.calibration.table
+    sdo = plant.master.sdo
+    sdo.download(0x2020, 1, table.to_bytes())
+    story.checks["the module has the table that was sent"] = sdo[0x2020][2].raw == table.crc32
+    sdo[0x2020][3].raw = table.crc32
+    story.table_crc32 = sdo[0x2020][4].raw
+    story.checks["the table is active"] = story.table_crc32 == table.crc32
+
+
+def _verify(plant: Plant, story: Story) -> None:
+    """The same motion, measured with the table."""
+    plant.run(20)
+    first = len(plant.source.truth_cycles)
+    plant.run(TRACK_SAMPLES)
+    story.error_after, story.phase_after = _error(plant, first, first + TRACK_SAMPLES)
+
+
+def _provoke_faults(plant: Plant, story: Story) -> None:
+    """Open tracks, inverted tracks, a clipped track and a lost sample, at full speed."""
+    first = len(plant.source.truth_cycles)
+    plant.source.faults = {first + place: act for place, (_, act) in FAULTS.items()}
+    story.fault_window = (first, first + FAULT_SAMPLES)
+    plant.run(FAULT_SAMPLES)
+    consumed = plant.drive.consumed
+    numbers = np.array(consumed.sync_number) - 1
+    story.residual_number = numbers[numbers >= first] - first
+    story.residual = np.array(consumed.residual_cycles)[numbers >= first]
+    flagged = {n for n, status in zip(numbers.tolist(), consumed.status, strict=True) if not status & VALID}
+    lost = first + LOST_SAMPLE
+    faults = story.faults
+    faults.provoked = len(FAULTS)
+    # A sample that never came can be missed only when the next SYNC comes.
+    faults.flagged_at_once = sum((n + 1 if n == lost else n) in flagged for n in plant.source.faults)
+    faults.flagged_samples = sum(n in flagged for n in range(first, first + FAULT_SAMPLES))
+
+
+def _error(plant: Plant, first: int, last: int) -> tuple[FloatArray, FloatArray]:
+    """Position error about its mean, and the true phase, of the samples first..last-1.
+
+    The mean is where the encoder's zero is, not an error of the position.
+    """
+    error = plant.errors_cycles(first, last)
+    return error - error.mean(), np.mod(np.array(plant.source.truth_cycles[first:last]), 1.0)
+
+
+def _finish(plant: Plant, story: Story) -> None:
+    """Counts over the whole run, the load of the bus, the verdict."""
+    story.samples = len(plant.source.truth_cycles)
+    error = plant.errors_cycles(0, story.samples)
+    valid = np.array(plant.drive.consumed.status) & VALID != 0
+    zero = float(np.median(error))
+    wrong = np.abs(error - zero) > 0.25
+    story.wrong_counts = int(np.count_nonzero(np.rint(error - zero)[valid]))
+    story.faults.wrong_and_valid = int(np.count_nonzero(wrong & valid))
+    story.faults.wrong_counts_after = int(np.count_nonzero(wrong[-10:]))
+    story.bus_load = plant.bus.bits / BIT_RATE / plant.bus.now
+    before, after = np.abs(story.error_before).max(), np.abs(story.error_after).max()
+    story.checks |= {
+        "no wrong cycle count": story.wrong_counts == 0,
+        f"error at least {MIN_IMPROVEMENT:.0f} times smaller": bool(before > MIN_IMPROVEMENT * after),
+        f"error below {100 * MAX_ERROR_AFTER:g} % of a cycle": bool(after < MAX_ERROR_AFTER),
+        "every fault flagged in the same sample": story.faults.flagged_at_once == story.faults.provoked,
+        "no wrong position called valid": story.faults.wrong_and_valid == 0,
+        "position right after the faults": story.faults.wrong_counts_after == 0,
+        "the bus is not overloaded": story.bus_load < 0.8,
+    }
+
+
+def as_json(story: Story) -> dict[str, Any]:
+    """The figures of the story, for programs."""
+    calibration = story.calibration
+    return {
+        "held": story.held,
+        "checks": story.checks,
+        "samples": story.samples,
+        "cycles_per_sample": story.cycles_per_sample,
+        "wrong_cycle_counts": story.wrong_counts,
+        "error_peak_before_cycles": _peak(story.error_before),
+        "error_peak_after_cycles": _peak(story.error_after),
+        "error_rms_before_cycles": _rms(story.error_before),
+        "error_rms_after_cycles": _rms(story.error_after),
+        "table_crc32": f"{story.table_crc32:08X}",
+        "table_uncertainty_peak_cycles": None if calibration is None else calibration.uncertainty_peak,
+        "faults_provoked": story.faults.provoked,
+        "faults_flagged_in_the_same_sample": story.faults.flagged_at_once,
+        "wrong_positions_called_valid": story.faults.wrong_and_valid,
+        "bus_load": story.bus_load,
+    }
+
+
+def _peak(error: FloatArray) -> float:
+    return float(np.abs(error).max())
+
+
+def _rms(error: FloatArray) -> float:
+    return float(np.sqrt(np.mean(error**2)))
