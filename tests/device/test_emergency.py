@@ -1,0 +1,152 @@
+from __future__ import annotations
+
+import pytest
+from device_kit import OK, Bench
+
+from canfb.device.codes import AbortCode, EmergencyCode
+
+SENSOR, DATA_SET = EmergencyCode.SENSOR, EmergencyCode.DATA_SET
+
+
+def sent(bench: Bench) -> list[str]:
+    """What an error outside of a call left to send; the deadline must say so."""
+    assert bench.node.deadline() == bench.now
+    return bench.tick()
+
+
+def test_frame_register_and_history(bench: Bench) -> None:
+    bench.now = 3.0
+    bench.node.emergency(SENSOR, 0x20, b"\x01\x02\x03\x04\x05", bench.now)
+    assert sent(bench) == ["0A0#0073210102030405"]
+    assert bench.read(0x1001) == 0x21
+    assert bench.read(0x1003) == 1
+    assert bench.read(0x1003, 1) == 0x02017300
+    bench.node.clear_emergency(SENSOR, bench.now)
+    assert sent(bench) == ["0A0#0000000000000000"]
+    assert bench.read(0x1001) == 0
+    assert bench.read(0x1003) == 1
+
+
+def test_each_error_once_until_it_is_cleared(bench: Bench) -> None:
+    for _ in range(3):
+        bench.node.emergency(SENSOR, 0x20, now=0.0)
+    assert len(sent(bench)) == 1
+    bench.node.clear_emergency(SENSOR, 0.0)
+    bench.node.clear_emergency(SENSOR, 0.0)
+    bench.node.emergency(SENSOR, 0x20, now=0.0)
+    assert [text[4:8] for text in sent(bench)] == ["0000", "0073"]
+
+
+def test_the_remaining_errors_stay_in_the_register(bench: Bench) -> None:
+    bench.node.emergency(SENSOR, 0x20, now=0.0)
+    bench.node.emergency(DATA_SET, 0x80, now=0.0)
+    sent(bench)
+    assert bench.read(0x1001) == 0xA1
+    bench.node.clear_emergency(SENSOR, 0.0)
+    assert sent(bench) == ["0A0#0000810000000000"]
+    assert bench.read(0x1001) == 0x81
+
+
+def test_the_history_is_newest_first_and_bounded(bench: Bench) -> None:
+    for number in range(6):
+        bench.node.emergency(0x1000 + number, 0, now=0.0)  # type: ignore[arg-type]
+    assert len(sent(bench)) == 6
+    assert bench.read(0x1003) == 4
+    assert [bench.read(0x1003, sub) for sub in range(1, 5)] == [0x1005, 0x1004, 0x1003, 0x1002]
+
+
+def test_the_history_is_cleared_by_zero_only(bench: Bench) -> None:
+    assert bench.read(0x1003) == 0
+    assert bench.read(0x1003, 1) is AbortCode.NO_DATA
+    bench.node.emergency(SENSOR, 0x20, now=0.0)
+    sent(bench)
+    assert bench.read(0x1003, 2) is AbortCode.NO_DATA
+    assert bench.write(0x1003, 0, 1, 1) is AbortCode.INVALID_VALUE
+    assert bench.write(0x1003, 0, 0, 1) == OK
+    assert bench.read(0x1003, 1) is AbortCode.NO_DATA
+    assert bench.read(0x1001) == 0x21
+
+
+def test_the_inhibit_time(bench: Bench) -> None:
+    bench.write(0x1015, 0, 1000, 2)
+    bench.node.emergency(SENSOR, 0x20, now=0.0)
+    bench.node.emergency(DATA_SET, 0x20, now=0.0)
+    bench.node.clear_emergency(DATA_SET, 0.0)
+    assert [(time, text[4:8]) for time, text in bench.run(5.0)] == [
+        (0.0, "0073"),
+        (0.1, "1063"),
+        (0.2, "0000"),
+    ]
+
+
+def test_waiting_frames_are_bounded(bench: Bench) -> None:
+    bench.write(0x1015, 0, 1000, 2)
+    for number in range(1, 21):
+        bench.node.emergency(0x1000 + number, 0, now=0.0)  # type: ignore[arg-type]
+    frames = [text for _, text in bench.run(10.0)]
+    assert len(frames) == 9
+    assert frames[-1].startswith("0A0#1410")
+    assert bench.node.counters.lost_emergencies == 11
+
+
+def test_cob_id(bench: Bench) -> None:
+    assert bench.read(0x1014) == 0xA0
+    assert bench.write(0x1014, 0, 0x200, 4) is AbortCode.INVALID_VALUE
+    assert bench.write(0x1014, 0, 0x800000A0, 4) == OK
+    bench.node.emergency(SENSOR, 0x20, now=0.0)
+    assert bench.node.deadline() is None
+    assert bench.write(0x1014, 0, 0x200, 4) == OK
+    bench.node.clear_emergency(SENSOR, 0.0)
+    assert sent(bench) == ["200#0000000000000000"]
+
+
+@pytest.mark.parametrize("can_id", [0x001, 0x07F, 0x101, 0x180, 0x581, 0x601, 0x6E0, 0x701, 0x7FF])
+def test_restricted_ids(bench: Bench, can_id: int) -> None:
+    bench.write(0x1014, 0, 0x800000A0, 4)
+    assert bench.write(0x1014, 0, can_id, 4) is AbortCode.INVALID_VALUE
+
+
+@pytest.mark.parametrize("value", [0x400000A0, 0x200000A0, 0x000008A0])
+def test_flags_that_are_not_meant(bench: Bench, value: int) -> None:
+    assert bench.write(0x1014, 0, value, 4) is AbortCode.INVALID_VALUE
+
+
+def test_what_happens_in_stopped_is_sent_afterwards(bench: Bench) -> None:
+    bench.nmt(2)
+    bench.node.emergency(SENSOR, 0x20, now=0.0)
+    assert bench.node.deadline() is None
+    assert bench.nmt(1) == ["0A0#0073210000000000"]
+
+
+def test_a_communication_reset_keeps_the_errors_of_the_application(bench: Bench) -> None:
+    bench.node.emergency(SENSOR, 0x20, now=0.0)
+    sent(bench)
+    assert bench.nmt(130) == ["720#00"]
+    assert bench.read(0x1001) == 0x21
+    assert bench.read(0x1003) == 0
+    assert bench.nmt(129) == ["720#00"]
+    assert bench.read(0x1001) == 0
+
+
+def test_an_error_raised_at_reset_follows_the_boot_up(bench: Bench) -> None:
+    bench.node.on_reset = lambda only, now: bench.node.emergency(SENSOR, 0x20, now=now)
+    assert bench.nmt(129) == ["720#00", "0A0#0073210000000000"]
+
+
+def test_within_a_call_the_time_is_known(bench: Bench) -> None:
+    bench.operational()
+    bench.write(0x1015, 0, 1000, 2)
+    bench.node.on_rpdo = lambda number, now: bench.node.emergency(SENSOR, 0x20)
+    bench.now = 2.0
+    assert bench.send(0x190, "01000200") == ["0A0#0073210000000000"]
+    bench.node.clear_emergency(SENSOR)
+    assert bench.node.deadline() == pytest.approx(2.1)
+
+
+def test_wrong_arguments(bench: Bench) -> None:
+    with pytest.raises(ValueError, match="1001h"):
+        bench.node.emergency(SENSOR, 0x100, now=0.0)
+    with pytest.raises(ValueError, match="5 manufacturer bytes"):
+        bench.node.emergency(SENSOR, 0, bytes(6), 0.0)
+    with pytest.raises(ValueError, match="clear_emergency"):
+        bench.node.emergency(EmergencyCode.NO_ERROR, 0, now=0.0)

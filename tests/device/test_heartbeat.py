@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import pytest
+from device_kit import OK, Bench
+
+from canfb.device.codes import AbortCode
+from canfb.device.nmt import NmtState
+
+
+def watch(node_id: int, milliseconds: int) -> int:
+    return node_id << 16 | milliseconds
+
+
+def test_the_producer_counts_about_100_in_10_seconds(bench: Bench) -> None:
+    bench.write(0x1017, 0, 100, 2)
+    seen = bench.run(10.0)
+    assert {text for _, text in seen} == {"720#7F"}
+    assert len(seen) == 101
+    assert seen[0][0] == 0.0
+    assert seen[50][0] == pytest.approx(5.0)
+
+
+def test_the_producer_shows_the_state(bench: Bench) -> None:
+    bench.write(0x1017, 0, 100, 2)
+    bench.run(0.0)
+    for command, beat in ((1, "720#05"), (2, "720#04"), (128, "720#7F")):
+        bench.nmt(command)
+        assert [text for _, text in bench.run(0.1)] == [beat]
+
+
+def test_zero_stops_the_producer(bench: Bench) -> None:
+    bench.write(0x1017, 0, 100, 2)
+    bench.run(0.5)
+    bench.write(0x1017, 0, 0, 2)
+    assert bench.node.deadline() is None
+    assert bench.run(10.0) == []
+
+
+def test_a_stored_period_starts_with_the_boot_up(silent: Bench) -> None:
+    silent.dictionary.entry(0x1017).default = 200
+    silent.dictionary.entry(0x1017).value = 200
+    silent.now = 1.0
+    assert silent.start() == ["720#00"]
+    assert silent.run(0.5) == [(1.2, "720#7F"), (1.4, "720#7F")]
+    assert silent.nmt(130) == ["720#00"]
+    assert silent.run(0.2) == [(1.7, "720#7F")]
+
+
+def test_a_late_tick_sends_one_heartbeat(bench: Bench) -> None:
+    bench.write(0x1017, 0, 100, 2)
+    bench.run(0.0)
+    bench.now = 5.03
+    assert bench.tick() == ["720#7F"]
+    assert bench.node.deadline() == pytest.approx(5.13)
+
+
+def test_the_period_does_not_drift(bench: Bench) -> None:
+    bench.write(0x1017, 0, 100, 2)
+    bench.run(0.0)
+    for number in range(1, 20):
+        bench.now = number * 0.1 + 0.03
+        assert bench.tick() == ["720#7F"]
+    assert bench.node.deadline() == pytest.approx(2.0)
+
+
+def test_the_consumer_waits_for_the_first_heartbeat(bench: Bench) -> None:
+    assert bench.write(0x1016, 1, watch(0x47, 1000), 4) == OK
+    bench.operational()
+    assert bench.run(10.0) == []
+    assert bench.node.state is NmtState.OPERATIONAL
+
+
+def test_a_lost_heartbeat(bench: Bench) -> None:
+    bench.write(0x1016, 1, watch(0x47, 1000), 4)
+    bench.operational()
+    bench.send(0x747, "05")
+    assert bench.run(3.0) == [(1.0, "0A0#3081114700000000")]
+    assert bench.node.state is NmtState.PRE_OPERATIONAL
+    assert bench.read(0x1001) == 0x11
+    assert bench.read(0x1003, 1) == 0x00478130
+    assert bench.send(0x747, "05") == ["0A0#0000000000000000"]
+    assert bench.read(0x1001) == 0
+    bench.now += 0.5
+    assert bench.send(0x747, "05") == []
+    assert bench.run(0.9) == []
+
+
+def test_good_heartbeats_keep_it_quiet(bench: Bench) -> None:
+    bench.write(0x1016, 2, watch(0x47, 1000), 4)
+    bench.operational()
+    for _ in range(12):
+        assert bench.send(0x747, "05") == []
+        assert bench.run(0.9) == []
+    assert bench.node.state is NmtState.OPERATIONAL
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "state"),
+    [(0, NmtState.PRE_OPERATIONAL), (1, NmtState.OPERATIONAL), (2, NmtState.STOPPED)],
+)
+def test_the_error_behaviour(bench: Bench, behaviour: int, state: NmtState) -> None:
+    assert bench.write(0x1029, 1, behaviour, 1) == OK
+    bench.write(0x1016, 1, watch(0x47, 100), 4)
+    bench.operational()
+    bench.send(0x747, "05")
+    sent = bench.run(1.0)
+    assert bench.node.state is state
+    assert [text for _, text in sent] == ["0A0#3081114700000000"]
+
+
+@pytest.mark.parametrize(("command", "state"), [(2, NmtState.STOPPED), (128, NmtState.PRE_OPERATIONAL)])
+def test_default_behaviour_only_leaves_operational(bench: Bench, command: int, state: NmtState) -> None:
+    bench.write(0x1016, 1, watch(0x47, 100), 4)
+    bench.nmt(command)
+    bench.send(0x747, "05")
+    bench.run(1.0)
+    assert bench.node.state is state
+
+
+def test_an_unknown_behaviour_is_refused(bench: Bench) -> None:
+    assert bench.write(0x1029, 1, 3, 1) is AbortCode.INVALID_VALUE
+
+
+def test_the_same_node_twice_is_refused(bench: Bench) -> None:
+    assert bench.write(0x1016, 1, 0x00051234, 4) == OK
+    assert bench.write(0x1016, 2, 0x00051234, 4) is AbortCode.PARAMETER_INCOMPATIBLE
+    assert bench.write(0x1016, 1, 0x00050010, 4) == OK
+    assert bench.write(0x1016, 2, 0x00050000, 4) == OK
+
+
+@pytest.mark.parametrize("value", [0, watch(0, 100), watch(128, 100), watch(255, 100), watch(5, 0)])
+def test_unused_entries(bench: Bench, value: int) -> None:
+    for subindex in (1, 2):
+        assert bench.write(0x1016, subindex, value, 4) == OK
+    before = bench.node.counters.unknown_cob_ids
+    bench.send(0x705, "05")
+    assert bench.node.counters.unknown_cob_ids == before + 1
+    assert bench.node.deadline() is None
+
+
+def test_reserved_bits_are_refused(bench: Bench) -> None:
+    assert bench.write(0x1016, 1, 0x01050064, 4) is AbortCode.INVALID_VALUE
+
+
+def test_another_node_is_watched_after_a_write(bench: Bench) -> None:
+    bench.write(0x1016, 1, watch(0x47, 100), 4)
+    bench.send(0x747, "05")
+    bench.write(0x1016, 1, watch(0x48, 100), 4)
+    assert bench.run(1.0) == []
+    bench.send(0x748, "05")
+    assert [text for _, text in bench.run(1.0)] == ["0A0#3081114800000000"]
+
+
+def test_a_malformed_heartbeat_does_not_count(bench: Bench) -> None:
+    bench.write(0x1016, 1, watch(0x47, 100), 4)
+    bench.send(0x747, "")
+    bench.send(0x747, "0505")
+    assert bench.node.counters.malformed_frames == 2
+    assert bench.node.deadline() is None
+
+
+def test_two_lost_nodes_are_two_errors(bench: Bench) -> None:
+    bench.write(0x1016, 1, watch(0x47, 100), 4)
+    bench.write(0x1016, 2, watch(0x48, 200), 4)
+    bench.send(0x747, "05")
+    bench.send(0x748, "05")
+    assert len(bench.run(1.0)) == 2
+    assert bench.send(0x747, "05") == ["0A0#0000110000000000"]
+    assert bench.send(0x748, "05") == ["0A0#0000000000000000"]
+
+
+def test_a_reset_forgets_the_errors(bench: Bench) -> None:
+    bench.write(0x1016, 1, watch(0x47, 100), 4)
+    bench.send(0x747, "05")
+    bench.run(1.0)
+    assert bench.nmt(130) == ["720#00"]
+    assert bench.read(0x1001) == 0
+    assert bench.send(0x747, "05") == []

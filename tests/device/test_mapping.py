@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.device import datatypes
+from canfb.device.datatypes import DataType
+from canfb.device.entry import Entry
+from canfb.device.mapping import AlignedLayout, BitLayout, Slot, compile_layout
+
+MAPPABLE = [code for code in DataType if datatypes.bit_length(code)]
+
+
+def slots_of(types: list[DataType]) -> list[Slot]:
+    entries = [Entry(0x2000, sub, code, pdo_mappable=True) for sub, code in enumerate(types, 1)]
+    return [Slot(entry, entry.data_type, entry.bit_length) for entry in entries]
+
+
+def entry_of(slot: Slot) -> Entry:
+    assert slot.entry is not None
+    return slot.entry
+
+
+def values_of(code: DataType) -> st.SearchStrategy[object]:
+    if code is DataType.BOOLEAN:
+        return st.booleans()
+    if code in datatypes.FLOATS:
+        return st.floats(width=32, allow_nan=False)
+    if code in datatypes.FIXED_BYTES:
+        return st.binary(min_size=6, max_size=6)
+    bits = datatypes.bit_length(code)
+    if code in datatypes.SIGNED_BITS:
+        return st.integers(-(1 << (bits - 1)), (1 << (bits - 1)) - 1)
+    return st.integers(0, (1 << bits) - 1)
+
+
+@st.composite
+def mapped(draw: st.DrawFn) -> tuple[list[Slot], list[object]]:
+    types = draw(st.lists(st.sampled_from(MAPPABLE), min_size=1, max_size=8))
+    while sum(datatypes.bit_length(code) for code in types) > 64:
+        types.pop()
+    return slots_of(types), [draw(values_of(code)) for code in types]
+
+
+@given(mapped())
+def test_pack_and_unpack_are_inverse(drawn: tuple[list[Slot], list[object]]) -> None:
+    slots, values = drawn
+    layout = compile_layout(slots)
+    for slot, value in zip(slots, values, strict=True):
+        entry_of(slot).value = value
+    data = layout.pack()
+    assert len(data) == layout.length == math.ceil(sum(slot.bits for slot in slots) / 8)
+    for slot in slots:
+        entry_of(slot).reset()
+    assert layout.unpack(data + b"\xff") == 0
+    assert [entry_of(slot).value for slot in slots] == values
+
+
+@given(mapped())
+def test_both_layouts_give_the_same_bytes(drawn: tuple[list[Slot], list[object]]) -> None:
+    slots, values = drawn
+    for slot, value in zip(slots, values, strict=True):
+        entry_of(slot).value = value
+    assert compile_layout(slots).pack() == BitLayout(slots).pack()
+
+
+def test_the_order_of_bits() -> None:
+    """The first object takes the least significant bits of the first byte (CiA 301, 7.3.1)."""
+    slots = slots_of([DataType.BOOLEAN, DataType.UNSIGNED8, DataType.BOOLEAN, DataType.UNSIGNED24])
+    for slot, value in zip(slots, (True, 0xAB, True, 0x123456), strict=True):
+        entry_of(slot).value = value
+    word = 1 | 0xAB << 1 | 1 << 9 | 0x123456 << 10
+    assert BitLayout(slots).pack() == word.to_bytes(5, "little")
+
+
+def test_dummies_leave_gaps() -> None:
+    (slot,) = slots_of([DataType.UNSIGNED16])
+    for gap, length in ((DataType.UNSIGNED8, 3), (DataType.UNSIGNED32, 6)):
+        slots = [Slot(None, gap, datatypes.bit_length(gap)), slot]
+        layout = compile_layout(slots)
+        assert isinstance(layout, AlignedLayout)
+        assert layout.length == length
+        assert layout.unpack(bytes(length - 2) + b"\x34\x12") == 0
+        assert entry_of(slot).value == 0x1234
+    layout = compile_layout([Slot(None, DataType.BOOLEAN, 1), slot])
+    assert isinstance(layout, BitLayout)
+    assert layout.unpack(b"\x03\x00\x00") == 0
+    assert entry_of(slot).value == 1
+
+
+@pytest.mark.parametrize("types", [[DataType.UNSIGNED8] * 2, [DataType.BOOLEAN, DataType.UNSIGNED8]])
+def test_limits_and_hooks_of_mapped_entries(types: list[DataType]) -> None:
+    slots = slots_of(types)
+    first, second = (entry_of(slot) for slot in slots)
+    second.high = 10
+    seen: list[object] = []
+    second.on_written = lambda: seen.append(second.value)
+    layout = compile_layout(slots)
+    bits = slots[0].bits
+    assert layout.unpack((1 | 9 << bits).to_bytes(2, "little")) == 0
+    assert layout.unpack((0 | 11 << bits).to_bytes(2, "little")) == 1
+    assert seen == [9]
+    assert (first.value, second.value) == (0, 9)
+
+
+@pytest.mark.parametrize("types", [[DataType.INTEGER32], [DataType.BOOLEAN, DataType.INTEGER32]])
+def test_live_values_are_sampled(types: list[DataType]) -> None:
+    slots = slots_of(types)
+    entry_of(slots[-1]).on_read = lambda: -1
+    layout = compile_layout(slots)
+    assert layout.pack() == ((1 << 32) - 1 << 32 - 32 + (slots[0].bits & 1)).to_bytes(layout.length, "little")
+
+
+@pytest.mark.parametrize("value", [70000, -1, 1.5, "text", None])
+def test_a_value_that_does_not_fit_is_named(value: object) -> None:
+    slots = slots_of([DataType.UNSIGNED8, DataType.UNSIGNED16])
+    entry_of(slots[1]).value = value
+    with pytest.raises(ValueError, match="2000h:02"):
+        compile_layout(slots).pack()
+
+
+def test_a_float_that_is_too_large_is_named() -> None:
+    slots = slots_of([DataType.REAL32])
+    entry_of(slots[0]).value = 1e39
+    with pytest.raises(ValueError, match="2000h:01"):
+        compile_layout(slots).pack()
+
+
+def test_struct_and_codec_agree_on_floats() -> None:
+    slots = slots_of([DataType.REAL32, DataType.REAL32])
+    entry_of(slots[0]).value, entry_of(slots[1]).value = 0.1, -3.25
+    assert compile_layout(slots).pack() == struct.pack("<ff", 0.1, -3.25)

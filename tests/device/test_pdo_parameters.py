@@ -1,0 +1,217 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import sample_eds
+from device_kit import ID, OK, Bench
+
+from canfb.device.codes import AbortCode
+from canfb.device.dictionary import Dictionary
+from canfb.device.node import Node
+
+UNSUPPORTED = AbortCode.UNSUPPORTED_ACCESS
+NOT_MAPPABLE = AbortCode.NOT_MAPPABLE
+TOO_MUCH = AbortCode.PDO_LENGTH
+INVALID = AbortCode.INVALID_VALUE
+
+OFF = {0x1400: 0x80000190, 0x1401: 0x80000320, 0x1800: 0xC00001A0, 0x1801: 0x800002A0}
+FREE = 0x80000000
+
+
+def remap(bench: Bench, index: int, mappings: list[int]) -> list[AbortCode | str]:
+    """The procedure of CiA 301, 7.5.2.36, with the answer to each step."""
+    number_of = index + 0x200
+    answers = [bench.write(index, 1, OFF[index], 4), bench.write(number_of, 0, 0, 1)]
+    answers += [bench.write(number_of, sub, value, 4) for sub, value in enumerate(mappings, 1)]
+    answers.append(bench.write(number_of, 0, len(mappings), 1))
+    answers.append(bench.write(index, 1, OFF[index] & ~FREE, 4))
+    return answers
+
+
+def only_refusal(answers: list[AbortCode | str]) -> AbortCode | str:
+    refusals = [answer for answer in answers if answer != OK]
+    return refusals[0] if refusals else OK
+
+
+def test_the_whole_procedure(bench: Bench) -> None:
+    assert remap(bench, 0x1800, [0x20100210]) == [OK] * 5
+    bench.operational()
+    bench.dictionary.entry(0x2010, 2).value = 0x1234
+    bench.node.trigger_tpdo(1, bench.now)
+    assert bench.tick() == ["1A0#3412"]
+
+
+def test_it_takes_effect_in_operational_too(bench: Bench) -> None:
+    bench.operational()
+    assert remap(bench, 0x1400, [0x20000210, 0x20000110]) == [OK] * 6
+    bench.send(0x190, "01000200")
+    assert bench.dictionary.entry(0x2000, 2).value == 1
+    assert bench.dictionary.entry(0x2000, 1).value == 2
+
+
+@pytest.mark.parametrize(("index", "value"), [(0x1400, 0x20000110), (0x1800, 0x20100210)])
+def test_mapping_is_fixed_while_the_pdo_is_valid_or_counts(bench: Bench, index: int, value: int) -> None:
+    mapping = index + 0x200
+    before = [bench.read(mapping, sub) for sub in range(9)]
+    assert bench.write(mapping, 1, value, 4) is UNSUPPORTED
+    assert bench.write(mapping, 0, 0, 1) is UNSUPPORTED
+    assert bench.write(index, 1, OFF[index], 4) == OK
+    assert bench.write(mapping, 1, value, 4) is UNSUPPORTED
+    assert [bench.read(mapping, sub) for sub in range(9)] == before
+    assert bench.write(mapping, 0, 0, 1) == OK
+    assert bench.write(mapping, 1, value, 4) == OK
+
+
+@pytest.mark.parametrize(
+    ("index", "mapping", "expected"),
+    [
+        (0x1400, 0x20000110, OK),
+        (0x1400, 0x20000720, OK),
+        (0x1400, 0x20100720, OK),
+        (0x1400, 0x00020008, OK),
+        (0x1400, 0x00070020, OK),
+        (0x1400, 0x00010001, OK),
+        (0x1400, 0x00020010, NOT_MAPPABLE),
+        (0x1400, 0x00020108, NOT_MAPPABLE),
+        (0x1400, 0x00080020, AbortCode.NO_OBJECT),
+        (0x1400, 0x10010008, NOT_MAPPABLE),
+        (0x1400, 0x20100401, NOT_MAPPABLE),
+        (0x1400, 0x10170010, NOT_MAPPABLE),
+        (0x1400, 0x20000108, NOT_MAPPABLE),
+        (0x1400, 0x20000100, NOT_MAPPABLE),
+        (0x1400, 0x20001010, AbortCode.NO_OBJECT),
+        (0x1400, 0x2FFF0010, AbortCode.NO_OBJECT),
+        (0x1800, 0x10010008, OK),
+        (0x1800, 0x20100401, OK),
+        (0x1800, 0x20100720, OK),
+        (0x1800, 0x20000110, NOT_MAPPABLE),
+        (0x1800, 0x20000720, NOT_MAPPABLE),
+        (0x1800, 0x10000020, NOT_MAPPABLE),
+        (0x1800, 0x00020008, AbortCode.NO_OBJECT),
+        (0x1800, 0x20200000, NOT_MAPPABLE),
+    ],
+)
+def test_what_can_be_mapped(bench: Bench, index: int, mapping: int, expected: AbortCode | str) -> None:
+    bench.write(index, 1, OFF[index], 4)
+    bench.write(index + 0x200, 0, 0, 1)
+    before = bench.read(index + 0x200, 1)
+    assert bench.write(index + 0x200, 1, mapping, 4) == expected
+    assert bench.read(index + 0x200, 1) == (mapping if expected == OK else before)
+
+
+def test_nine_objects_do_not_fit(bench: Bench) -> None:
+    bench.write(0x1400, 1, OFF[0x1400], 4)
+    bench.write(0x1600, 0, 0, 1)
+    for subindex in range(1, 9):
+        assert bench.write(0x1600, subindex, 0x20000408, 4) == OK
+    assert bench.write(0x1600, 0, 9, 1) is TOO_MUCH
+    assert bench.write(0x1600, 0, 255, 1) is TOO_MUCH
+    assert bench.read(0x1600) == 0
+    assert bench.write(0x1600, 0, 8, 1) == OK
+
+
+def test_more_than_64_bits_do_not_fit(bench: Bench) -> None:
+    answers = remap(bench, 0x1400, [0x20000720, 0x20000720, 0x00010001])
+    assert answers == [OK] * 5 + [TOO_MUCH, OK]
+    assert remap(bench, 0x1800, [0x20100120] * 8)[-2] is TOO_MUCH
+    assert bench.read(0x1A00) == 0
+
+
+def test_an_empty_place_is_not_counted_in(bench: Bench) -> None:
+    assert only_refusal(remap(bench, 0x1400, [0x20000110, 0])) is NOT_MAPPABLE
+
+
+@pytest.mark.parametrize("index", OFF)
+def test_a_valid_pdo_keeps_its_can_id(bench: Bench, index: int) -> None:
+    valid = OFF[index] & ~FREE
+    bench.write(index, 1, valid, 4)
+    assert bench.write(index, 1, valid + 1, 4) is INVALID
+    assert bench.write(index, 1, valid, 4) == OK
+    assert bench.read(index, 1) == valid
+    assert bench.write(index, 1, (valid + 1) | FREE, 4) == OK
+    assert bench.write(index, 1, valid + 1, 4) == OK
+
+
+@pytest.mark.parametrize("index", OFF)
+@pytest.mark.parametrize("value", [0x20000250, 0x00000A50, 0x10000250])
+def test_only_11_bit_ids(bench: Bench, index: int, value: int) -> None:
+    bench.write(index, 1, OFF[index], 4)
+    assert bench.write(index, 1, value, 4) is INVALID
+    assert bench.write(index, 1, value | FREE, 4) is INVALID
+
+
+@pytest.mark.parametrize("index", [0x1400, 0x1800])
+@pytest.mark.parametrize(
+    "can_id", [0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x5FF, 0x601, 0x67F, 0x6E0, 0x6FF, 0x701, 0x7FF]
+)
+def test_restricted_ids(bench: Bench, index: int, can_id: int) -> None:
+    assert bench.write(index, 1, can_id, 4) is INVALID
+    bench.write(index, 1, OFF[index], 4)
+    assert bench.write(index, 1, can_id, 4) is INVALID
+    assert bench.write(index, 1, can_id | FREE, 4) == OK
+
+
+def test_another_can_id_is_listened_to(bench: Bench) -> None:
+    bench.operational()
+    bench.write(0x1400, 1, 0x80000191, 4)
+    bench.send(0x190, "01000200")
+    bench.send(0x191, "01000200")
+    assert bench.dictionary.entry(0x2000, 1).value == 0
+    bench.write(0x1400, 1, 0x191, 4)
+    bench.send(0x191, "01000200")
+    assert bench.dictionary.entry(0x2000, 1).value == 1
+
+
+@pytest.mark.parametrize("value", range(0x100))
+def test_transmission_types(bench: Bench, value: int) -> None:
+    good = value <= 240 or value >= 254
+    assert bench.write(0x1400, 2, value, 1) == (OK if good else INVALID)
+    remote_allowed = value in (0xFC, 0xFD)
+    assert bench.write(0x1800, 2, value, 1) == (OK if good else INVALID)
+    assert bench.write(0x1801, 2, value, 1) == (OK if good or remote_allowed else INVALID)
+
+
+def test_remote_only_types_and_bit_30(bench: Bench) -> None:
+    assert bench.write(0x1801, 2, 0xFD, 1) == OK
+    assert bench.write(0x1801, 1, 0xC00002A0, 4) == OK
+    assert bench.write(0x1801, 1, 0x400002A0, 4) is INVALID
+    assert bench.write(0x1801, 1, 0x000002A0, 4) == OK
+
+
+@pytest.mark.parametrize(("subindex", "size", "value"), [(3, 2, 100), (6, 1, 3)])
+def test_parameters_that_are_fixed_while_valid(bench: Bench, subindex: int, size: int, value: int) -> None:
+    assert bench.write(0x1800, subindex, value, size) is INVALID
+    bench.write(0x1800, 1, OFF[0x1800], 4)
+    assert bench.write(0x1800, subindex, value, size) == OK
+    assert bench.read(0x1800, subindex) == value
+
+
+def test_the_start_value_has_240_at_most(bench: Bench) -> None:
+    bench.write(0x1800, 1, OFF[0x1800], 4)
+    assert bench.write(0x1800, 6, 241, 1) is INVALID
+    assert bench.write(0x1800, 6, 240, 1) == OK
+
+
+def test_a_reset_restores_the_mapping(bench: Bench) -> None:
+    remap(bench, 0x1400, [0x20000408])
+    bench.nmt(130)
+    bench.operational()
+    bench.send(0x190, "05000600")
+    assert bench.dictionary.entry(0x2000, 2).value == 6
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        sample_eds.rpdo(1, "0x190", 255, [0x2FFF0110]),
+        sample_eds.rpdo(1, "0x190", 255, [0x20100120]),
+        sample_eds.tpdo(1, "0x1A0", 255, [0x20100120] * 3),
+        [row for row in sample_eds.rpdo(1, "0x190", 255, [0x20000110] * 2) if row[:2] != (0x1600, 2)][:-6],
+    ],
+)
+def test_an_impossible_default_mapping(tmp_path: Path, rows: list[sample_eds.Row]) -> None:
+    others = [row for row in sample_eds.ROWS if row[0] >= 0x2000]
+    path = sample_eds.write(tmp_path / "sample.eds", rows + others)
+    with pytest.raises(ValueError, match=r"mapping 1[6A]00h"):
+        Node(Dictionary.load(path, ID), ID)

@@ -1,0 +1,175 @@
+from __future__ import annotations
+
+import pytest
+from device_kit import OK, Bench
+from test_pdo_parameters import remap
+
+RPDO = 0x190
+
+
+def sine(bench: Bench) -> int:
+    return int(bench.dictionary.entry(0x2000, 1).value)
+
+
+def calls_of(bench: Bench) -> list[object]:
+    calls: list[object] = []
+    bench.node.on_rpdo = lambda number, now: calls.append((number, now, sine(bench)))
+    bench.node.on_bad_rpdo = lambda *arguments: calls.append(("bad", *arguments))
+    return calls
+
+
+@pytest.mark.parametrize("kind", [254, 255])
+def test_at_once(bench: Bench, kind: int) -> None:
+    bench.write(0x1400, 2, kind, 1)
+    bench.operational()
+    calls = calls_of(bench)
+    bench.now = 1.5
+    assert bench.send(RPDO, "F6FF0200") == []
+    assert calls == [(1, 1.5, -10)]
+    assert bench.dictionary.entry(0x2000, 2).value == 2
+
+
+@pytest.mark.parametrize("kind", [0, 1, 2, 240])
+def test_at_the_next_sync(bench: Bench, kind: int) -> None:
+    bench.write(0x1400, 2, kind, 1)
+    bench.operational()
+    calls = calls_of(bench)
+    bench.send(RPDO, "01000000")
+    bench.send(RPDO, "02000000")
+    assert calls == []
+    bench.sync()
+    bench.sync()
+    assert calls == [(1, 0.0, 2)]
+
+
+def test_what_waits_is_dropped_with_operational(bench: Bench) -> None:
+    bench.write(0x1400, 2, 1, 1)
+    bench.operational()
+    bench.send(RPDO, "01000000")
+    bench.nmt(128)
+    bench.operational()
+    bench.sync()
+    assert sine(bench) == 0
+
+
+@pytest.mark.parametrize("command", [128, 2])
+def test_only_in_operational(bench: Bench, command: int) -> None:
+    bench.operational()
+    bench.nmt(command)
+    calls = calls_of(bench)
+    bench.send(RPDO, "01000000")
+    bench.send(RPDO, "01")
+    assert calls == []
+    assert bench.node.counters.unknown_cob_ids == 2
+    assert bench.node.counters.short_rpdos == 0
+
+
+@pytest.mark.parametrize("kind", [255, 1])
+@pytest.mark.parametrize("length", [0, 1, 3])
+def test_too_short(bench: Bench, kind: int, length: int) -> None:
+    bench.write(0x1400, 2, kind, 1)
+    bench.operational()
+    calls = calls_of(bench)
+    assert bench.send(RPDO, bytes(length)) == [f"0A0#10821101{length:02X}040000"]
+    assert bench.send(RPDO, bytes(length)) == []
+    bench.sync()
+    assert calls == [("bad", 1, length, 4, 0.0)] * 2
+    assert bench.read(0x1001) == 0x11
+    assert bench.read(0x1003, 1) == 0x8210 | 0x01 << 16 | length << 24
+    assert bench.send(RPDO, "05000600") == ["0A0#0000000000000000"]
+    bench.sync()
+    assert sine(bench) == 5
+    assert bench.read(0x1001) == 0
+    assert len(bench.send(RPDO, bytes(length))) == 1
+
+
+def test_the_error_outlives_operational(bench: Bench) -> None:
+    bench.operational()
+    (emergency,) = bench.send(RPDO, b"")
+    assert bench.nmt(128) == []
+    assert bench.read(0x1001) == int(emergency[8:10], 16)
+    bench.operational()
+    assert bench.send(RPDO, b"") == []
+    assert bench.send(RPDO, "05000600") == ["0A0#0000000000000000"]
+
+
+def test_a_changed_rpdo_starts_without_error(bench: Bench) -> None:
+    bench.operational()
+    bench.send(RPDO, b"")
+    assert "0A0#0000000000000000" in bench.send(0x620, "2300140190010080")
+    assert bench.read(0x1001) == 0
+
+
+def test_too_long(bench: Bench) -> None:
+    bench.operational()
+    assert bench.send(RPDO, "05000600FFFFFFFF") == []
+    assert sine(bench) == 5
+    assert bench.node.counters.long_rpdos == 1
+
+
+def test_values_beyond_the_limits_are_kept_out(bench: Bench) -> None:
+    bench.dictionary.entry(0x2000, 1).high = 100
+    bench.operational()
+    calls = calls_of(bench)
+    bench.send(RPDO, "65000700")
+    assert calls == [(1, 0.0, 0)]
+    assert bench.dictionary.entry(0x2000, 2).value == 7
+    assert bench.node.counters.refused_rpdo_values == 1
+
+
+def test_mixed_mapping_with_dummies(bench: Bench) -> None:
+    assert remap(bench, 0x1401, [0x00050008, 0x20000301, 0x20000518, 0x20000408]) == [OK] * 8
+    bench.write(0x1401, 2, 255, 1)
+    bench.operational()
+    word = 0xAA | 1 << 8 | 0x123456 << 9 | 0x5A << 33
+    bench.send(0x320, word.to_bytes(6, "little"))
+    values = [bench.dictionary.entry(0x2000, sub).value for sub in (3, 4, 5)]
+    assert values == [True, 0x5A, 0x123456]
+
+
+def test_an_rpdo_without_mapping_is_not_there(bench: Bench) -> None:
+    bench.write(0x1401, 1, 0x320, 4)
+    bench.operational()
+    bench.send(0x320, "00")
+    assert bench.node.counters.unknown_cob_ids == 1
+
+
+def test_two_rpdos_on_one_can_id(bench: Bench) -> None:
+    remap(bench, 0x1401, [0x20000408])
+    bench.write(0x1401, 2, 255, 1)
+    bench.write(0x1401, 1, 0x80000190, 4)
+    assert bench.write(0x1401, 1, RPDO, 4) == OK
+    bench.operational()
+    bench.send(RPDO, "05000600")
+    assert (sine(bench), bench.dictionary.entry(0x2000, 4).value) == (5, 5)
+
+
+def test_the_time_out(bench: Bench) -> None:
+    assert bench.write(0x1400, 5, 50, 2) == OK
+    bench.operational()
+    assert bench.run(1.0) == []
+    bench.send(RPDO, "01000200")
+    bench.run(0.04)
+    bench.send(RPDO, "01000200")
+    assert bench.run(1.0) == [(1.09, "0A0#5082110100000000")]
+    assert bench.send(RPDO, "01000200") == ["0A0#0000000000000000"]
+    assert len(bench.run(1.0)) == 1
+
+
+def test_the_time_out_ends_with_operational(bench: Bench) -> None:
+    bench.write(0x1400, 5, 50, 2)
+    bench.operational()
+    bench.send(RPDO, "01000200")
+    bench.nmt(128)
+    assert bench.run(1.0) == []
+
+
+def test_a_program_error_comes_out(bench: Bench) -> None:
+    bench.operational()
+
+    def broken(number: int, now: float) -> None:
+        raise RuntimeError("a mistake in the program")
+
+    bench.node.on_rpdo = broken
+    with pytest.raises(RuntimeError):
+        bench.send(RPDO, "01000200")

@@ -1,0 +1,185 @@
+from __future__ import annotations
+
+import pytest
+from device_kit import OK, Bench
+
+from canfb.device.codes import AbortCode
+
+
+def seen_by(bench: Bench) -> list[tuple[int | None, float]]:
+    seen: list[tuple[int | None, float]] = []
+    bench.node.on_sync = lambda counter, now: seen.append((counter, now))
+    return seen
+
+
+def test_on_sync_only_in_operational(bench: Bench) -> None:
+    seen = seen_by(bench)
+    bench.sync()
+    bench.operational()
+    bench.now = 2.5
+    bench.sync()
+    bench.nmt(2)
+    bench.sync()
+    assert seen == [(None, 2.5)]
+
+
+def test_the_order_within_a_sync(bench: Bench) -> None:
+    """RPDO data, on_rpdo, on_sync, then the TPDO is sampled (CiA 301, 7.2.5)."""
+    bench.write(0x1400, 2, 0, 1)
+    bench.operational()
+    sine, out = bench.dictionary.entry(0x2000, 1), bench.dictionary.entry(0x2010, 1)
+    order: list[object] = []
+    bench.node.on_rpdo = lambda number, now: order.append(("rpdo", number, sine.value))
+
+    def on_sync(counter: int | None, now: float) -> None:
+        order.append(("sync", sine.value))
+        out.value = sine.value * 2
+
+    bench.node.on_sync = on_sync
+    assert bench.send(0x190, "05000200") == []
+    assert sine.value == 0
+    assert bench.sync() == ["2A0#0A000000"]
+    assert order == [("rpdo", 1, 5), ("sync", 5)]
+    bench.sync()
+    assert order[2:] == [("sync", 5)]
+
+
+def test_a_wrong_length_is_no_sync_and_reported_once(bench: Bench) -> None:
+    bench.operational()
+    seen = seen_by(bench)
+    assert bench.sync(1) == ["0A0#4082110100000000"]
+    assert bench.sync(2) == []
+    assert seen == []
+    assert bench.node.counters.malformed_frames == 2
+    assert bench.sync() == ["0A0#0000000000000000", "2A0#00000000"]
+    assert len(seen) == 1
+
+
+def test_with_a_counter_it_must_be_there(bench: Bench) -> None:
+    assert bench.write(0x1019, 0, 10, 1) == OK
+    bench.operational()
+    seen = seen_by(bench)
+    assert bench.sync() == ["0A0#4082110000000000"]
+    bench.sync(7)
+    assert seen == [(7, 0.0)]
+
+
+@pytest.mark.parametrize("value", [1, 241, 255])
+def test_impossible_overflows(bench: Bench, value: int) -> None:
+    assert bench.write(0x1019, 0, value, 1) is AbortCode.INVALID_VALUE
+
+
+def test_the_overflow_is_fixed_while_a_period_is_set(bench: Bench) -> None:
+    bench.write(0x1006, 0, 1000, 4)
+    assert bench.write(0x1019, 0, 5, 1) is AbortCode.DEVICE_STATE
+    assert bench.read(0x1019) == 0
+
+
+def test_the_producer(bench: Bench) -> None:
+    bench.write(0x1006, 0, 100_000, 4)
+    assert bench.node.deadline() is None
+    bench.write(0x1005, 0, 0x40000080, 4)
+    seen = bench.run(10.0)
+    assert {text for _, text in seen} == {"080#"}
+    assert 99 <= len(seen) <= 101
+    bench.write(0x1005, 0, 0x80, 4)
+    assert bench.run(10.0) == []
+
+
+def test_the_producer_counts(bench: Bench) -> None:
+    bench.write(0x1019, 0, 5, 1)
+    bench.write(0x1006, 0, 200_000, 4)
+    bench.write(0x1005, 0, 0x40000080, 4)
+    assert [text[4:] for _, text in bench.run(2.0)] == [
+        f"{number:02X}" for number in (1, 2, 3, 4, 5, 1, 2, 3, 4, 5)
+    ]
+
+
+def test_the_producer_acts_on_its_own_sync(bench: Bench) -> None:
+    bench.write(0x1006, 0, 100_000, 4)
+    bench.write(0x1005, 0, 0x40000080, 4)
+    bench.operational()
+    seen = seen_by(bench)
+    assert bench.run(0.1) == [(0.1, "080#"), (0.1, "2A0#00000000")]
+    assert len(seen) == 1
+    assert bench.sync() == []
+    assert len(seen) == 1
+
+
+def test_the_producer_rests_in_stopped(bench: Bench) -> None:
+    bench.write(0x1006, 0, 6_000, 4)
+    bench.write(0x1005, 0, 0x40000080, 4)
+    bench.nmt(2)
+    assert bench.run(1.0) == []
+    bench.nmt(128)
+    assert len(bench.run(0.0601)) == 10
+    bench.nmt(1)
+    assert len([text for _, text in bench.run(0.06) if text == "080#"]) == 10
+
+
+def test_a_stored_producer_starts_after_the_boot_up_with_one(silent: Bench) -> None:
+    for index, value in ((0x1019, 5), (0x1006, 100_000), (0x1005, 0x40000080)):
+        silent.dictionary.entry(index).default = value
+        silent.dictionary.entry(index).value = value
+    assert silent.start() == ["720#00"]
+    assert [text for _, text in silent.run(0.35)] == ["080#01", "080#02", "080#03"]
+    assert silent.nmt(129) == ["720#00"]
+    assert [text for _, text in silent.run(0.25)] == ["080#01", "080#02"]
+
+
+def test_a_late_tick_sends_one_sync(bench: Bench) -> None:
+    bench.write(0x1006, 0, 1_000, 4)
+    bench.write(0x1005, 0, 0x40000080, 4)
+    bench.now = 5.0
+    assert bench.tick() == ["080#"]
+    assert bench.node.deadline() == pytest.approx(5.001)
+
+
+def test_the_can_id_is_fixed_while_producing(bench: Bench) -> None:
+    assert bench.read(0x1005) == 0x80
+    assert bench.write(0x1005, 0, 0x40000080, 4) == OK
+    assert bench.write(0x1005, 0, 0x40000200, 4) is AbortCode.INVALID_VALUE
+    assert bench.write(0x1005, 0, 0x80, 4) == OK
+    assert bench.write(0x1005, 0, 0x200, 4) == OK
+    bench.operational()
+    assert bench.sync() == []
+    assert bench.send(0x200) == ["2A0#00000000"]
+
+
+@pytest.mark.parametrize(
+    "value", [0x000, 0x07F, 0x101, 0x180, 0x581, 0x67F, 0x6E0, 0x701, 0x20000080, 0x00000880]
+)
+def test_impossible_cob_ids(bench: Bench, value: int) -> None:
+    assert bench.write(0x1005, 0, value, 4) is AbortCode.INVALID_VALUE
+
+
+def test_the_window_for_rpdos(bench: Bench) -> None:
+    bench.write(0x1400, 2, 1, 1)
+    bench.write(0x1007, 0, 10_000, 4)
+    bench.operational()
+    sine = bench.dictionary.entry(0x2000, 1)
+    bench.send(0x190, "01000000")
+    bench.sync()
+    assert sine.value == 1
+    bench.now = 0.009
+    bench.send(0x190, "02000000")
+    bench.now = 0.011
+    bench.send(0x190, "03000000")
+    bench.now = 0.1
+    bench.sync()
+    assert sine.value == 2
+    assert bench.node.counters.late_rpdos == 1
+    bench.now = 0.105
+    bench.send(0x190, "04000000")
+    bench.sync()
+    assert sine.value == 4
+
+
+def test_without_a_window_every_rpdo_is_in_time(bench: Bench) -> None:
+    bench.write(0x1400, 2, 240, 1)
+    bench.operational()
+    bench.sync()
+    bench.now = 100.0
+    bench.send(0x190, "03000000")
+    bench.sync()
+    assert bench.dictionary.entry(0x2000, 1).value == 3
