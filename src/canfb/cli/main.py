@@ -7,6 +7,7 @@ on stderr; ``--debug`` shows the traceback.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -41,6 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return int(options.action(options))
     except KeyboardInterrupt:
+        return FAILED
+    except BrokenPipeError:  # the reader has gone, as in `canfb demo | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except CanfbError as error:
         if options.debug:
