@@ -27,8 +27,8 @@ def report(story: Story) -> str:
         _line("samples", f"{story.samples}, wrong cycle counts {story.wrong_counts}"),
         _line(
             "reference",
-            f"{REFERENCE_SAMPLES * SYNC_PERIOD_S:.0f} s at speed, "
-            f"coverage {100 * calibration.coverage:.0f} %, table good to {100 * calibration.uncertainty_peak:.2g} % of a cycle",
+            f"{REFERENCE_SAMPLES * SYNC_PERIOD_S:.0f} s, coverage {100 * calibration.coverage:.0f} %, "
+            f"table good to {100 * calibration.uncertainty_peak:.2g} % of a cycle",
         ),
         _line("table", f"{len(calibration.table)} entries by SDO, CRC-32 {story.table_crc32:08X}h, active"),
         "",
