@@ -1,0 +1,16 @@
+from __future__ import annotations
+
+import pytest
+from module_bench import Bench
+
+
+@pytest.fixture
+def bench() -> Bench:
+    made = Bench()
+    made.start()
+    return made
+
+
+@pytest.fixture
+def make_bench() -> type[Bench]:
+    return Bench

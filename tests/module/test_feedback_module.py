@@ -1,0 +1,280 @@
+from __future__ import annotations
+
+import struct
+
+import pytest
+from canopen import SdoAbortedError
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from module_bench import Bench
+
+from canfb.device.frame import Frame
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.supervision import StatusBit
+
+
+def abort_code(error: pytest.ExceptionInfo[SdoAbortedError]) -> int:
+    return error.value.code
+
+
+def test_each_sample_gives_one_position_pdo(bench: Bench) -> None:
+    assert bench.at(0.0) == (0, StatusBit.VALID, 0)
+    position, status, residual = bench.at(0.125)
+    assert (position, status) == (1024, StatusBit.VALID)
+    assert residual == pytest.approx(65536 / 8, abs=20)
+    bench.at(0.0)
+    assert bench.at(-0.125)[0] == 209 * 2500 * 8192 - 1024
+
+
+def test_the_counts_are_in_the_dictionary_and_every_stage_of_them(bench: Bench) -> None:
+    for n in range(9):
+        bench.at(n * 0.25)
+    sdo = bench.sdo
+    assert (sdo[0x2000][1].raw, sdo[0x2000][2].raw) == (0, 1500)
+    assert sdo[0x2011][4].raw == 2
+    assert sdo[0x2011][3].raw == 0
+    assert sdo[0x2011][5].raw == 1500
+    assert sdo[0x2011][6].raw == 0
+    assert sdo[0x2011][8].raw == 9
+    assert sdo[0x2011][7].raw == pytest.approx(0.25 * 2 * 3.14159265 / 2500 * 1000, rel=1e-3)
+    assert sdo[0x6004].raw == 2 * 8192
+    assert sdo[0x6008].raw == 2 * 8192
+    assert bench.module.feedback is not None
+    assert bench.module.feedback.valid
+
+
+def test_nothing_is_published_before_the_start_and_after_a_stop(make_bench: type[Bench]) -> None:
+    bench = make_bench()
+    bench.sync()
+    assert bench.counts(0, 1500) == []
+    bench.start()
+    bench.at(0.0)
+    bench.remote.nmt.state = "STOPPED"
+    bench.sync()
+    assert bench.counts(0, 1500) == []
+
+
+def test_a_missed_sample_is_flagged_at_the_next_sync_and_counted(bench: Bench) -> None:
+    for n in range(4):
+        bench.at(n * 0.2)
+    assert not [frame for frame in bench.sync() if frame.can_id == 0x1A0]
+    position, status, _ = bench.position(bench.sync())
+    assert status == StatusBit.COASTING | StatusBit.MISSED
+    assert position == pytest.approx(0.8 * 8192, abs=0.05 * 8192)
+    assert bench.sdo[0x2012][1].raw == 1
+    assert bench.sdo[0x2012][4].raw == 1
+
+
+def test_an_interface_that_falls_silent_loses_the_position_once(bench: Bench) -> None:
+    for n in range(3):
+        bench.at(n * 0.1)
+    bench.sync()
+    statuses = []
+    for _ in range(10):
+        statuses += [struct.unpack("<IHH", frame.data)[1] for frame in bench.sync() if frame.can_id == 0x1A0]
+    assert [bool(status & StatusBit.LOST) for status in statuses] == [False, False, False, True]
+    assert bench.emergencies() == [0x7300]
+    assert bench.sdo[0x2012][5].raw == 1
+    assert bench.sdo[0x6503].raw == 1
+    assert bench.sdo[0x1001].raw == 0x21
+    bench.at(0.3)
+    assert not bench.at(0.3)[1] & StatusBit.VALID
+    bench.remote.nmt.state = "PRE-OPERATIONAL"
+    bench.start()
+    assert bench.at(0.3)[1] == StatusBit.VALID
+    assert bench.emergencies() == [0x7300, 0]
+    assert bench.sdo[0x6503].raw == 0
+
+
+def test_a_second_sample_in_one_sync_interval_is_dropped_and_counted(bench: Bench) -> None:
+    bench.at(0.0)
+    assert bench.counts(1500, 0) == []
+    assert bench.sdo[0x2012][8].raw == 1
+    assert bench.at(0.01)[1] == StatusBit.VALID
+
+
+def test_without_a_sync_every_pdo_is_a_sample(bench: Bench) -> None:
+    for n in range(5):
+        assert bench.position(bench.counts(0, 1500 - n))[1] == StatusBit.VALID
+    assert bench.sdo[0x2011][8].raw == 5
+
+
+@pytest.mark.parametrize(("sine", "cosine", "bit", "counter"), [
+    (0, 0, StatusBit.AMPLITUDE, 3), (2047, 0, StatusBit.CLIPPED, 3), (0, -1500, StatusBit.RESIDUAL, 2),
+])  # fmt: skip
+def test_a_fault_is_flagged_in_the_same_sample(
+    bench: Bench, sine: int, cosine: int, bit: StatusBit, counter: int
+) -> None:
+    for _ in range(4):
+        bench.at(0.0)
+    bench.sync()
+    _, status, _ = bench.position(bench.counts(sine, cosine))
+    assert status & bit
+    assert not status & StatusBit.VALID
+    assert bench.sdo[0x2012][counter].raw == 1
+    assert bench.emergencies() == [0x7300]
+    for _ in range(3):
+        status = bench.at(0.0)[1]
+    assert status == StatusBit.VALID
+    assert bench.emergencies() == [0x7300, 0]
+
+
+def test_a_sample_that_the_interface_calls_invalid_is_not_taken(bench: Bench) -> None:
+    bench.at(0.0)
+    bench.sdo[0x2000][6].raw = 2
+    assert not bench.at(0.0)[1] & StatusBit.VALID
+
+
+def test_a_synchronous_rpdo_is_taken_at_the_next_sync(bench: Bench) -> None:
+    sdo = bench.sdo
+    sdo[0x1400][1].raw = 0x80000190
+    sdo[0x1400][2].raw = 1
+    sdo[0x1400][1].raw = 0x190
+    bench.sync()
+    assert bench.counts(1500, 0) == []
+    assert bench.position(bench.sync())[:2] == (2048, StatusBit.VALID)
+    _, status, _ = bench.position(bench.sync())
+    assert status & StatusBit.MISSED
+
+
+@pytest.mark.parametrize("length", [0, 1, 3])
+def test_a_short_pdo_is_counted_and_reported_and_changes_nothing(bench: Bench, length: int) -> None:
+    bench.at(0.25)
+    before = bench.sdo[0x2011][8].raw
+    bench.sync()
+    assert not [f for f in bench.sent(Frame(0x190, bytes(length))) if f.can_id == 0x1A0]
+    assert bench.sdo[0x2000][1].raw == 1500
+    assert bench.sdo[0x2011][8].raw == before
+    assert bench.sdo[0x2012][8].raw == 1
+    assert 0x8210 in bench.emergencies()
+
+
+def test_a_long_pdo_is_used_as_far_as_it_is_mapped(bench: Bench) -> None:
+    bench.sync()
+    frames = bench.sent(Frame(0x190, struct.pack("<hhI", 1500, 0, 0xDEADBEEF)))
+    assert bench.position(frames)[:2] == (2048, StatusBit.VALID)
+
+
+def test_unknown_cob_ids_are_counted(bench: Bench) -> None:
+    before = bench.module.node.counters.unknown_cob_ids
+    assert bench.sent(Frame(0x123, b"\1\2\3")) == []
+    assert bench.module.node.counters.unknown_cob_ids == before + 1
+
+
+def test_linking_to_another_interface(make_bench: type[Bench]) -> None:
+    bench = make_bench(encoder_interface=5)
+    assert bench.sdo[0x1400][1].raw == 0x185
+    bench.start()
+    bench.sync()
+    assert bench.position(bench.sent(Frame(0x185, struct.pack("<hh", 0, 1500))))[1] == StatusBit.VALID
+
+
+def test_the_position_goes_on_after_a_pause_and_starts_anew_after_a_reset(bench: Bench) -> None:
+    for n in range(20):
+        bench.at(n * 0.25)
+    bench.remote.nmt.state = "PRE-OPERATIONAL"
+    bench.start()
+    bench.at(19 * 0.25)
+    assert bench.sdo[0x2011][4].raw == 4
+    bench.remote.nmt.state = "RESET"
+    bench.start()
+    bench.at(0.75)
+    assert bench.sdo[0x2011][4].raw == 0
+
+
+def test_limits_written_by_sdo_are_in_force_with_the_next_sample(bench: Bench) -> None:
+    assert bench.at(0.0, amplitude=900)[1] == StatusBit.VALID
+    bench.sdo[0x2001][3].raw = 1000
+    assert bench.at(0.0, amplitude=900)[1] & StatusBit.AMPLITUDE
+    bench.sdo[0x2001][3].raw = 100
+    bench.sdo[0x2001][2].raw = 800
+    assert bench.at(0.0, amplitude=900)[1] & StatusBit.CLIPPED
+
+
+@pytest.mark.parametrize(("index", "sub", "value"), [
+    (0x2001, 1, 0), (0x2001, 1, 1048577), (0x2001, 3, 60000), (0x2001, 4, 0),
+    (0x2010, 1, 0), (0x2010, 1, 32769),
+    (0x2010, 2, -1.0), (0x2010, 2, float("nan")), (0x2002, 3, 0.0), (0x2002, 1, float("inf")),
+    (0x2002, 5, 2.0),
+    (0x6000, 0, 0x80), (0x6001, 0, 0), (0x6003, 0, 0xFFFFFFFF),
+])  # fmt: skip
+def test_bad_values_are_refused_and_change_nothing(bench: Bench, index: int, sub: int, value: float) -> None:
+    bench.at(0.0)
+    variable = bench.sdo[index][sub] if sub else bench.sdo[index]
+    before = variable.raw
+    with pytest.raises(SdoAbortedError) as error:
+        variable.raw = value
+    assert abort_code(error) in (0x06090030, 0x06090031, 0x06090032)
+    assert variable.raw == before
+    assert bench.at(0.0)[1] == StatusBit.VALID
+
+
+def test_a_known_acceleration_narrows_the_limit(bench: Bench) -> None:
+    for _ in range(10):
+        bench.at(0.0)
+    assert bench.at(0.2)[1] == StatusBit.VALID
+    for _ in range(4):
+        bench.at(0.2)
+    bench.sdo[0x2010][2].raw = 100.0  # 0.04 cycle at 1 kHz, and the margin
+    assert bench.at(0.4)[1] & StatusBit.RESIDUAL
+
+
+def test_the_preset_sets_the_position_at_standstill_only(bench: Bench) -> None:
+    with pytest.raises(SdoAbortedError) as error:
+        bench.sdo[0x6003].raw = 1000
+    assert abort_code(error) == 0x08000022
+    for _ in range(3):
+        bench.at(0.25)
+    bench.sdo[0x6003].raw = 1000
+    assert bench.sdo[0x6004].raw == 1000
+    assert bench.sdo[0x6509].raw == 1000 - 2048
+    assert bench.at(0.26)[0] == pytest.approx(1000 + 0.01 * 8192, abs=40)
+    for n in range(4):
+        bench.at(0.3 + 0.2 * n)
+    with pytest.raises(SdoAbortedError):
+        bench.sdo[0x6003].raw = 0
+
+
+def test_scaling_and_code_sequence(bench: Bench) -> None:
+    bench.sdo[0x6001].raw = 25_000
+    bench.sdo[0x6002].raw = 1000
+    bench.at(0.0)
+    assert bench.at(0.25)[0] == 2048
+    bench.sdo[0x6000].raw = 0b100
+    assert bench.sdo[0x6500].raw == 0b100
+    assert bench.at(0.25)[0] == 2
+    bench.sdo[0x6000].raw = 0b101
+    assert bench.at(0.25)[0] == 1000 - 3  # -2.5 rounds down
+
+
+def test_warnings_come_before_faults(bench: Bench) -> None:
+    bench.at(0.0, amplitude=430)
+    assert bench.sdo[0x6505].raw == 2
+    for _ in range(2):
+        bench.at(0.0)
+    assert bench.sdo[0x6505].raw == 0
+    bench.at(0.28)
+    assert bench.sdo[0x6505].raw == 1
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.data())
+def test_no_frame_ever_raises_and_what_is_published_is_well_formed(data: st.DataObject) -> None:
+    module = FeedbackModule(ModuleConfig(node_id=32, autostart=True))
+    module.start(0.0)
+    now = 0.0
+    ids = st.one_of(st.sampled_from([0, 0x80, 0x190, 0x620, 0x720]), st.integers(0, 0x7FF))
+    for _ in range(30):
+        now += data.draw(st.floats(0, 0.1))
+        frame = Frame(data.draw(ids), data.draw(st.binary(max_size=9)), data.draw(st.booleans()))
+        for out in [*module.receive(frame, now), *module.tick(now)]:
+            assert 0 <= out.can_id <= 0x7FF
+            assert len(out.data) <= 8
+
+
+def test_a_thousand_hours_of_counters_wrap_and_do_not_overflow(bench: Bench) -> None:
+    bench.module.dictionary.entry(0x2012, 8).value = 0xFFFFFFFF
+    bench.at(0.0)
+    bench.counts(0, 0)
+    assert bench.sdo[0x2012][8].raw == 0

@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from canopen import SdoAbortedError
+from module_bench import Bench
+
+from canfb.device.frame import Frame
+from canfb.signal.correction import CorrectionTable
+from canfb.signal.supervision import StatusBit
+
+
+def wavy(n: int = 256, size: float = 0.01) -> CorrectionTable:
+    x = np.arange(n) / n
+    return CorrectionTable(x + size * np.sin(2 * np.pi * x))
+
+
+def stage(bench: Bench, data: bytes) -> None:
+    bench.sdo.download(0x2020, 1, data)
+
+
+def activate(bench: Bench, crc32: int) -> None:
+    bench.sdo[0x2020][3].raw = crc32
+
+
+def in_force(bench: Bench) -> tuple[int, int]:
+    return bench.sdo[0x2020][4].raw, bench.sdo[0x2020][5].raw
+
+
+@pytest.mark.parametrize("n", [16, 200, 256, 4096])
+def test_staged_checked_activated_and_read_back(bench: Bench, n: int) -> None:
+    table = wavy(n)
+    stage(bench, table.to_bytes())
+    assert bench.sdo[0x2020][2].raw == zlib.crc32(table.to_bytes())
+    assert in_force(bench) == (0, 0)
+    assert not bench.at(0.1)[1] & StatusBit.TABLE_ACTIVE
+    activate(bench, table.crc32)
+    assert in_force(bench) == (table.crc32, n)
+    assert bench.sdo.upload(0x2020, 1) == table.to_bytes()
+    _, status, _ = bench.at(0.1)
+    assert status == StatusBit.VALID | StatusBit.TABLE_ACTIVE
+    sine, cosine = round(1500 * math.sin(0.2 * math.pi)), round(1500 * math.cos(0.2 * math.pi))
+    expected = table(sine / cosine / 8)
+    assert bench.sdo[0x2011][3].raw / 2**32 == pytest.approx(expected, abs=1e-9)
+    activate(bench, 0)
+    assert in_force(bench) == (0, 0)
+
+
+def change(n: int, value: float) -> bytes:
+    entries = wavy().entries
+    entries[n] = value
+    return struct.pack(f"<{len(entries)}f", *entries)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        change(7, math.nan), change(7, math.inf), change(7, 0.5), change(7, 6 / 256), change(0, -0.3),
+        bytes(60),
+        wavy().to_bytes()[:-1], wavy().to_bytes()[:-2],
+        struct.pack("<4097f", *(np.arange(4097) / 4097)), bytes(1024),
+    ],
+)  # fmt: skip
+def test_a_bad_table_is_refused_and_leaves_everything_as_it_was(bench: Bench, data: bytes) -> None:
+    good, next_one = wavy(size=0.01), wavy(size=0.02)
+    stage(bench, good.to_bytes())
+    activate(bench, good.crc32)
+    stage(bench, next_one.to_bytes())
+    with pytest.raises(SdoAbortedError) as error:
+        stage(bench, data)
+    assert error.value.code == 0x06090030
+    assert bench.sdo[0x2020][2].raw == next_one.crc32
+    assert in_force(bench) == (good.crc32, 256)
+    assert bench.sdo.upload(0x2020, 1) == good.to_bytes()
+
+
+def test_only_the_crc_of_the_staged_or_the_active_table_activates(bench: Bench) -> None:
+    first, second = wavy(size=0.01), wavy(size=0.02)
+    for crc32 in (1, first.crc32):
+        with pytest.raises(SdoAbortedError) as error:
+            activate(bench, crc32)
+        assert error.value.code == 0x06090030
+    stage(bench, first.to_bytes())
+    activate(bench, first.crc32)
+    stage(bench, second.to_bytes())
+    activate(bench, first.crc32)
+    assert in_force(bench)[0] == first.crc32
+    activate(bench, second.crc32)
+    assert in_force(bench)[0] == second.crc32
+
+
+def test_conditioning_waits_for_the_activation(bench: Bench) -> None:
+    table = wavy()
+    stage(bench, table.to_bytes())
+    activate(bench, table.crc32)
+    bench.at(0.0)
+    assert bench.sdo[0x2011][5].raw == 1500
+    bench.sdo[0x2002][4].raw = 0.5
+    bench.at(0.0)
+    assert bench.sdo[0x2011][5].raw == 1500
+    activate(bench, table.crc32)
+    bench.at(0.0)
+    assert bench.sdo[0x2011][5].raw == 750
+
+
+def test_the_activation_cannot_be_read(bench: Bench) -> None:
+    with pytest.raises(SdoAbortedError) as error:
+        bench.sdo.upload(0x2020, 3)
+    assert error.value.code == 0x06010001
+
+
+def test_without_a_table_the_identity_is_read(bench: Bench) -> None:
+    assert bench.sdo.upload(0x2020, 1) == CorrectionTable.identity().to_bytes()
+    assert bench.sdo[0x2020][2].raw == 0
+
+
+def test_a_reset_of_the_node_takes_the_table_out_a_reset_of_communication_does_not(bench: Bench) -> None:
+    table = wavy()
+    stage(bench, table.to_bytes())
+    activate(bench, table.crc32)
+    bench.remote.nmt.state = "RESET COMMUNICATION"
+    assert in_force(bench) == (table.crc32, 256)
+    bench.remote.nmt.state = "RESET"
+    assert in_force(bench) == (0, 0)
+    assert bench.sdo[0x2020][2].raw == 0
+
+
+def test_an_upload_that_the_master_breaks_off_stages_nothing(bench: Bench) -> None:
+    bench.sent(Frame(0x620, bytes.fromhex("2120200100040000")))
+    bench.sent(Frame(0x620, b"\0" + bytes(7)))
+    bench.sent(Frame(0x620, bytes.fromhex("8020200100000008")))
+    assert bench.sdo[0x2020][2].raw == 0
+    bench.sdo.responses.queue.clear()
+    stage(bench, wavy().to_bytes())
+    assert bench.sdo[0x2020][2].raw == wavy().crc32
