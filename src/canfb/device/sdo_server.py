@@ -9,10 +9,13 @@ from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
 from canfb.device.frame import NEVER, Emit, Frame
+from canfb.device.sdo_block import CRC_SUPPORTED, BlockDownload, BlockUpload
 from canfb.device.sdo_segment import SegmentedDownload, SegmentedUpload
 from canfb.device.sdo_transfer import (
     ABORT,
     ABORT_COMMAND,
+    BLOCK_DOWNLOAD,
+    BLOCK_UPLOAD,
     INITIATE_DOWNLOAD,
     INITIATE_UPLOAD,
     Transfer,
@@ -53,6 +56,8 @@ class SdoServer:
         self._begin: dict[int, Callable[[bytes], Transfer | None]] = {
             INITIATE_DOWNLOAD: self._download,
             INITIATE_UPLOAD: self._upload,
+            BLOCK_UPLOAD: self._block_upload,
+            BLOCK_DOWNLOAD: self._block_download,
         }
 
     def drop(self) -> None:
@@ -127,3 +132,23 @@ class SdoServer:
             self._reply(expedited_upload(multiplexer, content))
             return None
         return SegmentedUpload(multiplexer, content, self._reply)
+
+    def _block_upload(self, data: bytes) -> Transfer | None:
+        command, block_size, switch_at = data[0], data[4], data[5]
+        if command & 0x03:
+            raise SdoAbort(AbortCode.COMMAND)
+        content = self._entry(data).upload()
+        if switch_at and len(content) <= switch_at:  # the protocol switch threshold, 0 for never
+            return self._answer_upload(data[1:4], content)
+        with_crc = bool(command & CRC_SUPPORTED)
+        return BlockUpload(data[1:4], content, block_size, with_crc=with_crc, reply=self._reply)
+
+    def _block_download(self, data: bytes) -> Transfer | None:
+        command = data[0]
+        if command & 0x01:
+            raise SdoAbort(AbortCode.COMMAND)
+        entry = self._entry(data)
+        entry.check_writable()
+        announced = int.from_bytes(data[4:8], "little") if command & 0x02 else None
+        with_crc = bool(command & CRC_SUPPORTED)
+        return BlockDownload(data[1:4], entry, announced, with_crc=with_crc, reply=self._reply)
