@@ -118,14 +118,15 @@ def test_what_happens_in_stopped_is_sent_afterwards(bench: Bench) -> None:
     assert bench.nmt(1) == ["0A0#0073210000000000"]
 
 
-def test_a_communication_reset_keeps_the_errors_of_the_application(bench: Bench) -> None:
+@pytest.mark.parametrize("command", [129, 130])
+def test_a_reset_forgets_the_errors(bench: Bench, command: int) -> None:
     bench.node.emergency(SENSOR, 0x20, now=0.0)
     sent(bench)
-    assert bench.nmt(130) == ["720#00"]
-    assert bench.read(0x1001) == 0x21
-    assert bench.read(0x1003) == 0
-    assert bench.nmt(129) == ["720#00"]
+    assert bench.nmt(command) == ["720#00"]
     assert bench.read(0x1001) == 0
+    assert bench.read(0x1003) == 0
+    bench.node.emergency(SENSOR, 0x20, now=0.0)
+    assert sent(bench) == ["0A0#0073210000000000"]
 
 
 def test_an_error_raised_at_reset_follows_the_boot_up(bench: Bench) -> None:

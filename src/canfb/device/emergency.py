@@ -17,7 +17,7 @@ _EMERGENCY = struct.Struct("<HB5s")
 _WAITING = 8
 
 APPLICATION = None
-"""Source of the errors that are not the device's own."""
+"""Source of the errors that the program reports."""
 
 
 class Emergency:
@@ -43,10 +43,9 @@ class Emergency:
         self._not_before = -NEVER
         self._install()
 
-    def reset(self, *, communication_only: bool) -> None:
-        """Forget the errors; after a reset of communication only, the application's are kept."""
-        kept = self._active if communication_only else {}
-        self._active = {key: bits for key, bits in kept.items() if key[1] is APPLICATION}
+    def reset(self) -> None:
+        """Forget the errors, with an NMT reset. Who still has one reports it again."""
+        self._active.clear()
         self._waiting.clear()
         self._not_before = -NEVER
         self.deadline = NEVER

@@ -42,7 +42,7 @@ class Node:
     synchronous TPDOs are sampled; `counter` is None without 1019h.
     on_state(old, new, now): after a change of the NMT state.
     on_reset(communication_only, now): the dictionary is back at its defaults (at `start`: is as it
-    is), before boot-up.
+    is) and all errors are forgotten, before boot-up; report again what persists.
     on_bad_rpdo(number, received, mapped, now): an RPDO too short, in bytes; its data was dropped.
     """
 
@@ -227,7 +227,7 @@ class Node:
         """INITIALISING, from the values in the dictionary, up to the state after the boot-up."""
         self._nmt.enter(NmtState.INITIALISING, now)
         self._producer.stop()
-        self._emergency.reset(communication_only=communication_only)
+        self._emergency.reset()
         self._consumer.configure(now)
         self._sync.configure()
         for channel in self._channels:

@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from device_kit import ID, OK, Bench
+
+from canfb.device.codes import AbortCode
+from canfb.device.dictionary import Dictionary
+from canfb.device.entry import READABLE, WRITABLE
+from canfb.device.frame import Frame
+from canfb.device.nmt import NmtState
+
+SHIPPED = Path(__file__).parents[2] / "eds"
+ONLY_SPECIAL_VALUES = {0x2020}
+
+
+@pytest.fixture(params=["canfb-module.eds", "encoder-interface.eds"])
+def shipped(request: pytest.FixtureRequest) -> Bench:
+    bench = Bench(Dictionary.load(SHIPPED / request.param, ID))
+    bench.start()
+    return bench
+
+
+def test_frames_of_more_than_eight_bytes(bench: Bench) -> None:
+    bench.operational()
+    for can_id in (0x000, 0x080, 0x190, 0x620, 0x123):
+        assert bench.send(can_id, bytes(9)) == []
+    assert bench.node.counters.malformed_frames == 5
+
+
+def test_remote_frames_where_none_is_meant(bench: Bench) -> None:
+    bench.operational()
+    for can_id in (0x000, 0x080, 0x190, 0x620, 0x720, 0x123):
+        assert bench.send(can_id, rtr=True) == []
+    assert bench.node.counters.remote_frames == 6
+    assert bench.node.state is NmtState.OPERATIONAL
+
+
+@pytest.mark.parametrize("can_id", [0x123, 0x621, 0x5A0, 0x720, 0x1A0, 0x800, 0x1FFFFFFF, -1])
+def test_unknown_ids(bench: Bench, can_id: int) -> None:
+    bench.operational()
+    assert bench.send(can_id, "4000100000000000") == []
+    assert bench.node.counters.unknown_cob_ids == 1
+
+
+def test_the_timestamp_is_not_looked_at(bench: Bench) -> None:
+    frame = Frame(0x620, bytes.fromhex("4000100000000000"), False, -1e30)
+    assert len(bench.node.receive(frame, 0.0)) == 1
+
+
+def test_the_deadline_is_the_earliest(bench: Bench) -> None:
+    assert bench.node.deadline() is None
+    bench.write(0x1006, 0, 30_000, 4)
+    bench.write(0x1005, 0, 0x40000080, 4)
+    bench.write(0x1016, 1, 0x00470032, 4)
+    bench.send(0x747, "05")
+    assert bench.node.deadline() == pytest.approx(0.03)
+    bench.write(0x1006, 0, 0, 4)
+    assert bench.node.deadline() == pytest.approx(0.05)
+    bench.sdo("40081000")
+    bench.write(0x1016, 1, 0, 4)
+    assert bench.node.deadline() is None
+
+
+def test_a_tick_too_early_does_nothing(bench: Bench) -> None:
+    bench.write(0x1017, 0, 100, 2)
+    bench.run(0.05)
+    assert bench.tick() == []
+
+
+def test_an_exception_of_the_program_loses_no_frame(bench: Bench) -> None:
+    bench.operational()
+
+    def broken(number: int, now: float) -> None:
+        bench.node.trigger_tpdo(1, now)
+        raise RuntimeError("a mistake in the program")
+
+    bench.node.on_rpdo = broken
+    with pytest.raises(RuntimeError):
+        bench.send(0x190, "01000200")
+    assert bench.tick() == ["1A0#0000000000000000"]
+
+
+def test_every_entry_is_read_and_written_back(shipped: Bench) -> None:
+    """OD 01, 03, 04, 07 and 09 of the conformance cases, for numbers."""
+    for entry in shipped.dictionary:
+        if not 1 <= entry.byte_length <= 4:
+            continue
+        read = shipped.read(entry.index, entry.subindex)
+        number = int.from_bytes(entry.encode(), "little") if not entry.on_read else 0
+        if entry.access not in READABLE:
+            assert read is AbortCode.WRITE_ONLY
+        elif entry.on_read:
+            assert read is AbortCode.NO_DATA
+        else:
+            assert read == number == int.from_bytes(entry.encode(), "little")
+        if entry.index in ONLY_SPECIAL_VALUES or (entry.index & 0xFE00) in (0x1600, 0x1A00):
+            continue
+        written = shipped.write(entry.index, entry.subindex, number, entry.byte_length)
+        fixed_while_valid = entry.index & 0xFF00 == 0x1800 and entry.subindex in (3, 6)
+        if entry.access not in WRITABLE:
+            assert written is AbortCode.READ_ONLY
+        elif fixed_while_valid:
+            assert written in (OK, AbortCode.INVALID_VALUE)
+        else:
+            assert written == OK, entry
+
+
+def test_the_defaults_of_the_file_are_there_after_every_reset(shipped: Bench) -> None:
+    before = {(entry.index, entry.subindex): entry.value for entry in shipped.dictionary}
+    shipped.write(0x1017, 0, 500, 2)
+    shipped.write(0x1005, 0, 0x200, 4)
+    shipped.nmt(130)
+    assert before == {(entry.index, entry.subindex): entry.value for entry in shipped.dictionary}
+
+
+def test_a_sweep_of_what_is_not_there(shipped: Bench) -> None:
+    indices = {info.index for info in shipped.dictionary.objects()}
+    for index in range(0x10000):
+        subindex = 255 if index in indices else 0
+        expected = AbortCode.NO_SUBINDEX if index in indices else AbortCode.NO_OBJECT
+        assert shipped.read(index, subindex) is expected
+    for index in indices:
+        for subindex in range(256):
+            if (index, subindex) not in shipped.dictionary:
+                assert shipped.read(index, subindex) is AbortCode.NO_SUBINDEX
+
+
+def test_the_default_pdos_of_the_module() -> None:
+    bench = Bench(Dictionary.load(SHIPPED / "canfb-module.eds", ID), autostart=True)
+    bench.start()
+    seen: list[int] = []
+    bench.node.on_rpdo = lambda number, now: seen.append(number)
+    bench.send(0x190, "01000200")
+    assert seen == [1]
+    bench.node.trigger_tpdo(1, 0.0)
+    assert bench.tick() == ["1A0#0000000000000000"]
+    assert bench.sync() == ["2A0#0000000000000000"]
