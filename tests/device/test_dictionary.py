@@ -256,3 +256,51 @@ def test_every_abort_code_has_a_text() -> None:
     for code in AbortCode:
         assert len(code.text) > 5
         assert f"{code:08X}" in str(SdoAbort(code))
+
+
+def test_text_time_and_bytes(tmp_path: Path) -> None:
+    text = (
+        variable("2100", 0x0B, DefaultValue="μm")
+        + variable("2101", 0x0C)
+        + variable("2102", 0x0A, DefaultValue="01 02 FF")
+    )
+    dictionary = load_text(tmp_path, text)
+    assert dictionary.entry(0x2100).upload() == "μm".encode("utf-16-le")
+    dictionary.entry(0x2100).download("Ωx".encode("utf-16-le"))
+    assert dictionary.entry(0x2100).value == "Ωx"
+    assert dictionary.entry(0x2101).value == bytes(6)
+    assert dictionary.entry(0x2101).bit_length == 48
+    dictionary.entry(0x2101).download(b"\x01\x02\x03\x04\x05\x06")
+    assert dictionary.entry(0x2101).value == b"\x01\x02\x03\x04\x05\x06"
+    assert dictionary.entry(0x2102).value == b"\x01\x02\xff"
+
+
+def test_a_text_that_the_type_cannot_hold(dictionary: Dictionary) -> None:
+    entry = dictionary.entry(0x2021)
+    entry.value = "Ω"
+    with pytest.raises(ValueError, match="2021h:00"):
+        entry.encode()
+
+
+def test_an_unknown_data_type(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="unknown data type 0x0017"):
+        load_text(tmp_path, variable("2100", 0x17))
+
+
+def test_a_file_without_dummies(tmp_path: Path) -> None:
+    path = tmp_path / "plain.eds"
+    path.write_text("[DeviceInfo]\nVendorName=x\n" + variable("2100", 5))
+    assert Dictionary.load(path, 1).dummies == frozenset()
+
+
+def test_an_explicit_section_wins_over_a_compact_one(tmp_path: Path) -> None:
+    text = "[2100]\nParameterName=Level\nObjectType=8\nDataType=6\nAccessType=rw\nCompactSubObj=2\n"
+    text += variable("2100sub2", 7, DefaultValue="99")
+    dictionary = load_text(tmp_path, text)
+    assert [dictionary.entry(0x2100, sub).data_type for sub in (1, 2)] == [6, 7]
+    assert dictionary.entry(0x2100, 2).value == 99
+
+
+@pytest.mark.parametrize("text", ["$NODEID+0x180", "0x180+$NODEID", "$nodeid + 0x180"])
+def test_the_node_id_in_a_default(tmp_path: Path, text: str) -> None:
+    assert load_text(tmp_path, variable("2100", 7, DefaultValue=text)).entry(0x2100).value == 0x185

@@ -1,0 +1,56 @@
+"""A device with the mandatory objects only: every other service does without its objects."""
+
+from __future__ import annotations
+
+from device_kit import ID, Bench
+
+from canfb.device.codes import AbortCode, EmergencyCode
+from canfb.device.dictionary import Dictionary
+from canfb.device.entry import Entry
+from canfb.device.nmt import NmtState
+
+
+def minimal() -> Bench:
+    bench = Bench(Dictionary([Entry(0x1000, 0, 7, access="ro"), Entry(0x1001, 0, 5, access="ro")]))
+    bench.start()
+    return bench
+
+
+def test_nmt_sdo_and_silence() -> None:
+    bench = minimal()
+    assert bench.read(0x1000) == 0
+    assert bench.read(0x1017) is AbortCode.NO_OBJECT
+    bench.operational()
+    assert bench.node.state is NmtState.OPERATIONAL
+    assert bench.node.deadline() is None
+    assert bench.nmt(129) == ["720#00"]
+
+
+def test_emergencies_use_the_default_can_id() -> None:
+    bench = minimal()
+    bench.node.emergency(EmergencyCode.SENSOR, 0x20, now=0.0)
+    assert bench.tick() == [f"{0x80 + ID:03X}#0073210000000000"]
+    assert bench.read(0x1001) == 0x21
+
+
+def test_sync_uses_the_default_can_id() -> None:
+    bench = minimal().operational()
+    seen: list[int | None] = []
+    bench.node.on_sync = lambda counter, now: seen.append(counter)
+    bench.sync()
+    assert seen == [None]
+
+
+def test_without_even_an_error_register() -> None:
+    bench = Bench(Dictionary([Entry(0x1000, 0, 7, access="ro")]))
+    bench.start()
+    bench.node.emergency(EmergencyCode.SENSOR, 0x20, now=0.0)
+    assert bench.tick() == ["0A0#0073210000000000"]
+
+
+def test_half_a_second_channel_is_none() -> None:
+    entries = [Entry(0x1201, 1, 7, default=0x680)]
+    bench = Bench(Dictionary(entries))
+    bench.start()
+    assert bench.send(0x680, "4001120100000000") == []
+    assert bench.read(0x1201, 1) == 0x680
