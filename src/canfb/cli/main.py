@@ -7,6 +7,7 @@ on stderr; ``--debug`` shows the traceback.
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -39,6 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = parser.parse_args(arguments)
     except SystemExit as end:  # argparse has said what it has to say
         return int(end.code or 0)
+    # python-can logs what it raises as well; an error is one line here.
+    logging.basicConfig(level=logging.INFO if options.debug else logging.CRITICAL)
     try:
         return int(options.action(options))
     except KeyboardInterrupt:
