@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import yaml
 
 from canfb.errors import ConfigError
 from canfb.module.config import ModuleConfig
+from canfb.signal.chain import integer_in
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
 
@@ -30,12 +32,11 @@ class RealtimeConfig:
     cpu: int | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.priority, int) or not 0 <= self.priority <= 99:
-            raise ValueError(f"priority must be a whole number 0..99, not {self.priority!r}")
+        integer_in("priority", self.priority, 0, 99)
         if not isinstance(self.lock_memory, bool):
             raise ValueError(f"lock_memory must be true or false, not {self.lock_memory!r}")
-        if self.cpu is not None and (not isinstance(self.cpu, int) or self.cpu < 0):
-            raise ValueError(f"cpu must be the number of a processor, not {self.cpu!r}")
+        if self.cpu is not None:
+            integer_in("cpu", self.cpu, 0, 65535)
 
 
 @dataclass(frozen=True)
@@ -67,34 +68,74 @@ _NESTED: dict[str, type] = {
 _LISTS = frozenset({"modules", "harmonics"})
 
 
+_LONGEST_MESSAGE = 300
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML 1.1, and numbers such as 1e6, which it takes for text."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
+)
+
+
 def load_config(path: str | Path) -> Config:
-    """Read and validate a configuration. ConfigError that names file, line and key for a bad one."""
+    """Read and validate the configuration at ``path``.
+
+    ConfigError, in one line with file, line and key, for a bad one.
+    """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        raise ConfigError(f"{path}: cannot be read: {reason}") from None
+        data = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise _config_error(str(path), line, "this is not UTF-8 text") from None
     return parse_config(text, str(path))
 
 
 def parse_config(text: str, name: str = "configuration") -> Config:
     """:func:`load_config` for a text; ``name`` stands in the messages for the file."""
-    try:
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise ConfigError(f"{name}:{line}: this is not YAML: {error.problem}") from None
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{name}: this is not YAML: {error}") from None
+    root = _compose(text, name)
     if root is None:
-        raise ConfigError(f"{name}:1: the configuration is empty; 'canfb config example' prints one")
+        raise _config_error(name, 1, "the configuration is empty; 'canfb config example' prints one")
     reader = _Reader(name)
     config: Config = reader.read(root, Config, "the configuration")
     if not config.modules:
-        raise ConfigError(f"{name}:1: 'modules' is missing: a list with at least one module")
+        raise _config_error(name, 1, "'modules' is missing: a list with at least one module")
     reader.check_distinct_nodes(root, config)
     return config
+
+
+def _compose(text: str, name: str) -> yaml.Node | None:
+    """The nodes of the text, each with its line; None for an empty text."""
+    try:
+        loader = _Loader(text)
+    except yaml.reader.ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        raise _config_error(name, line, f"this is not YAML: {error.reason}") from None
+    try:
+        return loader.get_single_node()
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        words = " ".join(filter(None, (error.context, error.problem)))
+        raise _config_error(name, mark.line + 1 if mark else 1, f"this is not YAML: {words}") from None
+    except RecursionError:
+        raise _config_error(name, loader.line + 1, "nested too deeply") from None
+    finally:
+        loader.dispose()
+
+
+def _config_error(name: str, line: int, text: str) -> ConfigError:
+    """One line, whatever the configuration holds."""
+    short = " ".join(text.split())
+    if len(short) > _LONGEST_MESSAGE:
+        short = f"{short[:_LONGEST_MESSAGE]} ..."
+    return ConfigError(f"{name}:{line}: {short}")
 
 
 class _Reader:
@@ -104,21 +145,20 @@ class _Reader:
         self._name = name
 
     def fail(self, node: yaml.Node, text: str) -> ConfigError:
-        return ConfigError(f"{self._name}:{node.start_mark.line + 1}: {text}")
+        return _config_error(self._name, node.start_mark.line + 1, text)
 
     def read(self, node: yaml.Node, kind: type, where: str) -> Any:
         """One mapping as a ``kind``."""
         if not isinstance(node, yaml.MappingNode):
             raise self.fail(node, f"{where} must be a mapping of keys to values")
+        self._check_tag(node, "map", where)
         known = [f.name for f in dataclasses.fields(kind)]
         values: dict[str, Any] = {}
         lines: dict[str, yaml.Node] = {}
-        for key_node, value_node in node.value:
-            key = str(getattr(key_node, "value", key_node))
+        for key_node, value_node in self._pairs(node, where):
+            key = key_node.value
             if key not in known:
                 raise self.fail(key_node, self._unknown(key, known, where))
-            if key in values:
-                raise self.fail(key_node, f"key '{key}' appears twice in {where}")
             values[key] = self._value(key, value_node, where)
             lines[key] = key_node
         for required in dataclasses.fields(kind):
@@ -128,34 +168,64 @@ class _Reader:
         try:
             return kind(**values)
         except (ValueError, TypeError) as error:
-            guilty = next((lines[key] for key in lines if key in str(error)), node)
-            raise self.fail(guilty, f"{where}: {error}") from None
+            guilty = self._guilty(str(error), lines)
+            raise self.fail(node if guilty is None else guilty, f"{where}: {error}") from None
+
+    def _pairs(self, node: yaml.MappingNode, where: str) -> list[tuple[yaml.ScalarNode, yaml.Node]]:
+        """Keys and values of a mapping; every key is one word, and there once."""
+        seen: set[str] = set()
+        for key_node, _ in node.value:
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise self.fail(key_node, f"a key in {where} must be a single word")
+            if key_node.value in seen:
+                raise self.fail(key_node, f"key {key_node.value!r} appears twice in {where}")
+            seen.add(key_node.value)
+        return list(node.value)
+
+    def _check_tag(self, node: yaml.Node, tag: str, where: str) -> None:
+        if node.tag != f"tag:yaml.org,2002:{tag}":
+            raise self.fail(node, f"{where} has the tag {node.tag!r}; a configuration needs none")
+
+    @staticmethod
+    def _guilty(message: str, lines: dict[str, yaml.Node]) -> yaml.Node | None:
+        """The key that a message speaks of first; sine_gain is none of cosine_gain's business."""
+        words = re.findall(r"\w+", message)
+        return next((lines[word] for word in words if word in lines), None)
 
     def _value(self, key: str, node: yaml.Node, where: str) -> Any:
         if key == "bus":
             return self._bus(node)
         if key not in _NESTED:
-            return self._plain(node)
+            if not isinstance(node, yaml.ScalarNode):
+                raise self.fail(node, f"'{key}' in {where} must be a single value")
+            return self._plain(node, f"'{key}' in {where}")
         if key not in _LISTS:
             return self.read(node, _NESTED[key], key)
         if not isinstance(node, yaml.SequenceNode):
             raise self.fail(node, f"'{key}' in {where} must be a list")
+        self._check_tag(node, "seq", f"'{key}' in {where}")
         return [self.read(item, _NESTED[key], f"{key}[{n}]") for n, item in enumerate(node.value)]
 
     def _bus(self, node: yaml.Node) -> dict[str, Any]:
-        bus = self._plain(node)
-        if not isinstance(bus, dict):
+        if not isinstance(node, yaml.MappingNode):
             raise self.fail(
                 node, "'bus' must be a mapping with python-can's words, such as {interface: socketcan}"
             )
-        return {str(key): value for key, value in bus.items()}
+        return {
+            key.value: self._plain(value, f"{key.value!r} in bus") for key, value in self._pairs(node, "bus")
+        }
 
-    def _plain(self, node: yaml.Node) -> Any:
-        loader = yaml.SafeLoader("")
+    def _plain(self, node: yaml.Node, what: str) -> Any:
+        loader = _Loader("")
         try:
             return loader.construct_document(node)
-        except yaml.YAMLError as error:
-            raise self.fail(node, f"cannot be read: {error}") from None
+        except yaml.MarkedYAMLError as error:
+            raise self.fail(node, f"{what} cannot be read: {error.problem}") from None
+        # What SafeLoader lets through for values such as 2001-99-99, 0x_ or !!bool 7.
+        except (ValueError, KeyError, IndexError, AttributeError, TypeError, RecursionError):
+            raise self.fail(
+                node, f"{what} cannot be read: {node.value!r}; text belongs into quotes"
+            ) from None
         finally:
             loader.dispose()
 
@@ -163,16 +233,22 @@ class _Reader:
     def _unknown(key: str, known: list[str], where: str) -> str:
         near = difflib.get_close_matches(key, known, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
-        return f"unknown key '{key}' in {where}; {hint}"
+        return f"unknown key {key!r} in {where}; {hint}"
 
     def check_distinct_nodes(self, root: yaml.Node, config: Config) -> None:
-        """Two modules with one node id would answer each other's masters."""
-        seen: dict[int, int] = {}
+        """Two modules with one node id would answer each other's masters; a module sends no ADC counts."""
         items = next(value for key, value in root.value if key.value == "modules").value
+        owner: dict[int, int] = {}
         for n, module in enumerate(config.modules):
-            if module.node_id in seen:
+            other = owner.setdefault(module.node_id, n)
+            if other != n:
+                raise self.fail(
+                    items[n], f"node_id {module.node_id} of modules[{n}] is that of modules[{other}]"
+                )
+        for n, module in enumerate(config.modules):
+            node = module.encoder_interface
+            if node in owner:
                 raise self.fail(
                     items[n],
-                    f"node_id {module.node_id} of modules[{n}] is that of modules[{seen[module.node_id]}]",
+                    f"encoder_interface {node} of modules[{n}] is the node_id of modules[{owner[node]}]",
                 )
-            seen[module.node_id] = n

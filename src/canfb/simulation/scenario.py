@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from canfb.signal.chain import integer_in
 from canfb.simulation.encoder import Encoder, Harmonic
 from canfb.simulation.motion import Motion, Ramp, Ripple
 
@@ -22,8 +23,7 @@ class HarmonicConfig:
     cosine: float = 0.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.order, int) or not 2 <= self.order <= 50:
-            raise ValueError(f"order must be a whole number 2..50, not {self.order!r}")
+        integer_in("order", self.order, 2, 50)
         _number("sine", self.sine, -1.0, 1.0)
         _number("cosine", self.cosine, -1.0, 1.0)
 
@@ -97,5 +97,4 @@ class SimulationConfig:
     seed: int = 1
 
     def __post_init__(self) -> None:
-        if not isinstance(self.seed, int) or self.seed < 0:
-            raise ValueError(f"seed must be a whole number from 0, not {self.seed!r}")
+        integer_in("seed", self.seed, 0, 2**63 - 1)
