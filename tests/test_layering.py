@@ -1,0 +1,179 @@
+"""The house as the design has it: imports point one way, time is an argument, files stay small."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+import canfb
+
+PACKAGE = Path(canfb.__file__).parent
+FILES = sorted(PACKAGE.rglob("*.py"))
+LONGEST_FILE = 450
+
+# What each part may import of canfb, beyond itself. The files beside the folders are parts of their own.
+ALLOWED: dict[str, set[str]] = {
+    "errors": set(),
+    "signal": {"errors"},
+    "calibration": {"signal", "errors"},
+    "device": {"errors"},
+    "eds_files": {"errors"},
+    "module": {"signal", "calibration", "device", "eds_files", "errors"},
+    "simulation": {"signal", "device", "eds_files", "errors"},
+    "configuration": {"signal", "module", "simulation", "errors"},
+    "bus": {"module", "device", "simulation", "configuration", "errors"},
+    "demo": {"signal", "calibration", "device", "module", "simulation", "configuration", "eds_files",
+             "errors"},
+    "cli": {"signal", "calibration", "device", "module", "simulation", "configuration", "eds_files", "errors",
+            "bus", "demo"},
+    "__init__": {"signal", "calibration", "device", "module", "configuration", "errors"},
+    "__main__": {"cli"},
+}  # fmt: skip
+# Only for the type checker, never at run time.
+TYPES_ONLY = {("errors", "calibration")}
+
+# What each part may import of other packages. canopen reads the EDS for the device, and is the master of
+# the demo; python-can has the words of the command line.
+FOREIGN: dict[str, set[str]] = {
+    "signal": {"numpy"},
+    "calibration": {"numpy"},
+    "device": {"canopen"},
+    "simulation": {"numpy"},
+    "configuration": {"yaml"},
+    "bus": {"can"},
+    "demo": {"numpy", "canopen", "matplotlib"},
+    "cli": {"can"},
+}
+# Clocks, threads and sockets have one place.
+OUTSIDE_WORLD = {"time", "threading", "socket", "select", "selectors", "asyncio", "datetime", "signal",
+                 "multiprocessing", "concurrent", "sched", "queue", "subprocess"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Import:
+    file: Path
+    line: int
+    name: str
+    types_only: bool
+
+    @property
+    def package(self) -> str:
+        return self.name.partition(".")[0]
+
+    @property
+    def part(self) -> str:
+        """The part of canfb that is imported; `canfb` itself is __init__."""
+        words = self.name.split(".")
+        return words[1] if len(words) > 1 else "__init__"
+
+    def __str__(self) -> str:
+        return f"{self.file.relative_to(PACKAGE)}:{self.line} imports {self.name}"
+
+
+def part_of(file: Path) -> str:
+    return file.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imports_of(file: Path) -> list[Import]:
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    guarded = {
+        inner
+        for outer in ast.walk(tree)
+        if isinstance(outer, ast.If) and ast.unparse(outer.test) == "TYPE_CHECKING"
+        for inner in ast.walk(outer)
+    }
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file}:{node.lineno}: relative import; write canfb.…"
+            names = _modules(node)
+        else:
+            continue
+        found += [Import(file, node.lineno, name, node in guarded) for name in names]
+    return found
+
+
+def _modules(node: ast.ImportFrom) -> list[str]:
+    """`from canfb import device` imports the part device."""
+    assert node.module is not None
+    if node.module == "canfb":
+        return [f"canfb.{alias.name}" for alias in node.names]
+    return [node.module]
+
+
+IMPORTS = [found for file in FILES for found in imports_of(file)]
+
+
+def test_every_part_has_its_rule_and_every_rule_its_part() -> None:
+    assert {part_of(file) for file in FILES} == set(ALLOWED)
+
+
+def test_the_walk_sees_the_imports_that_are_there() -> None:
+    seen = {(part_of(one.file), one.part) for one in IMPORTS if one.package == "canfb"}
+    assert {("module", "signal"), ("module", "device"), ("cli", "bus"), ("__main__", "cli")} <= seen
+    assert ("errors", "calibration") in {(part_of(one.file), one.part) for one in IMPORTS if one.types_only}
+
+
+def test_imports_point_one_way() -> None:
+    wrong = [
+        str(one)
+        for one in IMPORTS
+        if one.package == "canfb"
+        and one.part not in ALLOWED[part_of(one.file)] | {part_of(one.file)}
+        and not (one.types_only and (part_of(one.file), one.part) in TYPES_ONLY)
+    ]
+    assert wrong == []
+
+
+def test_the_rules_themselves_have_no_circle() -> None:
+    done: list[str] = []
+    while len(done) < len(ALLOWED):
+        ready = [part for part, below in ALLOWED.items() if part not in done and below <= set(done)]
+        assert ready, f"a circle among {sorted(set(ALLOWED) - set(done))}"
+        done += ready
+
+
+def test_no_file_imports_itself_round_about() -> None:
+    """Among the files of one part imports point one way as well."""
+    known = {_name(file): file for file in FILES}
+    below = {
+        name: {one.name for one in imports_of(file) if one.name in known and not one.types_only} - {name}
+        for name, file in known.items()
+    }
+    while below:
+        ready = [name for name, wanted in below.items() if not wanted & set(below)]
+        assert ready, f"a circle among {sorted(below)}"
+        for name in ready:
+            del below[name]
+
+
+def _name(file: Path) -> str:
+    return ".".join(("canfb", *file.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__")
+
+
+def test_clocks_threads_and_sockets_are_in_bus_alone() -> None:
+    outside = [one for one in IMPORTS if one.package in OUTSIDE_WORLD]
+    assert [str(one) for one in outside if part_of(one.file) != "bus"] == []
+    assert {one.package for one in outside} >= {"time", "signal"}
+
+
+def test_other_packages_are_where_they_belong() -> None:
+    foreign = [
+        one for one in IMPORTS if one.package != "canfb" and one.package not in sys.stdlib_module_names
+    ]
+    wrong = [str(one) for one in foreign if one.package not in FOREIGN.get(part_of(one.file), set())]
+    assert wrong == []
+    assert {(part, name) for part, names in FOREIGN.items() for name in names} == {
+        (part_of(one.file), one.package) for one in foreign
+    }, "a rule that nothing needs any more"
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
+def test_files_stay_small(file: Path) -> None:
+    assert len(file.read_text(encoding="utf-8").splitlines()) <= LONGEST_FILE
