@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from canfb.signal.chain import integer_in
 from canfb.signal.phase import FloatArray
 
 
@@ -31,7 +33,8 @@ class Encoder:
     phase_error_rad                 the cosine track is A cos(x - phase_error)
     harmonics                       of either track, relative to its amplitude
     adc_bits                        4..16; counts are rounded and held at the ends
-    noise_lsb                       rms of Gaussian noise before the ADC, counts
+    noise_lsb                       rms of Gaussian noise before the ADC, counts, not negative
+    ValueError for anything else.
     """
 
     amplitude_counts: float = 1500.0
@@ -43,6 +46,11 @@ class Encoder:
     harmonics: tuple[Harmonic, ...] = field(default=())
     adc_bits: int = 12
     noise_lsb: float = 0.0
+
+    def __post_init__(self) -> None:
+        integer_in("adc_bits", self.adc_bits, 4, 16)
+        if not 0.0 <= self.noise_lsb < math.inf:
+            raise ValueError(f"noise_lsb must not be negative: {self.noise_lsb!r}")
 
     def tracks(self, position_cycles: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Analog tracks in counts, before noise and ADC; any shape."""

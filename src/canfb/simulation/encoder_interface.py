@@ -39,8 +39,9 @@ class EncoderInterface:
         return self._audible(self.node.receive(frame, now))
 
     def tick(self, now: float) -> list[Frame]:
-        """Do what is due at ``now``; the frames to send."""
-        return self.node.tick(now)
+        """Do what is due at ``now``, a SYNC of its own too (1005h bit 30); the frames to send."""
+        self._silent = False
+        return self._audible(self.node.tick(now))
 
     def deadline(self) -> float | None:
         """When :meth:`tick` is wanted next, None for not at all."""

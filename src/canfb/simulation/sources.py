@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import itertools
-from collections.abc import Iterator
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -89,7 +89,7 @@ class RecordingSource:
         if self._waiting:
             self._waiting -= 1
             return None
-        while self._next_row in self._pauses:
+        if self._next_row in self._pauses:
             self._waiting = self._pauses.pop(self._next_row) - 1
             self._next_row += 1
             return None
@@ -114,12 +114,16 @@ def _pauses(rows: list[tuple[float, int, int]], layout: RecordingLayout) -> dict
 
 def _read(path: Path, layout: RecordingLayout) -> list[tuple[float, int, int]]:
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        # A spreadsheet may have put a byte order mark before the first name.
+        with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)
-            header = next(reader, [])
-            places = [_column(path, header, name) for name in layout.columns]
-            time = None if layout.time_column is None else _column(path, header, layout.time_column)
-            rows = list(_rows(path, reader, places, time, layout.mid_scale))
+            try:
+                header = next(reader, [])
+                places = [_column(path, header, name) for name in layout.columns]
+                time = None if layout.time_column is None else _column(path, header, layout.time_column)
+                rows = [_row(path, reader.line_num, row, places, time, layout) for row in reader if row]
+            except csv.Error as error:
+                raise CanfbError(f"{path}:{reader.line_num}: {error}") from None
     except OSError as error:
         raise CanfbError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
@@ -130,25 +134,26 @@ def _read(path: Path, layout: RecordingLayout) -> list[tuple[float, int, int]]:
 
 
 def _column(path: Path, header: list[str], name: str) -> int:
-    names = [column.strip() for column in header]
+    names = [" ".join(column.split()) for column in header]
     if name in names:
         return names.index(name)
-    if name.isdigit() and int(name) < len(names):
+    if name.isdecimal() and int(name) < len(names):
         return int(name)
-    raise CanfbError(f"{path}:1: there is no column '{name}'; there are {', '.join(names)}")
+    if not names:
+        raise CanfbError(f"{path}:1: there is no line with the names of the columns")
+    raise CanfbError(f"{path}:1: there is no column '{name}'; there are {', '.join(names)[:200]}")
 
 
-def _rows(
-    path: Path, reader: Iterator[list[str]], places: list[int], time: int | None, mid_scale: float
-) -> Iterator[tuple[float, int, int]]:
-    for line, row in enumerate(reader, start=2):
-        if not row:
-            continue
-        try:
-            sine, cosine = (round(float(row[place]) - mid_scale) for place in places)
-            seconds = 0.0 if time is None else float(row[time])
-        except (IndexError, ValueError, OverflowError):
-            raise CanfbError(f"{path}:{line}: not a number in one of the columns asked for") from None
-        if not (-32768 <= sine <= 32767 and -32768 <= cosine <= 32767):
-            raise CanfbError(f"{path}:{line}: {sine}, {cosine} does not fit INTEGER16; is mid-scale right?")
-        yield seconds, sine, cosine
+def _row(
+    path: Path, line: int, row: list[str], places: list[int], time: int | None, layout: RecordingLayout
+) -> tuple[float, int, int]:
+    try:
+        sine, cosine = (round(float(row[place]) - layout.mid_scale) for place in places)
+        seconds = 0.0 if time is None else float(row[time])
+    except (IndexError, ValueError, OverflowError):
+        raise CanfbError(f"{path}:{line}: not a number in one of the columns asked for") from None
+    if not math.isfinite(seconds):
+        raise CanfbError(f"{path}:{line}: {seconds} is no time in seconds")
+    if not (-32768 <= sine <= 32767 and -32768 <= cosine <= 32767):
+        raise CanfbError(f"{path}:{line}: {sine}, {cosine} does not fit INTEGER16; is mid-scale right?")
+    return seconds, sine, cosine

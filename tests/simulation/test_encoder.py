@@ -1,0 +1,130 @@
+"""The simulated encoder against its formulas: tracks, converter, noise."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.signal.phase import phase_in_cycle
+from canfb.simulation.encoder import Encoder, Harmonic, demo_encoder
+
+HARMONICS = (Harmonic(2, 0.01, 0.02, 0.4, 1.1), Harmonic(5, 0.0, 0.03))
+BENT = Encoder(
+    amplitude_counts=1400.0,
+    sine_offset=0.04,
+    cosine_offset=-0.03,
+    sine_amplitude=1.03,
+    cosine_amplitude=0.96,
+    phase_error_rad=0.05,
+    harmonics=HARMONICS,
+)
+
+
+def by_the_formulas(position: float) -> tuple[float, float]:
+    """BENT written out once more, with math and one number at a time."""
+    x = 2 * math.pi * position
+    sine = math.sin(x) + 0.01 * math.sin(2 * x + 0.4)
+    cosine = math.cos(x - 0.05) + 0.02 * math.cos(2 * x + 1.1) + 0.03 * math.cos(5 * x)
+    return 1400 * (0.04 + 1.03 * sine), 1400 * (-0.03 + 0.96 * cosine)
+
+
+@given(st.floats(-100, 100))
+def test_tracks_are_those_of_the_formulas(position: float) -> None:
+    sine, cosine = BENT.tracks(position)
+    assert (float(sine), float(cosine)) == pytest.approx(by_the_formulas(position), abs=1e-7)
+
+
+@given(st.floats(-100, 100))
+def test_samples_are_the_tracks_rounded_to_counts(position: float) -> None:
+    sine, cosine = BENT.sample(position)
+    want = by_the_formulas(position)
+    assert max(abs(sine - want[0]), abs(cosine - want[1])) <= 0.5 + 1e-6
+    assert sine.dtype == cosine.dtype == np.int64
+
+
+def test_arrays_give_what_single_positions_give() -> None:
+    positions = np.linspace(-3, 3, 60).reshape(3, 20)
+    sine, cosine = BENT.sample(positions)
+    assert sine.shape == cosine.shape == (3, 20)
+    assert [tuple(pair) for pair in zip(sine.flat, cosine.flat, strict=True)] == [
+        tuple(int(track) for track in BENT.sample(position)) for position in positions.flat
+    ]
+
+
+def test_without_errors_the_raw_phase_is_that_of_table_1() -> None:
+    positions = (np.arange(1000) + 0.5) / 1000
+    raw = phase_in_cycle(*Encoder().tracks(positions))
+    error = np.abs(raw - positions)
+    # The paper: 1.132 % of a cycle for ideal tracks; more or less would be other tracks.
+    assert 0.0112 < error.max() < 0.0114
+
+
+@pytest.mark.parametrize("adc_bits", [4, 12, 16])
+def test_the_converter_holds_at_both_ends(adc_bits: int) -> None:
+    full = 1 << (adc_bits - 1)
+    encoder = Encoder(amplitude_counts=2.0 * full, adc_bits=adc_bits)
+    sine, cosine = encoder.sample([0.25, 0.75, 0.0, 0.5])
+    assert sine.tolist() == [full - 1, -full, 0, 0]
+    assert cosine.tolist() == [0, 0, full - 1, -full]
+    just = Encoder(amplitude_counts=full - 1.0, adc_bits=adc_bits)
+    assert just.sample(0.25)[0] == full - 1
+    assert just.sample(0.75)[0] == 1 - full
+
+
+def test_the_noise_has_the_strength_that_was_asked_for() -> None:
+    """Gaussian before the converter, whose rounding adds 1/12 count squared; bounded on both sides."""
+    encoder = Encoder(noise_lsb=0.8)
+    positions = np.linspace(0, 1, 20_000)
+    analog = np.array(encoder.tracks(positions))
+    noise = np.array(encoder.sample(positions, np.random.default_rng(5))) - analog
+    want = math.sqrt(0.8**2 + 1 / 12)
+    assert np.std(noise, axis=1) == pytest.approx([want, want], rel=0.02)
+    assert abs(noise.mean()) < 0.02
+    assert abs(np.corrcoef(noise)[0, 1]) < 0.03, "the tracks have noise of their own"
+    assert abs(np.corrcoef(noise[0, 1:], noise[0, :-1])[0, 1]) < 0.03, "white"
+    beyond = np.count_nonzero(np.abs(noise) > 3 * want) / noise.size
+    assert 0.0005 < beyond < 0.006, "as often beyond three sigma as a Gaussian"
+
+
+def test_the_seed_decides_the_noise() -> None:
+    def sampled(seed: int) -> list[int]:
+        encoder = Encoder(noise_lsb=2.0)
+        return [int(encoder.sample(0.1, rng)[0]) for rng in [np.random.default_rng(seed)] for _ in range(50)]
+
+    assert sampled(1) == sampled(1)
+    assert sampled(1) != sampled(2)
+
+
+def test_without_a_generator_or_with_strength_zero_there_is_no_noise() -> None:
+    quiet, loud = Encoder(), Encoder(noise_lsb=50.0)
+    positions = np.linspace(0, 1, 100)
+    want = np.array(quiet.sample(positions))
+    assert np.array_equal(loud.sample(positions), want)
+    assert np.array_equal(quiet.sample(positions, np.random.default_rng(1)), want)
+    assert not np.array_equal(loud.sample(positions, np.random.default_rng(1)), want)
+
+
+def test_the_encoder_of_the_demo_is_mediocre_but_not_clipped() -> None:
+    encoder = demo_encoder()
+    sine, cosine = encoder.sample(np.linspace(0, 1, 5000), np.random.default_rng(1))
+    for track in (sine, cosine):
+        assert -2047 < track.min() < -1300
+        assert 1300 < track.max() < 2046
+    assert abs(sine.mean()) > 40
+    assert abs(cosine.mean()) > 30
+
+
+@pytest.mark.parametrize("adc_bits", [3, 17, 12.0, True])
+def test_a_converter_that_there_is_not_is_refused(adc_bits: int) -> None:
+    with pytest.raises(ValueError, match=r"adc_bits must be a whole number 4\.\.16"):
+        Encoder(adc_bits=adc_bits)
+
+
+@pytest.mark.parametrize("noise", [-0.1, math.nan, math.inf])
+def test_noise_that_there_cannot_be_is_refused(noise: float) -> None:
+    with pytest.raises(ValueError, match="noise_lsb must not be negative"):
+        Encoder(noise_lsb=noise)

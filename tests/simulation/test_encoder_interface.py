@@ -1,0 +1,171 @@
+"""The encoder interface on the bus: one TPDO1 for each SYNC in OPERATIONAL, and none otherwise."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canfb.device.frame import Frame
+from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.motion import Motion
+from canfb.simulation.sources import Counts, MotionSource, SourceEnded
+
+NODE, TPDO1 = 16, 0x190
+SYNC = Frame(0x80, b"")
+START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
+
+
+class Listed:
+    """A source with a list of samples."""
+
+    def __init__(self, samples: Iterable[Counts | None]) -> None:
+        self._samples = iter(samples)
+        self.taken = 0
+
+    def next(self) -> Counts | None:
+        self.taken += 1
+        try:
+            return next(self._samples)
+        except StopIteration:
+            raise SourceEnded from None
+
+
+class Endless:
+    """A source that counts."""
+
+    def __init__(self) -> None:
+        self.taken = 0
+
+    def next(self) -> Counts:
+        self.taken += 1
+        return self.taken, -self.taken
+
+
+def nmt(command: int, node: int = NODE) -> Frame:
+    return Frame(0, bytes([command, node]))
+
+
+def adc(sine: int, cosine: int) -> Frame:
+    return Frame(TPDO1, struct.pack("<hh", sine, cosine))
+
+
+def download(index: int, subindex: int, value: int, size: int = 4) -> Frame:
+    head = bytes([0x23 | (4 - size) << 2, index & 0xFF, index >> 8, subindex])
+    return Frame(0x600 + NODE, head + value.to_bytes(size, "little").ljust(4, b"\0"))
+
+
+def operational(source: Listed | Endless | MotionSource) -> EncoderInterface:
+    interface = EncoderInterface(NODE, source)
+    interface.start(0.0)
+    interface.receive(nmt(START), 0.0)
+    return interface
+
+
+def test_it_boots_up_and_waits_for_a_master() -> None:
+    source = Endless()
+    interface = EncoderInterface(NODE, source)
+    assert interface.start(0.0) == [Frame(0x700 + NODE, b"\0")]
+    assert interface.receive(SYNC, 0.0) == []
+    assert source.taken == 0
+
+
+def test_with_autostart_it_samples_at_once() -> None:
+    interface = EncoderInterface(NODE, Listed([(5, -6)]), autostart=True)
+    interface.start(0.0)
+    assert interface.receive(SYNC, 0.0) == [adc(5, -6)]
+
+
+@pytest.mark.parametrize("counts", [(0, 0), (2047, -2048), (-32768, 32767)])
+def test_the_pdo_holds_sine_and_cosine(counts: Counts) -> None:
+    assert operational(Listed([counts])).receive(SYNC, 0.0) == [adc(*counts)]
+
+
+# NMT commands and what they lead to; every other frame leaves the state alone.
+STATES = {START: True, STOP: False, PRE_OPERATIONAL: False, RESET_NODE: False, RESET_COMMUNICATION: False}
+steps = st.one_of(
+    st.just(SYNC),
+    st.sampled_from(list(STATES)).map(nmt),
+    st.sampled_from(list(STATES)).map(lambda command: nmt(command, 0)),
+    st.sampled_from(list(STATES)).map(lambda command: nmt(command, NODE + 1)),
+    st.builds(Frame, st.integers(0x81, 0x5FF), st.binary(max_size=8)),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(steps, max_size=40))
+def test_exactly_one_pdo_for_each_sync_in_operational_and_none_otherwise(frames: list[Frame]) -> None:
+    source = Endless()
+    interface = EncoderInterface(NODE, source)
+    interface.start(0.0)
+    running = False
+    for frame in frames:
+        taken = source.taken
+        sent = [one for one in interface.receive(frame, 0.0) if one.can_id == TPDO1]
+        if frame == SYNC and running:
+            assert sent == [adc(taken + 1, -taken - 1)]
+        else:
+            assert sent == []
+            assert source.taken == taken
+        if frame.can_id == 0 and frame.data[1] in (NODE, 0):
+            running = STATES[frame.data[0]]
+    assert interface.samples == source.taken
+
+
+def test_a_sample_that_is_lost_sends_nothing_and_the_next_one_is_whole() -> None:
+    interface = operational(Listed([(1, 2), None, None, (3, 4)]))
+    sent = [interface.receive(SYNC, 0.0) for _ in range(4)]
+    assert sent == [[adc(1, 2)], [], [], [adc(3, 4)]]
+    assert interface.samples == 2
+
+
+def test_in_the_silence_of_a_lost_sample_it_answers_everything_else() -> None:
+    interface = operational(Listed([None]))
+    assert interface.receive(SYNC, 0.0) == []
+    (answer,) = interface.receive(Frame(0x600 + NODE, bytes([0x40, 0, 0x10, 0, 0, 0, 0, 0])), 0.0)
+    assert answer == Frame(0x580 + NODE, bytes([0x43, 0, 0x10, 0, 0x91, 0x01, 0x04, 0x00]))
+
+
+def test_the_end_of_a_recording_is_told_by_the_sync_after_it_and_is_silent() -> None:
+    source = Listed([(1, 2)])
+    interface = operational(source)
+    interface.receive(SYNC, 0.0)
+    assert not interface.ended
+    assert [interface.receive(SYNC, 0.0) for _ in range(3)] == [[], [], []]
+    assert interface.ended
+    assert interface.samples == 1
+    assert source.taken == 2, "a source that has ended is left alone"
+
+
+def test_a_pdo_moved_by_the_master_is_silent_too_where_a_sample_is_lost() -> None:
+    interface = operational(Listed([(1, 2), None, (3, 4)]))
+    for frame in (download(0x1800, 1, 0x80000190), download(0x1800, 1, 0x1F0)):
+        (answer,) = interface.receive(frame, 0.0)
+        assert answer.data[0] == 0x60
+    sent = [interface.receive(SYNC, 0.0) for _ in range(3)]
+    assert [[frame.can_id for frame in one] for one in sent] == [[0x1F0], [], [0x1F0]]
+
+
+def test_as_its_own_sync_producer_it_is_silent_where_a_sample_is_lost() -> None:
+    interface = operational(Listed([(1, 2), None, (3, 4)]))
+    interface.receive(download(0x1006, 0, 10_000), 0.0)
+    interface.receive(download(0x1005, 0, 0x40000080), 0.0)
+    sent = []
+    for _ in range(3):
+        now = interface.deadline()
+        assert now is not None
+        sent.append(interface.tick(now))
+    assert sent == [[SYNC, adc(1, 2)], [SYNC], [SYNC, adc(3, 4)]]
+
+
+def test_one_interval_of_the_motion_passes_with_every_sample() -> None:
+    source = MotionSource(Encoder(amplitude_counts=1000.0), Motion((), start_rpm=60.0), 100, 0.001)
+    interface = operational(source)
+    sent = [interface.receive(SYNC, 0.0)[0] for _ in range(30)]
+    assert source.position_cycles == pytest.approx(2.9)
+    sine, cosine = struct.unpack("<hh", sent[-1].data)
+    assert (sine, cosine) == (-588, 809)  # 0.9 of a cycle

@@ -1,0 +1,146 @@
+"""Recordings: rows, columns, gaps, and what is wrong with a file."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from pathlib import Path
+
+import pytest
+
+from canfb.errors import CanfbError
+from canfb.simulation.sources import Counts, RecordingLayout, RecordingSource, SourceEnded
+
+AB = RecordingLayout(("a", "b"))
+
+
+def written(tmp_path: Path, text: str | bytes) -> Path:
+    path = tmp_path / "recording.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def played(source: RecordingSource) -> list[Counts | None]:
+    samples: list[Counts | None] = []
+    with contextlib.suppress(SourceEnded):
+        while len(samples) < 1000:
+            samples.append(source.next())
+    return samples
+
+
+def test_rows_are_played_in_order_and_then_it_ends(tmp_path: Path) -> None:
+    source = RecordingSource(written(tmp_path, "t,a,b\n0,1,-2\n1,3,4\n\n2,5,6\n"), AB)
+    assert len(source) == 3
+    assert source.row == -1
+    rows = []
+    for want in ((1, -2), (3, 4), (5, 6)):
+        assert source.next() == want
+        rows.append(source.row)
+    assert rows == [0, 1, 2]
+    for _ in range(2):
+        with pytest.raises(SourceEnded):
+            source.next()
+
+
+@pytest.mark.parametrize("columns", [("a", "b"), ("1", "2"), ("a", "2")])
+def test_columns_by_name_or_by_number(tmp_path: Path, columns: tuple[str, str]) -> None:
+    path = written(tmp_path, "t, a ,b\n0,1,2\n")
+    assert played(RecordingSource(path, RecordingLayout(columns))) == [(1, 2)]
+
+
+def test_a_name_goes_before_a_number(tmp_path: Path) -> None:
+    path = written(tmp_path, "1,0,2\n7,8,9\n")
+    assert played(RecordingSource(path, RecordingLayout(("1", "0")))) == [(7, 8)]
+
+
+def test_mid_scale_is_subtracted_and_the_rest_rounded(tmp_path: Path) -> None:
+    path = written(tmp_path, "a,b\n2048,2047.4\n0,4095\n2048.6,1e3\n")
+    source = RecordingSource(path, RecordingLayout(("a", "b"), mid_scale=2048.0))
+    assert played(source) == [(0, -1), (-2048, 2047), (1, -1048)]
+
+
+def test_files_of_spreadsheets_are_read(tmp_path: Path) -> None:
+    path = written(tmp_path, b'\xef\xbb\xbf"a","b"\r\n"1","2"\r\n')
+    assert played(RecordingSource(path, AB)) == [(1, 2)]
+
+
+TIMED = "t,a,b\n" + "".join(f"{t},{n},0\n" for n, t in enumerate((0.0, 0.1, 0.2, 0.8, 0.9, 2.0)))
+
+
+def timed(path: Path, gap_s: float, gap_samples: int) -> RecordingSource:
+    return RecordingSource(
+        path, RecordingLayout(("a", "b"), time_column="t", gap_s=gap_s, gap_samples=gap_samples)
+    )
+
+
+@pytest.mark.parametrize("gap_samples", [1, 2, 5])
+def test_at_a_gap_the_last_sample_is_left_out_and_samples_are_lost(tmp_path: Path, gap_samples: int) -> None:
+    source = timed(written(tmp_path, TIMED), 0.3, gap_samples)
+    lost = [None] * gap_samples
+    assert played(source) == [(0, 0), (1, 0), *lost, (3, 0), *lost, (5, 0)]
+    assert source.row == 5
+
+
+def test_a_step_as_long_as_the_limit_is_no_gap(tmp_path: Path) -> None:
+    path = written(tmp_path, "t,a,b\n0,1,0\n0.25,2,0\n0.75,3,0\n")
+    assert played(timed(path, 0.5, 1)) == [(1, 0), (2, 0), (3, 0)]
+    assert played(timed(path, 0.25, 1)) == [(1, 0), None, (3, 0)]
+
+
+def test_gaps_on_end_lose_all_that_is_between(tmp_path: Path) -> None:
+    path = written(tmp_path, "t,a,b\n0,1,0\n10,2,0\n20,3,0\n30,4,0\n")
+    assert played(timed(path, 1.0, 2)) == [None] * 6 + [(4, 0)]
+
+
+def test_without_a_time_column_there_are_no_gaps(tmp_path: Path) -> None:
+    assert len(played(RecordingSource(written(tmp_path, TIMED), AB))) == 6
+
+
+WRONG = {
+    "empty": ("", ":1: there is no line with the names of the columns"),
+    "no column": ("x,y\n1,2\n", ":1: there is no column 'a'; there are x, y"),
+    "only the names": ("a,b\n", ": there are no samples in it"),
+    "a word": ("a,b\n1,2\n1,two\n", ":3: not a number in one of the columns asked for"),
+    "a short row": ("a,b\n1,2\n1\n", ":3: not a number in one of the columns asked for"),
+    "not a number": ("a,b\nnan,2\n", ":2: not a number in one of the columns asked for"),
+    "infinite": ("a,b\n1,inf\n", ":2: not a number in one of the columns asked for"),
+    "a number after a quoted line end": ('x,a,b\n"one\ntwo",1,2\n3,4,x\n', ":4: not a number"),
+    "too large": ("a,b\n0,32768\n", ":2: 0, 32768 does not fit INTEGER16; is mid-scale right?"),
+    "not text": (b"a,b\n\xff\xfe,2\n", ": this is not a text file with columns"),
+    "a field without end": (f"a,b\n1,{'2' * 200_000}\n", ":2: field larger than field limit (131072)"),
+    "a line end in a name": ('"x\ny",z\n1,2\n', ":1: there is no column 'a'; there are x y, z"),
+    "names without end": (f"{'x,' * 5000}\n1,2\n", ":1: there is no column 'a'; there are x, x"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_file_that_cannot_be_used_gets_one_line(tmp_path: Path, case: str) -> None:
+    text, words = WRONG[case]
+    path = written(tmp_path, text)
+    with pytest.raises(CanfbError) as caught:
+        RecordingSource(path, AB)
+    message = str(caught.value)
+    assert message.startswith(f"{path}{words}")
+    assert "\n" not in message
+    assert len(message) < len(str(path)) + 300
+
+
+@pytest.mark.parametrize("time", ["nan", "inf", "-inf"])
+def test_a_time_that_there_cannot_be_is_refused(tmp_path: Path, time: str) -> None:
+    path = written(tmp_path, f"t,a,b\n0,1,2\n{time},3,4\n")
+    with pytest.raises(CanfbError, match=re.escape(f"{path}:3: {time} is no time in seconds")):
+        timed(path, 0.1, 1)
+
+
+@pytest.mark.parametrize("name", ["c", "2", "-1", "²", ""])
+def test_a_column_that_is_not_there_is_refused(tmp_path: Path, name: str) -> None:
+    path = written(tmp_path, "a,b\n1,2\n")
+    with pytest.raises(CanfbError, match=re.escape(f"{path}:1: there is no column '{name}'; there are a, b")):
+        RecordingSource(path, RecordingLayout(("a", name)))
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(CanfbError, match="cannot be read: No such file or directory"):
+        RecordingSource(tmp_path / "nothing.csv", AB)
+    with pytest.raises(CanfbError, match="cannot be read: Is a directory"):
+        RecordingSource(tmp_path, AB)
