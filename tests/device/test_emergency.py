@@ -3,6 +3,7 @@ from __future__ import annotations
 import pytest
 from device_kit import OK, Bench
 
+from canfb.device import cob
 from canfb.device.codes import AbortCode, EmergencyCode
 
 SENSOR, DATA_SET = EmergencyCode.SENSOR, EmergencyCode.DATA_SET
@@ -151,3 +152,21 @@ def test_wrong_arguments(bench: Bench) -> None:
         bench.node.emergency(SENSOR, 0, bytes(6), 0.0)
     with pytest.raises(ValueError, match="clear_emergency"):
         bench.node.emergency(EmergencyCode.NO_ERROR, 0, now=0.0)
+
+
+def test_what_waits_does_not_survive_a_reset(bench: Bench) -> None:
+    bench.write(0x1015, 0, 10000, 2)
+    bench.node.emergency(SENSOR, 0x20, now=0.0)
+    bench.node.emergency(DATA_SET, 0x20, now=0.0)
+    bench.run(0.0)
+    assert bench.nmt(129) == ["720#00"]
+    assert bench.run(10.0) == []
+    bench.node.emergency(SENSOR, 0x20, now=bench.now)
+    assert len(sent(bench)) == 1
+
+
+def test_the_restricted_can_ids() -> None:
+    """CiA 301, 7.3.5."""
+    ranges = [(0, 0x7F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF)]
+    expected = {can_id for first, last in ranges for can_id in range(first, last + 1)}
+    assert {can_id for can_id in range(0x800) if cob.is_restricted(can_id)} == expected

@@ -176,3 +176,11 @@ def test_a_reset_forgets_the_errors(bench: Bench) -> None:
     assert bench.nmt(130) == ["720#00"]
     assert bench.read(0x1001) == 0
     assert bench.send(0x747, "05") == []
+
+
+def test_an_error_ends_when_the_node_is_no_longer_watched(bench: Bench) -> None:
+    bench.write(0x1016, 1, watch(0x47, 100), 4)
+    bench.send(0x747, "05")
+    assert len(bench.run(1.0)) == 1
+    assert "0A0#0000000000000000" in bench.send(0x620, "2316100100000000")
+    assert bench.read(0x1001) == 0

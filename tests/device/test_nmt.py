@@ -122,3 +122,8 @@ def test_stopped_serves_only_nmt_and_heartbeat(bench: Bench) -> None:
 def test_node_id_range(silent: Bench, node_id: int) -> None:
     with pytest.raises(ValueError, match="1 to 127"):
         type(silent.node)(silent.dictionary, node_id)
+
+
+def test_the_values_of_the_states() -> None:
+    """CiA 301, 7.2.8.3.2."""
+    assert [int(state) for state in NmtState] == [0, 4, 5, 127]

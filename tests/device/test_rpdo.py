@@ -4,6 +4,8 @@ import pytest
 from device_kit import OK, Bench
 from test_pdo_parameters import remap
 
+from canfb.device.codes import AbortCode, SdoAbort
+
 RPDO = 0x190
 
 
@@ -173,3 +175,29 @@ def test_a_program_error_comes_out(bench: Bench) -> None:
     bench.node.on_rpdo = broken
     with pytest.raises(RuntimeError):
         bench.send(RPDO, "01000200")
+
+
+def test_the_time_out_written_in_operational(bench: Bench) -> None:
+    bench.operational()
+    bench.write(0x1400, 5, 50, 2)
+    bench.send(RPDO, "01000200")
+    assert len(bench.run(1.0)) == 1
+
+
+def test_no_time_out_after_an_error_without_one(bench: Bench) -> None:
+    bench.operational()
+    bench.send(RPDO, b"")
+    bench.send(RPDO, "01000200")
+    assert bench.node.deadline() is None
+    assert bench.send(RPDO, "01000200") == []
+
+
+def test_a_mapped_entry_may_refuse(bench: Bench) -> None:
+    def refuse(value: int) -> None:
+        raise SdoAbort(AbortCode.INVALID_VALUE)
+
+    bench.dictionary.entry(0x2000, 1).on_write = refuse
+    bench.operational()
+    bench.send(RPDO, "05000600")
+    assert sine(bench) == 0
+    assert bench.node.counters.refused_rpdo_values == 1

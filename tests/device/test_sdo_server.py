@@ -287,3 +287,8 @@ def test_channel_ids_are_fixed_while_valid(bench: Bench, value: int) -> None:
 @pytest.mark.parametrize("can_id", [0x000, 0x601, 0x67F, 0x701])
 def test_channel_ids_are_not_restricted_ones(bench: Bench, can_id: int) -> None:
     assert bench.write(0x1201, 1, can_id, 4) is AbortCode.INVALID_VALUE
+
+
+def test_expedited_text_without_a_size(bench: Bench) -> None:
+    assert bench.sdo("2221200061626364") == ["6021200000000000"]
+    assert bench.dictionary.entry(0x2021).value == "abcd"

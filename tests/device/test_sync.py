@@ -183,3 +183,34 @@ def test_without_a_window_every_rpdo_is_in_time(bench: Bench) -> None:
     bench.send(0x190, "03000000")
     bench.sync()
     assert bench.dictionary.entry(0x2000, 1).value == 3
+
+
+def test_the_shortest_counter(bench: Bench) -> None:
+    assert bench.write(0x1019, 0, 2, 1) == OK
+    bench.write(0x1006, 0, 100_000, 4)
+    bench.write(0x1005, 0, 0x40000080, 4)
+    assert [text for _, text in bench.run(0.35)] == ["080#01", "080#02", "080#01"]
+
+
+def test_the_window_taken_away(bench: Bench) -> None:
+    bench.write(0x1400, 2, 1, 1)
+    bench.write(0x1007, 0, 10_000, 4)
+    bench.operational()
+    bench.sync()
+    bench.write(0x1007, 0, 0, 4)
+    bench.now = 1.0
+    bench.send(0x190, "03000000")
+    bench.sync()
+    assert bench.dictionary.entry(0x2000, 1).value == 3
+
+
+def test_the_window_ends_with_a_reset(bench: Bench) -> None:
+    bench.write(0x1007, 0, 10_000, 4)
+    bench.operational()
+    bench.sync()
+    bench.nmt(130)
+    bench.write(0x1400, 2, 1, 1)
+    bench.operational()
+    bench.now = 1.0
+    bench.send(0x190, "03000000")
+    assert bench.node.counters.late_rpdos == 0

@@ -101,7 +101,7 @@ class Node:
             for number in pdo.numbers(dictionary, Direction.RECEIVE)
         ]
         self._tpdos = {
-            number: Tpdo(dictionary, number, emit=emit, moment=moment, counters=counters, changed=changed)
+            number: Tpdo(dictionary, number, emit=emit, moment=moment, changed=changed)
             for number in pdo.numbers(dictionary, Direction.TRANSMIT)
         }
         self._timed: list[Timed] = [
@@ -218,7 +218,6 @@ class Node:
 
     def _reset(self, communication_only: bool, now: float) -> None:
         """NMT reset node or reset communication."""
-        self._nmt.enter(NmtState.INITIALISING, now)
         last = LAST_COMMUNICATION_INDEX if communication_only else 0xFFFF
         self.dictionary.reset(0x1000, last)
         self._begin(communication_only, now)
@@ -232,8 +231,6 @@ class Node:
         self._sync.configure()
         for channel in self._channels:
             channel.configure()
-        for rpdo in self._rpdos:
-            rpdo.reset()
         if self.on_reset is not None:
             self.on_reset(communication_only, now)
         self._producer.boot_up(now)

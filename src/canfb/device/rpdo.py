@@ -70,10 +70,6 @@ class Rpdo:
         self._pending = None
         self.deadline = NEVER
 
-    def reset(self) -> None:
-        """Forget the errors, after they were reset with the node."""
-        self._failed = False
-
     def handle(self, data: bytes, now: float) -> None:
         """The PDO from the bus."""
         layout = self._layout

@@ -51,19 +51,17 @@ def crc16(data: bytes) -> int:
 
 
 class UploadPhase(Enum):
-    """What a block upload waits for."""
+    """How far a block upload is."""
 
     START = auto()
-    SENDING = auto()
-    ACKNOWLEDGE = auto()
+    SEGMENTS = auto()
     END = auto()
 
 
 _END, _ACKNOWLEDGE, _START = 1, 2, 3
 UPLOAD_EXPECTS = {
     UploadPhase.START: _START,
-    UploadPhase.SENDING: _ACKNOWLEDGE,
-    UploadPhase.ACKNOWLEDGE: _ACKNOWLEDGE,
+    UploadPhase.SEGMENTS: _ACKNOWLEDGE,
     UploadPhase.END: _END,
 }
 """Client subcommand that is right in each phase."""
@@ -110,13 +108,12 @@ class BlockUpload:
         for _ in range(BURST):
             self._send_segment()
             if self._sequence == self._block_size or self._is_last(self._sequence):
-                self._phase = UploadPhase.ACKNOWLEDGE
                 self.pause = NEVER
                 return
 
     def _begin_block(self) -> None:
         self._sequence = 0
-        self._phase = UploadPhase.SENDING
+        self._phase = UploadPhase.SEGMENTS
         self.pause = PAUSE_S
         self.proceed()
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from canfb.device.codes import AbortCode, SdoAbort
-from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
 from canfb.device.frame import NEVER, Emit, Frame, Moment
@@ -31,14 +30,11 @@ class Tpdo:
         *,
         emit: Emit,
         moment: Moment,
-        counters: Counters,
         changed: Callable[[], None],
     ) -> None:
-        self.number = number
         self.deadline = NEVER
         self._emit = emit
         self._moment = moment
-        self._counters = counters
         self._changed = changed
         self._parameters = PdoParameters(dictionary, number, Direction.TRANSMIT, self._written)
         self._inhibit = self._parameters.find(3)
