@@ -1,0 +1,87 @@
+"""The conventional method (paper, Fig. 1): a hardware counter beside the converters. A reference model.
+
+Comparators detect the zero crossings of the tracks, a counter counts whole cycles, two
+converters give the position within the cycle. Counter and converters are never read at quite
+the same instant, so the two may belong to different cycles; a comparison of the quadrants that
+both see sets the count right by one. The feedback module needs none of this: the model is here
+to measure what it saves.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.signal.phase import FloatArray, raw_phases
+from canfb.simulation.encoder import Encoder
+
+IntArray = npt.NDArray[np.int64]
+
+
+class ConventionalPosition(NamedTuple):
+    """Positions by the conventional method, arrays of one shape.
+
+    cycles              cycle count, after the fix where there is one
+    phase               raw phase of the converted tracks (Table 1), cycles, 0 <= phase < 1
+    counter_quadrant    quadrant 0..3 that the comparators saw with the counter
+    adc_quadrant        quadrant 0..3 of the converted tracks
+    """
+
+    cycles: IntArray
+    phase: FloatArray
+    counter_quadrant: IntArray
+    adc_quadrant: IntArray
+
+
+def quadrant(sine: npt.ArrayLike, cosine: npt.ArrayLike) -> IntArray:
+    """Quadrant 0..3 of the cycle from the signs of the tracks, as two comparators see it."""
+    rising, right = np.asarray(sine) >= 0.0, np.asarray(cosine) >= 0.0
+    return np.where(rising, np.where(right, 0, 1), np.where(right, 3, 2)).astype(np.int64)
+
+
+def hardware_counter(encoder: Encoder, position_cycles: npt.ArrayLike) -> tuple[IntArray, IntArray]:
+    """What counter and comparators show at these positions: cycle count and quadrant 0..3.
+
+    An ideal counter: it has counted every positive zero crossing of the sine track, up or
+    down, since position 0, and its comparators have neither offset nor hysteresis. Positions
+    in cycles, below 1e12 in size, where a float still resolves a cycle well.
+    """
+    positions = np.asarray(position_cycles, dtype=np.float64)
+    sine, cosine = encoder.tracks(positions)
+    # The raw phase wraps where the counter counts, and is less than half a cycle off.
+    return np.rint(positions - raw_phases(sine, cosine)).astype(np.int64), quadrant(sine, cosine)
+
+
+def conventional_position(
+    encoder: Encoder,
+    position_cycles: npt.ArrayLike,
+    counter_position_cycles: npt.ArrayLike,
+    fix: bool = True,
+    rng: np.random.Generator | None = None,
+) -> ConventionalPosition:
+    """Positions from a counter and two converters that are not read at the same instant.
+
+    ``position_cycles``           where the machine is when the converters sample, shape (n,)
+    ``counter_position_cycles``   where it is when the counter is read, shape (n,)
+    ``fix``                       set the count right by one where the quadrants tell it: the
+                                  counter in the first and the converters in the last quadrant
+                                  takes one off, the reverse adds one. Two quadrants apart tell
+                                  no direction, and nothing is done then
+    ``rng``                       noise of the converted tracks; None for none
+
+    ValueError if the shapes differ.
+    """
+    sampled = np.asarray(position_cycles, dtype=np.float64)
+    counted = np.asarray(counter_position_cycles, dtype=np.float64)
+    if sampled.shape != counted.shape:
+        raise ValueError(f"both positions must be of one shape: {sampled.shape} and {counted.shape}")
+    cycles, counter_quadrant = hardware_counter(encoder, counted)
+    sine, cosine = encoder.sample(sampled, rng)
+    adc_quadrant = quadrant(sine, cosine)
+    if fix:
+        cycles = cycles + ((counter_quadrant == 3) & (adc_quadrant == 0))
+        cycles = cycles - ((counter_quadrant == 0) & (adc_quadrant == 3))
+    phase = raw_phases(sine.astype(np.float64), cosine.astype(np.float64))
+    return ConventionalPosition(cycles, phase, counter_quadrant, adc_quadrant)
