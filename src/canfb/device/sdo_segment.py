@@ -1,4 +1,4 @@
-"""Segmented SDO transfer (CiA 301, 7.2.4.3.3 to 7.2.4.3.6)."""
+"""Segmented SDO transfer (CiA 301, 7.2.4.3.2 to 7.2.4.3.7)."""
 
 from __future__ import annotations
 
