@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
+from canfb.signal.blocks import blocks
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
-from canfb.signal.phase import raw_phases
+from canfb.signal.phase import raw_phase_block, wrap_block
 from canfb.signal.tracker import RESIDUAL_LIMIT, Tracker, TrackResult, track_block
-
-# 8192 samples x 8 bytes x a dozen temporaries stay inside a usual second-level cache.
-BLOCK_SAMPLES = 8192
 
 
 def process(
@@ -28,21 +28,25 @@ def process(
     one sample after the other. A sample with both tracks zero has no phase: its position
     is predicted and marked not ok. ValueError if the shapes differ.
     """
-    sines, cosines = np.asarray(sine), np.asarray(cosine)
+    sines, cosines = _numbers(sine), _numbers(cosine)
     if sines.ndim != 1 or sines.shape != cosines.shape:
         raise ValueError(f"sine and cosine must be of one length: {sines.shape} and {cosines.shape}")
-    n = len(sines)
-    result = TrackResult(np.empty(n, np.int64), np.empty(n), np.empty(n), np.empty(n, np.bool_))
+    result = TrackResult.empty(len(sines))
     tracker = Tracker(residual_limit)
-    for start in range(0, n, BLOCK_SAMPLES):
-        part = slice(start, start + BLOCK_SAMPLES)
-        s, c = sines[part].astype(np.float64), cosines[part].astype(np.float64)
+    for part, scratch in blocks(len(sines)):
+        s, c, phase = sines[part], cosines[part], result.phase[part]
         if conditioning is not None:
-            s, c = conditioning.apply(s, c)
-        phases = raw_phases(s, c)
-        if table is not None:
-            phases = table.correct_array(phases)
-        block = track_block(tracker, phases)
-        result.cycles[part], result.phase[part] = block.cycles, block.phase
-        result.residual[part], result.ok[part] = block.residual, block.ok
+            s, c = conditioning.apply(s.astype(np.float64), c.astype(np.float64))
+        raw_phase_block(s, c, phase, scratch)
+        if table is None:
+            wrap_block(phase, scratch)
+        else:
+            table.correct_block(phase, phase, scratch)
+        track_block(tracker, result, part, scratch)
     return result
+
+
+def _numbers(track: npt.ArrayLike) -> npt.NDArray[Any]:
+    """The track as it is if its numbers are integers or floats, else as float64."""
+    numbers = np.asarray(track)
+    return numbers if numbers.dtype.kind in "iuf" else numbers.astype(np.float64)

@@ -9,7 +9,8 @@ from typing import Any, Self, overload
 import numpy as np
 import numpy.typing as npt
 
-from canfb.signal.phase import FloatArray
+from canfb.signal.blocks import Scratch, blocks
+from canfb.signal.phase import FloatArray, wrap_block
 
 MIN_ENTRIES = 16
 MAX_ENTRIES = 4096
@@ -38,10 +39,10 @@ class CorrectionTable:
         _check(single)
         self._n = len(single)
         self._bytes = single.tobytes()
-        # One guard entry more: raw * n may round up to n.
-        first = np.append(single.astype(np.float64), float(single[0]) + 1.0)
-        self._first: FloatArray = first
-        self._slope: FloatArray = np.append(np.diff(first), 0.0)
+        first = single.astype(np.float64)
+        # Raw phase 1.0 is raw phase 0.0, so entry 0 stands at the end once more.
+        self._first: FloatArray = np.append(first, first[0])
+        self._slope: FloatArray = np.append(np.diff(first, append=first[0] + 1.0), 0.0)
         self._first_list: list[float] = self._first.tolist()
         self._slope_list: list[float] = self._slope.tolist()
 
@@ -112,16 +113,28 @@ class CorrectionTable:
 
     def correct_array(self, raw: FloatArray) -> FloatArray:
         """Phases at raw phases in 0..1, NaN allowed: the same operations as :meth:`correct`."""
-        place = raw * self._n
+        phases = np.empty(raw.shape)
+        flat_raw, flat = raw.reshape(-1), phases.reshape(-1)
+        for part, scratch in blocks(len(flat)):
+            self.correct_block(flat_raw[part], flat[part], scratch)
+        return phases
+
+    def correct_block(self, raw: FloatArray, out: FloatArray, scratch: Scratch) -> None:
+        """:meth:`correct_array` for one block, into ``out``, which may be ``raw``."""
+        place, whole, index = scratch.a, scratch.b, scratch.index
+        np.multiply(raw, self._n, out=place)
+        np.floor(place, out=whole)
         with np.errstate(invalid="ignore"):
-            index = place.astype(np.intp)
+            index[:] = whole
+        place -= whole
         # NaN has no index; "clip" keeps the look-up inside, and NaN comes back by the fraction.
-        phase = self._slope.take(index, mode="clip")
-        phase *= place - index
-        phase += self._first.take(index, mode="clip")
-        phase += phase < 0.0
-        phase -= phase >= 1.0
-        return phase
+        slope = self._slope.take(index, mode="clip", out=whole)
+        slope *= place
+        self._first.take(index, mode="clip", out=out)
+        out += slope
+        wrap_block(out, scratch)
+        if self._first[0] < 0.0:  # then a phase just below 0 may have become 1.0
+            wrap_block(out, scratch)
 
 
 def _check(entries: npt.NDArray[np.float32]) -> None:

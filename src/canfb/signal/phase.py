@@ -16,6 +16,8 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 
+from canfb.signal.blocks import Scratch, blocks
+
 FloatArray = npt.NDArray[np.float64]
 
 NO_PHASE = math.nan
@@ -56,15 +58,51 @@ def raw_phase(s: float, c: float) -> float:
 
 
 def raw_phases(s: FloatArray, c: FloatArray) -> FloatArray:
-    """Table 1 for arrays: the same operations as :func:`raw_phase`, hence the same bits."""
-    steep = np.abs(s) > np.abs(c)
-    numerator = np.where(steep, -c, s)
-    denominator = np.where(steep, s, c)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        phase = numerator / denominator
-        phase *= 0.125
-        # Quarter of the cycle: 0 and 1/2 where the cosine is larger, 1/4 and 3/4 where the sine is.
-        phase += 0.25 * steep + 0.5 * (denominator < 0.0)
-        phase += phase < 0.0
-        phase *= phase != 1.0
-    return phase
+    """Table 1 for arrays of one shape: the same operations as :func:`raw_phase`, hence the same bits."""
+    phases = np.empty(s.shape)
+    flat_s, flat_c, flat = s.reshape(-1), c.reshape(-1), phases.reshape(-1)
+    for part, scratch in blocks(len(flat)):
+        raw_phase_block(flat_s[part], flat_c[part], flat[part], scratch)
+        wrap_block(flat[part], scratch)
+    return phases
+
+
+# By octant: 4 if the cosine is negative, + 2 if the sine is, + 1 if the sine is the larger one. The
+# raw phase is |base - ratio / 8|: a row of Table 1 with a plus has its base with a minus.
+OCTANT_BASE = np.array([-0.0, 0.25, 1.0, -0.75, 0.5, -0.25, -0.5, 0.75])
+
+
+def raw_phase_block(s: npt.NDArray[Any], c: npt.NDArray[Any], out: FloatArray, scratch: Scratch) -> None:
+    """Table 1 for one block of integers or floats, into ``out``: raw phases 0..1.
+
+    1.0 stands for 0.0 here, which a correction table and :func:`wrap_block` take for the same.
+    The octants are looked up rather than chosen by conditions: on a turning machine the
+    processor guesses such a choice wrong, and each wrong guess costs more than all the
+    arithmetic of a sample.
+    """
+    smaller, larger, octant, index, bit = scratch.a, scratch.b, scratch.octant, scratch.index, scratch.bit
+    digit = bit.view(np.int8)
+    # float64 before the absolute value: that of the lowest int16 is no int16.
+    np.abs(s, out=smaller, dtype=np.float64)
+    np.abs(c, out=larger, dtype=np.float64)
+    np.less(c, 0, out=bit)
+    np.add(digit, digit, out=octant)
+    np.less(s, 0, out=bit)
+    octant += digit
+    octant += octant
+    np.greater(smaller, larger, out=bit)
+    octant += digit
+    np.minimum(smaller, larger, out=out)
+    np.maximum(smaller, larger, out=larger)
+    with np.errstate(invalid="ignore"):
+        out /= larger
+    out *= 0.125
+    index[:] = octant
+    base = OCTANT_BASE.take(index, mode="clip", out=smaller)  # "clip": the other mode makes a copy
+    np.subtract(base, out, out=out)
+    np.abs(out, out=out)
+
+
+def wrap_block(phases: FloatArray, scratch: Scratch) -> None:
+    """Take phases of -1 <= phase < 2 into 0..1, in place; 1.0 only where a tiny negative one was."""
+    phases -= np.floor(phases, out=scratch.a)

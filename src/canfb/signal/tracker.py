@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from canfb.signal.blocks import Scratch, blocks
 from canfb.signal.phase import FloatArray
 
 RESIDUAL_LIMIT = 1.0 / 3.0
@@ -189,6 +190,13 @@ class TrackResult:
     residual: FloatArray
     ok: npt.NDArray[np.bool_]
 
+    @classmethod
+    def empty(cls, samples: int) -> TrackResult:
+        """Arrays of this length, any content."""
+        return cls(
+            np.empty(samples, np.int64), np.empty(samples), np.empty(samples), np.empty(samples, np.bool_)
+        )
+
 
 def track(phase: npt.ArrayLike, residual_limit: float = RESIDUAL_LIMIT) -> TrackResult:
     """:class:`Tracker` over an array of phases, vectorised; bit for bit the same result.
@@ -202,64 +210,75 @@ def track(phase: npt.ArrayLike, residual_limit: float = RESIDUAL_LIMIT) -> Track
     wrong = np.flatnonzero((phases < 0.0) | (phases >= 1.0))
     if len(wrong):
         raise ValueError(f"phase must be 0 <= phase < 1 cycle, not {phases[wrong[0]]!r} at {wrong[0]}")
-    return track_block(Tracker(residual_limit), phases)
-
-
-def track_block(tracker: Tracker, phases: FloatArray) -> TrackResult:
-    """Continue ``tracker`` over an array of phases (unchecked), as :meth:`Tracker.update` would."""
-    result = TrackResult(
-        np.empty(len(phases), np.int64),
-        np.array(phases),
-        np.empty(len(phases)),
-        np.empty(len(phases), np.bool_),
-    )
-    start = 0
-    for gap in np.flatnonzero(np.isnan(phases)).tolist():
-        if gap >= start:
-            _steady_run(tracker, result, start, gap)
-            start = _step_over(tracker, result, gap)
-    _steady_run(tracker, result, start, len(phases))
+    result = TrackResult.empty(len(phases))
+    result.phase[:] = phases
+    tracker = Tracker(residual_limit)
+    for part, scratch in blocks(len(phases)):
+        track_block(tracker, result, part, scratch)
     return result
 
 
-def _step_over(tracker: Tracker, result: TrackResult, at: int) -> int:
+def track_block(tracker: Tracker, result: TrackResult, part: slice, scratch: Scratch) -> None:
+    """Continue ``tracker`` over ``result.phase[part]`` (unchecked), as :meth:`Tracker.update` would.
+
+    Fills ``result[part]``. Blocks follow each other from the first sample on.
+    """
+    start = part.start
+    np.isnan(result.phase[part], out=scratch.bit)
+    for gap in (np.flatnonzero(scratch.bit) + start).tolist():
+        if gap >= start:
+            _steady_run(tracker, result, start, gap, scratch)
+            start = _step_over(tracker, result, gap, part.stop)
+    _steady_run(tracker, result, start, part.stop, scratch)
+
+
+def _step_over(tracker: Tracker, result: TrackResult, at: int, stop: int) -> int:
     """Samples without a phase, and the two after them, one by one; where to go on."""
     usable = 0
-    while at < len(result.phase) and usable < 2:
+    while at < stop and usable < 2:
         usable = 0 if math.isnan(result.phase[at]) else usable + 1
-        _put(result, at, tracker.update(float(result.phase[at])))
+        _take_one(tracker, result, at)
         at += 1
     return at
 
 
-def _put(result: TrackResult, at: int, one: Track) -> None:
+def _take_one(tracker: Tracker, result: TrackResult, at: int) -> None:
+    one = tracker.update(float(result.phase[at]))
     result.cycles[at], result.phase[at], result.residual[at], result.ok[at] = one
 
 
-def _steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int) -> None:
+def _continues(tracker: Tracker, result: TrackResult, at: int) -> bool:
+    """True if the two phases that eq. 9 needs stand in the result just before ``at``."""
+    return (
+        at >= 2 and tracker.is_steady and tracker.state()[:2] == (result.phase[at - 2], result.phase[at - 1])
+    )
+
+
+def _steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, scratch: Scratch) -> None:
     """Samples start..stop, all with a phase and one interval apart: an integer double cumulative sum."""
-    while start < stop and not tracker.is_steady:
-        _put(result, start, tracker.update(float(result.phase[start])))
+    while start < stop and not _continues(tracker, result, start):
+        _take_one(tracker, result, start)
         start += 1
     if start == stop:
         return
-    before, last, cycles, step = tracker.state()
-    p = np.empty(stop - start + 2)
-    p[0], p[1] = before, last
-    p[2:] = result.phase[start:stop]
-    c = 2.0 * p[1:-1]
-    c -= p[:-2]
-    c -= p[2:]
-    turns = np.rint(c)
-    np.abs(np.subtract(turns, c, out=c), out=result.residual[start:stop])
-    np.less(result.residual[start:stop], tracker.residual_limit, out=result.ok[start:stop])
-    steps = turns.astype(np.int64)
+    _, _, cycles, step = tracker.state()
+    phase, run = result.phase, slice(start, stop)
+    residual = result.residual[run]
+    c, turns, steps = (array[: stop - start] for array in (scratch.a, scratch.b, scratch.index))
+    np.multiply(phase[start - 1 : stop - 1], 2.0, out=c)
+    c -= phase[start - 2 : stop - 2]
+    c -= phase[run]
+    np.rint(c, out=turns)
+    np.subtract(turns, c, out=residual)
+    np.abs(residual, out=residual)
+    np.less(residual, tracker.residual_limit, out=result.ok[run])
+    steps[:] = turns
     steps[0] += step
-    np.cumsum(steps, out=steps)
+    np.add.accumulate(steps, out=steps)
     last_step = int(steps[-1])
     steps[0] += cycles
-    np.cumsum(steps, out=result.cycles[start:stop])
-    tracker.set_state(float(p[-2]), float(p[-1]), int(result.cycles[stop - 1]), last_step)
+    np.add.accumulate(steps, out=result.cycles[run])
+    tracker.set_state(float(phase[stop - 2]), float(phase[stop - 1]), int(result.cycles[stop - 1]), last_step)
 
 
 def check_residual_limit(limit: float) -> float:
