@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import can
+from can.interfaces.udp_multicast import UdpMulticastBus
 
 from canfb.errors import BusError
 
@@ -17,16 +18,13 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
     """
     try:
         return can.Bus(**options)
-    except (
-        can.CanError,
-        OSError,
-        ValueError,
-        TypeError,
-        KeyError,
-        ImportError,
-        NotImplementedError,
-    ) as error:
-        raise BusError(f"cannot open the bus {describe(options)}: {_reason(error)}") from error
+    except Exception as error:  # what the drivers raise has no common root
+        raise BusError(f"cannot open the bus {describe(options)}: {reason(error)}") from error
+
+
+def brings_own_frames_back(bus: can.BusABC) -> bool:
+    """True for udp_multicast, whose sender hears itself; a CAN controller does not."""
+    return isinstance(bus, UdpMulticastBus)
 
 
 def describe(options: dict[str, Any]) -> str:
@@ -35,7 +33,8 @@ def describe(options: dict[str, Any]) -> str:
     return " ".join(words) or "of python-can's configuration"
 
 
-def _reason(error: Exception) -> str:
+def reason(error: Exception) -> str:
+    """One line on what an error of python-can or of the system says."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     text = str(error).strip().splitlines()

@@ -10,13 +10,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from types import FrameType
 from typing import Protocol
+from uuid import uuid4
 
 import can
 
+from canfb.bus.opening import brings_own_frames_back, reason
 from canfb.device.frame import Frame
 
 LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
 RETRY_S = 0.2  # between attempts on a bus that is down
+SETTLED_S = 1.0  # without a failure, before a bus is said to work again
 
 
 class Device(Protocol):
@@ -46,11 +49,35 @@ class BusCounters:
     bus_failures: int = 0
 
 
+class _Direction:
+    """Sending or receiving: reports a failure once, and that it is over once that has lasted."""
+
+    def __init__(self, report: Callable[[str], None], trouble: str, recovered: str) -> None:
+        self._report = report
+        self._trouble = trouble
+        self._recovered = recovered
+        self._failed_s: float | None = None
+
+    def failed(self, error: Exception, now: float) -> bool:
+        """Note a failure; True if the one before was only just now."""
+        before, self._failed_s = self._failed_s, now
+        if before is None:
+            self._report(f"{self._trouble}: {reason(error)}")
+        return before is not None and now - before < RETRY_S
+
+    def worked(self, now: float) -> None:
+        """Note that it worked."""
+        if self._failed_s is not None and now - self._failed_s >= SETTLED_S:
+            self._failed_s = None
+            self._report(self._recovered)
+
+
 class Runner:
     """Runs devices on one bus in the calling thread until :meth:`stop`.
 
     Devices of one process hear each other as well. A bus that fails is tried again; what
-    happened is counted and told to ``report``, one line each time it changes.
+    happened is counted and told to ``report``, one line each time it changes. ``clock`` and
+    ``sleep`` are those of the system, but for tests.
     """
 
     def __init__(
@@ -59,14 +86,18 @@ class Runner:
         devices: list[Device],
         report: Callable[[str], None] = lambda text: None,
         clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.counters = BusCounters()
         self._bus = bus
         self._devices = devices
-        self._report = report
         self._clock = clock
+        self._sleep = sleep
         self._stopped = False
-        self._healthy = True
+        self._receiving = _Direction(report, "the bus fails", "the bus works again")
+        self._sending = _Direction(report, "a frame could not be sent", "frames can be sent again")
+        # Such a bus carries the channel of a message along: it shows which frames are ours.
+        self._mark = uuid4().hex if brings_own_frames_back(bus) else None
 
     def stop(self) -> None:
         """End :meth:`run`; may be called from a signal handler or another thread."""
@@ -89,16 +120,18 @@ class Runner:
             wait = min(wait, max(0.0, min(deadlines) - self._clock()))
         try:
             message = self._bus.recv(wait)
-        except can.CanError as error:
+        except (can.CanError, OSError) as error:
             self.counters.bus_failures += 1
-            self._health(False, f"the bus fails: {error}")
-            time.sleep(RETRY_S)
+            if self._receiving.failed(error, self._clock()):
+                self._sleep(RETRY_S)
             return None
         if message is not None:
-            self._health(True, "the bus works again")
+            self._receiving.worked(self._clock())
         return message
 
     def _take(self, message: can.Message) -> None:
+        if self._mark is not None and message.channel == self._mark:
+            return
         if message.is_error_frame:
             self.counters.error_frames += 1
             return
@@ -129,19 +162,20 @@ class Runner:
 
     def _send(self, frame: Frame) -> None:
         message = can.Message(
-            arbitration_id=frame.can_id, data=frame.data, is_remote_frame=frame.rtr, is_extended_id=False
+            arbitration_id=frame.can_id,
+            data=frame.data,
+            is_remote_frame=frame.rtr,
+            is_extended_id=False,
+            channel=self._mark,
         )
         try:
             self._bus.send(message)
-            self.counters.sent += 1
-        except can.CanError as error:
+        except (can.CanError, OSError) as error:
             self.counters.send_failures += 1
-            self._health(False, f"a frame could not be sent: {error}")
-
-    def _health(self, healthy: bool, text: str) -> None:
-        if healthy != self._healthy:
-            self._healthy = healthy
-            self._report(text)
+            self._sending.failed(error, self._clock())
+        else:
+            self.counters.sent += 1
+            self._sending.worked(self._clock())
 
 
 @contextlib.contextmanager

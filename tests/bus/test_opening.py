@@ -1,0 +1,103 @@
+"""Opening a bus: python-can's own words in, a bus or one clear line out."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import can
+import pytest
+from can.interfaces.udp_multicast import UdpMulticastBus
+
+from canfb.bus.opening import brings_own_frames_back, describe, open_bus, reason
+from canfb.errors import BusError, CanfbError
+
+
+@pytest.fixture(autouse=True)
+def no_configuration_of_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    for word in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG"):
+        monkeypatch.delenv(word, raising=False)
+    monkeypatch.setattr(can.util, "load_file_config", lambda *arguments, **words: {})
+
+
+def test_a_bus_by_python_cans_words() -> None:
+    with (
+        open_bus({"interface": "virtual", "channel": "canfb opening"}) as one,
+        open_bus({"interface": "virtual", "channel": "canfb opening"}) as other,
+    ):
+        one.send(can.Message(arbitration_id=0x123, is_extended_id=False))
+        heard = other.recv(1.0)
+        assert heard is not None
+        assert heard.arbitration_id == 0x123
+        assert not brings_own_frames_back(one)
+
+
+def test_what_is_not_given_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CAN_INTERFACE", "virtual")
+    monkeypatch.setenv("CAN_CHANNEL", "canfb environment")
+    with open_bus({}) as bus:
+        assert bus.channel_info == "Virtual bus channel canfb environment"
+    with open_bus({"channel": "another"}) as bus:
+        assert bus.channel_info == "Virtual bus channel another"
+
+
+WRONG: list[dict[str, Any]] = [
+    {},
+    {"interface": "there is none such", "channel": "x"},
+    {"interface": ["a", "list"]},
+    {"interface": 7},
+    {"interface": "socketcan", "channel": "nothing77"},
+    {"interface": "udp_multicast", "channel": "not an address"},
+    {"interface": "udp_multicast", "channel": "127.0.0.1"},
+    {"interface": "udp_multicast", "channel": {"a": 1}},
+    {"interface": "slcan", "channel": "/nowhere/tty"},
+]
+
+
+@pytest.mark.parametrize("options", WRONG, ids=str)
+def test_a_bus_that_there_is_not_gets_one_line(
+    options: dict[str, Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    with pytest.raises(BusError) as caught:
+        open_bus(options)
+    text = str(caught.value)
+    assert text.startswith(f"cannot open the bus {describe(options)}: ")
+    assert "\n" not in text
+    assert len(text) > len(f"cannot open the bus {describe(options)}: ")
+    assert isinstance(caught.value, CanfbError)
+    assert caught.value.__cause__ is not None
+
+
+@pytest.mark.parametrize("error", [struct.error("not a number"), AttributeError("what?"), can.CanError("no")])
+def test_whatever_a_driver_raises_is_a_bus_that_does_not_open(
+    monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def failing(**options: object) -> None:
+        raise error
+
+    monkeypatch.setattr(can, "Bus", failing)
+    with pytest.raises(BusError, match=f"cannot open the bus x: {error}"):
+        open_bus({"channel": "x"})
+
+
+def test_a_bus_in_a_few_words() -> None:
+    assert describe({"interface": "socketcan", "channel": "can0", "bitrate": 1}) == "socketcan can0"
+    assert describe({"channel": "can0"}) == "can0"
+    assert describe({}) == describe({"interface": None}) == "of python-can's configuration"
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (OSError(19, "No such device"), "No such device"),
+        (OSError("without a number"), "without a number"),
+        (ValueError("one\ntwo"), "one"),
+        (RuntimeError(), "RuntimeError"),
+    ],
+)
+def test_the_reason_in_one_line(error: Exception, text: str) -> None:
+    assert reason(error) == text
+
+
+def test_udp_multicast_brings_own_frames_back() -> None:
+    assert brings_own_frames_back(UdpMulticastBus.__new__(UdpMulticastBus))

@@ -1,0 +1,297 @@
+"""The runner on a bus that is not there, in a time that does not pass by itself."""
+
+from __future__ import annotations
+
+import errno
+from typing import Any
+
+import can
+import pytest
+from can.interfaces.udp_multicast import UdpMulticastBus
+from fake_bus import FakeBus, FakeClock, FakeDevice, message
+
+from canfb.bus.runner import LONGEST_WAIT_S, RETRY_S, SETTLED_S, Device, Runner
+from canfb.device.frame import Frame
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.motion import Motion
+from canfb.simulation.sources import MotionSource
+from canfb.simulation.sync_producer import SyncProducer
+
+BROKEN = can.CanOperationError("the cable is off", 100)
+
+
+class Bench:
+    """A runner, its fake bus, and what it reported."""
+
+    def __init__(self, *plan: tuple[float, can.Message | Exception]) -> None:
+        self.clock = FakeClock()
+        self.bus = FakeBus(self.clock, plan)
+        self.lines: list[tuple[float, str]] = []
+
+    def device(self, **options: Any) -> FakeDevice:
+        return FakeDevice(self.clock, **options)
+
+    def run(self, devices: list[Device], duration_s: float) -> Runner:
+        bus: Any = self.bus
+        runner = Runner(
+            bus, devices, lambda text: self.lines.append((self.bus.at, text)), self.clock, self.clock.sleep
+        )
+        self.bus.end_s = duration_s
+        runner.run(finished=lambda: self.bus.at >= duration_s)
+        return runner
+
+    @property
+    def reported(self) -> list[str]:
+        return [text for _, text in self.lines]
+
+
+def test_a_frame_reaches_every_device_with_the_time_and_answers_go_out() -> None:
+    bench = Bench((0.5, message(0x181, b"\x01\x02", timestamp=77.0)))
+    quiet = bench.device()
+    loud = bench.device(answer=lambda frame: [Frame(0x201, b"\x03"), Frame(0x202, b"", rtr=True)])
+    runner = bench.run([quiet, loud], 1.0)
+    want = (1000.5, Frame(0x181, b"\x01\x02", False, 77.0))
+    assert quiet.heard[0] == loud.heard[0] == want
+    first, second = (sent for _, sent in bench.bus.sent)
+    assert (first.arbitration_id, first.data, first.is_remote_frame) == (0x201, b"\x03", False)
+    assert (second.arbitration_id, second.is_remote_frame) == (0x202, True)
+    assert not first.is_extended_id
+    assert not first.is_fd
+    assert (runner.counters.received, runner.counters.sent) == (1, 2)
+    assert bench.reported == []
+
+
+def test_a_remote_frame_is_one() -> None:
+    bench = Bench((0.1, message(0x181, is_remote_frame=True)))
+    device = bench.device()
+    bench.run([device], 0.2)
+    assert [frame.rtr for _, frame in device.heard] == [True]
+
+
+def test_devices_are_powered_on_and_hear_of_each_other() -> None:
+    bench = Bench()
+    one, other = bench.device(boot=(Frame(0x701, b"\0"),)), bench.device(boot=(Frame(0x702, b"\0"),))
+    bench.run([one, other], 0.05)
+    assert bench.bus.sent_ids() == [0x701, 0x702]
+    assert one.heard_ids() == [0x702]
+    assert other.heard_ids() == [0x701]
+
+
+def test_answers_to_answers_come_in_order_and_nobody_hears_himself() -> None:
+    bench = Bench((0.0, message(0x100)))
+    replies = {0x100: [Frame(0x101, b""), Frame(0x102, b"")], 0x201: []}
+    one = bench.device(answer=lambda frame: replies.get(frame.can_id, []))
+    other = bench.device(answer=lambda frame: [Frame(0x201, b"")] if frame.can_id == 0x101 else [])
+    bench.run([one, other], 0.05)
+    assert bench.bus.sent_ids() == [0x101, 0x102, 0x201]
+    assert one.heard_ids() == [0x100, 0x201]
+    assert other.heard_ids() == [0x101, 0x102, 0x100]
+
+
+def test_deadlines_are_kept_to_the_moment() -> None:
+    bench = Bench()
+    fast = bench.device(period_s=0.01)
+    slow = bench.device(period_s=0.03, tick_id=0x700)
+    bench.run([fast, slow], 0.95)
+    assert len(fast.ticked) in {94, 95}
+    assert len(slow.ticked) == 31
+    assert max(fast.ticked + slow.ticked) < 1e-9
+    assert [at for at, sent in bench.bus.sent if sent.arbitration_id == 0x700][:3] == [0.03, 0.06, 0.09]
+
+
+def test_frames_in_between_move_no_deadline() -> None:
+    bench = Bench(*((n * 0.0007, message(0x300)) for n in range(1000)))
+    device = bench.device(period_s=0.01)
+    bench.run([device], 0.695)
+    assert len(device.heard) == 993
+    assert len(device.ticked) == 69
+    assert max(device.ticked) < 1e-9
+
+
+def test_a_flood_starves_no_timer() -> None:
+    """All at once and without end: after each frame there is a look at the deadlines."""
+    bench = Bench(*((0.02, message(0x300)) for _ in range(500)))
+    device = bench.device(period_s=0.02)
+    bench.run([device], 0.021)
+    assert bench.bus.sent[0][0] == 0.02
+    assert device.ticked == pytest.approx([0.0], abs=1e-9)
+    assert len(device.heard) == 500
+
+
+def test_without_deadlines_a_wait_is_short_enough_for_a_signal() -> None:
+    bench = Bench()
+    bench.run([bench.device()], 5.0)
+    assert set(bench.bus.waits) == {LONGEST_WAIT_S}
+    assert 0.01 <= LONGEST_WAIT_S <= 0.5
+
+
+def test_a_deadline_in_the_past_waits_for_nothing() -> None:
+    bench = Bench()
+    device = bench.device(period_s=1e-4)
+    device.tick = lambda now: []  # type: ignore[method-assign]  # it does not move its deadline on
+    runner = Runner(bench.bus, [device], clock=bench.clock)  # type: ignore[arg-type]
+    runner.run(finished=lambda: len(bench.bus.waits) > 20)
+    assert set(bench.bus.waits[2:]) == {0.0}
+
+
+def test_what_is_no_frame_of_canopen_is_left_out() -> None:
+    bench = Bench(
+        (0.1, message(0x20000004, is_error_frame=True)),
+        (0.2, can.Message(arbitration_id=0x181, is_extended_id=True)),
+        (0.3, message(0x181, is_fd=True, data=bytes(64))),
+        (0.4, message(0x181)),
+    )
+    device = bench.device()
+    runner = bench.run([device], 0.5)
+    assert device.heard == [(1000.4, Frame(0x181, b"", False, 0.0))]
+    assert (runner.counters.error_frames, runner.counters.received) == (1, 1)
+    assert runner.counters.bus_failures == 0
+
+
+def test_stop_ends_it_from_within() -> None:
+    bench = Bench((0.1, message(0x123)), (0.2, message(0x124)))
+
+    def ending(frame: Frame) -> list[Frame]:
+        runner.stop()
+        return [Frame(0x200, b"")]
+
+    device = bench.device(answer=ending)
+    runner = Runner(bench.bus, [device], clock=bench.clock)  # type: ignore[arg-type]
+    runner.run()
+    assert device.heard_ids() == [0x123]
+    assert bench.bus.sent_ids() == [0x200]
+
+
+def test_stopped_before_it_runs_it_powers_on_and_ends() -> None:
+    bench = Bench()
+    device = bench.device(boot=(Frame(0x701, b"\0"),))
+    runner = Runner(bench.bus, [device], clock=bench.clock)  # type: ignore[arg-type]
+    runner.stop()
+    runner.run()
+    assert bench.bus.sent_ids() == [0x701]
+    assert bench.bus.waits == []
+
+
+def test_a_bus_that_cannot_be_read_is_reported_once_counted_and_tried_again() -> None:
+    bench = Bench(*((0.5, BROKEN) for _ in range(10)), (4.0, message(0x181)), (4.5, message(0x182)))
+    device = bench.device(period_s=0.25)
+    runner = bench.run([device], 4.9)
+    assert bench.lines == [
+        (0.5, "the bus fails: the cable is off [Error Code 100]"),
+        (4.0, "the bus works again"),
+    ]
+    assert runner.counters.bus_failures == 10
+    assert set(bench.clock.slept) == {RETRY_S}
+    assert 4 <= len(bench.clock.slept) <= 9, "it neither gives up nor spins"
+    assert device.heard_ids() == [0x181, 0x182]
+    assert len(device.ticked) == 19, "timers go on meanwhile"
+    assert max(device.ticked) <= RETRY_S
+
+
+def test_a_single_failure_costs_no_time() -> None:
+    """One datagram that cannot be unpacked is a failure of the bus to python-can."""
+    bench = Bench(*((0.3 * n, can.CanOperationError("could not unpack")) for n in range(1, 10)))
+    device = bench.device(period_s=0.05)
+    runner = bench.run([device], 3.0)
+    assert runner.counters.bus_failures == 9
+    assert bench.clock.slept == []
+    assert max(device.ticked) < 1e-9
+    assert bench.reported == ["the bus fails: could not unpack"]
+
+
+@pytest.mark.parametrize("error", [BROKEN, OSError(errno.ENETDOWN, "Network is down")], ids=["can", "system"])
+def test_a_bus_that_takes_no_frames_is_reported_once_counted_and_tried_again(error: Exception) -> None:
+    bench = Bench()
+    bench.bus.refuse = lambda at: error if at < 2.0 else None
+    device = bench.device(period_s=0.1)
+    runner = bench.run([device], 4.95)
+    words = "Network is down" if isinstance(error, OSError) and error.strerror else "the cable is off"
+    assert len(bench.lines) == 2
+    assert bench.lines[0][0] == pytest.approx(0.1)
+    assert bench.lines[0][1].startswith(f"a frame could not be sent: {words}")
+    assert bench.lines[1][1] == "frames can be sent again"
+    assert 2.0 + SETTLED_S - 0.15 <= bench.lines[1][0] <= 2.0 + SETTLED_S + 0.15
+    assert runner.counters.send_failures + runner.counters.sent == len(device.ticked) == 49
+    assert runner.counters.send_failures in {19, 20}
+
+
+def test_a_bus_that_hears_but_cannot_speak_is_reported_once() -> None:
+    """As with a full queue or without anybody who acknowledges."""
+    bench = Bench(*((0.01 * n, message(0x181)) for n in range(1, 300)))
+    bench.bus.refuse = lambda at: BROKEN
+    device = bench.device(answer=lambda frame: [Frame(0x1A0, bytes(8))])
+    runner = bench.run([device], 3.0)
+    assert len(bench.lines) == 1
+    assert runner.counters.send_failures == runner.counters.received == 299
+
+
+def test_a_bus_that_fails_now_and_then_is_not_reported_each_time() -> None:
+    bench = Bench()
+    bench.bus.refuse = lambda at: BROKEN if round(at * 100) % 7 == 0 else None
+    runner = bench.run([bench.device(period_s=0.01)], 10.0)
+    assert runner.counters.send_failures > 100
+    assert runner.counters.sent > 700
+    assert len(bench.lines) == 1
+
+
+def test_other_devices_hear_a_frame_that_the_bus_refused() -> None:
+    bench = Bench()
+    bench.bus.refuse = lambda at: BROKEN
+    one, other = bench.device(period_s=0.1), bench.device()
+    bench.run([one, other], 0.55)
+    assert other.heard_ids() == [0x80] * 5
+
+
+class EchoingBus(FakeBus, UdpMulticastBus):
+    """As udp_multicast: a sender hears itself, and the channel of a message goes along."""
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        super().send(msg)
+        self.plan.append((self.at, msg))
+
+
+def test_on_a_bus_that_brings_own_frames_back_they_are_left_out() -> None:
+    bench = Bench()
+    bench.bus = EchoingBus(bench.clock)
+    one, other = bench.device(period_s=0.1), bench.device()
+    runner = bench.run([one, other], 0.55)
+    assert other.heard_ids() == [0x80] * 5, "once each, not twice"
+    assert one.heard == []
+    assert runner.counters.received == 0
+    assert len(bench.bus.sent) == 5
+
+
+def test_frames_of_another_process_are_heard_there_as_well() -> None:
+    bench = Bench()
+    bench.bus = EchoingBus(bench.clock, [(0.1, message(0x80, channel="of another process"))])
+    device = bench.device()
+    bench.run([device], 0.2)
+    assert device.heard_ids() == [0x80]
+
+
+def test_on_every_other_bus_the_channel_of_a_message_is_left_alone() -> None:
+    bench = Bench()
+    bench.run([bench.device(period_s=0.1)], 0.15)
+    assert [sent.channel for _, sent in bench.bus.sent] == [None]
+
+
+def test_module_interface_and_sync_in_one_process() -> None:
+    """The devices themselves: a second of SYNC at 100 Hz gives a position for each sample."""
+    bench = Bench()
+    source = MotionSource(Encoder(amplitude_counts=1500.0), Motion((), start_rpm=0.6), 2500, 0.01)
+    module = FeedbackModule(ModuleConfig(node_id=32, autostart=True))
+    interface = EncoderInterface(16, source, autostart=True)
+    runner = bench.run([module, interface, SyncProducer(0.01)], 1.005)
+    ids = bench.bus.sent_ids()
+    assert ids[:2] == [0x720, 0x710]
+    assert ids.count(0x80) == ids.count(0x190) == ids.count(0x1A0) == 100
+    ids = [can_id for can_id in ids if can_id in (0x80, 0x190, 0x1A0)]
+    assert ids == [0x80, 0x190, 0x1A0] * 100
+    assert module.feedback is not None
+    assert module.feedback.valid
+    assert module.feedback.cycles + module.feedback.phase == pytest.approx(source.position_cycles, abs=0.02)
+    assert runner.counters.sent == len(bench.bus.sent)
+    assert bench.reported == []

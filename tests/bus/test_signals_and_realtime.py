@@ -1,0 +1,124 @@
+"""What the process asks of the system: an end on signals, scheduling, memory, processor."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import signal
+from typing import Any
+
+import pytest
+
+from canfb.bus.realtime import MCL_CURRENT, MCL_FUTURE, apply_realtime
+from canfb.bus.runner import ending_on_signals
+from canfb.configuration import RealtimeConfig
+
+ENDINGS = (signal.SIGINT, signal.SIGTERM)
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+def test_a_signal_stops_and_the_handlers_before_come_back(number: signal.Signals) -> None:
+    before = [signal.getsignal(one) for one in ENDINGS]
+    stops: list[str] = []
+    with ending_on_signals(lambda: stops.append("stop")):
+        signal.raise_signal(number)
+        assert stops == ["stop"]
+        signal.raise_signal(number)
+        assert stops == ["stop", "stop"]
+    assert [signal.getsignal(one) for one in ENDINGS] == before
+
+
+def test_handlers_come_back_after_an_error_too() -> None:
+    def mine(*arguments: object) -> None:
+        """A handler that was there before."""
+
+    def failing() -> None:
+        with ending_on_signals(lambda: None):
+            assert signal.getsignal(signal.SIGTERM) is not mine
+            raise ZeroDivisionError
+
+    before = signal.signal(signal.SIGTERM, mine)
+    try:
+        with pytest.raises(ZeroDivisionError):
+            failing()
+        assert signal.getsignal(signal.SIGTERM) is mine
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+class System:
+    """Stands in for the calls of the system; says yes, or refuses with an error number."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, refuse: int = 0) -> None:
+        self.calls: list[tuple[Any, ...]] = []
+        self.refuse = refuse
+        monkeypatch.setattr(
+            os,
+            "sched_setscheduler",
+            lambda *call: self.take("scheduler", call[0], call[1], call[2].sched_priority),
+        )
+        monkeypatch.setattr(os, "sched_setaffinity", lambda *call: self.take("affinity", *call))
+        monkeypatch.setattr(ctypes, "CDLL", lambda name, use_errno: self)
+        monkeypatch.setattr(ctypes, "get_errno", lambda: refuse)
+
+    def take(self, *call: Any) -> None:
+        self.calls.append(call)
+        if self.refuse:
+            raise OSError(self.refuse, os.strerror(self.refuse))
+
+    def mlockall(self, flags: int) -> int:
+        self.calls.append(("mlockall", flags))
+        return -1 if self.refuse else 0
+
+
+ALL = RealtimeConfig(priority=80, lock_memory=True, cpu=3)
+ALL_CALLS = [
+    ("scheduler", 0, os.SCHED_FIFO, 80),
+    ("mlockall", MCL_CURRENT | MCL_FUTURE),
+    ("affinity", 0, {3}),
+]
+
+
+def test_what_is_granted_is_not_spoken_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    system, lines = System(monkeypatch), list[str]()
+    apply_realtime(ALL, lines.append)
+    assert system.calls == ALL_CALLS
+    assert lines == []
+
+
+def test_what_is_refused_is_reported_each_in_one_line_and_the_rest_is_still_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    system, lines = System(monkeypatch, errno.EPERM), list[str]()
+    apply_realtime(ALL, lines.append)
+    assert system.calls == ALL_CALLS
+    reason = os.strerror(errno.EPERM)
+    assert lines == [
+        f"realtime: {name} is not in force: {reason}" for name in ("priority", "lock_memory", "cpu")
+    ]
+
+
+def test_what_is_not_asked_for_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    system, lines = System(monkeypatch), list[str]()
+    apply_realtime(RealtimeConfig(), lines.append)
+    assert system.calls == []
+    assert lines == []
+    apply_realtime(RealtimeConfig(cpu=0), lines.append)
+    assert system.calls == [("affinity", 0, {0})]
+
+
+def test_a_system_without_such_calls_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines: list[str] = []
+    monkeypatch.delattr(os, "sched_setscheduler")
+    apply_realtime(RealtimeConfig(priority=1), lines.append)
+    assert len(lines) == 1
+    assert lines[0].startswith("realtime: priority is not in force: ")
+
+
+def test_a_processor_that_there_is_not_is_refused_by_the_real_system() -> None:
+    lines: list[str] = []
+    before = os.sched_getaffinity(0)
+    apply_realtime(RealtimeConfig(cpu=65535), lines.append)
+    assert lines == ["realtime: cpu is not in force: Invalid argument"]
+    assert os.sched_getaffinity(0) == before

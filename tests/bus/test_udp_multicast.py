@@ -1,0 +1,161 @@
+"""Module and encoder interface as two processes on python-can's udp_multicast, started by a master."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+
+from canfb.bus.opening import open_bus
+from canfb.errors import BusError
+from canfb.signal.supervision import StatusBit
+
+SYNC, ADC, POSITION = 0x080, 0x190, 0x1A0
+BOOT_UPS = {0x710, 0x720}
+LIMIT_S = 30.0  # for everything that has to happen; it takes about a second
+CONFIG = """\
+bus: {{interface: udp_multicast, channel: 239.74.163.2, port: {port}, hop_limit: 0}}
+modules:
+- {{node_id: 32, encoder_interface: 16}}
+simulation:
+  motion: {{standstill_s: 0, ramp_s: 0.5, rpm: 60}}
+"""
+
+
+def words(port: int) -> dict[str, Any]:
+    # No hop: what the test sends stays on this machine.
+    return {"interface": "udp_multicast", "channel": "239.74.163.2", "port": port, "hop_limit": 0}
+
+
+@pytest.fixture
+def port() -> int:
+    """A port that nobody uses, so that tests beside this one have buses of their own."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("", 0))
+        return int(free.getsockname()[1])
+
+
+@pytest.fixture
+def bus(port: int) -> Iterator[can.BusABC]:
+    """The bus of the master; skips where multicast does not work."""
+    with contextlib.ExitStack() as stack:
+        try:
+            bus, probe = (stack.enter_context(open_bus(words(port))) for _ in range(2))
+            probe.send(can.Message(arbitration_id=0x7F0, is_extended_id=False))
+            heard = bus.recv(2.0)
+        except (BusError, can.CanError) as error:
+            pytest.skip(f"no multicast on this machine: {error}")
+        if heard is None or heard.arbitration_id != 0x7F0:
+            pytest.skip("no multicast on this machine: a datagram did not arrive")
+        probe.shutdown()
+        yield bus
+
+
+@pytest.fixture
+def start(port: int, tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts a command with the configuration, its output into pipes; none is left running."""
+    config = tmp_path / "network.yaml"
+    config.write_text(CONFIG.format(port=port))
+    with contextlib.ExitStack() as stack:
+
+        def start_one(command: str, *options: str) -> subprocess.Popen[str]:
+            process = subprocess.Popen(
+                [sys.executable, "-W", "error", "-m", "canfb", command, str(config), *options],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+            stack.enter_context(process)
+            stack.callback(process.kill)
+            return process
+
+        yield start_one
+
+
+def frames(bus: can.BusABC) -> Iterator[can.Message]:
+    """What is on the bus, until the time is up."""
+    deadline = time.monotonic() + LIMIT_S
+    while (left := deadline - time.monotonic()) > 0:
+        message = bus.recv(left)
+        if message is not None:
+            yield message
+    pytest.fail(f"not what was waited for within {LIMIT_S:g} s")
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    """Exit status, standard output and standard error of a process that has been told to end."""
+    output, errors = process.communicate(timeout=LIMIT_S)
+    return process.returncode, output, errors
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_master_starts_both_sees_positions_and_a_signal_ends_both(
+    bus: can.BusABC, start: Callable[..., subprocess.Popen[str]], number: signal.Signals
+) -> None:
+    module = start("run")
+    interface = start("simulate", "--rate", "200")
+    waiting = set(BOOT_UPS)
+    seen = frames(bus)
+    while waiting:
+        waiting.discard(next(seen).arbitration_id)
+    bus.send(can.Message(arbitration_id=0x000, data=[1, 0], is_extended_id=False))
+    trace = []
+    positions: list[tuple[int, int]] = []
+    while len(positions) < 100:
+        message = next(seen)
+        trace.append(message.arbitration_id)
+        if message.arbitration_id == POSITION:
+            position, status, _ = struct.unpack("<IHH", message.data)
+            positions.append((position, status))
+    for process in (module, interface):
+        process.send_signal(number)
+    for process, ending in (
+        (module, r"node 32: [0-9]+ samples; missed 0, residual 0, amplitude 0, coasted 0, lost 0"),
+        (interface, r"[0-9]+ samples sent"),
+    ):
+        status, output, errors = ended(process)
+        assert (status, errors) == (0, "")
+        first, last = output.splitlines()
+        assert re.fullmatch(r".* on udp_multicast 239\.74\.163\.2; end with Ctrl-C", first)
+        assert re.fullmatch(ending, last)
+    # One sample for each SYNC and one position for each sample, no more: nobody hears his own frames.
+    samples = [can_id for can_id in trace if can_id in (SYNC, ADC)]
+    samples = samples[samples.index(SYNC) :]
+    assert samples[::2] == [SYNC] * len(samples[::2])
+    assert samples[1::2] == [ADC] * len(samples[1::2])
+    assert trace.count(ADC) >= len(positions)
+    assert all(status == StatusBit.VALID for _, status in positions)
+    places = [position for position, _ in positions]
+    assert places[-1] - places[0] > 2500 * 8192 // 20, "the machine has begun to turn"
+    assert places == sorted(places)
+
+
+def test_a_recording_is_played_to_its_end_and_the_simulator_ends_by_itself(
+    bus: can.BusABC, start: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    rows = [(100 * n, -100 * n) for n in range(10)]
+    path = tmp_path / "tracks.csv"
+    path.write_text("sine,cosine\n" + "".join(f"{sine},{cosine}\n" for sine, cosine in rows))
+    simulator = start("simulate", "--rate", "500", "--samples", str(path), "--autostart")
+    played = []
+    for message in frames(bus):
+        if message.arbitration_id == ADC:
+            played.append(struct.unpack("<hh", message.data))
+            if len(played) == len(rows):
+                break
+    assert played == rows
+    status, output, errors = ended(simulator)
+    assert (status, errors) == (0, "")
+    assert output.splitlines()[-1] == "10 samples sent; the recording is over"
