@@ -1,6 +1,6 @@
 """Measure what one cycle and what whole arrays cost, each against something everybody knows.
 
-    python tools/bench.py [--json] [--check] [--repeat N]
+    python tools/bench.py [--json] [--check] [--only TEXT] [--repeat N]
 
 Each pair is measured in turns, A B A B, in one run: other work on the machine then meets both alike. Times
 are those of the process, not of the clock on the wall. Printed are the medians, the quartiles, and those of
@@ -370,6 +370,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--check", action="store_true", help="exit status 1 when a goal is missed")
+    parser.add_argument("--only", default="", metavar="TEXT", help="only what has this text in its name")
     parser.add_argument(
         "--repeat", type=int, default=101, help="repetitions, at least 2 (default %(default)s)"
     )
@@ -378,7 +379,9 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.repeat < 2 or options.cycles < 100 or options.samples < 100:
         parser.error("--repeat must be at least 2, --cycles and --samples at least 100")
-    work = comparisons(options.cycles, options.samples)
+    work = [one for one in comparisons(options.cycles, options.samples) if options.only in one.name]
+    if not work:
+        parser.error(f"nothing has {options.only!r} in its name")
     gc.collect()
     results = [comparison.run(options.repeat) for comparison in work]
     if options.json:

@@ -50,8 +50,11 @@ class Recovery:
 
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
         """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL."""
+        settled = elapsed == 1.0 and not (self._bridged or self._unconfirmed or self.lost)
+        if settled and (followed := self.tracker.follow(phase)) is not None:
+            return followed, VALID
         track = self.tracker.look(phase, elapsed)
-        if not (self._bridged or self._unconfirmed or self.lost) and track.ok and elapsed == 1.0:
+        if settled and track.ok:
             self.tracker.accept(track, elapsed)
             return track, VALID
         if self.lost:

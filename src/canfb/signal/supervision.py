@@ -46,15 +46,21 @@ class SampleLimits:
     amplitude_low_counts: float
     amplitude_high_counts: float
 
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Between the first two are the counts of a good sample, from the third to the last its amplitude."""
+        full = self.full_scale_counts
+        return -full, full - 1, self.amplitude_low_counts, self.amplitude_high_counts
+
     def faults(self, sine: float, cosine: float, amplitude: float) -> int:
         """Status bits AMPLITUDE and CLIPPED of a sample: raw counts, conditioned amplitude.
 
         A value that is not a number is a fault of the amplitude.
         """
-        full = self.full_scale_counts
+        lowest, highest, smallest, largest = self.bounds
         bits = 0
-        if not (-full < sine < full - 1 and -full < cosine < full - 1):
+        if not (lowest < sine < highest and lowest < cosine < highest):
             bits = CLIPPED
-        if not self.amplitude_low_counts <= amplitude <= self.amplitude_high_counts:
+        if not smallest <= amplitude <= largest:
             bits |= AMPLITUDE
         return bits
