@@ -1,0 +1,79 @@
+"""One claim of the paper, and the table of all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+COLUMNS = ("place", "claim", "the paper", "ours", "agrees")
+
+
+class Verdict(StrEnum):
+    """What a claim turned out to be; every one but NO is as expected."""
+
+    YES = "yes"
+    LIMITED = "within a limit"
+    MISPRINT = "misprint"
+    NO = "NO"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim. `figures` are the numbers behind the text `ours`, by name."""
+
+    key: str
+    place: str
+    claim: str
+    paper: str
+    ours: str
+    verdict: Verdict
+    figures: dict[str, float]
+
+    @property
+    def holds(self) -> bool:
+        return self.verdict is not Verdict.NO
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is simulated: samples of a long run, cases of a sweep, seconds of a recording."""
+
+    samples: int
+    cases: int
+    recording_s: float
+
+
+FULL = Effort(samples=10_000_000, cases=2000, recording_s=1.0)
+FAST = Effort(samples=200_000, cases=200, recording_s=0.3)
+
+Maker = Callable[[Effort], Iterator[Claim]]
+
+
+def verdict(holds: bool, otherwise: Verdict = Verdict.YES) -> Verdict:
+    """The verdict where `holds` says that ours is as expected."""
+    return otherwise if holds else Verdict.NO
+
+
+def percent(part: float, digits: int = 3) -> str:
+    """A part of a cycle, or of something else, in per cent."""
+    return f"{100.0 * part:.{digits}g} %"
+
+
+def markdown(claims: Sequence[Claim]) -> str:
+    """The table in Markdown."""
+    rows = [COLUMNS, tuple("---" for _ in COLUMNS), *map(_cells, claims)]
+    return "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |\n" for row in rows)
+
+
+def plain(claims: Sequence[Claim]) -> str:
+    """The table for a terminal: one claim after the other."""
+    lines = []
+    for claim in claims:
+        place, text, paper, ours, agrees = _cells(claim)
+        lines += [f"{place}: {text}", f"    paper   {paper}", f"    ours    {ours}", f"    agrees  {agrees}"]
+    return "\n".join(lines) + "\n"
+
+
+def _cells(claim: Claim) -> tuple[str, str, str, str, str]:
+    return claim.place, claim.claim, claim.paper, claim.ours, claim.verdict.value

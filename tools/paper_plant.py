@@ -1,0 +1,183 @@
+"""What the claims are tried on: encoders, exact tables, and motions whose position is known exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb import CorrectionTable, TrackResult, phase_in_cycle, process
+from canfb.simulation.encoder import Encoder, Harmonic
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+CYCLES_PER_REVOLUTION = 2500
+UNIT = 1 << 28  # positions are integers of 1/2^28 cycle: no rounding adds up over a long run
+BLOCK = 1 << 18
+WRONG_CYCLES = 0.5  # a position further off than that belongs to another cycle
+
+IDEAL = Encoder(amplitude_counts=1900.0)
+# A mediocre encoder, with half a count of noise on either track.
+USUAL = Encoder(
+    amplitude_counts=1500.0,
+    sine_offset=0.04,
+    cosine_offset=-0.03,
+    sine_amplitude=1.03,
+    cosine_amplitude=0.96,
+    phase_error_rad=0.05,
+    harmonics=(Harmonic(3, 0.012, 0.010), Harmonic(5, 0.003, 0.004)),
+    noise_lsb=0.5,
+)
+# The paper's extreme case: 40 % offset and 20 % amplitude error.
+EXTREME = Encoder(
+    amplitude_counts=1200.0,
+    sine_offset=0.4,
+    cosine_offset=0.4,
+    sine_amplitude=1.2,
+    cosine_amplitude=0.8,
+    noise_lsb=0.5,
+)
+
+
+def cycles_per_sample(rpm: float, rate_hz: float) -> float:
+    """Speed in cycles per sampling interval."""
+    return rpm / 60.0 * CYCLES_PER_REVOLUTION / rate_hz
+
+
+def positions_over_raw_phase(encoder: Encoder, n: int) -> FloatArray:
+    """Position in the cycle at raw phase k/n, from the equations of the encoder."""
+    position = np.arange(1 << 17) / (1 << 17)
+    raw = np.unwrap(phase_in_cycle(*encoder.tracks(position)), period=1.0)
+    raw -= np.rint(raw[0])
+    around = np.concatenate([raw - 1.0, raw, raw + 1.0])
+    cycles = np.concatenate([position - 1.0, position, position + 1.0])
+    return np.asarray(np.interp(np.arange(n) / n, around, cycles), np.float64)
+
+
+def exact_table(encoder: Encoder, entries: int = 1024) -> CorrectionTable:
+    """The individual table of this encoder."""
+    return CorrectionTable(positions_over_raw_phase(encoder, entries))
+
+
+def within_half(difference: FloatArray) -> FloatArray:
+    """Differences of phases, -0.5..0.5."""
+    return np.asarray((difference + 0.5) % 1.0 - 0.5, np.float64)
+
+
+def phase_error(raw: FloatArray, position: FloatArray) -> FloatArray:
+    """Error of phases, its mean taken off: where phase 0 lies is a convention."""
+    off = within_half(raw - position)
+    return np.asarray(off - off.mean(), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """Positions at the samples, exact: integers of 1/UNIT cycle."""
+
+    units: IntArray
+
+    @classmethod
+    def from_steps(cls, changes: npt.ArrayLike, start_cycles: float = 0.3) -> Way:
+        """From rest; `changes` are the changes of speed, cycles per sample, from sample to sample."""
+        units = np.rint(np.asarray(changes) * UNIT).astype(np.int64)
+        return cls._summed(units, start_cycles)
+
+    @classmethod
+    def _summed(cls, changes_units: IntArray, start_cycles: float) -> Way:
+        np.cumsum(changes_units, out=changes_units)
+        changes_units[0] += round(start_cycles * UNIT)
+        np.cumsum(changes_units, out=changes_units)
+        return cls(changes_units)
+
+    @classmethod
+    def random(cls, samples: int, top_speed: float, top_change: float, rng: np.random.Generator) -> Way:
+        """Ramps between speeds up to `top_speed` either way, half of them full reversals, and halts.
+
+        `top_speed` in cycles per sample; `top_change` is the largest change of speed from
+        sample to sample.
+        """
+        changes, counts = [0], [1]
+        speed, top, total = 0, round(top_speed * UNIT), 1
+        while total < samples:
+            kind = rng.integers(4)
+            target = (top, -top, 0, int(rng.integers(-top, top)))[kind]
+            change = int(rng.uniform(0.3, 1.0) * top_change * UNIT) * (1 if target > speed else -1)
+            ramp, rest = divmod(abs(target - speed), abs(change))
+            hold = int(rng.integers(1, 1500))
+            changes += [change, rest if change > 0 else -rest, 0]
+            counts += [ramp, 1, hold]
+            speed, total = target, total + ramp + 1 + hold
+        return cls._summed(np.repeat(np.array(changes), counts)[:samples], float(rng.uniform()))
+
+    def __len__(self) -> int:
+        return len(self.units)
+
+    @property
+    def cycles(self) -> IntArray:
+        return self.units // UNIT
+
+    @property
+    def phase(self) -> FloatArray:
+        return (self.units % UNIT) / UNIT
+
+    @property
+    def reversals(self) -> int:
+        """How often the direction changes."""
+        sign = np.sign(np.diff(self.units)).astype(np.int8)
+        sign = sign[sign != 0]
+        return int(np.count_nonzero(sign[1:] != sign[:-1]))
+
+    @property
+    def top_speed(self) -> float:
+        """Largest speed in cycles per sample."""
+        return float(np.abs(np.diff(self.units)).max()) / UNIT
+
+    def part(self, start: int) -> Way:
+        """One block of samples."""
+        return Way(self.units[start : start + BLOCK])
+
+    def error(self, cycles: IntArray, phase: FloatArray) -> FloatArray:
+        """Error of a position in cycles."""
+        return (cycles - self.cycles) + (phase - self.phase)
+
+
+def sampled(
+    encoder: Encoder, way: Way, rng: np.random.Generator | None
+) -> tuple[npt.NDArray[np.int16], npt.NDArray[np.int16]]:
+    """ADC counts along the way, block by block: ten million samples in little memory."""
+    sine, cosine = np.empty(len(way), np.int16), np.empty(len(way), np.int16)
+    for start in range(0, len(way), BLOCK):
+        part = slice(start, start + BLOCK)
+        sine[part], cosine[part] = encoder.sample(way.part(start).phase, rng)
+    return sine, cosine
+
+
+@dataclass(frozen=True)
+class Score:
+    """What came out along a way: samples in the wrong cycle, flagged samples, errors of the others."""
+
+    samples: int
+    wrong: int
+    flagged: int
+    peak_error: float
+
+
+def score(way: Way, result: TrackResult) -> Score:
+    """Compare a result with the way, block by block."""
+    wrong, peak = 0, 0.0
+    for start in range(0, len(way), BLOCK):
+        part = slice(start, start + BLOCK)
+        error = np.abs(way.part(start).error(result.cycles[part], result.phase[part]))
+        off = error > WRONG_CYCLES
+        wrong += int(off.sum())
+        peak = max(peak, float(error[~off].max(initial=0.0)))
+    return Score(len(way), wrong, int(np.count_nonzero(~result.ok)), peak)
+
+
+def followed(
+    encoder: Encoder, way: Way, rng: np.random.Generator | None, limit: float = 1 / 3
+) -> TrackResult:
+    """The way through encoder, converter, individual table and tracker."""
+    return process(*sampled(encoder, way, rng), exact_table(encoder), limit)
