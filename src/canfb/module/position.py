@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 PHASE_UNITS = 1 << 32  # 2011:03 counts the phase in 1/2^32 cycle
 MAX_UNITS_PER_CYCLE = 8192  # 1/5800 cycle is what a 12-bit converter resolves
 CODE_SEQUENCE = 1 << 0  # 6000h: set = position falls when the machine turns clockwise
@@ -40,10 +42,17 @@ class PositionScale:
         reverse: bool,
         offset: int,
     ) -> None:
-        self._numerator = -units_per_revolution if reverse else units_per_revolution
-        self._denominator = cycles_per_revolution * PHASE_UNITS
+        numerator = -units_per_revolution if reverse else units_per_revolution
+        denominator = cycles_per_revolution * PHASE_UNITS
+        # In lowest terms, which are small for usual resolutions: long integers take longer to divide.
+        common = math.gcd(numerator, denominator)
+        self._numerator, self._denominator = numerator // common, denominator // common
         self.total_range = total_range
         self.offset = offset
+
+    def has_units_of(self, other: PositionScale) -> bool:
+        """True if :meth:`units` of both is the same."""
+        return self._numerator == other._numerator and self._denominator == other._denominator
 
     def units(self, cycles: int, phase_units: int) -> int:
         """Measuring units since the start, unwrapped, rounded down; phase in 1/2^32 cycle."""

@@ -14,11 +14,12 @@ from canfb.module.position import (
     single_turn_resolution,
 )
 from canfb.signal.chain import Feedback
+from canfb.signal.supervision import VALID
 
 ALARM_POSITION = 1 << 0  # 6503h
 WARNING_FREQUENCY, WARNING_AMPLITUDE = 1 << 0, 1 << 1  # 6505h
 STANDSTILL_CYCLES = 0.05  # per sample: what counts as standstill for a preset
-NEAR_LIMIT = 0.75  # residual over this part of the limit: warning
+NEAR_LIMIT = 0.75 / 65536  # residual over this part of the limit, 2010:01: warning
 AMPLITUDE_RESERVE = 1.15  # amplitude below this multiple of the lowest accepted one: warning
 
 
@@ -66,6 +67,7 @@ class EncoderProfile:
             self._offset.value,
         )
         self._raw_scale = PositionScale(cycles, resolution, resolution * revolutions, False, 0)
+        self._same_units = self._scale.has_units_of(self._raw_scale)
         self._status.value = self._operating.value
         # INTEGER32 objects for a range that needs 32 bits without sign: saturated, not wrapped.
         self._module_range[0].value = 0
@@ -74,19 +76,21 @@ class EncoderProfile:
     def publish(self, feedback: Feedback, phase_units: int) -> None:
         """Write the position objects and the warnings; ``phase_units`` is the phase in 1/2^32 cycle."""
         self._last = feedback
-        units = self._scale.units(feedback.cycles, phase_units)
-        self._position.value = self._scale.position(units)
-        self._fine.value = (units + self._scale.offset) & U64
-        self._raw.value = self._raw_scale.position(self._raw_scale.units(feedback.cycles, phase_units))
+        scale, raw_scale = self._scale, self._raw_scale
+        raw_units = raw_scale.units(feedback.cycles, phase_units)
+        units = raw_units if self._same_units else scale.units(feedback.cycles, phase_units)
+        self._raw.value = raw_scale.position(raw_units)
+        self._position.value = scale.position(units)
+        self._fine.value = (units + scale.offset) & U64
         warnings = 0
-        if feedback.status & 1:
-            if feedback.residual > NEAR_LIMIT / 65536 * self._limit.value:
+        if feedback.status & VALID:
+            if feedback.residual > NEAR_LIMIT * self._limit.value:
                 warnings = WARNING_FREQUENCY
             if feedback.amplitude < AMPLITUDE_RESERVE * self._low.value:
                 warnings |= WARNING_AMPLITUDE
-            self._alarms.value &= ~ALARM_POSITION
+            self._alarms.value = 0
         else:
-            self._alarms.value |= ALARM_POSITION
+            self._alarms.value = ALARM_POSITION
         self._warnings.value = warnings
 
     def _check_operating(self, value: int) -> None:

@@ -12,6 +12,7 @@ from canfb.signal.supervision import AMPLITUDE, CLIPPED, COASTING, LOST, MISSED,
 FEEDBACK, COUNTERS = 0x2011, 0x2012
 U16, U32 = 0xFFFF, 0xFFFFFFFF
 SIXTEEN_BITS = 65536.0
+TWO_PI = 2.0 * math.pi
 # Sub-index of 2012h and the status bit that it counts; clipping counts as an amplitude fault.
 COUNTED = ((1, MISSED), (2, RESIDUAL), (3, AMPLITUDE | CLIPPED), (4, COASTING))
 LOST_COUNTER = 5
@@ -28,7 +29,7 @@ class Publication:
             entry(FEEDBACK, n) for n in range(5, 9)
         )
         self._counters = {n: entry(COUNTERS, n) for n in range(1, 9)}
-        self._rad_per_cycle_of = entry(0x2001, 1)
+        self._cycles_per_revolution = entry(0x2001, 1)
         self._lost = False
 
     def reset(self) -> None:
@@ -38,20 +39,23 @@ class Publication:
     def publish(self, feedback: Feedback, interval_s: float) -> int:
         """Write 2011h, count in 2012h; the phase in 1/2^32 cycle. ``interval_s`` 0 = not known."""
         phase_units = int(feedback.phase * PHASE_UNITS)
-        self._status.value = feedback.status
+        status, amplitude, raw = feedback.status, feedback.amplitude, feedback.raw_phase
+        self._status.value = status
         self._residual.value = int(feedback.residual * SIXTEEN_BITS)
         self._phase.value = phase_units
         self._cycles.value = feedback.cycles
         self._samples.value = feedback.samples & U32
-        amplitude, raw = feedback.amplitude, feedback.raw_phase
-        self._amplitude.value = min(int(amplitude), U16) if amplitude == amplitude else 0
+        if amplitude < U16:
+            self._amplitude.value = int(amplitude)
+        else:
+            self._amplitude.value = U16 if amplitude == amplitude else 0
         if raw == raw:
             self._raw.value = int(raw * SIXTEEN_BITS)
         if interval_s > 0.0:
-            rad_per_cycle = 2.0 * math.pi / self._rad_per_cycle_of.value
-            self._velocity.value = feedback.speed_cycles * rad_per_cycle / interval_s
-        if feedback.status & FAULTS or self._lost:
-            self._count(feedback.status)
+            seconds_per_turn = self._cycles_per_revolution.value * interval_s
+            self._velocity.value = feedback.speed_cycles * TWO_PI / seconds_per_turn
+        if status & FAULTS or self._lost:
+            self._count(status)
         return phase_units
 
     def _count(self, status: int) -> None:
