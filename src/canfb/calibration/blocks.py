@@ -13,8 +13,8 @@ from canfb.signal.phase import FloatArray
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
-TERMS = 4  # cubic
-MIN_USED = TERMS + 2  # a block with fewer samples says nothing about the tracks
+CUBIC = 4
+SPARE = 2  # a block with fewer samples than coefficients and these says nothing about the tracks
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +23,7 @@ class Blocks:
 
     index   sample numbers, shape (blocks, length), filled up where a block is shorter
     used    False for filling and for samples left out
-    terms   polynomials of time -1..1 over the block, shape (blocks, length, TERMS)
+    terms   Legendre polynomials of time -1..1 over the block, shape (blocks, length, coefficients)
     """
 
     index: IntArray
@@ -39,8 +39,13 @@ class Blocks:
 
     def using(self, used: BoolArray) -> Blocks:
         """The same blocks with other samples left out; blocks with too few samples give none."""
-        enough = used.sum(axis=1) >= MIN_USED
+        enough = used.sum(axis=1) >= self.coefficients + SPARE
         return replace(self, used=used & enough[:, None])
+
+    @property
+    def coefficients(self) -> int:
+        """Coefficients of the polynomial of a block."""
+        return int(self.terms.shape[2])
 
     @property
     def samples(self) -> int:
@@ -50,7 +55,19 @@ class Blocks:
     @property
     def freedom(self) -> int:
         """Samples used less the polynomials' coefficients."""
-        return self.samples - TERMS * int(self.used.any(axis=1).sum())
+        return self.samples - self.coefficients * int(self.used.any(axis=1).sum())
+
+    def informative(self, position: FloatArray) -> BoolArray:
+        """Blocks whose samples meet at least four eighths of the cycle.
+
+        ``position`` in cycles, (blocks, length). At standstill, or locked to the samples,
+        any table looks good.
+        """
+        eighth = (position % 1.0 * 8.0).astype(np.int64) % 8
+        met = np.zeros((len(self), 8), np.bool_)
+        rows = np.broadcast_to(np.arange(len(self))[:, None], eighth.shape)
+        met[rows[self.used], eighth[self.used]] = True
+        return np.asarray(met.sum(axis=1) >= 4, np.bool_)
 
     def smooth(self, values: FloatArray) -> FloatArray:
         """Coefficients of the polynomials of least squares through values (blocks, length)."""
@@ -73,16 +90,17 @@ def solve_blocks(matrices: FloatArray, right: FloatArray) -> FloatArray:
     )
 
 
-def cut(time: FloatArray, valid: BoolArray, breaks: IntArray, length: int) -> Blocks:
+def cut(time: FloatArray, valid: BoolArray, breaks: IntArray, length: int, terms: int = CUBIC) -> Blocks:
     """Cut samples into blocks of about ``length``; none reaches across a break.
 
+    In each block the motion is a polynomial of ``terms`` coefficients.
     ``time`` in any unit, rising; ``breaks`` are the first samples of the segments after the first.
     """
     edges = [0, *(int(b) for b in breaks), len(time)]
     starts: list[int] = []
     stops: list[int] = []
     for first, last in itertools.pairwise(edges):
-        if last - first < MIN_USED:
+        if last - first < terms + SPARE:
             continue
         count = max(1, round((last - first) / length))
         at = np.linspace(first, last, count + 1).round().astype(np.int64).tolist()
@@ -90,12 +108,13 @@ def cut(time: FloatArray, valid: BoolArray, breaks: IntArray, length: int) -> Bl
         stops += at[1:]
     start, stop = np.array(starts, np.int64), np.array(stops, np.int64)
     if not len(start):
-        return Blocks(np.zeros((0, 1), np.int64), np.zeros((0, 1), np.bool_), np.zeros((0, 1, TERMS)))
+        return Blocks(np.zeros((0, 1), np.int64), np.zeros((0, 1), np.bool_), np.zeros((0, 1, terms)))
     place = start[:, None] + np.arange(int((stop - start).max()))
     inside = place < stop[:, None]
     index = np.minimum(place, stop[:, None] - 1)
     begin, end = time[start][:, None], time[stop - 1][:, None]
     x = 2.0 * (time[index] - begin) / (end - begin) - 1.0
-    terms = np.stack([np.ones_like(x), x, 1.5 * x * x - 0.5, (2.5 * x * x - 1.5) * x], axis=-1)
-    blocks = Blocks(index, inside, terms)
-    return blocks.using(inside & valid[index])
+    legendre = np.asarray(np.polynomial.legendre.legvander(x, terms - 1), np.float64)
+    used = inside & valid[index]
+    blocks = Blocks(index, inside, legendre).using(used)
+    return blocks.take(np.flatnonzero(blocks.used.any(axis=1)))

@@ -16,6 +16,10 @@ REJECT_SIGMAS = 5.0
 LARGEST_SCATTER = 0.25
 # The object dictionary holds the gains as REAL32; more of a difference than this is a dead track.
 LARGEST_RATIO = 20.0
+STANDSTILL_COUNTS = 8.0
+# A whole ellipse passes through some 90 squares of the grid, a motion that is locked at a
+# eighth of a cycle per sample meets 8 places, on edges up to 24.
+MIN_PLACES = 25
 
 
 def fit_ellipse(
@@ -55,6 +59,12 @@ def _robust_fit(s: FloatArray, c: FloatArray) -> Conditioning:
     low_s, high_s = np.percentile(s, [1.0, 99.0])
     low_c, high_c = np.percentile(c, [1.0, 99.0])
     half = np.array([high_s - low_s, high_c - low_c]) / 2.0
+    if half.max() < STANDSTILL_COUNTS:
+        raise CalibrationError(
+            "the tracks hardly change: the machine stands still, or goes through a whole number of "
+            "cycles per sample",
+            "coverage",
+        )
     if not (half.min() > 2.0 and half.max() / half.min() < LARGEST_RATIO):
         raise CalibrationError(
             f"the tracks span {2 * half[0]:.0f} and {2 * half[1]:.0f} counts: no ellipse. "
@@ -63,6 +73,10 @@ def _robust_fit(s: FloatArray, c: FloatArray) -> Conditioning:
         )
     x = (s - (low_s + high_s) / 2.0) / half[0]
     y = (c - (low_c + high_c) / 2.0) / half[1]
+    if _places(x, y) < MIN_PLACES:
+        raise CalibrationError(
+            "the samples lie in a few places only: the motion is locked to them. Change the speed", "locked"
+        )
     radius = np.hypot(x, y)
     keep = (radius > 0.3) & (radius < 1.7)
     fit = None
@@ -80,6 +94,13 @@ def _robust_fit(s: FloatArray, c: FloatArray) -> Conditioning:
             "the samples lie on no ellipse: a dead track, noise, or too short a way", "ellipse"
         )
     return _conditioning(fit, half, np.array([(low_s + high_s) / 2.0, (low_c + high_c) / 2.0]))
+
+
+def _places(x: FloatArray, y: FloatArray) -> int:
+    """Squares of a 32 x 32 grid over the tracks that hold more than a stray sample."""
+    column = np.clip((x + 1.0) * 16.0, 0, 31).astype(np.int64)
+    row = np.clip((y + 1.0) * 16.0, 0, 31).astype(np.int64)
+    return int(np.sum(np.bincount(32 * row + column) > max(1, len(x) // 2000)))
 
 
 def _conic(x: FloatArray, y: FloatArray) -> FloatArray | None:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from canfb.calibration import result as reasons
-from canfb.calibration.blocks import Blocks, BoolArray
+from canfb.calibration.blocks import Blocks
 from canfb.calibration.joint import JointFit, bound_covariance, fit_jointly
+from canfb.calibration.judgement import judge
 from canfb.calibration.recording import BINS, Recording, coverage
 from canfb.calibration.result import Calibration, ErrorCurve, Harmonic, error_harmonics
+from canfb.calibration.solver import Solution
 from canfb.calibration.waveform import (
     Waveform,
     grid_phases,
@@ -18,24 +17,19 @@ from canfb.calibration.waveform import (
     table_of,
     table_sensitivity,
 )
-from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import FloatArray, raw_phases
 
-MIN_CYCLES = 10.0
-MAX_UNCERTAINTY_CYCLES = 5e-4
-# With phases well mixed in every block the motion costs little information; this much more
-# uncertainty than that says that the motion, not the noise, is to blame.
-LOCKED_LOSS = 3.0
-SAME_PHASE = 0.9
 PEAK_SIGMAS = 3.0
+# The scatter of so many independent tables tells their error to some 15 %.
+PARTS = 8
+MIN_BLOCKS_OF_PART = 24
 
 
-def finish(
-    record: Recording, blocks: Blocks, fit: JointFit, conditioning: Conditioning, entries: int
-) -> Calibration:
+def finish(record: Recording, solution: Solution, conditioning: Conditioning, entries: int) -> Calibration:
     """Table, figures and verdict. CalibrationError if the measurement cannot be used."""
+    fit, blocks, loss = solution
     use = blocks.used
     position = blocks.evaluate(fit.motion)
     cycles = float(np.abs(np.diff(position, axis=1))[use[:, 1:] & use[:, :-1]].sum())
@@ -43,18 +37,29 @@ def finish(
     sensitivity = table_sensitivity(fit.waveform, conditioning)
     spread = np.sqrt(_variance(sensitivity, fit.covariance))
     expected = root_mean(spread)
-    tables = [table_of(raw_phase_curve(half, conditioning), entries) for half in _halves(record, blocks, fit)]
-    measured = float(np.std(tables[0].entries - tables[1].entries)) / 2.0
-    covariance = bound_covariance(blocks, record.sine, record.cosine, fit, fit.noise.across)
+    tables = [
+        table_of(raw_phase_curve(half, conditioning), entries) for half in _parts(record, blocks, fit, 2)
+    ]
+    enough = len(blocks) >= PARTS * MIN_BLOCKS_OF_PART
+    measured = _measured_error(
+        [
+            table_of(raw_phase_curve(part, conditioning), entries).entries
+            for part in _parts(record, blocks, fit, PARTS)
+        ]
+        if enough
+        else [table.entries for table in tables]
+    )
+    covariance = bound_covariance(blocks, record.sine, record.cosine, fit, fit.noise_counts)
     bound = float(np.sqrt(_variance(sensitivity, covariance).mean()))
     before, after = _deviations(record, blocks, position, conditioning, tables)
-    moving = use & _mixed(position, use)[:, None]
+    moving = use & blocks.informative(position)[:, None]
+    curve_of_errors = error_curve(position[moving], before[moving], after[moving])
+    systematic = _systematic(curve_of_errors, position[moving], root_mean(after[moving]))
     correct = float(np.sqrt(blocks.samples / max(1, blocks.freedom)))
     found = Calibration(
         table=table_of(curve, entries),
         conditioning=conditioning,
         method="motion",
-        reason=reasons.ACCEPTED,
         coverage=coverage(position[use]),
         cycles_used=cycles,
         samples_used=blocks.samples,
@@ -63,44 +68,18 @@ def finish(
         residual_peak=peak(after[moving]),
         before_rms=root_mean(before[moving]) * correct,
         before_peak=peak(before[moving]),
-        uncertainty_rms=max(expected, measured),
-        uncertainty_peak=PEAK_SIGMAS * max(float(spread.max()), measured),
-        noise_counts=fit.noise.across,
+        uncertainty_rms=max(expected, measured, systematic),
+        uncertainty_peak=PEAK_SIGMAS * max(float(spread.max()), measured, systematic),
+        noise_counts=fit.noise_counts,
         noise_cycles=fit.noise_cycles,
         bound_rms=bound,
         cramer_rao_ratio=measured / bound,
+        track_orders=fit.waveform.orders,
         harmonics=_harmonics(fit.waveform, conditioning, expected),
-        curve=error_curve(position[moving], before[moving], after[moving]),
+        curve=curve_of_errors,
         block_samples=blocks.index.shape[1],
     )
-    known = root_mean(np.sqrt(_variance(sensitivity, fit.known_motion)))
-    return judge(found, expected / known)
-
-
-def judge(found: Calibration, loss: float = 1.0) -> Calibration:
-    """The calibration if it can be used, else CalibrationError with it and the reason.
-
-    ``loss``: how many times the uncertainty grew because the motion had to be found as well.
-    """
-    reason, text = reasons.ACCEPTED, ""
-    if found.coverage < 1.0:
-        reason = reasons.COVERAGE
-        text = (
-            f"only {100 * found.coverage:.0f} % of the cycle was sampled: "
-            "let the machine go through many cycles, at a speed that is not a whole "
-            "number of cycles per sample"
-        )
-    elif found.cycles_used < MIN_CYCLES:
-        reason = reasons.CYCLES
-        text = f"{found.cycles_used:.1f} cycles are too few: at least {MIN_CYCLES:.0f} are needed"
-    elif found.uncertainty_rms > MAX_UNCERTAINTY_CYCLES:
-        reason = reasons.LOCKED if loss > LOCKED_LOSS else reasons.NOISE
-        text = f"{reasons.REASONS[reason]}: {found.uncertainty_rms:.1e} cycle rms. " + (
-            "Change the speed" if loss > LOCKED_LOSS else "Record longer, or a smoother motion"
-        )
-    if reason == reasons.ACCEPTED:
-        return found
-    raise CalibrationError(text, reason, replace(found, reason=reason))
+    return judge(found, loss)
 
 
 def _variance(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -118,13 +97,22 @@ def peak(values: FloatArray) -> float:
     return float(np.abs(values).max()) if len(values) else 0.0
 
 
-def _halves(record: Recording, blocks: Blocks, fit: JointFit) -> list[Waveform]:
-    """The same fit to the even and to the odd blocks alone."""
-    rows = np.arange(len(blocks))
-    halves = []
-    for odd in (0, 1):
-        part = rows[rows % 2 == odd]
-        half = fit_jointly(
+def _systematic(curve: ErrorCurve, position: FloatArray, noise: float) -> float:
+    """Rms of the mean deviation over the phase, less what noise leaves of it: tracks that do not fit."""
+    count = np.bincount((position % 1.0 * BINS).astype(np.int64) % BINS, minlength=BINS)
+    seen = count > 0
+    if not seen.any():
+        return 0.0
+    excess = float(np.mean(curve.after[seen] ** 2 - noise**2 / count[seen]))
+    return float(np.sqrt(max(0.0, excess)))
+
+
+def _parts(record: Recording, blocks: Blocks, fit: JointFit, count: int) -> list[Waveform]:
+    """The same fit to each ``count``-th block alone."""
+    waveforms = []
+    for first in range(count):
+        part = np.arange(first, len(blocks), count)
+        one = fit_jointly(
             blocks.take(part),
             record.sine,
             record.cosine,
@@ -133,16 +121,14 @@ def _halves(record: Recording, blocks: Blocks, fit: JointFit) -> list[Waveform]:
             rounds=6,
             noise=fit.noise,
         )
-        halves.append(half.waveform)
-    return halves
+        waveforms.append(one.waveform)
+    return waveforms
 
 
-def _mixed(position: FloatArray, use: BoolArray) -> BoolArray:
-    """Blocks whose samples lie at different phases; at standstill any table looks good."""
-    turn = np.where(use, np.exp(2j * np.pi * position), 0.0)
-    size = np.abs(turn.sum(axis=1)) / np.maximum(1, use.sum(axis=1))
-    mixed: BoolArray = size < SAME_PHASE
-    return mixed
+def _measured_error(tables: list[FloatArray]) -> float:
+    """Rms error of the mean of these independent tables, from how they scatter; mean of each taken off."""
+    centred = np.array([table - table.mean() for table in tables])
+    return float(np.sqrt(np.mean(np.var(centred, axis=0, ddof=1)) / len(tables)))
 
 
 def _deviations(

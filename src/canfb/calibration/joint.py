@@ -14,12 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from canfb.calibration.blocks import TERMS, Blocks, BoolArray, solve_blocks
-from canfb.calibration.waveform import Waveform, basis
+from canfb.calibration.blocks import Blocks, BoolArray, solve_blocks
+from canfb.calibration.waveform import Waveform, basis, table_sensitivity
+from canfb.signal.conditioning import IDENTITY
 from canfb.signal.phase import FloatArray
 
 CHUNK_SAMPLES = 8192  # keeps the temporaries in the processor's cache
-CONVERGED_CYCLES = 2e-8
+CONVERGED = 1e-3  # of the deviation of single samples
 LARGEST_STEP_CYCLES = 0.1
 
 
@@ -36,12 +37,11 @@ class JointFit:
     """Result of :func:`fit_jointly`.
 
     waveform     both tracks
-    motion       coefficients of the polynomials, (blocks, TERMS); positions in cycles
+    motion       coefficients of the polynomials, (blocks, terms); positions in cycles
     along/across residuals in counts, (blocks, length)
     speed        length of the curve's tangent, counts per cycle, (blocks, length)
     noise        estimated from the residuals of the samples used
     covariance   of the coefficients (sine, then cosine), counts^2; the phase's origin is held
-    known_motion the same if the motion were known: what its elimination cost
     """
 
     waveform: Waveform
@@ -51,7 +51,11 @@ class JointFit:
     speed: FloatArray
     noise: Noise
     covariance: FloatArray
-    known_motion: FloatArray
+
+    @property
+    def noise_counts(self) -> float:
+        """Rms noise of one track: what is neither motion nor a change of amplitude."""
+        return min(self.noise.across, self.noise.along)
 
     @property
     def noise_cycles(self) -> float:
@@ -65,7 +69,7 @@ def initial_fit(
     """First values: polynomials through the tracked positions, tracks by least squares over them."""
     motion = blocks.smooth(position[blocks.index])
     use = blocks.used
-    columns, _ = basis(blocks.evaluate(motion)[use], orders)
+    columns = basis(blocks.evaluate(motion)[use], orders)
     both = np.column_stack([sine[blocks.index][use], cosine[blocks.index][use]])
     solution = np.asarray(np.linalg.lstsq(columns, both, rcond=None)[0], np.float64)
     return Waveform(orders, solution[:, 0], solution[:, 1]), motion
@@ -85,7 +89,7 @@ def fit_jointly(
     for _ in range(rounds):
         system = _System(blocks, sine, cosine, waveform, motion, weigh)
         waveform, motion, step = system.step()
-        if step < CONVERGED_CYCLES:
+        if step < CONVERGED * system.deviation_cycles():
             break
     return _System(blocks, sine, cosine, waveform, motion, weigh).result()
 
@@ -101,6 +105,20 @@ def bound_covariance(
     return _System(blocks, sine, cosine, fit.waveform, fit.motion, noise).covariance()
 
 
+def information_loss(blocks: Blocks, waveform: Waveform, motion: FloatArray) -> float:
+    """How many times the tracks' uncertainty grows because the motion has to be found as well.
+
+    A little over 1 where every block meets all phases, large where the motion could explain
+    what the tracks do.
+    """
+    none = np.zeros(int(blocks.index.max()) + 1)
+    system = _System(blocks, none, none, waveform, motion, Noise(1.0, 1.0))
+    sensitivity = table_sensitivity(waveform, IDENTITY)
+    with_motion = np.einsum("pi,pi->", sensitivity @ system.covariance(), sensitivity)
+    without = np.einsum("pi,pi->", sensitivity @ system.inverse(system.normal), sensitivity)
+    return float(np.sqrt(with_motion / without))
+
+
 class _System:
     """Normal equations at one point, the blocks' coefficients eliminated."""
 
@@ -114,13 +132,14 @@ class _System:
         noise: Noise,
     ) -> None:
         self.blocks, self.waveform, self.motion, self.noise = blocks, waveform, motion, noise
+        self.slope = waveform.slope()
         size = 2 * len(waveform.sine)
         self.normal, self.right = np.zeros((size, size)), np.zeros(size)
         shape = blocks.index.shape
         self.along, self.across, self.speed = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-        self.cross = np.zeros((len(blocks), TERMS, size))
-        self.inner = np.zeros((len(blocks), TERMS, TERMS))
-        self.inner_right = np.zeros((len(blocks), TERMS))
+        self.cross = np.zeros((len(blocks), blocks.coefficients, size))
+        self.inner = np.zeros((len(blocks), blocks.coefficients, blocks.coefficients))
+        self.inner_right = np.zeros((len(blocks), blocks.coefficients))
         rows = max(1, CHUNK_SAMPLES // shape[1])
         for start in range(0, len(blocks), rows):
             self._add(slice(start, start + rows), sine, cosine)
@@ -135,8 +154,8 @@ class _System:
         blocks = self.blocks
         index, used, terms = blocks.index[part], blocks.used[part], blocks.terms[part]
         position = np.matmul(terms, self.motion[part][..., None])[..., 0]
-        columns, slopes = basis(position, self.waveform.orders)
-        slope_s, slope_c = slopes @ self.waveform.sine, slopes @ self.waveform.cosine
+        columns, slope = basis(position, self.waveform.orders), self.slope
+        slope_s, slope_c = columns @ slope.sine, columns @ slope.cosine
         off_s = sine[index] - columns @ self.waveform.sine
         off_c = cosine[index] - columns @ self.waveform.cosine
         speed = np.hypot(slope_s, slope_c)
@@ -144,23 +163,37 @@ class _System:
         along, across = off_s * turn_s + off_c * turn_c, off_c * turn_s - off_s * turn_c
         self.along[part], self.across[part], self.speed[part] = along, across, speed
         weight_along, weight_across = self._weights(speed, used)
-        # Roots of the weights go into the rows, so that each product is one matrix product.
-        turn_s, turn_c = turn_s[..., None], turn_c[..., None]
-        rows_along = np.concatenate([turn_s * columns, turn_c * columns], axis=2) * weight_along[..., None]
-        rows_across = np.concatenate([-turn_c * columns, turn_s * columns], axis=2) * weight_across[..., None]
-        rows_motion = terms * (speed * weight_along)[..., None]
-        along, across = along * weight_along, across * weight_across
-        size = rows_along.shape[2]
-        flat_along, flat_across = rows_along.reshape(-1, size), rows_across.reshape(-1, size)
-        self.normal += flat_along.T @ flat_along + flat_across.T @ flat_across
-        self.right += flat_along.T @ along.ravel() + flat_across.T @ across.ravel()
-        turned = rows_motion.transpose(0, 2, 1)
-        self.cross[part] = np.matmul(turned, rows_along)
-        self.inner[part] = np.matmul(turned, rows_motion)
+        # The row along the curve is (turn_s, turn_c) times the columns, the one across (-turn_c, turn_s).
+        self._add_tracks(
+            columns.reshape(-1, columns.shape[-1]),
+            (weight_along * turn_s**2 + weight_across * turn_c**2).ravel(),
+            ((weight_along - weight_across) * turn_s * turn_c).ravel(),
+            (weight_along * turn_c**2 + weight_across * turn_s**2).ravel(),
+        )
+        pull_along, pull_across = weight_along * along, weight_across * across
+        self.right += np.concatenate(
+            [
+                np.tensordot(pull_along * turn_s - pull_across * turn_c, columns, 2),
+                np.tensordot(pull_along * turn_c + pull_across * turn_s, columns, 2),
+            ]
+        )
+        turned = (terms * (speed * weight_along)[..., None]).transpose(0, 2, 1)
+        half = columns.shape[-1]
+        self.cross[part, :, :half] = np.matmul(turned * turn_s[:, None], columns)
+        self.cross[part, :, half:] = np.matmul(turned * turn_c[:, None], columns)
+        self.inner[part] = np.matmul(turned, terms * speed[..., None])
         self.inner_right[part] = np.matmul(turned, along[..., None])[..., 0]
 
+    def _add_tracks(self, columns: FloatArray, ss: FloatArray, sc: FloatArray, cc: FloatArray) -> None:
+        half = columns.shape[1]
+        mixed = columns.T @ (columns * sc[:, None])
+        self.normal[:half, :half] += columns.T @ (columns * ss[:, None])
+        self.normal[:half, half:] += mixed
+        self.normal[half:, :half] += mixed.T
+        self.normal[half:, half:] += columns.T @ (columns * cc[:, None])
+
     def _weights(self, speed: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Inverse standard deviations along and across the curve, zero for samples left out."""
+        """Inverse variances along and across the curve, zero for samples left out."""
         across, along = self.noise.across, self.noise.along
         if along > across:
             # Noise of the converter is constant in counts, noise of the motion in cycles.
@@ -168,25 +201,19 @@ class _System:
             variance = across**2 + (along**2 - across**2) * (speed / mean) ** 2
         else:
             variance = np.full_like(speed, along**2)
-        return used / np.sqrt(variance), used / across
-
-    def _origin(self) -> FloatArray:
-        """Direction in which a shift of the phase moves the coefficients: the data cannot tell it."""
-        parts = []
-        for track in (self.waveform.sine, self.waveform.cosine):
-            moved = np.zeros_like(track)
-            for place, order in enumerate(self.waveform.orders):
-                omega = 2.0 * np.pi * order
-                moved[1 + 2 * place] = omega * track[2 + 2 * place]
-                moved[2 + 2 * place] = -omega * track[1 + 2 * place]
-            parts.append(moved)
-        direction = np.concatenate(parts)
-        return np.asarray(direction / np.linalg.norm(direction), np.float64)
+        return used / variance, used / across**2
 
     def _held(self, matrix: FloatArray) -> FloatArray:
-        origin = self._origin()
+        # The data cannot tell where phase 0 lies: a shift of it moves the coefficients by their slope.
+        origin = np.concatenate([self.slope.sine, self.slope.cosine])
+        origin = origin / np.linalg.norm(origin)
         size = float(np.trace(matrix)) / len(matrix)
         return np.asarray(matrix + size * np.outer(origin, origin), np.float64)
+
+    def deviation_cycles(self) -> float:
+        """Rms deviation of the samples along the curve, cycles."""
+        use = self.blocks.used
+        return float(np.sqrt(np.mean((self.along[use] / self.speed[use]) ** 2)))
 
     def step(self) -> tuple[Waveform, FloatArray, float]:
         """One step of Gauss-Newton: new tracks, new motion, largest change of position in cycles."""
@@ -217,14 +244,14 @@ class _System:
             self.across,
             self.speed,
             noise,
-            self._inverse(self.reduced) * scale,
-            self._inverse(self.normal) * scale,
+            self.inverse(self.reduced) * scale,
         )
 
     def covariance(self) -> FloatArray:
         """Inverse of the information that the samples hold on the coefficients, origin held."""
-        return self._inverse(self.reduced)
+        return self.inverse(self.reduced)
 
-    def _inverse(self, information: FloatArray) -> FloatArray:
+    def inverse(self, information: FloatArray) -> FloatArray:
+        """Inverse of information on the coefficients, origin held."""
         held = self._held(information)
         return np.asarray(np.linalg.pinv(held, rcond=1e-14, hermitian=True), np.float64)

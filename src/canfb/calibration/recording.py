@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from canfb.calibration.blocks import BoolArray, IntArray
+from canfb.calibration.following import positions
 from canfb.errors import CalibrationError
 from canfb.signal.phase import FloatArray
-from canfb.signal.tracker import Tracker, track
 
 MIN_SAMPLES = 200
 BINS = 64
-MIN_PER_BIN = 3
+MIN_PER_BIN = 2
 # Faults may hit the end of the range now and then; a track that is too large hits it in
 # every cycle at the same phase.
 CLIPPED_PART = 0.05
@@ -44,17 +43,8 @@ class Recording:
     breaks: IntArray
 
     def positions(self, phase: FloatArray) -> FloatArray:
-        """Positions in cycles of these phases (cycles, NaN where there is none), each segment from 0."""
-        positions = np.empty(len(phase))
-        edges = [0, *(int(b) for b in self.breaks), len(phase)]
-        for start, stop in itertools.pairwise(edges):
-            part = slice(start, stop)
-            if self.uneven:
-                positions[part] = _track_uneven(phase[part], self.time[part])
-            else:
-                result = track(phase[part], 0.5)
-                positions[part] = result.cycles + result.phase
-        return positions
+        """Positions in cycles at these phases (cycles, NaN where there is none), see :mod:`.following`."""
+        return positions(phase, self.time, self.uneven, self.breaks)
 
 
 def recording(
@@ -118,16 +108,6 @@ def _intervals(time_s: npt.ArrayLike | None, n: int) -> tuple[FloatArray, bool]:
     return (time - time[0]) / interval, bool(np.ptp(steps) > UNEVEN * interval)
 
 
-def _track_uneven(phase: FloatArray, time: FloatArray) -> FloatArray:
-    tracker = Tracker(0.5)
-    elapsed = np.diff(time, prepend=time[0] - 1.0).tolist()
-    positions = []
-    for one, interval in zip(phase.tolist(), elapsed, strict=True):
-        result = tracker.update(one, interval)
-        positions.append(result.cycles + result.phase)
-    return np.array(positions)
-
-
 def check_clipped(record: Recording, angle: FloatArray) -> None:
     """Refuse tracks that are cut off. ``angle`` of all samples, clipped ones included, in cycles."""
     count = int(record.clipped.sum())
@@ -136,7 +116,7 @@ def check_clipped(record: Recording, angle: FloatArray) -> None:
     cut = np.bincount(bins[record.clipped], minlength=BINS)
     every = np.maximum(1, np.bincount(bins[seen], minlength=BINS))
     worst = float((cut / every).max())
-    if count > CLIPPED_PART * seen.sum() or (worst > CLIPPED_PART_OF_BIN and count > MIN_PER_BIN * 2):
+    if count > CLIPPED_PART * seen.sum() or (worst > CLIPPED_PART_OF_BIN and count > 6):
         raise CalibrationError(
             f"{count} samples are at the ends of the converter's range: reduce the amplitude of the tracks",
             "clipped",
@@ -144,6 +124,6 @@ def check_clipped(record: Recording, angle: FloatArray) -> None:
 
 
 def coverage(phase: FloatArray) -> float:
-    """Part of the cycle, in bins of 1/64, that has at least three of these phases (cycles)."""
+    """Part of the cycle that is sampled: bins of 1/64 with two of these phases (cycles) in or beside them."""
     counts = np.bincount((phase % 1.0 * BINS).astype(np.int64) % BINS, minlength=BINS)
-    return float(np.mean(counts >= MIN_PER_BIN))
+    return float(np.mean(np.roll(counts, 1) + counts + np.roll(counts, -1) >= MIN_PER_BIN))

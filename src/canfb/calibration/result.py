@@ -82,8 +82,10 @@ class Calibration:
     noise_cycles     rms of what the smooth motion leaves, as a phase
     bound_rms        Cramer-Rao bound of the table's rms error with noise_counts, cycles; None
                      where it is not computed
-    cramer_rao_ratio measured error of the table (from two independent halves of the data) over
-                     that bound; scatters by some 20 %; None where it is not computed
+    cramer_rao_ratio measured error of the table (from the scatter of tables of independent parts
+                     of the data) over that bound; None where it is not computed
+    track_orders     orders of the tracks' Fourier series that the data supports; empty where
+                     the method has none
     harmonics        of the error of the conditioned arc tangent, largest first
     curve            deviation over the phase, before and after
     block_samples    samples over which motion was taken to be smooth
@@ -107,6 +109,7 @@ class Calibration:
     noise_cycles: float
     bound_rms: float | None = None
     cramer_rao_ratio: float | None = None
+    track_orders: tuple[int, ...] = ()
     harmonics: tuple[Harmonic, ...] = ()
     curve: ErrorCurve
     block_samples: int

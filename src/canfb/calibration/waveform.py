@@ -16,24 +16,22 @@ GRID = 16384
 LARGEST_DEVIATION = MAX_DEVIATION_CYCLES - 1e-3
 
 
-def basis(position: FloatArray, orders: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
-    """Columns 1, cos 2 pi h x, sin 2 pi h x for each order h, and their slopes per cycle.
+def basis(position: FloatArray, orders: tuple[int, ...]) -> FloatArray:
+    """Columns 1, cos 2 pi h x, sin 2 pi h x for each order h.
 
     ``position`` in cycles, any shape; the columns are the last axis.
     """
-    angle = 2.0 * np.pi * (position - np.floor(position))
+    angle = 2.0 * np.pi * (position - np.floor(position)).ravel()
     turn = np.cos(angle) + 1j * np.sin(angle)
-    columns = np.empty((*position.shape, 1 + 2 * len(orders)))
-    slopes = np.empty_like(columns)
-    columns[..., 0], slopes[..., 0] = 1.0, 0.0
+    rows = np.empty((1 + 2 * len(orders), position.size))
+    rows[0] = 1.0
     power, reached = np.ones_like(turn), 0
     for place, order in enumerate(orders):
         for _ in range(order - reached):
             power = power * turn
-        reached, omega = order, 2.0 * np.pi * order
-        columns[..., 1 + 2 * place], columns[..., 2 + 2 * place] = power.real, power.imag
-        slopes[..., 1 + 2 * place], slopes[..., 2 + 2 * place] = -omega * power.imag, omega * power.real
-    return columns, slopes
+        reached = order
+        rows[1 + 2 * place], rows[2 + 2 * place] = power.real, power.imag
+    return np.ascontiguousarray(rows.T).reshape(*position.shape, len(rows))
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,20 +49,18 @@ class Waveform:
 
     def tracks(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Sine and cosine track at these positions (cycles)."""
-        columns, _ = basis(position, self.orders)
+        columns = basis(position, self.orders)
         return columns @ self.sine, columns @ self.cosine
 
-    def shifted(self, cycles: float) -> Waveform:
-        """The same tracks with the phase counted from ``cycles`` on."""
+    def slope(self) -> Waveform:
+        """Change of both tracks per cycle, counts per cycle."""
         parts = []
         for track in (self.sine, self.cosine):
-            moved = track.copy()
+            turned = np.zeros_like(track)
             for place, order in enumerate(self.orders):
-                a, b = track[1 + 2 * place], track[2 + 2 * place]
-                turn = 2.0 * np.pi * order * cycles
-                moved[1 + 2 * place] = a * np.cos(turn) + b * np.sin(turn)
-                moved[2 + 2 * place] = b * np.cos(turn) - a * np.sin(turn)
-            parts.append(moved)
+                turned[1 + 2 * place] = 2.0 * np.pi * order * track[2 + 2 * place]
+                turned[2 + 2 * place] = -2.0 * np.pi * order * track[1 + 2 * place]
+            parts.append(turned)
         return Waveform(self.orders, parts[0], parts[1])
 
     def with_orders(self, orders: tuple[int, ...]) -> Waveform:
@@ -146,11 +142,11 @@ def table_sensitivity(waveform: Waveform, conditioning: Conditioning, points: in
     it moves the place where the curve crosses that ray.
     """
     position = np.arange(points) / points
-    columns, slopes = basis(position, waveform.orders)
+    columns, slope = basis(position, waveform.orders), waveform.slope()
     s, c = conditioning.apply(columns @ waveform.sine, columns @ waveform.cosine)
     _, gain_s, _, factor_c, skew = conditioning.coefficients()
-    slope_s = gain_s * (slopes @ waveform.sine)
-    slope_c = factor_c * (slopes @ waveform.cosine) - skew * slope_s
+    slope_s = gain_s * (columns @ slope.sine)
+    slope_c = factor_c * (columns @ slope.cosine) - skew * slope_s
     across = slope_s * c - slope_c * s
     by_sine = gain_s * (c + skew * s) / across
     by_cosine = -factor_c * s / across

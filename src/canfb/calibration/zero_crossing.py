@@ -16,10 +16,11 @@ import numpy.typing as npt
 
 from canfb.calibration.blocks import BoolArray, IntArray
 from canfb.calibration.ellipse import angle_cycles, as_real32, fit_ellipse
-from canfb.calibration.evaluate import error_curve, judge, peak, root_mean
-from canfb.calibration.motion import Progress, no_progress
+from canfb.calibration.evaluate import error_curve, peak, root_mean
+from canfb.calibration.judgement import judge
 from canfb.calibration.recording import Recording, check_clipped, coverage, recording
 from canfb.calibration.result import CYCLES, SPEED, Calibration, Harmonic, error_harmonics
+from canfb.calibration.solver import Progress, no_progress
 from canfb.calibration.waveform import grid_phases, table_from_phases
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import IDENTITY, Conditioning
