@@ -60,6 +60,11 @@ def percent(part: float, digits: int = 3) -> str:
     return f"{100.0 * part:.{digits}g} %"
 
 
+def grouped(number: float) -> str:
+    """A whole number with its digits in groups of three."""
+    return f"{number:,.0f}".replace(",", " ")
+
+
 def markdown(claims: Sequence[Claim]) -> str:
     """The table in Markdown."""
     rows = [COLUMNS, tuple("---" for _ in COLUMNS), *map(_cells, claims)]

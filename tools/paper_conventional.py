@@ -10,7 +10,7 @@ import numpy as np
 
 from canfb.simulation.conventional import conventional_position
 from canfb.simulation.encoder import Encoder
-from paper_claim import Claim, Effort, verdict
+from paper_claim import Claim, Effort, grouped, verdict
 from paper_plant import (
     CYCLES_PER_REVOLUTION,
     EXTREME,
@@ -84,7 +84,7 @@ def conventional(effort: Effort) -> Iterator[Claim]:
     expected = {key: MILLION * shift_cycles(*key) for key in plain}
     ours = ours_wrong(samples)
     listed = "; ".join(
-        f"{rpm:.0f} rpm: {' and '.join(f'{plain[rpm, offset]:.0f}' for offset in OFFSETS_S)}"
+        f"{rpm:.0f} rpm: {' and '.join(grouped(plain[rpm, offset]) for offset in OFFSETS_S)}"
         for rpm in SPEEDS_RPM
     )
     fits = all(abs(plain[key] - expected[key]) < 300.0 + 0.02 * expected[key] for key in plain)
@@ -115,8 +115,8 @@ def conventional(effort: Effort) -> Iterator[Claim]:
         "right",
         f"0.2 cycle apart: {below:.0f} wrong. It bears {bears:.3f} cycle "
         f"({1e6 * bears / shift_cycles(2000.0, 1.0):.1f} µs at 2000 rpm) with ideal tracks, and down to "
-        f"{bears_extreme:.3f} with 40 % offset and 20 % amplitude error; 0.3 cycle apart {beyond:.0f} of 10⁶ "
-        "are wrong",
+        f"{bears_extreme:.3f} with 40 % offset and 20 % amplitude error; 0.3 cycle apart "
+        f"{grouped(beyond)} of 10⁶ are wrong",
         verdict(
             below == 0.0
             and 0.247 < bears < 0.252

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb import max_acceleration, process, track
-from paper_claim import Claim, Effort, Verdict, percent, verdict
+from paper_claim import Claim, Effort, Verdict, grouped, percent, verdict
 from paper_plant import (
     CYCLES_PER_REVOLUTION,
     USUAL,
@@ -42,8 +42,8 @@ def two_thirds(effort: Effort) -> Iterator[Claim]:
         "section 4, eq. 12",
         "with the limit 1/3 the largest acceleration is reduced to",
         "66 %",
-        f"{100 * part:.1f} %: {found:.0f} rad/s² is the largest that is not flagged ({formula:.0f} by the "
-        "formula)",
+        f"{100 * part:.1f} %: {grouped(found)} rad/s² is the largest that is not flagged "
+        f"({grouped(formula)} by the formula)",
         verdict(0.66 < part < 0.67 and abs(found / formula - 1.0) < 1e-4),
         {"formula": formula, "found": found, "part": part},
     )
@@ -187,8 +187,8 @@ def never_forgets(effort: Effort) -> Iterator[Claim]:
         "section 4",
         "an error once made produces a constant disturbance",
         "constant",
-        f"one sample off by {glitch} cycle: {flagged} flagged, {first} later; after 1000 samples the "
-        f"position is {later:.0f} cycles further off",
+        f"one sample off by {glitch} cycle: flagged {flagged} time, {first} sample later; after 1000 samples "
+        f"the position is {later:.0f} cycles further off",
         verdict(abs(later - 1000.0) < 0.01 and flagged == 1 and 0 <= first <= 2),
         {"growth": later, "flagged": flagged, "first": first},
     )

@@ -30,21 +30,30 @@ ZONES = {
 }
 
 
-def write_figures(folder: Path) -> list[Path]:
-    """Write the pictures into `folder`, made if need be; their paths. ImportError without matplotlib."""
+def can_draw() -> bool:
+    """Matplotlib is there."""
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+def write_figures(folder: Path, onsets: int = 150) -> list[Path]:
+    """Write the pictures into `folder`, made if need be; their paths. `onsets` tried for each point."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
-    for name, figure in _figures():
+    for name, figure in _figures(onsets):
         path = folder / f"{name}.png"
         figure.savefig(path, dpi=120)
         written.append(path)
     return written
 
 
-def _figures() -> Iterator[tuple[str, Figure]]:
+def _figures(onsets: int) -> Iterator[tuple[str, Figure]]:
     yield "error-over-phase", _error_over_phase(_figure(8, 9))
     yield "83-cycles-per-sample", _far_apart(_figure(8, 9))
-    yield "acceleration-limits", _acceleration(_figure(8, 8))
+    yield "acceleration-limits", _acceleration(_figure(8, 8), onsets)
     yield "conventional-method", _conventional(_figure(8, 5.5))
 
 
@@ -90,7 +99,7 @@ def _error_over_phase(figure: Figure) -> Figure:
         ylabel="error, % of a cycle",
         xlim=(0, 1),
     )
-    axes.legend(loc="lower right", title="largest error")
+    axes.legend(loc="lower right", title="largest error", fontsize=8)
     return figure
 
 
@@ -136,7 +145,7 @@ def _between_two_samples(axes: Any) -> None:
     )
 
 
-def _acceleration(figure: Figure) -> Figure:
+def _acceleration(figure: Figure, onsets: int) -> Figure:
     change = np.linspace(0.01, 1.3, 130)
     runs = [accelerated(a) for a in change]
     axes = _axes(figure, 3, 1)
@@ -153,7 +162,7 @@ def _acceleration(figure: Figure) -> Figure:
     axes.set(title="Error of the speed after 60 samples of acceleration", ylabel="cycles per sample")
     axes = _axes(figure, 3, 3)
     _zones(axes)
-    fraction = (np.arange(150) + 0.5) / 150
+    fraction = (np.arange(onsets) + 0.5) / onsets
     for rise, colour, label in (
         (0.0, BEFORE, "sudden onset"),
         (1 / 0.3, AFTER, "rising by at most 0.3 cycle in a sample"),

@@ -9,7 +9,7 @@ import numpy as np
 
 from canfb import CalibrationError, CorrectionTable, calibrate_from_zero_crossings, phase_in_cycle
 from canfb.simulation.encoder import Encoder
-from paper_claim import Claim, Effort, Verdict, percent, verdict
+from paper_claim import Claim, Effort, Verdict, grouped, percent, verdict
 from paper_plant import (
     CYCLES_PER_REVOLUTION,
     EXTREME,
@@ -39,7 +39,7 @@ def introduction(effort: Effort) -> Iterator[Claim]:
         "section 1",
         "counting quarter cycles, 0.1 rpm at 2 kHz takes so many cycles, and so high a frequency at 3000 rpm",
         "300 000 cycles, 15 MHz",
-        f"{cycles:.0f} cycles, {frequency_hz / 1e6:.1f} MHz; this method with 2500 cycles and 12 bits: "
+        f"{grouped(cycles)} cycles, {frequency_hz / 1e6:.1f} MHz; this method with 2500 cycles and 12 bits: "
         f"{ours_rpm:.4f} rpm, {ours_hz / 1e3:.0f} kHz",
         verdict(round(cycles) == 300_000 and round(frequency_hz) == 15_000_000 and ours_rpm < resolution_rpm),
         {"cycles": cycles, "frequency_hz": frequency_hz, "ours_rpm": ours_rpm, "ours_hz": ours_hz},
@@ -177,7 +177,7 @@ def conclusion(effort: Effort) -> Iterator[Claim]:
     yield Claim(
         "resolution",
         "section 5",
-        "resolution with 12-bit converters and +-1 LSB of error",
+        "resolution with 12-bit converters and ±1 LSB of error",
         "1/5800 cycle",
         f"1/{1.0 / step:.0f} cycle in the worst place, 45 degrees",
         verdict(5700 < 1.0 / step < 5900),

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from canfb import TrackResult, max_acceleration, track
-from paper_claim import Claim, Effort, verdict
+from paper_claim import Claim, Effort, grouped, verdict
 from paper_plant import (
     CYCLES_PER_REVOLUTION,
     USUAL,
@@ -37,8 +37,8 @@ def acceleration_limit(effort: Effort) -> Iterator[Claim]:
         "section 3, eq. 10",
         "largest acceleration with 2500 cycles at 25 kHz",
         "785 000 rad/s²",
-        f"{formula:.0f} rad/s² by the formula, {found:.0f} the largest that is tracked without error; "
-        f"{measured:.0f} with 12-bit converters and noise",
+        f"{grouped(formula)} rad/s² by the formula, {grouped(found)} the largest that is tracked without "
+        f"error; {grouped(measured)} with 12-bit converters and noise",
         verdict(abs(found / formula - 1.0) < 1e-4 and 0.99 < measured / formula < 1.0001),
         {"formula": formula, "found": found, "measured": measured},
     )
@@ -86,9 +86,10 @@ def _long_run(key: str, text: str, top_speed: float, change: float, effort: Effo
         "section 3",
         text,
         "no errors",
-        f"{got.samples} samples, {way.reversals} reversals, up to {way.top_speed:.2f} cycles per sample: "
-        f"{got.wrong} wrong cycle counts, {got.flagged} flagged, largest error "
-        f"{100 * got.peak_error:.3f} % of a cycle (12 bits, noise)",
+        f"{grouped(got.samples)} samples, {grouped(way.reversals)} reversals, up to {way.top_speed:.2f} "
+        f"cycles per sample, changing by up to {change:.2g} from sample to sample: {got.wrong} wrong cycle "
+        f"counts, {got.flagged} flagged, largest error {100 * got.peak_error:.3f} % of a cycle (12 bits, "
+        "noise)",
         verdict(got.wrong == 0 and got.flagged == 0 and 1e-4 < got.peak_error < 2e-3 and way.reversals > 20),
         {
             "samples": got.samples,
@@ -123,8 +124,8 @@ def revolutions(effort: Effort) -> Claim:
         "section 3",
         "revolutions are counted from the cycle count",
         "done",
-        f"{counted} revolutions forward and as many back at 2000 rpm and 1 kHz: {wrong} samples in a wrong "
-        f"revolution, {back - moved} cycles left over",
+        f"{grouped(counted)} revolutions forward and as many back at 2000 rpm and 1 kHz: {wrong} samples in "
+        f"a wrong revolution, {back - moved} cycles left over",
         verdict(wrong == 0 and counted == true_count > 0 and back == moved),
         {"counted": counted, "true": true_count, "wrong": wrong, "left_over": back - moved},
     )
@@ -141,8 +142,8 @@ def _no_speed_limit() -> Claim:
         "section 5",
         "there is no limit of the speed",
         "none",
-        f"{way.top_speed:.0f} cycles per sample ({rpm:.2g} rpm at 1 kHz): {got.wrong} wrong cycle counts, "
-        f"{got.flagged} flagged",
+        f"{grouped(way.top_speed)} cycles per sample ({grouped(rpm)} rpm at 1 kHz): {got.wrong} wrong cycle "
+        f"counts, {got.flagged} flagged",
         verdict(got.wrong == 0 and got.flagged == 0 and way.top_speed > 1e5),
         {"top_speed": way.top_speed, "wrong": got.wrong, "flagged": got.flagged},
     )
