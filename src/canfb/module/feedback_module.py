@@ -16,6 +16,7 @@ from canfb.module.publication import Publication
 from canfb.module.table_store import TableStore
 from canfb.signal.chain import Feedback, SignalChain
 from canfb.signal.sample import Sample
+from canfb.signal.supervision import VALID
 
 EDS = "canfb-module"
 SAMPLE_INVALID = 1 << 1  # 2000:06
@@ -38,11 +39,11 @@ class FeedbackModule:
         apply_defaults(self.dictionary, configured_defaults(config))
         self.chain = SignalChain(config)
         self.node = Node(self.dictionary, config.node_id, autostart=config.autostart)
-        self._limits = Limits(self.dictionary, self.chain)
+        self._interval = IntervalEstimate(self.dictionary.entry(0x1006))
+        self._limits = Limits(self.dictionary, self.chain, self._interval)
         self._tables = TableStore(self.dictionary, self.chain)
         self._profile = EncoderProfile(self.dictionary)
-        self._publication = Publication(self.dictionary)
-        self._interval = IntervalEstimate(self.dictionary.entry(0x1006))
+        self._publication = Publication(self.dictionary, self._interval)
         self._sine, self._cosine = self.dictionary.entry(0x2000, 1), self.dictionary.entry(0x2000, 2)
         self._flags = self.dictionary.entry(0x2000, 6)
         self._bad_frames = self.dictionary.entry(0x2012, BAD_FRAMES)
@@ -97,7 +98,8 @@ class FeedbackModule:
         self._sample_came = self._sampled = True
         if not self._synced:
             self._interval.event(now)
-        invalid = bool(self._flags.value & SAMPLE_INVALID)
+        self._limits.follow()
+        invalid = self._flags.value & SAMPLE_INVALID != 0
         self._publish(self.chain.step(Sample(self._sine.value, self._cosine.value, 1.0, invalid)), now)
 
     def _on_sync(self, counter: int | None, now: float) -> None:
@@ -109,18 +111,15 @@ class FeedbackModule:
 
     def _publish(self, feedback: Feedback, now: float) -> None:
         self._feedback = feedback
-        interval_s = self._interval.seconds
-        self._limits.set_interval(interval_s)
-        phase_units = self._publication.publish(feedback, interval_s)
-        self._profile.publish(feedback, phase_units)
-        if self._profile.alarm != self._alarmed:
-            self._report_alarm(now)
+        self._profile.publish(feedback, self._publication.publish(feedback))
+        alarm = not feedback.status & VALID
+        if alarm != self._alarmed:
+            self._report_alarm(alarm, feedback.status, now)
         self.node.trigger_tpdo(POSITION_TPDO, now)
 
-    def _report_alarm(self, now: float) -> None:
-        self._alarmed = self._profile.alarm
-        if self._alarmed:
-            status = self._feedback.status if self._feedback else 0
+    def _report_alarm(self, alarm: bool, status: int, now: float) -> None:
+        self._alarmed = alarm
+        if alarm:
             detail = status.to_bytes(2, "little")
             self.node.emergency(EmergencyCode.SENSOR, POSITION_REGISTER, detail, now)
         else:

@@ -8,6 +8,7 @@ from typing import Any
 from canfb.device.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.module.config import ModuleConfig
+from canfb.module.interval import IntervalEstimate
 from canfb.module.position import distinguishable_revolutions, single_turn_resolution
 from canfb.signal.chain import SignalChain
 from canfb.signal.limits import narrowed_residual_limit
@@ -54,14 +55,15 @@ def apply_defaults(dictionary: Dictionary, defaults: dict[tuple[int, int], Any])
 class Limits:
     """Objects 2001:02..04 and 2010h: written by SDO, in force from the next sample on."""
 
-    def __init__(self, dictionary: Dictionary, chain: SignalChain) -> None:
+    def __init__(self, dictionary: Dictionary, chain: SignalChain, interval: IntervalEstimate) -> None:
         self._chain = chain
+        self._interval = interval
         entry = dictionary.entry
         self._cycles_per_revolution = entry(ENCODER, 1)
         self._full_scale, self._low, self._high = entry(ENCODER, 2), entry(ENCODER, 3), entry(ENCODER, 4)
         self._residual, self._acceleration = entry(SUPERVISION, 1), entry(SUPERVISION, 2)
         self._coast = entry(SUPERVISION, 3)
-        self._interval_s = 0.0
+        self._applied_s, self._applied_cycles = 0.0, 0
         self._low.on_write = self._check(lambda low: low < self._high.value)
         self._high.on_write = self._check(lambda high: high > self._low.value)
         self._acceleration.on_write = self._check(lambda value: 0.0 <= value <= 1e9)
@@ -75,19 +77,23 @@ class Limits:
         ):
             changed.on_written = self.apply
 
-    def set_interval(self, interval_s: float) -> None:
-        """The sampling interval, seconds: a known acceleration narrows the residual limit with it."""
-        if abs(interval_s - self._interval_s) > 0.02 * self._interval_s:
-            self._interval_s = interval_s
-            self.apply()
+    def follow(self) -> None:
+        """Before a sample: a known acceleration narrows the residual limit with the sampling interval."""
+        if self._acceleration.value > 0.0:
+            changed_s = abs(self._interval.seconds - self._applied_s)
+            if (
+                changed_s > 0.02 * self._applied_s
+                or self._applied_cycles != self._cycles_per_revolution.value
+            ):
+                self.apply()
 
     def apply(self) -> None:
         """Put the values of the dictionary in force."""
         limit = self._residual.value / LIMIT_UNITS
-        if self._interval_s > 0.0:
-            limit = narrowed_residual_limit(
-                limit, self._acceleration.value, self._cycles_per_revolution.value, self._interval_s
-            )
+        interval_s, cycles = self._interval.seconds, self._cycles_per_revolution.value
+        if interval_s > 0.0:
+            limit = narrowed_residual_limit(limit, self._acceleration.value, cycles, interval_s)
+        self._applied_s, self._applied_cycles = interval_s, cycles
         limits = SampleLimits(self._full_scale.value, self._low.value, self._high.value)
         self._chain.set_limits(limits, limit, self._coast.value)
 

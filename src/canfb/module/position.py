@@ -50,10 +50,6 @@ class PositionScale:
         self.total_range = total_range
         self.offset = offset
 
-    def has_units_of(self, other: PositionScale) -> bool:
-        """True if :meth:`units` of both is the same."""
-        return self._numerator == other._numerator and self._denominator == other._denominator
-
     def units(self, cycles: int, phase_units: int) -> int:
         """Measuring units since the start, unwrapped, rounded down; phase in 1/2^32 cycle."""
         return (cycles * PHASE_UNITS + phase_units) * self._numerator // self._denominator

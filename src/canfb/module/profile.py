@@ -19,34 +19,35 @@ from canfb.signal.supervision import VALID
 ALARM_POSITION = 1 << 0  # 6503h
 WARNING_FREQUENCY, WARNING_AMPLITUDE = 1 << 0, 1 << 1  # 6505h
 STANDSTILL_CYCLES = 0.05  # per sample: what counts as standstill for a preset
-NEAR_LIMIT = 0.75 / 65536  # residual over this part of the limit, 2010:01: warning
+NEAR_LIMIT = 0.75  # residual over this part of the limit: warning
 AMPLITUDE_RESERVE = 1.15  # amplitude below this multiple of the lowest accepted one: warning
 
 
 class EncoderProfile:
-    """Objects 6000h to 650Bh over the feedback of a signal chain."""
+    """Objects 6000h to 650Bh over the feedback of a signal chain.
+
+    Raw position 600Ch and warnings 6505h are computed when they are read, because few samples are
+    asked for them.
+    """
 
     def __init__(self, dictionary: Dictionary) -> None:
         entry = dictionary.entry
         self._operating, self._units_per_rev, self._range = entry(0x6000), entry(0x6001), entry(0x6002)
-        self._position, self._fine, self._raw = entry(0x6004), entry(0x6008), entry(0x600C)
-        self._status, self._alarms, self._warnings = entry(0x6500), entry(0x6503), entry(0x6505)
+        self._position, self._fine = entry(0x6004), entry(0x6008)
+        self._status, self._alarms = entry(0x6500), entry(0x6503)
         self._resolution, self._revolutions, self._offset = entry(0x6501), entry(0x6502), entry(0x6509)
         self._cycles_per_revolution = entry(0x2001, 1)
         self._low, self._limit = entry(0x2001, 3), entry(0x2010, 1)
         self._last: Feedback | None = None
         entry(0x6003).on_write = self._preset
+        entry(0x600C).on_read = self._raw_position
+        entry(0x6505).on_read = self._warnings
         self._operating.on_write = self._check_operating
         for changed in (self._operating, self._units_per_rev, self._range, self._cycles_per_revolution):
             changed.on_written = self.rescale
         self._serial, self._module_range = entry(0x650B), (entry(0x650A, 2), entry(0x650A, 3))
         self._serial.value = entry(0x1018, 4).value
         self.reset()
-
-    @property
-    def alarm(self) -> bool:
-        """True while 6503h has the position error."""
-        return bool(self._alarms.value & ALARM_POSITION)
 
     def reset(self) -> None:
         """No position, no preset."""
@@ -67,31 +68,32 @@ class EncoderProfile:
             self._offset.value,
         )
         self._raw_scale = PositionScale(cycles, resolution, resolution * revolutions, False, 0)
-        self._same_units = self._scale.has_units_of(self._raw_scale)
         self._status.value = self._operating.value
         # INTEGER32 objects for a range that needs 32 bits without sign: saturated, not wrapped.
         self._module_range[0].value = 0
         self._module_range[1].value = min(self._scale.total_range - 1, 0x7FFFFFFF)
 
     def publish(self, feedback: Feedback, phase_units: int) -> None:
-        """Write the position objects and the warnings; ``phase_units`` is the phase in 1/2^32 cycle."""
+        """Write the position objects and the alarm; ``phase_units`` is the phase in 1/2^32 cycle."""
         self._last = feedback
-        scale, raw_scale = self._scale, self._raw_scale
-        raw_units = raw_scale.units(feedback.cycles, phase_units)
-        units = raw_units if self._same_units else scale.units(feedback.cycles, phase_units)
-        self._raw.value = raw_scale.position(raw_units)
+        scale = self._scale
+        units = scale.units(feedback.cycles, phase_units)
         self._position.value = scale.position(units)
         self._fine.value = (units + scale.offset) & U64
-        warnings = 0
-        if feedback.status & VALID:
-            if feedback.residual > NEAR_LIMIT * self._limit.value:
+        self._alarms.value = 0 if feedback.status & VALID else ALARM_POSITION
+
+    def _raw_position(self) -> int:
+        last, scale = self._last, self._raw_scale
+        return 0 if last is None else scale.position(scale.units(last.cycles, int(last.phase * PHASE_UNITS)))
+
+    def _warnings(self) -> int:
+        last, warnings = self._last, 0
+        if last is not None and last.valid:
+            if last.residual > NEAR_LIMIT / 65536 * self._limit.value:
                 warnings = WARNING_FREQUENCY
-            if feedback.amplitude < AMPLITUDE_RESERVE * self._low.value:
+            if last.amplitude < AMPLITUDE_RESERVE * self._low.value:
                 warnings |= WARNING_AMPLITUDE
-            self._alarms.value = 0
-        else:
-            self._alarms.value = ALARM_POSITION
-        self._warnings.value = warnings
+        return warnings
 
     def _check_operating(self, value: int) -> None:
         if value & ~(CODE_SEQUENCE | SCALING):
