@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from canfb.cli.options import Commands, add_command
-from canfb.demo.figures import write_figures
+from canfb.demo.figures import prepare, write_figures
 from canfb.demo.plant import Plant
 from canfb.demo.report import report
 from canfb.demo.story import as_json, tell
@@ -30,6 +30,8 @@ def register(commands: Commands) -> None:
 
 def demo(options: argparse.Namespace) -> int:
     """Tell the story; 0 if everything held, else 1."""
+    if options.out:
+        prepare(options.out)
     plant = Plant()
     show = None if options.json or not sys.stderr.isatty() else _progress
     story = tell(plant, show) if show else tell(plant)

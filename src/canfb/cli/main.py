@@ -12,6 +12,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
+from typing import NoReturn
 
 from canfb.cli import config, demo, run, simulate
 from canfb.errors import CanfbError, ConfigError
@@ -20,11 +21,17 @@ DONE, FAILED, WRONG_USE = 0, 1, 2
 COMMANDS = (demo, run, simulate, config)
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says in one line what is wrong, without the list of all options."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with exit code 2."""
+        self.exit(WRONG_USE, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
+
+
 def build_parser() -> argparse.ArgumentParser:
     """The parser with all commands."""
-    parser = argparse.ArgumentParser(
-        prog="canfb", description="CANopen drive feedback module for sine/cosine encoders."
-    )
+    parser = _Parser(prog="canfb", description="CANopen drive feedback module for sine/cosine encoders.")
     parser.add_argument("--version", action="version", version=f"canfb {version('canfb')}")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")

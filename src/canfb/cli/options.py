@@ -17,6 +17,9 @@ def add_command(
 ) -> argparse.ArgumentParser:
     """Add a command that calls ``action``; its parser, for its own options."""
     parser: argparse.ArgumentParser = commands.add_parser(name, help=summary, description=summary)
+    parser.add_argument(
+        "--debug", action="store_true", default=argparse.SUPPRESS, help="show the traceback of an error"
+    )
     parser.set_defaults(action=action)
     return parser
 

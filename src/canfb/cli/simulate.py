@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import math
+from dataclasses import replace
 
 from canfb.bus.opening import describe, open_bus
 from canfb.bus.realtime import apply_realtime
@@ -69,7 +71,7 @@ def simulate(options: argparse.Namespace) -> int:
     if options.rate is not None and not 0.1 <= options.rate <= 100_000:
         raise ConfigError(f"--rate {options.rate:g}: must be 0.1 to 100000 Hz")
     module = config.modules[options.module]
-    source = _source(options, config)
+    source = chosen_source(options, config)
     interface = EncoderInterface(
         module.encoder_interface, source, autostart=options.autostart or module.autostart
     )
@@ -92,13 +94,17 @@ def simulate(options: argparse.Namespace) -> int:
     return 0
 
 
-def _source(options: argparse.Namespace, config: Config) -> Source:
+def chosen_source(options: argparse.Namespace, config: Config) -> Source:
+    """The recording of ``--samples``, else the motion of the configuration. CanfbError for a bad one."""
     module = config.modules[options.module]
     if options.samples is not None:
         return RecordingSource(options.samples, _layout(options))
     motion = config.simulation.motion
     if options.rpm is not None:
-        motion = type(motion)(**{**vars(motion), "rpm": options.rpm})
+        try:
+            motion = replace(motion, rpm=options.rpm)
+        except ValueError as error:
+            raise ConfigError(f"--rpm {options.rpm:g}: {error}") from None
     return MotionSource(
         config.simulation.encoder.encoder(module.adc_bits),
         motion.motion(),
@@ -112,6 +118,10 @@ def _layout(options: argparse.Namespace) -> RecordingLayout:
     columns = [name.strip() for name in options.columns.split(",")]
     if len(columns) != 2:
         raise ConfigError(f"--columns {options.columns}: two columns, sine,cosine, are wanted")
+    if not math.isfinite(options.mid_scale):
+        raise ConfigError(f"--mid-scale {options.mid_scale:g}: must be a number of counts")
+    if not 0.0 < options.gap < math.inf:
+        raise ConfigError(f"--gap {options.gap:g}: must be more than 0 seconds")
     if options.gap_samples < 1:
         raise ConfigError(f"--gap-samples {options.gap_samples}: must be 1 or more")
     return RecordingLayout(

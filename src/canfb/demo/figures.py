@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,14 +20,24 @@ SHOWN_SAMPLES = 4000
 BEFORE, AFTER, LIMIT = "#b04a3a", "#1f6f8b", "#8a8a8a"
 
 
-def write_figures(plant: Plant, story: Story, folder: Path) -> list[Path]:
-    """Write the pictures into ``folder``, made if need be; their paths. CanfbError without matplotlib."""
+def prepare(folder: Path) -> None:
+    """Make ``folder``. CanfbError if it cannot be made or matplotlib is missing: before the work starts."""
     try:
-        from matplotlib.figure import Figure
+        importlib.import_module("matplotlib.figure")
     except ImportError:
         raise CanfbError("figures need matplotlib: pip install 'canfb[plot]'") from None
     try:
         folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CanfbError(f"cannot write figures to {folder}: {error.strerror}") from None
+
+
+def write_figures(plant: Plant, story: Story, folder: Path) -> list[Path]:
+    """Write the pictures into ``folder``; their paths. CanfbError as :func:`prepare`."""
+    prepare(folder)
+    from matplotlib.figure import Figure
+
+    try:
         return [
             _save(_tracks(Figure(figsize=(6, 6), layout="constrained"), plant), folder / "tracks.png"),
             _save(

@@ -1,0 +1,67 @@
+"""`canfb config`: the example is itself valid, and what is wrong is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import canfb
+from canfb.cli.main import main
+
+
+@pytest.fixture
+def example(capsys: pytest.CaptureFixture[str]) -> str:
+    assert main(["config", "example"]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    return said.out
+
+
+def test_the_example_is_itself_valid(
+    example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "example.yaml"
+    path.write_text(example)
+    assert main(["config", "check", str(path)]) == 0
+    said = capsys.readouterr()
+    assert said.out == f"{path}: good; modules: 20h\n"
+    assert said.err == ""
+    config = canfb.load_config(path)
+    assert config.bus["interface"] == "socketcan"
+    assert config.modules == [canfb.ModuleConfig(node_id=0x20, residual_limit=0.3333)]
+    assert config.simulation.motion.rpm == 600
+
+
+def test_what_the_example_has_in_comments_is_valid_too(example: str, tmp_path: Path) -> None:
+    """The keys that are shown but left out: without their marks they must load."""
+    path = tmp_path / "example.yaml"
+    lines = []
+    for line in example.splitlines():
+        stripped = line.lstrip()
+        shown = stripped.startswith(("# conditioning:", "#   {", "# realtime:"))
+        words = stripped.removeprefix("# ").partition(" # ")[0].partition("   # offset")[0]
+        indent = " " * (len(line) - len(stripped))
+        lines.append(f"{indent}{words}" if shown else line)
+    path.write_text("\n".join(lines))
+    config = canfb.load_config(path)
+    assert config.realtime.priority == 80
+    assert config.modules[0].conditioning == canfb.Conditioning()
+
+
+def test_several_modules_are_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "two.yaml"
+    path.write_text("modules: [{node_id: 1}, {node_id: 127}]\n")
+    assert main(["config", "check", str(path)]) == 0
+    assert capsys.readouterr().out == f"{path}: good; modules: 01h, 7Fh\n"
+
+
+def test_what_is_wrong_is_one_line_and_exit_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "wrong.yaml"
+    path.write_text("modules:\n- node_id: 3\n  adc_bit: 12\n")
+    assert main(["config", "check", str(path)]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err == f"canfb: {path}:3: unknown key 'adc_bit' in modules[0]; did you mean 'adc_bits'?\n"

@@ -1,0 +1,244 @@
+"""The command line as a whole: exit codes, one line for an error, --debug."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+from canfb.cli import main as command_line
+from canfb.cli.main import main
+from canfb.errors import BusError, ConfigError
+
+GOOD = "bus: {interface: virtual, channel: canfb-cli}\nmodules: [{node_id: 32}]\n"
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> str:
+    path = tmp_path / "feedback.yaml"
+    path.write_text(GOOD)
+    return str(path)
+
+
+def one_line(text: str) -> str:
+    assert text.endswith("\n")
+    (line,) = text.splitlines()
+    return line
+
+
+def canfb(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-m", "canfb", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+def test_version_and_help_are_done(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"canfb {version('canfb')}\n"
+    assert main(["--help"]) == 0
+    said = capsys.readouterr()
+    assert all(f"\n    {command}" in said.out for command in ("demo", "run", "simulate", "config"))
+    assert said.err == ""
+
+
+@pytest.mark.parametrize("command", [["demo"], ["run"], ["simulate"], ["config"], ["config", "check"]])
+def test_every_command_has_a_help(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*command, "--help"]) == 0
+    said = capsys.readouterr()
+    assert said.out.startswith(f"usage: canfb {' '.join(command)}")
+    assert said.err == ""
+
+
+WRONG_USE = {
+    "nothing": ([], "canfb: the following arguments are required: COMMAND"),
+    "no such command": (["fly"], "canfb: argument COMMAND: invalid choice: 'fly'"),
+    "no such option": (["demo", "--fast"], "canfb: unrecognized arguments: --fast"),
+    "no configuration": (["run"], "canfb run: the following arguments are required: CONFIG.yaml"),
+    "no part": (["config"], "canfb config: the following arguments are required: check|example"),
+    "not a number": (
+        ["simulate", "x.yaml", "--rate", "fast"],
+        "canfb simulate: argument --rate: invalid float value",
+    ),
+    "no such interface": (
+        ["run", "x.yaml", "-i", "wires"],
+        "canfb run: argument -i/--interface: invalid choice",
+    ),
+    "a line end": (["demo", "--fa\nst"], "canfb: unrecognized arguments: --fa st"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_USE)
+def test_wrong_use_is_one_line_and_exit_code_2(case: str, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments, words = WRONG_USE[case]
+    assert main(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert one_line(said.err).startswith(words)
+    assert said.err.endswith("--help\n")
+
+
+@pytest.mark.parametrize("command", ["run", "simulate"])
+def test_a_configuration_that_is_not_there_is_exit_code_2(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "nothing.yaml"
+    assert main([command, str(path)]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert one_line(said.err) == f"canfb: {path}: cannot be read: No such file or directory"
+
+
+@pytest.mark.parametrize("command", ["run", "simulate"])
+@pytest.mark.parametrize(
+    "options", [["-i", "socketcan", "-c", "nothing77"], ["-i", "udp_multicast", "-c", "no address"]], ids=str
+)
+def test_a_bus_that_is_not_there_is_exit_code_1(
+    command: str, options: list[str], config: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command, config, *options]) == 1
+    said = capfd.readouterr()
+    assert said.out == ""
+    line = one_line(said.err)
+    assert line.startswith(f"canfb: cannot open the bus {options[1]} {options[3]}: ")
+
+
+def test_in_a_process_of_its_own_an_error_is_the_only_line(config: str) -> None:
+    """Nothing that python-can logs or that Python warns of stands beside it."""
+    done = canfb("run", config, "-i", "udp_multicast", "-c", "127.0.0.1")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert one_line(done.stderr).startswith("canfb: cannot open the bus udp_multicast 127.0.0.1: ")
+
+
+def test_debug_shows_the_traceback_wherever_it_stands(config: str) -> None:
+    for arguments in (["--debug", "run", config], ["run", "--debug", config]):
+        with pytest.raises(BusError):
+            main([*arguments, "-i", "socketcan", "-c", "nothing77"])
+    with pytest.raises(ConfigError):
+        main(["config", "check", "nothing.yaml", "--debug"])
+    done = canfb("--debug", "config", "check", "nothing.yaml")
+    assert done.returncode == 1
+    assert "Traceback (most recent call last):" in done.stderr
+    assert done.stderr.splitlines()[-1].startswith("canfb.errors.ConfigError: nothing.yaml: cannot be read")
+
+
+def test_the_bus_options_replace_the_words_of_the_configuration(
+    monkeypatch: pytest.MonkeyPatch, config: str
+) -> None:
+    opened: list[dict[str, object]] = []
+
+    def refuse(options: dict[str, object]) -> None:
+        opened.append(options)
+        raise BusError("no")
+
+    monkeypatch.setattr(command_line.run, "open_bus", refuse)
+    assert main(["run", config]) == 1
+    assert main(["run", config, "-c", "can3", "-b", "500000"]) == 1
+    assert main(["run", config, "-i", "socketcan", "--bus-kwargs", "local_loopback=False", "port=7"]) == 1
+    assert opened == [
+        {"interface": "virtual", "channel": "canfb-cli"},
+        {"interface": "virtual", "channel": "can3", "bitrate": 500000},
+        {"interface": "socketcan", "channel": "canfb-cli", "local_loopback": False, "port": 7},
+    ]
+
+
+def test_ctrl_c_before_the_bus_is_open_is_exit_code_1_without_a_traceback(
+    monkeypatch: pytest.MonkeyPatch, config: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(path: str) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command_line.run, "load_config", interrupted)
+    assert main(["run", config]) == 1
+    assert capsys.readouterr().err == ""
+
+
+def test_a_reader_that_goes_away_is_no_traceback() -> None:
+    """As in `canfb config example | head -0`: the pipe is closed before anything is written."""
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    with os.fdopen(write_end, "wb") as pipe:
+        done = subprocess.run(
+            [sys.executable, "-u", "-m", "canfb", "config", "example"],
+            stdout=pipe,
+            stderr=subprocess.PIPE,
+            timeout=60,
+            check=False,
+        )
+    assert (done.returncode, done.stderr) == (1, b"")
+
+
+def wait_for_line(process: subprocess.Popen[bytes], within_s: float = 30.0) -> bytes:
+    assert process.stdout is not None
+    deadline = time.monotonic() + within_s
+    said = b""
+    while not said.endswith(b"\n"):
+        ready, _, _ = select.select([process.stdout], [], [], max(0.0, deadline - time.monotonic()))
+        chunk = os.read(process.stdout.fileno(), 4096) if ready else b""
+        if not chunk:
+            pytest.fail(f"no line, only {said!r}")
+        said += chunk
+    return said
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("command", "first", "last"),
+    [
+        ("run", b"running node 32 (20h) on virtual canfb-cli; end with Ctrl-C\n", b"node 32: 0 samples; "),
+        (
+            "simulate",
+            b"encoder interface: node 16 (10h) on virtual canfb-cli; end with Ctrl-C\n",
+            b"0 samples sent\n",
+        ),
+    ],
+)
+def test_a_signal_ends_it_with_exit_code_0(
+    command: str, first: bytes, last: bytes, number: signal.Signals, config: str
+) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-W", "error", "-m", "canfb", command, config],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        try:
+            assert wait_for_line(process) == first
+            asked = time.monotonic()
+            process.send_signal(number)
+            output, errors = process.communicate(timeout=30.0)
+        finally:
+            process.kill()
+    assert (process.returncode, errors) == (0, b"")
+    assert output.startswith(last)
+    assert time.monotonic() - asked < 10.0
+
+
+def test_every_error_of_ours_has_an_exit_code(
+    monkeypatch: pytest.MonkeyPatch, config: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    errors: list[tuple[Callable[[], Exception], int]] = [
+        (lambda: ConfigError("wrong"), 2),
+        (lambda: BusError("gone"), 1),
+        (lambda: command_line.CanfbError("failed"), 1),
+    ]
+    for make, code in errors:
+
+        def failing(path: str, make: Callable[[], Exception] = make) -> None:
+            raise make()
+
+        monkeypatch.setattr(command_line.run, "load_config", failing)
+        assert main(["run", config]) == code
+        assert one_line(capsys.readouterr().err) == f"canfb: {make()}"

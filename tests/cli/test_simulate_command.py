@@ -1,0 +1,186 @@
+"""`canfb simulate`: options that cannot be, recordings that cannot be played, and one that can."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import can
+import pytest
+
+from canfb.cli.main import build_parser, main
+from canfb.cli.simulate import chosen_source
+from canfb.configuration import load_config
+from canfb.simulation.sources import MotionSource, RecordingSource
+
+CHANNEL = "canfb-simulate"
+CONFIG = f"""\
+bus: {{interface: virtual, channel: {CHANNEL}}}
+modules: [{{node_id: 32}}, {{node_id: 33, encoder_interface: 17, cycles_per_revolution: 100}}]
+simulation: {{motion: {{standstill_s: 0, ramp_s: 0, rpm: 6}}, encoder: {{noise_lsb: 0, amplitude: 0.5}}}}
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> str:
+    path = tmp_path / "feedback.yaml"
+    path.write_text(CONFIG)
+    return str(path)
+
+
+@pytest.fixture
+def samples(tmp_path: Path) -> str:
+    path = tmp_path / "tracks.csv"
+    path.write_text("t,a,b\n0,2148,1948\n0.001,2248,1848\n0.9,2348,1748\n0.901,2448,1648\n")
+    return str(path)
+
+
+def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """Exit code, and the one line on standard error without `canfb: `."""
+    code = main(["simulate", *arguments])
+    said = capsys.readouterr()
+    assert said.out == ""
+    (line,) = said.err.splitlines()
+    assert line.startswith("canfb: ")
+    return code, line.removeprefix("canfb: ")
+
+
+@pytest.mark.parametrize("rate", ["0", "-5", "0.09", "100001", "nan", "inf"])
+def test_a_rate_that_cannot_be(rate: str, config: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, line = refused([config, "--rate", rate], capsys)
+    assert (code, line) == (2, f"--rate {float(rate):g}: must be 0.1 to 100000 Hz")
+
+
+@pytest.mark.parametrize("module", ["2", "-1"])
+def test_a_module_that_is_not_there(module: str, config: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, line = refused([config, "--module", module], capsys)
+    assert (code, line) == (2, f"--module {module}: the configuration has 2 modules")
+
+
+@pytest.mark.parametrize("rpm", ["1e9", "-1e9", "nan"])
+def test_a_speed_that_cannot_be(rpm: str, config: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, line = refused([config, f"--rpm={rpm}"], capsys)
+    assert code == 2
+    assert line.startswith(f"--rpm {float(rpm):g}: rpm must be a number ")
+
+
+WRONG_OPTIONS = {
+    "one column": (["--columns", "a"], "--columns a: two columns, sine,cosine, are wanted"),
+    "three columns": (["--columns", "a,b,c"], "--columns a,b,c: two columns, sine,cosine, are wanted"),
+    "mid-scale": (["--columns", "a,b", "--mid-scale", "nan"], "--mid-scale nan: must be a number of counts"),
+    "no gap": (["--columns", "a,b", "--gap", "0"], "--gap 0: must be more than 0 seconds"),
+    "a gap without end": (["--columns", "a,b", "--gap", "inf"], "--gap inf: must be more than 0 seconds"),
+    "a gap of nothing": (["--columns", "a,b", "--gap-samples", "0"], "--gap-samples 0: must be 1 or more"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_OPTIONS)
+def test_options_of_a_recording_that_cannot_be(
+    case: str, config: str, samples: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options, want = WRONG_OPTIONS[case]
+    assert refused([config, "--samples", samples, *options], capsys) == (2, want)
+
+
+WRONG_RECORDINGS = {
+    "no such column": (["--columns", "a,c"], ":1: there is no column 'c'; there are t, a, b"),
+    "no default column": ([], ":1: there is no column 'sine'; there are t, a, b"),
+    "no such number": (["--columns", "1,3"], ":1: there is no column '3'; there are t, a, b"),
+    "no time column": (
+        ["--columns", "a,b", "--time-column", "s"],
+        ":1: there is no column 's'; there are t, a, b",
+    ),
+    "wrong mid-scale": (
+        ["--columns", "a,b", "--mid-scale", "40000"],
+        ":2: -37852, -38052 does not fit INTEGER16; is mid-scale right?",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG_RECORDINGS)
+def test_a_recording_that_cannot_be_played(
+    case: str, config: str, samples: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options, want = WRONG_RECORDINGS[case]
+    assert refused([config, "--samples", samples, *options], capsys) == (1, f"{samples}{want}")
+
+
+@pytest.mark.parametrize(
+    ("content", "want"),
+    [
+        (None, ": cannot be read: No such file or directory"),
+        ("", ":1: there is no line with the names of the columns"),
+        ("sine,cosine\n", ": there are no samples in it"),
+        ("sine,cosine\n1,one\n", ":2: not a number in one of the columns asked for"),
+    ],
+    ids=["missing", "empty", "only names", "a word"],
+)
+def test_a_file_that_is_no_recording(
+    content: str | None, want: str, config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "recording.csv"
+    if content is not None:
+        path.write_text(content)
+    assert refused([config, "--samples", str(path)], capsys) == (1, f"{path}{want}")
+
+
+def source_of(arguments: list[str]) -> MotionSource | RecordingSource:
+    options = build_parser().parse_args(["simulate", *arguments])
+    source = chosen_source(options, load_config(options.config))
+    assert isinstance(source, (MotionSource, RecordingSource))
+    return source
+
+
+@pytest.mark.parametrize(
+    ("options", "cycles"),
+    [
+        ([], 0.25),  # 6 rpm, 2500 cycles, 1 kHz
+        (["--rpm", "60"], 2.5),
+        (["--rate", "100"], 2.5),
+        (["--module", "1"], 0.01),
+    ],
+)
+def test_speed_rate_and_module_move_the_machine(options: list[str], cycles: float, config: str) -> None:
+    source = source_of([config, *options])
+    assert isinstance(source, MotionSource)
+    assert source.next() == (0, 1024)
+    source.next()
+    assert source.position_cycles == pytest.approx(cycles)
+
+
+def test_gaps_and_mid_scale_of_a_recording(config: str, samples: str) -> None:
+    options = ["--columns", "a,b", "--mid-scale", "2048", "--time-column", "t", "--gap-samples", "2"]
+    source = source_of([config, "--samples", samples, *options])
+    assert [source.next() for _ in range(5)] == [(100, -100), None, None, (300, -300), (400, -400)]
+    far = source_of([config, "--samples", samples, *options, "--gap", "1"])
+    assert far.next() == (100, -100)
+    assert far.next() == (200, -200)
+
+
+def test_a_recording_is_played_onto_the_bus_and_ends_by_itself(
+    config: str, samples: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with can.Bus(interface="virtual", channel=CHANNEL) as bus:
+        options = ["--samples", samples, "--columns", "a,b", "--mid-scale", "2048", "--rate", "500"]
+        assert main(["simulate", config, *options, "--autostart", "--module", "1"]) == 0
+        heard = []
+        while (message := bus.recv(0.0)) is not None:
+            heard.append((message.arbitration_id, bytes(message.data).hex()))
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert said.out.splitlines() == [
+        f"encoder interface: node 17 (11h) on virtual {CHANNEL}; end with Ctrl-C",
+        "4 samples sent; the recording is over",
+    ]
+    assert heard[0] == (0x711, "00")
+    sync = (0x80, "")
+    want = [
+        sync,
+        (0x191, "64009cff"),
+        sync,
+        (0x191, "c80038ff"),
+        sync,
+        (0x191, "2c01d4fe"),
+        sync,
+        (0x191, "900170fe"),
+    ]
+    assert heard[1:] == [*want, sync], "the SYNC after the last sample ends it"
