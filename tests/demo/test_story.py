@@ -1,0 +1,197 @@
+"""The story of the demo holds, with its encoder and with others, and its figures are those to expect."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from canfb.demo import story as story_module
+from canfb.demo.plant import CYCLES_PER_REVOLUTION, SYNC_PERIOD_S, Plant
+from canfb.demo.report import report
+from canfb.demo.story import FAULT_SAMPLES, FAULTS, LOST_SAMPLE, RUN_UP_SAMPLES, Story, as_json, tell
+from canfb.signal.phase import phase_in_cycle
+from canfb.signal.supervision import StatusBit
+from canfb.simulation.embedded_bus import frame_bits
+from canfb.simulation.encoder import Encoder, Harmonic, demo_encoder
+
+WORSE = Encoder(
+    amplitude_counts=1200.0,
+    sine_offset=-0.12,
+    cosine_offset=0.1,
+    sine_amplitude=0.9,
+    cosine_amplitude=1.1,
+    phase_error_rad=-0.12,
+    harmonics=(Harmonic(3, 0.03, 0.03), Harmonic(4, 0.01, 0.0, 0.3)),
+    noise_lsb=0.3,
+)
+BETTER = Encoder(amplitude_counts=1900.0, noise_lsb=0.3)
+NOISY = Encoder(amplitude_counts=1500.0, noise_lsb=15.0)
+
+
+class Told(NamedTuple):
+    plant: Plant
+    story: Story
+    track_samples: int
+    reference_samples: int
+
+
+def told(encoder: Encoder, seed: int, track_samples: int, reference_samples: int) -> Told:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(story_module, "TRACK_SAMPLES", track_samples)
+        patch.setattr(story_module, "REFERENCE_SAMPLES", reference_samples)
+        plant = Plant(encoder, seed)
+        return Told(plant, tell(plant), track_samples, reference_samples)
+
+
+# The demo as it is; the others are shorter, for the time it takes.
+CASES = {
+    "demo": (demo_encoder(), 1, 3000, 20_000),
+    "worse": (WORSE, 2, 1500, 7000),
+    "better": (BETTER, 3, 1500, 7000),
+}
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request: pytest.FixtureRequest) -> Told:
+    return told(*CASES[request.param])
+
+
+def test_the_story_holds(case: Told) -> None:
+    assert [name for name, held in case.story.checks.items() if not held] == []
+    assert case.story.held
+    assert len(case.story.checks) == 11
+
+
+def test_the_machine_turns_as_told(case: Told) -> None:
+    story = case.story
+    rpm = story.cycles_per_sample / CYCLES_PER_REVOLUTION / SYNC_PERIOD_S * 60
+    assert 1940 < rpm < 2060, "2000 rpm, give or take 3 %"
+    assert 83 <= story.cycles_per_sample < 84
+    told_samples = RUN_UP_SAMPLES + 2 * case.track_samples + case.reference_samples + 20 + FAULT_SAMPLES
+    assert told_samples <= story.samples <= told_samples + 1
+    assert len(story.error_before) == len(story.error_after) == case.track_samples
+
+
+def test_the_error_before_is_that_of_table_1_and_of_the_encoder(case: Told) -> None:
+    """Computed once more from the tracks without noise, for phases all over the cycle."""
+    encoder = case.plant.encoder
+    phase = np.arange(20_000) / 20_000
+    error = phase_in_cycle(*encoder.tracks(phase)) - phase
+    error -= np.rint(error)
+    error -= error.mean()
+    noise = noise_cycles(encoder)
+    before = case.story.error_before
+    assert np.abs(before).max() == pytest.approx(np.abs(error).max(), abs=6 * noise + 2e-4)
+    assert math.sqrt(np.mean(before**2)) == pytest.approx(math.sqrt(np.mean(error**2)), rel=0.03)
+    assert np.abs(before).max() > 0.011, "less than the error of Table 1 itself cannot be"
+
+
+def noise_cycles(encoder: Encoder) -> float:
+    """What noise and rounding of a single sample make of the phase, rms."""
+    amplitude = encoder.amplitude_counts * (encoder.sine_amplitude + encoder.cosine_amplitude) / 2
+    return math.sqrt(encoder.noise_lsb**2 + 1 / 12) / amplitude / (2 * math.pi)
+
+
+def test_the_error_with_the_table_is_the_noise_of_single_samples_and_not_less(case: Told) -> None:
+    noise = noise_cycles(case.plant.encoder)
+    after = case.story.error_after
+    rms = math.sqrt(np.mean(after**2))
+    assert 0.85 * noise < rms < 1.2 * noise
+    assert 2.5 * rms < np.abs(after).max() < 6 * rms
+    correlation = np.corrcoef(after[1:], after[:-1])[0, 1]
+    assert abs(correlation) < 0.15, "noise, and nothing that the table left"
+
+
+def test_the_calibration_knows_how_good_it_is(case: Told) -> None:
+    calibration = case.story.calibration
+    assert calibration is not None
+    assert calibration.accepted
+    assert 0.99 <= calibration.coverage <= 1.0
+    assert case.story.table_crc32 == calibration.table.crc32 == case.plant.master.sdo[0x2020][4].raw
+    noise = noise_cycles(case.plant.encoder)
+    assert 0.01 * noise < calibration.uncertainty_peak < 0.5 * noise
+    truth = np.arange(1000) / 1000
+    table = calibration.table(phase_in_cycle(*case.plant.encoder.tracks(truth))) - truth
+    table -= np.rint(table)
+    table -= table.mean()
+    # What it says of itself against the truth, which it does not know.
+    assert np.abs(table).max() < 3 * calibration.uncertainty_peak + 2e-6
+    assert np.abs(table).max() > 1e-7
+
+
+def test_counts_are_right_and_faults_are_flagged_at_once(case: Told) -> None:
+    story, faults = case.story, case.story.faults
+    assert story.wrong_counts == 0
+    assert (faults.provoked, faults.flagged_at_once) == (len(FAULTS), len(FAULTS))
+    assert (faults.wrong_and_valid, faults.wrong_counts_after) == (0, 0)
+    # Each fault itself, and after it as many samples as it takes to trust the phase again.
+    assert len(FAULTS) < faults.flagged_samples <= 4 * len(FAULTS)
+
+
+def test_status_and_residual_tell_of_the_faults_and_of_nothing_else(case: Told) -> None:
+    consumed = case.plant.drive.consumed
+    numbers = [number - 1 for number in consumed.sync_number]
+    first, last = case.story.fault_window
+    valid = {
+        number: bool(status & StatusBit.VALID)
+        for number, status in zip(numbers, consumed.status, strict=True)
+    }
+    told_wrong = {number - first for number, good in valid.items() if not good}
+    near = {place + n for place in FAULTS for n in range(4)}
+    assert told_wrong <= near, "no false alarm in the whole run"
+    assert {place for place in FAULTS if place != LOST_SAMPLE} <= told_wrong
+    quiet = [n for n in case.story.residual_number.tolist() if n not in near]
+    residual = dict(zip(case.story.residual_number.tolist(), case.story.residual.tolist(), strict=True))
+    assert 0.0005 < max(residual[n] for n in quiet) < 0.06
+    assert max(residual.values()) == 0.5
+    assert last - first == FAULT_SAMPLES
+
+
+def test_the_load_of_the_bus_is_that_of_its_frames(case: Told) -> None:
+    """Each millisecond a SYNC, four bytes of counts and eight of position; little else."""
+    regular = (frame_bits(0) + frame_bits(4) + frame_bits(8)) * 1000 / 1e6
+    assert regular <= case.story.bus_load / 0.99
+    assert case.story.bus_load < regular + 0.03
+
+
+def test_the_figures_for_programs_are_plain_and_complete(case: Told) -> None:
+    figures = json.loads(json.dumps(as_json(case.story)))
+    assert figures["held"] is True
+    assert figures["checks"] == case.story.checks
+    assert figures["wrong_cycle_counts"] == 0
+    assert figures["error_peak_before_cycles"] > 50 * figures["error_peak_after_cycles"] > 0
+    assert figures["table_crc32"] == f"{case.story.table_crc32:08X}"
+    assert all(isinstance(value, (int, float, str, bool, dict)) for value in figures.values())
+    assert all(math.isfinite(value) for value in figures.values() if isinstance(value, float))
+
+
+def test_the_account_for_people_has_the_figures(case: Told) -> None:
+    text = report(case.story)
+    lines = text.splitlines()
+    assert all(len(line) <= 110 for line in lines)
+    assert 20 <= len(lines) <= 40
+    assert text.count("  held  ") == len(case.story.checks)
+    assert "FAILED" not in text
+    assert f"{case.story.samples}, wrong cycle counts 0" in text
+    assert f"CRC-32 {case.story.table_crc32:08X}h" in text
+    assert f"{100 * np.abs(case.story.error_before).max():8.4f}" in text
+    assert "4 of 4 flagged at once" in text
+
+
+def test_with_an_encoder_too_noisy_the_story_does_not_hold_and_says_so() -> None:
+    story = told(NOISY, 4, 500, 3000).story
+    assert not story.held
+    failed = {name for name, held in story.checks.items() if not held}
+    assert failed == {"error at least 50 times smaller", "error below 0.05 % of a cycle"}
+    assert report(story).count("  FAILED  ") == 2
+    assert as_json(story)["held"] is False
+
+
+def test_an_untold_story_does_not_hold() -> None:
+    assert not Story().held
+    with pytest.raises(ValueError, match="has not been told"):
+        report(Story())
