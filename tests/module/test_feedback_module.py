@@ -114,7 +114,7 @@ def test_a_fault_is_flagged_in_the_same_sample(
     assert not status & StatusBit.VALID
     assert bench.sdo[0x2012][counter].raw == 1
     assert bench.emergencies() == [0x7300]
-    for _ in range(3):
+    for _ in range(8):
         status = bench.at(0.0)[1]
     assert status == StatusBit.VALID
     assert bench.emergencies() == [0x7300, 0]

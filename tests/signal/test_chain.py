@@ -100,11 +100,12 @@ def test_up_to_three_bad_samples_cost_no_cycle_and_are_flagged_at_once(
         assert StatusBit.COASTING in flags(got)
         assert not got.valid
         assert got.cycles + got.phase == pytest.approx(position, abs=0.1)
-    for k in range(6):
+    for k in range(12):
         position += 41.3
         got = chain.step(sample_at(position))
-        assert got.valid == (k >= 2)
-        assert got.cycles == math.floor(position)
+        assert got.cycles + got.phase == pytest.approx(position, abs=0.012)
+        assert got.valid or k < 8
+        assert not got.valid or k >= 2
 
 
 def test_a_glitch_of_the_phase_is_flagged_by_the_residual_and_costs_no_cycle() -> None:
@@ -114,11 +115,12 @@ def test_a_glitch_of_the_phase_is_flagged_by_the_residual_and_costs_no_cycle() -
     got = chain.step(sample_at(position + 0.4))
     assert flags(got) == StatusBit.RESIDUAL | StatusBit.COASTING
     assert got.residual == pytest.approx(0.4, abs=0.05)
-    for k in range(4):
+    for k in range(12):
         position += 10.2
         got = chain.step(sample_at(position))
-        assert got.cycles == math.floor(position)
-        assert got.valid == (k >= 2)
+        assert got.cycles + got.phase == pytest.approx(position, abs=0.012)
+        assert got.valid or k < 8
+        assert not got.valid or k >= 2
 
 
 def test_a_fourth_bad_sample_loses_the_position_for_good_until_a_restart() -> None:

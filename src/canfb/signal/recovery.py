@@ -1,90 +1,150 @@
 """Coasting over bad samples, and the moment when the position counts as lost.
 
 The recursion of eq. 9 never forgets: after one wrong cycle count it runs on with a wrong
-speed. So a sample that fails a check never enters it. The position coasts at the last
-speed instead, marked as such, and a later good sample is taken only if it meets the
-prediction closely, and confirmed by the ones that follow, before the position is valid again.
+speed. So a sample that fails a check leaves the position in doubt. It is then carried on
+from the last few samples (:mod:`canfb.signal.candidates`), and it is valid again when one of
+these meets several samples in a row. Eq. 9 runs on beside them, as in the paper: it is right
+when not a sample was wrong but the acceleration was beyond the limit.
 """
 
 from __future__ import annotations
 
+from collections import deque
+
+from canfb.signal.candidates import Candidate, Place, candidates
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.tracker import Track, Tracker
 
-# A gap of two intervals multiplies the effect of an acceleration by three, so the sample
-# that ends a gap must meet the prediction closer than one in the middle of a run.
-REACQUIRE_LIMIT = 1.0 / 8.0
-CONFIRM_SAMPLES = 2
+# A glitch below the residual limit is seen one sample later, a row of three at most three later.
+DOUBTED_SAMPLES = 3
+REMEMBERED_SAMPLES = DOUBTED_SAMPLES + 4  # what a candidate needs for its acceleration
 
 
 class Recovery:
     """Feeds a :class:`Tracker` with good samples and bridges the bad ones.
 
     ``coast_samples`` (2010:03): so many sampling intervals without a good sample are
-    bridged; one more, and the position is lost. Lost stays until :meth:`restart`: the
-    cycle count then runs on from the phase, but nothing vouches for it.
+    bridged; one more, and the position is lost. Lost stays until :meth:`restart` or
+    :meth:`found`: eq. 9 then runs on with the samples, but nothing vouches for its count.
     """
 
-    __slots__ = ("_bridged", "_unconfirmed", "coast_samples", "lost", "tracker")
+    __slots__ = ("_candidates", "_places", "coast_samples", "lost", "tracker")
 
     def __init__(self, tracker: Tracker, coast_samples: int) -> None:
         self.tracker = tracker
         self.coast_samples = coast_samples
+        self._places: deque[tuple[int, float, float]] = deque(maxlen=REMEMBERED_SAMPLES)
         self.restart()
 
     def restart(self, cycles: int = 0) -> None:
         """Start afresh at standstill with this cycle count; the position is not lost any more."""
         self.tracker.restart(cycles)
         self.lost = False
-        self._bridged = 0.0  # intervals since the last good sample
-        self._unconfirmed = 0
+        self._candidates: list[Candidate] = []
+        self._places.clear()
 
     def resume(self) -> None:
         """Go on at standstill from the last position, or from cycle count 0 if it was lost."""
-        if self.lost or not self.tracker.started:
+        if self.lost or self._candidates or not self.tracker.started:
             self.restart()
         else:
             self.tracker.halt()
-            self._bridged = 0.0
-            self._unconfirmed = 0
+            self._places.clear()
+
+    def lose(self) -> None:
+        """Call the position lost, from outside."""
+        self.lost = True
+        self._candidates = []
+        self._places.clear()
+
+    def found(self, cycles: int, step_cycles: int) -> None:
+        """Shift the cycle count by ``cycles`` and the speed by ``step_cycles`` per interval."""
+        self.tracker.shift(cycles, step_cycles)
+        self._places.clear()
+
+    def vouch(self) -> None:
+        """The position is not lost any more: what eq. 9 counts is right."""
+        self.lost = False
 
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
         """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL."""
-        settled = elapsed == 1.0 and not (self._bridged or self._unconfirmed or self.lost)
-        if settled and (followed := self.tracker.follow(phase)) is not None:
+        settled = not (self.lost or self._candidates)
+        if settled and elapsed == 1.0 and (followed := self.tracker.follow(phase)) is not None:
+            self._places.append((followed.cycles, phase, 1.0))
             return followed, VALID
-        track = self.tracker.look(phase, elapsed)
-        if settled and track.ok:
-            self.tracker.accept(track, elapsed)
-            return track, VALID
         if self.lost:
+            track = self.tracker.look(phase, elapsed)
             self.tracker.accept(track, elapsed)
             return track, LOST if track.ok else LOST | RESIDUAL
-        return self._after_gap(track, elapsed)
+        missed = round(elapsed) - 1
+        if missed > 0 and self.tracker.started:
+            self.bad(float(missed))
+            return self.good(phase, elapsed - missed)
+        track = self.tracker.look(phase, elapsed)
+        self.tracker.accept(track, elapsed)
+        if settled and track.ok:
+            self._places.append((track.cycles, phase, elapsed))
+            return track, VALID
+        track, bits = self._decide(track, elapsed)
+        return track, bits | RESIDUAL if settled else bits
 
     def bad(self, elapsed: float) -> tuple[Track, int]:
         """A sample that failed its checks, or none at all: the predicted position and status bits."""
         predicted = self.tracker.predict(elapsed)
         if not self.tracker.started:  # no position yet: nothing to coast on, nothing to lose
             return predicted, LOST if self.lost else 0
-        self._bridged += elapsed
-        if not self.lost and self._bridged <= self.coast_samples:
-            self.tracker.skip(elapsed)
-            return predicted, COASTING
-        self.lost = True
-        self._bridged = 0.0
-        self.tracker.restart(predicted.cycles)
-        return predicted, LOST
+        self.tracker.skip(elapsed)
+        if self.lost:
+            return predicted, LOST
+        for candidate in self._doubt():
+            candidate.wait(elapsed)
+        self._drop_exhausted()
+        if not self._candidates:
+            self.lose()
+            return predicted, LOST
+        return self._likeliest().predict(), COASTING
 
-    def _after_gap(self, track: Track, elapsed: float) -> tuple[Track, int]:
-        recovering = self._bridged > 0.0 or self._unconfirmed > 0 or elapsed != 1.0
-        limit = min(self.tracker.residual_limit, REACQUIRE_LIMIT) if recovering else 0.0
-        if track.residual < limit and self._bridged + elapsed - 1.0 <= self.coast_samples:
-            self.tracker.accept(track, elapsed)
-            gap = self._bridged > 0.0 or elapsed != 1.0
-            self._unconfirmed = CONFIRM_SAMPLES if gap else self._unconfirmed - 1
-            self._bridged = 0.0
-            return track, COASTING if self._unconfirmed else VALID
-        self._unconfirmed = 0
-        predicted, bits = self.bad(elapsed)
-        return predicted._replace(residual=track.residual), bits | RESIDUAL
+    def _doubt(self) -> list[Candidate]:
+        """The candidates, made at the first bad sample: each takes one sample more for bad."""
+        if not self._candidates:
+            places = [Place(*place) for place in self._places]
+            for doubted in range(min(DOUBTED_SAMPLES + 1, len(places))):
+                self._candidates += candidates(places, doubted)
+        return self._candidates
+
+    def _decide(self, followed: Track, elapsed: float) -> tuple[Track, int]:
+        """A sample while the position is in doubt; ``followed`` is what eq. 9 makes of it."""
+        met = []
+        for candidate in self._doubt():
+            candidate.wait(elapsed)
+            if candidate.meet(followed.phase):
+                met.append(candidate)
+        self._candidates = met
+        self._drop_exhausted()
+        proven = [candidate for candidate in self._candidates if candidate.proven]
+        if proven and all(candidate.last.cycles == proven[0].last.cycles for candidate in proven):
+            return self._adopt(proven[0]), VALID
+        if proven or not self._candidates:  # two ways through the gap, or none
+            self.lose()
+            return followed, LOST if followed.ok else LOST | RESIDUAL
+        likeliest = self._likeliest()
+        if likeliest.gap == 0.0:
+            return likeliest.last, COASTING
+        # Nothing met this sample. If the acceleration is beyond the limit, eq. 9 is right (paper, section 4).
+        return followed, COASTING | RESIDUAL
+
+    def _likeliest(self) -> Candidate:
+        return max(self._candidates, key=lambda candidate: candidate.confirmed)
+
+    def _drop_exhausted(self) -> None:
+        limit = self.coast_samples + 0.5
+        self._candidates = [candidate for candidate in self._candidates if candidate.gap < limit]
+
+    def _adopt(self, candidate: Candidate) -> Track:
+        before, last, elapsed = candidate.before, candidate.last, candidate.elapsed
+        self.tracker.set_places(before, last, elapsed)
+        self._candidates = []
+        self._places.clear()
+        self._places.append((before.cycles, before.phase, 1.0))
+        self._places.append((last.cycles, last.phase, elapsed))
+        return last

@@ -104,6 +104,16 @@ class Tracker:
         self._started, self._elapsed, self._gap = True, 1.0, 0.0
         self._phase_before, self._phase, self._cycles, self._step = phase_before, phase, cycles, step
 
+    def set_places(self, before: Track, last: Track, elapsed: float) -> None:
+        """Go on from these two samples, ``elapsed`` intervals apart."""
+        self.set_state(before.phase, last.phase, last.cycles, last.cycles - before.cycles)
+        self._elapsed = elapsed
+
+    def shift(self, cycles: int, step_cycles: int) -> None:
+        """Add ``cycles`` to the cycle count, and ``step_cycles`` per interval to the speed."""
+        self._cycles += cycles
+        self._step += round(step_cycles * self._elapsed)
+
     def update(self, phase: float, elapsed: float = 1.0) -> Track:
         """Take one phase, ``elapsed`` sampling intervals after the one before, and track it.
 
