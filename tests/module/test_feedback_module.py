@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import struct
 
 import pytest
@@ -278,3 +279,50 @@ def test_a_thousand_hours_of_counters_wrap_and_do_not_overflow(bench: Bench) -> 
     bench.at(0.0)
     bench.counts(0, 0)
     assert bench.sdo[0x2012][8].raw == 0
+
+
+def test_the_sample_may_come_in_any_rpdo(bench: Bench) -> None:
+    sdo = bench.sdo
+    sdo[0x1400][1].raw = 0x80000190
+    sdo[0x1401][1].raw = 0x80000000 | 0x290
+    sdo[0x1601][0].raw = 0
+    sdo[0x1601][1].raw = 0x20000210
+    sdo[0x1601][2].raw = 0x20000110
+    sdo[0x1601][0].raw = 2
+    sdo[0x1401][1].raw = 0x290
+    bench.sync()
+    assert bench.counts(0, 1500) == []
+    sample = Frame(0x290, struct.pack("<hh", 0, 1500))
+    assert bench.position(bench.sent(sample))[:2] == (2048, StatusBit.VALID)
+
+
+def test_an_rpdo_without_both_tracks_is_no_sample(bench: Bench) -> None:
+    sdo = bench.sdo
+    sdo[0x1400][1].raw = 0x80000190
+    sdo[0x1600][0].raw = 0
+    sdo[0x1600][0].raw = 1
+    sdo[0x1400][1].raw = 0x190
+    bench.sync()
+    assert bench.counts(0, 1500) == []
+    assert sdo[0x2011][8].raw == 0
+
+
+def test_every_event_driven_tpdo_goes_out_with_the_sample(bench: Bench) -> None:
+    sdo = bench.sdo
+    sdo[0x1A02][1].raw = 0x20110440
+    sdo[0x1A02][0].raw = 1
+    sdo[0x1802][2].raw = 254
+    sdo[0x1802][1].raw = 0x3A0
+    for n in range(9):
+        bench.sync()
+        angle = n * math.pi / 2
+        frames = bench.counts(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+        assert [frame.can_id for frame in frames] == [0x1A0, 0x3A0]
+    assert struct.unpack("<q", frames[1].data) == (2,)
+
+
+def test_missed_samples_of_a_lost_position_are_still_counted(bench: Bench) -> None:
+    bench.at(0.0)
+    for _ in range(12):
+        bench.sync()
+    assert bench.sdo[0x2011][8].raw == 12

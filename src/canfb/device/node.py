@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from canfb.device import pdo
+from canfb.device import cob, pdo
 from canfb.device.codes import EmergencyCode
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
@@ -44,6 +44,7 @@ class Node:
     on_reset(communication_only, now): the dictionary is back at its defaults (at `start`: is as it
     is) and all errors are forgotten, before boot-up; report again what persists.
     on_bad_rpdo(number, received, mapped, now): an RPDO too short, in bytes; its data was dropped.
+    on_configured(): PDO parameters or the NMT state have changed; mappings may be others now.
     """
 
     def __init__(self, dictionary: Dictionary, node_id: int, *, autostart: bool = False) -> None:
@@ -62,6 +63,7 @@ class Node:
         self.on_state: Callable[[NmtState, NmtState, float], None] | None = None
         self.on_reset: Callable[[bool, float], None] | None = None
         self.on_bad_rpdo: Callable[[int, int, int, float], None] | None = None
+        self.on_configured: Callable[[], None] | None = None
 
         self._outbox: list[Frame] = []
         self._moment = Moment()
@@ -280,11 +282,28 @@ class Node:
                 if tpdo.remote_can_id is not None:
                     self._remote_routes[tpdo.remote_can_id] = tpdo.request
 
+        if self.on_configured is not None:
+            self.on_configured()
+
     def _add_route(self, can_id: int | None, handler: Handler) -> None:
         if can_id is None:
             return
         other = self._routes.get(can_id)
         self._routes[can_id] = handler if other is None else _both(other, handler)
+
+    def rpdo_with(self, *objects: tuple[int, int]) -> int | None:
+        """Number of the first valid RPDO whose mapping holds all these objects (index, sub-index)."""
+        wanted = {index << 8 | subindex for index, subindex in objects}
+        value = self._value
+        for number in pdo.numbers(self.dictionary, Direction.RECEIVE):
+            mapping = 0x1600 + number - 1
+            mapped = {value(mapping, n) >> 8 for n in range(1, value(mapping, 0) + 1)}
+            if wanted <= mapped and not value(0x1400 + number - 1, 1) & cob.NOT_VALID:
+                return number
+        return None
+
+    def _value(self, index: int, subindex: int) -> int:
+        return int(self.dictionary.entry(index, subindex).value)
 
     def _rpdo_delivered(self, number: int, now: float) -> None:
         if self.on_rpdo is not None:

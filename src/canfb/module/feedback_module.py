@@ -22,7 +22,8 @@ EDS = "canfb-module"
 SAMPLE_INVALID = 1 << 1  # 2000:06
 POSITION_REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE
 BAD_FRAMES = 8  # 2012:08
-POSITION_TPDO = 1
+SINE, COSINE = (0x2000, 1), (0x2000, 2)
+TPDOS = (1, 2, 3, 4)
 
 
 class FeedbackModule:
@@ -48,6 +49,7 @@ class FeedbackModule:
         self._flags = self.dictionary.entry(0x2000, 6)
         self._bad_frames = self.dictionary.entry(0x2012, BAD_FRAMES)
         self._feedback: Feedback | None = None
+        self._sample_rpdo: int | None = None
         self._alarmed = False
         self._listen()
         self.node.on_rpdo = self._on_rpdo
@@ -55,6 +57,7 @@ class FeedbackModule:
         self.node.on_state = self._on_state
         self.node.on_reset = self._on_reset
         self.node.on_bad_rpdo = self._on_bad_rpdo
+        self.node.on_configured = self._on_configured
         self._limits.apply()
 
     @property
@@ -90,8 +93,8 @@ class FeedbackModule:
         self._sampled = False  # a sample came since OPERATIONAL
 
     def _on_rpdo(self, number: int, now: float) -> None:
-        if number != 1:
-            return
+        if number != self._sample_rpdo:
+            return  # other objects of 2000h; they are used with the next sample
         if self._sample_came and self._synced:  # one sample per SYNC: this is a repeated one
             self._bad_frames.value = (self._bad_frames.value + 1) & 0xFFFFFFFF
             return
@@ -104,18 +107,22 @@ class FeedbackModule:
 
     def _on_sync(self, counter: int | None, now: float) -> None:
         self._interval.event(now)
-        if self._synced and self._sampled and not self._sample_came and not self.chain.lost:
-            self._publish(self.chain.miss(), now)
+        if self._synced and self._sampled and not self._sample_came:
+            known_as_lost = self.chain.lost
+            self._publish(self.chain.miss(), now, send=not known_as_lost)
         self._sample_came = False
         self._synced = True
 
-    def _publish(self, feedback: Feedback, now: float) -> None:
+    def _publish(self, feedback: Feedback, now: float, send: bool = True) -> None:
+        """Into the dictionary, and out if there is something new to say."""
         self._feedback = feedback
         self._profile.publish(feedback, self._publication.publish(feedback))
         alarm = not feedback.status & VALID
         if alarm != self._alarmed:
             self._report_alarm(alarm, feedback.status, now)
-        self.node.trigger_tpdo(POSITION_TPDO, now)
+        if send:
+            for number in TPDOS:
+                self.node.trigger_tpdo(number, now)
 
     def _report_alarm(self, alarm: bool, status: int, now: float) -> None:
         self._alarmed = alarm
@@ -142,6 +149,10 @@ class FeedbackModule:
         self._tables.reset()
         self._profile.reset()
         self._publication.reset()
+
+    def _on_configured(self) -> None:
+        """The RPDO that brings both tracks is the sample, whichever it is."""
+        self._sample_rpdo = self.node.rpdo_with(SINE, COSINE)
 
     def _on_bad_rpdo(self, number: int, received: int, mapped: int, now: float) -> None:
         self._bad_frames.value = (self._bad_frames.value + 1) & 0xFFFFFFFF
