@@ -23,9 +23,9 @@ def run(options: argparse.Namespace) -> int:
     """Serve the modules until Ctrl-C or SIGTERM."""
     config = load_config(options.config)
     words = bus_options(options, config.bus)
-    for module in config.modules:
-        if module.state_dir is not None:
-            report(f"node {module.node_id}: state_dir is not used yet: there is no `save` (1010h)")
+    for wanted in config.modules:
+        if wanted.state_dir is not None:
+            report(f"node {wanted.node_id}: state_dir is not used yet: there is no `save` (1010h)")
     modules = [FeedbackModule(module) for module in config.modules]
     with open_bus(words) as bus:
         runner = Runner(bus, list(modules), report)
