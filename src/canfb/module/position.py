@@ -30,6 +30,7 @@ class PositionScale:
 
     ``units_per_revolution`` and ``total_range`` are the 6001h and 6002h in force;
     ``reverse`` is the code sequence of 6000h; ``offset`` comes from the preset (6509h).
+    The position value 6004h is (units + offset) modulo ``total_range``.
     """
 
     __slots__ = ("_denominator", "_numerator", "offset", "total_range")
@@ -53,10 +54,6 @@ class PositionScale:
     def units(self, cycles: int, phase_units: int) -> int:
         """Measuring units since the start, unwrapped, rounded down; phase in 1/2^32 cycle."""
         return (cycles * PHASE_UNITS + phase_units) * self._numerator // self._denominator
-
-    def position(self, units: int) -> int:
-        """Position value 6004h of these units: with the offset, 0 .. total_range - 1."""
-        return (units + self.offset) % self.total_range
 
     def offset_for(self, units: int, preset: int) -> int:
         """The offset that makes these units the position ``preset``, nearest to zero."""

@@ -77,14 +77,16 @@ class EncoderProfile:
         """Write the position objects and the alarm; ``phase_units`` is the phase in 1/2^32 cycle."""
         self._last = feedback
         scale = self._scale
-        units = scale.units(feedback.cycles, phase_units)
-        self._position.value = scale.position(units)
-        self._fine.value = (units + scale.offset) & U64
+        units = scale.units(feedback.cycles, phase_units) + scale.offset
+        self._position.value = units % scale.total_range
+        self._fine.value = units & U64
         self._alarms.value = 0 if feedback.status & VALID else ALARM_POSITION
 
     def _raw_position(self) -> int:
         last, scale = self._last, self._raw_scale
-        return 0 if last is None else scale.position(scale.units(last.cycles, int(last.phase * PHASE_UNITS)))
+        if last is None:
+            return 0
+        return scale.units(last.cycles, int(last.phase * PHASE_UNITS)) % scale.total_range
 
     def _warnings(self) -> int:
         last, warnings = self._last, 0

@@ -13,6 +13,7 @@ from canfb.signal.supervision import AMPLITUDE, CLIPPED, COASTING, LOST, MISSED,
 FEEDBACK, COUNTERS = 0x2011, 0x2012
 U16, U32 = 0xFFFF, 0xFFFFFFFF
 SIXTEEN_BITS = 65536.0
+PHASE_SCALE = float(PHASE_UNITS)
 LARGEST_REAL32 = 3.4e38
 # Sub-index of 2012h and the status bit that it counts; clipping counts as an amplitude fault.
 COUNTED = ((1, MISSED), (2, RESIDUAL), (3, AMPLITUDE | CLIPPED), (4, COASTING))
@@ -46,7 +47,7 @@ class Publication:
     def publish(self, feedback: Feedback) -> int:
         """Write 2011h, count in 2012h; the phase in 1/2^32 cycle."""
         self._last = feedback
-        phase_units = int(feedback.phase * PHASE_UNITS)
+        phase_units = int(feedback.phase * PHASE_SCALE)
         status, raw = feedback.status, feedback.raw_phase
         self._status.value = status
         self._residual.value = int(feedback.residual * SIXTEEN_BITS)

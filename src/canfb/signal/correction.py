@@ -29,7 +29,7 @@ class CorrectionTable:
     0.25 cycle from ``n / N``.
     """
 
-    __slots__ = ("_bytes", "_first", "_first_list", "_n", "_slope", "_slope_list")
+    __slots__ = ("_bytes", "_first", "_lines", "_n", "_slope")
 
     def __init__(self, entries: npt.ArrayLike) -> None:
         try:
@@ -43,8 +43,10 @@ class CorrectionTable:
         # Raw phase 1.0 is raw phase 0.0, so entry 0 stands at the end once more.
         self._first: FloatArray = np.append(first, first[0])
         self._slope: FloatArray = np.append(np.diff(first, append=first[0] + 1.0), 0.0)
-        self._first_list: list[float] = self._first.tolist()
-        self._slope_list: list[float] = self._slope.tolist()
+        # The same for one sample at a time: plain floats are ten times as fast as those of numpy.
+        self._lines: list[tuple[float, float]] = list(
+            zip(self._first.tolist(), self._slope.tolist(), strict=True)
+        )
 
     @classmethod
     def identity(cls, n: int = 256) -> Self:
@@ -104,7 +106,8 @@ class CorrectionTable:
         """Phase at one raw phase, which must lie in 0..1 (the hot path: unchecked)."""
         place = raw * self._n
         index = int(place)
-        phase = self._first_list[index] + (place - index) * self._slope_list[index]
+        first, slope = self._lines[index]
+        phase = first + (place - index) * slope
         if phase < 0.0:
             phase += 1.0
         if phase >= 1.0:

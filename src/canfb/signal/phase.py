@@ -42,19 +42,20 @@ def phase_in_cycle(sine: Any, cosine: Any) -> Any:
 
 
 def raw_phase(s: float, c: float) -> float:
-    """Table 1 for one sample; NaN when both tracks are zero."""
-    if abs(s) > abs(c):
-        phase = (0.25 if s > 0.0 else 0.75) - 0.125 * (c / s)
-    elif c > 0.0:
+    """Table 1 for one sample; NaN when both tracks are zero, or one is not a number."""
+    if c > 0.0 and -c <= s <= c:
         phase = 0.125 * (s / c)
         if phase < 0.0:
             phase += 1.0
-    elif c < 0.0:
-        phase = 0.5 + 0.125 * (s / c)
-    else:
-        return NO_PHASE
-    # A tiny negative sine rounds up to 1.0, which is phase 0; adding 0.0 turns -0.0 into 0.0.
-    return phase + 0.0 if phase < 1.0 else (0.0 if phase == 1.0 else NO_PHASE)
+        # A tiny negative sine rounds up to 1.0, which is phase 0; adding 0.0 turns -0.0 into 0.0.
+        return phase + 0.0 if phase != 1.0 else 0.0
+    if c < 0.0 and c <= s <= -c:
+        return 0.5 + 0.125 * (s / c)
+    if s > 0.0:
+        return 0.25 - 0.125 * (c / s)
+    if s < 0.0:
+        return 0.75 - 0.125 * (c / s)
+    return NO_PHASE
 
 
 def raw_phases(s: FloatArray, c: FloatArray) -> FloatArray:
