@@ -57,6 +57,24 @@ def test_they_can_be_mapped_into_a_pdo(bench: Bench) -> None:
     assert velocity == pytest.approx(2 * math.pi * 0.25 / 2500 / bench.interval_s, rel=1e-3)
 
 
+def test_which_tpdos_go_out_with_a_sample_is_up_to_their_parameters(bench: Bench) -> None:
+    parameters = bench.sdo[0x1801]
+
+    def sent() -> list[list[int]]:
+        return [[frame.can_id for frame in frames] for frames in (bench.sync(), bench.counts(0, 1500))]
+
+    sent()
+    assert sent() == [[0x2A0], [0x1A0]]
+    parameters[2].raw = 254
+    assert sent() == [[], [0x1A0, 0x2A0]]
+    parameters[1].raw = 0x800002A0
+    assert sent() == [[], [0x1A0]]
+    parameters[2].raw = 0
+    parameters[1].raw = 0x2A0
+    assert sent() == [[], [0x1A0]]
+    assert sent() == [[0x2A0], [0x1A0]]
+
+
 def test_after_a_reset_they_are_zero_again(bench: Bench) -> None:
     for n in range(3):
         bench.at(n * 0.25)

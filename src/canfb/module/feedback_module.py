@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from canfb.device.cob import is_valid
 from canfb.device.codes import EmergencyCode, ErrorRegister
 from canfb.device.dictionary import Dictionary
 from canfb.device.frame import Frame
 from canfb.device.nmt import NmtState
 from canfb.device.node import Node
+from canfb.device.pdo import EVENT_DRIVEN
 from canfb.eds_files import eds_path
 from canfb.module.config import ModuleConfig
 from canfb.module.interval import IntervalEstimate
@@ -24,6 +26,7 @@ POSITION_REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE
 BAD_FRAMES = 8  # 2012:08
 SINE, COSINE = (0x2000, 1), (0x2000, 2)
 TPDOS = (1, 2, 3, 4)
+ON_EVENT = EVENT_DRIVEN | {0}  # transmission types; 0 goes out at the SYNC after the event
 
 
 class FeedbackModule:
@@ -50,6 +53,7 @@ class FeedbackModule:
         self._bad_frames = self.dictionary.entry(0x2012, BAD_FRAMES)
         self._feedback: Feedback | None = None
         self._sample_rpdo: int | None = None
+        self._event_tpdos: list[int] = []
         self._alarmed = False
         self._listen()
         self.node.on_rpdo = self._on_rpdo
@@ -121,7 +125,7 @@ class FeedbackModule:
         if alarm != self._alarmed:
             self._report_alarm(alarm, feedback.status, now)
         if send:
-            for number in TPDOS:
+            for number in self._event_tpdos:
                 self.node.trigger_tpdo(number, now)
 
     def _report_alarm(self, alarm: bool, status: int, now: float) -> None:
@@ -151,8 +155,13 @@ class FeedbackModule:
         self._publication.reset()
 
     def _on_configured(self) -> None:
-        """The RPDO that brings both tracks is the sample, whichever it is."""
+        """The RPDO that brings both tracks is the sample, whichever it is; some TPDOs go out with it."""
         self._sample_rpdo = self.node.rpdo_with(SINE, COSINE)
+        self._event_tpdos = [number for number in TPDOS if self._is_event_tpdo(number)]
+
+    def _is_event_tpdo(self, number: int) -> bool:
+        cob_id, kind = (self.dictionary.entry(0x1800 + number - 1, subindex).value for subindex in (1, 2))
+        return is_valid(cob_id) and kind in ON_EVENT
 
     def _on_bad_rpdo(self, number: int, received: int, mapped: int, now: float) -> None:
         self._bad_frames.value = (self._bad_frames.value + 1) & 0xFFFFFFFF
