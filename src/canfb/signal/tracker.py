@@ -105,7 +105,7 @@ class Tracker:
         self._phase_before, self._phase, self._cycles, self._step = phase_before, phase, cycles, step
 
     def set_places(self, before: Track, last: Track, elapsed: float) -> None:
-        """Go on from these two samples, ``elapsed`` intervals apart."""
+        """Go on from two samples, ``before`` and ``last``, ``elapsed`` intervals apart."""
         self.set_state(before.phase, last.phase, last.cycles, last.cycles - before.cycles)
         self._elapsed = elapsed
 
