@@ -13,6 +13,7 @@ from canfb.demo import story as story_module
 from canfb.demo.plant import CYCLES_PER_REVOLUTION, SYNC_PERIOD_S, Plant
 from canfb.demo.report import report
 from canfb.demo.story import FAULT_SAMPLES, FAULTS, LOST_SAMPLE, RUN_UP_SAMPLES, Story, as_json, tell
+from canfb.device.frame import Frame
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.supervision import StatusBit
 from canfb.simulation.embedded_bus import frame_bits
@@ -189,6 +190,26 @@ def test_with_an_encoder_too_noisy_the_story_does_not_hold_and_says_so() -> None
     assert failed == {"error at least 50 times smaller", "error below 0.05 % of a cycle"}
     assert report(story).count("  FAILED  ") == 2
     assert as_json(story)["held"] is False
+
+
+def test_with_a_module_that_calls_everything_valid_the_story_does_not_hold(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(story_module, "TRACK_SAMPLES", 500)
+    monkeypatch.setattr(story_module, "REFERENCE_SAMPLES", 3000)
+    plant = Plant(BETTER, 5)
+    receive = plant.drive.receive
+
+    def gullible(frame: Frame, now: float) -> list[Frame]:
+        answer = receive(frame, now)
+        plant.drive.consumed.status[-1:] = [status | 1 for status in plant.drive.consumed.status[-1:]]
+        return answer
+
+    monkeypatch.setattr(plant.drive, "receive", gullible)
+    story = tell(plant)
+    assert not story.held
+    assert story.faults.flagged_at_once == story.faults.flagged_samples == 0
+    assert not story.checks["every fault flagged in the same sample"]
 
 
 def test_an_untold_story_does_not_hold() -> None:
