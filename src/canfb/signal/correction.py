@@ -123,7 +123,7 @@ class CorrectionTable:
         return phases
 
     def correct_block(self, raw: FloatArray, out: FloatArray, scratch: Scratch) -> None:
-        """:meth:`correct_array` for one block, into ``out`` (may be ``raw``); ``scratch`` is of its length."""
+        """:meth:`correct_array` for one block, into ``out`` (may be ``raw``); ``scratch`` has its length."""
         place, whole, index = scratch.a, scratch.b, scratch.index
         np.multiply(raw, self._n, out=place)
         np.floor(place, out=whole)
