@@ -22,10 +22,8 @@ KNOWN_GAPS: dict[str, set[str]] = {
     "CorrectionTable.from_bytes": {"data"},
     "FeedbackModule": {"config"},
     "Frame": {"can_id", "rtr"},
-    "Sample": {"coarse_cosine"},
     "SignalChain": {"config"},
     "SignalChain.restart": {"cycles"},
-    "SignalChain.set_limits": {"coast_samples", "residual_limit"},
     "Tracker.set_state": {"phase_before", "step"},
     "Tracker.skip": {"elapsed"},
 }

@@ -37,6 +37,8 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         (SUPERVISION, 1): int(config.residual_limit * LIMIT_UNITS),
         (SUPERVISION, 2): config.max_acceleration_rad_s2,
         (SUPERVISION, 3): config.coast_samples,
+        (SUPERVISION, 4): config.frozen_samples,
+        (SUPERVISION, 5): max(1, round(config.coarse_limit_revolutions * LIMIT_UNITS)),
         (0x6001, 0): resolution,
         (0x6002, 0): resolution * revolutions,
         (0x6501, 0): resolution,
@@ -62,7 +64,7 @@ class Limits:
         self._cycles_per_revolution = entry(ENCODER, 1)
         self._full_scale, self._low, self._high = entry(ENCODER, 2), entry(ENCODER, 3), entry(ENCODER, 4)
         self._residual, self._acceleration = entry(SUPERVISION, 1), entry(SUPERVISION, 2)
-        self._coast = entry(SUPERVISION, 3)
+        self._coast, self._frozen, self._coarse = (entry(SUPERVISION, n) for n in (3, 4, 5))
         self._applied_s, self._applied_cycles = 0.0, 0
         self._low.on_write = self._check(lambda low: low < self._high.value)
         self._high.on_write = self._check(lambda high: high > self._low.value)
@@ -74,6 +76,8 @@ class Limits:
             self._residual,
             self._acceleration,
             self._coast,
+            self._frozen,
+            self._coarse,
         ):
             changed.on_written = self.apply
 
@@ -95,7 +99,9 @@ class Limits:
             limit = narrowed_residual_limit(limit, self._acceleration.value, cycles, interval_s)
         self._applied_s, self._applied_cycles = interval_s, cycles
         limits = SampleLimits(self._full_scale.value, self._low.value, self._high.value)
-        self._chain.set_limits(limits, limit, self._coast.value)
+        coarse_limit = self._coarse.value / LIMIT_UNITS
+        self._chain.set_limits(limits, limit, self._coast.value, self._frozen.value, coarse_limit)
+        self._chain.set_cycles_per_revolution(cycles)
 
     @staticmethod
     def _check(good: Callable[[Any], bool]) -> Callable[[Any], None]:

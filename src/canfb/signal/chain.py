@@ -6,18 +6,25 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from canfb.signal.coarse import CoarseTrack
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import CorrectionTable
+from canfb.signal.frozen import FrozenInput
 from canfb.signal.phase import raw_phase
 from canfb.signal.recovery import Recovery
+from canfb.signal.reference import Reference
 from canfb.signal.sample import Sample
-from canfb.signal.supervision import MISSED, TABLE_ACTIVE, SampleLimits
+from canfb.signal.supervision import FROZEN, MISSED, TABLE_ACTIVE, VALID, SampleLimits, Supervision
 from canfb.signal.tracker import RESIDUAL_LIMIT, Track, Tracker, check_residual_limit
+from canfb.signal.zero_pulse import ZeroPulse
 
 # Defaults as parts of the full scale: a usual encoder drives the converter to 60..95 %, and
 # with 40 % offset and 20 % amplitude error the raw amplitude still varies between 24 and 120 %.
 AMPLITUDE_LOW = 0.2
 AMPLITUDE_HIGH = 1.25
+TICK_S = 1e-7  # 2000:05
+TICKS = 1 << 32
+MISSED_INTERVALS = 1.5  # since the sample before: one was missed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +38,9 @@ class ChainConfig:
     amplitude_high_counts   highest accepted amplitude (2001:04); None: 1.25 of the full scale
     residual_limit          cycles, 0 < limit <= 0.5 (2010:01, eq. 12)
     coast_samples           0..255 sampling intervals to bridge before the position is lost (2010:03)
+    frozen_samples          0..255 equal samples that tell a dead converter from a machine that
+                            moves whole cycles per sample (2010:04); 0: equal samples are no fault
+    coarse_limit_revolutions  how far the coarse track may differ, above 0, at most 0.25 (2010:05)
     conditioning            offset, gain and phase error of the tracks (2002h)
     """
 
@@ -40,13 +50,19 @@ class ChainConfig:
     amplitude_high_counts: int | None = None
     residual_limit: float = RESIDUAL_LIMIT
     coast_samples: int = 3
+    frozen_samples: int = 16
+    coarse_limit_revolutions: float = 1.0 / 32.0
     conditioning: Conditioning = field(default=IDENTITY)
 
     def __post_init__(self) -> None:
         integer_in("cycles_per_revolution", self.cycles_per_revolution, 1, 1048576)
         integer_in("adc_bits", self.adc_bits, 4, 16)
         integer_in("coast_samples", self.coast_samples, 0, 255)
+        integer_in("frozen_samples", self.frozen_samples, 0, 255)
         check_residual_limit(self.residual_limit)
+        limit = self.coarse_limit_revolutions
+        if not isinstance(limit, (int, float)) or not 0.0 < limit <= 0.25:
+            raise ValueError(f"coarse_limit_revolutions must be above 0 and at most 0.25, not {limit!r}")
         if not isinstance(self.conditioning, Conditioning):
             raise ValueError("conditioning must be a Conditioning")
         for name in ("amplitude_low_counts", "amplitude_high_counts"):
@@ -87,7 +103,11 @@ class Feedback(NamedTuple):
                      the sample was taken, the predicted one while coasting
     residual         eq. 12, cycles, 0..0.5; 0.5 when there was nothing to compare
     status           status word 2011:01 (:class:`canfb.signal.supervision.StatusBit`)
-    speed_cycles     speed between the last two good samples, cycles per sampling interval
+    speed_cycles     speed between the last two good samples, cycles per sampling interval:
+                     the speed of half an interval ago
+    acceleration_cycles  its change since the sample before, cycles per interval squared: the
+                     acceleration of one interval ago
+    jump_cycles      cycles that the position will be set right by, with the next sample; else 0
     samples          samples processed since the start: moves with every call
     """
 
@@ -100,6 +120,8 @@ class Feedback(NamedTuple):
     residual: float
     status: int
     speed_cycles: float
+    acceleration_cycles: float
+    jump_cycles: int
     samples: int
 
     @property
@@ -118,9 +140,19 @@ class SignalChain:
     def __init__(self, config: ChainConfig, table: CorrectionTable | None = None) -> None:
         self._tracker = Tracker(config.residual_limit)
         self._recovery = Recovery(self._tracker, config.coast_samples)
+        self._supervision = Supervision(config.limits)
+        self._frozen = FrozenInput(config.frozen_samples)
         self._samples = 0
-        self._table: CorrectionTable | None = None
-        self.set_limits(config.limits, config.residual_limit, config.coast_samples)
+        self._speed = self._trusted_speed = 0.0
+        self._counts = (math.nan, math.nan)
+        self._time_100ns: int | None = None
+        self._waited = 0.0  # intervals without a sample since the last time stamp
+        self._clock = 0.0  # intervals since the start
+        self._before: Track | None = None  # the sample before, if it was taken
+        self.interval_s = 0.0
+        """Nominal sampling interval, seconds; what sample times are held against. 0 = not known."""
+        self._make_reference(config.cycles_per_revolution, config.full_scale_counts)
+        self._reference.coarse.limit_revolutions = config.coarse_limit_revolutions
         self.activate(table, config.conditioning)
 
     @property
@@ -138,11 +170,37 @@ class SignalChain:
         """True from the moment the position is lost until :meth:`restart`."""
         return self._recovery.lost
 
-    def set_limits(self, limits: SampleLimits, residual_limit: float, coast_samples: int) -> None:
-        """Take new limits, between two samples. ValueError for a bad one, nothing changed then."""
+    def set_limits(
+        self,
+        limits: SampleLimits,
+        residual_limit: float,
+        coast_samples: int,
+        frozen_samples: int,
+        coarse_limit_revolutions: float,
+    ) -> None:
+        """Take new limits, between two samples.
+
+        ``limits`` are those of one sample; ``residual_limit``, ``coast_samples``,
+        ``frozen_samples`` and ``coarse_limit_revolutions`` as in :class:`ChainConfig`.
+        ValueError for a bad ``residual_limit``, and nothing is changed then.
+        """
         self._tracker.residual_limit = check_residual_limit(residual_limit)
-        self._limits, self._bounds = limits, limits.bounds
+        self._supervision.set_limits(limits)
         self._recovery.coast_samples = coast_samples
+        self._frozen.frozen_samples = frozen_samples
+        self._reference.coarse.limit_revolutions = coarse_limit_revolutions
+        self._reference.coarse.full_scale_counts = limits.full_scale_counts
+
+    def set_cycles_per_revolution(self, cycles_per_revolution: int) -> None:
+        """Take an encoder with other ``cycles_per_revolution``; coarse track and zero pulse start anew."""
+        if cycles_per_revolution != self._reference.coarse.cycles_per_revolution:
+            limit = self._reference.coarse.limit_revolutions
+            self._make_reference(cycles_per_revolution, self._reference.coarse.full_scale_counts)
+            self._reference.coarse.limit_revolutions = limit
+
+    def _make_reference(self, cycles_per_revolution: int, full_scale_counts: int) -> None:
+        coarse = CoarseTrack(cycles_per_revolution, full_scale_counts, 0.25)
+        self._reference = Reference(self._recovery, coarse, ZeroPulse(cycles_per_revolution))
 
     def activate(self, table: CorrectionTable | None, conditioning: Conditioning) -> None:
         """Take a table (None: the identity) and a conditioning together, between two samples."""
@@ -154,50 +212,95 @@ class SignalChain:
     def restart(self, cycles: int = 0) -> None:
         """Forget the position: the next good sample starts at standstill with this cycle count."""
         self._recovery.restart(cycles)
+        self._reference.restart()
+        self._pause()
 
     def resume(self) -> None:
         """Go on after a pause in which the machine stood still: less than half a cycle from here.
 
         A lost position is not picked up again: it starts anew at cycle count 0.
         """
+        self._reference.restart(keep=not self._recovery.lost)
         self._recovery.resume()
+        self._pause()
+
+    def _pause(self) -> None:
+        self._time_100ns = None
+        self._waited = 0.0
+        self._before = None
+        self._counts = (math.nan, math.nan)
+        self._speed = self._trusted_speed = 0.0
 
     def step(self, sample: Sample) -> Feedback:
         """Take one sample through the whole chain. A bad sample is flagged, it never raises."""
-        sine, cosine, elapsed = sample.sine, sample.cosine, sample.elapsed
+        sine, cosine, elapsed, bad, coarse, _, zero_pulse, time_100ns = sample
+        if time_100ns is not None:
+            elapsed = self._elapsed(time_100ns, elapsed)
         offset_s, gain_s, offset_c, factor_c, skew = self._coefficients
         s = (sine - offset_s) * gain_s
         c = (cosine - offset_c) * factor_c - s * skew
         amplitude = math.sqrt(s * s + c * c)
         raw = raw_phase(s, c)
-        lowest, highest, smallest, largest = self._bounds
+        supervision = self._supervision
+        lowest, highest, smallest, largest = supervision.bounds
         if lowest < sine < highest and lowest < cosine < highest and smallest <= amplitude <= largest:
             faults = 0
+            if supervision.after_fault:
+                supervision.passed()
         else:
-            faults = self._limits.faults(sine, cosine, amplitude)
-        if faults or sample.invalid or raw != raw:
-            track, bits = self._recovery.bad(elapsed)
+            faults = supervision.faults(sine, cosine, amplitude)
+        counts = (sine, cosine)
+        if counts == self._counts:
+            if self._frozen.repeated(self._trusted_speed):
+                faults |= FROZEN
         else:
+            self._counts = counts
+            self._frozen.moved()
+        measured = not (faults or bad) and raw == raw
+        if measured:
             table = self._table
             phase = raw if table is None else table.correct(raw)
             track, bits = self._recovery.good(phase, elapsed)
-        if elapsed > 1.0:
+        else:
+            track, bits = self._recovery.bad(elapsed)
+        jump = 0
+        self._clock += elapsed
+        if coarse is not None or zero_pulse is not None:
+            before = self._before if measured else None
+            bits, jump = self._reference.apply(sample, track, bits, before, self._clock, elapsed)
+        self._before = track if measured and jump == 0 else None
+        if elapsed > MISSED_INTERVALS:
             bits |= MISSED
-        return self._feedback(s, c, amplitude, raw, track, bits | faults)
+        return self._feedback(s, c, amplitude, raw, track, bits | faults, jump)
 
     def miss(self) -> Feedback:
         """One sampling interval without a sample: the position coasts, flagged."""
+        self._waited += 1.0
         track, bits = self._recovery.bad(1.0)
-        return self._feedback(math.nan, math.nan, 0.0, math.nan, track, bits | MISSED)
+        self._clock += 1.0
+        self._before = None
+        self._reference.missed()
+        return self._feedback(math.nan, math.nan, 0.0, math.nan, track, bits | MISSED, 0)
+
+    def _elapsed(self, time_100ns: int, nominal: float) -> float:
+        """Intervals since the sample before by the sample times, without those waited for."""
+        before, self._time_100ns = self._time_100ns, time_100ns
+        waited, self._waited = self._waited, 0.0
+        if before is None or self.interval_s <= 0.0:
+            return nominal
+        return max(0.0, (time_100ns - before) % TICKS * TICK_S / self.interval_s - waited)
 
     def _feedback(
-        self, s: float, c: float, amplitude: float, raw: float, track: Track, bits: int
+        self, s: float, c: float, amplitude: float, raw: float, track: Track, bits: int, jump: int
     ) -> Feedback:
         self._samples = samples = self._samples + 1
         cycles, phase, residual, _ = track
         speed = self._tracker.step_cycles
+        acceleration, self._speed = speed - self._speed, speed
+        self._trusted_speed = speed if bits & VALID else 0.0
         status = bits | self._base_status
         # The constructor of a named tuple takes twice the time of what it calls.
         return tuple.__new__(
-            Feedback, (s, c, amplitude, raw, cycles, phase, residual, status, speed, samples)
+            Feedback,
+            (s, c, amplitude, raw, cycles, phase, residual, status, speed, acceleration, jump, samples),
         )

@@ -45,11 +45,13 @@ class Recovery:
 
     def resume(self) -> None:
         """Go on at standstill from the last position, or from cycle count 0 if it was lost."""
-        if self.lost or self._candidates or not self.tracker.started:
+        if self.lost or self._candidates or not self._places:
             self.restart()
         else:
             self.tracker.halt()
+            cycles, phase, _ = self._places[-1]
             self._places.clear()
+            self._places.append((cycles, phase, 1.0))
 
     def lose(self) -> None:
         """Call the position lost, from outside."""
@@ -60,11 +62,16 @@ class Recovery:
     def found(self, cycles: int, step_cycles: int) -> None:
         """Shift the cycle count by ``cycles`` and the speed by ``step_cycles`` per interval."""
         self.tracker.shift(cycles, step_cycles)
+        self._candidates = []
         self._places.clear()
+        last = self.tracker.last
+        self._places.append((last.cycles, last.phase, 1.0))
 
     def vouch(self) -> None:
         """The position is not lost any more: what eq. 9 counts is right."""
         self.lost = False
+        last = self.tracker.last
+        self._places.append((last.cycles, last.phase, 1.0))
 
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
         """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL."""

@@ -12,7 +12,11 @@ class Sample(NamedTuple):
     elapsed                 sampling intervals since the sample before; 1.0 on a bus without
                             losses, n + 1 after n missed samples
     invalid                 the encoder interface itself calls this sample bad (2000:06 bit 1)
-    coarse_sine/_cosine     the track with one cycle per revolution, ADC counts, or None
+    coarse_sine, coarse_cosine  the track with one cycle per revolution, ADC counts, or None
+    zero_pulse              the zero pulse came since the sample before, at this part of the
+                            interval (0..1, 2000:07); None: it did not
+    time_100ns              sample time in 100 ns, modulo 2^32 (2000:05), or None. With it the real
+                            elapsed time counts, and ``elapsed`` is not used
     """
 
     sine: float
@@ -21,3 +25,5 @@ class Sample(NamedTuple):
     invalid: bool = False
     coarse_sine: float | None = None
     coarse_cosine: float | None = None
+    zero_pulse: float | None = None
+    time_100ns: int | None = None

@@ -21,6 +21,7 @@ class StatusBit(IntFlag):
     REFERENCED = 1 << 8
     COARSE = 1 << 9
     CALIBRATING = 1 << 10
+    FROZEN = 1 << 11
 
 
 # Plain integers for the hot path: an operation on an IntFlag costs ten times as much.
@@ -32,6 +33,13 @@ AMPLITUDE: Final = int(StatusBit.AMPLITUDE)
 CLIPPED: Final = int(StatusBit.CLIPPED)
 MISSED: Final = int(StatusBit.MISSED)
 TABLE_ACTIVE: Final = int(StatusBit.TABLE_ACTIVE)
+REFERENCED: Final = int(StatusBit.REFERENCED)
+COARSE: Final = int(StatusBit.COARSE)
+FROZEN: Final = int(StatusBit.FROZEN)
+
+# After a fault the limits are so much narrower until a sample keeps them.
+AMPLITUDE_HYSTERESIS = 1.0 / 32.0
+CLIPPING_HYSTERESIS_COUNTS = 2
 
 
 @dataclass(frozen=True)
@@ -46,11 +54,40 @@ class SampleLimits:
     amplitude_low_counts: float
     amplitude_high_counts: float
 
-    @property
-    def bounds(self) -> tuple[float, float, float, float]:
-        """Between the first two are the counts of a good sample, from the third to the last its amplitude."""
-        full = self.full_scale_counts
-        return -full, full - 1, self.amplitude_low_counts, self.amplitude_high_counts
+    def bounds(self, after_fault: bool = False) -> tuple[float, float, float, float]:
+        """Lowest and highest counts that are clipped, smallest and largest amplitude that are good.
+
+        ``after_fault``: with the hysteresis.
+        """
+        full, low, high = self.full_scale_counts, self.amplitude_low_counts, self.amplitude_high_counts
+        if not after_fault:
+            return -full, full - 1, low, high
+        margin = CLIPPING_HYSTERESIS_COUNTS
+        return (
+            margin - full,
+            full - 1 - margin,
+            low * (1.0 + AMPLITUDE_HYSTERESIS),
+            high * (1.0 - AMPLITUDE_HYSTERESIS),
+        )
+
+
+class Supervision:
+    """Checks one sample after the other against :class:`SampleLimits`, with hysteresis."""
+
+    __slots__ = ("_narrow", "_usual", "after_fault", "bounds")
+
+    def __init__(self, limits: SampleLimits) -> None:
+        self.set_limits(limits)
+
+    def set_limits(self, limits: SampleLimits) -> None:
+        """Take new limits; no fault is remembered."""
+        self._usual, self._narrow = limits.bounds(), limits.bounds(after_fault=True)
+        self.passed()
+
+    def passed(self) -> None:
+        """A sample has kept the limits in force."""
+        self.bounds = self._usual  # those in force, for the hot path to compare with
+        self.after_fault = False
 
     def faults(self, sine: float, cosine: float, amplitude: float) -> int:
         """Status bits AMPLITUDE and CLIPPED of a sample: raw counts, conditioned amplitude.
@@ -59,8 +96,12 @@ class SampleLimits:
         """
         lowest, highest, smallest, largest = self.bounds
         bits = 0
-        if not (lowest < sine < highest and lowest < cosine < highest):
+        if sine <= lowest or sine >= highest or cosine <= lowest or cosine >= highest:
             bits = CLIPPED
         if not smallest <= amplitude <= largest:
             bits |= AMPLITUDE
+        if bits:
+            self.bounds, self.after_fault = self._narrow, True
+        else:
+            self.passed()
         return bits

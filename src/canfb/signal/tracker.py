@@ -86,6 +86,11 @@ class Tracker:
         return self._started
 
     @property
+    def last(self) -> Track:
+        """The last sample that was taken; residual not known."""
+        return Track(self._cycles, self._phase, 0.0, True)
+
+    @property
     def step_cycles(self) -> float:
         """Speed between the last two samples, in cycles per sampling interval."""
         return (self._step + (self._phase - self._phase_before)) / self._elapsed

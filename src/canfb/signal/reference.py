@@ -1,0 +1,172 @@
+"""What the coarse track and the zero pulse say of the position (paper, section 4).
+
+Eq. 9 started on a turning machine, or after a fault, counts with a speed that lacks whole
+cycles per interval. The coarse track, or two zero pulses, tell how many; the next zero pulse
+sets the cycle count right. Every jump of the position is reported.
+"""
+
+from __future__ import annotations
+
+import math
+
+from canfb.signal.coarse import CoarseTrack
+from canfb.signal.recovery import Recovery
+from canfb.signal.sample import Sample
+from canfb.signal.supervision import COARSE, COASTING, LOST, REFERENCED, VALID
+from canfb.signal.tracker import Track
+from canfb.signal.zero_pulse import ZeroPulse
+
+DISAGREEING_SAMPLES = 3  # so many in a row, and the position is lost
+EXACT_CYCLES = 0.5  # a coarse track better than that needs no zero pulse
+
+
+class Reference:
+    """Joins coarse track and zero pulse to a :class:`Recovery`."""
+
+    def __init__(self, recovery: Recovery, coarse: CoarseTrack, zero: ZeroPulse) -> None:
+        self._recovery = recovery
+        self.coarse = coarse
+        self.zero = zero
+        self.restart()
+
+    def restart(self, keep: bool = False) -> None:
+        """After a start: the machine may be turning. ``keep``: the position goes on from before."""
+        if not keep:
+            self.coarse.forget()
+            self.zero.forget()
+        self._proven = False  # the coarse track has confirmed the range of speed since the start
+        self._range_known = False  # ... since the position was lost
+        self._begin_search()
+        self._disagreeing = 0
+
+    def apply(
+        self, sample: Sample, track: Track, bits: int, before: Track | None, time: float, elapsed: float
+    ) -> tuple[int, int]:
+        """Status bits and jump in cycles after this sample; the jump shows in the next position.
+
+        ``track`` and ``bits`` are what the chain made of ``sample``, at ``time`` intervals since
+        the start, ``elapsed`` after the one ``before``. That is None if either of the two was
+        not taken.
+        """
+        was_lost = self._recovery.lost
+        jump = 0
+        angle: float | None = None
+        if sample.coarse_sine is not None and sample.coarse_cosine is not None:
+            angle = self.coarse.angle(sample.coarse_sine, sample.coarse_cosine)
+            bits, jump = self._compare(angle, track, bits, elapsed if before else 0.0)
+        if sample.zero_pulse is not None and before is not None and jump == 0:
+            place = sample.zero_pulse
+            cycles, phase = _between(before, track, place)
+            bits, jump = self._pulse(cycles, phase, time - (1.0 - place) * elapsed, track, bits, angle)
+        if self._recovery.lost and not was_lost:
+            self._begin_search()
+        if self.zero.referenced and not bits & LOST:
+            bits |= REFERENCED
+        return bits, jump
+
+    def missed(self) -> None:
+        """A sample did not come."""
+        self.coarse.restart_search()
+
+    def _begin_search(self) -> None:
+        self._range_known = False
+        self._first_pulse: tuple[float, int, float] | None = None
+        self.coarse.restart_search()
+
+    def _compare(self, angle: float | None, track: Track, bits: int, elapsed: float) -> tuple[int, int]:
+        lost = self._recovery.lost
+        if self._proven and not lost:
+            return self._check(angle, track, bits), 0
+        jump = 0
+        if elapsed == 0.0:  # this sample was not taken
+            self.coarse.restart_search()
+        elif not (lost and self._range_known):
+            missing = self.coarse.search(angle, track.cycles, track.phase, elapsed)
+            if missing is not None and angle is not None:
+                jump = self._range_found(missing, angle, track)
+        # Before the coarse track has confirmed the speed, a turning machine looks like one at rest.
+        return (bits if self._proven else bits & ~VALID), jump
+
+    def _range_found(self, missing: int, angle: float, track: Track) -> int:
+        coarse = self.coarse
+        jump = coarse.nearest_cycles(angle, track.cycles, track.phase) - track.cycles if coarse.aligned else 0
+        if missing or (jump and self._recovery.lost):
+            self._recovery.found(jump if self._recovery.lost else 0, missing)
+        self._range_known = self._proven = True
+        if not self._recovery.lost:
+            coarse.align(angle, track.cycles, track.phase)
+            return 0
+        exact = coarse.limit_revolutions * coarse.cycles_per_revolution < EXACT_CYCLES
+        if exact or not (coarse.aligned or self.zero.referenced):
+            self._recovery.vouch()  # or there was no position yet that could be lost
+        return jump
+
+    def _check(self, angle: float | None, track: Track, bits: int) -> int:
+        if not bits & VALID:
+            return bits
+        if angle is not None and not self.coarse.aligned:
+            self.coarse.align(angle, track.cycles, track.phase)
+        if not self.coarse.disagrees(angle, track.cycles, track.phase):
+            self._disagreeing = 0
+            return bits
+        self._disagreeing += 1
+        if self._disagreeing >= DISAGREEING_SAMPLES:
+            self._disagreeing = 0
+            self._recovery.lose()
+            return bits & ~VALID | COARSE | LOST
+        return bits & ~VALID | COARSE | COASTING
+
+    def _pulse(
+        self, cycles: int, phase: float, time: float, track: Track, bits: int, angle: float | None
+    ) -> tuple[int, int]:
+        """A zero pulse at this position and time."""
+        if bits & VALID:
+            return self._pulse_of_valid(cycles, phase, bits)
+        if not self._recovery.lost:
+            return bits, 0
+        if not self._range_known:
+            self._range_from_pulses(time, cycles, phase)
+            return bits, 0
+        if not self.zero.referenced:
+            self.zero.set_place(cycles, phase)
+        jump = -self.zero.error_cycles(cycles, phase)
+        self._recovery.found(jump, 0)
+        self._recovery.vouch()
+        if angle is not None:
+            self.coarse.align(angle, track.cycles + jump, track.phase)
+        self._proven = True
+        return bits, jump
+
+    def _pulse_of_valid(self, cycles: int, phase: float, bits: int) -> tuple[int, int]:
+        if not self.zero.referenced:
+            self.zero.set_place(cycles, phase)
+            return bits, 0
+        error = self.zero.error_cycles(cycles, phase)
+        if error == 0:
+            return bits, 0
+        self._recovery.found(-error, 0)
+        return bits & ~VALID | COASTING, -error
+
+    def _range_from_pulses(self, time: float, cycles: int, phase: float) -> None:
+        """Between two pulses lies a revolution, either way, or none; the samples counted what they saw."""
+        first, self._first_pulse = self._first_pulse, (time, cycles, phase)
+        if first is None or time - first[0] < 1.0:
+            return
+        intervals = time - first[0]
+        counted = (cycles - first[1]) + (phase - first[2])
+        found = set()
+        for turns in (-1, 0, 1):
+            missing = (turns * self.zero.cycles_per_revolution - counted) / intervals
+            if abs(missing - round(missing)) * intervals < 1.0:
+                found.add(round(missing))
+        if len(found) == 1:
+            self._recovery.found(0, found.pop())
+            self._range_known = True
+
+
+def _between(before: Track, track: Track, place: float) -> tuple[int, float]:
+    """Position at ``place`` (0..1) of the way from one sample to the next."""
+    way = (track.cycles - before.cycles) + (track.phase - before.phase)
+    position = before.phase + place * way
+    turns = math.floor(position)
+    return before.cycles + turns, position - turns

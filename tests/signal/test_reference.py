@@ -1,0 +1,249 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from canfb.signal.chain import ChainConfig, Feedback, SignalChain
+from canfb.signal.sample import Sample
+from canfb.signal.supervision import StatusBit
+
+N = 2500
+AMPLITUDE = 1500.0
+COARSE_ERROR = 0.008  # revolutions, once per revolution: an offset of 5 % on the coarse track
+
+
+class Machine:
+    """A machine with coarse track and zero pulse; the truth is ``position``, in cycles."""
+
+    def __init__(self, speed: float, *, coarse: bool = True, pulse: bool = True, seed: int = 1) -> None:
+        self.speed, self.coarse, self.pulse = speed, coarse, pulse
+        self.position = 1234.56
+        self._rng = np.random.default_rng(seed)
+
+    def sample(self, acceleration: float = 0.0) -> Sample:
+        before = self.position
+        self.speed += acceleration
+        self.position += self.speed
+        angle = 2 * math.pi * self.position
+        sine, cosine = (round(AMPLITUDE * f(angle) + self._rng.normal(0, 0.5)) for f in (math.sin, math.cos))
+        return Sample(sine, cosine, 1.0, False, *self._coarse(), self._zero_pulse(before))
+
+    def _coarse(self) -> tuple[float | None, float | None]:
+        if not self.coarse:
+            return None, None
+        turn = self.position / N
+        angle = 2 * math.pi * (turn + COARSE_ERROR * math.sin(2 * math.pi * turn))
+        return round(AMPLITUDE * math.sin(angle)), round(AMPLITUDE * math.cos(angle))
+
+    def _zero_pulse(self, before: float) -> float | None:
+        low, high = sorted((before, self.position))
+        pulse = math.floor(high / N) * N
+        if not self.pulse or not low < pulse <= high:
+            return None
+        return round((pulse - before) / (self.position - before) * 65535) / 65536
+
+
+def run(chain: SignalChain, machine: Machine, samples: int) -> list[tuple[Feedback, float]]:
+    return [(chain.step(machine.sample()), machine.position) for _ in range(samples)]
+
+
+def spoil(chain: SignalChain, machine: Machine, samples: int) -> list[Feedback]:
+    """So many samples with both tracks dead."""
+    return [chain.step(machine.sample()._replace(sine=0, cosine=0)) for _ in range(samples)]
+
+
+def errors(got: list[tuple[Feedback, float]]) -> np.ndarray:
+    return np.array([feedback.cycles + feedback.phase - truth for feedback, truth in got if feedback.valid])
+
+
+def starts_at_rest(coarse: bool, pulse: bool) -> tuple[SignalChain, Machine]:
+    chain, machine = SignalChain(ChainConfig()), Machine(0.0, coarse=coarse, pulse=pulse)
+    run(chain, machine, 40)
+    while machine.speed < 83.0:
+        chain.step(machine.sample(0.1))
+    run(chain, machine, 200)
+    return chain, machine
+
+
+@pytest.mark.parametrize("speed", [83.4, -83.4, 1.2, 0.7, 125.0, -40.01])
+def test_started_on_a_turning_machine_no_wrong_speed_is_called_valid(speed: float) -> None:
+    chain, machine = SignalChain(ChainConfig()), Machine(speed, pulse=False)
+    got = run(chain, machine, 1500)
+    first = next(k for k, (feedback, _) in enumerate(got) if feedback.valid)
+    assert 2 < first < 700
+    moved = errors(got[first:])
+    assert len(moved) > 700
+    assert np.ptp(moved) < 0.04
+
+
+def test_started_at_rest_it_is_valid_soon() -> None:
+    chain, machine = SignalChain(ChainConfig()), Machine(0.0)
+    got = run(chain, machine, 40)
+    first = next(k for k, (feedback, _) in enumerate(got) if feedback.valid)
+    assert 2 < first < 30
+    assert all(feedback.valid for feedback, _ in got[first:])
+
+
+@pytest.mark.parametrize("outage", [4, 30, 500])
+def test_a_lost_position_is_set_right_by_coarse_track_and_zero_pulse(outage: int) -> None:
+    chain, machine = starts_at_rest(coarse=True, pulse=True)
+    before = run(chain, machine, 100)
+    reference = np.median(errors(before))
+    assert before[-1][0].status & StatusBit.REFERENCED
+    assert spoil(chain, machine, outage)[-1].status & StatusBit.LOST
+    after = run(chain, machine, 1200)
+    assert after[-1][0].valid
+    wrong = errors(after) - reference
+    whole_revolutions = np.rint(wrong / N) * N
+    assert np.abs(wrong - whole_revolutions).max() < 0.04
+    assert outage < 10 or any(feedback.jump_cycles for feedback, _ in after)
+    shown = np.diff([feedback.cycles + feedback.phase - truth for feedback, truth in after])
+    jumps = [k for k, step in enumerate(shown) if abs(step) > 90.0]
+    assert all(after[k][0].jump_cycles != 0 for k in jumps), "a jump is reported by the sample before it"
+
+
+def test_two_zero_pulses_tell_the_speed_without_a_coarse_track() -> None:
+    chain, machine = starts_at_rest(coarse=False, pulse=True)
+    reference = np.median(errors(run(chain, machine, 100)))
+    spoil(chain, machine, 50)
+    after = run(chain, machine, 300)
+    assert after[-1][0].valid
+    wrong = errors(after) - reference
+    assert np.abs(wrong - np.rint(wrong / N) * N).max() < 0.04
+
+
+def test_without_either_a_lost_position_stays_lost() -> None:
+    chain, machine = starts_at_rest(coarse=False, pulse=False)
+    spoil(chain, machine, 10)
+    assert not errors(run(chain, machine, 3000)).size
+
+
+def test_a_count_that_is_wrong_by_cycles_is_set_right_at_the_zero_pulse_and_not_in_silence() -> None:
+    chain, machine = starts_at_rest(coarse=False, pulse=True)
+    reference = np.median(errors(run(chain, machine, 100)))
+    chain._recovery.found(7, 0)
+    after = run(chain, machine, 100)
+    set_right = [feedback for feedback, _ in after if feedback.jump_cycles]
+    assert [feedback.jump_cycles for feedback in set_right] == [-7]
+    assert not set_right[0].valid
+    assert np.abs(errors(after[-20:]) - reference).max() < 0.04
+
+
+def shift_coarse(sample: Sample, revolutions: float) -> Sample:
+    angle = math.atan2(sample.coarse_sine, sample.coarse_cosine) + 2 * math.pi * revolutions
+    return sample._replace(coarse_sine=AMPLITUDE * math.sin(angle), coarse_cosine=AMPLITUDE * math.cos(angle))
+
+
+def test_a_coarse_track_that_disagrees_is_flagged_at_once_and_loses_the_position() -> None:
+    chain, machine = starts_at_rest(coarse=True, pulse=False)
+    got = [chain.step(shift_coarse(machine.sample(), 0.06)) for _ in range(4)]
+    assert all(feedback.status & StatusBit.COARSE and not feedback.valid for feedback in got[:3])
+    assert got[3].status & StatusBit.LOST
+
+
+@pytest.mark.parametrize(("difference", "disagrees"), [(0.0299, False), (0.0326, True), (-0.0326, True)])
+def test_the_limit_of_the_coarse_track(difference: float, disagrees: bool) -> None:
+    chain, machine = SignalChain(ChainConfig()), Machine(0.0)
+    run(chain, machine, 60)
+    got = chain.step(shift_coarse(machine.sample(), difference))
+    assert bool(got.status & StatusBit.COARSE) == disagrees
+
+
+def test_a_dead_coarse_track_is_flagged() -> None:
+    chain, machine = SignalChain(ChainConfig()), Machine(0.0)
+    run(chain, machine, 60)
+    got = chain.step(machine.sample()._replace(coarse_sine=0.0, coarse_cosine=10.0))
+    assert got.status & StatusBit.COARSE
+    assert not got.valid
+    assert run(chain, machine, 2)[-1][0].valid
+
+
+@pytest.fixture
+def jittered() -> Callable[[SignalChain, float, int], list[tuple[Feedback, float]]]:
+    def play(chain: SignalChain, jitter_s: float, samples: int) -> list[tuple[Feedback, float]]:
+        rng = np.random.default_rng(3)
+        got, nominal, speed, position = [], 0.0, 0.0, 0.0
+        for _ in range(samples):
+            nominal += 1e-3
+            speed = min(83.0, speed + 0.1)
+            position += speed
+            late_s = rng.uniform(-jitter_s, jitter_s)
+            here = position + late_s / 1e-3 * speed
+            angle = 2 * math.pi * here
+            ticks = round((nominal + late_s) * 1e7) % 2**32
+            got.append(
+                (chain.step(Sample(1500 * math.sin(angle), 1500 * math.cos(angle), time_100ns=ticks)), here)
+            )
+        return got
+
+    return play
+
+
+def test_sample_times_take_the_harm_out_of_jitter(
+    jittered: Callable[[SignalChain, float, int], list[tuple[Feedback, float]]],
+) -> None:
+    with_times, without = SignalChain(ChainConfig()), SignalChain(ChainConfig())
+    with_times.interval_s = 1e-3
+    got = jittered(with_times, 10e-6, 3000)
+    assert all(feedback.valid for feedback, _ in got)
+    assert np.abs(errors(got)).max() < 0.02
+    assert max(feedback.residual for feedback, _ in got[1000:]) < 0.06
+    blind = jittered(without, 10e-6, 3000)
+    assert not all(feedback.valid for feedback, _ in blind)
+
+
+def test_a_late_sample_with_its_time_is_taken_where_it_belongs() -> None:
+    chain = SignalChain(ChainConfig())
+    chain.interval_s = 1e-3
+
+    def at(k: int) -> Feedback:
+        angle = 2 * math.pi * 0.31 * k
+        return chain.step(Sample(1500 * math.sin(angle), 1500 * math.cos(angle), time_100ns=k * 10_000))
+
+    for k in range(30):
+        at(k)
+    chain.miss()
+    late = at(30)
+    assert late.cycles == math.floor(0.31 * 30)
+    for k in range(31, 50):
+        got = at(k)
+        assert got.cycles == math.floor(0.31 * k)
+    assert got.valid
+
+
+def test_speed_and_acceleration_with_their_delays() -> None:
+    chain = SignalChain(ChainConfig())
+    for k in range(60):
+        position = 0.5 * 0.01 * k * k
+        angle = 2 * math.pi * position
+        got = chain.step(Sample(1500 * math.sin(angle), 1500 * math.cos(angle)))
+    assert got.speed_cycles == pytest.approx(0.01 * (59 - 0.5), abs=0.03)
+    assert got.acceleration_cycles == pytest.approx(0.01, abs=0.05)
+
+
+@pytest.mark.parametrize(("speed", "repeats"), [(3.2, 2), (5.0, 16), (7.003, 16)])
+def test_a_frozen_converter_is_found(speed: float, repeats: int) -> None:
+    chain, machine = SignalChain(ChainConfig()), Machine(0.0, coarse=False, pulse=False)
+    run(chain, machine, 5)
+    while machine.speed < speed - 0.05:
+        chain.step(machine.sample(0.1))
+    machine.speed = speed
+    run(chain, machine, 50)
+    last = machine.sample()
+    chain.step(last)
+    frozen = [bool(chain.step(last).status & StatusBit.FROZEN) for _ in range(20)]
+    assert frozen.index(True) == repeats - 1
+    assert all(frozen[repeats - 1 :])
+
+
+def test_equal_samples_at_rest_are_no_fault_and_the_check_can_be_off() -> None:
+    chain = SignalChain(ChainConfig())
+    assert all(chain.step(Sample(100, 1400)).valid for _ in range(1000))
+    off = SignalChain(ChainConfig(frozen_samples=0))
+    for k in range(200):
+        angle = 2 * math.pi * 0.2 * min(k, 100)
+        got = off.step(Sample(1500 * math.sin(angle), 1500 * math.cos(angle)))
+    assert not got.status & StatusBit.FROZEN
