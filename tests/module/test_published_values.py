@@ -108,4 +108,4 @@ def test_a_residual_limit_that_follows_the_acceleration_follows_the_encoder_too(
 def test_the_scaling_is_exact(per_turn: int, units: int, reverse: bool, cycles: int, phase: int) -> None:
     scale = PositionScale(per_turn, units, 2**32, reverse, 0)
     exact = (cycles * PHASE_UNITS + phase) * (-units if reverse else units)
-    assert scale.units(cycles, phase) == exact // (per_turn * PHASE_UNITS)
+    assert scale.units(cycles, phase / PHASE_UNITS) == exact // (per_turn * PHASE_UNITS)

@@ -120,7 +120,8 @@ class FeedbackModule:
     def _publish(self, feedback: Feedback, now: float, send: bool = True) -> None:
         """Into the dictionary, and out if there is something new to say."""
         self._feedback = feedback
-        self._profile.publish(feedback, self._publication.publish(feedback))
+        self._publication.publish(feedback)
+        self._profile.publish(feedback)
         alarm = not feedback.status & VALID
         if alarm != self._alarmed:
             self._report_alarm(alarm, feedback.status, now)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 PHASE_UNITS = 1 << 32  # 2011:03 counts the phase in 1/2^32 cycle
+PHASE_SCALE = float(PHASE_UNITS)
 MAX_UNITS_PER_CYCLE = 8192  # 1/5800 cycle is what a 12-bit converter resolves
 CODE_SEQUENCE = 1 << 0  # 6000h: set = position falls when the machine turns clockwise
 SCALING = 1 << 2  # 6000h: 6001h and 6002h are used
@@ -51,8 +52,9 @@ class PositionScale:
         self.total_range = total_range
         self.offset = offset
 
-    def units(self, cycles: int, phase_units: int) -> int:
-        """Measuring units since the start, unwrapped, rounded down; phase in 1/2^32 cycle."""
+    def units(self, cycles: int, phase: float) -> int:
+        """Measuring units since the start, unwrapped, rounded down; phase in cycles, 0 <= phase < 1."""
+        phase_units = int(phase * PHASE_SCALE)
         return (cycles * PHASE_UNITS + phase_units) * self._numerator // self._denominator
 
     def offset_for(self, units: int, preset: int) -> int:

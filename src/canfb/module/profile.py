@@ -6,7 +6,6 @@ from canfb.device.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.module.position import (
     CODE_SEQUENCE,
-    PHASE_UNITS,
     SCALING,
     U64,
     PositionScale,
@@ -73,11 +72,11 @@ class EncoderProfile:
         self._module_range[0].value = 0
         self._module_range[1].value = min(self._scale.total_range - 1, 0x7FFFFFFF)
 
-    def publish(self, feedback: Feedback, phase_units: int) -> None:
-        """Write the position objects and the alarm; ``phase_units`` is the phase in 1/2^32 cycle."""
+    def publish(self, feedback: Feedback) -> None:
+        """Write the position objects and the alarm."""
         self._last = feedback
         scale = self._scale
-        units = scale.units(feedback.cycles, phase_units) + scale.offset
+        units = scale.units(feedback.cycles, feedback.phase) + scale.offset
         self._position.value = units % scale.total_range
         self._fine.value = units & U64
         self._alarms.value = 0 if feedback.status & VALID else ALARM_POSITION
@@ -86,7 +85,7 @@ class EncoderProfile:
         last, scale = self._last, self._raw_scale
         if last is None:
             return 0
-        return scale.units(last.cycles, int(last.phase * PHASE_UNITS)) % scale.total_range
+        return scale.units(last.cycles, last.phase) % scale.total_range
 
     def _warnings(self) -> int:
         last, warnings = self._last, 0
@@ -107,7 +106,7 @@ class EncoderProfile:
         last = self._last
         if last is None or not last.valid or abs(last.speed_cycles) > STANDSTILL_CYCLES:
             raise SdoAbort(AbortCode.DEVICE_STATE)
-        units = self._scale.units(last.cycles, int(last.phase * PHASE_UNITS))
+        units = self._scale.units(last.cycles, last.phase)
         offset = self._scale.offset_for(units, value)
         self._offset.value = self._scale.offset = max(-0x80000000, min(offset, 0x7FFFFFFF))
-        self.publish(last, int(last.phase * PHASE_UNITS))
+        self.publish(last)

@@ -13,7 +13,6 @@ from canfb.signal.supervision import AMPLITUDE, CLIPPED, COASTING, LOST, MISSED,
 FEEDBACK, COUNTERS = 0x2011, 0x2012
 U16, U32 = 0xFFFF, 0xFFFFFFFF
 SIXTEEN_BITS = 65536.0
-PHASE_SCALE = float(PHASE_UNITS)
 LARGEST_REAL32 = 3.4e38
 # Sub-index of 2012h and the status bit that it counts; clipping counts as an amplitude fault.
 COUNTED = ((1, MISSED), (2, RESIDUAL), (3, AMPLITUDE | CLIPPED), (4, COASTING))
@@ -21,52 +20,62 @@ LOST_COUNTER = 5
 FAULTS = MISSED | RESIDUAL | AMPLITUDE | CLIPPED | COASTING | LOST
 
 
-class Publication:
-    """Writes a :class:`canfb.signal.chain.Feedback` into 2011h and counts faults in 2012h.
+NOTHING = Feedback(0.0, 0.0, 0.0, math.nan, 0, 0.0, 0.0, 0, 0.0, 0.0, 0, 0)
 
-    Amplitude and velocity are computed when they are read, because few samples are asked for them.
+
+class Publication:
+    """Puts a :class:`canfb.signal.chain.Feedback` into 2011h and counts faults in 2012h.
+
+    What the default PDOs do not hold is computed when it is read, because few samples are asked for it.
     """
 
     def __init__(self, dictionary: Dictionary, interval: IntervalEstimate) -> None:
         entry = dictionary.entry
-        (self._status, self._residual, self._phase, self._cycles) = (entry(FEEDBACK, n) for n in range(1, 5))
-        self._raw, self._samples = entry(FEEDBACK, 6), entry(FEEDBACK, 8)
-        entry(FEEDBACK, 5).on_read = self._amplitude_counts
-        entry(FEEDBACK, 7).on_read = self._velocity_rad_s
-        self._last: Feedback | None = None
-        self._interval = interval
+        self._status, self._residual, self._samples = (entry(FEEDBACK, n) for n in (1, 2, 8))
+        entry(FEEDBACK, 3).on_read = self._phase
+        entry(FEEDBACK, 4).on_read = self._cycle_count
+        entry(FEEDBACK, 5).on_read = self._amplitude
+        entry(FEEDBACK, 6).on_read = self._raw_phase
+        entry(FEEDBACK, 7).on_read = self._velocity
         self._counters = {n: entry(COUNTERS, n) for n in range(1, 9)}
         self._cycles_per_revolution = entry(0x2001, 1)
-        self._lost = False
+        self._interval = interval
+        self.reset()
 
     def reset(self) -> None:
         """After a reset: no feedback; counting of losses starts anew."""
-        self._last = None
+        self._last = NOTHING
+        self._last_raw = 0.0
         self._lost = False
 
-    def publish(self, feedback: Feedback) -> int:
-        """Write 2011h, count in 2012h; the phase in 1/2^32 cycle."""
+    def publish(self, feedback: Feedback) -> None:
+        """Put it into 2011h, count in 2012h."""
         self._last = feedback
-        phase_units = int(feedback.phase * PHASE_SCALE)
         status, raw = feedback.status, feedback.raw_phase
         self._status.value = status
         self._residual.value = int(feedback.residual * SIXTEEN_BITS)
-        self._phase.value = phase_units
-        self._cycles.value = feedback.cycles
         self._samples.value = feedback.samples & U32
         if raw == raw:
-            self._raw.value = int(raw * SIXTEEN_BITS)
+            self._last_raw = raw
         if status & FAULTS or self._lost:
             self._count(status)
-        return phase_units
 
-    def _amplitude_counts(self) -> int:
-        amplitude = 0.0 if self._last is None else self._last.amplitude
+    def _phase(self) -> int:
+        return int(self._last.phase * PHASE_UNITS)
+
+    def _cycle_count(self) -> int:
+        return self._last.cycles
+
+    def _amplitude(self) -> int:
+        amplitude = self._last.amplitude
         return min(int(amplitude), U16) if amplitude == amplitude else 0
 
-    def _velocity_rad_s(self) -> float:
+    def _raw_phase(self) -> int:
+        return int(self._last_raw * SIXTEEN_BITS)
+
+    def _velocity(self) -> float:
         interval_s = self._interval.seconds
-        if self._last is None or interval_s <= 0.0:
+        if interval_s <= 0.0:
             return 0.0
         rad_per_cycle = 2.0 * math.pi / float(self._cycles_per_revolution.value)
         velocity = self._last.speed_cycles * rad_per_cycle / interval_s
