@@ -185,16 +185,17 @@ class ModuleRun:
 
     def __init__(self, cycles: int) -> None:
         self.module = feedback_module()
-        self.data = adc_data(cycles)
+        self.sync = canfb.Frame(SYNC, b"")
+        self.samples = [canfb.Frame(ADC_PDO, data) for data in adc_data(cycles)]
         self.now = 0.0
 
     def __call__(self) -> None:
-        receive, frame, now = self.module.receive, canfb.Frame, self.now
+        receive, sync, now = self.module.receive, self.sync, self.now
         sent: list[canfb.Frame] = []
-        for data in self.data:
+        for sample in self.samples:
             now += INTERVAL_S
-            receive(frame(SYNC, b""), now)
-            sent = receive(frame(ADC_PDO, data), now)
+            receive(sync, now)
+            sent = receive(sample, now)
         self.now = now
         feedback = self.module.feedback
         assert feedback is not None
@@ -208,15 +209,16 @@ class StockRun:
     def __init__(self, network: canopen.Network, cycles: int) -> None:
         stock_node(network)
         self.network = network
-        self.data = [bytearray(data) for data in adc_data(cycles)]
+        self.sync = bytearray()
+        self.samples = [bytearray(data) for data in adc_data(cycles)]
         self.now = 0.0
 
     def __call__(self) -> None:
-        notify, now = self.network.notify, self.now
-        for data in self.data:
+        notify, sync, now = self.network.notify, self.sync, self.now
+        for sample in self.samples:
             now += INTERVAL_S
-            notify(SYNC, bytearray(), now)
-            notify(ADC_PDO, data, now)
+            notify(SYNC, sync, now)
+            notify(ADC_PDO, sample, now)
         self.now = now
 
 
