@@ -326,3 +326,92 @@ def test_missed_samples_of_a_lost_position_are_still_counted(bench: Bench) -> No
     for _ in range(12):
         bench.sync()
     assert bench.sdo[0x2011][8].raw == 12
+
+
+def map_second_rpdo(bench: Bench, *objects: int) -> None:
+    """RPDO2 with COB-ID 290h carries these objects."""
+    sdo = bench.sdo
+    sdo[0x1401][1].raw = 0x80000290
+    for n, mapped in enumerate(objects, 1):
+        sdo[0x1601][n].raw = mapped
+    sdo[0x1601][0].raw = len(objects)
+    sdo[0x1401][1].raw = 0x290
+
+
+def test_a_sample_in_two_pdos_is_complete_with_the_second(bench: Bench) -> None:
+    map_second_rpdo(bench, 0x20000310, 0x20000410, 0x20000608, 0x20000710)
+    for _ in range(30):
+        bench.sync()
+        assert bench.counts(0, 1500) == []
+        frames = bench.sent(Frame(0x290, struct.pack("<hhBH", 0, 1500, 0, 0)))
+        _, status, _ = bench.position(frames)
+    assert status == StatusBit.VALID
+    frames = bench.sent(Frame(0x290, struct.pack("<hhBH", 0, 1500, 0, 0)))
+    assert frames == []
+    bench.sync()
+    bench.counts(0, 1500)
+    _, status, _ = bench.position(bench.sent(Frame(0x290, struct.pack("<hhBH", 1500, 0, 0, 0))))
+    assert status & StatusBit.COARSE
+    assert bench.sdo[0x2012][11].raw == 1
+
+
+def test_half_a_sample_is_a_missed_one_and_counted(bench: Bench) -> None:
+    map_second_rpdo(bench, 0x20000310, 0x20000410)
+    for _ in range(20):
+        bench.sync()
+        bench.counts(0, 1500)
+        bench.sent(Frame(0x290, struct.pack("<hh", 0, 1500)))
+    bench.sync()
+    bench.counts(0, 1500)
+    _, status, _ = bench.position(bench.sync())
+    assert status & StatusBit.MISSED
+    assert bench.sdo[0x2012][8].raw == 1
+
+
+def test_the_zero_pulse_references_the_position(bench: Bench) -> None:
+    map_second_rpdo(bench, 0x20000608, 0x20000710)
+    for n in range(30):
+        bench.sync()
+        bench.counts(0, 1500)
+        frames = bench.sent(Frame(0x290, struct.pack("<BH", n == 20, 32768)))
+        _, status, _ = bench.position(frames)
+        assert bool(status & StatusBit.REFERENCED) == (n >= 20)
+    assert bench.sdo[0x2012][7].raw == 1
+
+
+def test_samples_with_their_times_bear_jitter_and_repetition(bench: Bench) -> None:
+    map_second_rpdo(bench, 0x20000520)
+    bench.sdo[0x1006].raw = 1000
+    position, ticks = 0.0, 0xFFFFF000
+    for n in range(400):
+        late = (n * 37 % 11 - 5) * 20  # up to 10 us either way
+        speed = min(40.0, 0.25 * n)
+        position += speed
+        bench.sync()
+        angle = 2 * math.pi * (position + late / 10_000 * speed)
+        bench.counts(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+        time = struct.pack("<I", (ticks + n * 10_000 + late) % 2**32)
+        _, status, _ = bench.position(bench.sent(Frame(0x290, time)))
+        assert status == StatusBit.VALID, n
+        assert bench.sent(Frame(0x190, bytes(4))) + bench.sent(Frame(0x290, time)) == []
+    assert bench.sdo[0x2012][8].raw == 400
+    assert bench.sdo[0x2011][9].raw == pytest.approx(0.0, abs=400.0)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.data())
+def test_no_sample_ever_raises_whatever_it_brings(data: st.DataObject) -> None:
+    bench = Bench(autostart=True)
+    map_second_rpdo(bench, 0x20000520, 0x20000608, 0x20000710)
+    words = st.one_of(
+        st.just(0), st.integers(0, 2**16 - 1), st.sampled_from([1000, 1500, 2047, 0x8000, 0xFFFF])
+    )
+    times = st.one_of(st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 10_000, 20_000, 20_001]))
+    for _ in range(data.draw(st.integers(1, 40))):
+        if data.draw(st.booleans()):
+            bench.sync()
+        if data.draw(st.booleans()):
+            bench.sent(Frame(0x190, struct.pack("<HH", data.draw(words), data.draw(words))))
+        flags = struct.pack("<IBH", data.draw(times), data.draw(st.integers(0, 3)), data.draw(words))
+        bench.sent(Frame(0x290, flags))
+    assert bench.sdo[0x1001].raw >= 0

@@ -15,16 +15,14 @@ from canfb.module.interval import IntervalEstimate
 from canfb.module.parameters import Limits, apply_defaults, configured_defaults
 from canfb.module.profile import EncoderProfile
 from canfb.module.publication import Publication
+from canfb.module.sample_input import SampleInput
 from canfb.module.table_store import TableStore
 from canfb.signal.chain import Feedback, SignalChain
-from canfb.signal.sample import Sample
 from canfb.signal.supervision import VALID
 
 EDS = "canfb-module"
-SAMPLE_INVALID = 1 << 1  # 2000:06
 POSITION_REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE
 BAD_FRAMES = 8  # 2012:08
-SINE, COSINE = (0x2000, 1), (0x2000, 2)
 TPDOS = (1, 2, 3, 4)
 ON_EVENT = EVENT_DRIVEN | {0}  # transmission types; 0 goes out at the SYNC after the event
 
@@ -47,12 +45,10 @@ class FeedbackModule:
         self._limits = Limits(self.dictionary, self.chain, self._interval)
         self._tables = TableStore(self.dictionary, self.chain)
         self._profile = EncoderProfile(self.dictionary)
-        self._publication = Publication(self.dictionary, self._interval)
-        self._sine, self._cosine = self.dictionary.entry(0x2000, 1), self.dictionary.entry(0x2000, 2)
-        self._flags = self.dictionary.entry(0x2000, 6)
+        self._input = SampleInput(self.dictionary, self.node)
+        self._publication = Publication(self.dictionary, self._interval, self.chain, self._input)
         self._bad_frames = self.dictionary.entry(0x2012, BAD_FRAMES)
         self._feedback: Feedback | None = None
-        self._sample_rpdo: int | None = None
         self._event_tpdos: list[int] = []
         self._alarmed = False
         self._listen()
@@ -97,20 +93,27 @@ class FeedbackModule:
         self._sampled = False  # a sample came since OPERATIONAL
 
     def _on_rpdo(self, number: int, now: float) -> None:
-        if number != self._sample_rpdo:
-            return  # other objects of 2000h; they are used with the next sample
-        if self._sample_came and self._synced:  # one sample per SYNC: this is a repeated one
-            self._bad_frames.value = (self._bad_frames.value + 1) & 0xFFFFFFFF
+        if not self._input.take(number):
+            return
+        # One sample per SYNC: a second one is a repeated one, unless sample times tell them apart.
+        if self._sample_came and self._synced and not self._input.timed:
+            self._count_bad_frame()
             return
         self._sample_came = self._sampled = True
         if not self._synced:
             self._interval.event(now)
         self._limits.follow()
-        invalid = self._flags.value & SAMPLE_INVALID != 0
-        self._publish(self.chain.step(Sample(self._sine.value, self._cosine.value, 1.0, invalid)), now)
+        self.chain.interval_s = self._interval.seconds
+        feedback = self.chain.step(self._input.sample())
+        if feedback is self._feedback:  # its time has told that it is the last one again
+            self._count_bad_frame()
+        else:
+            self._publish(feedback, now)
 
     def _on_sync(self, counter: int | None, now: float) -> None:
         self._interval.event(now)
+        if self._input.give_up():
+            self._count_bad_frame()
         if self._synced and self._sampled and not self._sample_came:
             known_as_lost = self.chain.lost
             self._publish(self.chain.miss(), now, send=not known_as_lost)
@@ -156,8 +159,8 @@ class FeedbackModule:
         self._publication.reset()
 
     def _on_configured(self) -> None:
-        """The RPDO that brings both tracks is the sample, whichever it is; some TPDOs go out with it."""
-        self._sample_rpdo = self.node.rpdo_with(SINE, COSINE)
+        """A sample comes in whichever RPDOs carry its parts; some TPDOs go out with it."""
+        self._input.configure()
         self._event_tpdos = [number for number in TPDOS if self._is_event_tpdo(number)]
 
     def _is_event_tpdo(self, number: int) -> bool:
@@ -165,4 +168,7 @@ class FeedbackModule:
         return is_valid(cob_id) and kind in ON_EVENT
 
     def _on_bad_rpdo(self, number: int, received: int, mapped: int, now: float) -> None:
+        self._count_bad_frame()
+
+    def _count_bad_frame(self) -> None:
         self._bad_frames.value = (self._bad_frames.value + 1) & 0xFFFFFFFF

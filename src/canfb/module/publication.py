@@ -7,17 +7,27 @@ import math
 from canfb.device.dictionary import Dictionary
 from canfb.module.interval import IntervalEstimate
 from canfb.module.position import PHASE_UNITS
-from canfb.signal.chain import Feedback
-from canfb.signal.supervision import AMPLITUDE, CLIPPED, COASTING, LOST, MISSED, RESIDUAL
+from canfb.module.sample_input import SampleInput
+from canfb.signal.chain import Feedback, SignalChain
+from canfb.signal.supervision import AMPLITUDE, CLIPPED, COARSE, COASTING, FROZEN, LOST, MISSED, RESIDUAL
 
 FEEDBACK, COUNTERS = 0x2011, 0x2012
 U16, U32 = 0xFFFF, 0xFFFFFFFF
 SIXTEEN_BITS = 65536.0
 LARGEST_REAL32 = 3.4e38
-# Sub-index of 2012h and the status bit that it counts; clipping counts as an amplitude fault.
-COUNTED = ((1, MISSED), (2, RESIDUAL), (3, AMPLITUDE | CLIPPED), (4, COASTING))
-LOST_COUNTER = 5
-FAULTS = MISSED | RESIDUAL | AMPLITUDE | CLIPPED | COASTING | LOST
+# Sub-index of 2012h and the status bit that it counts; clipping counts as an amplitude fault, too.
+COUNTED = (
+    (1, MISSED),
+    (2, RESIDUAL),
+    (3, AMPLITUDE | CLIPPED),
+    (4, COASTING),
+    (9, CLIPPED),
+    (10, FROZEN),
+    (11, COARSE),
+)
+LOST_COUNTER, RECOVERED_COUNTER, PULSE_COUNTER, SET_RIGHT_COUNTER = 5, 6, 7, 12
+FAULTS = MISSED | RESIDUAL | AMPLITUDE | CLIPPED | COASTING | LOST | FROZEN | COARSE
+LARGEST_INTEGER32 = 0x7FFFFFFF
 
 
 NOTHING = Feedback(0.0, 0.0, 0.0, math.nan, 0, 0.0, 0.0, 0, 0.0, 0.0, 0, 0)
@@ -29,7 +39,9 @@ class Publication:
     What the default PDOs do not hold is computed when it is read, because few samples are asked for it.
     """
 
-    def __init__(self, dictionary: Dictionary, interval: IntervalEstimate) -> None:
+    def __init__(
+        self, dictionary: Dictionary, interval: IntervalEstimate, chain: SignalChain, source: SampleInput
+    ) -> None:
         entry = dictionary.entry
         self._status, self._residual, self._samples = (entry(FEEDBACK, n) for n in (1, 2, 8))
         entry(FEEDBACK, 3).on_read = self._phase
@@ -37,7 +49,12 @@ class Publication:
         entry(FEEDBACK, 5).on_read = self._amplitude
         entry(FEEDBACK, 6).on_read = self._raw_phase
         entry(FEEDBACK, 7).on_read = self._velocity
-        self._counters = {n: entry(COUNTERS, n) for n in range(1, 9)}
+        entry(FEEDBACK, 9).on_read = self._acceleration
+        entry(FEEDBACK, 10).on_read = self._jump
+        entry(COUNTERS, RECOVERED_COUNTER).on_read = lambda: chain.reference.recovered & U32
+        entry(COUNTERS, SET_RIGHT_COUNTER).on_read = lambda: chain.reference.set_right & U32
+        entry(COUNTERS, PULSE_COUNTER).on_read = lambda: source.pulses & U32
+        self._counters = {n: entry(COUNTERS, n) for n in range(1, 13)}
         self._cycles_per_revolution = entry(0x2001, 1)
         self._interval = interval
         self.reset()
@@ -74,12 +91,22 @@ class Publication:
         return int(self._last_raw * SIXTEEN_BITS)
 
     def _velocity(self) -> float:
+        return self._rad_s(self._last.speed_cycles, 1)
+
+    def _acceleration(self) -> float:
+        return self._rad_s(self._last.acceleration_cycles, 2)
+
+    def _rad_s(self, per_interval: float, power: int) -> float:
+        """Cycles per interval, or per interval squared, in rad and s; what REAL32 cannot hold is cut off."""
         interval_s = self._interval.seconds
         if interval_s <= 0.0:
             return 0.0
         rad_per_cycle = 2.0 * math.pi / float(self._cycles_per_revolution.value)
-        velocity = self._last.speed_cycles * rad_per_cycle / interval_s
-        return max(-LARGEST_REAL32, min(velocity, LARGEST_REAL32))
+        value = per_interval * rad_per_cycle / interval_s**power
+        return max(-LARGEST_REAL32, min(value, LARGEST_REAL32))
+
+    def _jump(self) -> int:
+        return max(-LARGEST_INTEGER32, min(self._last.jump_cycles, LARGEST_INTEGER32))
 
     def _count(self, status: int) -> None:
         for subindex, bits in COUNTED:

@@ -14,7 +14,16 @@ from canfb.signal.phase import raw_phase
 from canfb.signal.recovery import Recovery
 from canfb.signal.reference import Reference
 from canfb.signal.sample import Sample
-from canfb.signal.supervision import FROZEN, MISSED, TABLE_ACTIVE, VALID, SampleLimits, Supervision
+from canfb.signal.supervision import (
+    FROZEN,
+    LOST,
+    MISSED,
+    REFERENCED,
+    TABLE_ACTIVE,
+    VALID,
+    SampleLimits,
+    Supervision,
+)
 from canfb.signal.tracker import RESIDUAL_LIMIT, Track, Tracker, check_residual_limit
 from canfb.signal.zero_pulse import ZeroPulse
 
@@ -146,6 +155,7 @@ class SignalChain:
         self._speed = self._trusted_speed = 0.0
         self._counts = (math.nan, math.nan)
         self._time_100ns: int | None = None
+        self._last: Feedback | None = None
         self._waited = 0.0  # intervals without a sample since the last time stamp
         self._clock = 0.0  # intervals since the start
         self._before: Track | None = None  # the sample before, if it was taken
@@ -164,6 +174,11 @@ class SignalChain:
     def conditioning(self) -> Conditioning:
         """The active conditioning."""
         return self._conditioning
+
+    @property
+    def reference(self) -> Reference:
+        """What coarse track and zero pulse have told."""
+        return self._reference
 
     @property
     def lost(self) -> bool:
@@ -201,6 +216,7 @@ class SignalChain:
     def _make_reference(self, cycles_per_revolution: int, full_scale_counts: int) -> None:
         coarse = CoarseTrack(cycles_per_revolution, full_scale_counts, 0.25)
         self._reference = Reference(self._recovery, coarse, ZeroPulse(cycles_per_revolution))
+        self._referenced = 0
 
     def activate(self, table: CorrectionTable | None, conditioning: Conditioning) -> None:
         """Take a table (None: the identity) and a conditioning together, between two samples."""
@@ -225,16 +241,23 @@ class SignalChain:
         self._pause()
 
     def _pause(self) -> None:
-        self._time_100ns = None
+        self._time_100ns = self._last = None
+        self._referenced = REFERENCED if self._reference.zero.referenced else 0
         self._waited = 0.0
         self._before = None
         self._counts = (math.nan, math.nan)
         self._speed = self._trusted_speed = 0.0
 
     def step(self, sample: Sample) -> Feedback:
-        """Take one sample through the whole chain. A bad sample is flagged, it never raises."""
+        """Take one sample through the whole chain. A bad sample is flagged, it never raises.
+
+        A sample with the time of the one before is that one again: the same Feedback, the
+        same object, is returned, and nothing changes.
+        """
         sine, cosine, elapsed, bad, coarse, _, zero_pulse, time_100ns = sample
         if time_100ns is not None:
+            if time_100ns == self._time_100ns and self._last is not None:
+                return self._last  # a repeated sample tells nothing new
             elapsed = self._elapsed(time_100ns, elapsed)
         offset_s, gain_s, offset_c, factor_c, skew = self._coefficients
         s = (sine - offset_s) * gain_s
@@ -268,6 +291,7 @@ class SignalChain:
         if coarse is not None or zero_pulse is not None:
             before = self._before if measured else None
             bits, jump = self._reference.apply(sample, track, bits, before, self._clock, elapsed)
+            self._referenced = REFERENCED if self._reference.zero.referenced else 0
         self._before = track if measured and jump == 0 else None
         if elapsed > MISSED_INTERVALS:
             bits |= MISSED
@@ -299,8 +323,11 @@ class SignalChain:
         acceleration, self._speed = speed - self._speed, speed
         self._trusted_speed = speed if bits & VALID else 0.0
         status = bits | self._base_status
+        if self._referenced and not bits & LOST:
+            status |= REFERENCED
         # The constructor of a named tuple takes twice the time of what it calls.
-        return tuple.__new__(
+        self._last = tuple.__new__(
             Feedback,
             (s, c, amplitude, raw, cycles, phase, residual, status, speed, acceleration, jump, samples),
         )
+        return self._last

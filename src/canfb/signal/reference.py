@@ -12,7 +12,7 @@ import math
 from canfb.signal.coarse import CoarseTrack
 from canfb.signal.recovery import Recovery
 from canfb.signal.sample import Sample
-from canfb.signal.supervision import COARSE, COASTING, LOST, REFERENCED, VALID
+from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
 from canfb.signal.tracker import Track
 from canfb.signal.zero_pulse import ZeroPulse
 
@@ -27,6 +27,10 @@ class Reference:
         self._recovery = recovery
         self.coarse = coarse
         self.zero = zero
+        self.recovered = 0
+        """How often the coarse track told a lost speed."""
+        self.set_right = 0
+        """How often a zero pulse found the count wrong and set it right."""
         self.restart()
 
     def restart(self, keep: bool = False) -> None:
@@ -60,8 +64,6 @@ class Reference:
             bits, jump = self._pulse(cycles, phase, time - (1.0 - place) * elapsed, track, bits, angle)
         if self._recovery.lost and not was_lost:
             self._begin_search()
-        if self.zero.referenced and not bits & LOST:
-            bits |= REFERENCED
         return bits, jump
 
     def missed(self) -> None:
@@ -92,6 +94,8 @@ class Reference:
         jump = coarse.nearest_cycles(angle, track.cycles, track.phase) - track.cycles if coarse.aligned else 0
         if missing or (jump and self._recovery.lost):
             self._recovery.found(jump if self._recovery.lost else 0, missing)
+        if missing or self._recovery.lost:
+            self.recovered += 1
         self._range_known = self._proven = True
         if not self._recovery.lost:
             coarse.align(angle, track.cycles, track.phase)
@@ -130,6 +134,7 @@ class Reference:
         if not self.zero.referenced:
             self.zero.set_place(cycles, phase)
         jump = -self.zero.error_cycles(cycles, phase)
+        self.set_right += jump != 0
         self._recovery.found(jump, 0)
         self._recovery.vouch()
         if angle is not None:
@@ -144,6 +149,7 @@ class Reference:
         error = self.zero.error_cycles(cycles, phase)
         if error == 0:
             return bits, 0
+        self.set_right += 1
         self._recovery.found(-error, 0)
         return bits & ~VALID | COASTING, -error
 

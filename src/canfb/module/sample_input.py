@@ -1,0 +1,86 @@
+"""Object 2000h: a sample put together from the RPDOs that carry its parts."""
+
+from __future__ import annotations
+
+from canfb.device.dictionary import Dictionary
+from canfb.device.node import Node
+from canfb.signal.sample import Sample
+
+INPUT = 0x2000
+SINE, COSINE, COARSE_SINE, COARSE_COSINE, TIME, FLAGS, PULSE_PLACE = range(1, 8)
+ZERO_PULSE, SAMPLE_INVALID = 1 << 0, 1 << 1  # 2000:06
+PLACES = 65536.0  # 2000:07 counts the interval in 1/65536
+
+
+class SampleInput:
+    """Waits for all RPDOs that bring a part of 2000h, then gives the sample.
+
+    Both tracks must come in one RPDO: they belong to one instant. What no RPDO brings is not used.
+    """
+
+    def __init__(self, dictionary: Dictionary, node: Node) -> None:
+        self._node = node
+        self._entries = [dictionary.entry(INPUT, n) for n in range(1, 8)]
+        self._sine, self._cosine = self._entries[:2]
+        self._wanted = self._arrived = 0  # bit n: RPDO n
+        self.pulses = 0
+        """Zero pulses seen."""
+
+    def configure(self) -> None:
+        """Find out which RPDOs bring what; called when PDO parameters or the NMT state change."""
+        with_ = self._node.rpdo_with
+        tracks = with_((INPUT, SINE), (INPUT, COSINE))
+        coarse = with_((INPUT, COARSE_SINE), (INPUT, COARSE_COSINE))
+        time, flags, place = (with_((INPUT, n)) for n in (TIME, FLAGS, PULSE_PLACE))
+        self._wanted = 0
+        if tracks is not None:
+            parts = {number for number in (tracks, coarse, time, flags, place) if number is not None}
+            self._wanted = sum(1 << number for number in parts)
+        self._plain = tracks is not None and coarse is time is None
+        self._with_coarse, self._with_time = coarse is not None, time is not None
+        self._with_flags, self._with_place = flags is not None, place is not None
+        self._arrived = 0
+
+    @property
+    def timed(self) -> bool:
+        """True if each sample brings its time."""
+        return self._with_time
+
+    def take(self, number: int) -> bool:
+        """RPDO ``number`` has come; True if the sample is complete with it."""
+        if not self._wanted >> number & 1:
+            return False
+        self._arrived |= 1 << number
+        if self._arrived != self._wanted:
+            return False
+        self._arrived = 0
+        return True
+
+    def give_up(self) -> bool:
+        """The interval is over; True if parts of a sample came, but not all."""
+        parts, self._arrived = self._arrived, 0
+        return parts != 0
+
+    def sample(self) -> Sample:
+        """The sample of the parts that have come."""
+        flags = self._entries[FLAGS - 1].value
+        invalid = flags & SAMPLE_INVALID != 0
+        if self._plain and not self._with_flags:
+            return Sample(self._sine.value, self._cosine.value, 1.0, invalid)
+        pulse = None
+        if self._with_flags and flags & ZERO_PULSE:
+            self.pulses += 1
+            pulse = self._entries[PULSE_PLACE - 1].value / PLACES if self._with_place else 1.0
+        coarse_sine, coarse_cosine, time = (
+            self._entries[n - 1].value for n in (COARSE_SINE, COARSE_COSINE, TIME)
+        )
+        return Sample(
+            self._sine.value,
+            self._cosine.value,
+            1.0,
+            invalid,
+            coarse_sine if self._with_coarse else None,
+            coarse_cosine if self._with_coarse else None,
+            pulse,
+            time if self._with_time else None,
+        )
