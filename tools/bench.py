@@ -53,7 +53,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: list[float]) -> Spread:
-        lower, median, upper = statistics.quantiles(values, n=4)
+        lower, median, upper = statistics.quantiles(values, n=4, method="inclusive")
         return cls(median, lower, upper)
 
 

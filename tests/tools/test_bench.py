@@ -1,0 +1,71 @@
+"""tools/bench.py on very little work: what it measures is checked by itself, what it prints here."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+TOOLS = Path(__file__).parents[2] / "tools"
+sys.path.insert(0, str(TOOLS))
+
+import bench  # noqa: E402
+
+LITTLE = ["--repeat", "2", "--cycles", "100", "--samples", "1000"]
+
+
+def spread(median: float) -> bench.Spread:
+    return bench.Spread(median, median, median)
+
+
+def result(ratio: float, goal: float | None) -> bench.Result:
+    return bench.Result("name", "ours", "other", "us", spread(1.0), spread(1.0), spread(ratio), goal)
+
+
+def test_json_has_machine_and_every_comparison(capsys: pytest.CaptureFixture[str]) -> None:
+    assert bench.main(["--json", *LITTLE]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert {"processor", "python", "numpy", "canopen"} <= set(printed["machine"])
+    goals = {one["name"]: one["goal"] for one in printed["results"]}
+    assert goals == {
+        "cycle": 1.0, "cycle, can.Message": None, "1000 samples, float64": 1.0, "1000 samples, int16": 1.0,
+        "tracker": None, "chain": None,
+    }  # fmt: skip
+    for one in printed["results"]:
+        for key in ("ours_time", "other_time", "ratio"):
+            assert 0.0 < one[key]["lower"] <= one[key]["median"] <= one[key]["upper"]
+
+
+def test_text_names_what_is_compared(capsys: pytest.CaptureFixture[str]) -> None:
+    assert bench.main(["--only", "int16", *LITTLE]) == 0
+    printed = capsys.readouterr().out
+    assert "1000 samples, int16: ratio" in printed
+    assert "numpy.unwrap(numpy.arctan2(s, c))" in printed
+    assert "float64" not in printed
+
+
+@pytest.mark.parametrize("wrong", [["--repeat", "1"], ["--cycles", "99"], ["--only", "nothing"]])
+def test_wrong_use_is_told(wrong: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as error:
+        bench.main([*LITTLE, *wrong])
+    assert error.value.code == 2
+    assert "error:" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("ratio", "goal", "missed"), [(0.99, 1.0, False), (1.0, 1.0, True), (9.0, None, False)]
+)
+def test_a_goal_is_missed_from_its_value_on(ratio: float, goal: float | None, missed: bool) -> None:
+    assert result(ratio, goal).is_missed == missed
+
+
+def test_check_tells_by_the_exit_status(monkeypatch: pytest.MonkeyPatch) -> None:
+    for ratio, status in ((0.5, 0), (1.5, 1)):
+        monkeypatch.setattr(bench.Comparison, "run", lambda self, repeat, ratio=ratio: result(ratio, 1.0))
+        assert bench.main(["--check", "--only", "tracker", *LITTLE]) == status
+
+
+def test_median_and_quartiles() -> None:
+    assert bench.Spread.of([4.0, 1.0, 2.0, 3.0, 5.0]) == bench.Spread(3.0, 2.0, 4.0)
