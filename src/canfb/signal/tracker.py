@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.blocks import Scratch, blocks
+from canfb.signal.double_sum import cycle_counts
 from canfb.signal.phase import FloatArray
 
 RESIDUAL_LIMIT = 1.0 / 3.0
@@ -305,7 +306,7 @@ def _steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, sc
     _, _, cycles, step = tracker.state()
     phase, run = result.phase, slice(start, stop)
     residual = result.residual[run]
-    c, turns, steps = (array[: stop - start] for array in (scratch.a, scratch.b, scratch.index))
+    c, turns = scratch.a[: stop - start], scratch.b[: stop - start]
     np.multiply(phase[start - 1 : stop - 1], 2.0, out=c)
     c -= phase[start - 2 : stop - 2]
     c -= phase[run]
@@ -313,12 +314,7 @@ def _steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, sc
     np.subtract(turns, c, out=residual)
     np.abs(residual, out=residual)
     np.less(residual, tracker.residual_limit, out=result.ok[run])
-    steps[:] = turns
-    steps[0] += step
-    np.add.accumulate(steps, out=steps)
-    last_step = int(steps[-1])
-    steps[0] += cycles
-    np.add.accumulate(steps, out=result.cycles[run])
+    last_step = cycle_counts(turns, cycles, step, result.cycles[run], scratch)
     tracker.set_state(float(phase[stop - 2]), float(phase[stop - 1]), int(result.cycles[stop - 1]), last_step)
 
 
