@@ -162,11 +162,12 @@ def test_the_contract_is_kept(name: str, line: str) -> None:
         assert f"{entry.section.number('LowLimit')}..{entry.section.number('HighLimit')}" == limit
 
 
-def test_the_counters_are_in_the_order_of_the_contract() -> None:
+def test_the_counters_are_in_the_order_of_the_contract_and_ours_follow() -> None:
     counters = canopen.import_od(str(eds_path(MODULE)), 32)[0x2012]
     assert [counters[sub].name for sub in sorted(counters)[1:]] == [
         *("Missed samples", "Residual faults", "Amplitude faults", "Coasted samples"),
         *("Position lost", "Recovered by coarse track", "Zero pulses", "Bad frames"),
+        *("Clipped samples", "Frozen samples", "Coarse track disagreements", "Set right by zero pulse"),
     ]
 
 
