@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
@@ -17,9 +19,13 @@ LARGEST_SCATTER = 0.25
 # The object dictionary holds the gains as REAL32; more of a difference than this is a dead track.
 LARGEST_RATIO = 20.0
 STANDSTILL_COUNTS = 8.0
-# A whole ellipse passes through some 90 squares of the grid, a motion that is locked at a
+# A whole ellipse passes through some 90 squares of the grid, a motion that is locked at an
 # eighth of a cycle per sample meets 8 places, on edges up to 24.
+SQUARES_OF_ELLIPSE = 90
 MIN_PLACES = 25
+# Percent of the samples to leave out at either end of the tracks for the start: few, or many faults.
+MARGINS = (1.0, 8.0)
+NEAR = 0.15
 
 
 def fit_ellipse(
@@ -55,52 +61,111 @@ def angle_cycles(conditioning: Conditioning, sine: FloatArray, cosine: FloatArra
 
 
 def _robust_fit(s: FloatArray, c: FloatArray) -> Conditioning:
-    # Start from the middle of what the tracks cover, faults at the ends left out.
-    low_s, high_s = np.percentile(s, [1.0, 99.0])
-    low_c, high_c = np.percentile(c, [1.0, 99.0])
-    half = np.array([high_s - low_s, high_c - low_c]) / 2.0
-    if half.max() < STANDSTILL_COUNTS:
+    best, most = None, 0.5
+    keep = _thinned(s, c)
+    for margin in MARGINS:
+        start = _Box.of(s[keep], c[keep], margin)
+        fit, part = start.fit(s[keep], c[keep])
+        if fit is not None and part > most:
+            best, most = start.conditioning(fit), part
+    if best is None:
+        raise CalibrationError(
+            "the samples lie on no ellipse: a dead track, noise, or too short a way", "ellipse"
+        )
+    return best
+
+
+def _thinned(s: FloatArray, c: FloatArray) -> npt.NDArray[np.int64]:
+    """Samples with no more in one place than an even motion would leave there."""
+    box = _Box.of(s, c, MARGINS[0])
+    if box.half.max() < STANDSTILL_COUNTS:
         raise CalibrationError(
             "the tracks hardly change: the machine stands still, or goes through a whole number of "
             "cycles per sample",
             "coverage",
         )
-    if not (half.min() > 2.0 and half.max() / half.min() < LARGEST_RATIO):
+    if not (box.half.min() > 2.0 and box.half.max() / box.half.min() < LARGEST_RATIO):
         raise CalibrationError(
-            f"the tracks span {2 * half[0]:.0f} and {2 * half[1]:.0f} counts: no ellipse. "
+            f"the tracks span {2 * box.half[0]:.0f} and {2 * box.half[1]:.0f} counts: no ellipse. "
             "Check the wiring of the tracks, and let the machine move",
             "ellipse",
         )
-    x = (s - (low_s + high_s) / 2.0) / half[0]
-    y = (c - (low_c + high_c) / 2.0) / half[1]
-    if _places(x, y) < MIN_PLACES:
+    place = _places(*box.scaled(s, c))
+    counts = np.bincount(place)
+    if np.sum(counts > max(1, len(s) // 2000)) < MIN_PLACES:
         raise CalibrationError(
             "the samples lie in a few places only: the motion is locked to them. Change the speed", "locked"
         )
-    radius = np.hypot(x, y)
-    keep = (radius > 0.3) & (radius < 1.7)
-    fit = None
-    for _ in range(ROUNDS):
-        fit = _conic(x[keep], y[keep])
-        if fit is None:
-            break
-        off = np.abs(_radius(fit, x, y) - 1.0)
-        limit = max(REJECT_SIGMAS * 1.4826 * float(np.median(off)), MIN_SCATTER)
-        before, keep = keep, off < limit
-        if np.array_equal(before, keep):
-            break
-    if fit is None or np.mean(keep) < 0.5 or float(np.std(_radius(fit, x, y)[keep])) > LARGEST_SCATTER:
-        raise CalibrationError(
-            "the samples lie on no ellipse: a dead track, noise, or too short a way", "ellipse"
-        )
-    return _conditioning(fit, half, np.array([(low_s + high_s) / 2.0, (low_c + high_c) / 2.0]))
+    order = np.argsort(place, kind="stable")
+    first = np.cumsum(counts) - counts
+    # Every so many-th of an overfull place, so that all of the recording has its part.
+    every = 1 + counts // max(8, len(s) // SQUARES_OF_ELLIPSE * 2)
+    rank = np.arange(len(s)) - first[place[order]]
+    return np.sort(order[rank % every[place[order]] == 0])
 
 
-def _places(x: FloatArray, y: FloatArray) -> int:
-    """Squares of a 32 x 32 grid over the tracks that hold more than a stray sample."""
+def _places(x: FloatArray, y: FloatArray) -> npt.NDArray[np.int64]:
+    """Square of a 32 x 32 grid in which each sample lies."""
     column = np.clip((x + 1.0) * 16.0, 0, 31).astype(np.int64)
     row = np.clip((y + 1.0) * 16.0, 0, 31).astype(np.int64)
-    return int(np.sum(np.bincount(32 * row + column) > max(1, len(x) // 2000)))
+    return np.asarray(32 * row + column, np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class _Box:
+    """What the tracks span: middle and half width, counts."""
+
+    middle: FloatArray
+    half: FloatArray
+
+    @classmethod
+    def of(cls, s: FloatArray, c: FloatArray, margin: float) -> _Box:
+        """Span of all but ``margin`` percent of the samples at either end."""
+        ends = np.array([np.percentile(track, [margin, 100.0 - margin]) for track in (s, c)])
+        # A sine is above cos(pi p) for the part p of its cycle.
+        return cls(ends.mean(axis=1), (ends[:, 1] - ends[:, 0]) / 2.0 / np.cos(np.pi * margin / 100.0))
+
+    def scaled(self, s: FloatArray, c: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return (s - self.middle[0]) / self.half[0], (c - self.middle[1]) / self.half[1]
+
+    def fit(self, s: FloatArray, c: FloatArray) -> tuple[FloatArray | None, float]:
+        """Conic in scaled tracks, and the part of the samples that lie near it."""
+        x, y = self.scaled(s, c)
+        radius = np.hypot(x, y)
+        keep = (radius > 0.3) & (radius < 1.7)
+        fit = None
+        for _ in range(ROUNDS):
+            fit = _conic(x[keep], y[keep])
+            if fit is None:
+                return None, 0.0
+            off = np.abs(_radius(fit, x, y) - 1.0)
+            limit = max(REJECT_SIGMAS * 1.4826 * float(np.median(off)), MIN_SCATTER)
+            before, keep = keep, off < limit
+            if np.array_equal(before, keep):
+                break
+        assert fit is not None
+        off = _radius(fit, x, y) - 1.0
+        if np.mean(keep) < 0.5 or float(np.std(off[keep])) > LARGEST_SCATTER:
+            return None, 0.0
+        return fit, float(np.mean(np.abs(off) < NEAR))
+
+    def conditioning(self, fit: FloatArray) -> Conditioning:
+        """Conditioning of the conic ``fit``."""
+        amplitude = np.sqrt(fit[[2, 4]]) * self.half
+        mean = np.sqrt(amplitude[0] * amplitude[1])
+        offset = self.middle + fit[:2] * self.half
+        try:
+            return as_real32(
+                Conditioning(
+                    sine_offset_counts=float(offset[0]),
+                    cosine_offset_counts=float(offset[1]),
+                    sine_gain=float(mean / amplitude[0]),
+                    cosine_gain=float(mean / amplitude[1]),
+                    phase_error_rad=float(np.arcsin(fit[3] / np.sqrt(fit[2] * fit[4]))),
+                )
+            )
+        except ValueError as error:
+            raise CalibrationError(f"the ellipse of the tracks is too narrow: {error}", "ellipse") from None
 
 
 def _conic(x: FloatArray, y: FloatArray) -> FloatArray | None:
@@ -124,23 +189,6 @@ def _radius(fit: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     dx, dy = x - fit[0], y - fit[1]
     radius: FloatArray = np.sqrt(shape[0, 0] * dx * dx + 2.0 * shape[0, 1] * dx * dy + shape[1, 1] * dy * dy)
     return radius
-
-
-def _conditioning(fit: FloatArray, half: FloatArray, middle: FloatArray) -> Conditioning:
-    amplitude_s, amplitude_c = np.sqrt(fit[2]) * half[0], np.sqrt(fit[4]) * half[1]
-    mean = np.sqrt(amplitude_s * amplitude_c)
-    try:
-        return as_real32(
-            Conditioning(
-                sine_offset_counts=middle[0] + fit[0] * half[0],
-                cosine_offset_counts=middle[1] + fit[1] * half[1],
-                sine_gain=mean / amplitude_s,
-                cosine_gain=mean / amplitude_c,
-                phase_error_rad=float(np.arcsin(fit[3] / np.sqrt(fit[2] * fit[4]))),
-            )
-        )
-    except ValueError as error:
-        raise CalibrationError(f"the ellipse of the tracks is too narrow: {error}", "ellipse") from None
 
 
 def as_real32(conditioning: Conditioning) -> Conditioning:

@@ -21,7 +21,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import FloatArray, raw_phases
 
-PEAK_SIGMAS = 3.0
+PEAK_SIGMAS = 4.0
 # The scatter of so many independent tables tells their error to some 15 %.
 PARTS = 8
 MIN_BLOCKS_OF_PART = 24
@@ -29,7 +29,7 @@ MIN_BLOCKS_OF_PART = 24
 
 def finish(record: Recording, solution: Solution, conditioning: Conditioning, entries: int) -> Calibration:
     """Table, figures and verdict. CalibrationError if the measurement cannot be used."""
-    fit, blocks, loss = solution
+    fit, blocks, loss, doubt = solution
     use = blocks.used
     position = blocks.evaluate(fit.motion)
     cycles = float(np.abs(np.diff(position, axis=1))[use[:, 1:] & use[:, :-1]].sum())
@@ -68,8 +68,8 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
         residual_peak=peak(after[moving]),
         before_rms=root_mean(before[moving]) * correct,
         before_peak=peak(before[moving]),
-        uncertainty_rms=max(expected, measured, systematic),
-        uncertainty_peak=PEAK_SIGMAS * max(float(spread.max()), measured, systematic),
+        uncertainty_rms=max(expected, measured, systematic, doubt),
+        uncertainty_peak=PEAK_SIGMAS * max(float(spread.max()), measured, systematic, doubt),
         noise_counts=fit.noise_counts,
         noise_cycles=fit.noise_cycles,
         bound_rms=bound,

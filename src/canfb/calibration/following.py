@@ -22,9 +22,8 @@ SEARCH_STEP = 1.0 / 32.0
 SEARCH_SAMPLES = 24
 # Spread of the phase steps at the right speed, as 1 - mean resultant: harmonics, acceleration.
 COHERENT = 0.05
-CLEARLY_BETTER = 0.25
 LINE_BLOCK = 16
-LINE_CERTAIN = 0.2
+LINE_CERTAIN = 3.0
 CORRECTIONS = 4
 
 
@@ -69,7 +68,7 @@ def _follow(phase: FloatArray, time: FloatArray, speed: float) -> FloatArray:
 
 
 def _starting_speed(phase: FloatArray, time: FloatArray) -> float:
-    """Speed at the start in cycles per interval; 0 unless the first steps clearly tell another."""
+    """Speed at the start in cycles per interval, the lowest that the first steps agree with; else 0."""
     seen = np.flatnonzero(~np.isnan(phase))[: SEARCH_SAMPLES + 1]
     if len(seen) < SEARCH_SAMPLES // 2:
         return 0.0
@@ -77,9 +76,8 @@ def _starting_speed(phase: FloatArray, time: FloatArray) -> float:
     speeds = np.arange(-FASTEST, FASTEST + SEARCH_STEP, SEARCH_STEP)
     turns = np.exp(2j * np.pi * (step - speeds[:, None] * elapsed))
     spread = 1.0 - np.abs(turns.mean(axis=1))
-    slow = float(spread[np.abs(speeds) <= 0.5].min())
     least = float(spread.min())
-    if least > COHERENT or least > CLEARLY_BETTER * slow:
+    if least > COHERENT:
         return 0.0
     alike = np.flatnonzero(spread <= 2.0 * least + 1e-4)
     return float(speeds[alike[np.argmin(np.abs(speeds[alike]))]])
@@ -104,4 +102,4 @@ def _wrong_line(position: FloatArray, phase: FloatArray, time: FloatArray) -> in
         return 0
     slope = float(np.sum(off[good] * lever[good])) / strength
     uncertain = float(np.sqrt(np.mean((off[good] - slope * lever[good]) ** 2) / strength))
-    return round(slope) if uncertain < LINE_CERTAIN else 0
+    return round(slope) if abs(slope) > LINE_CERTAIN * uncertain else 0

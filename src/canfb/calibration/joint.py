@@ -20,7 +20,7 @@ from canfb.signal.conditioning import IDENTITY
 from canfb.signal.phase import FloatArray
 
 CHUNK_SAMPLES = 8192  # keeps the temporaries in the processor's cache
-CONVERGED = 1e-3  # of the deviation of single samples
+CONVERGED = 1e-2  # of the deviation of single samples
 LARGEST_STEP_CYCLES = 0.1
 
 
@@ -63,16 +63,15 @@ class JointFit:
         return self.noise.along / float(np.sqrt(np.mean(self.speed**2)))
 
 
-def initial_fit(
-    blocks: Blocks, sine: FloatArray, cosine: FloatArray, position: FloatArray, orders: tuple[int, ...]
-) -> tuple[Waveform, FloatArray]:
-    """First values: polynomials through the tracked positions, tracks by least squares over them."""
-    motion = blocks.smooth(position[blocks.index])
+def initial_waveform(
+    blocks: Blocks, sine: FloatArray, cosine: FloatArray, motion: FloatArray, orders: tuple[int, ...]
+) -> Waveform:
+    """Tracks by least squares over the positions of ``motion``."""
     use = blocks.used
     columns = basis(blocks.evaluate(motion)[use], orders)
     both = np.column_stack([sine[blocks.index][use], cosine[blocks.index][use]])
     solution = np.asarray(np.linalg.lstsq(columns, both, rcond=None)[0], np.float64)
-    return Waveform(orders, solution[:, 0], solution[:, 1]), motion
+    return Waveform(orders, solution[:, 0], solution[:, 1])
 
 
 def fit_jointly(
@@ -90,8 +89,9 @@ def fit_jointly(
         system = _System(blocks, sine, cosine, waveform, motion, weigh)
         waveform, motion, step = system.step()
         if step < CONVERGED * system.deviation_cycles():
-            break
-    return _System(blocks, sine, cosine, waveform, motion, weigh).result()
+            # The residuals before a step so small serve as those after it.
+            return system.result(waveform, motion)
+    return _System(blocks, sine, cosine, waveform, motion, weigh).result(waveform, motion)
 
 
 def bound_covariance(
@@ -229,7 +229,7 @@ class _System:
         )
         return waveform, self.motion + motion, step
 
-    def result(self) -> JointFit:
+    def result(self, waveform: Waveform, motion: FloatArray) -> JointFit:
         blocks, size = self.blocks, len(self.right)
         use = blocks.used
         across = np.sqrt(np.sum(self.across[use] ** 2) / max(1.0, blocks.samples - size / 2.0))
@@ -238,8 +238,8 @@ class _System:
         # Weights were relative: scale them to the noise found.
         scale = max((noise.along / self.noise.along) ** 2, (noise.across / self.noise.across) ** 2)
         return JointFit(
-            self.waveform,
-            self.motion,
+            waveform,
+            motion,
             self.along,
             self.across,
             self.speed,

@@ -8,11 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from canfb.calibration.blocks import CUBIC, Blocks, BoolArray, cut
-from canfb.calibration.joint import JointFit, fit_jointly, information_loss, initial_fit
+from canfb.calibration.blocks import CUBIC, Blocks, cut
+from canfb.calibration.joint import JointFit, fit_jointly, information_loss, initial_waveform
 from canfb.calibration.judgement import LOCKED_LOSS, MAX_OFF_CYCLES, check_smooth, check_way, no_fit
 from canfb.calibration.recording import MIN_SAMPLES, Recording, coverage
-from canfb.calibration.waveform import Waveform, grid_phases, table_sensitivity
+from canfb.calibration.selection import (
+    MIN_BLOCKS,
+    reject,
+    rows_used,
+    significant_orders,
+    uncertainty,
+)
+from canfb.calibration.waveform import Waveform, grid_phases
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.phase import FloatArray
@@ -26,28 +33,39 @@ class Shape(NamedTuple):
 
 
 FIRST_ORDERS = tuple(range(1, 7))
-ORDER_STEPS = (8, 16, 32)
-# An order stays if its four coefficients stand out of the noise: chi^2 with four degrees of freedom.
-SIGNIFICANT = 16.0
+ORDER_STEPS = (16, 32)
+SAMPLES_PER_ORDER = 30
 STIFF = tuple(Shape(length, CUBIC) for length in (12, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096))
 LIVELY_NOISE = 1.15
+# With noise alone, all orders are at most this much less certain than the few that show.
+DOUBTFUL = 5.0
+# And at most this much less certain than if every sample met another phase.
+INSEPARABLE = 20.0
 WAY_SAMPLES = 64
-MIN_BLOCKS = 8
 # Enough to choose the block length by.
 TRIAL_SAMPLES = 8000
 TRIAL_ROUNDS = 4
-REJECT_SIGMAS = 6.0
-REJECT_BLOCK = 4.0
-QUANTISATION_COUNTS = 0.3
-COARSE_CYCLES = 0.05
+
+
+class Start(NamedTuple):
+    """Tracked positions of all samples, cycles, and the tracks they belong to if known."""
+
+    position: FloatArray
+    waveform: Waveform | None
 
 
 class Solution(NamedTuple):
-    """Fit, the blocks used, and how many times the unknown motion made the uncertainty larger."""
+    """What was found.
+
+    loss   how many times the unknown motion made the uncertainty larger
+    doubt  uncertainty of the table, cycles, where the samples cannot rule out orders that do not
+           show: positions are unsteady, or tell some orders only together. Else 0
+    """
 
     fit: JointFit
     blocks: Blocks
     loss: float
+    doubt: float
 
 
 Progress = Callable[[float], None]
@@ -70,31 +88,35 @@ class Solver:
 
     def solve(self, angle: FloatArray) -> Solution:
         """Tracks and motion from the ellipse's ``angle`` (cycles). CalibrationError if there are none."""
-        position = self._positions(angle)
-        check_way(coverage(angle[self.record.valid]), self._way(position))
-        shape = self._choose_shape(position, FIRST_ORDERS)
-        self.report(0.4)
-        fit, blocks = self._fit(self._cut(shape), position)
-        loss = self._loss(blocks, position)
+        first = Start(self._positions(angle), None)
+        check_way(coverage(angle[self.record.valid]), self._way(first.position))
+        shape, lively = self._choose_shape(first, STIFF)
+        self.report(0.3)
+        fit, blocks = self._fit(self._cut(shape), first)
+        loss = self._loss(blocks, first.position)
         check_smooth(self._off_cycles(fit), loss)
-        fit, blocks = self._find_orders(fit, blocks)
-        if fit.waveform.orders[-1] > FIRST_ORDERS[-1]:
-            # What the first orders left looked like motion.
-            orders = fit.waveform.orders
-            shape = self._choose_shape(position, orders)
-            fit, blocks = self._find_orders(*self._fit(self._cut(shape), position, orders))
+        fit, blocks = self._more_orders(fit, blocks)
+        self.report(0.5)
+        many = significant_orders(fit)[-1] > FIRST_ORDERS[-1]
+        if many or lively or self.record.uneven or blocks.samples < int(self.record.valid.sum()):
+            # Better phases tell the speed better and follow the motion where the first ones lost
+            # it; what the first orders left looked like motion.
+            better = self._start(angle, fit.waveform)
+            if many or lively:
+                shape = self._choose_again(better, shape)
+            fit, blocks = self._more_orders(*self._fit(self._cut(shape), better))
         self.report(0.7)
-        if blocks.samples < int(self.record.valid.sum()):
-            # Better phases may follow the motion where the first ones lost it.
-            position = self._positions(self._improved(angle, fit.waveform))
-            again, more = self._fit(self._cut(shape), position, fit.waveform.orders)
-            if more.samples > blocks.samples:
-                fit, blocks = self._find_orders(again, more)
+        all_orders = uncertainty(fit, self.ellipse)
+        mixed = fit.noise_cycles * float(np.sqrt(len(fit.covariance) / blocks.samples))
+        if all_orders > INSEPARABLE * mixed:
+            raise no_fit("the samples meet too few different phases to tell the harmonics apart", np.inf)
+        fit, blocks = self._only_significant(fit, blocks)
+        doubt = all_orders if all_orders > DOUBTFUL * uncertainty(fit, self.ellipse) else 0.0
         off = max(self._off_cycles(fit), fit.noise.across / (2.0 * np.pi * self.amplitude_counts))
         telling = blocks.used[blocks.informative(blocks.evaluate(fit.motion))].sum()
         if self._curve(fit.waveform) is None or off > MAX_OFF_CYCLES or telling < MIN_SAMPLES:
             raise no_fit("tracks and motion cannot be told apart", loss)
-        return Solution(fit, blocks, loss)
+        return Solution(fit, blocks, loss, doubt)
 
     def _off_cycles(self, fit: JointFit) -> float:
         return fit.noise.along / (2.0 * np.pi * self.amplitude_counts)
@@ -116,14 +138,14 @@ class Solver:
     def _positions(self, phase: FloatArray) -> FloatArray:
         return self.record.positions(np.where(self.record.valid, phase, np.nan))
 
-    def _improved(self, angle: FloatArray, waveform: Waveform) -> FloatArray:
-        """Phase on the fitted curve at the ellipse's angle; the angle itself if the curve is no good."""
+    def _start(self, angle: FloatArray, waveform: Waveform) -> Start:
+        """Positions from the phases on the fitted curve; from the angle if that curve is no good."""
         curve = self._curve(waveform)
         if curve is None:
-            return angle
+            return Start(self._positions(angle), None)
         ahead = curve[0] + (angle - curve[0]) % 1.0
         phase: FloatArray = np.interp(ahead, curve, grid_phases()) % 1.0 % 1.0
-        return phase
+        return Start(self._positions(phase), waveform)
 
     def _curve(self, waveform: Waveform) -> FloatArray | None:
         """Angle of the waveform over the phase, None unless it rises through one cycle."""
@@ -136,49 +158,60 @@ class Solver:
         record = self.record
         return cut(record.time, record.valid, record.breaks, shape.length, shape.terms)
 
-    def _choose_shape(self, position: FloatArray, orders: tuple[int, ...]) -> Shape:
-        """Blocks that promise the least error: long and stiff ones know more, others follow the motion."""
-        best, least, lively = STIFF[1], np.inf, True
-        for shape in STIFF:
-            error, missed = self._promise(position, shape, orders)
+    def _choose_shape(self, start: Start, shapes: tuple[Shape, ...]) -> tuple[Shape, bool]:
+        """Blocks that promise the least error: long and stiff ones know more, others follow the motion.
+
+        And whether the motion is more than they follow.
+        """
+        best, least, lively = shapes[0], np.inf, True
+        for shape in shapes:
+            error, missed = self._promise(start, shape)
             if error < least:
                 best, least, lively = shape, error, missed
-            elif error > 2.0 * least:
+            elif error > 2.0 * least and shape.terms == CUBIC:
                 break
-        for shape in _more_lively(best) if lively else ():
-            error, _ = self._promise(position, shape, orders)
-            if error < least:
-                best, least = shape, error
-        return best
+        if least == np.inf and shapes is STIFF:
+            return self._choose_shape(start, _more_lively(STIFF[1]))
+        return best, lively
 
-    def _promise(self, position: FloatArray, shape: Shape, orders: tuple[int, ...]) -> tuple[float, bool]:
+    def _choose_again(self, start: Start, shape: Shape) -> Shape:
+        """The best shape near this one, and beyond cubics if the motion needs it."""
+        near = tuple(one for one in STIFF if shape.length / 2 <= one.length <= shape.length * 2)
+        best, lively = self._choose_shape(start, (shape,) if shape.terms > CUBIC else near)
+        return self._choose_shape(start, (best, *_more_lively(best)))[0] if lively else best
+
+    def _promise(self, start: Start, shape: Shape) -> tuple[float, bool]:
         """Expected rms error of the table in cycles; True if the motion is more than the blocks follow."""
         blocks, length = self._cut(shape), shape.length
         if len(blocks) > TRIAL_SAMPLES // length:
             few = np.linspace(0, len(blocks) - 1, TRIAL_SAMPLES // length).astype(np.int64)
             blocks = blocks.take(few)
-        if len(blocks) < MIN_BLOCKS or self._loss(blocks, position) > LOCKED_LOSS:
+        if len(blocks) < MIN_BLOCKS or self._loss(blocks, start.position) > LOCKED_LOSS:
             return float("inf"), False
-        fit, coarse = self._fit(blocks, position, orders)
+        fit, coarse = self._fit(blocks, start)
         strict = reject(coarse, fit)
-        fit = self._again(fit, strict, TRIAL_ROUNDS)
         # A block too long for the motion is rejected: what it does not tell counts as well.
-        if 2 * strict.samples <= blocks.samples or self._off_cycles(fit) > MAX_OFF_CYCLES:
+        if 2 * strict.samples <= blocks.samples:
+            return float("inf"), False
+        fit = self._again(fit, strict, TRIAL_ROUNDS)
+        if self._off_cycles(fit) > MAX_OFF_CYCLES:
             return float("inf"), False
         return uncertainty(fit, self.ellipse), fit.noise.along > LIVELY_NOISE * fit.noise.across
 
-    def _fit(
-        self, blocks: Blocks, position: FloatArray, orders: tuple[int, ...] = FIRST_ORDERS
-    ) -> tuple[JointFit, Blocks]:
+    def _fit(self, blocks: Blocks, start: Start) -> tuple[JointFit, Blocks]:
         """First fit from tracked positions, without what is far off."""
         record = self.record
         if len(blocks) < MIN_BLOCKS:
             raise CalibrationError("too few samples in one piece", "samples")
-        waveform, motion = initial_fit(blocks, record.sine, record.cosine, position, orders)
+        motion, waveform = blocks.smooth(start.position[blocks.index]), start.waveform
+        if waveform is None:
+            waveform = initial_waveform(blocks, record.sine, record.cosine, motion, FIRST_ORDERS)
         fit = fit_jointly(blocks, record.sine, record.cosine, waveform, motion, rounds=TRIAL_ROUNDS)
         cleaned = reject(blocks, fit, coarse=True)
         fit = self._again(fit, cleaned, TRIAL_ROUNDS)
-        cleaned = reject(blocks.using(blocks.used & _rows(cleaned)), fit, coarse=True)
+        if cleaned.samples == blocks.samples:
+            return fit, cleaned
+        cleaned = reject(blocks.using(blocks.used & rows_used(cleaned)), fit, coarse=True)
         return self._again(fit, cleaned, TRIAL_ROUNDS), cleaned
 
     def _again(self, fit: JointFit, blocks: Blocks, rounds: int = 10) -> JointFit:
@@ -187,17 +220,22 @@ class Solver:
             blocks, record.sine, record.cosine, fit.waveform, fit.motion, rounds=rounds, noise=fit.noise
         )
 
-    def _find_orders(self, fit: JointFit, blocks: Blocks) -> tuple[JointFit, Blocks]:
-        """More orders while the last ones carry something, then only those that stand out of the noise."""
-        kept, cleaned = fit.waveform.orders, blocks
-        for highest in ORDER_STEPS:
-            fit = self._with_orders(fit, cleaned, tuple(range(1, highest + 1)))
+    def _more_orders(self, fit: JointFit, blocks: Blocks) -> tuple[JointFit, Blocks]:
+        """More orders while the last ones carry something, and faults left out as the fit gets better."""
+        cleaned = blocks
+        for step in ORDER_STEPS:
+            highest = max(FIRST_ORDERS[-1], min(step, cleaned.samples // SAMPLES_PER_ORDER))
+            if highest > fit.waveform.orders[-1]:
+                fit = self._with_orders(fit, cleaned, tuple(range(1, highest + 1)))
             cleaned = reject(blocks, fit)
             fit = self._again(fit, cleaned)
-            kept = significant_orders(fit)
-            if kept[-1] <= highest * 3 // 4:
+            if significant_orders(fit)[-1] <= highest * 3 // 4:
                 break
-        fit = self._with_orders(fit, cleaned, kept)
+        return fit, cleaned
+
+    def _only_significant(self, fit: JointFit, blocks: Blocks) -> tuple[JointFit, Blocks]:
+        """Only the orders that stand out of the noise."""
+        fit = self._with_orders(fit, blocks, significant_orders(fit))
         cleaned = reject(blocks, fit)
         return self._again(fit, cleaned), cleaned
 
@@ -212,55 +250,3 @@ def _more_lively(shape: Shape) -> tuple[Shape, ...]:
     return tuple(
         Shape(times * length, terms) for times, terms in ((1, 6), (2, 8), (2, 12), (4, 12), (4, 24), (4, 40))
     )
-
-
-def uncertainty(fit: JointFit, conditioning: Conditioning) -> float:
-    """Expected rms error of the table, cycles."""
-    sensitivity = table_sensitivity(fit.waveform, conditioning)
-    variance = np.einsum("pi,pi->p", sensitivity @ fit.covariance, sensitivity)
-    return float(np.sqrt(max(0.0, float(variance.mean()))))
-
-
-def significant_orders(fit: JointFit) -> tuple[int, ...]:
-    """Orders whose coefficients are more than noise; the fundamental always."""
-    waveform, kept = fit.waveform, [1]
-    half = len(waveform.sine)
-    values = np.concatenate([waveform.sine, waveform.cosine])
-    for place, order in enumerate(waveform.orders):
-        at = np.array([1 + 2 * place, 2 + 2 * place, half + 1 + 2 * place, half + 2 + 2 * place])
-        part = fit.covariance[np.ix_(at, at)]
-        size = values[at] @ np.linalg.pinv(part, hermitian=True) @ values[at]
-        if order > 1 and size > SIGNIFICANT:
-            kept.append(order)
-    return tuple(kept)
-
-
-def reject(blocks: Blocks, fit: JointFit, coarse: bool = False) -> Blocks:
-    """Leave out samples far off the curve or the motion, and blocks that do not fit as a whole.
-
-    ``coarse``: only what is far off by any measure. Before the harmonics are known, a block that
-    meets all phases fits worse than one at standstill, yet it is the one that tells.
-    """
-    use = blocks.used
-    floor = COARSE_CYCLES * float(np.median(fit.speed[use])) if coarse else 0.0
-    telling = blocks.informative(blocks.evaluate(fit.motion))
-    if telling.sum() < MIN_BLOCKS:
-        telling = _rows(blocks)[:, 0]
-    judges = use & telling[:, None]
-    good: BoolArray = np.ones_like(use)
-    for off in (fit.along, fit.across):
-        good &= np.abs(off) < max(REJECT_SIGMAS * _sigma(off[judges]), floor)
-    size = np.sqrt(np.sum(np.where(use, fit.along**2, 0.0), axis=1) / np.maximum(1, use.sum(axis=1)))
-    usual = max(float(np.median(size[telling])), QUANTISATION_COUNTS)
-    return blocks.using(use & good & (size < max(REJECT_BLOCK * usual, floor))[:, None])
-
-
-def _sigma(values: FloatArray) -> float:
-    """Robust standard deviation, not below what quantisation leaves."""
-    usual = float(np.median(np.abs(values))) if len(values) else 0.0
-    return max(1.4826 * usual, QUANTISATION_COUNTS)
-
-
-def _rows(blocks: Blocks) -> BoolArray:
-    rows: BoolArray = np.any(blocks.used, axis=1, keepdims=True)
-    return rows

@@ -33,7 +33,7 @@ MAX_CYCLES = 4096  # more would only cost memory
 LARGEST_STEP_CYCLES = 0.125
 REJECT_CYCLE = 4.0
 CHUNK_CYCLES = 128
-PEAK_SIGMAS = 3.0
+PEAK_SIGMAS = 4.0
 
 
 def calibrate_from_zero_crossings(
