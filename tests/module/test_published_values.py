@@ -101,6 +101,11 @@ def test_a_residual_limit_that_follows_the_acceleration_follows_the_encoder_too(
     assert bench.at(0.2)[1] == StatusBit.VALID
 
 
+def test_the_coarse_track_follows_the_encoder(bench: Bench) -> None:
+    bench.sdo[0x2001][1].raw = 1000
+    assert bench.module.chain.reference.coarse.cycles_per_revolution == 1000
+
+
 @given(
     st.integers(1, 1048576), st.integers(1, 2**32 - 1), st.booleans(),
     st.integers(-(2**62), 2**62), st.integers(0, PHASE_UNITS - 1),

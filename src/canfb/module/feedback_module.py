@@ -58,6 +58,7 @@ class FeedbackModule:
         self.node.on_reset = self._on_reset
         self.node.on_bad_rpdo = self._on_bad_rpdo
         self.node.on_configured = self._on_configured
+        self.dictionary.entry(0x2001, 1).on_written = self._encoder_changed
         self._limits.apply()
 
     @property
@@ -102,8 +103,10 @@ class FeedbackModule:
         self._sample_came = self._sampled = True
         if not self._synced:
             self._interval.event(now)
-        self._limits.follow()
-        self.chain.interval_s = self._interval.seconds
+        if self._limits.narrowed:
+            self._limits.follow()
+        if self._input.timed:
+            self.chain.interval_s = self._interval.seconds
         feedback = self.chain.step(self._input.sample())
         if feedback is self._feedback:  # its time has told that it is the last one again
             self._count_bad_frame()
@@ -145,6 +148,11 @@ class FeedbackModule:
             self._listen()
             self._interval.pause()
             self.chain.resume()
+
+    def _encoder_changed(self) -> None:
+        """2001:01 was written: every cycle is another part of a revolution."""
+        self._profile.rescale()
+        self._limits.apply()
 
     def _on_reset(self, communication_only: bool, now: float) -> None:
         self._alarmed = False

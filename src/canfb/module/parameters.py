@@ -65,7 +65,9 @@ class Limits:
         self._full_scale, self._low, self._high = entry(ENCODER, 2), entry(ENCODER, 3), entry(ENCODER, 4)
         self._residual, self._acceleration = entry(SUPERVISION, 1), entry(SUPERVISION, 2)
         self._coast, self._frozen, self._coarse = (entry(SUPERVISION, n) for n in (3, 4, 5))
-        self._applied_s, self._applied_cycles = 0.0, 0
+        self._applied_s = 0.0
+        self.narrowed = False
+        """A known acceleration narrows the residual limit; it then depends on the sampling interval."""
         self._low.on_write = self._check(lambda low: low < self._high.value)
         self._high.on_write = self._check(lambda high: high > self._low.value)
         self._acceleration.on_write = self._check(lambda value: 0.0 <= value <= 1e9)
@@ -82,14 +84,9 @@ class Limits:
             changed.on_written = self.apply
 
     def follow(self) -> None:
-        """Before a sample: a known acceleration narrows the residual limit with the sampling interval."""
-        if self._acceleration.value > 0.0:
-            changed_s = abs(self._interval.seconds - self._applied_s)
-            if (
-                changed_s > 0.02 * self._applied_s
-                or self._applied_cycles != self._cycles_per_revolution.value
-            ):
-                self.apply()
+        """Before a sample, if it is :attr:`narrowed`: take the residual limit along with the interval."""
+        if abs(self._interval.seconds - self._applied_s) > 0.02 * self._applied_s:
+            self.apply()
 
     def apply(self) -> None:
         """Put the values of the dictionary in force."""
@@ -97,7 +94,7 @@ class Limits:
         interval_s, cycles = self._interval.seconds, self._cycles_per_revolution.value
         if interval_s > 0.0:
             limit = narrowed_residual_limit(limit, self._acceleration.value, cycles, interval_s)
-        self._applied_s, self._applied_cycles = interval_s, cycles
+        self._applied_s, self.narrowed = interval_s, self._acceleration.value > 0.0
         limits = SampleLimits(self._full_scale.value, self._low.value, self._high.value)
         coarse_limit = self._coarse.value / LIMIT_UNITS
         self._chain.set_limits(limits, limit, self._coast.value, self._frozen.value, coarse_limit)

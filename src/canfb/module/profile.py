@@ -42,7 +42,7 @@ class EncoderProfile:
         entry(0x600C).on_read = self._raw_position
         entry(0x6505).on_read = self._warnings
         self._operating.on_write = self._check_operating
-        for changed in (self._operating, self._units_per_rev, self._range, self._cycles_per_revolution):
+        for changed in (self._operating, self._units_per_rev, self._range):
             changed.on_written = self.rescale
         self._serial, self._module_range = entry(0x650B), (entry(0x650A, 2), entry(0x650A, 3))
         self._serial.value = entry(0x1018, 4).value

@@ -23,6 +23,8 @@ class SampleInput:
         self._entries = [dictionary.entry(INPUT, n) for n in range(1, 8)]
         self._sine, self._cosine = self._entries[:2]
         self._wanted = self._arrived = 0  # bit n: RPDO n
+        self.timed = False
+        """Each sample brings its time."""
         self.pulses = 0
         """Zero pulses seen."""
 
@@ -37,14 +39,9 @@ class SampleInput:
             parts = {number for number in (tracks, coarse, time, flags, place) if number is not None}
             self._wanted = sum(1 << number for number in parts)
         self._plain = tracks is not None and coarse is time is None
-        self._with_coarse, self._with_time = coarse is not None, time is not None
+        self._with_coarse, self.timed = coarse is not None, time is not None
         self._with_flags, self._with_place = flags is not None, place is not None
         self._arrived = 0
-
-    @property
-    def timed(self) -> bool:
-        """True if each sample brings its time."""
-        return self._with_time
 
     def take(self, number: int) -> bool:
         """RPDO ``number`` has come; True if the sample is complete with it."""
@@ -65,8 +62,10 @@ class SampleInput:
         """The sample of the parts that have come."""
         flags = self._entries[FLAGS - 1].value
         invalid = flags & SAMPLE_INVALID != 0
-        if self._plain and not self._with_flags:
-            return Sample(self._sine.value, self._cosine.value, 1.0, invalid)
+        if self._plain and not self._with_flags:  # the usual sample, made without its slow constructor
+            return tuple.__new__(
+                Sample, (self._sine.value, self._cosine.value, 1.0, invalid, None, None, None, None)
+            )
         pulse = None
         if self._with_flags and flags & ZERO_PULSE:
             self.pulses += 1
@@ -82,5 +81,5 @@ class SampleInput:
             coarse_sine if self._with_coarse else None,
             coarse_cosine if self._with_coarse else None,
             pulse,
-            time if self._with_time else None,
+            time if self.timed else None,
         )

@@ -153,7 +153,7 @@ class SignalChain:
         self._frozen = FrozenInput(config.frozen_samples)
         self._samples = 0
         self._speed = self._trusted_speed = 0.0
-        self._counts = (math.nan, math.nan)
+        self._sine = self._cosine = math.nan
         self._time_100ns: int | None = None
         self._last: Feedback | None = None
         self._waited = 0.0  # intervals without a sample since the last time stamp
@@ -245,7 +245,7 @@ class SignalChain:
         self._referenced = REFERENCED if self._reference.zero.referenced else 0
         self._waited = 0.0
         self._before = None
-        self._counts = (math.nan, math.nan)
+        self._sine = self._cosine = math.nan
         self._speed = self._trusted_speed = 0.0
 
     def step(self, sample: Sample) -> Feedback:
@@ -272,13 +272,13 @@ class SignalChain:
                 supervision.passed()
         else:
             faults = supervision.faults(sine, cosine, amplitude)
-        counts = (sine, cosine)
-        if counts == self._counts:
+        if sine == self._sine and cosine == self._cosine:
             if self._frozen.repeated(self._trusted_speed):
                 faults |= FROZEN
         else:
-            self._counts = counts
-            self._frozen.moved()
+            self._sine, self._cosine = sine, cosine
+            if self._frozen.repeats:
+                self._frozen.moved()
         measured = not (faults or bad) and raw == raw
         if measured:
             table = self._table

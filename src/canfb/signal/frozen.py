@@ -16,26 +16,26 @@ class FrozenInput:
     converter lives; then ``frozen_samples`` (2010:04) repeats are wanted. 0: the check is off.
     """
 
-    __slots__ = ("_repeats", "_speed", "frozen_samples")
+    __slots__ = ("_speed", "frozen_samples", "repeats")
 
     def __init__(self, frozen_samples: int) -> None:
         self.frozen_samples = frozen_samples
-        self._repeats = 0
+        self.repeats = 0
         self._speed = 0.0
 
     def moved(self) -> None:
         """The counts are others than before."""
-        self._repeats = 0
+        self.repeats = 0
 
     def repeated(self, speed_cycles: float) -> bool:
         """The counts are those of the sample before; True if the input is frozen.
 
         ``speed_cycles`` is the speed of the samples before this one, cycles per interval.
         """
-        if self._repeats == 0:
+        if self.repeats == 0:
             self._speed = speed_cycles
-        self._repeats += 1
+        self.repeats += 1
         if not self.frozen_samples or abs(self._speed) < STANDSTILL_CYCLES:
             return False
         shift = abs(self._speed - round(self._speed))
-        return self._repeats >= (REPEATS if shift > SHIFT_CYCLES else self.frozen_samples)
+        return self.repeats >= (REPEATS if shift > SHIFT_CYCLES else self.frozen_samples)
