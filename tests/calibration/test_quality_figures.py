@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from measurements import PERCENT, random_encoder, table_error, wandering
+from measurements import PERCENT, extreme_encoder, random_encoder, table_error, true_phases, wandering
 
 from canfb.calibration.motion import calibrate_from_motion
 from canfb.calibration.result import Calibration
@@ -85,6 +85,25 @@ def test_curve_shows_the_error_before_and_none_after(several):
         seen = np.interp(curve.phase, result.table.entries, added - added.mean(), period=1.0)
         assert np.corrcoef(seen, -curve.before)[0, 1] > 0.98
         assert encoder.adc_bits == 12
+
+
+def test_curve_and_harmonics_count_the_phase_as_the_table_does():
+    rng = np.random.default_rng(3)
+    encoder = extreme_encoder(rng, 0.5)
+    result = calibrate_from_motion(*encoder.sample(wandering(500.0, rng, 5.0), rng))
+    raw = np.arange(1024) / 1024
+    added = result.table.entries - raw
+    seen = np.interp(result.curve.phase, result.table.entries, added - added.mean(), period=1.0)
+    assert np.corrcoef(seen, -result.curve.before)[0, 1] > 0.995
+    # The same from the encoder's equations, phase 0 where its sine track crosses zero.
+    origin = true_phases(encoder, 16)[0]
+    sine, cosine = encoder.tracks(np.arange(1024) / 1024 + origin)
+    angle = np.unwrap(np.arctan2(sine, cosine) / (2.0 * np.pi), period=1.0)
+    true = np.fft.rfft(angle - np.arange(1024) / 1024) / 512.0
+    assert [h.order for h in result.harmonics[:4]] == [1, 2, 3, 4]
+    for h in result.harmonics[:4]:
+        found = h.amplitude_cycles * np.exp(1j * h.angle_rad)
+        assert abs(found - true[h.order]) < 0.002 * abs(true[h.order])
 
 
 def test_only_orders_that_are_there_are_kept(several):

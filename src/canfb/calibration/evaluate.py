@@ -13,6 +13,7 @@ from canfb.calibration.solver import Solution
 from canfb.calibration.waveform import (
     Waveform,
     grid_phases,
+    origin_of,
     raw_phase_curve,
     table_of,
     table_sensitivity,
@@ -53,8 +54,9 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
     bound = float(np.sqrt(_variance(sensitivity, covariance).mean()))
     before, after = _deviations(record, blocks, position, conditioning, tables)
     moving = use & blocks.informative(position)[:, None]
-    curve_of_errors = error_curve(position[moving], before[moving], after[moving])
-    systematic = _systematic(curve_of_errors, position[moving], root_mean(after[moving]))
+    phase = position - origin_of(curve)
+    curve_of_errors = error_curve(phase[moving], before[moving], after[moving])
+    systematic = _systematic(curve_of_errors, phase[moving], root_mean(after[moving]))
     correct = float(np.sqrt(blocks.samples / max(1, blocks.freedom)))
     found = Calibration(
         table=table_of(curve, entries),
@@ -75,7 +77,7 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
         bound_rms=bound,
         cramer_rao_ratio=measured / bound,
         track_orders=fit.waveform.orders,
-        harmonics=_harmonics(fit.waveform, conditioning, expected),
+        harmonics=_harmonics(fit.waveform, conditioning, origin_of(curve), expected),
         curve=curve_of_errors,
         block_samples=blocks.index.shape[1],
     )
@@ -165,8 +167,10 @@ def error_curve(position: FloatArray, before: FloatArray, after: FloatArray) -> 
     return ErrorCurve((np.arange(BINS) + 0.5) / BINS, mean_before, mean_after)
 
 
-def _harmonics(waveform: Waveform, conditioning: Conditioning, expected: float) -> tuple[Harmonic, ...]:
+def _harmonics(
+    waveform: Waveform, conditioning: Conditioning, origin: float, expected: float
+) -> tuple[Harmonic, ...]:
     phase = grid_phases(1024)[:-1]
-    s, c = conditioning.apply(*waveform.tracks(phase))
+    s, c = conditioning.apply(*waveform.tracks(phase + origin))
     angle = np.unwrap(np.arctan2(s, c) / (2.0 * np.pi), period=1.0)
     return error_harmonics(phase, angle, 3.0 * expected)

@@ -99,19 +99,24 @@ def raw_phase_curve(waveform: Waveform, conditioning: Conditioning) -> FloatArra
 
 
 def phase_at_raw(raw_curve: FloatArray, raw: FloatArray) -> FloatArray:
-    """Phase on a curve of :func:`raw_phase_curve` at raw phases 0..1, continuous, 0 at raw phase 0."""
+    """Phase on a curve of :func:`raw_phase_curve` at raw phases 0..1, continuous."""
     phases = grid_phases(len(raw_curve) - 1)
     # Two cycles of the curve, so that 0..1 lies inside wherever the curve starts.
     start = np.floor(raw_curve[0])
     curve = np.concatenate([raw_curve - start - 1.0, raw_curve[1:] - start, raw_curve[1:] - start + 1.0])
     phase = np.concatenate([phases - 1.0, phases[1:], phases[1:] + 1.0])
-    return np.asarray(np.interp(raw, curve, phase) - np.interp(0.0, curve, phase), np.float64)
+    return np.asarray(np.interp(raw, curve, phase), np.float64)
+
+
+def origin_of(raw_curve: FloatArray) -> float:
+    """Phase on a curve of :func:`raw_phase_curve` at raw phase 0, the positive zero crossing of the sine."""
+    return float(phase_at_raw(raw_curve, np.zeros(1))[0])
 
 
 def table_of(raw_curve: FloatArray, entries: int) -> CorrectionTable:
     """Correction table of a curve of :func:`raw_phase_curve`: phase 0 at raw phase 0."""
     raw = np.arange(entries) / entries
-    return table_from_phases(phase_at_raw(raw_curve, raw))
+    return table_from_phases(phase_at_raw(raw_curve, raw) - origin_of(raw_curve))
 
 
 def table_from_phases(phase: FloatArray) -> CorrectionTable:
