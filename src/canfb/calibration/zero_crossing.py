@@ -3,8 +3,8 @@
 A cubic through four positive zero crossings of the sine track gives the position between the
 inner two, whatever the speed does; the samples there are resampled to equidistant raw phases
 and averaged over many cycles. Two things are better than printed at no cost: the crossing
-comes from four samples instead of two, and what is resampled is the small difference to the
-arc tangent, which is smooth, instead of the phase itself.
+comes from four samples instead of two, and what is resampled, by a polynomial through six
+samples, is the small difference to the arc tangent, which is smooth, instead of the phase.
 """
 
 from __future__ import annotations
@@ -205,21 +205,22 @@ def _resample(passage: _Passage, cycles: _Cycles, nodes: FloatArray) -> FloatArr
         some = cycles.take(part)
         target = some.count[:, None] + nodes
         before = np.searchsorted(rising, target, side="right") - 1
-        around = before[..., None] + np.arange(-1, 3)
+        around = before[..., None] + np.arange(-2, 4)
         angle = passage.angle[around]
         time = passage.time[around]
         position = some.position(time.reshape(len(some), -1)).reshape(time.shape)
         difference = position - (angle - some.count[:, None, None])
-        curves[part] = nodes + _cubic(angle, difference, target)
+        curves[part] = nodes + _interpolate(angle, difference, target)
     return curves
 
 
-def _cubic(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
-    """Cubic through the four points of the last axis."""
+def _interpolate(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
+    """Polynomial through the points of the last axis (Lagrange)."""
     value = np.zeros_like(at)
-    for one in range(4):
+    points = range(x.shape[-1])
+    for one in points:
         part = y[..., one]
-        for other in range(4):
+        for other in points:
             if other != one:
                 part = part * (at - x[..., other]) / (x[..., one] - x[..., other])
         value += part
