@@ -1,6 +1,6 @@
 """Measure what one cycle and what whole arrays cost, each against something everybody knows.
 
-    python tools/bench.py [--json] [--check] [--only TEXT] [--repeat N]
+    python tools/bench.py [--json | --markdown] [--check] [--only TEXT] [--repeat N]
 
 Each pair is measured in turns, A B A B, in one run: other work on the machine then meets both alike. Times
 are those of the process, not of the clock on the wall. Printed are the medians, the quartiles, and those of
@@ -344,7 +344,7 @@ def machine() -> dict[str, str]:
     names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     return {
         "processor": f"{names[0]}, {len(names)} cores" if names else platform.processor() or "unknown",
-        "system": f"{platform.system()} {platform.release()}",
+        "system": platform.system(),
         "python": platform.python_version(),
         **{name: version(name) for name in ("numpy", "canopen", "python-can", "canfb")},
     }
@@ -354,14 +354,27 @@ def print_text(results: list[Result], repeat: int) -> None:
     print(", ".join(f"{name} {value}" for name, value in machine().items()))
     print(f"median [quartiles] of {repeat} repetitions in turns, CPU time")
     for result in results:
-        goal = (
-            ""
-            if result.goal is None
-            else f", goal < {result.goal:g}: " + ("MISSED" if result.is_missed else "met")
+        print(
+            f"\n{result.name}: ratio {in_words(result.ratio)}{', goal ' * bool(result.goal)}{verdict(result)}"
         )
-        print(f"\n{result.name}: ratio {in_words(result.ratio)}{goal}")
         for name, spread in ((result.ours, result.ours_time), (result.other, result.other_time)):
             print(f"  {in_words(spread):>24} {result.unit:<14} {name}")
+
+
+def print_markdown(results: list[Result], repeat: int) -> None:
+    """The table of docs/benchmarks.md."""
+    print(", ".join(f"{name} {value}" for name, value in machine().items()) + ".")
+    print(f"Median [quartiles] of {repeat} repetitions.\n")
+    print("| name | ratio | goal | ours | the other | unit |\n|---|---|---|---|---|---|")
+    for result in results:
+        times = f"{in_words(result.ours_time)} | {in_words(result.other_time)} | {result.unit}"
+        print(f"| {result.name} | {in_words(result.ratio)} | {verdict(result)} | {times} |")
+
+
+def verdict(result: Result) -> str:
+    if result.goal is None:
+        return ""
+    return f"< {result.goal:g}: {'MISSED' if result.is_missed else 'met'}"
 
 
 def in_words(spread: Spread) -> str:
@@ -371,6 +384,7 @@ def in_words(spread: Spread) -> str:
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--markdown", action="store_true", help="print the table of docs/benchmarks.md")
     parser.add_argument("--check", action="store_true", help="exit status 1 when a goal is missed")
     parser.add_argument("--only", default="", metavar="TEXT", help="only what has this text in its name")
     parser.add_argument(
@@ -389,7 +403,7 @@ def main(arguments: list[str] | None = None) -> int:
     if options.json:
         print(json.dumps({"machine": machine(), "results": [asdict(result) for result in results]}, indent=2))
     else:
-        print_text(results, options.repeat)
+        (print_markdown if options.markdown else print_text)(results, options.repeat)
     return 1 if options.check and any(result.is_missed for result in results) else 0
 
 

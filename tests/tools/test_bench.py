@@ -46,6 +46,13 @@ def test_text_names_what_is_compared(capsys: pytest.CaptureFixture[str]) -> None
     assert "float64" not in printed
 
 
+def test_markdown_is_a_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert bench.main(["--markdown", "--only", "cycle", *LITTLE]) == 0
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
+    assert [row.split(" | ")[0] for row in rows[2:]] == ["| cycle", "| cycle, can.Message"]
+    assert {row.count("|") for row in rows} == {7}
+
+
 @pytest.mark.parametrize("wrong", [["--repeat", "1"], ["--cycles", "99"], ["--only", "nothing"]])
 def test_wrong_use_is_told(wrong: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as error:
