@@ -26,6 +26,14 @@ class Scratch:
         self.index = np.empty(samples, np.intp)
         self.octant, self.bit = np.empty(samples, np.int8), np.empty(samples, np.bool_)
 
+    def head(self, samples: int) -> Scratch:
+        """A scratch of the first ``samples`` of these arrays, at most all of them."""
+        part = Scratch.__new__(Scratch)
+        part.samples = samples
+        part.a, part.b, part.index = self.a[:samples], self.b[:samples], self.index[:samples]
+        part.octant, part.bit = self.octant[:samples], self.bit[:samples]
+        return part
+
 
 def blocks(samples: int) -> Iterator[tuple[slice, Scratch]]:
     """Slices that cover 0..``samples`` one after the other, each with a scratch of its length."""

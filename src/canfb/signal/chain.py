@@ -6,12 +6,16 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
+from canfb.signal.blocks import Scratch
 from canfb.signal.coarse import CoarseTrack
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.frozen import FrozenInput
-from canfb.signal.phase import raw_phase
-from canfb.signal.recovery import Recovery
+from canfb.signal.phase import FloatArray, raw_phase
+from canfb.signal.recovery import REMEMBERED_SAMPLES, Recovery
 from canfb.signal.reference import Reference
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import (
@@ -19,12 +23,20 @@ from canfb.signal.supervision import (
     LOST,
     MISSED,
     REFERENCED,
+    RESIDUAL,
     TABLE_ACTIVE,
     VALID,
     SampleLimits,
     Supervision,
 )
-from canfb.signal.tracker import RESIDUAL_LIMIT, Track, Tracker, check_residual_limit
+from canfb.signal.tracker import (
+    RESIDUAL_LIMIT,
+    Track,
+    Tracker,
+    TrackResult,
+    check_residual_limit,
+    track_block,
+)
 from canfb.signal.zero_pulse import ZeroPulse
 
 # Defaults as parts of the full scale: a usual encoder drives the converter to 60..95 %, and
@@ -287,6 +299,8 @@ class SignalChain:
             track, bits = self._recovery.good(phase, elapsed)
         else:
             track, bits = self._recovery.bad(elapsed)
+        if bits & LOST and (not measured or bits & RESIDUAL):
+            self._reference.slipped()
         jump = 0
         self._clock += elapsed
         if coarse is not None or zero_pulse is not None:
@@ -297,6 +311,66 @@ class SignalChain:
         if elapsed > MISSED_INTERVALS:
             bits |= MISSED
         return self._feedback(s, c, amplitude, raw, track, bits | faults, jump)
+
+    @property
+    def is_steady(self) -> bool:
+        """True if :meth:`follow_run` may take the next samples: nothing of the last ones is in doubt.
+
+        A lost position is not in doubt: eq. 9 runs on with it.
+        """
+        return self._tracker.is_steady and not (self._recovery.in_doubt or self._supervision.after_fault)
+
+    def follow_run(
+        self, sine: FloatArray, cosine: FloatArray, tracked: TrackResult, run: slice, scratch: Scratch
+    ) -> int:
+        """:meth:`step` for a run of samples, one interval apart, that keep the limits of one sample.
+
+        Only where :attr:`is_steady`. ``sine[run]``, ``cosine[run]`` are the counts and
+        ``tracked.phase[run]`` the corrected phases; ``run.start`` is at least 2, and the two places
+        before it are overwritten. Fills the rest of ``tracked[run]``. The result is the number of
+        samples taken: those before the first with a residual over the limit (unless the position
+        is lost) or a frozen input. The chain stands after these, and the rest is for :meth:`step`.
+        """
+        start: int = run.start
+        stop: int = run.stop
+        cycles, phase, lost = tracked.cycles, tracked.phase, self._recovery.lost
+        state = self._tracker.state()
+        phase[start - 2], phase[start - 1], cycles[start - 1], step = state
+        cycles[start - 2] = state[2] - step
+        track_block(self._tracker, tracked, run, scratch)
+        if not lost and not tracked.ok[run].all():
+            stop = start + int(tracked.ok[run].argmin())
+        sine[start - 1], cosine[start - 1] = self._sine, self._cosine
+        stop = start + self._frozen.take_run(*self._repeats(sine, cosine, tracked, start, stop))
+        if stop == start:
+            self._tracker.set_state(*state)
+            return 0
+        last = Track(int(cycles[stop - 1]), float(phase[stop - 1]), float(tracked.residual[stop - 1]), True)
+        step = last.cycles - int(cycles[stop - 2])
+        self._tracker.set_state(float(phase[stop - 2]), last.phase, last.cycles, step)
+        remembered = slice(max(start, stop - REMEMBERED_SAMPLES), stop)
+        self._recovery.followed(cycles[remembered].tolist(), phase[remembered].tolist())
+        self._sine, self._cosine = float(sine[stop - 1]), float(cosine[stop - 1])
+        self._before, self._last = last, None
+        self._speed = self._tracker.step_cycles
+        self._trusted_speed = 0.0 if lost else self._speed
+        self._clock += stop - start
+        self._samples += stop - start
+        return stop - start
+
+    def _repeats(
+        self, sine: FloatArray, cosine: FloatArray, tracked: TrackResult, start: int, stop: int
+    ) -> tuple[npt.NDArray[np.bool_], FloatArray]:
+        """Which samples repeat the one before, and the trusted speed before each, if any does."""
+        equal = sine[start:stop] == sine[start - 1 : stop - 1]
+        equal &= cosine[start:stop] == cosine[start - 1 : stop - 1]
+        speeds = np.zeros(stop - start if equal.any() else 0)
+        if len(speeds):
+            if not self._recovery.lost:
+                speeds[:] = np.diff(tracked.cycles[start - 2 : stop - 1])
+                speeds += np.diff(tracked.phase[start - 2 : stop - 1])
+            speeds[0] = self._trusted_speed
+        return equal, speeds
 
     def miss(self) -> Feedback:
         """One sampling interval without a sample: the position coasts, flagged."""
@@ -322,7 +396,10 @@ class SignalChain:
         cycles, phase, residual, _ = track
         speed = self._tracker.step_cycles
         acceleration, self._speed = speed - self._speed, speed
-        self._trusted_speed = speed if bits & VALID else 0.0
+        if bits & VALID:
+            self._trusted_speed = speed
+        elif bits & LOST:
+            self._trusted_speed = 0.0
         status = bits | self._base_status
         if self._referenced and not bits & LOST:
             status |= REFERENCED

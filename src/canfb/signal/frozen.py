@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+import numpy.typing as npt
+
 STANDSTILL_CYCLES = 0.02  # per interval: below it the same counts are no surprise
 SHIFT_CYCLES = 0.01  # the phase should have moved at least so far to make two repeats suspicious
 REPEATS = 2
@@ -39,3 +42,34 @@ class FrozenInput:
             return False
         shift = abs(self._speed - round(self._speed))
         return self.repeats >= (REPEATS if shift > SHIFT_CYCLES else self.frozen_samples)
+
+    def take_run(self, equal: npt.NDArray[np.bool_], speeds: npt.NDArray[np.float64]) -> int:
+        """:meth:`repeated` where a sample is ``equal`` to the one before, :meth:`moved` where not.
+
+        ``speeds`` are those before each sample, cycles per interval; not looked at where none is
+        equal. The result is the number of samples before the first that is frozen, and only
+        these have been taken.
+        """
+        at = np.flatnonzero(equal)
+        if not len(at):
+            self.repeats = 0 if len(equal) else self.repeats
+            return len(equal)
+        begin = ~equal[at - 1]
+        begin[0] = True  # none before it, and at 0 there is no at - 1
+        begins = at[begin]
+        speed = speeds[begins]
+        if begins[0] == 0 and self.repeats:  # the repeats began before this run
+            begins[0], speed[0] = -self.repeats, self._speed
+        row = np.add.accumulate(begin, dtype=np.intp) - 1
+        repeats = at - begins[row] + 1
+        moving = (np.abs(speed) >= STANDSTILL_CYCLES) & (self.frozen_samples > 0)
+        shift = np.abs(speed - np.rint(speed))
+        wanted = np.where(shift > SHIFT_CYCLES, REPEATS, self.frozen_samples)
+        frozen = np.flatnonzero(moving[row] & (repeats >= wanted[row]))
+        taken = int(at[frozen[0]]) if len(frozen) else len(equal)
+        if taken and not equal[taken - 1]:
+            self.repeats = 0
+        elif taken:
+            last = int(np.searchsorted(at, taken)) - 1
+            self.repeats, self._speed = int(repeats[last]), float(speed[row[last]])
+        return taken

@@ -10,6 +10,7 @@ when not a sample was wrong but the acceleration was beyond the limit.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
 from canfb.signal.candidates import Candidate, Place, candidates
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
@@ -63,15 +64,29 @@ class Recovery:
         """Shift the cycle count by ``cycles`` and the speed by ``step_cycles`` per interval."""
         self.tracker.shift(cycles, step_cycles)
         self._candidates = []
-        self._places.clear()
-        last = self.tracker.last
-        self._places.append((last.cycles, last.phase, 1.0))
+        self._remember_tracker()
 
     def vouch(self) -> None:
         """The position is not lost any more: what eq. 9 counts is right."""
         self.lost = False
-        last = self.tracker.last
-        self._places.append((last.cycles, last.phase, 1.0))
+        self._remember_tracker()
+
+    @property
+    def in_doubt(self) -> bool:
+        """True while the next samples must decide where the position is; not when it is lost."""
+        return bool(self._candidates)
+
+    def followed(self, cycles: Sequence[int], phases: Sequence[float]) -> None:
+        """The tracker has followed a run of samples to these places, the last ones of the run."""
+        if not self.lost:
+            self._places.extend((count, phase, 1.0) for count, phase in zip(cycles, phases, strict=True))
+
+    def _remember_tracker(self) -> None:
+        """The two samples that eq. 9 stands on are the last places: a candidate goes on with its speed."""
+        before, last, elapsed = self.tracker.places
+        self._places.clear()
+        self._places.append((before.cycles, before.phase, 1.0))
+        self._places.append((last.cycles, last.phase, elapsed))
 
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
         """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL."""
@@ -115,7 +130,8 @@ class Recovery:
         """The candidates, made at the first bad sample: each takes one sample more for bad."""
         if not self._candidates:
             places = [Place(*place) for place in self._places]
-            for doubted in range(min(DOUBTED_SAMPLES + 1, len(places))):
+            # One place has no speed: a candidate from it stands still, which only a start allows.
+            for doubted in range(max(1, min(DOUBTED_SAMPLES + 1, len(places) - 1))):
                 self._candidates += candidates(places, doubted)
         return self._candidates
 
