@@ -105,5 +105,8 @@ def raw_phase_block(s: npt.NDArray[Any], c: npt.NDArray[Any], out: FloatArray, s
 
 
 def wrap_block(phases: FloatArray, scratch: Scratch) -> None:
-    """Take phases of -1 <= phase < 2 into 0..1, in place; 1.0 only where a tiny negative one was."""
+    """Take phases of -1 <= phase < 2 into 0..1, in place; 1.0 only where a tiny negative one was.
+
+    By floor, because numpy turns the truth values of a condition into numbers one by one.
+    """
     phases -= np.floor(phases, out=scratch.a)
