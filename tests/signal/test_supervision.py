@@ -1,0 +1,349 @@
+"""The checks of one sample at their limits, and that each fault shows where it is and nowhere else."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from supervision_kit import AMPLITUDE, DEAD, Drive, above, at, below, flags, has
+
+from canfb.device.frame import Frame
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.signal import supervision
+from canfb.signal.chain import ChainConfig, SignalChain
+from canfb.signal.sample import Sample
+from canfb.signal.supervision import SampleLimits, StatusBit, Supervision
+
+LIMITS = SampleLimits(2048, 400, 2400)
+OK, AMPLITUDE_BIT, CLIPPED_BIT = 0, 1 << 4, 1 << 5
+BOTH = AMPLITUDE_BIT | CLIPPED_BIT
+NARROW_LOW, NARROW_HIGH = 412.5, 2325.0  # 400 * 33/32, 2400 * 31/32
+
+
+def test_the_bits_are_those_of_the_object() -> None:
+    names = ["VALID", "COASTING", "LOST", "RESIDUAL", "AMPLITUDE", "CLIPPED", "MISSED", "TABLE_ACTIVE"]
+    names += ["REFERENCED", "COARSE", "CALIBRATING", "FROZEN"]
+    assert {bit.name: bit.value for bit in StatusBit} == {name: 1 << n for n, name in enumerate(names)}
+    for name in names:
+        plain = getattr(supervision, name, None)
+        assert plain is None or (type(plain) is int and plain == StatusBit[name])
+
+
+CLIPPING = [
+    (-2049, CLIPPED_BIT), (-2048, CLIPPED_BIT), (above(-2048), OK), (-2047, OK), (0, OK), (2046, OK),
+    (below(2047), OK), (2047, CLIPPED_BIT), (2048, CLIPPED_BIT), (math.inf, CLIPPED_BIT),
+]  # fmt: skip
+CLIPPING_AFTER_FAULT = [
+    (-2048, CLIPPED_BIT), (-2047, CLIPPED_BIT), (-2046, CLIPPED_BIT), (above(-2046), OK), (-2045, OK),
+    (0, OK), (2044, OK), (below(2045), OK), (2045, CLIPPED_BIT), (2046, CLIPPED_BIT), (2047, CLIPPED_BIT),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("track", [0, 1], ids=["sine", "cosine"])
+@pytest.mark.parametrize(("counts", "bits"), CLIPPING)
+def test_either_end_of_the_converter_is_clipped(counts: float, bits: int, track: int) -> None:
+    pair = (counts, 0.0) if track == 0 else (0.0, counts)
+    assert Supervision(LIMITS).faults(*pair, 1000.0) == bits
+
+
+@pytest.mark.parametrize("track", [0, 1], ids=["sine", "cosine"])
+@pytest.mark.parametrize("fault", [(0.0, 2047.0, 1000.0), (-2048.0, 0.0, 1000.0), (0.0, 0.0, 0.0)])
+@pytest.mark.parametrize(("counts", "bits"), CLIPPING_AFTER_FAULT)
+def test_after_a_fault_the_converter_ends_two_counts_earlier(
+    counts: float, bits: int, fault: tuple[float, float, float], track: int
+) -> None:
+    checks = Supervision(LIMITS)
+    assert checks.faults(*fault)
+    pair = (counts, 0.0) if track == 0 else (0.0, counts)
+    assert checks.faults(*pair, 1000.0) == bits
+
+
+AMPLITUDES = [
+    (0.0, AMPLITUDE_BIT), (below(400.0), AMPLITUDE_BIT), (400.0, OK), (above(400.0), OK), (1000.0, OK),
+    (below(2400.0), OK), (2400.0, OK), (above(2400.0), AMPLITUDE_BIT), (math.inf, AMPLITUDE_BIT),
+    (math.nan, AMPLITUDE_BIT),
+]  # fmt: skip
+AMPLITUDES_AFTER_FAULT = [
+    (400.0, AMPLITUDE_BIT), (below(NARROW_LOW), AMPLITUDE_BIT), (NARROW_LOW, OK), (above(NARROW_LOW), OK),
+    (below(NARROW_HIGH), OK), (NARROW_HIGH, OK), (above(NARROW_HIGH), AMPLITUDE_BIT), (2400.0, AMPLITUDE_BIT),
+    (math.nan, AMPLITUDE_BIT),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("amplitude", "bits"), AMPLITUDES)
+def test_the_limits_of_the_amplitude_are_themselves_good(amplitude: float, bits: int) -> None:
+    assert Supervision(LIMITS).faults(100.0, -100.0, amplitude) == bits
+
+
+@pytest.mark.parametrize("fault", [(0.0, 0.0, 0.0), (0.0, 0.0, 9999.0), (2047.0, 0.0, 1000.0)])
+@pytest.mark.parametrize(("amplitude", "bits"), AMPLITUDES_AFTER_FAULT)
+def test_after_a_fault_the_amplitude_must_come_back_by_a_thirty_second(
+    amplitude: float, bits: int, fault: tuple[float, float, float]
+) -> None:
+    checks = Supervision(LIMITS)
+    assert checks.faults(*fault)
+    assert checks.faults(100.0, -100.0, amplitude) == bits
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "narrow_low", "narrow_high"),
+    [
+        (3200, 3627, 3300.0, 3520.25),  # a quarter of the window, 106.75, is less than 1/32 of its upper end
+        (3200, 3604, 3300.0, 3503.0),
+        (3200, 3596, 3299.0, 3497.0),  # ... and here, 99, also than 1/32 of its lower end
+        (1000, 1050, 1012.5, 1037.5),
+        (7, 8, 7.21875, 7.75),
+        (0, 4, 0.0, 3.875),
+    ],
+)
+def test_a_narrow_window_of_the_amplitude_stays_open(
+    low: int, high: int, narrow_low: float, narrow_high: float
+) -> None:
+    wanted = [
+        (below(narrow_low), False),
+        (narrow_low, True),
+        (narrow_high, True),
+        (above(narrow_high), False),
+    ]
+    for amplitude, good in wanted:
+        checks = Supervision(SampleLimits(2048, low, high))
+        assert checks.faults(0.0, 0.0, -1.0)
+        assert (checks.faults(0.0, 0.0, amplitude) == OK) == good, amplitude
+
+
+@pytest.mark.parametrize(
+    ("full_scale", "margin"), [(8, 0), (63, 0), (64, 1), (127, 1), (128, 2), (129, 2), (192, 2), (32768, 2)]
+)
+def test_a_small_converter_keeps_its_range(full_scale: int, margin: int) -> None:
+    def after_fault(counts: int) -> int:
+        checks = Supervision(SampleLimits(full_scale, 1, 2))
+        assert checks.faults(-full_scale, 0, 1.5) == CLIPPED_BIT
+        return checks.faults(counts, 0, 1.5)
+
+    assert after_fault(-full_scale + margin) == after_fault(full_scale - 1 - margin) == CLIPPED_BIT
+    assert after_fault(-full_scale + margin + 1) == after_fault(full_scale - 2 - margin) == OK
+
+
+def test_both_faults_of_one_sample_show() -> None:
+    assert Supervision(LIMITS).faults(2047.0, 0.0, 2401.0) == BOTH
+    assert Supervision(LIMITS).faults(0.0, -2048.0, 0.0) == BOTH
+
+
+def test_the_hysteresis_lasts_until_a_sample_keeps_it_and_no_longer() -> None:
+    checks = Supervision(LIMITS)
+    assert not checks.after_fault
+    wanted = [
+        (399.0, AMPLITUDE_BIT),
+        (405.0, AMPLITUDE_BIT),
+        (412.5, OK),
+        (405.0, OK),
+        (399.0, AMPLITUDE_BIT),
+    ]
+    for amplitude, bits in wanted:
+        assert checks.faults(0.0, 0.0, amplitude) == bits
+        assert checks.after_fault == bool(bits)
+    checks.passed()
+    assert not checks.after_fault
+    assert checks.faults(0.0, 0.0, 405.0) == OK
+
+
+def test_new_limits_are_in_force_at_once_and_remember_no_fault() -> None:
+    checks = Supervision(LIMITS)
+    assert checks.faults(0.0, 0.0, 0.0)
+    checks.set_limits(SampleLimits(512, 100, 600))
+    assert not checks.after_fault
+    assert checks.faults(0.0, 510.0, 100.0) == OK
+    assert checks.faults(0.0, 511.0, 600.0) == CLIPPED_BIT
+    assert checks.faults(0.0, 509.0, 600.0) == BOTH
+    assert checks.faults(0.0, 508.0, 581.25) == OK
+
+
+def test_the_default_limits_are_parts_of_the_full_scale() -> None:
+    assert ChainConfig().limits == SampleLimits(2048, 410, 2560)
+    assert ChainConfig(adc_bits=16).limits == SampleLimits(32768, 6554, 40960)
+    assert ChainConfig(amplitude_low_counts=7, amplitude_high_counts=8).limits == SampleLimits(2048, 7, 8)
+
+
+counts = st.one_of(
+    st.integers(-2050, 2050),
+    st.sampled_from([-2048, -2047, -2046, -2045, 2044, 2045, 2046, 2047, 400, 412, 413, math.nan, math.inf]),
+)
+
+
+@given(st.lists(st.tuples(counts, counts), min_size=1, max_size=30))
+def test_the_chain_checks_as_the_supervision_does(pairs: list[tuple[float, float]]) -> None:
+    chain = SignalChain(ChainConfig(amplitude_low_counts=400, amplitude_high_counts=2400, frozen_samples=0))
+    checks = Supervision(LIMITS)
+    for sine, cosine in pairs:
+        got = chain.step(Sample(sine, cosine))
+        assert got.status & BOTH == checks.faults(sine, cosine, got.amplitude)
+        assert not (got.status & BOTH and got.valid)
+
+
+QUIET = {"amplitude_low_counts": 400, "amplitude_high_counts": 2000}
+
+
+@pytest.mark.parametrize(
+    ("sine", "cosine", "bits"),
+    [
+        (0.0, below(400.0), StatusBit.AMPLITUDE),
+        (0.0, 400.0, None),
+        (below(400.0), 0.0, StatusBit.AMPLITUDE),
+        (0.0, -below(400.0), StatusBit.AMPLITUDE),
+        (0.0, 2000.0, None),
+        (0.0, above(2000.0), StatusBit.AMPLITUDE),
+        (0.0, -above(2000.0), StatusBit.AMPLITUDE),
+        (0.0, 2047.0, StatusBit.AMPLITUDE | StatusBit.CLIPPED),
+        (-2048.0, 0.0, StatusBit.AMPLITUDE | StatusBit.CLIPPED),
+        (math.nan, 0.0, StatusBit.AMPLITUDE),
+        (0.0, math.nan, StatusBit.AMPLITUDE),
+        (math.inf, 0.0, StatusBit.AMPLITUDE | StatusBit.CLIPPED),
+    ],
+)
+def test_a_fault_shows_in_its_own_sample_and_in_no_other(
+    sine: float, cosine: float, bits: StatusBit | None
+) -> None:
+    chain = SignalChain(ChainConfig(**QUIET))
+    good = Sample(0.0, 1000.0)
+    before = [chain.step(good) for _ in range(10)]
+    bad = chain.step(Sample(sine, cosine))
+    after = [chain.step(good) for _ in range(10)]
+    assert all(flags(got) == StatusBit.VALID for got in before)
+    if bits is None:
+        assert flags(bad) == StatusBit.VALID
+        assert all(flags(got) == StatusBit.VALID for got in after)
+        return
+    assert flags(bad) == bits | StatusBit.COASTING
+    assert (bad.cycles, bad.phase) == (0, 0.0)
+    assert {flags(got) for got in after} == {StatusBit.COASTING, StatusBit.VALID}
+    assert has(after, StatusBit.VALID) == sorted(has(after, StatusBit.VALID)), "valid once, it stays valid"
+
+
+def test_the_chain_has_the_hysteresis_too() -> None:
+    chain = SignalChain(ChainConfig(**QUIET))
+    wanted = [(1000, 0), (400, 0), (399, 1), (412, 1), (413, 0), (400, 0), (2000, 0), (2001, 1), (1938, 1)]
+    for amplitude, fault in [*wanted, (1937, 0), (2000, 0)]:
+        assert has([chain.step(Sample(0, amplitude))], StatusBit.AMPLITUDE) == [bool(fault)], amplitude
+
+
+# Table 1 gives exactly 1/8 where both tracks are equal: an eighth for the limit makes its edge exact.
+@pytest.mark.parametrize(
+    ("sine", "bits"),
+    [
+        (below(1000.0), StatusBit.VALID),
+        (1000.0, StatusBit.RESIDUAL | StatusBit.COASTING),
+        (above(1000.0), StatusBit.RESIDUAL | StatusBit.COASTING),
+        (-1000.0 * (1.0 - 2.0**-40), StatusBit.VALID),
+        (-1000.0, StatusBit.RESIDUAL | StatusBit.COASTING),
+        (below(-1000.0), StatusBit.RESIDUAL | StatusBit.COASTING),
+    ],
+)
+@pytest.mark.parametrize("coast_samples", [1, 3])
+def test_a_residual_of_the_limit_is_a_fault(sine: float, bits: StatusBit, coast_samples: int) -> None:
+    chain = SignalChain(ChainConfig(residual_limit=0.125, coast_samples=coast_samples))
+    for _ in range(10):
+        assert flags(chain.step(Sample(0.0, 1000.0))) == StatusBit.VALID
+    got = chain.step(Sample(sine, 1000.0))
+    assert flags(got) == bits
+    assert got.residual == pytest.approx(0.125)
+
+
+def test_a_new_residual_limit_holds_for_the_next_sample_and_a_bad_one_changes_nothing() -> None:
+    chain = SignalChain(ChainConfig())
+    for _ in range(4):
+        chain.step(Sample(0.0, 1000.0))
+    with pytest.raises(ValueError, match="residual_limit"):
+        chain.set_limits(SampleLimits(2048, 1100, 1200), 0.51, 3, 16, 0.1)
+    assert chain.step(Sample(0.0, 1000.0)).valid
+    chain.set_limits(SampleLimits(2048, 400, 2000), 0.125, 3, 16, 0.1)
+    assert chain.step(Sample(0.0, 1000.0)).valid
+    assert flags(chain.step(Sample(1000.0, 1000.0))) & StatusBit.RESIDUAL
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.3, -0.3, 41.3, -41.3])
+@pytest.mark.parametrize(
+    ("make", "bits"),
+    [
+        (lambda drive: drive.spoil(), StatusBit.AMPLITUDE),
+        (lambda drive: drive.spoil(Sample(2047.0, 100.0)), StatusBit.CLIPPED),
+        (lambda drive: drive.spoil(Sample(100.0, -2048.0)), StatusBit.CLIPPED),
+        (lambda drive: drive.step(invalid=True), StatusBit(0)),
+        (lambda drive: drive.miss(), StatusBit.MISSED),
+        (lambda drive: drive.spoil(at(drive.position + drive.speed + 0.4)), StatusBit.RESIDUAL),
+        (lambda drive: drive.spoil(at(drive.position + drive.speed - 0.4)), StatusBit.RESIDUAL),
+    ],
+    ids=["amplitude", "clipped", "clipped below", "invalid", "missed", "residual", "residual below"],
+)
+def test_each_fault_alone_at_any_speed(make: object, bits: StatusBit, speed: float) -> None:
+    drive = Drive(speed)
+    bad = make(drive)
+    assert flags(bad) == bits | StatusBit.COASTING
+    after = drive.run(30)
+    assert {flags(got) for got in after} <= {StatusBit.COASTING, StatusBit.VALID}
+    assert after[-1].valid
+    assert abs(drive.error(after[-1])) < 0.012
+
+
+class Module:
+    """The module with frames in and out, as on a bus."""
+
+    def __init__(self, **config: object) -> None:
+        self.module = FeedbackModule(ModuleConfig(node_id=32, **config))
+        self.now = 0.0
+        self.module.start(self.now)
+        self.module.receive(Frame(0, b"\x01\x20"), self.now)
+        self.words: list[int] = []
+
+    def interval(self, sample: Sample | None) -> None:
+        """A SYNC, and a sample unless it is None; status words go into ``words``."""
+        self.now += 1e-3
+        sent = list(self.module.receive(Frame(0x80, b""), self.now))
+        if sample is not None:
+            counts = struct.pack("<hh", round(sample.sine), round(sample.cosine))
+            sent += self.module.receive(Frame(0x190, counts), self.now + 1e-4)
+        self.words += [struct.unpack_from("<H", frame.data, 4)[0] for frame in sent if frame.can_id == 0x1A0]
+
+    def counter(self, subindex: int) -> int:
+        return int(self.module.dictionary.entry(0x2012, subindex).value)
+
+
+def test_the_counters_of_the_module_are_those_of_the_status_words() -> None:
+    module = Module(coast_samples=4)
+    story = [Sample(0, 1500)] * 5 + [DEAD] + [Sample(0, 1500)] * 20  # amplitude
+    story += [Sample(2047, 0), DEAD, Sample(-2048, 0)] + [Sample(0, 1500)] * 20  # clipped, amplitude, clipped
+    story += [Sample(1450, -450)] + [Sample(0, 1500)] * 20  # a glitch of 0.3 cycle and a bit
+    story += [None, None] + [Sample(0, 1500)] * 20
+    story += [DEAD] * 7
+    for sample in story:
+        module.interval(sample)
+    module.interval(DEAD)  # a miss is known with the next SYNC
+    words = [StatusBit(word) for word in module.words]
+    shown = {bit: sum(bit in word for word in words) for bit in StatusBit}
+    assert shown[StatusBit.AMPLITUDE] == 1 + 1 + 8
+    assert shown[StatusBit.CLIPPED] == 2
+    assert shown[StatusBit.MISSED] == 2
+    assert shown[StatusBit.RESIDUAL] >= 1
+    assert module.counter(1) == shown[StatusBit.MISSED]
+    assert module.counter(2) == shown[StatusBit.RESIDUAL]
+    assert module.counter(3) == shown[StatusBit.AMPLITUDE] + shown[StatusBit.CLIPPED]
+    assert module.counter(4) == shown[StatusBit.COASTING]
+    assert module.counter(5) == 1
+    assert module.counter(9) == shown[StatusBit.CLIPPED]
+    assert [module.counter(n) for n in (6, 7, 8, 10, 11, 12)] == [0] * 6
+
+
+def test_frozen_samples_are_counted() -> None:
+    module = Module()
+    for n in range(40):
+        module.interval(at(min(n, 30) * 0.2))
+    frozen = sum(bool(word & StatusBit.FROZEN) for word in module.words)
+    assert module.counter(10) == frozen == 8  # the second repeat is the first proof
+
+
+def test_the_amplitude_of_the_kit_is_within_the_default_limits() -> None:
+    limits = ChainConfig().limits
+    assert limits.amplitude_low_counts * 2 < AMPLITUDE < limits.amplitude_high_counts / 1.5
