@@ -1,0 +1,165 @@
+"""The plant of the fault campaign: encoder, table, limits, and motions at every kind of speed."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb import CorrectionTable, SignalChain, phase_in_cycle
+from canfb.signal.chain import ChainConfig
+from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.sample import Sample
+from canfb.simulation.encoder import Encoder, demo_encoder
+
+FloatArray = npt.NDArray[np.float64]
+Counts = npt.NDArray[np.int64]
+
+ENCODER: Encoder = demo_encoder()  # 12 bits, half a count of noise, every error of a mediocre one
+TABLE_ENTRIES = 1024
+TOP_CYCLES = 125.0  # per sample: 3000 rpm, 2500 cycles per revolution, 1 kHz
+RAMP_CYCLES = 0.25  # per interval squared: to get to the speed, before the narrow limits are set
+SETTLED_SAMPLES = 20
+
+# Cycles per sample: standstill, creeping, and locked at whole, half and third cycles per sample.
+LOCKED = (
+    0.0, 0.0, 0.002, -0.002, 0.02, -0.02, 0.15, -0.3, 0.5, -0.5, 1.0, -1.0, 1.5, 10.25, -10.25,
+    41.0 + 1.0 / 3.0, -41.0 - 2.0 / 3.0, 62.5, -62.5, 83.0, -83.0, 83.5, -83.25, 124.5, -124.5, TOP_CYCLES,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Limits of the chain, and what the machine does.
+
+    residual_limit           cycles
+    amplitude                lowest and highest, as parts of the nominal one; None: the defaults
+    conditioned              offsets, gains and phase error of the tracks are known to the chain
+    acceleration             largest of the machine, cycles per interval squared
+    """
+
+    name: str
+    residual_limit: float
+    amplitude: tuple[float, float] | None
+    conditioned: bool
+    acceleration: float
+
+    @cached_property
+    def conditioning(self) -> Conditioning:
+        """The known truth of the encoder, or the identity."""
+        if not self.conditioned:
+            return IDENTITY
+        e = ENCODER
+        return Conditioning(
+            e.amplitude_counts * e.sine_offset,
+            e.amplitude_counts * e.cosine_offset,
+            1.0 / e.sine_amplitude,
+            1.0 / e.cosine_amplitude,
+            e.phase_error_rad,
+        )
+
+    @cached_property
+    def table(self) -> CorrectionTable:
+        """The table that a reference measurement without error would give."""
+        truth = np.arange(-8192, 65536 + 8192) / 65536.0
+        s, c = self.conditioning.apply(*ENCODER.tracks(truth))
+        raw = phase_in_cycle(s, c)
+        raw = raw - np.rint(raw - truth)
+        return CorrectionTable(np.interp(np.arange(TABLE_ENTRIES) / TABLE_ENTRIES, raw, truth))
+
+    @cached_property
+    def config(self) -> ChainConfig:
+        low, high = (None, None)
+        if self.amplitude is not None:
+            low, high = (round(part * ENCODER.amplitude_counts) for part in self.amplitude)
+        return ChainConfig(
+            amplitude_low_counts=low,
+            amplitude_high_counts=high,
+            residual_limit=self.residual_limit,
+            conditioning=self.conditioning,
+        )
+
+    def phases(self, sine: Counts, cosine: Counts) -> tuple[FloatArray, FloatArray]:
+        """Corrected phase and amplitude of these counts, as the chain computes them."""
+        s, c = self.conditioning.apply(sine.astype(np.float64), cosine.astype(np.float64))
+        return self.table(phase_in_cycle(s, c)), np.sqrt(s * s + c * c)
+
+
+DEFAULT = Setting("default", 1.0 / 3.0, None, False, 0.01)
+HARD = Setting("accelerating", 1.0 / 3.0, None, False, 0.2)
+COMMISSIONED = Setting("commissioned", 0.06, (0.8, 1.2), True, 0.01)
+SETTINGS = (DEFAULT, HARD, COMMISSIONED)
+
+
+class Turning:
+    """A chain that has followed the machine from standstill to a speed, to be copied for each episode.
+
+    position   true position of the last sample, cycles
+    offset     true position less published one, whole cycles (the count begins at zero)
+    flagged    how often a clean sample was flagged on the way, and it was begun anew
+    """
+
+    def __init__(self, setting: Setting, speed: float, rng: np.random.Generator) -> None:
+        self.setting = setting
+        self.speed = speed
+        steps = math.ceil(abs(speed) / RAMP_CYCLES)
+        speeds = np.concatenate(
+            (np.zeros(5), np.linspace(0.0, speed, steps + 1), np.full(SETTLED_SAMPLES, speed))
+        )
+        self.flagged = -1
+        valid = False
+        while not valid:
+            self.flagged += 1
+            positions = rng.uniform() + np.cumsum(speeds)
+            self._chain = SignalChain(ChainConfig(conditioning=setting.conditioning), setting.table)
+            sine, cosine = ENCODER.sample(positions, rng)
+            published = [
+                self._chain.step(Sample(s, c)) for s, c in zip(sine.tolist(), cosine.tolist(), strict=True)
+            ]
+            valid = all(one.valid for one in published)
+        config = setting.config
+        self._chain.set_limits(
+            config.limits,
+            config.residual_limit,
+            config.coast_samples,
+            config.frozen_samples,
+            config.coarse_limit_revolutions,
+        )
+        self.position = float(positions[-1])
+        self.offset = round(self.position - published[-1].cycles - published[-1].phase)
+
+    def chain(self) -> SignalChain:
+        """A copy of the chain; the table, which nothing changes, is shared."""
+        table = self.setting.table
+        return copy.deepcopy(self._chain, {id(table): table})
+
+
+def speed_of_group(group: int, rng: np.random.Generator) -> float:
+    """Every other group is at one of the locked speeds, the others anywhere up to the top speed."""
+    if group % 2 == 0:
+        return LOCKED[group // 2 % len(LOCKED)]
+    return float(rng.uniform(-TOP_CYCLES, TOP_CYCLES))
+
+
+def motion(turning: Turning, samples: int, rng: np.random.Generator) -> FloatArray:
+    """True positions after those of ``turning``, cycles: one in three at constant speed.
+
+    The others change their acceleration every 20..120 samples; they brake near the top speed.
+    """
+    acceleration = np.zeros(samples)
+    if rng.uniform() > 1.0 / 3.0:
+        at, speed = 0, turning.speed
+        while at < samples:
+            stretch = int(rng.integers(20, 121))
+            value = float(rng.uniform(-1.0, 1.0)) * turning.setting.acceleration
+            if abs(speed + value * stretch) > TOP_CYCLES:
+                value = -math.copysign(value, speed)
+            acceleration[at : at + stretch] = value
+            speed += value * stretch
+            at += stretch
+    speeds = turning.speed + np.cumsum(acceleration)
+    return turning.position + np.cumsum(speeds)
