@@ -34,6 +34,7 @@ ADDITIONS = {
     "BusError",
     "Calibration",
     "ChainConfig",
+    "ChainResult",
     "Conditioning",
     "Config",
     "ConfigError",
@@ -42,6 +43,7 @@ ADDITIONS = {
     "StatusBit",
     "Track",
     "TrackResult",
+    "process_stream",
 }
 # What the design says of their use: parameters by name, in order, with the defaults that it states.
 SIGNATURES = {

@@ -22,6 +22,7 @@ from canfb.signal.correction import CorrectionTable
 from canfb.signal.limits import max_acceleration
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.sample import Sample
+from canfb.signal.stream import ChainResult, process_stream
 from canfb.signal.supervision import StatusBit
 from canfb.signal.tracker import Track, Tracker, TrackResult, track
 
@@ -31,6 +32,7 @@ __all__ = [
     "CalibrationError",
     "CanfbError",
     "ChainConfig",
+    "ChainResult",
     "Conditioning",
     "Config",
     "ConfigError",
@@ -51,5 +53,6 @@ __all__ = [
     "max_acceleration",
     "phase_in_cycle",
     "process",
+    "process_stream",
     "track",
 ]

@@ -1,0 +1,369 @@
+from __future__ import annotations
+
+import math
+import tracemalloc
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import canfb
+from canfb.signal.blocks import BLOCK_SAMPLES
+from canfb.signal.chain import ChainConfig, SignalChain
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import CorrectionTable
+from canfb.signal.sample import Sample
+from canfb.signal.stream import SHORTEST_BLOCK, ChainResult, process_stream
+from canfb.signal.supervision import StatusBit
+
+Array = np.ndarray
+FIELDS = ("cycles", "phase", "residual", "amplitude", "raw_phase", "status")
+AMPLITUDE = 1500.0
+FULL_SCALE = 2048
+X = np.arange(64) / 64
+TABLE = CorrectionTable(X + 0.02 * np.sin(2 * np.pi * X) - 0.01)
+CONDITIONING = Conditioning(12.5, -7.0, 1.1, 0.9, 0.1)
+
+
+def one_by_one(
+    sine: Array, cosine: Array, config: ChainConfig, table: CorrectionTable | None = None
+) -> ChainResult:
+    chain = SignalChain(config, table)
+    result = ChainResult.empty(len(sine))
+    for k, pair in enumerate(zip(sine.tolist(), cosine.tolist(), strict=True)):
+        got = chain.step(Sample(*pair))
+        for name in FIELDS:
+            getattr(result, name)[k] = getattr(got, name)
+    return result
+
+
+def in_blocks(
+    sine: Array,
+    cosine: Array,
+    config: ChainConfig,
+    table: CorrectionTable | None = None,
+    lengths: list[int] | None = None,
+) -> ChainResult:
+    """The lengths are used again and again until the samples end."""
+    lengths = lengths or [len(sine)]
+    edges = [0]
+    while edges[-1] < len(sine):
+        edges.append(edges[-1] + lengths[(len(edges) - 1) % len(lengths)])
+    blocks = [(sine[a:b], cosine[a:b]) for a, b in pairwise(edges)]
+    results = list(process_stream(blocks, config, table))
+    assert [len(result.phase) for result in results] == [len(block[0]) for block in blocks]
+    return ChainResult(*(np.concatenate([getattr(one, name) for one in results]) for name in FIELDS))
+
+
+def assert_same(got: ChainResult, wanted: ChainResult) -> None:
+    for name in FIELDS:
+        ours, theirs = getattr(got, name), getattr(wanted, name)
+        assert ours.dtype == theirs.dtype
+        differ = np.flatnonzero((ours != theirs) & ~((ours != ours) & (theirs != theirs)))
+        assert not len(differ), f"{name} at {differ[0]}: {ours[differ[0]]!r}, not {theirs[differ[0]]!r}"
+
+
+def tracks_at(position: Array) -> tuple[Array, Array]:
+    angle = 2 * np.pi * position
+    return AMPLITUDE * np.sin(angle), AMPLITUDE * np.cos(angle)
+
+
+def standstill(n: int, rng: np.random.Generator) -> Array:
+    return np.full(n, rng.random())
+
+
+def constant(n: int, rng: np.random.Generator) -> Array:
+    return np.arange(n) * rng.uniform(-0.45, 0.45)
+
+
+def whole_cycles(n: int, rng: np.random.Generator) -> Array:
+    """Up to some whole cycles per sample: the same phase each time."""
+    return np.cumsum(np.minimum(np.arange(n) // 5 * 0.25, rng.integers(0, 4))) + 0.1
+
+
+def wandering(n: int, rng: np.random.Generator) -> Array:
+    return np.cumsum(np.cumsum(rng.uniform(-0.1, 0.1, n)))
+
+
+def stop_and_go(n: int, rng: np.random.Generator) -> Array:
+    return np.cumsum(0.2 * (np.sin(np.arange(n) * 0.1) > 0))
+
+
+def dead_track(s: Array, c: Array, part: slice, rng: np.random.Generator) -> None:
+    s[part] = 0.0
+
+
+def both_dead(s: Array, c: Array, part: slice, rng: np.random.Generator) -> None:
+    s[part], c[part] = 0.0, 0.0
+
+
+def clipped(s: Array, c: Array, part: slice, rng: np.random.Generator) -> None:
+    s[part] = rng.choice([FULL_SCALE - 1, -FULL_SCALE, FULL_SCALE - 2, FULL_SCALE - 3])
+
+
+def repeated(s: Array, c: Array, part: slice, rng: np.random.Generator) -> None:
+    before = max(part.start - 1, 0)
+    s[part], c[part] = s[before], c[before]
+
+
+def swapped(s: Array, c: Array, part: slice, rng: np.random.Generator) -> None:
+    s[part], c[part] = c[part].copy(), s[part].copy()
+
+
+def inverted(s: Array, c: Array, part: slice, rng: np.random.Generator) -> None:
+    c[part] *= -1.0
+
+
+def weak(s: Array, c: Array, part: slice, rng: np.random.Generator) -> None:
+    factor = rng.choice([0.1, 0.27, 0.28, 2.0])
+    s[part] *= factor
+    c[part] *= factor
+
+
+def noisy(s: Array, c: Array, part: slice, rng: np.random.Generator) -> None:
+    s[part] += rng.normal(0.0, 400.0, len(s[part]))
+
+
+def no_number(s: Array, c: Array, part: slice, rng: np.random.Generator) -> None:
+    s[part] = rng.choice([math.nan, math.inf, -1e300])
+
+
+Fault = Callable[[Array, Array, slice, np.random.Generator], None]
+FAULTS: list[Fault] = [
+    dead_track, both_dead, clipped, repeated, swapped, inverted, weak, noisy, no_number,
+]  # fmt: skip
+
+
+def recording(
+    seed: int, samples: int, motion: Callable[[int, np.random.Generator], Array], rate: float, noise: float
+) -> tuple[Array, Array]:
+    """A motion with faults of any kind and length at this part of the samples."""
+    rng = np.random.default_rng(seed)
+    s, c = tracks_at(motion(samples, rng))
+    s += noise * rng.normal(size=samples)
+    c += noise * rng.normal(size=samples)
+    if rng.random() < 0.7:
+        s, c = np.rint(s), np.rint(c)
+    for at in np.flatnonzero(rng.random(samples) < rate):
+        fault = FAULTS[rng.integers(len(FAULTS))]
+        fault(s, c, slice(at, at + int(rng.choice([1, 1, 2, 3, 5, 30]))), rng)
+    return s, c
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    samples=st.integers(1, 700),
+    motion=st.sampled_from([standstill, constant, whole_cycles, wandering, stop_and_go]),
+    rate=st.sampled_from([0.0, 0.002, 0.01, 0.05, 0.3]),
+    noise=st.sampled_from([0.0, 1.0, 20.0]),
+    lengths=st.lists(st.sampled_from([0, 1, 2, 3, 7, 15, 16, 17, 40, 300, 1000]), min_size=1).filter(any),
+    table=st.sampled_from([None, TABLE]),
+    config=st.builds(
+        ChainConfig,
+        conditioning=st.sampled_from([Conditioning(), CONDITIONING]),
+        residual_limit=st.sampled_from([0.1, 1 / 3, 0.5]),
+        coast_samples=st.sampled_from([0, 1, 3, 40]),
+        frozen_samples=st.sampled_from([0, 1, 2, 3, 16]),
+        amplitude_low_counts=st.sampled_from([None, 0]),
+    ),
+)
+def test_a_stream_gives_the_bits_of_single_samples(
+    seed: int,
+    samples: int,
+    motion: Callable[[int, np.random.Generator], Array],
+    rate: float,
+    noise: float,
+    lengths: list[int],
+    table: CorrectionTable | None,
+    config: ChainConfig,
+) -> None:
+    sine, cosine = recording(seed, samples, motion, rate, noise)
+    wanted = one_by_one(sine, cosine, config, table)
+    assert_same(in_blocks(sine, cosine, config, table, lengths), wanted)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("length", [1, 3, 9, 200])
+def test_each_fault_in_a_long_block(fault: Fault, length: int) -> None:
+    """The position recovers where the fault was short, and both ways agree on it."""
+    rng = np.random.default_rng(length)
+    n = BLOCK_SAMPLES + 3000
+    sine, cosine = tracks_at(np.cumsum(0.4 * np.sin(np.arange(n) * 1e-3)))
+    for at in (1000, BLOCK_SAMPLES - 2, BLOCK_SAMPLES + 700):
+        fault(sine, cosine, slice(at, at + length), rng)
+    wanted = one_by_one(sine, cosine, ChainConfig())
+    assert_same(in_blocks(sine, cosine, ChainConfig()), wanted)
+    assert wanted.valid[:1000].all()
+    if fault in (both_dead, no_number):
+        assert not wanted.valid[1000]
+    if length == 1:
+        assert wanted.valid[-1]
+
+
+def test_amplitudes_and_counts_at_their_limits() -> None:
+    """Good at the limit, bad one count beyond, also on the narrower way back."""
+    config = ChainConfig(amplitude_low_counts=512, amplitude_high_counts=2000)
+    limits = (512.0, 511.0, 520.0, 528.0, 2000.0, 2001.0, 1937.5, 1938.0, 2046.0, 2047.0, -2047.0, -2048.0)
+    for value in limits:
+        sine, cosine = np.zeros(120), np.full(120, 1000.0)
+        cosine[60:63] = value
+        cosine[80:] = abs(value)
+        for frozen in ((0.0, 0.0), (1.0, 0.0)):
+            sine[60], sine[81] = frozen
+            assert_same(in_blocks(sine, cosine, config), one_by_one(sine, cosine, config))
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.0199, 0.02, 0.0201, 0.5 / 64, 1.0, 1.0099, 1.0101, 2.0, 3.5])
+@pytest.mark.parametrize("frozen_samples", [0, 1, 2, 5])
+@pytest.mark.parametrize("lengths", [[400], [101, 16], [103, 17]])
+def test_a_frozen_input_is_found_at_the_same_sample(
+    speed: float, frozen_samples: int, lengths: list[int]
+) -> None:
+    config = ChainConfig(frozen_samples=frozen_samples, coast_samples=10)
+    ramp = np.minimum(np.arange(400) * 0.25, speed)
+    for at, length in ((100, 1), (101, 2), (102, 3), (150, 8), (98, 60)):
+        sine, cosine = tracks_at(np.cumsum(ramp))
+        sine[at : at + length], cosine[at : at + length] = sine[at - 1], cosine[at - 1]
+        assert_same(in_blocks(sine, cosine, config, None, lengths), one_by_one(sine, cosine, config))
+
+
+def test_a_lost_position_stays_lost_and_is_followed() -> None:
+    """Eq. 9 runs on over good and bad samples, with residuals over the limit marked."""
+    rng = np.random.default_rng(3)
+    n = 5000
+    sine, cosine = tracks_at(np.cumsum(rng.uniform(-0.1, 0.1, n)))
+    sine[1000:1050] = 0.0
+    angle = rng.uniform(0, 2 * np.pi, 500)
+    sine[2000:2500], cosine[2000:2500] = AMPLITUDE * np.sin(angle), AMPLITUDE * np.cos(angle)
+    sine[3000:3003], cosine[3000:3003] = sine[2999], cosine[2999]
+    sine[4000::100] = 0.0
+    wanted = one_by_one(sine, cosine, ChainConfig())
+    assert (wanted.status[1050:] & StatusBit.LOST).all()
+    assert (wanted.status[2000:2500] & StatusBit.RESIDUAL).any()
+    assert_same(in_blocks(sine, cosine, ChainConfig()), wanted)
+    assert_same(in_blocks(sine, cosine, ChainConfig(), None, [97, 500]), wanted)
+
+
+@pytest.mark.parametrize("kind", [np.int16, np.int32, np.float32, np.uint16, list])
+def test_kinds_of_numbers(kind: type) -> None:
+    sine, cosine = (np.rint(track) for track in tracks_at(np.cumsum(np.linspace(0.0, 0.4, 300))))
+    sine[150:152] = 0.0
+    if kind is np.uint16:
+        sine, cosine = np.abs(sine), np.abs(cosine)
+    given = (sine.tolist(), cosine.tolist()) if kind is list else (sine.astype(kind), cosine.astype(kind))
+    (got,) = process_stream([given])
+    assert_same(got, one_by_one(sine, cosine, ChainConfig()))
+
+
+def test_the_samples_of_a_block_are_left_as_they_are_and_may_be_overwritten() -> None:
+    sine, cosine = tracks_at(np.arange(3000) * 0.1)
+    buffers = np.empty(1000), np.empty(1000)
+
+    def reader() -> Iterator[tuple[Array, Array]]:
+        for start in range(0, 3000, 1000):
+            buffers[0][:], buffers[1][:] = sine[start : start + 1000], cosine[start : start + 1000]
+            yield buffers
+            assert (buffers[0] == sine[start : start + 1000]).all()
+
+    results = list(process_stream(reader()))
+    position = np.concatenate([one.cycles + one.phase for one in results])
+    assert np.abs(position - np.arange(3000) * 0.1).max() < 0.02
+
+
+def test_a_result_is_there_before_the_next_block_is_read() -> None:
+    taken = []
+
+    def reader() -> Iterator[tuple[Array, Array]]:
+        for k in range(3):
+            taken.append(k)
+            yield tracks_at(np.zeros(20))
+
+    stream = process_stream(reader())
+    assert taken == []
+    next(stream)
+    assert taken == [0]
+
+
+def test_no_block_and_empty_blocks() -> None:
+    assert list(process_stream([])) == []
+    (got,) = process_stream([([], [])])
+    assert [len(getattr(got, name)) for name in FIELDS] == [0] * 6
+    assert got.status.dtype == np.uint16
+
+
+@pytest.mark.parametrize(
+    ("block", "words"),
+    [
+        (([1.0], [1.0, 2.0]), "one length"),
+        (([[1.0]], [[1.0]]), "one length"),
+        ((1.0, 1.0), "one length"),
+        (([1.0], [1.0], [1.0]), "pair"),
+        (([1j], [1.0]), "real numbers"),
+        ((["1"], [1.0]), "real numbers"),
+    ],
+)
+def test_a_block_that_is_none_is_refused(block: object, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        list(process_stream([block]))  # type: ignore[list-item]
+
+
+def test_memory_is_that_of_one_block() -> None:
+    """However long the stream is; 25 million samples would be a gigabyte of results."""
+    length = 1 << 16
+    block = tracks_at(np.arange(length) * 0.25)
+
+    def peak(blocks: int) -> int:
+        tracemalloc.start()
+        try:
+            for result in process_stream(block for _ in range(blocks)):
+                assert result.valid.all()
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    peak(1)  # what is made once
+    few, many = peak(4), peak(150)  # 10^7 samples
+    assert many < few + 100_000
+    assert many < 3 * length * 6 * 8
+
+
+def test_faults_at_every_few_samples_cost_no_more_than_single_samples(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What is computed in vain stays a small multiple of the samples: it does not grow with the block."""
+    computed = 0
+    follow_run = SignalChain.follow_run
+
+    def counting(chain: SignalChain, *arguments: object) -> int:
+        nonlocal computed
+        run = arguments[3]
+        assert isinstance(run, slice)
+        computed += run.stop - run.start
+        return follow_run(chain, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(SignalChain, "follow_run", counting)
+    n = 2 * BLOCK_SAMPLES
+    for apart in (5, 20, 40, 200):
+        computed = 0
+        position = np.zeros(n)
+        position[::apart] = 0.4  # over the limit of the residual, which only eq. 9 shows
+        sine, cosine = tracks_at(position)
+        list(process_stream([(sine, cosine)], ChainConfig(coast_samples=255)))
+        assert computed <= 4 * n
+
+
+def test_short_blocks_are_as_right_as_long_ones() -> None:
+    sine, cosine = tracks_at(np.cumsum(np.linspace(0.0, 3.3, 2000)))
+    whole = in_blocks(sine, cosine, ChainConfig(), TABLE)
+    assert whole.valid.all()
+    for length in (1, 2, 3, SHORTEST_BLOCK - 1, SHORTEST_BLOCK, SHORTEST_BLOCK + 1):
+        assert_same(in_blocks(sine, cosine, ChainConfig(), TABLE, [length]), whole)
+
+
+def test_the_package_exports_it() -> None:
+    assert canfb.process_stream is process_stream
+    assert canfb.ChainResult is ChainResult
