@@ -247,3 +247,68 @@ def test_equal_samples_at_rest_are_no_fault_and_the_check_can_be_off() -> None:
         angle = 2 * math.pi * 0.2 * min(k, 100)
         got = off.step(Sample(1500 * math.sin(angle), 1500 * math.cos(angle)))
     assert not got.status & StatusBit.FROZEN
+
+
+@pytest.mark.parametrize("coarse", [False, True])
+def test_an_outage_while_lost_ends_what_was_known_of_the_speed(coarse: bool) -> None:
+    chain, machine = starts_at_rest(coarse=coarse, pulse=True)
+    reference = np.median(errors(run(chain, machine, 100)))
+    spoil(chain, machine, 10)
+    run(chain, machine, 650 if coarse else 45)
+    for _ in range(200):
+        chain.step(machine.sample(0.02)._replace(sine=0, cosine=0))
+    wrong = errors(run(chain, machine, 1500)) - reference
+    assert np.abs(wrong - np.rint(wrong / N) * N).max(initial=0.0) < 0.04
+
+
+@pytest.mark.parametrize("speed", [5.0, 5.2])
+def test_after_a_count_was_set_right_one_bad_sample_costs_nothing(speed: float) -> None:
+    chain, machine = SignalChain(ChainConfig()), Machine(0.0, coarse=False)
+    run(chain, machine, 5)
+    while machine.speed < speed - 0.05:
+        chain.step(machine.sample(0.1))
+    machine.speed = speed
+    feedback, truth = run(chain, machine, 2000)[-1]
+    reference = feedback.cycles + feedback.phase - truth
+    chain._recovery.found(7, 0)
+    while not chain.step(machine.sample()).jump_cycles:
+        pass
+    spoil(chain, machine, 1)
+    after = run(chain, machine, 60)
+    assert after[-1][0].valid
+    assert np.abs(errors(after) - reference).max() < 0.04
+
+
+def test_a_converter_that_freezes_after_a_bad_sample_is_found_too() -> None:
+    chain, machine = starts_at_rest(coarse=False, pulse=False)
+    while machine.speed > 5.05:
+        chain.step(machine.sample(-0.1))
+    machine.speed = 5.0
+    run(chain, machine, 50)
+    spoil(chain, machine, 1)
+    last = machine.sample()
+    assert any(chain.step(last).status & StatusBit.FROZEN for _ in range(20))
+
+
+def test_a_machine_that_moved_in_a_pause_is_noticed_by_the_coarse_track() -> None:
+    chain, machine = SignalChain(ChainConfig()), Machine(0.0, pulse=False)
+    run(chain, machine, 60)
+    machine.position += 300
+    chain.resume()
+    got = [feedback for feedback, _ in run(chain, machine, 60)]
+    assert not any(feedback.valid for feedback in got)
+    assert any(feedback.status & StatusBit.COARSE for feedback in got)
+
+
+def test_a_narrow_window_of_amplitudes_opens_again() -> None:
+    chain = SignalChain(ChainConfig(amplitude_low_counts=1480, amplitude_high_counts=1520))
+    chain.step(Sample(0, 1500))
+    assert chain.step(Sample(0, 1000)).status & StatusBit.AMPLITUDE
+    assert not chain.step(Sample(0, 1500)).status & StatusBit.AMPLITUDE
+
+
+def test_a_glitch_at_rest_does_not_make_rest_look_frozen() -> None:
+    chain = SignalChain(ChainConfig())
+    for k in range(40):
+        got = chain.step(Sample(1450, -450) if k == 20 else Sample(0, 1500))
+    assert got.valid

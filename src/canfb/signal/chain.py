@@ -25,7 +25,6 @@ from canfb.signal.supervision import (
     REFERENCED,
     RESIDUAL,
     TABLE_ACTIVE,
-    VALID,
     SampleLimits,
     Supervision,
 )
@@ -165,7 +164,7 @@ class SignalChain:
         self._supervision = Supervision(config.limits)
         self._frozen = FrozenInput(config.frozen_samples)
         self._samples = 0
-        self._speed = self._trusted_speed = 0.0
+        self._speed = 0.0
         self._sine = self._cosine = math.nan
         self._time_100ns: int | None = None
         self._last: Feedback | None = None
@@ -259,7 +258,7 @@ class SignalChain:
         self._waited = 0.0
         self._before = None
         self._sine = self._cosine = math.nan
-        self._speed = self._trusted_speed = 0.0
+        self._speed = 0.0
 
     def step(self, sample: Sample) -> Feedback:
         """Take one sample through the whole chain. A bad sample is flagged, it never raises.
@@ -286,7 +285,7 @@ class SignalChain:
         else:
             faults = supervision.faults(sine, cosine, amplitude)
         if sine == self._sine and cosine == self._cosine:
-            if self._frozen.repeated(self._trusted_speed):
+            if self._frozen.repeated(0.0 if self._frozen.repeats else self._recovery.least_speed()):
                 faults |= FROZEN
         else:
             self._sine, self._cosine = sine, cosine
@@ -327,9 +326,10 @@ class SignalChain:
 
         Only where :attr:`is_steady`. ``sine[run]``, ``cosine[run]`` are the counts and
         ``tracked.phase[run]`` the corrected phases; ``run.start`` is at least 2, and the two places
-        before it are overwritten. Fills the rest of ``tracked[run]``. The result is the number of
-        samples taken: those before the first with a residual over the limit (unless the position
-        is lost) or a frozen input. The chain stands after these, and the rest is for :meth:`step`.
+        before it are overwritten. ``scratch`` has the length of the run. Fills the rest of
+        ``tracked[run]``. The result is the number of samples taken: those before the first with a
+        residual over the limit (unless the position is lost) or a frozen input. The chain stands
+        after these, and the rest is for :meth:`step`.
         """
         start: int = run.start
         stop: int = run.stop
@@ -353,7 +353,8 @@ class SignalChain:
         self._sine, self._cosine = float(sine[stop - 1]), float(cosine[stop - 1])
         self._before, self._last = last, None
         self._speed = self._tracker.step_cycles
-        self._trusted_speed = 0.0 if lost else self._speed
+        if not tracked.ok[start:stop].all():
+            self._reference.slipped()
         self._clock += stop - start
         self._samples += stop - start
         return stop - start
@@ -361,16 +362,12 @@ class SignalChain:
     def _repeats(
         self, sine: FloatArray, cosine: FloatArray, tracked: TrackResult, start: int, stop: int
     ) -> tuple[npt.NDArray[np.bool_], FloatArray]:
-        """Which samples repeat the one before, and the trusted speed before each, if any does."""
+        """Which samples repeat the one before, and the least speed before each, if any does."""
         equal = sine[start:stop] == sine[start - 1 : stop - 1]
         equal &= cosine[start:stop] == cosine[start - 1 : stop - 1]
-        speeds = np.zeros(stop - start if equal.any() else 0)
-        if len(speeds):
-            if not self._recovery.lost:
-                speeds[:] = np.diff(tracked.cycles[start - 2 : stop - 1])
-                speeds += np.diff(tracked.phase[start - 2 : stop - 1])
-            speeds[0] = self._trusted_speed
-        return equal, speeds
+        if not equal.any():
+            return equal, np.zeros(0)
+        return equal, self._recovery.least_speeds(tracked.cycles[start:stop], tracked.phase[start:stop])
 
     def miss(self) -> Feedback:
         """One sampling interval without a sample: the position coasts, flagged."""
@@ -396,10 +393,6 @@ class SignalChain:
         cycles, phase, residual, _ = track
         speed = self._tracker.step_cycles
         acceleration, self._speed = speed - self._speed, speed
-        if bits & VALID:
-            self._trusted_speed = speed
-        elif bits & LOST:
-            self._trusted_speed = 0.0
         status = bits | self._base_status
         if self._referenced and not bits & LOST:
             status |= REFERENCED

@@ -33,7 +33,8 @@ class FrozenInput:
     def repeated(self, speed_cycles: float) -> bool:
         """The counts are those of the sample before; True if the input is frozen.
 
-        ``speed_cycles`` is the speed of the samples before this one, cycles per interval.
+        ``speed_cycles`` is the speed of the samples before this one, cycles per interval; looked
+        at with the first repeat only.
         """
         if self.repeats == 0:
             self._speed = speed_cycles

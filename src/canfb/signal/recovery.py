@@ -9,10 +9,15 @@ when not a sample was wrong but the acceleration was beyond the limit.
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Sequence
 
+import numpy as np
+import numpy.typing as npt
+
 from canfb.signal.candidates import Candidate, Place, candidates
+from canfb.signal.phase import FloatArray
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.tracker import Track, Tracker
 
@@ -87,6 +92,27 @@ class Recovery:
         self._places.clear()
         self._places.append((before.cycles, before.phase, 1.0))
         self._places.append((last.cycles, last.phase, elapsed))
+
+    def least_speed(self) -> float:
+        """The smallest speed of the last samples, cycles per interval: any of them may have been bad."""
+        places = list(self._places)[-DOUBTED_SAMPLES - 2 :]
+        steps = [((new[0] - old[0]) + (new[1] - old[1])) / new[2] for old, new in itertools.pairwise(places)]
+        return min(steps, key=abs, default=0.0)
+
+    def least_speeds(self, cycles: npt.NDArray[np.int64], phase: FloatArray) -> FloatArray:
+        """The size of :meth:`least_speed` before each of these samples, which follow the last one."""
+        least = np.zeros(len(cycles))
+        if self.lost or not self._places:
+            return least
+        known = list(self._places)[-DOUBTED_SAMPLES - 2 :]
+        way = np.diff([place[0] for place in known] + cycles.tolist())
+        steps = way + np.diff([place[1] for place in known] + phase.tolist())
+        steps[: len(known) - 1] /= [place[2] for place in known[1:]]
+        padded = np.concatenate([np.full(DOUBTED_SAMPLES + 1, np.inf), steps])
+        window = np.lib.stride_tricks.sliding_window_view(np.abs(padded), DOUBTED_SAMPLES + 1)
+        before = len(known) - 1 + np.arange(len(cycles))  # steps before each sample
+        least[:] = window[before].min(axis=1)
+        return np.where(np.isfinite(least), least, 0.0)
 
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
         """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL."""

@@ -41,7 +41,6 @@ class Reference:
         self._proven = False  # the coarse track has confirmed the range of speed since the start
         self._range_known = False  # ... since the position was lost
         self._begin_search()
-        self._disagreeing = 0
 
     def apply(
         self, sample: Sample, track: Track, bits: int, before: Track | None, time: float, elapsed: float
@@ -68,10 +67,15 @@ class Reference:
 
     def missed(self) -> None:
         """A sample did not come."""
-        self.coarse.restart_search()
+        self.slipped() if self._recovery.lost else self.coarse.restart_search()
+
+    def slipped(self) -> None:
+        """A sample of a lost position was not taken, or over the limit: its speed is not known any more."""
+        self._begin_search()
 
     def _begin_search(self) -> None:
         self._range_known = False
+        self._disagreeing = 0
         self._first_pulse: tuple[float, int, float] | None = None
         self.coarse.restart_search()
 
@@ -85,6 +89,12 @@ class Reference:
         elif not (lost and self._range_known):
             missing = self.coarse.search(angle, track.cycles, track.phase, elapsed)
             if missing is not None and angle is not None:
+                if (
+                    not lost
+                    and self.coarse.aligned
+                    and self.coarse.disagrees(angle, track.cycles, track.phase)
+                ):
+                    return self._contradicted(bits), 0  # it did not stand still in the pause
                 jump = self._range_found(missing, angle, track)
         # Before the coarse track has confirmed the speed, a turning machine looks like one at rest.
         return (bits if self._proven else bits & ~VALID), jump
@@ -115,10 +125,13 @@ class Reference:
             return bits
         self._disagreeing += 1
         if self._disagreeing >= DISAGREEING_SAMPLES:
-            self._disagreeing = 0
-            self._recovery.lose()
-            return bits & ~VALID | COARSE | LOST
+            return self._contradicted(bits)
         return bits & ~VALID | COARSE | COASTING
+
+    def _contradicted(self, bits: int) -> int:
+        self._disagreeing = 0
+        self._recovery.lose()
+        return bits & ~(VALID | COASTING) | COARSE | LOST
 
     def _pulse(
         self, cycles: int, phase: float, time: float, track: Track, bits: int, angle: float | None

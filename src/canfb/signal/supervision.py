@@ -62,12 +62,13 @@ class SampleLimits:
         full, low, high = self.full_scale_counts, self.amplitude_low_counts, self.amplitude_high_counts
         if not after_fault:
             return -full, full - 1, low, high
-        margin = CLIPPING_HYSTERESIS_COUNTS
+        margin = min(CLIPPING_HYSTERESIS_COUNTS, full // 64)
+        most = (high - low) / 4.0  # a narrow window stays open
         return (
             margin - full,
             full - 1 - margin,
-            low * (1.0 + AMPLITUDE_HYSTERESIS),
-            high * (1.0 - AMPLITUDE_HYSTERESIS),
+            low + min(low * AMPLITUDE_HYSTERESIS, most),
+            high - min(high * AMPLITUDE_HYSTERESIS, most),
         )
 
 

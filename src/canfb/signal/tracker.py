@@ -87,9 +87,10 @@ class Tracker:
         return self._started
 
     @property
-    def last(self) -> Track:
-        """The last sample that was taken; residual not known."""
-        return Track(self._cycles, self._phase, 0.0, True)
+    def places(self) -> tuple[Track, Track, float]:
+        """The last two samples that were taken, and the intervals between them; residuals not known."""
+        before = Track(self._cycles - self._step, self._phase_before, 0.0, True)
+        return before, Track(self._cycles, self._phase, 0.0, True), self._elapsed
 
     @property
     def step_cycles(self) -> float:
