@@ -17,6 +17,7 @@ CLEAN_BEFORE = (100, 301)
 CLEAN_AFTER = 100  # a short fault
 TO_THE_END = 200
 HARM_CYCLES = 0.25
+GLITCH_SAMPLES = 3  # what the chain has to bridge without losing a cycle
 
 VALID, LOST = 1 << 0, 1 << 2
 
@@ -44,7 +45,9 @@ class Verdict:
     moved           the fault itself moves the phase by more than a quarter of a cycle, or takes it away
     legal           all samples together are those of a legal motion (:func:`first_illegal`)
     wrong_legal     wrong positions called valid while all samples so far were those of a legal motion
-    wrong_silent    wrong positions called valid that are not: none is allowed
+    wrong_carried   wrong positions called valid after that, of a legal motion that already was wrong
+                    before the last few samples: it is carried on as over a glitch
+    wrong_silent    all other wrong positions called valid: none is allowed
     longest_run     of wrong positions called valid
     wrong_count     at the end the position is called valid, and its cycle count is wrong
     lost            at the end the position is called lost
@@ -56,6 +59,7 @@ class Verdict:
     moved: bool
     legal: bool
     wrong_legal: int
+    wrong_carried: int
     wrong_silent: int
     longest_run: int
     wrong_count: bool
@@ -64,7 +68,7 @@ class Verdict:
     @property
     def harmful(self) -> bool:
         """A wrong position was called valid."""
-        return self.wrong_legal + self.wrong_silent > 0
+        return self.wrong_legal + self.wrong_carried + self.wrong_silent > 0
 
     @property
     def matters(self) -> bool:
@@ -128,15 +132,17 @@ def judge(setting: Setting, episode: Episode) -> Verdict:
     illegal = first_illegal(setting, samples, start)
     wrong = valid & (error > HARM_CYCLES)
     until = len(samples) if illegal is None else illegal
-    wrong_legal, wrong_silent = int(wrong[:until].sum()), int(wrong[until:].sum())
+    wrong_after = int(wrong[until:].sum())
+    carried = bool(wrong[max(start - 1, until - GLITCH_SAMPLES - 1)])
     return Verdict(
         flagged_before=not valid[:start].all() or bool((error[:start] > HARM_CYCLES).any()),
         faulty=stop - start,
         delay=int(unseen[0]) if len(unseen) else None,
         moved=_moved(setting, episode),
         legal=illegal is None,
-        wrong_legal=wrong_legal,
-        wrong_silent=wrong_silent,
+        wrong_legal=int(wrong[:until].sum()),
+        wrong_carried=wrong_after if carried else 0,
+        wrong_silent=0 if carried else wrong_after,
         longest_run=_longest_run(wrong),
         wrong_count=bool(valid[-1] and error[-1] > 0.5),
         lost=bool(episode.status[-1] & LOST),

@@ -13,7 +13,7 @@ SOON_SAMPLES = 3
 COLUMNS = (
     "fault", "episodes", "faulty samples", "same sample", "within 3", "later", "unseen, harmless",
     "unseen, legal motion", "silent", "detected, of all that matter", "... that are no legal motion",
-    "wrong valid samples, legal", "wrong valid samples, silent", "longest run", "cycle lost, legal motion",
+    "wrong valid samples, legal", "..., carried on", "..., silent", "longest run", "cycle lost, legal motion",
     "cycle lost", "called lost",
 )  # fmt: skip
 
@@ -27,8 +27,8 @@ class Tally:
     legal                  never flagged, wrong, and all samples are those of a legal motion
     silent                 never flagged, wrong, and no legal motion has these samples
     matters, matters_seen  episodes that did harm or would have, and those of them that were flagged
-    wrong_legal, wrong_silent  wrong positions called valid, samples; longest_run of both
-    cycle_legal, cycle_lost    valid at the end with a wrong count: all samples legal, or not
+    wrong_legal, wrong_carried, wrong_silent  wrong positions called valid, samples; longest_run of all
+    cycle_legal, cycle_lost    valid at the end with a wrong count: legal or carried on, or not
     lost                   called lost at the end
     false_alarms           clean samples flagged before a fault began: that episode counts no further
     violations             where to find what must not be: seeds of the episodes
@@ -45,6 +45,7 @@ class Tally:
     matters: int = 0
     matters_seen: int = 0
     wrong_legal: int = 0
+    wrong_carried: int = 0
     wrong_silent: int = 0
     longest_run: int = 0
     cycle_legal: int = 0
@@ -64,10 +65,11 @@ class Tally:
         self.matters += verdict.matters
         self.matters_seen += verdict.matters and verdict.delay is not None
         self.wrong_legal += verdict.wrong_legal
+        self.wrong_carried += verdict.wrong_carried
         self.wrong_silent += verdict.wrong_silent
         self.longest_run = max(self.longest_run, verdict.longest_run)
-        self.cycle_legal += verdict.wrong_count and verdict.legal
-        self.cycle_lost += verdict.wrong_count and not verdict.legal
+        self.cycle_legal += verdict.wrong_count and not verdict.wrong_silent
+        self.cycle_lost += verdict.wrong_count and verdict.wrong_silent > 0
         self.lost += verdict.lost
         if verdict.wrong_silent:
             self.violations.append(seed)
@@ -122,7 +124,7 @@ class Tally:
             self.silent,
         )  # fmt: skip
         rest = (
-            self.wrong_legal, self.wrong_silent, self.longest_run, self.cycle_legal, self.cycle_lost,
+            self.wrong_legal, self.wrong_carried, self.wrong_silent, self.longest_run, self.cycle_legal, self.cycle_lost,
             self.lost,
         )  # fmt: skip
         return (
