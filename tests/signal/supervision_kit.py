@@ -57,6 +57,14 @@ class Drive:
         self.position += self.speed
         return self.chain.step(sample)
 
+    def converter_dies(self) -> Sample:
+        """One more good sample, which is what :meth:`spoil` is to repeat."""
+        # At whole cycles per interval rounding would decide whether it equals the one before.
+        self.position += self.speed + 1e-4
+        last = at(self.position)
+        self.chain.step(last)
+        return last
+
     def miss(self) -> Feedback:
         self.position += self.speed
         return self.chain.miss()

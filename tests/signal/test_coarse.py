@@ -1,0 +1,341 @@
+"""The coarse track: its limit and hysteresis, and the search for lost ranges of speed."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from supervision_kit import above, at, below, flags, has
+
+from canfb.signal.chain import ChainConfig, Feedback, SignalChain
+from canfb.signal.coarse import CoarseTrack
+from canfb.signal.sample import Sample
+from canfb.signal.supervision import StatusBit
+
+N = 4096  # with powers of two the limits are exact
+FULL = 2048
+
+
+def coarse(limit: float = 0.125, n: int = N, full: int = FULL) -> CoarseTrack:
+    return CoarseTrack(n, full, limit)
+
+
+def test_the_amplitude_below_which_it_tells_nothing_is_a_tenth_of_the_full_scale() -> None:
+    track = coarse(full=1000)
+    for sine, cosine in ((100.0, 0.0), (-100.0, 0.0), (0.0, 100.0), (0.0, -100.0), (60.0, 80.0)):
+        assert track.angle(sine, cosine) is None
+        assert track.angle(below(sine) if sine <= 0 else above(sine), cosine * 1.001 or 1.0) is not None
+    assert track.angle(0.0, 0.0) is None
+    assert track.angle(math.nan, 1000.0) is None
+    assert track.angle(1000.0, math.nan) is None
+
+
+@pytest.mark.parametrize(
+    ("sine", "cosine", "angle"),
+    [
+        (0.0, 1.0, 0.0), (1.0, 1.0, 0.125), (1.0, 0.0, 0.25), (1.0, -1.0, 0.375), (0.0, -1.0, 0.5),
+        (-1.0, -1.0, 0.625), (-1.0, 0.0, 0.75), (-1.0, 1.0, 0.875), (-1e-300, 1.0, 0.0),
+    ],
+)  # fmt: skip
+def test_the_angle_is_in_revolutions(sine: float, cosine: float, angle: float) -> None:
+    got = coarse().angle(1500 * sine, 1500 * cosine)
+    assert got == pytest.approx(angle, abs=1e-15)
+    assert got is not None
+    assert 0.0 <= got < 1.0
+
+
+def aligned(limit: float = 0.125, angle: float = 0.0, cycles: int = 0, phase: float = 0.0) -> CoarseTrack:
+    track = coarse(limit)
+    assert not track.aligned
+    track.align(angle, cycles, phase)
+    assert track.aligned
+    return track
+
+
+@pytest.mark.parametrize(
+    ("angle", "disagrees"),
+    [
+        (0.0, False), (0.125, False), (above(0.125), True), (below(0.125), False), (0.25, True), (0.5, True),
+        (0.75, True), (below(0.875), True), (0.875, False), (above(0.875), False), (0.9999, False),
+    ],
+)  # fmt: skip
+def test_a_disagreement_is_more_than_the_limit(angle: float, disagrees: bool) -> None:
+    assert aligned().disagrees(angle, 0, 0.0) == disagrees
+    # the same from anywhere else on the revolution, and any number of revolutions away
+    there = aligned(angle=0.25, cycles=512, phase=0.0)
+    turned = (angle + 0.25) % 1.0
+    if (turned - 0.25) % 1.0 == angle:
+        assert there.disagrees(turned, 512 - 7 * N, 0.0) == disagrees
+
+
+@pytest.mark.parametrize(
+    ("angle", "disagrees"),
+    [
+        (0.0, False), (below(0.09375), False), (0.09375, False), (above(0.09375), True), (0.125, True),
+        (0.90625, False), (below(0.90625), True), (0.875, True),
+    ],
+)  # fmt: skip
+def test_a_disagreement_ends_below_three_quarters_of_the_limit(angle: float, disagrees: bool) -> None:
+    track = aligned()
+    assert track.disagrees(0.25, 0, 0.0)
+    assert track.disagrees(angle, 0, 0.0) == disagrees
+    assert track.disagrees(0.125, 0, 0.0) == disagrees, "agreed once, the whole limit holds again"
+
+
+def test_where_the_fine_track_stands_counts_cycle_and_phase() -> None:
+    track = aligned()
+    assert not track.disagrees(0.0, N // 8 - 1, 0.9)
+    assert not track.disagrees(0.0, N // 8, 0.0)
+    assert track.disagrees(0.0, N // 8, 0.001)
+    assert track.disagrees(0.0, N // 2, 0.0)
+    assert not track.disagrees(0.0, N - 1, 0.0)
+    assert not track.disagrees(0.5, 10 * N + N // 2, 0.0)
+
+
+def test_a_dead_coarse_track_disagrees_always() -> None:
+    assert coarse().disagrees(None, 0, 0.0)
+    track = aligned()
+    assert track.disagrees(None, 0, 0.0)
+    assert not track.disagrees(0.125, 0, 0.0), "and leaves no hysteresis behind"
+
+
+def test_before_it_is_aligned_any_angle_will_do() -> None:
+    track = coarse()
+    assert not any(track.disagrees(angle, 17, 0.3) for angle in (0.0, 0.3, 0.5, 0.9))
+
+
+def test_aligned_anew_it_starts_without_hysteresis() -> None:
+    track = aligned()
+    assert track.disagrees(0.25, 0, 0.0)
+    track.align(0.25, 0, 0.0)
+    assert not track.disagrees(0.375, 0, 0.0)
+    assert track.disagrees(0.0, 0, 0.0)
+    track.forget()
+    assert not track.aligned
+    assert not track.disagrees(0.6, 0, 0.0)
+    track.align(0.0, 0, 0.0)
+    assert not track.disagrees(0.125, 0, 0.0)
+
+
+@pytest.mark.parametrize("count", [0, 100, -5000, 123456])
+@pytest.mark.parametrize("off", [0, 1, -1, 7, N // 2 - 1, 1 - N // 2])
+def test_the_nearest_count_at_an_angle(count: int, off: int) -> None:
+    track = aligned(angle=0.125, cycles=100, phase=0.25)
+    angle = (0.125 + (count + off - 100) / N) % 1.0
+    assert track.nearest_cycles(angle, count, 0.25) == count + off
+    assert track.nearest_cycles(angle + 0.3 / N, count, 0.25) == count + off
+    assert track.nearest_cycles(angle - 0.3 / N, count, 0.25) == count + off
+    assert coarse().nearest_cycles(0.25, 0, 0.0) == N // 4
+
+
+def search(
+    track: CoarseTrack,
+    speed: float,
+    missing: float,
+    error: float = 0.0,
+    elapsed: float = 1.0,
+    samples: int = 3000,
+) -> tuple[int, int] | None:
+    """Samples until the answer, and the answer; ``error`` (revolutions) has one and two waves."""
+    n = track.cycles_per_revolution
+    for k in range(samples):
+        true = 0.37 * n + speed * k * elapsed
+        counted = 5.25 + (speed - missing) * k * elapsed
+        turn = true / n
+        angle = (turn + error * (math.sin(2 * math.pi * turn) + math.cos(4 * math.pi * turn)) / 2) % 1.0
+        cycles = math.floor(counted)
+        found = track.search(angle, cycles, counted - cycles, elapsed)
+        if found is not None:
+            return k + 1, found
+    return None
+
+
+@pytest.mark.parametrize("error", [0.0, 0.03, -0.03])
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("speed", [0.0, 0.01, 1.0, 3.3, 83.4, 125.0, 1000.0])
+@pytest.mark.parametrize("missing", [0, 1, -1, 2, -2, 83, -125])
+def test_the_range_of_speed_is_found_and_never_a_wrong_one(
+    missing: int, speed: float, direction: int, error: float
+) -> None:
+    found = search(CoarseTrack(2500, FULL, 1 / 32), direction * speed, missing, error)
+    assert found is not None
+    assert found[1] == missing
+
+
+@pytest.mark.parametrize(
+    ("n", "full", "limit", "speed", "elapsed", "samples"),
+    [
+        # at standstill noise alone decides: 16 n/(pi full) intervals
+        (2500, 2048, 1 / 32, 0.0, 1.0, 8),
+        (2500, 32768, 1 / 32, 0.0, 1.0, 2),
+        (2500, 128, 1 / 32, 0.0, 1.0, 101),
+        (25000, 2048, 1 / 32, 0.0, 1.0, 64),
+        (2500, 2048, 1 / 32, 0.0, 0.5, 14),
+        (2500, 2048, 1 / 32, 0.0, 4.0, 3),
+        # in motion its error counts, 4 pi limit of the turn, at most twice the limit: (2 limit + noise) 4 n
+        (2500, 2048, 1 / 32, 83.0, 1.0, 633),
+        (2500, 2048, 1 / 64, 83.0, 1.0, 320),
+        (2500, 2048, 1 / 4, 83.0, 1.0, 5008),
+        (2500, 2048, 1 / 128, 1.0, 1.0, 12),
+        (2500, 2048, 1 / 64, -1.0, 1.0, 30),
+    ],
+)
+def test_how_long_the_search_takes(
+    n: int, full: int, limit: float, speed: float, elapsed: float, samples: int
+) -> None:
+    for missing in (0, 3, -7):
+        got = search(CoarseTrack(n, full, limit), speed, missing, elapsed=elapsed, samples=6000)
+        assert got == (samples, missing)
+
+
+@pytest.mark.parametrize(
+    ("slope", "found"),
+    [
+        (0.2, 0), (-0.2, 0), (0.3, None), (-0.3, None), (0.5, None), (0.7, None), (0.8, 1), (-0.8, -1)
+    ],
+)  # fmt: skip
+def test_a_slope_between_two_whole_numbers_is_no_answer(slope: float, found: int | None) -> None:
+    got = search(CoarseTrack(2500, 32768, 1 / 1024), 83.0, slope, samples=60)
+    assert (got and got[1]) == found
+
+
+def test_exactly_a_quarter_is_no_answer() -> None:
+    track = CoarseTrack(N, 32768, 1 / 1024)
+    for k in range(100):
+        cycles, phase = divmod(0.25 * k, 1.0)
+        assert track.search(0.0, int(cycles), phase, 1.0) is None
+
+
+def test_a_sample_without_an_angle_begins_the_search_anew() -> None:
+    track = CoarseTrack(2500, FULL, 1 / 32)
+    for k in range(7):
+        assert track.search(0.0, 3 * k, 0.0, 1.0) is None
+    assert track.search(None, 21, 0.0, 1.0) is None
+    for k in range(7):
+        assert track.search(0.0, 100 + 3 * k, 0.0, 1.0) is None
+    assert track.search(0.0, 100 + 21, 0.0, 1.0) == -3
+
+
+def test_the_angle_may_pass_nought_in_both_directions() -> None:
+    forward = search(CoarseTrack(2500, FULL, 1 / 32), 80.0, 5)
+    assert forward == (633, 5)
+    assert search(CoarseTrack(2500, FULL, 1 / 32), -80.0, 5) == forward
+
+
+class Coarse:
+    """A chain with a coarse track, at standstill, that has confirmed the position."""
+
+    def __init__(self, **config: object) -> None:
+        self.chain = SignalChain(
+            ChainConfig(cycles_per_revolution=N, coarse_limit_revolutions=0.125, **config)
+        )
+        for _ in range(30):
+            got = self.step(0.0)
+        assert flags(got) == StatusBit.VALID
+
+    def step(self, revolutions: float, amplitude: float = 1500.0, **rest: object) -> Feedback:
+        """The fine track at rest, the coarse one turned away."""
+        angle = 2 * math.pi * (0.3 + revolutions)
+        sine, cosine = amplitude * math.sin(angle), amplitude * math.cos(angle)
+        return self.chain.step(at(0.25, coarse_sine=sine, coarse_cosine=cosine, **rest))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("away", "bit"), [(0.1249, False), (0.1251, True), (0.3, True), (0.5, True)])
+def test_the_bit_shows_in_its_own_sample(away: float, bit: bool, sign: int) -> None:
+    machine = Coarse()
+    got = machine.step(sign * away)
+    assert flags(got) == (StatusBit.COARSE | StatusBit.COASTING if bit else StatusBit.VALID)
+    assert all(flags(machine.step(0.0)) == StatusBit.VALID for _ in range(5))
+
+
+def test_the_hysteresis_in_the_chain() -> None:
+    machine = Coarse()
+    got = [machine.step(away) for away in (0.12, 0.13, 0.0939, 0.0936, 0.12, 0.13, 0.0, 0.12)]
+    assert has(got, StatusBit.COARSE) == [False, True, True, False, False, True, False, False]
+    assert not any(has(got, StatusBit.LOST))
+
+
+@pytest.mark.parametrize("amplitude", [1500.0, 0.0], ids=["turned away", "dead"])
+def test_three_disagreements_in_a_row_lose_the_position(amplitude: float) -> None:
+    machine = Coarse()
+    for _ in range(3):  # two, and an agreement: begins anew each time
+        got = [machine.step(0.3, amplitude), machine.step(0.3, amplitude), machine.step(0.0)]
+        assert has(got, StatusBit.COARSE) == [True, True, False]
+        assert has(got, StatusBit.VALID) == [False, False, True]
+    got = [machine.step(0.3, amplitude) for _ in range(3)]
+    assert has(got, StatusBit.COARSE) == [True] * 3
+    assert has(got, StatusBit.LOST) == [False, False, True]
+    assert flags(got[2]) == StatusBit.COARSE | StatusBit.LOST
+    assert not has([machine.step(0.0)], StatusBit.VALID)[0]
+
+
+@pytest.mark.parametrize(("amplitude", "dead"), [(204.0, True), (205.0, False)])
+def test_a_coarse_track_below_a_tenth_is_dead(amplitude: float, dead: bool) -> None:
+    machine = Coarse()
+    assert has([machine.step(0.0, amplitude)], StatusBit.COARSE) == [dead]
+
+
+def test_disagreements_before_a_loss_do_not_count_after_it() -> None:
+    machine = Coarse(coast_samples=1)
+    machine.step(0.3)
+    machine.step(0.3)
+    for _ in range(3):
+        machine.chain.step(Sample(0.0, 0.0))
+    assert machine.chain.lost
+    machine.chain.restart()
+    for _ in range(30):
+        machine.step(0.0)
+    assert flags(machine.step(0.3)) == StatusBit.COARSE | StatusBit.COASTING
+
+
+def test_disagreements_are_not_judged_while_the_fine_track_is_in_doubt() -> None:
+    machine = Coarse()
+    dead = machine.chain.step(Sample(0.0, 0.0, coarse_sine=1500.0, coarse_cosine=0.0))
+    assert flags(dead) == StatusBit.AMPLITUDE | StatusBit.COASTING
+
+
+WRONG_SPEEDS = [1, -1, 2, -3, 17, -50, 83, -83, 124, -125]
+
+
+class Starting:
+    """A machine with coarse track, started while it turns; counts samples that are valid and wrong."""
+
+    def __init__(self, speed: float, error: float = 0.008) -> None:
+        self.speed, self.error = speed, error
+        self.position = 1000.5
+        self.chain = SignalChain(ChainConfig())
+        self.valid: list[float] = []
+
+    def sample(self) -> Sample:
+        self.position += self.speed
+        turn = self.position / 2500
+        angle = 2 * math.pi * (turn + self.error * math.sin(2 * math.pi * turn))
+        sine, cosine = round(1500 * math.sin(angle)), round(1500 * math.cos(angle))
+        return at(self.position, coarse_sine=sine, coarse_cosine=cosine)
+
+    def run(self, samples: int) -> None:
+        for _ in range(samples):
+            self.take(self.chain.step(self.sample()))
+
+    def take(self, got: Feedback) -> None:
+        if got.valid:
+            self.valid.append(got.cycles + got.phase - self.position)
+
+
+@pytest.mark.parametrize("fault", ["none", "amplitude", "missed", "long gap"])
+@pytest.mark.parametrize("speed", [0.0, 0.4, *WRONG_SPEEDS])
+def test_started_on_a_turning_machine(speed: float, fault: str) -> None:
+    machine = Starting(speed + (0.13 if speed else 0.0))
+    machine.run(4)
+    early = len(machine.valid)
+    if fault == "amplitude":
+        machine.take(machine.chain.step(machine.sample()._replace(sine=0.0, cosine=0.0)))
+    elif fault in ("missed", "long gap"):
+        for _ in range(1 if fault == "missed" else 3):
+            machine.sample()
+            machine.take(machine.chain.miss())
+    machine.run(1500)
+    assert early == 0
+    assert len(machine.valid) > 700
+    assert max(machine.valid) - min(machine.valid) < 0.03

@@ -1,0 +1,196 @@
+"""The zero pulse: half a cycle, the wrap at the revolution, revolutions of any size."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from supervision_kit import above, at, below, flags
+
+from canfb.signal.chain import ChainConfig, Feedback, SignalChain
+from canfb.signal.sample import Sample
+from canfb.signal.supervision import StatusBit
+from canfb.signal.zero_pulse import ZeroPulse
+
+
+def pulse_at(n: int, cycles: int, phase: float) -> ZeroPulse:
+    zero = ZeroPulse(n)
+    zero.set_place(cycles, phase)
+    return zero
+
+
+def test_before_the_first_pulse_nothing_is_wrong() -> None:
+    zero = ZeroPulse(2500)
+    assert not zero.referenced
+    assert zero.error_cycles(1234, 0.5) == 0
+    zero.set_place(0, 0.0)
+    assert zero.referenced
+    assert zero.error_cycles(1, 0.0) == 1
+    zero.forget()
+    assert not zero.referenced
+    assert zero.error_cycles(1, 0.0) == 0
+
+
+@pytest.mark.parametrize("place", [(0, 0.0), (0, 0.25), (7, 0.75), (2499, 0.75), (-1, 0.75), (-2501, 0.5)])
+@pytest.mark.parametrize("turns", [0, 1, -1, 1000, -1000, 2**40])
+@pytest.mark.parametrize(
+    ("away", "error"),
+    [
+        (0.0, 0), (0.25, 0), (0.499, 0), (0.501, 1), (0.75, 1), (1.0, 1), (1.25, 1), (1.501, 2), (7.0, 7),
+        (1249.0, 1249), (1250.0, 1250), (1250.25, 1250), (1250.75, -1249), (1251.0, -1249), (2499.0, -1),
+        (-0.25, 0), (-0.499, 0), (-0.501, -1), (-0.75, -1), (-1.0, -1), (-1.25, -1), (-7.0, -7),
+        (-1249.0, -1249), (-1250.0, 1250),
+    ],
+)  # fmt: skip
+def test_the_error_is_the_nearest_whole_number_of_cycles(
+    place: tuple[int, float], turns: int, away: float, error: int
+) -> None:
+    cycles, phase = place
+    whole = int(np.floor(phase + away))
+    seen = cycles + turns * 2500 + whole, phase + away - whole
+    assert pulse_at(2500, cycles, phase).error_cycles(*seen) == error
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 1048575, 1048576])
+def test_a_revolution_of_few_cycles_even_or_odd(n: int) -> None:
+    zero = pulse_at(n, 5 * n, 0.25)
+    for error in range(-(n - 1) // 2 if n < 9 else -4, min(n // 2, 4) + 1):
+        wanted = error if error > -n / 2 else error + n
+        assert zero.error_cycles(error, 0.25) == wanted, error
+        assert zero.error_cycles(error - 3 * n, 0.25) == wanted
+    assert zero.error_cycles(n // 2, 0.25) == n // 2
+    assert zero.error_cycles(n // 2 + 1, 0.25) == n // 2 + 1 - n
+
+
+def test_half_a_cycle_at_its_edge() -> None:
+    zero = pulse_at(4, 0, 0.0)
+    assert zero.error_cycles(0, below(0.5)) == 0
+    assert zero.error_cycles(0, above(0.5)) == 1
+    assert zero.error_cycles(3, 0.5 + 1e-9) == 0
+    assert zero.error_cycles(3, 0.5 - 1e-9) == -1
+
+
+@given(
+    st.integers(1, 1048576), st.integers(-(2**50), 2**50), st.floats(0, 0.999), st.integers(-(2**40), 2**40)
+)
+def test_whole_revolutions_are_no_error(n: int, cycles: int, phase: float, turns: int) -> None:
+    assert pulse_at(n, cycles, phase).error_cycles(cycles + turns * n, phase) == 0
+
+
+@given(st.integers(1, 100_000), st.integers(-200_000, 200_000), st.floats(-0.49, 0.49), st.integers(-9, 9))
+def test_the_error_put_right_leaves_less_than_half_a_cycle(
+    n: int, wrong: int, jitter: float, turns: int
+) -> None:
+    zero = pulse_at(n, 17, 0.5)
+    cycles, phase = 17 + wrong + turns * n, 0.5 + jitter
+    error = zero.error_cycles(cycles, phase)
+    assert -n / 2 < error <= n / 2
+    assert (wrong - error) % n == 0
+    assert zero.error_cycles(cycles - error, phase) == 0
+
+
+class Turning:
+    """A machine whose zero pulse comes at cycle 0 of each revolution; it has no coarse track."""
+
+    def __init__(self, speed: float, n: int) -> None:
+        self.speed, self.n = speed, n
+        self.chain = SignalChain(ChainConfig(cycles_per_revolution=n, coast_samples=5))
+        self.position = 0.3
+
+    def sample(self) -> Sample:
+        before = self.position
+        self.position += self.speed
+        place = None
+        low, high = sorted((before, self.position))
+        pulse = np.floor(high / self.n) * self.n
+        if low < pulse <= high:
+            place = round((pulse - before) / self.speed * 65535) / 65536
+        return at(self.position, zero_pulse=place)
+
+    def step(self) -> Feedback:
+        return self.chain.step(self.sample())
+
+
+def turning(speed: float, n: int) -> Turning:
+    """Started from rest, and the zero pulse seen."""
+    made = Turning(0.0, n)
+    while made.speed != speed:
+        assert made.step().valid
+        made.speed += max(-0.1, min(0.1, speed - made.speed))
+    for _ in range(int(3 * n / abs(speed)) + 5):
+        assert made.step().valid
+    assert made.chain.reference.zero.referenced
+    return made
+
+
+@pytest.mark.parametrize("n", [7, 10, 2500])
+@pytest.mark.parametrize("speed", [0.37, -0.37, 1.3, -2.4])
+@pytest.mark.parametrize("error", [1, -1, 2, -3])
+def test_a_wrong_count_is_set_right_at_the_pulse_in_both_directions(n: int, speed: float, error: int) -> None:
+    made = turning(speed, n) if n < 100 else turning(30 * speed, n)
+    good = made.step()
+    offset = good.cycles + good.phase - made.position
+    made.chain._recovery.found(error, 0)
+    wrong = []
+    while not (got := made.step()).jump_cycles:
+        wrong.append(got)
+        assert len(wrong) < n / abs(made.speed) + 2, "a pulse comes once per revolution"
+    assert all(flags(earlier) & StatusBit.VALID for earlier in wrong), "nobody knew"
+    assert got.jump_cycles == -error
+    assert flags(got) == StatusBit.COASTING | StatusBit.REFERENCED
+    after = made.step()
+    assert after.valid
+    assert after.jump_cycles == 0
+    assert after.cycles + after.phase - made.position == pytest.approx(offset, abs=0.02)
+    assert made.chain.reference.set_right == 1
+
+
+def test_pulses_that_agree_change_nothing() -> None:
+    made = turning(1.3, 10)
+    got = [made.step() for _ in range(200)]
+    assert all(flags(one) == StatusBit.VALID | StatusBit.REFERENCED for one in got)
+    assert not any(one.jump_cycles for one in got)
+    assert made.chain.reference.set_right == 0
+
+
+def until_pulse(made: Turning) -> Sample:
+    """The next sample that brings a pulse; those before it go through the chain."""
+    while (sample := made.sample()).zero_pulse is None:
+        made.chain.step(sample)
+    return sample
+
+
+def test_a_pulse_in_a_bad_sample_is_not_believed_and_the_next_one_is() -> None:
+    made = turning(1.3, 10)
+    made.chain._recovery.found(2, 0)
+    got = made.chain.step(until_pulse(made)._replace(sine=0.0, cosine=0.0))
+    assert flags(got) == StatusBit.AMPLITUDE | StatusBit.COASTING | StatusBit.REFERENCED
+    assert got.jump_cycles == 0
+    for _ in range(4):
+        assert made.step().jump_cycles == 0
+    assert made.chain.step(until_pulse(made)).jump_cycles == -2
+
+
+def test_a_pulse_just_after_a_bad_sample_is_not_believed() -> None:
+    made = turning(1.3, 10)
+    made.chain._recovery.found(2, 0)
+    samples = [made.sample() for _ in range(9)]
+    at_pulse = next(k for k, sample in enumerate(samples) if k and sample.zero_pulse is not None)
+    for k, sample in enumerate(samples[: at_pulse + 1]):
+        got = made.chain.step(sample._replace(sine=0.0, cosine=0.0) if k == at_pulse - 1 else sample)
+        assert got.jump_cycles == 0
+
+
+@pytest.mark.parametrize("place", [0.0, 0.25, 0.5, 0.75, 0.99])
+def test_where_in_the_interval_the_pulse_was_counts(place: float) -> None:
+    chain = SignalChain(ChainConfig(cycles_per_revolution=10))
+    for k in range(5):
+        chain.step(at(0.2 * k))
+    chain.step(at(1.0, zero_pulse=place))  # at 0.8 + 0.2 place
+    for k in range(6, 54):
+        assert chain.step(at(0.2 * k)).valid
+    chain._recovery.found(1, 0)
+    chain.step(at(10.8))
+    # One cycle too high wherever it was; were the place not looked at, half a cycle of it would be missing.
+    assert chain.step(at(11.0, zero_pulse=place)).jump_cycles == -1
