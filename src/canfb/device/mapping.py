@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import Any, NamedTuple, Protocol
 
@@ -84,23 +84,21 @@ def compile_layout(slots: Sequence[Slot]) -> Layout:
 class AlignedLayout:
     """Whole bytes of types that `struct` knows."""
 
-    __slots__ = ("_entries", "_live", "_pack", "_plain", "_unpack", "length")
+    __slots__ = ("_entries", "_pack_all", "_plain", "_store_all", "_unpack", "length")
 
     def __init__(self, slots: Sequence[Slot]) -> None:
         packer = struct.Struct("<" + "".join(_letter(slot) for slot in slots))
         self.length = packer.size
-        self._pack = packer.pack
         self._unpack = packer.unpack_from
         self._entries = tuple(slot.entry for slot in slots if slot.entry is not None)
-        self._live = any(entry.on_read for entry in self._entries)
         self._plain = all(_is_plain(entry) for entry in self._entries)
+        self._pack_all = _packer(packer.pack, self._entries)
+        self._store_all = _storer(packer.unpack_from, self._entries)
 
     def pack(self) -> bytes:
         """Data of the PDO."""
         try:
-            if self._live:
-                return self._pack(*[entry.current() for entry in self._entries])
-            return self._pack(*[entry.value for entry in self._entries])
+            return self._pack_all()
         except (struct.error, OverflowError):
             for entry in self._entries:
                 entry.encode()  # raises with the name of the one that does not fit
@@ -109,8 +107,7 @@ class AlignedLayout:
     def unpack(self, data: bytes) -> int:
         """Data into the dictionary."""
         if self._plain:
-            for entry, value in zip(self._entries, self._unpack(data), strict=True):
-                entry.value = value
+            self._store_all(data)
             return 0
         return sum(
             not _store(entry, value) for entry, value in zip(self._entries, self._unpack(data), strict=True)
@@ -148,6 +145,41 @@ class BitLayout:
                 raw = bits.to_bytes((slot.bits + 7) // 8, "little")
                 refused += not _store(slot.entry, datatypes.decode(slot.data_type, raw))
         return refused
+
+
+def _packer(pack: Callable[..., bytes], entries: tuple[Entry, ...]) -> Callable[[], bytes]:
+    """Packs the current values. For a few entries without a list, which takes longer than to pack."""
+    if any(entry.on_read for entry in entries):
+        return lambda: pack(*[entry.current() for entry in entries])
+    match entries:
+        case (a,):
+            return lambda: pack(a.value)
+        case (a, b):
+            return lambda: pack(a.value, b.value)
+        case (a, b, c):
+            return lambda: pack(a.value, b.value, c.value)
+        case (a, b, c, d):
+            return lambda: pack(a.value, b.value, c.value, d.value)
+    return lambda: pack(*[entry.value for entry in entries])
+
+
+def _storer(
+    unpack: Callable[[bytes], tuple[Any, ...]], entries: tuple[Entry, ...]
+) -> Callable[[bytes], None]:
+    """Stores the values of entries without limits and hooks. Two, the usual sample, without a loop."""
+
+    def store(data: bytes) -> None:
+        for entry, value in zip(entries, unpack(data), strict=True):
+            entry.value = value
+
+    if len(entries) != 2:
+        return store
+    first, second = entries
+
+    def store_two(data: bytes) -> None:
+        first.value, second.value = unpack(data)
+
+    return store_two
 
 
 def _is_aligned(slot: Slot) -> bool:

@@ -141,7 +141,7 @@ class Node:
                 self.counters.unknown_cob_ids += 1
             else:
                 handler(data, now)
-        return self._sent()
+        return self._sent() if self._outbox else []
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at `now`; gives what is to be sent."""

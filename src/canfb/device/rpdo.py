@@ -104,7 +104,9 @@ class Rpdo:
             self._report(EmergencyCode.RPDO_TIMEOUT, bytes([self.number & 0xFF]), now)
 
     def _take(self, layout: Layout, data: bytes, now: float) -> None:
-        self._counters.refused_rpdo_values += layout.unpack(data)
+        refused = layout.unpack(data)
+        if refused:
+            self._counters.refused_rpdo_values += refused
         self._delivered(self.number, now)
 
     def _refuse(self, received: int, mapped: int, now: float) -> None:
