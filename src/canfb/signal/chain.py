@@ -59,8 +59,9 @@ class ChainConfig:
     amplitude_high_counts   highest accepted amplitude (2001:04); None: 1.25 of the full scale
     residual_limit          cycles, 0 < limit <= 0.5 (2010:01, eq. 12)
     coast_samples           0..255 sampling intervals to bridge before the position is lost (2010:03)
-    frozen_samples          0..255 equal samples that tell a dead converter from a machine that
-                            moves whole cycles per sample (2010:04); 0: equal samples are no fault
+    frozen_samples          0..255 repeats in a row that tell a dead converter from a machine that
+                            moves whole cycles per sample (2010:04): 16 with half a count of noise.
+                            0: the converter may be without noise, equal samples are no fault
     coarse_limit_revolutions  how far the coarse track may differ, above 0, at most 0.25 (2010:05)
     conditioning            offset, gain and phase error of the tracks (2002h)
     """
@@ -71,7 +72,7 @@ class ChainConfig:
     amplitude_high_counts: int | None = None
     residual_limit: float = RESIDUAL_LIMIT
     coast_samples: int = 3
-    frozen_samples: int = 16
+    frozen_samples: int = 0
     coarse_limit_revolutions: float = 1.0 / 32.0
     conditioning: Conditioning = field(default=IDENTITY)
 
@@ -162,7 +163,7 @@ class SignalChain:
         self._tracker = Tracker(config.residual_limit)
         self._recovery = Recovery(self._tracker, config.coast_samples)
         self._supervision = Supervision(config.limits)
-        self._frozen = FrozenInput(config.frozen_samples)
+        self._frozen = FrozenInput(config.frozen_samples, self._tracker.residual_limit)
         self._samples = 0
         self._speed = 0.0
         self._sine = self._cosine = math.nan
@@ -215,6 +216,7 @@ class SignalChain:
         self._supervision.set_limits(limits)
         self._recovery.coast_samples = coast_samples
         self._frozen.frozen_samples = frozen_samples
+        self._frozen.residual_limit_cycles = self._tracker.residual_limit
         self._reference.coarse.limit_revolutions = coarse_limit_revolutions
         self._reference.coarse.full_scale_counts = limits.full_scale_counts
 

@@ -5,24 +5,22 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-STANDSTILL_CYCLES = 0.02  # per interval: below it the same counts are no surprise
-SHIFT_CYCLES = 0.01  # the phase should have moved at least so far to make two repeats suspicious
-REPEATS = 2
-
 
 class FrozenInput:
     """Counts repeated pairs of counts.
 
-    At standstill they prove nothing. In motion two repeats in a row are proof when the phase
-    should have moved: an acceleration could make one coincide, not two. A machine that moves
-    whole cycles per sample shows the same phase each time, and only noise tells that the
-    converter lives; then ``frozen_samples`` (2010:04) repeats are wanted. 0: the check is off.
+    A machine that was slower than the residual limit may have stopped: equal counts prove
+    nothing. A faster one cannot stop within one interval, but it may go on with whole cycles per
+    sample and show the same phase each time; then only the noise of the converter tells that it
+    lives. So ``frozen_samples`` (2010:04) repeats in a row are wanted; 0, for a converter
+    without noise: the check is off. ``residual_limit_cycles`` is the limit of eq. 12.
     """
 
-    __slots__ = ("_speed", "frozen_samples", "repeats")
+    __slots__ = ("_speed", "frozen_samples", "repeats", "residual_limit_cycles")
 
-    def __init__(self, frozen_samples: int) -> None:
+    def __init__(self, frozen_samples: int, residual_limit_cycles: float) -> None:
         self.frozen_samples = frozen_samples
+        self.residual_limit_cycles = residual_limit_cycles
         self.repeats = 0
         self._speed = 0.0
 
@@ -39,10 +37,9 @@ class FrozenInput:
         if self.repeats == 0:
             self._speed = speed_cycles
         self.repeats += 1
-        if not self.frozen_samples or abs(self._speed) < STANDSTILL_CYCLES:
+        if not self.frozen_samples or abs(self._speed) < self.residual_limit_cycles:
             return False
-        shift = abs(self._speed - round(self._speed))
-        return self.repeats >= (REPEATS if shift > SHIFT_CYCLES else self.frozen_samples)
+        return self.repeats >= self.frozen_samples
 
     def take_run(self, equal: npt.NDArray[np.bool_], speeds: npt.NDArray[np.float64]) -> int:
         """:meth:`repeated` where a sample is ``equal`` to the one before, :meth:`moved` where not.
@@ -63,10 +60,8 @@ class FrozenInput:
             begins[0], speed[0] = -self.repeats, self._speed
         row = np.add.accumulate(begin, dtype=np.intp) - 1
         repeats = at - begins[row] + 1
-        moving = (np.abs(speed) >= STANDSTILL_CYCLES) & (self.frozen_samples > 0)
-        shift = np.abs(speed - np.rint(speed))
-        wanted = np.where(shift > SHIFT_CYCLES, REPEATS, self.frozen_samples)
-        frozen = np.flatnonzero(moving[row] & (repeats >= wanted[row]))
+        moving = (np.abs(speed) >= self.residual_limit_cycles) & (self.frozen_samples > 0)
+        frozen = np.flatnonzero(moving[row] & (repeats >= self.frozen_samples))
         taken = int(at[frozen[0]]) if len(frozen) else len(equal)
         if taken and not equal[taken - 1]:
             self.repeats = 0

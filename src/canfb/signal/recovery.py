@@ -101,17 +101,18 @@ class Recovery:
 
     def least_speeds(self, cycles: npt.NDArray[np.int64], phase: FloatArray) -> FloatArray:
         """The size of :meth:`least_speed` before each of these samples, which follow the last one."""
-        least = np.zeros(len(cycles))
         if self.lost or not self._places:
-            return least
+            return np.zeros(len(cycles))
         known = list(self._places)[-DOUBTED_SAMPLES - 2 :]
-        way = np.diff([place[0] for place in known] + cycles.tolist())
-        steps = way + np.diff([place[1] for place in known] + phase.tolist())
+        steps: FloatArray = np.diff(np.concatenate([[place[0] for place in known], cycles[:-1]])) + np.diff(
+            np.concatenate([[place[1] for place in known], phase[:-1]])
+        )
         steps[: len(known) - 1] /= [place[2] for place in known[1:]]
-        padded = np.concatenate([np.full(DOUBTED_SAMPLES + 1, np.inf), steps])
-        window = np.lib.stride_tricks.sliding_window_view(np.abs(padded), DOUBTED_SAMPLES + 1)
-        before = len(known) - 1 + np.arange(len(cycles))  # steps before each sample
-        least[:] = window[before].min(axis=1)
+        window = DOUBTED_SAMPLES + 1  # steps before each sample; fewer are known at first
+        padded = np.concatenate([np.full(window, np.inf), np.abs(steps)])[len(known) - 1 :]
+        least = padded[: len(cycles)]
+        for later in range(1, window):
+            least = np.minimum(least, padded[later : later + len(cycles)])
         return np.where(np.isfinite(least), least, 0.0)
 
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
