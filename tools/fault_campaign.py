@@ -82,7 +82,7 @@ def run_group(group: Group) -> tuple[Group, Tally]:
     """Get the machine to its speed, then one episode after the other from there."""
     rng = np.random.default_rng(np.random.SeedSequence(group))
     setting = SETTINGS[group.setting]
-    turning = Turning(setting, speed_of_group(group.group, rng), rng)
+    turning = Turning(setting, speed_of_group(group.group + 7 * group.fault_class, rng), rng)
     tally = Tally(false_alarms=turning.flagged)
     for number in range(EPISODES_OF_GROUP):
         episode = play(CLASSES[group.fault_class], turning, rng)

@@ -1,7 +1,6 @@
 """Clean samples of the fault campaign: how many are flagged although nothing is wrong.
 
-Over arrays: :func:`canfb.process`, and the checks of amplitude, converter and frozen input beside
-it. Until the first flagged sample these are the bits of the chain, sample by sample.
+Over arrays, by :func:`canfb.signal.stream.process_stream`: the same bits as the chain, sample by sample.
 """
 
 from __future__ import annotations
@@ -11,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-import canfb
-from canfb.signal.frozen import REPEATS, SHIFT_CYCLES, STANDSTILL_CYCLES
+from canfb.signal.stream import process_stream
 from fault_judge import HARM_CYCLES
-from fault_plant import ENCODER, SETTINGS, TOP_CYCLES, FloatArray, Setting
+from fault_plant import ENCODER, SETTINGS, TOP_CYCLES, Counts, FloatArray, Setting
 
 CHUNK_SAMPLES = 1_000_000
 RIPPLE_PART = 0.25  # of the largest acceleration; the ramps have the rest
@@ -75,36 +73,10 @@ def clean_motion(acceleration: float, samples: int, rng: np.random.Generator) ->
 
 
 def judge_clean(
-    setting: Setting, sine: npt.NDArray[np.int64], cosine: npt.NDArray[np.int64], truth: FloatArray
+    setting: Setting, sine: Counts, cosine: Counts, truth: FloatArray
 ) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray]:
     """VALID of every sample, the error of its position, and its residual, both in cycles."""
-    result = canfb.process(sine, cosine, setting.table, setting.residual_limit, setting.conditioning)
-    limits = setting.config.limits
-    s, c = setting.conditioning.apply(sine.astype(np.float64), cosine.astype(np.float64))
-    amplitude = np.sqrt(s * s + c * c)
-    valid = result.ok & (amplitude >= limits.amplitude_low_counts)
-    valid &= amplitude <= limits.amplitude_high_counts
-    for track in (sine, cosine):
-        valid &= (track > -limits.full_scale_counts) & (track < limits.full_scale_counts - 1)
-    valid[_frozen(sine, cosine, result, setting.config.frozen_samples)] = False
-    error = (result.cycles - np.rint(truth[0] - result.phase[0])) + (result.phase - truth)
+    (result,) = process_stream([(sine, cosine)], setting.config, setting.table)
+    error = result.cycles + (result.phase - truth)
     # The count begins at zero, wherever the machine stands.
-    start = np.rint(error[0])
-    return valid, error - start, result.residual
-
-
-def _frozen(
-    sine: npt.NDArray[np.int64], cosine: npt.NDArray[np.int64], result: canfb.TrackResult, most: int
-) -> npt.NDArray[np.intp]:
-    """Where the check for a frozen input speaks: repeats in a row, in motion."""
-    repeat = np.zeros(len(sine), dtype=np.bool_)
-    repeat[1:] = (np.diff(sine) == 0) & (np.diff(cosine) == 0)
-    places = np.arange(len(sine))
-    run = places - np.maximum.accumulate(np.where(repeat, 0, places))  # repeats so far
-    at = np.flatnonzero(run >= REPEATS)
-    before = at - run[at]  # the last sample that was new: its speed counts
-    earlier = np.maximum(before - 1, 0)
-    speed = (result.cycles[before] - result.cycles[earlier]) + (result.phase[before] - result.phase[earlier])
-    shift = np.abs(speed - np.rint(speed))
-    frozen = (np.abs(speed) >= STANDSTILL_CYCLES) & ((shift > SHIFT_CYCLES) | (run[at] >= most))
-    return at[frozen]
+    return result.valid, error - np.rint(error[0]), result.residual

@@ -38,6 +38,7 @@ class Setting:
 
     residual_limit           cycles
     amplitude                lowest and highest, as parts of the nominal one; None: the defaults
+    frozen_samples           repeats in a row that are taken for a dead converter; 0: none
     conditioned              offsets, gains and phase error of the tracks are known to the chain
     acceleration             largest of the machine, cycles per interval squared
     """
@@ -45,6 +46,7 @@ class Setting:
     name: str
     residual_limit: float
     amplitude: tuple[float, float] | None
+    frozen_samples: int
     conditioned: bool
     acceleration: float
 
@@ -80,6 +82,7 @@ class Setting:
             amplitude_low_counts=low,
             amplitude_high_counts=high,
             residual_limit=self.residual_limit,
+            frozen_samples=self.frozen_samples,
             conditioning=self.conditioning,
         )
 
@@ -89,9 +92,9 @@ class Setting:
         return self.table(phase_in_cycle(s, c)), np.sqrt(s * s + c * c)
 
 
-DEFAULT = Setting("default", 1.0 / 3.0, None, False, 0.01)
-HARD = Setting("accelerating", 1.0 / 3.0, None, False, 0.2)
-COMMISSIONED = Setting("commissioned", 0.06, (0.8, 1.2), True, 0.01)
+DEFAULT = Setting("default", 1.0 / 3.0, None, 0, False, 0.01)
+HARD = Setting("accelerating", 1.0 / 3.0, None, 0, False, 0.2)
+COMMISSIONED = Setting("commissioned", 0.06, (0.8, 1.2), 16, True, 0.01)
 SETTINGS = (DEFAULT, HARD, COMMISSIONED)
 
 

@@ -11,10 +11,10 @@ DETECTION_GOAL = 0.99
 SOON_SAMPLES = 3
 
 COLUMNS = (
-    "fault", "episodes", "faulty samples", "same sample", "within 3", "later", "unseen, harmless",
-    "unseen, legal motion", "silent", "detected, of all that matter", "... that are no legal motion",
-    "wrong valid samples, legal", "..., carried on", "..., silent", "longest run", "cycle lost, legal motion",
-    "cycle lost", "called lost",
+    "fault", "episodes", "faulty samples", "seen in the same sample", "within 3", "later",
+    "unseen, harmless", "unseen, legal motion", "detected of all that matter", "without legal motions",
+    "wrong valid samples, legal + carried on", "silent wrong samples", "longest run",
+    "cycle lost, legal motion", "cycle lost", "called lost",
 )  # fmt: skip
 
 
@@ -119,20 +119,18 @@ class Tally:
 
     def row(self, name: str) -> tuple[str, ...]:
         """The cells of the table."""
-        numbers = (
-            self.episodes, self.faulty, self.same, self.soon, self.later, self.harmless, self.legal,
-            self.silent,
-        )  # fmt: skip
-        rest = (
-            self.wrong_legal, self.wrong_carried, self.wrong_silent, self.longest_run, self.cycle_legal, self.cycle_lost,
-            self.lost,
-        )  # fmt: skip
         return (
             name,
-            *map(str, numbers),
+            *map(str, (self.episodes, self.faulty, self.same, self.soon, self.later)),
+            *map(str, (self.harmless, self.legal)),
             f"{self.detection:.2%}",
             f"{self.detection_of_illegal:.2%}",
-            *map(str, rest),
+            f"{self.wrong_legal} + {self.wrong_carried}",
+            str(self.wrong_silent),
+            str(self.longest_run),
+            str(self.cycle_legal),
+            str(self.cycle_lost),
+            str(self.lost),
         )
 
     def record(self) -> dict[str, object]:
