@@ -337,11 +337,13 @@ def test_the_counters_of_the_module_are_those_of_the_status_words() -> None:
 
 
 def test_frozen_samples_are_counted() -> None:
-    module = Module()
+    module = Module(frozen_samples=2)
+    position = 0.0
     for n in range(40):
-        module.interval(at(min(n, 30) * 0.2))
+        position += min(0.1 * n, 0.8) if n <= 30 else 0.0
+        module.interval(at(position))
     frozen = sum(bool(word & StatusBit.FROZEN) for word in module.words)
-    assert module.counter(10) == frozen == 8  # the second repeat is the first proof
+    assert module.counter(10) == frozen == 8  # of nine repeats
 
 
 def test_the_amplitude_of_the_kit_is_within_the_default_limits() -> None:
