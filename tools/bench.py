@@ -35,6 +35,7 @@ except ImportError as error:
 NODE_ID, ENCODER_INTERFACE = 32, 16
 SYNC, ADC_PDO, POSITION_PDO = 0x080, 0x180 + ENCODER_INTERFACE, 0x180 + NODE_ID
 AMPLITUDE_COUNTS = 1500
+STREAM_BLOCK = 65536
 TABLE_ENTRIES = 256
 INTERVAL_S = 0.001
 CYCLES = 500  # frames to frames, in one repetition
@@ -266,7 +267,29 @@ def array_comparisons(samples: int) -> list[Comparison]:
                 goal=1.0,
             )
         )
+    comparisons.append(stream_comparison(sine, cosine, table))
     return comparisons
+
+
+def stream_comparison(sine: np.ndarray, cosine: np.ndarray, table: canfb.CorrectionTable) -> Comparison:
+    """The supervised chain over the same samples, from one to the next block of them."""
+    samples = len(sine)
+    parts = [slice(start, start + STREAM_BLOCK) for start in range(0, samples, STREAM_BLOCK)]
+
+    def ours() -> None:
+        for result in canfb.process_stream(((sine[part], cosine[part]) for part in parts), table=table):
+            assert result.status[-1] == canfb.StatusBit.VALID | canfb.StatusBit.TABLE_ACTIVE
+
+    def other() -> np.ndarray:
+        return np.unwrap(np.arctan2(sine, cosine))
+
+    return Comparison(
+        f"{samples} samples, supervised",
+        (f"canfb.process_stream, table of {TABLE_ENTRIES}, blocks of {STREAM_BLOCK}", ours),
+        ("numpy.unwrap(numpy.arctan2(s, c))", other),
+        "ns per sample",
+        1e9 / samples,
+    )
 
 
 # One sample

@@ -217,7 +217,7 @@ def test_amplitudes_and_counts_at_their_limits() -> None:
             assert_same(in_blocks(sine, cosine, config), one_by_one(sine, cosine, config))
 
 
-@pytest.mark.parametrize("speed", [0.0, 0.0199, 0.02, 0.0201, 0.5 / 64, 1.0, 1.0099, 1.0101, 2.0, 3.5])
+@pytest.mark.parametrize("speed", [0.0, 0.0199, 0.0201, 0.3, 0.333, 0.334, 0.4, 1.0, 1.01, 2.0, 3.5])
 @pytest.mark.parametrize("frozen_samples", [0, 1, 2, 5])
 @pytest.mark.parametrize("lengths", [[400], [101, 16], [103, 17]])
 def test_a_frozen_input_is_found_at_the_same_sample(
@@ -228,7 +228,10 @@ def test_a_frozen_input_is_found_at_the_same_sample(
     for at, length in ((100, 1), (101, 2), (102, 3), (150, 8), (98, 60)):
         sine, cosine = tracks_at(np.cumsum(ramp))
         sine[at : at + length], cosine[at : at + length] = sine[at - 1], cosine[at - 1]
-        assert_same(in_blocks(sine, cosine, config, None, lengths), one_by_one(sine, cosine, config))
+        wanted = one_by_one(sine, cosine, config)
+        assert_same(in_blocks(sine, cosine, config, None, lengths), wanted)
+        if speed == 2.0:
+            assert (wanted.status & StatusBit.FROZEN).any() == (0 < frozen_samples <= length)
 
 
 def test_a_lost_position_stays_lost_and_is_followed() -> None:

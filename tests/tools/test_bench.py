@@ -31,6 +31,7 @@ def test_json_has_machine_and_every_comparison(capsys: pytest.CaptureFixture[str
     goals = {one["name"]: one["goal"] for one in printed["results"]}
     assert goals == {
         "cycle": 1.0, "cycle, can.Message": None, "1000 samples, float64": 1.0, "1000 samples, int16": 1.0,
+        "1000 samples, supervised": None,
         "tracker": None, "chain": None,
     }  # fmt: skip
     for one in printed["results"]:
