@@ -45,8 +45,10 @@ class Verdict:
     moved           the fault itself moves the phase by more than a quarter of a cycle, or takes it away
     legal           all samples together are those of a legal motion (:func:`first_illegal`)
     wrong_legal     wrong positions called valid while all samples so far were those of a legal motion
-    wrong_carried   wrong positions called valid after that, of a legal motion that already was wrong
-                    before the last few samples: it is carried on as over a glitch
+    wrong_reported  wrong positions called valid after that, the fault having been reported: the
+                    phases still are those of a legal motion, and only amplitude or converter range
+                    were bad; or the position was wrong before the last three samples already, and a
+                    legal motion is carried on as over a glitch
     wrong_silent    all other wrong positions called valid: none is allowed
     longest_run     of wrong positions called valid
     wrong_count     at the end the position is called valid, and its cycle count is wrong
@@ -59,7 +61,7 @@ class Verdict:
     moved: bool
     legal: bool
     wrong_legal: int
-    wrong_carried: int
+    wrong_reported: int
     wrong_silent: int
     longest_run: int
     wrong_count: bool
@@ -68,7 +70,7 @@ class Verdict:
     @property
     def harmful(self) -> bool:
         """A wrong position was called valid."""
-        return self.wrong_legal + self.wrong_carried + self.wrong_silent > 0
+        return self.wrong_legal + self.wrong_reported + self.wrong_silent > 0
 
     @property
     def matters(self) -> bool:
@@ -101,21 +103,23 @@ def follow(chain: SignalChain, samples: Samples) -> tuple[FloatArray, npt.NDArra
     return positions, np.array([one.status for one in published], dtype=np.int64)
 
 
-def first_illegal(setting: Setting, samples: Samples, start: int) -> int | None:
+def first_illegal(setting: Setting, samples: Samples, start: int, phases_only: bool = False) -> int | None:
     """The first sample from ``start`` on that no legal motion can have led to; None: there is none.
 
     A motion is legal if it changes its speed by less than the residual limit from sample to
     sample, and the tracks keep the accepted amplitude and the converter's range. The
     phases p(k) are those of one exactly if every second difference is less than the limit away
-    from a whole number: the positions of eq. 9 are it.
+    from a whole number: the positions of eq. 9 are it. ``phases_only``: amplitude and converter
+    are not looked at.
     """
     phase, amplitude = setting.phases(samples.sine, samples.cosine)
     limits = setting.config.limits
     full = limits.full_scale_counts
-    inside = samples.delivered.copy()
-    for track in (samples.sine, samples.cosine):
-        inside &= (track > -full) & (track < full - 1)
-    inside &= (amplitude >= limits.amplitude_low_counts) & (amplitude <= limits.amplitude_high_counts)
+    inside = samples.delivered & ~np.isnan(phase)
+    if not phases_only:
+        for track in (samples.sine, samples.cosine):
+            inside &= (track > -full) & (track < full - 1)
+        inside &= (amplitude >= limits.amplitude_low_counts) & (amplitude <= limits.amplitude_high_counts)
     c = 2.0 * phase[1:-1] - phase[:-2] - phase[2:]
     with np.errstate(invalid="ignore"):
         inside[2:] &= np.abs(np.rint(c) - c) < setting.residual_limit
@@ -132,8 +136,8 @@ def judge(setting: Setting, episode: Episode) -> Verdict:
     illegal = first_illegal(setting, samples, start)
     wrong = valid & (error > HARM_CYCLES)
     until = len(samples) if illegal is None else illegal
-    wrong_after = int(wrong[until:].sum())
-    carried = bool(wrong[max(start - 1, until - GLITCH_SAMPLES - 1)])
+    jump = first_illegal(setting, samples, start, phases_only=True)
+    reported, silent = _after_the_flag(wrong, start, until, len(samples) if jump is None else jump)
     return Verdict(
         flagged_before=not valid[:start].all() or bool((error[:start] > HARM_CYCLES).any()),
         faulty=stop - start,
@@ -141,12 +145,24 @@ def judge(setting: Setting, episode: Episode) -> Verdict:
         moved=_moved(setting, episode),
         legal=illegal is None,
         wrong_legal=int(wrong[:until].sum()),
-        wrong_carried=wrong_after if carried else 0,
-        wrong_silent=0 if carried else wrong_after,
+        wrong_reported=reported,
+        wrong_silent=silent,
         longest_run=_longest_run(wrong),
         wrong_count=bool(valid[-1] and error[-1] > 0.5),
         lost=bool(episode.status[-1] & LOST),
     )
+
+
+def _after_the_flag(wrong: npt.NDArray[np.bool_], start: int, illegal: int, jump: int) -> tuple[int, int]:
+    """Wrong samples from ``illegal`` on: those that a legal motion accounts for, and the others.
+
+    ``jump`` is the first sample whose phase is not that of a legal motion.
+    """
+    before = int(wrong[illegal:jump].sum())
+    after = int(wrong[jump:].sum())
+    if jump < len(wrong) and wrong[max(start - 1, jump - GLITCH_SAMPLES - 1)]:
+        return before + after, 0
+    return before, after
 
 
 def _moved(setting: Setting, episode: Episode) -> bool:

@@ -13,7 +13,7 @@ SOON_SAMPLES = 3
 COLUMNS = (
     "fault", "episodes", "faulty samples", "seen in the same sample", "within 3", "later",
     "unseen, harmless", "unseen, legal motion", "detected of all that matter", "without legal motions",
-    "wrong valid samples, legal + carried on", "silent wrong samples", "longest run",
+    "wrong valid samples, legal + after a report", "silent wrong samples", "longest run",
     "cycle lost, legal motion", "cycle lost", "called lost",
 )  # fmt: skip
 
@@ -27,8 +27,8 @@ class Tally:
     legal                  never flagged, wrong, and all samples are those of a legal motion
     silent                 never flagged, wrong, and no legal motion has these samples
     matters, matters_seen  episodes that did harm or would have, and those of them that were flagged
-    wrong_legal, wrong_carried, wrong_silent  wrong positions called valid, samples; longest_run of all
-    cycle_legal, cycle_lost    valid at the end with a wrong count: legal or carried on, or not
+    wrong_legal, wrong_reported, wrong_silent  wrong positions called valid, samples; longest_run of all
+    cycle_legal, cycle_lost    valid at the end with a wrong count: legal or reported, or not
     lost                   called lost at the end
     false_alarms           clean samples flagged before a fault began: that episode counts no further
     violations             where to find what must not be: seeds of the episodes
@@ -45,7 +45,7 @@ class Tally:
     matters: int = 0
     matters_seen: int = 0
     wrong_legal: int = 0
-    wrong_carried: int = 0
+    wrong_reported: int = 0
     wrong_silent: int = 0
     longest_run: int = 0
     cycle_legal: int = 0
@@ -65,7 +65,7 @@ class Tally:
         self.matters += verdict.matters
         self.matters_seen += verdict.matters and verdict.delay is not None
         self.wrong_legal += verdict.wrong_legal
-        self.wrong_carried += verdict.wrong_carried
+        self.wrong_reported += verdict.wrong_reported
         self.wrong_silent += verdict.wrong_silent
         self.longest_run = max(self.longest_run, verdict.longest_run)
         self.cycle_legal += verdict.wrong_count and not verdict.wrong_silent
@@ -125,7 +125,7 @@ class Tally:
             *map(str, (self.harmless, self.legal)),
             f"{self.detection:.2%}",
             f"{self.detection_of_illegal:.2%}",
-            f"{self.wrong_legal} + {self.wrong_carried}",
+            f"{self.wrong_legal} + {self.wrong_reported}",
             str(self.wrong_silent),
             str(self.longest_run),
             str(self.cycle_legal),
