@@ -102,6 +102,28 @@ def test_a_glitch_costs_a_cycle_unseen_only_where_a_legal_motion_has_its_samples
         assert shown(replace(DEFAULT, residual_limit=limit + 0.01), phases) == (1, False, True)
 
 
+@pytest.mark.parametrize(
+    ("limit", "samples", "least", "most"),
+    [
+        (1 / 3, 1, 0.0, 0.0),
+        (1 / 3, 2, 0.035, 0.039),
+        (1 / 3, 3, 0.066, 0.072),
+        (1 / 4, 2, 0.0, 0.0),
+        (1 / 6, 3, 0.0, 0.0),
+    ],
+)
+def test_part_of_random_glitches_that_cost_a_cycle_unseen(
+    limit: float, samples: int, least: float, most: float
+) -> None:
+    phases = np.zeros((200_000, samples + 4))
+    phases[:, 2:-2] = np.random.default_rng(0).uniform(size=(200_000, samples))
+    c = np.diff(phases, 2)
+    change = c - np.rint(c)
+    legal = (np.abs(change) < limit).all(axis=1)
+    moved = np.abs(change.cumsum(axis=1).sum(axis=1)) > 0.5
+    assert least <= (legal & moved).mean() <= most
+
+
 def episode_of(phases: list[float], error: float, wrong: slice, status: int = 1) -> Episode:
     samples = still(phases)
     truth = np.full(len(samples), 0.1)
