@@ -67,6 +67,8 @@ runs = st.lists(
 
 @given(runs, st.sampled_from([0, 1, 2, 3, 5]), st.integers(0, 5))
 @example([(True, 5.0)] * 6, 5, 1)
+@example([(False, 5.0), (True, 5.0)], 1, 0)
+@example([(False, 5.0), (True, 5.0)], 0, 0)
 @example([(False, 0.3), (True, 0.3), (True, 0.3)], 2, 3)
 def test_a_run_of_samples_is_taken_as_one_by_one(
     samples: list[tuple[bool, float]], frozen_samples: int, before: int

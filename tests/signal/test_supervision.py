@@ -119,13 +119,18 @@ def test_a_narrow_window_of_the_amplitude_stays_open(
     ("full_scale", "margin"), [(8, 0), (63, 0), (64, 1), (127, 1), (128, 2), (129, 2), (192, 2), (32768, 2)]
 )
 def test_a_small_converter_keeps_its_range(full_scale: int, margin: int) -> None:
-    def after_fault(counts: int) -> int:
+    def after_fault(counts: float) -> int:
         checks = Supervision(SampleLimits(full_scale, 1, 2))
         assert checks.faults(-full_scale, 0, 1.5) == CLIPPED_BIT
         return checks.faults(counts, 0, 1.5)
 
     assert after_fault(-full_scale + margin) == after_fault(full_scale - 1 - margin) == CLIPPED_BIT
-    assert after_fault(-full_scale + margin + 1) == after_fault(full_scale - 2 - margin) == OK
+    assert after_fault(-full_scale + margin + 0.01) == after_fault(full_scale - 1.01 - margin) == OK
+
+
+def test_limits_in_force_cannot_be_changed_behind_the_supervision() -> None:
+    with pytest.raises(AttributeError):
+        LIMITS.amplitude_low_counts = 0
 
 
 def test_both_faults_of_one_sample_show() -> None:
