@@ -276,6 +276,24 @@ def test_accelerations_are_those_of_places_any_time_apart() -> None:
     assert position(made[1].predict()) == 2.875 + 0.625 + 0.125
 
 
+@pytest.mark.parametrize("samples", [1, 2])
+def test_too_few_places_show_no_acceleration(samples: int) -> None:
+    (only,) = candidates(at_speed(0.25, samples=samples), 0)
+    only.wait(1.0)
+    assert position(only.predict()) == 0.25 * 2 * (samples - 1)
+
+
+@pytest.mark.parametrize("gap", [1, 3])
+def test_the_phase_is_as_exact_at_any_speed(gap: int) -> None:
+    fast = 2**44
+    candidate = Candidate([Place(fast * k, 0.25 * k, 1.0) for k in range(3)], 0.0, CLOSE)
+    candidate.wait(gap)
+    assert candidate.meet((0.5 + 0.25 * gap) % 1.0)
+    candidate.wait(1.0)
+    ahead = 0.5 + 0.25 * (gap + 1)
+    assert candidate.predict()[:2] == (fast * (3 + gap) + math.floor(ahead), ahead % 1.0)
+
+
 @given(st.floats(-200, 200), st.floats(-0.3, 0.3), st.integers(1, 6), st.integers(0, 3))
 def test_on_ideal_curves_a_candidate_meets_what_follows(
     speed: float, acceleration: float, gap: int, doubted: int

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
+import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 from supervision_kit import DEAD, Drive, at, flags, has
 
 from canfb.signal.chain import ChainConfig, SignalChain
@@ -180,7 +184,7 @@ def test_a_restart_begins_at_standstill_with_this_count() -> None:
         machine.bad()
     assert machine.recovery.lost
     machine.recovery.restart(77)
-    assert not machine.recovery.lost
+    assert machine.recovery.lost is False
     assert machine.recovery.good(0.25, 1.0) == ((77, 0.25, 0.0, True), VALID)
     assert machine.recovery.good(0.0, 1.0) == ((77, 0.0, 0.25, True), VALID)
     machine.recovery.restart()
@@ -253,7 +257,7 @@ def test_vouched_for_it_is_valid_with_the_next_sample_and_can_coast() -> None:
     machine.recovery.lose()
     machine.good()
     machine.recovery.vouch()
-    assert not machine.recovery.lost
+    assert machine.recovery.lost is False
     track, bits = machine.bad()
     assert bits == COASTING
     assert position(track) == pytest.approx(machine.position, abs=1e-6)
@@ -318,6 +322,67 @@ def test_the_least_speed_of_the_last_four(steps: list[float], least: float) -> N
     recovery.lose()
     recovery.followed([9, 99], [0.0, 0.0])
     assert recovery.least_speed() == 0.0
+
+
+def test_the_least_speed_counts_intervals() -> None:
+    machine = Following(5.25)
+    machine.good(elapsed=0.5)
+    machine.good(elapsed=0.5)
+    assert machine.recovery.least_speed() == pytest.approx(5.25)
+
+
+def at_steps(recovery: Recovery, steps: list[float], start: float = 0.5) -> float:
+    """Samples this far apart follow each other; where the last one is."""
+    for step in [0.0, *steps]:
+        start += step
+        recovery.followed([math.floor(start)], [start % 1.0])
+    return start
+
+
+some_steps = st.lists(st.sampled_from([0.0, 0.25, -0.25, 5.0, 5.25, -83.5, 1000.0]), max_size=12)
+
+
+@given(some_steps, some_steps)
+@example([0.25, 5.0, 5.0, 5.0, 5.0], [5.0])
+@example([0.25, 5.0, 5.0, 5.0], [5.0])
+@example([], [5.0, 5.0, 0.25, 5.0, 5.0, 5.0, 5.0, 5.0])
+def test_the_least_speeds_of_a_run_are_those_one_by_one(before: list[float], run: list[float]) -> None:
+    array, single = Recovery(Tracker(0.5), 3), Recovery(Tracker(0.5), 3)
+    here = at_steps(array, before)
+    at_steps(single, before)
+    positions = list(itertools.accumulate(run, initial=here))[1:]
+    cycles, phases = [math.floor(x) for x in positions], [x % 1.0 for x in positions]
+    wanted = []
+    for count, phase in zip(cycles, phases, strict=True):
+        wanted.append(abs(single.least_speed()))
+        single.followed([count], [phase])
+    got = array.least_speeds(np.array(cycles, np.int64), np.array(phases))
+    assert got.tolist() == wanted
+    array.lose()
+    assert array.least_speeds(np.array(cycles, np.int64), np.array(phases)).tolist() == [0.0] * len(run)
+
+
+def test_the_least_speeds_with_uneven_intervals_and_before_any_sample() -> None:
+    recovery = Recovery(Tracker(0.5), 3)
+    assert recovery.least_speeds(np.array([9, 18]), np.array([0.0, 0.5])).tolist() == [0.0, 0.0]
+    machine = Following(5.25)
+    for elapsed in (0.5, 1.25, 0.75, 1.0):
+        machine.good(elapsed=elapsed)
+    here = machine.position + 5.5
+    got = machine.recovery.least_speeds(np.array([math.floor(here)] * 3), np.array([here % 1.0] * 3))
+    assert got[:2] == pytest.approx([5.25, 5.25])
+    assert got[2] == 0.0
+
+
+@pytest.mark.parametrize(("ago", "rough"), [(0, True), (4, True), (5, False), (6, False)])
+def test_how_long_an_acceleration_is_remembered(ago: int, rough: bool) -> None:
+    machine = Following(5.0)
+    machine.speed += 0.04
+    for _ in range(1 + ago):
+        machine.good()
+    machine.bad()
+    # 0.03 cycle beside: close for a machine that was rough, not for one that was steady
+    assert machine.good(0.03)[1] == (COASTING if rough else COASTING | RESIDUAL)
 
 
 @pytest.mark.parametrize("coast", [0, 1, 3, 255])
