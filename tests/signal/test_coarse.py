@@ -199,6 +199,11 @@ def test_a_slope_between_two_whole_numbers_is_no_answer(slope: float, found: int
     assert (got and got[1]) == found
 
 
+@pytest.mark.parametrize("speed", [0.3, -0.3, 0.45, -0.45])
+def test_the_phase_counts_as_well_as_the_cycles(speed: float) -> None:
+    assert search(CoarseTrack(100, 32768, 1 / 1024), speed, 0) == (2, 0)
+
+
 def test_exactly_a_quarter_is_no_answer() -> None:
     track = CoarseTrack(N, 32768, 1 / 1024)
     for k in range(100):
@@ -295,21 +300,53 @@ def test_disagreements_are_not_judged_while_the_fine_track_is_in_doubt() -> None
     assert flags(dead) == StatusBit.AMPLITUDE | StatusBit.COASTING
 
 
+@pytest.mark.parametrize(
+    ("n", "exact"), [(8, True), (15, True), (16, False), (17, False), (32, False), (2500, False)]
+)
+def test_better_than_half_a_cycle_it_sets_the_count_right_alone(n: int, exact: bool) -> None:
+    machine = Starting(0.0, error=0.0, cycles_per_revolution=n, coarse_limit_revolutions=1 / 32)
+    machine.run(60)
+    assert machine.chain.reference.recovered == 0, "at rest it was not wrong"
+    right = machine.valid[-1]
+    for _ in range(4):
+        machine.sample()
+        machine.chain.miss()
+    assert machine.chain.lost
+    machine.valid.clear()
+    machine.run(200)
+    assert machine.chain.reference.recovered == 1
+    assert bool(machine.valid) == exact
+    assert machine.chain.lost == (not exact)
+    assert all(abs(off - right) < 1e-9 for off in machine.valid)
+
+
+def test_a_restart_forgets_where_the_coarse_track_stands_and_a_pause_does_not() -> None:
+    machine = Coarse()
+    machine.chain.resume()
+    got = [machine.step(0.3) for _ in range(40)]
+    assert has(got, StatusBit.LOST)[-1], "it was at another place before the pause"
+    machine = Coarse()
+    machine.chain.restart()
+    got = [machine.step(0.3) for _ in range(40)]
+    assert flags(got[-1]) == StatusBit.VALID, "after a restart any place will do"
+
+
 WRONG_SPEEDS = [1, -1, 2, -3, 17, -50, 83, -83, 124, -125]
 
 
 class Starting:
     """A machine with coarse track, started while it turns; counts samples that are valid and wrong."""
 
-    def __init__(self, speed: float, error: float = 0.008) -> None:
+    def __init__(self, speed: float, error: float = 0.008, **config: object) -> None:
         self.speed, self.error = speed, error
         self.position = 1000.5
-        self.chain = SignalChain(ChainConfig())
+        self.chain = SignalChain(ChainConfig(**config))
+        self.n = self.chain.reference.coarse.cycles_per_revolution
         self.valid: list[float] = []
 
     def sample(self) -> Sample:
         self.position += self.speed
-        turn = self.position / 2500
+        turn = self.position / self.n
         angle = 2 * math.pi * (turn + self.error * math.sin(2 * math.pi * turn))
         sine, cosine = round(1500 * math.sin(angle)), round(1500 * math.cos(angle))
         return at(self.position, coarse_sine=sine, coarse_cosine=cosine)
