@@ -38,6 +38,3 @@ class ConfigError(CanfbError):
 class BusError(CanfbError):
     """A bus that cannot be opened or that has gone for good."""
 
-
-class ProcedureError(CanfbError):
-    """A job that did not come to its end; the text says where it stopped and why."""
