@@ -2,7 +2,9 @@
 
 CanfbError
 ├── ConfigError         a configuration that cannot be used; names key and line
-└── CalibrationError    a reference measurement that was refused
+├── CalibrationError    a reference measurement that was refused
+├── BusError            a bus that cannot be opened or that has gone for good
+└── EdsNotFoundError    an EDS file that is not there (canfb.eds_files)
 """
 
 from __future__ import annotations
@@ -37,4 +39,3 @@ class ConfigError(CanfbError):
 
 class BusError(CanfbError):
     """A bus that cannot be opened or that has gone for good."""
-
