@@ -1,0 +1,116 @@
+"""tools/mutate.py on a module of a few lines: what it changes, what it reports, and its exit status."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TOOLS = Path(__file__).parents[2] / "tools"
+sys.path.insert(0, str(TOOLS))
+
+import mutate  # noqa: E402
+
+MODULE = '''"""A docstring is not changed."""
+
+LIMIT = 3
+
+
+class Check:
+    __slots__ = ("seen",)
+
+    def over(self, value: int | None = None) -> bool:
+        """Nor is this one."""
+        self.seen = value
+        return value is not None and value > LIMIT
+'''
+CHANGES = [
+    "small : 3 -> 2",
+    "small : 3 -> 4",
+    "small : LIMIT = 3 -> pass",
+    "small Check.over: return value is not None and value > LIMIT -> return None",
+    "small Check.over: self.seen = value -> pass",
+    "small Check.over: value > LIMIT -> value >= LIMIT",
+    "small Check.over: value is not None -> value is None",
+    "small Check.over: value is not None and value > LIMIT -> value is not None or value > LIMIT",
+]
+
+
+def names(tmp_path: Path, text: str) -> list[str]:
+    path = tmp_path / "small.py"
+    path.write_text(text)
+    return sorted(mutant.name for mutant in mutate.mutants(path))
+
+
+def test_every_place_is_changed_once_and_annotations_and_docstrings_are_not(tmp_path: Path) -> None:
+    assert names(tmp_path, MODULE) == CHANGES
+
+
+@pytest.mark.parametrize(
+    ("text", "changed"),
+    [
+        ("f(-x)", ["-x -> x", "f(-x) -> pass"]),
+        ("y = not x", ["not x -> x", "y = not x -> pass"]),
+        ("x += 2.0", ["2.0 -> 1.0", "2.0 -> 2.5", "2.0 -> 3.0", "x += 2.0 -> pass", "x += 2.0 -> x -= 2.0"]),
+        ("y = a if b else c", ["a if b else c -> a if not b else c", "y = a if b else c -> pass"]),
+        ("while a < b: f()", ["a < b -> a <= b", "f() -> pass"]),
+        ("y = True", ["True -> False", "y = True -> pass"]),
+        ("y = a | b", ["a | b -> a & b", "y = a | b -> pass"]),
+        ("f()\nf()", ["f() -> pass", "f() -> pass (2)"]),
+        ("'text'", []),
+    ],
+)
+def test_what_is_changed_into_what(tmp_path: Path, text: str, changed: list[str]) -> None:
+    assert names(tmp_path, text) == sorted(f"small : {change}" for change in changed)
+
+
+def test_each_change_is_made_alone(tmp_path: Path) -> None:
+    path = tmp_path / "small.py"
+    path.write_text(MODULE)
+    original = mutate.ast.unparse(mutate.ast.parse(MODULE)).splitlines()
+    for mutant in mutate.mutants(path):
+        text = mutate.ast.unparse(mutate.ast.fix_missing_locations(mutant.tree)).splitlines()
+        assert sum(old != new for old, new in zip(original, text, strict=True)) == 1, mutant.name
+    assert path.read_text() == MODULE
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A project with this module, tests that miss one of its changes, and the tool."""
+    for folder in ("src", "tools"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "tools" / "mutate.py").write_text((TOOLS / "mutate.py").read_text())
+    (tmp_path / "src" / "small.py").write_text(MODULE)
+    (tmp_path / "test_small.py").write_text(
+        "import sys\nsys.path.insert(0, 'src')\nfrom small import Check\n"
+        "def test_it():\n"
+        "    check = Check()\n"
+        "    assert [check.over(x) for x in (None, 2, 4)] == [False, False, True]\n"
+        "    assert check.seen == 4\n"
+    )
+    return tmp_path
+
+
+def run(project: Path, *options: str) -> tuple[int, list[str]]:
+    command = [sys.executable, "tools/mutate.py", "src/small.py", *options, "--", "test_small.py"]
+    done = subprocess.run(command, cwd=project, capture_output=True, text=True, timeout=60, check=False)
+    return done.returncode, done.stdout.splitlines()
+
+
+def test_survivors_are_printed_unless_they_are_known(project: Path) -> None:
+    status, printed = run(project)
+    missed = ["small : 3 -> 2", "small Check.over: value > LIMIT -> value >= LIMIT"]
+    assert status == 1
+    assert sorted(line.split(": ", 1)[1] for line in printed if line.startswith("src")) == missed
+    assert printed[-1] == "8 changes, 2 survived, 2 of them not known to change nothing"
+    (project / "allowed").write_text("# a comment\n" + "".join(f"{name}  # why\n" for name in missed))
+    status, printed = run(project, "--allow", "allowed", "--jobs", "1")
+    assert status == 0
+    assert printed[-1] == "8 changes, 2 survived, 0 of them not known to change nothing"
+
+
+def test_tests_that_fail_anyway_say_nothing(project: Path) -> None:
+    (project / "test_small.py").write_text("def test_it():\n    assert False\n")
+    assert run(project)[0] == 2
