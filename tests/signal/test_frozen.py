@@ -20,6 +20,7 @@ def first_proof(frozen_samples: int, speed: float, limit: float = 1 / 3) -> int:
     """The repeat that is called frozen."""
     frozen = FrozenInput(frozen_samples, limit)
     answers = [frozen.repeated(speed) for _ in range(NEVER)]
+    assert set(answers) <= {False, True}
     first = answers.index(True) + 1 if True in answers else NEVER
     assert all(answers[first - 1 :]) or first == NEVER
     return first

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from supervision_kit import DEAD, Drive, at, flags, has
+from supervision_kit import DEAD, Drive, above, at, below, flags, has
 
+from canfb.signal.candidates import MOST_CANDIDATES
 from canfb.signal.chain import ChainConfig, SignalChain
 from canfb.signal.recovery import Recovery
 from canfb.signal.sample import Sample
@@ -372,6 +373,47 @@ def test_the_least_speeds_with_uneven_intervals_and_before_any_sample() -> None:
     got = machine.recovery.least_speeds(np.array([math.floor(here)] * 3), np.array([here % 1.0] * 3))
     assert got[:2] == pytest.approx([5.25, 5.25])
     assert got[2] == 0.0
+
+
+def test_a_glitch_just_after_the_start_is_forgotten_as_well() -> None:
+    machine = Following(0.25, samples=0)
+    machine.recovery.restart()
+    machine.position = 0.0
+    for off in (0.0, 0.0, 0.2):
+        assert machine.good(off)[1] == VALID
+    assert machine.good()[1] == COASTING | RESIDUAL
+    for _ in range(LONGEST_CONFIRMATION):
+        track, bits = machine.good()
+    assert bits == VALID
+    assert position(track) == pytest.approx(machine.position, abs=1e-6)
+
+
+def test_there_are_not_more_candidates_than_the_odds_reckon_with() -> None:
+    machine = Following(0.0, coast_samples=20)
+    for _ in range(12):
+        machine.speed += 0.125
+        machine.good()
+    machine.bad()
+    assert len(machine.recovery._candidates) == MOST_CANDIDATES
+
+
+def test_lost_while_coasting_tells_the_residual_of_eq_9() -> None:
+    for off, bits in ((0.0, LOST), (0.4, LOST | RESIDUAL)):
+        machine = Following(5.25, coast_samples=1)
+        machine.bad()
+        machine.recovery.coast_samples = 0
+        assert machine.good(off + 0.1)[1] == bits
+
+
+@pytest.mark.parametrize("coast", [0, 1, 3, 255])
+def test_half_an_interval_more_than_the_samples_to_coast_is_too_long(coast: int) -> None:
+    for gap, bits in ((below(coast + 0.5), COASTING), (coast + 0.5, LOST), (above(coast + 0.5), LOST)):
+        assert Following(5.25, coast).bad(gap)[1] == bits
+
+
+def test_as_many_counts_as_phases_are_wanted() -> None:
+    with pytest.raises(ValueError, match="shorter"):
+        Recovery(Tracker(0.5), 3).followed([1, 2], [0.5])
 
 
 @pytest.mark.parametrize(("ago", "rough"), [(0, True), (4, True), (5, False), (6, False)])
