@@ -211,6 +211,12 @@ def test_exactly_a_quarter_is_no_answer() -> None:
         assert track.search(0.0, int(cycles), phase, 1.0) is None
 
 
+def test_after_a_slope_that_is_no_answer_the_search_begins_anew() -> None:
+    track = CoarseTrack(100, 32768, 1 / 1024)
+    got = [track.search(0.0, 0, phase, 1.0) for phase in (0.0, 0.4, 0.4, 0.4)]
+    assert got == [None, None, None, 0]
+
+
 def test_a_sample_without_an_angle_begins_the_search_anew() -> None:
     track = CoarseTrack(2500, FULL, 1 / 32)
     for k in range(7):
