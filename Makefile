@@ -31,7 +31,7 @@ test: $(INSTALLED_TEST) ## Run all checks and all tests
 	elif [ "$$CANFB_REQUIRE_VCAN" = 1 ]; then \
 		echo "CANFB_REQUIRE_VCAN=1, and there is no vcan" >&2; exit 1; \
 	else \
-		$(PYTEST) -n $(WORKERS); \
+		$(PYTEST) -n $(WORKERS) --dist worksteal; \
 	fi
 
 lint: $(INSTALLED_TEST) ## Check style and format
@@ -42,7 +42,7 @@ types: $(INSTALLED_TEST) ## Check types
 	$(PY) -m mypy
 
 unit: $(INSTALLED_TEST) ## Run the tests that need no CAN interface
-	$(PYTEST) -n $(WORKERS) -m "not socketcan"
+	$(PYTEST) -n $(WORKERS) --dist worksteal -m "not socketcan"
 
 socketcan: $(INSTALLED_TEST) ## Run the tests on a real SocketCAN: this kernel's vcan, or one in user-mode Linux
 	$(VCAN) run -- $(PYTEST) tests/socketcan
