@@ -18,6 +18,7 @@ import copy
 import importlib.abc
 import importlib.util
 import os
+import resource
 import signal
 import sys
 from collections import Counter
@@ -27,7 +28,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 SOURCE = Path(__file__).resolve().parent.parent / "src"
-ENDLESS_S = 120  # a test that takes so long has noticed
+ENDLESS_S, BOUNDLESS_BYTES = 60, 4 << 30  # a test that takes so much time or memory has noticed
 PAIRS = [
     (ast.Lt, ast.LtE), (ast.Gt, ast.GtE), (ast.Eq, ast.NotEq), (ast.Is, ast.IsNot), (ast.In, ast.NotIn),
     (ast.And, ast.Or), (ast.Add, ast.Sub), (ast.Mult, ast.Div), (ast.BitAnd, ast.BitOr),
@@ -64,7 +65,8 @@ def changes(node: ast.AST) -> Iterator[ast.AST]:
         yield changed(node, test=ast.UnaryOp(ast.Not(), node.test))
     elif isinstance(node, ast.Return) and short(node) not in ("return", "return None"):
         yield changed(node, value=ast.Constant(None))
-    if isinstance(node, (ast.Assign, ast.AugAssign, ast.Expr)) and not is_docstring(node):
+    is_docstring = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    if isinstance(node, (ast.Assign, ast.AugAssign, ast.Expr)) and not is_docstring:
         yield ast.Pass()
 
 
@@ -73,10 +75,6 @@ def changed(node: ast.AST, **fields: object) -> ast.AST:
     for name, value in fields.items():
         setattr(other, name, value)
     return other
-
-
-def is_docstring(node: ast.AST) -> bool:
-    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
 
 
 def places(node: ast.AST, within: str = "") -> Iterator[tuple[ast.AST, str, int | None, ast.AST, str]]:
@@ -141,6 +139,7 @@ def run_tests(mutant: Mutant | None, pytest_args: list[str]) -> int:
     if pid:
         return pid
     signal.alarm(ENDLESS_S)
+    resource.setrlimit(resource.RLIMIT_AS, (BOUNDLESS_BYTES, BOUNDLESS_BYTES))
     status = 1
     try:
         import pytest
