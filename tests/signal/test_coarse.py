@@ -337,6 +337,23 @@ def test_a_restart_forgets_where_the_coarse_track_stands_and_a_pause_does_not() 
     assert flags(got[-1]) == StatusBit.VALID, "after a restart any place will do"
 
 
+@pytest.mark.parametrize("speed", [83.13, -83.13, 5.2, 1.0])
+def test_a_machine_that_turns_after_a_pause_is_not_called_valid_at_a_wrong_speed(speed: float) -> None:
+    machine = Starting(0.0)
+    machine.run(300)
+    machine.chain.resume()
+    machine.valid.clear()
+    machine.speed = speed
+    machine.run(1500)
+    assert not machine.valid or max(machine.valid) - min(machine.valid) < 0.03
+
+
+@pytest.mark.parametrize("half", [{"coarse_sine": 1500.0}, {"coarse_cosine": 1500.0}])
+def test_half_a_coarse_track_is_none(half: dict[str, float]) -> None:
+    chain = SignalChain(ChainConfig())
+    assert all(flags(chain.step(at(0.25, **half))) == StatusBit.VALID for _ in range(5))
+
+
 WRONG_SPEEDS = [1, -1, 2, -3, 17, -50, 83, -83, 124, -125]
 
 

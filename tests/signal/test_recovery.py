@@ -205,6 +205,33 @@ def test_a_resume_goes_on_at_standstill_within_half_a_cycle() -> None:
     assert position(track) == pytest.approx(last + 0.3), "it stands"
 
 
+def test_nothing_from_before_a_restart_is_carried_on() -> None:
+    machine = Following(41.3)
+    machine.recovery.restart(5)
+    assert machine.recovery.good(0.25, 1.0)[1] == VALID
+    track, bits = machine.recovery.bad(1.0)
+    assert (position(track), bits) == (5.25, COASTING)
+
+
+def test_the_speed_from_before_a_pause_is_no_way_through_a_gap() -> None:
+    machine = Following(5.0, coast_samples=20)
+    machine.recovery.resume()
+    machine.speed = 0.0
+    machine.bad()
+    assert machine.until_valid() == LONGEST_CONFIRMATION, "little is known, so more is wanted"
+
+
+def test_found_ends_a_doubt() -> None:
+    machine = Following(5.25)
+    machine.bad()
+    machine.recovery.found(7, 0)
+    machine.position += 7
+    assert not machine.recovery.in_doubt
+    track, bits = machine.good()
+    assert bits == VALID
+    assert position(track) == pytest.approx(machine.position, abs=1e-6)
+
+
 @pytest.mark.parametrize("state", ["lost", "coasting", "never started"])
 def test_a_resume_without_a_sure_position_begins_at_nought(state: str) -> None:
     machine = Following(5.25)

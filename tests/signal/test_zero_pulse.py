@@ -154,6 +154,17 @@ def test_pulses_that_agree_change_nothing() -> None:
     assert made.chain.reference.set_right == 0
 
 
+def test_a_restart_forgets_the_place_and_a_pause_does_not() -> None:
+    made = turning(0.3, 10)
+    made.chain.resume()
+    assert flags(made.step()) == StatusBit.VALID | StatusBit.REFERENCED
+    made.chain.restart(3)  # and so every pulse comes at another count
+    got = [made.step() for _ in range(100)]
+    assert flags(got[0]) == StatusBit.VALID
+    assert flags(got[-1]) == StatusBit.VALID | StatusBit.REFERENCED
+    assert not any(one.jump_cycles for one in got)
+
+
 def until_pulse(made: Turning) -> Sample:
     """The next sample that brings a pulse; those before it go through the chain."""
     while (sample := made.sample()).zero_pulse is None:
