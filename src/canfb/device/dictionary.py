@@ -19,6 +19,9 @@ from canfb.device.entry import Entry
 
 __all__ = ["Dictionary", "Entry", "ObjectInfo", "ObjectKind"]
 
+STORE_EDS = 0x1021
+"""The EDS of the device, in the format that 1022h names (CiA 301, 7.5.2.24)."""
+
 
 class ObjectKind(IntEnum):
     """Object code (CiA 301, 7.4.3)."""
@@ -64,7 +67,8 @@ class Dictionary:
         """The objects of an EDS file for node `node_id` (1..127), all at their defaults.
 
         Raises OSError when the file cannot be read, and ValueError that names the section when it
-        describes something impossible. ParameterValue of a DCF is not used.
+        describes something impossible. ParameterValue of a DCF is not used. The value of 1021h, where
+        the file has it, is the file itself.
         """
         if not 1 <= node_id <= 127:
             raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127")
@@ -87,7 +91,11 @@ class Dictionary:
                 entries.append(_entry(parser, section, variable, node_id, path))
             subindices = tuple(variable.subindex for variable in variables)
             objects.append(ObjectInfo(index, str(thing.name), _kind(thing), subindices))
-        return cls(entries, objects, eds.dummy_types(parser))
+        dictionary = cls(entries, objects, eds.dummy_types(parser))
+        stored = dictionary.find(STORE_EDS)
+        if stored is not None and stored.data_type == DataType.DOMAIN:
+            stored.default = stored.value = path.read_bytes()
+        return dictionary
 
     def entry(self, index: int, subindex: int = 0) -> Entry:
         """The entry, for code that knows its device. KeyError when there is none."""

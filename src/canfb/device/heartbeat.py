@@ -20,6 +20,7 @@ class HeartbeatProducer:
     """Sends the NMT state every 1017h milliseconds; 0 is off.
 
     The boot-up counts as the first heartbeat. A new period starts with a heartbeat at once.
+    `changed` is called when 1017h was written: guarding is off while there is a heartbeat.
     """
 
     def __init__(
@@ -29,6 +30,7 @@ class HeartbeatProducer:
         emit: Emit,
         moment: Moment,
         state: Callable[[], NmtState],
+        changed: Callable[[], None],
     ) -> None:
         self.deadline = NEVER
         self._entry = entry
@@ -36,8 +38,14 @@ class HeartbeatProducer:
         self._emit = emit
         self._moment = moment
         self._state = state
+        self._changed = changed
         if entry is not None:
             entry.on_written = self._written
+
+    @property
+    def is_active(self) -> bool:
+        """Whether there is a heartbeat: 1017h is not 0."""
+        return self._period_s > 0
 
     @property
     def _period_s(self) -> float:
@@ -64,6 +72,7 @@ class HeartbeatProducer:
 
     def _written(self) -> None:
         self.deadline = self._moment.now if self._period_s else NEVER
+        self._changed()
 
 
 class HeartbeatMonitor:

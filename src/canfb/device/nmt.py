@@ -7,6 +7,7 @@ from enum import IntEnum
 
 from canfb.device.codes import AbortCode, SdoAbort
 from canfb.device.counters import Counters
+from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
 
 
@@ -47,6 +48,9 @@ REACTION = {
     2: {NmtState.OPERATIONAL: NmtState.STOPPED, NmtState.PRE_OPERATIONAL: NmtState.STOPPED},
 }
 """What 1029h makes of a communication error, by its value and the present state."""
+
+WAIT_FOR_MASTER = 1 << 2
+"""Bit 2 of 1F80h: the node does not go to OPERATIONAL by itself."""
 
 
 class Nmt:
@@ -90,18 +94,49 @@ class Nmt:
             self._changed(old, state, now)
 
 
-class ErrorBehaviour:
-    """Object 1029h:01: the NMT state that a communication error leads to."""
+class Startup:
+    """Object 1F80h (CiA 302-2): whether the node goes on to OPERATIONAL by itself after a boot-up.
 
-    def __init__(self, entry: Entry | None) -> None:
+    It does when bit 2 is 0; without the object, when `autostart` is set. `autostart` takes bit 2
+    out of the default value, so that a stored value, or one written before, comes first.
+    """
+
+    def __init__(self, entry: Entry | None, *, autostart: bool) -> None:
         self._entry = entry
+        self._autostart = autostart
         if entry is not None:
-            entry.on_write = _check_behaviour
+            entry.on_write = _check_startup
+            if autostart:
+                entry.default = (entry.default or 0) & ~WAIT_FOR_MASTER
+                entry.value &= ~WAIT_FOR_MASTER
+
+    @property
+    def autostart(self) -> bool:
+        """Whether the next boot-up leads to OPERATIONAL."""
+        if self._entry is None:
+            return self._autostart
+        return not self._entry.value & WAIT_FOR_MASTER
+
+
+def _check_startup(value: int) -> None:
+    """All other bits are for masters, which this device is not."""
+    if value & ~WAIT_FOR_MASTER:
+        raise SdoAbort(AbortCode.INVALID_VALUE)
+
+
+class ErrorBehaviour:
+    """Object 1029h: the NMT state that an error leads to; sub-index 1 is for communication errors."""
+
+    def __init__(self, dictionary: Dictionary) -> None:
+        self._entry = dictionary.find(0x1029, 1)
+        for entry in dictionary:
+            if entry.index == 0x1029 and entry.subindex:
+                entry.on_write = _check_behaviour
 
     def reaction(self, state: NmtState) -> NmtState:
         """The state to enter from `state`; 0 of 1029h, also its absence, is Pre-operational."""
         behaviour = 0 if self._entry is None else self._entry.value
-        return REACTION[behaviour].get(state, state)
+        return REACTION.get(behaviour, REACTION[0]).get(state, state)
 
 
 def _check_behaviour(value: int) -> None:

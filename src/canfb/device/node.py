@@ -10,12 +10,15 @@ from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.emergency import Emergency
 from canfb.device.frame import NEVER, Frame, Moment, Timed
+from canfb.device.guarding import NodeGuarding
 from canfb.device.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from canfb.device.mapping import Direction
-from canfb.device.nmt import COMMUNICATING, ErrorBehaviour, Nmt, NmtState
+from canfb.device.nmt import COMMUNICATING, ErrorBehaviour, Nmt, NmtState, Startup
 from canfb.device.rpdo import Rpdo
 from canfb.device.sdo_channel import SdoChannel, channel_indices
+from canfb.device.sdo_server import TIMEOUT_S
 from canfb.device.sync import Sync
+from canfb.device.time_stamp import TimeStamp
 from canfb.device.tpdo import Tpdo
 
 NMT_COMMAND = 0x000
@@ -38,6 +41,8 @@ class Node:
     comes out of the call: it is a mistake in the program. No frame from the bus raises by itself.
 
     on_rpdo(number, now): the data of RPDO `number` stands in the dictionary.
+    on_time(days, milliseconds, now): a TIME, with the days since 1984-01-01 and the milliseconds of
+    the day, while 1012h says that it is consumed.
     on_sync(counter, now): a SYNC in OPERATIONAL, after synchronous RPDOs were taken over, before
     synchronous TPDOs are sampled; `counter` is None without 1019h.
     on_state(old, new, now): after a change of the NMT state.
@@ -47,18 +52,29 @@ class Node:
     on_configured(): PDO parameters or the NMT state have changed; mappings may be others now.
     """
 
-    def __init__(self, dictionary: Dictionary, node_id: int, *, autostart: bool = False) -> None:
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        node_id: int,
+        *,
+        autostart: bool = False,
+        sdo_timeout_s: float = TIMEOUT_S,
+    ) -> None:
         """Make the node `node_id` (1..127); ValueError for another, or for an impossible EDS.
 
-        With `autostart` it goes on to OPERATIONAL after each boot-up without a master.
+        With `autostart` it goes on to OPERATIONAL after each boot-up without a master: bit 2 of
+        1F80h is then 0 by default. `sdo_timeout_s` is how long an SDO client may be silent within a
+        transfer, more than 0 s.
         """
         if not 1 <= node_id <= 127:
             raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127")
+        if not 0 < sdo_timeout_s < NEVER:
+            raise ValueError(f"sdo_timeout_s is {sdo_timeout_s}; give a time in seconds, more than 0")
         self.dictionary = dictionary
         self.node_id = node_id
-        self.autostart = autostart
         self.counters = Counters()
         self.on_rpdo: Callable[[int, float], None] | None = None
+        self.on_time: Callable[[int, int, float], None] | None = None
         self.on_sync: Callable[[int | None, float], None] | None = None
         self.on_state: Callable[[NmtState, NmtState, float], None] | None = None
         self.on_reset: Callable[[bool, float], None] | None = None
@@ -71,21 +87,35 @@ class Node:
         self._remote_routes: dict[int, Callable[[float], None]] = {}
         self._sync_rpdos: list[Rpdo] = []
         self._sync_tpdos: list[Tpdo] = []
-        self._make_services()
+        self._startup = Startup(dictionary.find(0x1F80), autostart=autostart)
+        self._make_services(sdo_timeout_s)
 
-    def _make_services(self) -> None:
+    def _make_services(self, sdo_timeout_s: float) -> None:
         dictionary, node_id, counters, moment = self.dictionary, self.node_id, self.counters, self._moment
         emit, changed = self._outbox.append, self._route
         self._nmt = Nmt(node_id, counters, self._state_changed, self._reset)
-        self._error_behaviour = ErrorBehaviour(dictionary.find(0x1029, 1))
+        self._error_behaviour = ErrorBehaviour(dictionary)
         self._emergency = Emergency(dictionary, node_id, emit, counters)
-        self._producer = HeartbeatProducer(dictionary.find(0x1017), node_id, emit, moment, self._get_state)
+        self._producer = HeartbeatProducer(
+            dictionary.find(0x1017), node_id, emit, moment, self._get_state, self._heartbeat_changed
+        )
+        self._guarding = NodeGuarding(
+            dictionary,
+            node_id,
+            emit,
+            moment,
+            self._emergency,
+            state=self._get_state,
+            heartbeat=lambda: self._producer.is_active,
+            lost=self._communication_error,
+        )
+        self._time_stamp = TimeStamp(dictionary.find(0x1012), counters, self._time_heard, changed)
         self._consumer = HeartbeatConsumer(
             dictionary, moment, counters, self._emergency, self._communication_error, changed
         )
         self._sync = Sync(dictionary, emit, moment, counters, self._emergency, self._synchronise, changed)
         self._channels = [
-            SdoChannel(dictionary, index, node_id, emit, counters, changed)
+            SdoChannel(dictionary, index, node_id, emit, counters, changed, timeout_s=sdo_timeout_s)
             for index in channel_indices(dictionary)
         ]
         self._rpdos = [
@@ -98,12 +128,12 @@ class Node:
                 window_open=self._sync.window_open,
                 delivered=self._rpdo_delivered,
                 too_short=self._rpdo_too_short,
-                changed=changed,
+                changed=self._pdo_changed,
             )
             for number in pdo.numbers(dictionary, Direction.RECEIVE)
         ]
         self._tpdos = {
-            number: Tpdo(dictionary, number, emit=emit, moment=moment, changed=changed)
+            number: Tpdo(dictionary, number, emit=emit, moment=moment, changed=self._pdo_changed)
             for number in pdo.numbers(dictionary, Direction.TRANSMIT)
         }
         self._timed: list[Timed] = [
@@ -111,6 +141,7 @@ class Node:
             *self._rpdos,
             *self._tpdos.values(),
             self._producer,
+            self._guarding,
             self._consumer,
             self._emergency,
             *(channel.server for channel in self._channels),
@@ -120,6 +151,11 @@ class Node:
     def state(self) -> NmtState:
         """The NMT state."""
         return self._nmt.state
+
+    @property
+    def autostart(self) -> bool:
+        """Whether the next boot-up leads to OPERATIONAL without a master (1F80h)."""
+        return self._startup.autostart
 
     def start(self, now: float) -> list[Frame]:
         """Power on: the boot-up message, then PRE-OPERATIONAL. The values stay as they are."""
@@ -229,6 +265,7 @@ class Node:
         self._nmt.enter(NmtState.INITIALISING, now)
         self._producer.stop()
         self._emergency.reset()
+        self._guarding.configure(now)
         self._consumer.configure(now)
         self._sync.configure()
         for channel in self._channels:
@@ -237,7 +274,7 @@ class Node:
             self.on_reset(communication_only, now)
         self._producer.boot_up(now)
         self._nmt.enter(NmtState.PRE_OPERATIONAL, now)
-        if self.autostart:
+        if self._startup.autostart:
             self._nmt.enter(NmtState.OPERATIONAL, now)
 
     def _state_changed(self, old: NmtState, new: NmtState, now: float) -> None:
@@ -252,12 +289,27 @@ class Node:
                 channel.server.drop()
         self._sync.enable(new in COMMUNICATING, now)
         self._emergency.enable(new in COMMUNICATING, now)
-        self._route()
+        self._pdo_changed()
         if self.on_state is not None:
             self.on_state(old, new, now)
 
+    def _heartbeat_changed(self) -> None:
+        """1017h was written: a heartbeat takes the place of guarding."""
+        if self._producer.is_active:
+            self._guarding.configure(self._moment.now)
+        self._route()
+
+    def _time_heard(self, days: int, milliseconds: int, now: float) -> None:
+        if self.on_time is not None:
+            self.on_time(days, milliseconds, now)
+
     def _communication_error(self, now: float) -> None:
         self._nmt.enter(self._error_behaviour.reaction(self._nmt.state), now)
+
+    def _pdo_changed(self) -> None:
+        self._route()
+        if self.on_configured is not None:
+            self.on_configured()
 
     def _route(self) -> None:
         """Who listens to which CAN-ID, in this NMT state and with these COB-IDs."""
@@ -269,10 +321,13 @@ class Node:
         if state is NmtState.INITIALISING:
             return
         self._add_route(NMT_COMMAND, self._nmt.handle)
+        if self._guarding.can_id is not None:
+            self._remote_routes[self._guarding.can_id] = self._guarding.request
         for can_id, handler in self._consumer.routes().items():
             self._add_route(can_id, handler)
         if state in COMMUNICATING:
             self._add_route(self._sync.can_id, self._sync.handle)
+            self._add_route(self._time_stamp.can_id, self._time_stamp.handle)
             for channel in self._channels:
                 self._add_route(channel.request_id, channel.server.handle)
         if state is NmtState.OPERATIONAL:
@@ -281,9 +336,6 @@ class Node:
             for tpdo in self._tpdos.values():
                 if tpdo.remote_can_id is not None:
                     self._remote_routes[tpdo.remote_can_id] = tpdo.request
-
-        if self.on_configured is not None:
-            self.on_configured()
 
     def _add_route(self, can_id: int | None, handler: Handler) -> None:
         if can_id is None:

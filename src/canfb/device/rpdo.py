@@ -12,13 +12,18 @@ from canfb.device.frame import NEVER, Moment
 from canfb.device.mapping import Direction, Layout
 from canfb.device.pdo import SYNCHRONOUS, PdoParameters
 
+ERRORS = (EmergencyCode.RPDO_LENGTH, EmergencyCode.RPDO_LENGTH_EXCEEDED, EmergencyCode.RPDO_TIMEOUT)
+"""What an RPDO of the mapped length ends."""
+
 
 class Rpdo:
     """Takes data into the dictionary: at once (types FEh, FFh) or at the next SYNC (0 to F0h).
 
     `delivered(number, now)` is called when the data stands in the dictionary, `too_short(number,
-    received, mapped, now)` for a PDO that was kept out because it is too short. Sub-index 5 is the
-    time-out in milliseconds: it runs from the first PDO on and gives EMCY 8250h.
+    received, mapped, now)` for a PDO that was kept out because it is too short (EMCY 8210h). One that
+    is too long is used as far as it is mapped (EMCY 8220h). Sub-index 5 is the time-out in
+    milliseconds: it runs from the first PDO on and gives EMCY 8250h. Each error is reported once; a
+    PDO of the mapped length ends it.
     """
 
     def __init__(
@@ -79,8 +84,8 @@ class Rpdo:
             if len(data) < layout.length:
                 self._refuse(len(data), layout.length, now)
                 return
-            self._counters.long_rpdos += 1
-        if self._supervised:
+            self._accept_long(len(data), layout.length, now)
+        elif self._supervised:
             self._supervise(now)
         if self.is_synchronous:
             if self._window_open(now):
@@ -112,7 +117,16 @@ class Rpdo:
     def _refuse(self, received: int, mapped: int, now: float) -> None:
         self._counters.short_rpdos += 1
         self._report(EmergencyCode.RPDO_LENGTH, bytes([self.number & 0xFF, received, mapped]), now)
+        self._clear(EmergencyCode.RPDO_LENGTH_EXCEEDED, now)
         self._too_short(self.number, received, mapped, now)
+
+    def _accept_long(self, received: int, mapped: int, now: float) -> None:
+        """The data is there, and in time; only its length is an error."""
+        self._counters.long_rpdos += 1
+        self._report(EmergencyCode.RPDO_LENGTH_EXCEEDED, bytes([self.number & 0xFF, received, mapped]), now)
+        self._clear(EmergencyCode.RPDO_LENGTH, now)
+        self._clear(EmergencyCode.RPDO_TIMEOUT, now)
+        self._restart_timeout(now)
 
     def _report(self, code: EmergencyCode, manufacturer: bytes, now: float) -> None:
         self._failed = self._supervised = True
@@ -123,12 +137,18 @@ class Rpdo:
         if self._failed:
             self._clear_errors(now)
         self._supervised = self._timeout_s > 0
-        self.deadline = now + self._timeout_s if self._supervised else NEVER
+        self._restart_timeout(now)
+
+    def _restart_timeout(self, now: float) -> None:
+        self.deadline = now + self._timeout_s if self._timeout_s else NEVER
 
     def _clear_errors(self, now: float) -> None:
         self._failed = False
-        self._emergency.clear(EmergencyCode.RPDO_LENGTH, now, self._source)
-        self._emergency.clear(EmergencyCode.RPDO_TIMEOUT, now, self._source)
+        for code in ERRORS:
+            self._clear(code, now)
+
+    def _clear(self, code: EmergencyCode, now: float) -> None:
+        self._emergency.clear(code, now, self._source)
 
     @property
     def _source(self) -> tuple[str, int]:

@@ -10,7 +10,7 @@ from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
 from canfb.device.frame import Emit
-from canfb.device.sdo_server import SdoServer
+from canfb.device.sdo_server import TIMEOUT_S, SdoServer
 
 FIRST_INDEX = 0x1200
 LAST_INDEX = 0x127F
@@ -35,13 +35,15 @@ class SdoChannel:
         emit: Emit,
         counters: Counters,
         changed: Callable[[], None],
+        *,
+        timeout_s: float = TIMEOUT_S,
     ) -> None:
         self._index = index
         self._node_id = node_id
         self._changed = changed
         self._request = dictionary.find(index, 1)
         self._response = dictionary.find(index, 2)
-        self.server = SdoServer(dictionary, emit, counters, RESPONSE + node_id)
+        self.server = SdoServer(dictionary, emit, counters, RESPONSE + node_id, timeout_s=timeout_s)
         if index != FIRST_INDEX:
             for entry in (self._request, self._response):
                 if entry is not None:

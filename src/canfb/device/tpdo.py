@@ -21,7 +21,10 @@ class Tpdo:
     Type 0: at the SYNC after an event. 1 to F0h: at every type-th SYNC, from the one with the
     counter of sub-index 6 on. FCh: sampled at the SYNC, sent on a remote frame. FDh: on a remote
     frame. FEh, FFh: at an event, not more often than the inhibit time (sub-index 3, 100 us), and
-    at the latest when the event timer (sub-index 5, ms) is over.
+    at the latest when the event timer (sub-index 5, ms) is over. A remote frame asks for a TPDO of
+    any type whose COB-ID has bit 30 = 0; types FEh and FFh keep their inhibit time then, too.
+
+    Synchronous TPDOs go out with the SYNC itself, so that the window of 1007h always holds.
     """
 
     def __init__(
@@ -115,6 +118,8 @@ class Tpdo:
         if self._type == SYNC_REMOTE:
             if self._sampled is not None:
                 self._emit(Frame(self._can_id, self._sampled))
+        elif self._event_driven:
+            self.trigger(now)
         else:
             self._send(now)
 

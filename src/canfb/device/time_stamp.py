@@ -1,0 +1,63 @@
+"""TIME consumer: 1012h (CiA 301, 7.2.6)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from canfb.device import cob
+from canfb.device.codes import AbortCode, SdoAbort
+from canfb.device.counters import Counters
+from canfb.device.entry import Entry
+
+MILLISECONDS_PER_DAY = 86_400_000
+CONSUME = 1 << 31
+"""Bit 31 of 1012h: the device listens to TIME."""
+PRODUCE = 1 << 30
+"""Bit 30 of 1012h: the device sends TIME, which this one cannot."""
+
+_LENGTH = 6
+_MILLISECONDS = 0x0FFFFFFF
+
+
+class TimeStamp:
+    """Hears the time of day: `heard(days, milliseconds, now)`, days since 1984-01-01.
+
+    A TIME of another length than 6 bytes, or with more milliseconds than a day has, is dropped and
+    counted. `changed` is called when 1012h was written.
+    """
+
+    def __init__(
+        self,
+        entry: Entry | None,
+        counters: Counters,
+        heard: Callable[[int, int, float], None],
+        changed: Callable[[], None],
+    ) -> None:
+        self._entry = entry
+        self._counters = counters
+        self._heard = heard
+        if entry is not None:
+            entry.on_write = self._check
+            entry.on_written = changed
+
+    @property
+    def can_id(self) -> int | None:
+        """The CAN-ID that it listens to now, None when it does not."""
+        if self._entry is None or not self._entry.value & CONSUME:
+            return None
+        return int(self._entry.value & cob.CAN_ID)
+
+    def handle(self, data: bytes, now: float) -> None:
+        """A TIME from the bus."""
+        milliseconds = int.from_bytes(data[:4], "little") & _MILLISECONDS
+        if len(data) != _LENGTH or milliseconds >= MILLISECONDS_PER_DAY:
+            self._counters.malformed_frames += 1
+            return
+        self._heard(int.from_bytes(data[4:], "little"), milliseconds, now)
+
+    def _check(self, value: int) -> None:
+        old = 0 if self._entry is None else self._entry.value
+        if value & PRODUCE or cob.is_restricted(value & cob.CAN_ID):
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+        flags = CONSUME | PRODUCE
+        cob.check(value & ~flags, old & ~flags, uses_new=bool(value & CONSUME), uses_old=bool(old & CONSUME))
