@@ -1,0 +1,299 @@
+"""The tester: sends raw frames to a device, collects what it says, drives the clock. Nothing sleeps.
+
+Frames are hexadecimal bytes as the list of cases has them. SDO requests are filled up to 8 bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
+
+from conformance_eds import Eds
+
+from canfb.device.frame import Frame
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.simulation.encoder_interface import EncoderInterface
+
+MODULE, INTERFACE = "module", "interface"
+DEVICES = (MODULE, INTERFACE)
+MODULE_ID, INTERFACE_ID = 0x20, 0x10
+EDS = {MODULE: Eds("canfb-module", MODULE_ID), INTERFACE: Eds("encoder-interface", INTERFACE_ID)}
+
+# Abort codes as the list writes them; G is accepted wherever the list says so.
+G = "08000000"
+NO_READ, NO_WRITE = ("06010000", "06010001", G), ("06010000", "06010002", G)
+NO_SUB, NO_INDEX = ("06090011", G), ("06020000", G)
+COMMAND = ("05040001", G)
+SAVE, LOAD, WRONG = "73 61 76 65", "6C 6F 61 64", "6E 6F 72 77"
+
+
+class Heard(NamedTuple):
+    """A frame of the device, and when."""
+
+    time: float
+    can_id: int
+    data: str
+
+
+def hexes(data: bytes) -> str:
+    return data.hex(" ").upper()
+
+
+def filled(text: str) -> str:
+    """An SDO frame with the trailing zero bytes that the list leaves out."""
+    return hexes(bytes.fromhex(text).ljust(8, b"\x00"))
+
+
+def m(index: int, sub: int = 0) -> str:
+    """Index low, index high, sub-index."""
+    return f"{index & 0xFF:02X} {index >> 8:02X} {sub:02X}"
+
+
+def little(value: int, size: int) -> str:
+    return hexes(value.to_bytes(size, "little"))
+
+
+def crc(data: bytes) -> int:
+    """CRC of block transfers, bit by bit: polynomial 1021h, start 0."""
+    register = 0
+    for byte in data:
+        register ^= byte << 8
+        for _ in range(8):
+            register = (register << 1 ^ (0x1021 if register & 0x8000 else 0)) & 0xFFFF
+    return register
+
+
+def only(frames: Iterable[Heard], can_id: int) -> list[str]:
+    """Data of the frames with this CAN-ID."""
+    return [frame.data for frame in frames if frame.can_id == can_id]
+
+
+@dataclass
+class StillSource:
+    """An encoder at a standstill, for the interface."""
+
+    counts: tuple[int, int] = (300, 1400)
+
+    def next(self) -> tuple[int, int]:
+        return self.counts
+
+
+@dataclass
+class Tester:
+    """Everything a tester at the other end of the bus has."""
+
+    __test__: ClassVar[bool] = False  # for pytest: its name is all it has of a test
+    kind: str
+    device: Any
+    eds: Eds
+    now: float = 0.0
+    log: list[tuple[float, int, str, bool]] = field(default_factory=list)
+    """All frames of both sides: time, CAN-ID, data, whether it is a remote frame."""
+
+    @property
+    def id(self) -> int:
+        return self.eds.node_id
+
+    @property
+    def nn(self) -> str:
+        """The node-ID as a byte."""
+        return f"{self.id:02X}"
+
+    # -- frames and time ------------------------------------------------------------------------
+
+    def power_on(self) -> list[Heard]:
+        return self._take(self.device.start(self.now))
+
+    def send(self, can_id: int, data: str = "", *, rtr: bool = False) -> list[Heard]:
+        """Put a frame on the bus; what the device says upon it at once."""
+        raw = bytes.fromhex(data)
+        self.log.append((self.now, can_id, hexes(raw), rtr))
+        return self._take(self.device.receive(Frame(can_id, raw, rtr), self.now))
+
+    def remote(self, can_id: int) -> list[Heard]:
+        return self.send(can_id, rtr=True)
+
+    def wait(self, seconds: float) -> list[Heard]:
+        """Let time pass; what the device says meanwhile."""
+        end = self.now + seconds
+        heard: list[Heard] = []
+        for _ in range(100_000):
+            due = self.device.deadline()
+            if due is None or due > end:
+                self.now = end
+                return heard
+            self.now = max(self.now, due)
+            heard += self._take(self.device.tick(self.now))
+        raise AssertionError("the deadline of the device does not move on")
+
+    def repeat(self, count: int, period: float, act: Callable[[], list[Heard]]) -> list[Heard]:
+        """Do something `count` times, and let `period` seconds pass after each."""
+        heard: list[Heard] = []
+        for _ in range(count):
+            heard += act()
+            heard += self.wait(period)
+        return heard
+
+    def _take(self, frames: list[Frame]) -> list[Heard]:
+        for frame in frames:
+            assert 0 <= frame.can_id <= 0x7FF
+            assert len(frame.data) <= 8
+            assert not frame.rtr
+            self.log.append((self.now, frame.can_id, hexes(frame.data), False))
+        return [Heard(self.now, frame.can_id, hexes(frame.data)) for frame in frames]
+
+    # -- SDO --------------------------------------------------------------------------------------
+
+    def sdo(self, request: str, wait: float = 0.0) -> list[str]:
+        """All answers of the SDO server to one frame, and those of the time after it."""
+        answers = only(self.send(0x600 + self.id, filled(request)), 0x580 + self.id)
+        if wait:
+            answers += only(self.wait(wait), 0x580 + self.id)
+        assert all(len(answer) == 23 for answer in answers), "an SDO frame has 8 bytes"
+        return answers
+
+    def ask(self, request: str) -> str:
+        """The one answer to a frame."""
+        (answer,) = self.sdo(request)
+        return answer
+
+    def accept(self, request: str) -> None:
+        """A download that must be answered with ok."""
+        assert self.ask(request) == filled("60 " + request[3:11])
+
+    def refuse(self, request: str, *codes: str) -> str:
+        """A request that must be aborted with one of these codes; which one it was."""
+        return self.aborted(self.ask(request), request[3:11], *codes)
+
+    def aborted(self, answer: str, multiplexer: str | None, *codes: str) -> str:
+        raw = bytes.fromhex(answer)
+        assert raw[0] == 0x80, f"no abort: {answer}"
+        assert multiplexer is None or hexes(raw[1:4]) == multiplexer
+        code = f"{int.from_bytes(raw[4:], 'little'):08X}"
+        assert code in codes
+        return code
+
+    def write(self, index: int, sub: int, value: int, size: int) -> None:
+        """Expedited download, which must be answered with ok."""
+        self.accept(self.download(index, sub, value, size))
+
+    @staticmethod
+    def download(index: int, sub: int, value: int, size: int) -> str:
+        """The request of an expedited download."""
+        return f"{0x23 | (4 - size) << 2:02X} {m(index, sub)} {little(value, size)}"
+
+    def read(self, index: int, sub: int = 0) -> int:
+        """Expedited upload of a number."""
+        return int.from_bytes(self.upload(m(index, sub)), "little")
+
+    def upload(self, multiplexer: str) -> bytes:
+        """A whole object, expedited or segmented."""
+        first = self.ask("40 " + multiplexer)
+        raw = bytes.fromhex(first)
+        assert hexes(raw[1:4]) == multiplexer, first
+        if raw[0] & 0xF3 == 0x43:
+            return raw[4 : 8 - (raw[0] >> 2 & 3)]
+        assert raw[0] == 0x41, first
+        data, toggle = b"", 0x00
+        while True:
+            segment = bytes.fromhex(self.ask(f"{0x60 | toggle:02X}"))
+            assert segment[0] & 0xF0 == toggle
+            data += segment[1 : 8 - (segment[0] >> 1 & 7)]
+            if segment[0] & 1:
+                break
+            toggle ^= 0x10
+        assert len(data) == int.from_bytes(raw[4:], "little")
+        return data
+
+    def download_segmented(self, multiplexer: str, data: bytes) -> str:
+        """The last answer of a segmented download."""
+        answer = self.ask(f"21 {multiplexer} {little(len(data), 4)}")
+        if answer != filled("60 " + multiplexer):
+            return answer
+        toggle = 0x00
+        for start in range(0, max(len(data), 1), 7):
+            part = data[start : start + 7]
+            last = start + 7 >= len(data)
+            answer = self.ask(f"{toggle | (7 - len(part)) << 1 | last:02X} {hexes(part)}")
+            if answer != filled(f"{0x20 | toggle:02X}"):
+                return answer
+            toggle ^= 0x10
+        return "ok"
+
+    # -- NMT ----------------------------------------------------------------------------------------
+
+    def nmt(self, command: str) -> list[Heard]:
+        """An NMT command to this node; a reset is waited for."""
+        heard = self.send(0x000, f"{command} {self.nn}")
+        if command in ("81", "82"):
+            heard += [] if self.booted(heard) else self.wait(5.0)
+            assert only(heard, 0x700 + self.id) == ["00"], "one boot-up message within 5 s"
+        return heard
+
+    def booted(self, heard: list[Heard]) -> bool:
+        return "00" in only(heard, 0x700 + self.id)
+
+    def prepare(self) -> None:
+        """What the list calls preparation: reset, defaults restored, reset."""
+        self.nmt("81")
+        if self.eds.has(0x1011, 1):
+            self.accept(f"23 {m(0x1011, 1)} {LOAD}")
+            self.wait(0.5)
+            self.nmt("81")
+
+    def operational(self) -> list[Heard]:
+        return self.nmt("01")
+
+    # -- what the device has -------------------------------------------------------------------------
+
+    @property
+    def rpdos(self) -> list[int]:
+        return self.eds.numbers(0x1400)
+
+    @property
+    def tpdos(self) -> list[int]:
+        return self.eds.numbers(0x1800)
+
+    @property
+    def valid_tpdos(self) -> list[int]:
+        """TPDOs that are valid and mapped by default."""
+        return [
+            number
+            for number in self.tpdos
+            if not self.read(0x1800 + number - 1, 1) >> 31 and self.read(0x1A00 + number - 1)
+        ]
+
+    def cob_id(self, number: int) -> int:
+        """CAN-ID of a TPDO."""
+        return self.read(0x1800 + number - 1, 1) & 0x7FF
+
+    def set_up_tpdo(self, number: int, kind: str, *, timer_ms: int = 0, remote: bool | None = None) -> int:
+        """Transmission type of a TPDO as the list sets it: off, type, timer, on. Its CAN-ID."""
+        index = 0x1800 + number - 1
+        cob_id = self.read(index, 1) & 0x7FFFFFFF
+        if remote is not None:
+            cob_id = cob_id & ~0x40000000 | (0 if remote else 0x40000000)
+        self.write(index, 1, cob_id | 0x80000000, 4)
+        self.accept(f"2F {m(index, 2)} {kind}")
+        if timer_ms:
+            self.write(index, 5, timer_ms, 2)
+        self.write(index, 1, cob_id, 4)
+        return cob_id & 0x7FF
+
+    def cause_event(self) -> list[Heard]:
+        """What makes the device want to send: a sample. The interface takes one at a SYNC by itself."""
+        return self.send(0x180 + INTERFACE_ID, "2C 01 78 05") if self.kind == MODULE else []
+
+
+def make_tester(kind: str, **fields: Any) -> Tester:
+    """A device just switched on, with its tester; `fields` are those of ModuleConfig."""
+    device: Any
+    if kind == MODULE:
+        device = FeedbackModule(ModuleConfig(node_id=MODULE_ID, encoder_interface=INTERFACE_ID, **fields))
+    else:
+        device = EncoderInterface(INTERFACE_ID, StillSource())
+    tester = Tester(kind, device, EDS[kind])
+    assert only(tester.power_on(), 0x700 + tester.id) == ["00"]
+    return tester

@@ -1,0 +1,32 @@
+"""A test with the argument `tester` runs on each device that its case applies to."""
+
+from __future__ import annotations
+
+import pytest
+from case_list import case_of
+from conformance_kit import DEVICES, MODULE, Tester, make_tester
+from not_applicable import NOT_APPLICABLE
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "tester" not in metafunc.fixturenames or "module" in metafunc.fixturenames:
+        return
+    case = case_of(metafunc.function.__name__)
+    devices = [device for device in DEVICES if case not in NOT_APPLICABLE[device]]
+    metafunc.parametrize("tester", devices, indirect=True)
+
+
+@pytest.fixture
+def tester(request: pytest.FixtureRequest) -> Tester:
+    """A prepared device, in Pre-operational."""
+    made = make_tester(request.param)
+    made.prepare()
+    return made
+
+
+@pytest.fixture
+def module() -> Tester:
+    """The drive feedback module alone, prepared."""
+    made = make_tester(MODULE)
+    made.prepare()
+    return made
