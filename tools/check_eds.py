@@ -13,6 +13,7 @@ import argparse
 import re
 import sys
 from collections.abc import Callable, Collection, Iterator
+from datetime import datetime
 from pathlib import Path
 
 from eds_model import (
@@ -22,16 +23,12 @@ from eds_model import (
     DOMAIN_TYPE,
     RECORD,
     U8,
-    U16,
-    U32,
     UNSIZED_TYPES,
     VAR,
-    VISIBLE_STRING,
     Eds,
     Entry,
     Finding,
     Section,
-    is_communication,
     is_mapping,
     number_of_type,
     object_place,
@@ -39,6 +36,7 @@ from eds_model import (
     read,
 )
 from eds_pdo import PDO_ACCESS, PDO_COUNT, check_cob_ids, check_pdos
+from eds_standard import check_companions, check_standard_entries, standard_kind, standard_type
 
 ACCESS_TYPES = ("ro", "wo", "rw", "rwr", "rww", "const")
 
@@ -55,7 +53,9 @@ FILE_INFO = {
     "ModificationDate": r"(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])-\d{4}",
     "ModifiedBy": r".{1,244}",
 }
-DEVICE_INFO_TEXTS = ("VendorName", "ProductName", "OrderCode")
+FILE_VERSIONS = ("FileVersion", "FileRevision")
+DEVICE_INFO_TEXTS = {"VendorName": 244, "ProductName": 243, "OrderCode": 245}
+LONGEST_NAME, LONGEST_COMMENT = 241, 249  # characters: with key and equals sign a line has 255
 IDENTITY = ("VendorNumber", "ProductNumber", "RevisionNumber")  # in the order of 1018h
 DEVICE_INFO_FLAGS = (
     "SimpleBootUpMaster",
@@ -82,17 +82,6 @@ OBJECT_KEYS = {"parametername", "objecttype", "subnumber"}
 ENTRY_KEYS = (OBJECT_KEYS - {"subnumber"}) | {
     *("datatype", "accesstype", "lowlimit", "highlimit", "defaultvalue", "pdomapping", "objflags"),
 }
-STANDARD_TYPES = (
-    dict.fromkeys((0x1000, 0x1002, 0x1005, 0x1006, 0x1007, 0x1012, 0x1013, 0x1014), (VAR, U32))
-    | {0x1001: (VAR, U8), 0x100C: (VAR, U16), 0x100D: (VAR, U8), 0x1015: (VAR, U16), 0x1017: (VAR, U16)}
-    | {0x1019: (VAR, U8), 0x1021: (DOMAIN, DOMAIN_TYPE), 0x1F80: (VAR, U32)}
-    | dict.fromkeys((0x1008, 0x1009, 0x100A), (VAR, VISIBLE_STRING))
-    | dict.fromkeys((0x1003, 0x1010, 0x1011, 0x1016, 0x1020), (ARRAY, U32))
-    | {0x1018: (RECORD, U32), 0x1029: (ARRAY, U8)}
-)
-"""Object type and data type, for ARRAY and RECORD that of all entries but sub-index 0 (CiA 301)."""
-PDO_TYPES = {1: U32, 2: U8, 3: U16, 5: U16, 6: U8}
-SDO_TYPES = {1: U32, 2: U32, 3: U8}
 
 
 def check_sections(eds: Eds) -> Iterator[Finding]:
@@ -114,18 +103,38 @@ def check_file_info(eds: Eds) -> Iterator[Finding]:
             yield Finding(info.name, f"{key} is missing or has not the form {form}")
     if info.text("FileName") != eds.file_name:
         yield Finding(info.name, f"FileName is not {eds.file_name}")
+    for key in FILE_VERSIONS:
+        if (info.number(key) or 0) > 0xFF:
+            yield Finding(info.name, f"{key} is above 255")
+    created, modified = (_moment(info, event) for event in ("Creation", "Modification"))
+    if created is None or modified is None:
+        yield Finding(info.name, "a date or time is none of the calendar")
+    elif modified < created:
+        yield Finding(info.name, "modified before it was created")
     yield from _unknown_keys(info, FILE_INFO)
+
+
+def _moment(info: Section, event: str) -> datetime | None:
+    """When the file was made or changed, None for a day or an hour that does not exist."""
+    try:
+        return datetime.strptime(
+            f"{info.text(event + 'Date')} {info.text(event + 'Time')}", "%m-%d-%Y %I:%M%p"
+        )
+    except ValueError:
+        return None
 
 
 def check_device_info(eds: Eds) -> Iterator[Finding]:
     info = eds.section("DeviceInfo")
-    for key in DEVICE_INFO_TEXTS:
-        if info.text(key) is None:
-            yield Finding(info.name, f"{key} is missing")
+    for key, longest in DEVICE_INFO_TEXTS.items():
+        if not 0 < len(info.text(key) or "") <= longest:
+            yield Finding(info.name, f"{key} is missing or longer than {longest} characters")
     for key, highest in DEVICE_INFO_HIGHEST.items():
         value = info.number(key)
         if value is None or not 0 <= value <= highest:
             yield Finding(info.name, f"{key} is missing or not 0..{highest}")
+    if not any(info.number(key) for key in DEVICE_INFO_HIGHEST if key.startswith("BaudRate_")):
+        yield Finding(info.name, "no BaudRate is supported")
     yield from _unknown_keys(info, [*DEVICE_INFO_TEXTS, *DEVICE_INFO_HIGHEST])
     for sub, key in enumerate(IDENTITY, start=1):
         entry = eds.entries.get((0x1018, sub))
@@ -152,6 +161,9 @@ def check_comments(eds: Eds) -> Iterator[Finding]:
         "lines"
     }:
         yield Finding(comments.name, "Lines is not the number of the lines, or a line is missing")
+    for key, text in comments.values.items():
+        if len(text) > LONGEST_COMMENT:
+            yield Finding(comments.name, f"{key} is longer than {LONGEST_COMMENT} characters")
 
 
 def check_lists(eds: Eds) -> Iterator[Finding]:
@@ -162,8 +174,12 @@ def check_lists(eds: Eds) -> Iterator[Finding]:
         keys = section.values.keys() - {"supportedobjects"}
         if count is None or {str(place) for place in range(1, count + 1)} != keys:
             yield Finding(name, "SupportedObjects is not the number of objects, or their numbers have gaps")
-        for key in sorted(keys):
+        last = 0
+        for key in sorted(keys, key=_place):
             index = section.number(key)
+            if index is not None and index < last:
+                yield Finding(name, f"{key}={section.text(key)} is not in ascending order")
+            last = index or last
             if index is None or not belongs(index):
                 yield Finding(name, f"{key}={section.text(key)} does not belong here")
             elif index in seen:
@@ -178,11 +194,23 @@ def check_lists(eds: Eds) -> Iterator[Finding]:
             yield Finding("MandatoryObjects", f"{index:04X}h:{sub:02X} is missing, CiA 301 demands it")
 
 
+def _place(key: str) -> tuple[int, str]:
+    """Sorts `10` behind `9`, and what is no number first."""
+    return (int(key), key) if key.isdecimal() else (0, key)
+
+
+def _check_name(section: Section) -> Iterator[Finding]:
+    name = section.text("ParameterName")
+    if name is None:
+        yield Finding(section.name, "ParameterName is missing")
+    elif len(name) > LONGEST_NAME:
+        yield Finding(section.name, f"ParameterName is longer than {LONGEST_NAME} characters")
+
+
 def check_objects(eds: Eds) -> Iterator[Finding]:
     for index, section in eds.objects.items():
         kind, subs = section.object_type, eds.subs(index)
-        if section.text("ParameterName") is None:
-            yield Finding(section.name, "ParameterName is missing")
+        yield from _check_name(section)
         if kind in (ARRAY, RECORD):
             yield from _unknown_keys(section, OBJECT_KEYS)
             yield from _check_subs(index, section, subs)
@@ -190,8 +218,8 @@ def check_objects(eds: Eds) -> Iterator[Finding]:
             yield Finding(section.name, f"ObjectType={section.text('ObjectType')} is not one of ours")
         elif subs:
             yield Finding(section.name, "a VAR or DOMAIN has no sub-indices")
-        if kind != _standard_kind(index, kind):
-            yield Finding(section.name, f"CiA 301 gives it ObjectType=0x{_standard_kind(index, kind):X}")
+        if kind != standard_kind(index, kind):
+            yield Finding(section.name, f"CiA 301 gives it ObjectType=0x{standard_kind(index, kind):X}")
 
 
 def _check_subs(index: int, section: Section, subs: dict[int, Entry]) -> Iterator[Finding]:
@@ -213,9 +241,11 @@ def _check_subs(index: int, section: Section, subs: dict[int, Entry]) -> Iterato
 def check_entries(eds: Eds) -> Iterator[Finding]:
     for entry in eds.entries.values():
         section = entry.section
-        if section.text("ParameterName") is None:
-            yield Finding(section.name, "ParameterName is missing")
+        if section is not eds.objects.get(entry.index):
+            yield from _check_name(section)
         yield from _unknown_keys(section, ENTRY_KEYS)
+        if section.text("ObjFlags") is not None and section.number("ObjFlags") not in range(4):
+            yield Finding(section.name, "ObjFlags is not 0..3")
         if entry.access not in ACCESS_TYPES:
             yield Finding(section.name, f"AccessType={section.text('AccessType')} is unknown")
         if entry.data_type not in BITS and entry.data_type not in UNSIZED_TYPES:
@@ -223,7 +253,7 @@ def check_entries(eds: Eds) -> Iterator[Finding]:
             continue
         if section.object_type != (DOMAIN if entry.data_type == DOMAIN_TYPE else VAR):
             yield Finding(section.name, "ObjectType does not fit DataType")
-        wanted = _standard_type(entry)
+        wanted = standard_type(entry)
         if entry.data_type != wanted:
             yield Finding(section.name, f"CiA 301 gives it DataType=0x{wanted:04X}")
         yield from _check_direction(eds, entry)
@@ -276,23 +306,6 @@ def _check_values(entry: Entry) -> Iterator[Finding]:
             break
 
 
-def _standard_kind(index: int, otherwise: int) -> int:
-    if 0x1200 <= index < 0x1300 or 0x1400 <= index < 0x1C00:
-        return RECORD
-    return STANDARD_TYPES.get(index, (otherwise, 0))[0]
-
-
-def _standard_type(entry: Entry) -> int:
-    """Data type that CiA 301 gives an entry; its own where CiA 301 gives none."""
-    index, sub = entry.index, entry.sub
-    if is_communication(index):
-        return PDO_TYPES.get(sub, entry.data_type)
-    if 0x1200 <= index < 0x1300:
-        return SDO_TYPES.get(sub, entry.data_type)
-    kind, data_type = STANDARD_TYPES.get(index, (RECORD, U32 if is_mapping(index) else entry.data_type))
-    return entry.data_type if kind in (ARRAY, RECORD) and sub == 0 else data_type
-
-
 def _unknown_keys(section: Section, known: Collection[str]) -> Iterator[Finding]:
     for key in sorted(section.values.keys() - {name.lower() for name in known}):
         yield Finding(section.name, f"entry {key} is unknown or does not belong here")
@@ -300,7 +313,8 @@ def _unknown_keys(section: Section, known: Collection[str]) -> Iterator[Finding]
 
 CHECKS: tuple[Callable[[Eds], Iterator[Finding]], ...] = (
     *(check_sections, check_file_info, check_device_info, check_dummy_usage, check_comments),
-    *(check_lists, check_objects, check_entries, check_pdos, check_cob_ids),
+    *(check_lists, check_objects, check_entries, check_standard_entries, check_companions),
+    *(check_pdos, check_cob_ids),
 )
 
 

@@ -23,7 +23,7 @@ BITS = _SIGNED_BITS | _UNSIGNED_BITS | _REAL_BITS
 UNSIZED_TYPES = {0x09: "VISIBLE_STRING", 0x0A: "OCTET_STRING", 0x0B: "UNICODE_STRING", 0x0F: "DOMAIN"}
 
 _NUMBER = re.compile(r"-?(0x[0-9a-f]+|0|[1-9][0-9]*)", re.IGNORECASE)
-_NODE_ID = re.compile(r"(?:(?P<before>[^+]+)\+)?\$NODEID(?:\+(?P<after>[^+]+))?", re.IGNORECASE)
+_NODE_ID = re.compile(r"\$NODEID(?:\+(?P<number>[^+]+))?", re.IGNORECASE)
 _OBJECT_SECTION = re.compile(r"(?P<index>[0-9a-f]{4})(?:sub(?P<sub>0|[1-9a-f][0-9a-f]?))?")
 
 
@@ -156,7 +156,8 @@ def object_place(name: str) -> tuple[int, int | None] | None:
 def number(text: str | None, node_id: int | None = None) -> int | None:
     """Value of a decimal or hexadecimal number, also of `$NODEID+number` where a node-ID is given.
 
-    None if it is none. A leading zero would mean octal (CiA 306): refused, since nobody expects it.
+    None if it is none. A leading zero would mean octal (CiA 306): refused, since nobody expects it. $NODEID
+    comes first: behind a number it would be plain text (CiA 306).
     """
     compact = (text or "").replace(" ", "")
     if _NUMBER.fullmatch(compact):
@@ -164,8 +165,8 @@ def number(text: str | None, node_id: int | None = None) -> int | None:
     match = _NODE_ID.fullmatch(compact)
     if match is None or node_id is None:
         return None
-    before, after = number(match["before"] or "0"), number(match["after"] or "0")
-    return None if before is None or after is None else node_id + before + after
+    offset = number(match["number"] or "0")
+    return None if offset is None else node_id + offset
 
 
 def number_of_type(text: str, data_type: int, node_id: int | None = None) -> float | None:

@@ -8,6 +8,8 @@ from eds_model import BITS, Eds, Entry, Finding, is_communication
 
 PDO_ACCESS = {"TPDO": ("ro", "const", "rw", "rwr"), "RPDO": ("wo", "rw", "rww")}
 TRANSMISSION_TYPES = {"TPDO": [*range(241), 252, 253, 254, 255], "RPDO": [*range(241), 254, 255]}
+PARAMETERS = {"TPDO": {0, 1, 2, 3, 5, 6}, "RPDO": {0, 1, 2, 3, 5}}
+"""Sub-indices of the communication parameter: 04h is reserved, 06h is the SYNC start value of a TPDO."""
 PDO_COUNT = {"TPDO": "NrOfTXPDO", "RPDO": "NrOfRXPDO"}
 RESTRICTED_CAN_IDS = (
     *(range(0x080), range(0x101, 0x181), range(0x581, 0x600)),
@@ -31,6 +33,8 @@ def check_pdos(eds: Eds) -> Iterator[Finding]:
 
 
 def _check_communication(eds: Eds, kind: str, index: int) -> Iterator[Finding]:
+    for sub in sorted(eds.subs(index).keys() - PARAMETERS[kind]):
+        yield Finding(f"{index:04X}", f"a {kind} has no communication parameter {sub:02X}h")
     if (index, 1) not in eds.entries or (index, 2) not in eds.entries:
         yield Finding(f"{index:04X}", "sub-index 1 or 2 is missing")
     elif eds.entries[index, 2].default(eds.node_id) not in TRANSMISSION_TYPES[kind]:

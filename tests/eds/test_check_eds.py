@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -48,6 +49,9 @@ def swap(old: str, new: str) -> Callable[[str], str]:
     return lambda text: text.replace(old, new, 1)
 
 
+NMT_STARTUP = (
+    "\n[1F80]\nParameterName=NMT startup\nDataType=0x0007\nAccessType=rw\nDefaultValue=1\nPDOMapping=0\n"
+)
 MUTATIONS = [
     # form of the file
     ("DummyUsage", "section is missing", drop("DummyUsage")),
@@ -62,7 +66,19 @@ MUTATIONS = [
     ("1016sub02", "unknown section", swap("[1016sub2]", "[1016sub02]")),
     ("0x6000", "unknown section", swap("[6000]", "[0x6000]")),
     ("Comments", "Lines is not", put("Comments", "Lines", "1")),
+    ("Comments", "line2 is longer than 249", put("Comments", "Line2", "x" * 249 + "y")),
     # FileInfo, DeviceInfo, DummyUsage
+    ("FileInfo", "FileVersion is above 255", put("FileInfo", "FileVersion", "256")),
+    ("FileInfo", "none of the calendar", put("FileInfo", "CreationDate", "02-30-2026")),
+    ("FileInfo", "none of the calendar", put("FileInfo", "ModificationTime", "00:10AM")),
+    ("FileInfo", "modified before", put("FileInfo", "ModificationDate", "11-20-2026")),
+    ("DeviceInfo", "ProductName is missing or longer", put("DeviceInfo", "ProductName", "x" * 244)),
+    ("DeviceInfo", "OrderCode is missing or longer", put("DeviceInfo", "OrderCode", "")),
+    ("DeviceInfo", "CompactPDO is not 0", put("DeviceInfo", "CompactPDO", "1")),
+    ("DeviceInfo", "DynamicChannelsSupported is not 0", put("DeviceInfo", "DynamicChannelsSupported", "1")),
+    ("DeviceInfo", "no multiplexed PDOs", put("DeviceInfo", "GroupMessaging", "1")),
+    ("DeviceInfo", "are multiplexed PDOs", put("1A03sub0", "DefaultValue", "254")),
+    ("DeviceInfo", "no BaudRate", lambda text: re.sub(r"(BaudRate_\d+)=1", r"\1=0", text)),
     ("FileInfo", "CreationDate", put("FileInfo", "CreationDate", "2026-11-21")),
     ("FileInfo", "CreationTime", put("FileInfo", "CreationTime", "13:10PM")),
     ("FileInfo", "ModifiedBy", drop("FileInfo", "ModifiedBy")),
@@ -84,6 +100,7 @@ MUTATIONS = [
     ("OptionalObjects", "numbers have gaps", swap("\n3=0x1006\n", "\n99=0x1006\n")),
     ("OptionalObjects", "listed twice", swap("=0x1006\n", "=0x1005\n")),
     ("OptionalObjects", "not a new key=value", swap("\n3=0x1006\n", "\n2=0x1006\n")),
+    ("OptionalObjects", "not in ascending order", swap("2=0x1005\n3=0x1006\n", "2=0x1006\n3=0x1005\n")),
     ("OptionalObjects", "does not belong here", swap("=0x1006\n", "=0x2000\n")),
     ("ManufacturerObjects", "does not belong here", swap("=0x2012\n", "=0x6012\n")),
     ("OptionalObjects", "0x6003 has no section", drop("6003")),
@@ -131,9 +148,36 @@ MUTATIONS = [
     ("2002sub3", "DefaultValue=1 is not", put("2002sub3", "LowLimit", "1.5")),
     ("2020sub1", "row of hexadecimal", put("2020sub1", "DefaultValue", "abc")),
     ("2020sub1", "has no limits", put("2020sub1", "LowLimit", "0")),
+    ("6004", "ParameterName is longer than 241", put("6004", "ParameterName", "x" * 242)),
+    ("2011sub1", "ParameterName is longer than 241", put("2011sub1", "ParameterName", "x" * 242)),
+    ("6004", "ObjFlags is not", put("6004", "ObjFlags", "4")),
+    # what CiA 301 gives the objects below 2000h
+    ("1000", "AccessType=rw is not ro or const", put("1000", "AccessType", "rw")),
+    ("1018sub1", "AccessType=rw is not ro or const", put("1018sub1", "AccessType", "rw")),
+    ("1016sub1", "AccessType=ro is not rw", put("1016sub1", "AccessType", "ro")),
+    ("1003sub1", "AccessType=rw is not ro", put("1003sub1", "AccessType", "rw")),
+    ("1003sub0", "AccessType=ro is not rw", put("1003sub0", "AccessType", "ro")),
+    ("1017", "AccessType=wo is not ro or const or rw", put("1017", "AccessType", "wo")),
+    ("2011sub0", "AccessType=rw is not ro or const", put("2011sub0", "AccessType", "rw")),
+    ("1A00sub0", "AccessType=wo is not ro or const or rw", put("1A00sub0", "AccessType", "wo")),
+    ("1006", "CiA 301 lets no PDO carry it", put("1006", "PDOMapping", "1")),
+    ("1005", "the CAN-ID 80h", put("1005", "DefaultValue", "0x81")),
+    ("1014", "the CAN-ID $NODEID+80h", put("1014", "DefaultValue", "0x80")),
+    ("1014", "is not a number", put("1014", "DefaultValue", "0x80+$NODEID")),
+    ("1019", "means nothing without 1005h", drop("1005")),
+    ("1015", "means nothing without 1014h", drop("1014")),
+    ("OptionalObjects", "neither heartbeat", lambda text: drop("100C")(drop("1017")(text))),
+    (
+        "DeviceInfo",
+        "there is no 1F80h",
+        lambda t: drop("1F80")(put("DeviceInfo", "SimpleBootUpMaster", "1")(t)),
+    ),
+    ("1F80", "makes it the NMT master", lambda text: text + NMT_STARTUP),
     # PDO and COB-ID
     ("1A03", "only one of communication and mapping", drop("1803")),
     ("1803", "sub-index 1 or 2", drop("1803sub2")),
+    ("1800", "no communication parameter 04h", swap("[1800sub5]", "[1800sub4]")),
+    ("1400", "no communication parameter 06h", swap("[1400sub5]", "[1400sub6]")),
     ("1800sub2", "no transmission type of a TPDO", put("1800sub2", "DefaultValue", "241")),
     ("1400sub2", "no transmission type of a RPDO", put("1400sub2", "DefaultValue", "252")),
     ("1A00", "does not count 0..8", put("1A00sub0", "DefaultValue", "9")),

@@ -1,0 +1,86 @@
+"""What the checkers of others say of our EDS files: nothing, but what stands in KNOWN with the reason."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from canfb.eds_files import eds_path
+
+NAMES = ("canfb-module.eds", "encoder-interface.eds")
+
+DCFCHK = ("-W", "always", "-c", "import sys; from dcf.cli import main; sys.exit(main())", "-n", "32")
+EDS_VALIDATE = ("-c", "import sys; from eds_utils.eds_validate import eds_validate; sys.exit(eds_validate())")
+
+KNOWN: dict[tuple[str, str], str] = {}
+"""File and message of a checker that is wrong, and why it is; empty is best."""
+
+TRANSLATED = {
+    "ObjectType=0x2\n": "ObjectType=0x7\n",
+    "DataType=0x000F\n": "DataType=0x0009\n",
+}
+"""eds-validate 0.3.1 ends with a traceback on an object of type DOMAIN (0x2, CiA 306): it reads the file
+with a string in place of each."""
+
+
+def complaints(command: tuple[str, ...], path: Path) -> set[tuple[str, str]]:
+    """File and message of all that a checker prints."""
+    done = subprocess.run(
+        [sys.executable, *command, str(path)], capture_output=True, text=True, check=False, timeout=60
+    )
+    lines = [line.strip() for line in (done.stdout + done.stderr).splitlines() if line.strip()]
+    assert bool(done.returncode) <= bool(lines), "it failed without a word"
+    return {(path.name, line) for line in lines}
+
+
+def judged(found: set[tuple[str, str]]) -> set[tuple[str, str]]:
+    """What is new."""
+    return found - KNOWN.keys()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_dcfchk_has_nothing_new_to_say(name: str) -> None:
+    assert judged(complaints(DCFCHK, eds_path(name))) == set()
+
+
+def test_dcfchk_would_say_it(tmp_path: Path) -> None:
+    text = eds_path(NAMES[0]).read_text(encoding="ascii")
+    path = tmp_path / NAMES[0]
+    path.write_text(text.replace("SupportedObjects=3", "SupportedObjects=4"), encoding="ascii")
+    assert any("entry 4 missing in [MandatoryObjects]" in message for _, message in complaints(DCFCHK, path))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_eds_validate_has_nothing_new_to_say(name: str, tmp_path: Path) -> None:
+    pytest.importorskip("eds_utils", reason="pip install --no-deps eds-utils")
+    assert judged(complaints(EDS_VALIDATE, translated(name, tmp_path))) == set()
+
+
+def test_eds_validate_would_say_it(tmp_path: Path) -> None:
+    pytest.importorskip("eds_utils", reason="pip install --no-deps eds-utils")
+    path = translated(NAMES[0], tmp_path)
+    path.write_text(path.read_text().replace("=0x1017\n", "=0x1777\n"), encoding="ascii")
+    messages = [message for _, message in complaints(EDS_VALIDATE, path)]
+    assert any("0x1777 was missing" in message for message in messages)
+    assert any("0x1017 was in [OptionalObjects]" in message for message in messages)
+
+
+def translated(name: str, folder: Path) -> Path:
+    """A copy that eds-validate can read."""
+    text = eds_path(name).read_text(encoding="ascii")
+    for ours, theirs in TRANSLATED.items():
+        text = text.replace(ours, theirs)
+    (folder / name).write_text(text, encoding="ascii")
+    return folder / name
+
+
+def test_what_is_known_is_still_said(tmp_path: Path) -> None:
+    if not KNOWN:
+        return
+    said = set[tuple[str, str]]()
+    for name in NAMES:
+        said |= complaints(DCFCHK, eds_path(name)) | complaints(EDS_VALIDATE, translated(name, tmp_path))
+    assert KNOWN.keys() <= said
