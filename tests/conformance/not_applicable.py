@@ -24,26 +24,20 @@ def _lacking(text: str, cases: str, *absent: int, sub: int = 0) -> dict[str, Not
     return dict.fromkeys(cases.split(), reason)
 
 
-_NO_GUARDING = "no guarding: 100Ch and 100Dh are not there"
-_GUARDING = (
-    "sdo_14 sdo_20 sdo_24 guard_01 guard_02 guard_03 guard_04 guard_05 guard_06 "
-    "hvg_02 hvg_03 hvg_04 hvg_05 hvg_06 hvg_07"
+_STORAGE = _lacking(
+    "no 1010h, so nothing is stored", "sync_08 sync_10 other_01 other_02 other_05 other_06", 0x1010
 )
-_NO_STORAGE = "no 1010h, so nothing is stored"
-_STORAGE = "sync_08 sync_10 other_01 other_02 other_05 other_06"
-
-_WO = "no write-only entry"
-_LOW = "no entry with a minimum above 0"
+_NO_RPDO = _lacking("no RPDO", "pdo_01 pdo_27 pdo_28 pdo_29 pdo_33 emcy_04 emcy_05 emcy_06", 0x1400, sub=1)
 
 NOT_APPLICABLE: dict[str, dict[str, NotApplicable]] = {
     MODULE: {
-        **_lacking(_NO_GUARDING, _GUARDING, 0x100C),
-        **_lacking(_NO_STORAGE, _STORAGE, 0x1010),
+        **_STORAGE,
     },
     INTERFACE: {
-        "sdo_04": NotApplicable(_WO),
-        "sdo_11": NotApplicable(_LOW),
-        **_lacking(_NO_GUARDING, _GUARDING, 0x100C),
-        **_lacking(_NO_STORAGE, _STORAGE, 0x1010),
+        "sdo_04": NotApplicable("no write-only entry"),
+        "sdo_11": NotApplicable("no entry with a minimum above 0"),
+        "pdo_31": NotApplicable("no mappable object that is only written"),
+        **_NO_RPDO,
+        **_STORAGE,
     },
 }

@@ -169,3 +169,10 @@ def test_one_interval_of_the_motion_passes_with_every_sample() -> None:
     assert source.position_cycles == pytest.approx(2.9)
     sine, cosine = struct.unpack("<hh", sent[-1].data)
     assert (sine, cosine) == (-588, 809)  # 0.9 of a cycle
+
+
+def test_each_sample_is_an_event_for_a_pdo_of_type_0() -> None:
+    interface = operational(Listed([(1, 2), None, (3, 4)]))
+    interface.receive(download(0x1800, 2, 0, size=1), 0.0)
+    sent = [interface.receive(SYNC, 0.0) for _ in range(4)]
+    assert sent == [[adc(1, 2)], [], [adc(3, 4)], []]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from canfb.device.dictionary import Dictionary
 from canfb.device.frame import Frame
+from canfb.device.mapping import Direction
 from canfb.device.node import Node
+from canfb.device.pdo import numbers
 from canfb.eds_files import eds_path
 from canfb.simulation.sources import Source, SourceEnded
 
@@ -15,7 +17,8 @@ class EncoderInterface:
     """A CANopen node, sans-I/O, with two ADC channels in 6401h and TPDO1 at each SYNC.
 
     ``source`` gives the samples; a SYNC for which it has none gets no TPDO1, as if the
-    sample were lost on the bus. ``ended`` becomes True when a recording is over.
+    sample were lost on the bus. ``ended`` becomes True when a recording is over. Each sample
+    is an event for the TPDOs, which counts for their types 0, FEh and FFh.
     """
 
     def __init__(self, node_id: int, source: Source, *, autostart: bool = False) -> None:
@@ -28,6 +31,7 @@ class EncoderInterface:
         self._silent = False
         self._channels = [self.dictionary.entry(0x6401, n) for n in (1, 2)]
         self._cob_id = self.dictionary.entry(0x1800, 1)
+        self._tpdos = numbers(self.dictionary, Direction.TRANSMIT)
 
     def start(self, now: float) -> list[Frame]:
         """Power-on at ``now`` (seconds): the boot-up frame."""
@@ -58,6 +62,8 @@ class EncoderInterface:
         self.samples += 1
         for channel, value in zip(self._channels, counts, strict=True):
             channel.value = value
+        for number in self._tpdos:
+            self.node.trigger_tpdo(number, now)
 
     def _audible(self, frames: list[Frame]) -> list[Frame]:
         if not self._silent:

@@ -1,0 +1,215 @@
+"""PDO 01 to PDO 20: parameters, and when a TPDO is sent, by type and NMT state."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from conformance_kit import Heard, Tester, little, m, only
+
+STOPPED, PRE_OPERATIONAL = "02", "80"
+SYNC = 0x080
+
+
+def test_pdo_01_cob_ids_of_the_rpdos(tester: Tester) -> None:
+    for number in tester.rpdos:
+        entry = tester.eds[0x1400 + number - 1, 1]
+        assert tester.ask(f"40 {entry.m}") == f"43 {entry.m} {little(entry.integer(entry.default), 4)}"
+
+
+def test_pdo_02_cob_ids_of_the_tpdos(tester: Tester) -> None:
+    for number in tester.tpdos:
+        entry = tester.eds[0x1800 + number - 1, 1]
+        assert tester.ask(f"40 {entry.m}") == f"43 {entry.m} {little(entry.integer(entry.default), 4)}"
+
+
+def set_up(tester: Tester, kind: str, state: str, *, timer_ms: int = 0) -> list[int]:
+    """Every TPDO valid by default with this type; then the NMT state. The CAN-IDs."""
+    numbers = tester.valid_tpdos
+    assert numbers
+    can_ids = [tester.set_up_tpdo(number, kind, timer_ms=timer_ms) for number in numbers]
+    tester.nmt(state)
+    return can_ids
+
+
+def set_up_counted(tester: Tester, kind: int, start: int, state: str) -> list[int]:
+    """As `set_up`, with a SYNC counter and the counter value to start at."""
+    tester.write(0x1006, 0, 0, 4)
+    tester.write(0x1019, 0, 10, 1)
+    numbers = tester.valid_tpdos
+    for number in numbers:
+        index = 0x1800 + number - 1
+        cob_id = tester.read(index, 1)
+        tester.write(index, 1, cob_id | 0x80000000, 4)
+        tester.write(index, 2, kind, 1)
+        tester.write(index, 6, start, 1)
+        tester.write(index, 1, cob_id, 4)
+    can_ids = [tester.cob_id(number) for number in numbers]
+    tester.nmt(state)
+    return can_ids
+
+
+def length_of(tester: Tester, number: int) -> int:
+    """Bytes of a TPDO, from its mapping."""
+    mapping = 0x1A00 + number - 1
+    return sum(tester.read(mapping, n) & 0xFF for n in range(1, tester.read(mapping) + 1)) // 8
+
+
+@pytest.mark.parametrize("kind", ["default type", "FD"])
+def test_pdo_03_remote_frame(tester: Tester, kind: str) -> None:
+    numbers = [n for n in tester.valid_tpdos if not tester.read(0x1800 + n - 1, 1) >> 30 & 1]
+    assert numbers
+    lengths = {number: length_of(tester, number) for number in numbers}
+    if kind == "FD":
+        for number in numbers:
+            tester.set_up_tpdo(number, kind)
+    can_ids = {number: tester.cob_id(number) for number in numbers}
+    tester.operational()
+    for number in numbers:
+        (data,) = only(tester.remote(can_ids[number]), can_ids[number])
+        assert len(bytes.fromhex(data)) == lengths[number]
+
+
+def times_of(frames: list[Heard], can_id: int) -> list[float]:
+    return [frame.time for frame in frames if frame.can_id == can_id]
+
+
+def check_event_timer(tester: Tester) -> None:
+    can_ids = set_up(tester, "FE", "01", timer_ms=100)
+    begin = tester.now
+    heard = tester.wait(10.0)
+    for can_id in can_ids:
+        times = times_of(heard, can_id)
+        assert 99 <= len(times) <= 101
+        assert times[0] - begin <= 0.11
+        assert all(0.09 < b - a < 0.11 for a, b in pairwise(times))
+
+
+def test_pdo_04_event_driven_with_event_timer(tester: Tester) -> None:
+    check_event_timer(tester)
+
+
+def test_pdo_05_event_timer(tester: Tester) -> None:
+    check_event_timer(tester)
+
+
+def test_pdo_06_every_sync(tester: Tester) -> None:
+    can_ids = set_up(tester, "01", "01")
+    before = tester.wait(1.0)
+    assert [only(before, can_id) for can_id in can_ids] == [[] for _ in can_ids]
+    heard = tester.send(SYNC) + tester.wait(0.1)
+    assert [len(only(heard, can_id)) for can_id in can_ids] == [1 for _ in can_ids]
+    assert not any(only(tester.wait(1.0), can_id) for can_id in can_ids)
+
+
+def test_pdo_07_sync_after_an_event(tester: Tester) -> None:
+    can_ids = set_up(tester, "00", "01")
+    for _ in range(2):
+        heard = tester.cause_event() + tester.wait(0.1)
+        assert not any(only(heard, can_id) for can_id in can_ids)
+        heard = tester.send(SYNC) + tester.wait(0.1)
+        assert [len(only(heard, can_id)) for can_id in can_ids] == [1 for _ in can_ids]
+
+
+def test_pdo_08_sync_start_value(tester: Tester) -> None:
+    can_ids = set_up_counted(tester, 3, 4, "01")
+    sent_at: dict[int, list[int]] = {can_id: [] for can_id in can_ids}
+    counters = [*range(2, 11), *range(1, 11)]  # the tester begins anywhere
+    for place, counter in enumerate(counters):
+        heard = tester.send(SYNC, f"{counter:02X}") + tester.wait(0.01)
+        for can_id in can_ids:
+            sent_at[can_id] += [place] * len(only(heard, can_id))
+    first = counters.index(4)
+    for can_id in can_ids:
+        assert sent_at[can_id] == list(range(first, len(counters), 3))
+
+
+def no_pdo(tester: Tester, can_ids: list[int], frames: list[Heard]) -> None:
+    assert not any(only(frames, can_id) for can_id in can_ids)
+
+
+def check_no_remote(tester: Tester, state: str) -> None:
+    numbers = [n for n in tester.valid_tpdos if not tester.read(0x1800 + n - 1, 1) >> 30 & 1]
+    assert numbers
+    for kind in ("FD", "01"):
+        can_ids = [tester.set_up_tpdo(number, kind) for number in numbers]
+        tester.nmt(state)
+        for can_id in can_ids:
+            assert tester.remote(can_id) == []
+        no_pdo(tester, can_ids, tester.wait(0.5))
+        tester.nmt(PRE_OPERATIONAL)
+
+
+def check_no_timer(tester: Tester, state: str) -> None:
+    can_ids = set_up(tester, "FE", state, timer_ms=100)
+    no_pdo(tester, can_ids, tester.wait(2.0))
+    no_pdo(tester, can_ids, tester.cause_event() + tester.wait(1.0))
+
+
+def check_no_sync(tester: Tester, kind: str, state: str) -> None:
+    can_ids = set_up(tester, kind, state)
+    for _ in range(3):
+        heard = tester.cause_event() + tester.send(SYNC) + tester.wait(0.1)
+        no_pdo(tester, can_ids, heard)
+
+
+def check_no_start(tester: Tester, state: str) -> None:
+    can_ids = set_up_counted(tester, 1, 2, state)
+    for counter in (1, 2, 3, 4):
+        no_pdo(tester, can_ids, tester.send(SYNC, f"{counter:02X}") + tester.wait(0.1))
+
+
+def test_pdo_09_no_remote_frame_in_stopped(tester: Tester) -> None:
+    check_no_remote(tester, STOPPED)
+
+
+def test_pdo_10_no_event_in_stopped(tester: Tester) -> None:
+    check_no_timer(tester, STOPPED)
+
+
+def test_pdo_11_no_event_timer_in_stopped(tester: Tester) -> None:
+    check_no_timer(tester, STOPPED)
+
+
+def test_pdo_12_no_sync_in_stopped(tester: Tester) -> None:
+    check_no_sync(tester, "01", STOPPED)
+
+
+def test_pdo_13_no_sync_after_an_event_in_stopped(tester: Tester) -> None:
+    check_no_sync(tester, "00", STOPPED)
+
+
+def test_pdo_14_no_sync_start_value_in_stopped(tester: Tester) -> None:
+    check_no_start(tester, STOPPED)
+
+
+def test_pdo_15_no_remote_frame_in_pre_operational(tester: Tester) -> None:
+    check_no_remote(tester, PRE_OPERATIONAL)
+
+
+def test_pdo_16_no_event_in_pre_operational(tester: Tester) -> None:
+    check_no_timer(tester, PRE_OPERATIONAL)
+
+
+def test_pdo_17_no_event_timer_in_pre_operational(tester: Tester) -> None:
+    check_no_timer(tester, PRE_OPERATIONAL)
+
+
+def test_pdo_18_no_sync_in_pre_operational(tester: Tester) -> None:
+    check_no_sync(tester, "01", PRE_OPERATIONAL)
+
+
+def test_pdo_19_no_sync_after_an_event_in_pre_operational(tester: Tester) -> None:
+    check_no_sync(tester, "00", PRE_OPERATIONAL)
+
+
+def test_pdo_20_no_sync_start_value_in_pre_operational(tester: Tester) -> None:
+    check_no_start(tester, PRE_OPERATIONAL)
+
+
+def test_a_tpdo_has_the_length_of_its_mapping(tester: Tester) -> None:
+    lengths = {tester.cob_id(number): length_of(tester, number) for number in tester.valid_tpdos}
+    set_up(tester, "01", "01")
+    heard = tester.send(SYNC)
+    for can_id, length in lengths.items():
+        assert [len(bytes.fromhex(data)) for data in only(heard, can_id)] == [length], m(can_id)

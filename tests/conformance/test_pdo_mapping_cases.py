@@ -1,0 +1,207 @@
+"""PDO 21 to PDO 33: mapping."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import pytest
+from conformance_eds import EdsEntry
+from conformance_kit import Tester, little, m
+
+LENGTH = ("06040042", "06040041", "06010000", "06020000")
+NOT_NOW = ("06010000", "06040041")
+NOT_MAPPABLE = ("06020000", "06040041")
+INVALID = 0x80000000
+
+
+class Pdo(NamedTuple):
+    """Where the parameters of a PDO are, and which access its objects have."""
+
+    communication: int
+    mapping: int
+    access: tuple[str, ...]
+
+    @property
+    def receives(self) -> bool:
+        return self.communication < 0x1800
+
+
+def pdos(tester: Tester) -> list[Pdo]:
+    receive = [Pdo(0x1400 + n - 1, 0x1600 + n - 1, ("rww", "rw", "wo")) for n in tester.rpdos]
+    transmit = [Pdo(0x1800 + n - 1, 0x1A00 + n - 1, ("ro", "rwr", "rw", "const")) for n in tester.tpdos]
+    return receive + transmit
+
+
+def valid_pdos(tester: Tester) -> list[Pdo]:
+    return [pdo for pdo in pdos(tester) if not tester.read(pdo.communication, 1) >> 31]
+
+
+def rpdos(tester: Tester) -> list[Pdo]:
+    return [pdo for pdo in pdos(tester) if pdo.receives]
+
+
+def tpdos(tester: Tester) -> list[Pdo]:
+    return [pdo for pdo in pdos(tester) if not pdo.receives]
+
+
+def switch_off(tester: Tester, pdo: Pdo) -> int:
+    """Bit 31 on; the COB-ID that brings it back."""
+    cob_id = tester.read(pdo.communication, 1) & ~INVALID
+    tester.write(pdo.communication, 1, cob_id | INVALID, 4)
+    return cob_id
+
+
+def empty(tester: Tester, pdo: Pdo) -> int:
+    """Off, and without mapped objects."""
+    cob_id = switch_off(tester, pdo)
+    tester.accept(f"2F {m(pdo.mapping)} 00")
+    return cob_id
+
+
+def mapping(pdo: Pdo, value: int, sub: int = 1) -> str:
+    """The request that maps an object."""
+    return f"23 {m(pdo.mapping, sub)} {little(value, 4)}"
+
+
+def one(entries: list[EdsEntry]) -> EdsEntry:
+    assert entries
+    return entries[0]
+
+
+def test_pdo_21_mapped_objects_are_mappable(tester: Tester) -> None:
+    seen = 0
+    for pdo in pdos(tester):
+        for sub in range(1, tester.read(pdo.mapping) + 1):
+            value = tester.read(pdo.mapping, sub)
+            entry = tester.eds[value >> 16, value >> 8 & 0xFF]
+            assert entry.mappable
+            assert entry.access in pdo.access
+            assert value & 0xFF == 8 * entry.size
+            assert 0 < len(tester.upload(entry.m)) == entry.size
+            seen += 1
+    assert seen
+
+
+def test_pdo_22_changing_the_mapping(tester: Tester) -> None:
+    for pdo in pdos(tester):
+        entry = one(tester.eds.mappable(*pdo.access))
+        number = max(1, tester.read(pdo.mapping))
+        cob_id = tester.read(pdo.communication, 1) & ~INVALID
+        values = [entry.mapping] + [tester.read(pdo.mapping, sub) for sub in range(2, number + 1)]
+        tester.accept(f"23 {m(pdo.communication, 1)} {little(cob_id | INVALID, 4)}")
+        tester.accept(f"2F {m(pdo.mapping)} 00")
+        tester.accept(mapping(pdo, entry.mapping))
+        tester.accept(f"2F {m(pdo.mapping)} {number:02X}")
+        tester.accept(f"23 {m(pdo.communication, 1)} {little(cob_id, 4)}")
+        assert [tester.read(pdo.mapping, sub) for sub in range(1, number + 1)] == values
+
+
+def test_pdo_23_mapping_while_it_counts_objects(tester: Tester) -> None:
+    for pdo in valid_pdos(tester):
+        before = tester.read(pdo.mapping, 1)
+        switch_off(tester, pdo)
+        assert tester.read(pdo.mapping) > 0
+        tester.refuse(mapping(pdo, before), *NOT_NOW, "08000000")
+        assert tester.read(pdo.mapping, 1) == before
+
+
+def test_pdo_24_mapping_of_a_valid_pdo(tester: Tester) -> None:
+    for pdo in valid_pdos(tester):
+        before = tester.read(pdo.mapping, 1)
+        tester.refuse(mapping(pdo, before), *NOT_NOW, "08000000")
+        tester.refuse(f"2F {m(pdo.mapping)} 00", *NOT_NOW, "08000000")
+        assert tester.read(pdo.mapping, 1) == before
+
+
+def test_pdo_25_more_objects_than_places(tester: Tester) -> None:
+    for pdo in pdos(tester):
+        entry = one(tester.eds.mappable(*pdo.access, size=1))
+        empty(tester, pdo)
+        for sub in range(1, 9):
+            tester.accept(mapping(pdo, entry.mapping, sub))
+        assert tester.refuse(f"2F {m(pdo.mapping)} 09", *LENGTH) == "06040042"
+        assert tester.read(pdo.mapping) == 0
+        tester.accept(f"2F {m(pdo.mapping)} 08")
+
+
+def test_pdo_26_more_bits_than_a_frame_has(tester: Tester) -> None:
+    for pdo in pdos(tester):
+        entry = one(tester.eds.mappable(*pdo.access, size=4))
+        empty(tester, pdo)
+        for sub in range(1, 9):
+            tester.accept(mapping(pdo, entry.mapping, sub))
+        assert tester.refuse(f"2F {m(pdo.mapping)} 08", *LENGTH) == "06040042"
+        tester.refuse(f"2F {m(pdo.mapping)} 03", *LENGTH)
+        tester.accept(f"2F {m(pdo.mapping)} 02")
+
+
+def test_pdo_27_rpdo_of_a_writable_object(tester: Tester) -> None:
+    for pdo in rpdos(tester):
+        for entry in tester.eds.mappable("rww", "wo"):
+            empty(tester, pdo)
+            tester.accept(mapping(pdo, entry.mapping))
+            tester.accept(f"2F {m(pdo.mapping)} 01")
+
+
+def test_pdo_28_rpdo_of_a_read_only_object(tester: Tester) -> None:
+    for pdo in rpdos(tester):
+        empty(tester, pdo)
+        tester.refuse(mapping(pdo, 0x10010008), *NOT_MAPPABLE)
+
+
+def test_pdo_29_rpdo_of_an_object_not_mappable(tester: Tester) -> None:
+    for pdo in rpdos(tester):
+        empty(tester, pdo)
+        tester.refuse(mapping(pdo, 0x10170010), *NOT_MAPPABLE)
+
+
+def test_pdo_30_tpdo_of_a_read_only_object(tester: Tester) -> None:
+    for pdo in tpdos(tester):
+        empty(tester, pdo)
+        tester.accept(mapping(pdo, 0x10010008))
+        tester.accept(f"2F {m(pdo.mapping)} 01")
+
+
+def test_pdo_31_tpdo_of_an_object_to_be_written(tester: Tester) -> None:
+    entries = tester.eds.mappable("rww", "wo")
+    assert entries
+    for pdo in tpdos(tester):
+        empty(tester, pdo)
+        for entry in entries:
+            tester.refuse(mapping(pdo, entry.mapping), *NOT_MAPPABLE)
+
+
+def test_pdo_32_tpdo_of_an_object_not_mappable(tester: Tester) -> None:
+    for pdo in tpdos(tester):
+        empty(tester, pdo)
+        tester.refuse(mapping(pdo, 0x10000020), *NOT_MAPPABLE)
+
+
+def test_pdo_33_rpdo_with_a_dummy(tester: Tester) -> None:
+    assert tester.eds.dummies
+    for pdo in rpdos(tester):
+        for data_type in sorted(tester.eds.dummies):
+            bits = {2: 8, 3: 16, 4: 32, 5: 8, 6: 16, 7: 32}[data_type]
+            empty(tester, pdo)
+            tester.accept(mapping(pdo, data_type << 16 | bits))
+            tester.accept(f"2F {m(pdo.mapping)} 01")
+
+
+@pytest.mark.parametrize("value", ["08 00 02 00", "10 00 03 00", "20 00 07 00"])
+def test_pdo_33_as_the_list_writes_it(tester: Tester, value: str) -> None:
+    tester.accept("23 00 14 01 90 01 00 80")
+    tester.accept("2F 00 16 00 00")
+    tester.accept(f"23 00 16 01 {value}")
+
+
+def test_a_dummy_takes_its_place(tester: Tester) -> None:
+    """An RPDO with a gap of 16 bits before the sine: the sine is the second word."""
+    for pdo in rpdos(tester)[:1]:
+        cob_id = empty(tester, pdo)
+        tester.accept(mapping(pdo, 0x00060010, 1))
+        tester.accept(mapping(pdo, 0x20000110, 2))
+        tester.accept(f"2F {m(pdo.mapping)} 02")
+        tester.write(pdo.communication, 1, cob_id, 4)
+        tester.operational()
+        tester.send(cob_id & 0x7FF, "11 22 33 44")
+        assert tester.ask("40 00 20 01") == "4B 00 20 01 33 44 00 00"
