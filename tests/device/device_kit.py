@@ -17,9 +17,11 @@ def hexes(frames: list[Frame]) -> list[str]:
 
 
 class Bench:
-    def __init__(self, dictionary: Dictionary, *, autostart: bool = False) -> None:
+    def __init__(
+        self, dictionary: Dictionary, *, autostart: bool = False, sdo_timeout_s: float = 1.0
+    ) -> None:
         self.dictionary = dictionary
-        self.node = Node(dictionary, ID, autostart=autostart)
+        self.node = Node(dictionary, ID, autostart=autostart, sdo_timeout_s=sdo_timeout_s)
         self.now = 0.0
 
     def start(self) -> list[str]:

@@ -3,8 +3,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import sample_eds
 from device_kit import ID, OK, Bench
 
+from canfb.device.codes import AbortCode
 from canfb.device.dictionary import Dictionary
 from canfb.device.nmt import NmtState
 
@@ -30,6 +32,63 @@ def test_autostart(sample_path: Path) -> None:
     ]
     assert bench.nmt(129) == ["720#00"]
     assert bench.node.state is NmtState.OPERATIONAL
+
+
+def test_autostart_is_the_default_of_1f80(sample_path: Path) -> None:
+    bench = Bench(Dictionary.load(sample_path, ID), autostart=True)
+    bench.start()
+    assert bench.read(0x1F80) == 0
+    assert bench.node.autostart
+    assert bench.write(0x1F80, 0, 4, 4) == OK
+    assert not bench.node.autostart
+    bench.nmt(130)
+    assert bench.read(0x1F80) == 0
+    assert bench.node.state is NmtState.OPERATIONAL
+
+
+def test_1f80_without_autostart(bench: Bench) -> None:
+    assert bench.read(0x1F80) == 4
+    assert bench.write(0x1F80, 0, 0, 4) == OK
+    assert bench.node.autostart
+    assert bench.node.state is NmtState.PRE_OPERATIONAL
+    bench.nmt(129)
+    assert bench.node.state is NmtState.PRE_OPERATIONAL  # the default is back
+
+
+@pytest.mark.parametrize("command", [129, 130])
+def test_a_stored_1f80_starts_the_node(silent: Bench, command: int) -> None:
+    entry = silent.dictionary.entry(0x1F80)
+    entry.default = entry.value = 0
+    assert silent.start() == ["720#00"]
+    assert silent.node.state is NmtState.OPERATIONAL
+    silent.nmt(128)
+    assert silent.nmt(command) == ["720#00"]
+    assert silent.node.state is NmtState.OPERATIONAL
+
+
+@pytest.mark.parametrize("bit", sorted(set(range(32)) - {2}))
+@pytest.mark.parametrize("more", [0, 4])
+def test_bits_of_1f80_for_masters_are_refused(bench: Bench, bit: int, more: int) -> None:
+    assert bench.write(0x1F80, 0, 1 << bit | more, 4) is AbortCode.INVALID_VALUE
+    assert bench.read(0x1F80) == 4
+
+
+def test_autostart_without_1f80(sample_path: Path, tmp_path: Path) -> None:
+    rows = [row for row in sample_eds.ROWS if row[0] != 0x1F80]
+    path = sample_eds.write(tmp_path / "no_startup.eds", rows)
+    for autostart in (False, True):
+        bench = Bench(Dictionary.load(path, ID), autostart=autostart)
+        bench.start()
+        assert bench.node.autostart is autostart
+        assert (bench.node.state is NmtState.OPERATIONAL) is autostart
+        assert bench.read(0x1F80) is AbortCode.NO_OBJECT
+
+
+@pytest.mark.parametrize("subindex", [1, 2])
+@pytest.mark.parametrize("value", [0, 1, 2, 3, 255])
+def test_the_error_behaviour_takes_0_to_2(bench: Bench, subindex: int, value: int) -> None:
+    expected = OK if value <= 2 else AbortCode.INVALID_VALUE
+    assert bench.write(0x1029, subindex, value, 1) == expected
 
 
 @pytest.mark.parametrize("state", STATES)

@@ -31,7 +31,7 @@ def test_frames_of_more_than_eight_bytes(bench: Bench) -> None:
 
 def test_remote_frames_where_none_is_meant(bench: Bench) -> None:
     bench.operational()
-    for can_id in (0x000, 0x080, 0x190, 0x620, 0x720, 0x123):
+    for can_id in (0x000, 0x080, 0x190, 0x620, 0x721, 0x123):
         assert bench.send(can_id, rtr=True) == []
     assert bench.node.counters.remote_frames == 6
     assert bench.node.state is NmtState.OPERATIONAL
@@ -80,6 +80,38 @@ def test_an_exception_of_the_program_loses_no_frame(bench: Bench) -> None:
     with pytest.raises(RuntimeError):
         bench.send(0x190, "01000200")
     assert bench.tick() == ["1A0#0000000000000000"]
+
+
+@pytest.mark.parametrize("timeout_s", [0, -1.0, float("inf"), float("nan")])
+def test_impossible_sdo_timeouts(bench: Bench, timeout_s: float) -> None:
+    with pytest.raises(ValueError, match="sdo_timeout_s"):
+        type(bench.node)(bench.dictionary, ID, sdo_timeout_s=timeout_s)
+
+
+@pytest.mark.parametrize(("timeout_s", "given"), [(1.0, {}), (0.25, {"sdo_timeout_s": 0.25})])
+def test_the_sdo_timeout(sample_path: Path, timeout_s: float, given: dict[str, float]) -> None:
+    bench = Bench(Dictionary.load(sample_path, ID), **given)
+    bench.start()
+    assert bench.write(0x1201, 2, 0x6D1, 4) == OK
+    assert bench.write(0x1201, 1, 0x6D0, 4) == OK
+    for channel in (0x620, 0x6D0):
+        bench.send(channel, "4008100000000000")
+        start = bench.now
+        ((time, text),) = bench.run(10.0)
+        assert time - start == pytest.approx(timeout_s)
+        assert text.endswith("#8008100000000405")
+
+
+def test_a_change_of_other_parameters_is_no_new_configuration(bench: Bench) -> None:
+    bench.operational()
+    seen: list[str] = []
+    bench.node.on_configured = lambda: seen.append("configured")
+    for index, value, size in ((0x1017, 500, 2), (0x1012, 0x80000100, 4), (0x1005, 0x81, 4)):
+        assert bench.write(index, 0, value, size) == OK
+    assert bench.write(0x1016, 1, 0x00470100, 4) == OK
+    assert seen == []
+    assert bench.write(0x1400, 2, 1, 1) == OK
+    assert seen == ["configured"]
 
 
 def test_every_entry_is_read_and_written_back(shipped: Bench) -> None:

@@ -102,11 +102,51 @@ def test_a_changed_rpdo_starts_without_error(bench: Bench) -> None:
     assert bench.read(0x1001) == 0
 
 
-def test_too_long(bench: Bench) -> None:
+@pytest.mark.parametrize("kind", [255, 1])
+def test_too_long(bench: Bench, kind: int) -> None:
+    bench.write(0x1400, 2, kind, 1)
     bench.operational()
-    assert bench.send(RPDO, "05000600FFFFFFFF") == []
-    assert sine(bench) == 5
-    assert bench.node.counters.long_rpdos == 1
+    calls = calls_of(bench)
+    assert bench.send(RPDO, "05000600FFFFFFFF") == ["0A0#2082110108040000"]
+    bench.sync()
+    assert bench.send(RPDO, "0700060000") == []
+    bench.sync()
+    assert calls == [(1, 0.0, 5), (1, 0.0, 7)]
+    assert bench.node.counters.long_rpdos == 2
+    assert bench.read(0x1001) == 0x11
+    assert bench.read(0x1003, 1) == 0x8220 | 0x01 << 16 | 8 << 24
+    assert bench.send(RPDO, "05000600") == ["0A0#0000000000000000"]
+    assert bench.send(RPDO, "05000600") == []
+    assert bench.send(RPDO, "0500060000") == ["0A0#2082110105040000"]
+
+
+def test_short_and_long_take_turns(bench: Bench) -> None:
+    bench.operational()
+    assert bench.send(RPDO, "05") == ["0A0#1082110101040000"]
+    assert bench.send(RPDO, "0500060007") == ["0A0#2082110105040000", "0A0#0000110000000000"]
+    assert bench.send(RPDO, "05") == ["0A0#1082110101040000", "0A0#0000110000000000"]
+    assert bench.send(RPDO, "05000600") == ["0A0#0000000000000000"]
+
+
+def test_a_long_rpdo_is_in_time(bench: Bench) -> None:
+    bench.write(0x1400, 5, 50, 2)
+    bench.operational()
+    bench.send(RPDO, "05000600")
+    bench.run(1.0)
+    assert [text[4:8] for text in bench.send(RPDO, "0500060007")] == ["2082", "0000"]
+    bench.run(0.04)
+    assert bench.send(RPDO, "0500060007") == []
+    start = bench.now
+    assert bench.run(1.0) == [(pytest.approx(start + 0.05), "0A0#5082110100000000")]
+
+
+def test_a_short_rpdo_does_not_stop_the_time_out(bench: Bench) -> None:
+    bench.write(0x1400, 5, 50, 2)
+    bench.operational()
+    bench.send(RPDO, "05000600")
+    bench.run(0.04)
+    bench.send(RPDO, "0500")
+    assert bench.run(1.0) == [(0.05, "0A0#5082110100000000")]
 
 
 def test_values_beyond_the_limits_are_kept_out(bench: Bench) -> None:

@@ -178,6 +178,46 @@ def test_a_remote_frame(bench: Bench, kind: int) -> None:
     assert bench.send(0x2A0, rtr=True) == ["2A0#09000000"]
 
 
+def test_a_remote_frame_keeps_the_inhibit_time(bench: Bench) -> None:
+    set_up(bench, kind=254, inhibit=100)
+    bench.operational()
+    assert bench.send(0x2A0, rtr=True) == ["2A0#00000000"]
+    bench.now = 0.004
+    set_value(bench, 1)
+    assert bench.send(0x2A0, rtr=True) == []
+    set_value(bench, 2)
+    assert bench.send(0x2A0, rtr=True) == []
+    assert bench.run(1.0) == [(0.01, "2A0#02000000")]
+
+
+def test_a_remote_frame_restarts_the_event_timer(bench: Bench) -> None:
+    set_up(bench, kind=254, timer=100)
+    bench.operational()
+    bench.run(0.05)
+    assert bench.send(0x2A0, rtr=True) == ["2A0#00000000"]
+    assert bench.run(0.12) == [(0.15, "2A0#00000000")]
+
+
+@pytest.mark.parametrize("data", [b"", b"\x01\x02", bytes(8)])
+def test_what_a_remote_frame_holds_is_not_looked_at(bench: Bench, data: bytes) -> None:
+    bench.operational()
+    assert bench.send(0x2A0, data, rtr=True) == ["2A0#00000000"]
+
+
+@pytest.mark.parametrize("kind", [0, 1, 240])
+def test_the_synchronous_window_holds_for_tpdos(bench: Bench, kind: int) -> None:
+    """They go out with the SYNC itself, however long the pause before it was."""
+    bench.write(0x1007, 0, 1, 4)
+    set_up(bench, kind=kind)
+    bench.operational()
+    for _ in range(3):
+        bench.node.trigger_tpdo(2, bench.now)
+        sent = [bench.sync() for _ in range(max(kind, 1))]
+        assert sent[-1] == ["2A0#00000000"]
+        assert bench.node.deadline() is None
+        bench.now += 5.0
+
+
 def test_a_remote_frame_where_none_is_allowed(bench: Bench) -> None:
     bench.operational()
     assert bench.send(0x1A0, rtr=True) == []

@@ -303,7 +303,8 @@ def test_an_rpdo_without_both_tracks_is_no_sample(bench: Bench) -> None:
     sdo[0x1600][0].raw = 1
     sdo[0x1400][1].raw = 0x190
     bench.sync()
-    assert bench.counts(0, 1500) == []
+    too_long = bytes([0x20, 0x82, 0x11, 1, 4, 2, 0, 0])
+    assert bench.counts(0, 1500) == [Frame(0xA0, too_long)]
     assert sdo[0x2011][8].raw == 0
 
 

@@ -1,0 +1,276 @@
+"""Conformance cases Guard 01 to 06 and HvG 01 to 07, and what they leave open."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import sample_eds
+from device_kit import ID, OK, Bench
+
+from canfb.device.codes import AbortCode
+from canfb.device.dictionary import Dictionary
+from canfb.device.nmt import NmtState
+
+GUARD = 0x700 + ID
+LOST, GOOD = "0A0#3081110000000000", "0A0#0000000000000000"
+SHIPPED = Path(__file__).parents[2] / "eds"
+
+
+def guard(bench: Bench) -> list[str]:
+    return bench.send(GUARD, rtr=True)
+
+
+def set_up(bench: Bench, guard_time_ms: int = 100, factor: int = 3) -> None:
+    assert bench.write(0x100C, 0, guard_time_ms, 2) == OK
+    assert bench.write(0x100D, 0, factor, 1) == OK
+
+
+@pytest.mark.parametrize("name", ["canfb-module.eds", "encoder-interface.eds"])
+def test_both_devices_have_it_switched_off(name: str) -> None:
+    bench = Bench(Dictionary.load(SHIPPED / name, ID))
+    bench.start()
+    assert (bench.read(0x100C), bench.read(0x100D)) == (0, 0)
+    assert guard(bench) == ["720#7F"]
+    set_up(bench)
+    bench.operational()
+    assert guard(bench) == ["720#85"]
+    assert bench.run(1.0) == [(0.3, LOST)]
+    assert bench.node.state is NmtState.PRE_OPERATIONAL
+
+
+def test_the_toggle_bit_alternates_from_0(bench: Bench) -> None:
+    for _ in range(3):
+        assert guard(bench) == ["720#7F"]
+        assert guard(bench) == ["720#FF"]
+
+
+def test_in_every_state_with_one_toggle_bit(bench: Bench) -> None:
+    assert guard(bench) == ["720#7F"]
+    for command, answers in ((1, ("85", "05")), (2, ("84", "04")), (128, ("FF", "7F")), (1, ("85", "05"))):
+        bench.nmt(command)
+        assert guard(bench) == [f"720#{answers[0]}"]
+        assert guard(bench) == [f"720#{answers[1]}"]
+
+
+@pytest.mark.parametrize("command", [129, 130])
+def test_a_reset_begins_with_0(bench: Bench, command: int) -> None:
+    guard(bench)
+    bench.nmt(command)
+    assert guard(bench) == ["720#7F"]
+
+
+def test_only_the_own_id_is_answered(bench: Bench) -> None:
+    for node_id in set(range(1, 128)) - {ID}:
+        assert bench.send(0x700 + node_id, rtr=True) == []
+    assert bench.node.counters.remote_frames == 126
+    assert guard(bench) == ["720#7F"]
+
+
+def test_not_before_the_start(silent: Bench) -> None:
+    assert guard(silent) == []
+
+
+@pytest.mark.parametrize("data", [b"", b"\x00", bytes(8)])
+def test_what_the_remote_frame_holds_is_not_looked_at(bench: Bench, data: bytes) -> None:
+    assert bench.send(GUARD, data, rtr=True) == ["720#7F"]
+
+
+def test_a_data_frame_is_not_answered(bench: Bench) -> None:
+    assert bench.send(GUARD, "00") == []
+
+
+def test_without_100c_there_is_no_guarding(tmp_path: Path) -> None:
+    rows = [row for row in sample_eds.ROWS if row[0] not in (0x100C, 0x100D)]
+    bench = Bench(Dictionary.load(sample_eds.write(tmp_path / "none.eds", rows), ID))
+    bench.start()
+    assert guard(bench) == []
+
+
+def test_without_100d_there_is_no_life_guarding(tmp_path: Path) -> None:
+    rows = [row for row in sample_eds.ROWS if row[0] != 0x100D]
+    bench = Bench(Dictionary.load(sample_eds.write(tmp_path / "half.eds", rows), ID))
+    bench.start()
+    bench.write(0x100C, 0, 100, 2)
+    assert guard(bench) == ["720#7F"]
+    assert bench.run(100.0) == []
+
+
+# Life guarding
+
+
+def test_it_starts_with_the_first_remote_frame(bench: Bench) -> None:
+    set_up(bench)
+    bench.operational()
+    assert bench.run(100.0) == []
+    assert bench.node.state is NmtState.OPERATIONAL
+
+
+def test_a_guarded_node_is_quiet(bench: Bench) -> None:
+    set_up(bench)
+    bench.operational()
+    for _ in range(20):
+        assert len(guard(bench)) == 1
+        assert bench.run(0.299) == []
+    assert bench.node.state is NmtState.OPERATIONAL
+    assert bench.read(0x1001) == 0
+
+
+def test_a_silent_master(bench: Bench) -> None:
+    set_up(bench)
+    bench.operational()
+    guard(bench)
+    assert bench.run(10.0) == [(0.3, LOST)]
+    assert bench.node.state is NmtState.PRE_OPERATIONAL
+    assert bench.read(0x1001) == 0x11
+    assert bench.read(0x1003, 1) == 0x8130
+    assert guard(bench) == ["720#FF", GOOD]
+    assert bench.read(0x1001) == 0
+    assert bench.run(10.0) == [(pytest.approx(10.3), LOST)]
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "state"),
+    [(0, NmtState.PRE_OPERATIONAL), (1, NmtState.OPERATIONAL), (2, NmtState.STOPPED)],
+)
+def test_the_reaction_of_1029(bench: Bench, behaviour: int, state: NmtState) -> None:
+    bench.write(0x1029, 1, behaviour, 1)
+    set_up(bench)
+    bench.operational()
+    guard(bench)
+    assert [text for _, text in bench.run(1.0)] == [LOST]
+    assert bench.node.state is state
+
+
+def test_a_stopped_node_tells_later(bench: Bench) -> None:
+    set_up(bench)
+    bench.nmt(2)
+    assert guard(bench) == ["720#04"]
+    assert bench.run(10.0) == []
+    assert bench.node.state is NmtState.STOPPED
+    assert bench.nmt(128) == [LOST]
+    assert guard(bench) == ["720#FF", GOOD]
+
+
+@pytest.mark.parametrize(("guard_time_ms", "factor"), [(0, 3), (100, 0), (0, 0)])
+def test_no_life_time(bench: Bench, guard_time_ms: int, factor: int) -> None:
+    set_up(bench, guard_time_ms, factor)
+    bench.operational()
+    guard(bench)
+    assert bench.node.deadline() is None
+
+
+@pytest.mark.parametrize(("guard_time_ms", "factor", "life_time_s"), [(1, 1, 0.001), (65535, 255, 16711.425)])
+def test_the_life_time(bench: Bench, guard_time_ms: int, factor: int, life_time_s: float) -> None:
+    set_up(bench, guard_time_ms, factor)
+    guard(bench)
+    assert bench.node.deadline() == pytest.approx(life_time_s)
+
+
+def test_a_new_life_time_runs_from_the_write_on(bench: Bench) -> None:
+    set_up(bench)
+    guard(bench)
+    bench.run(0.2)
+    assert bench.write(0x100C, 0, 200, 2) == OK
+    assert bench.run(10.0) == [(0.8, LOST)]
+
+
+def test_a_life_time_given_to_a_guarded_node(bench: Bench) -> None:
+    guard(bench)
+    set_up(bench)
+    assert bench.run(10.0) == [(0.3, LOST)]
+
+
+def test_an_error_lasts_until_the_next_remote_frame(bench: Bench) -> None:
+    set_up(bench)
+    guard(bench)
+    bench.run(1.0)
+    assert bench.write(0x100C, 0, 200, 2) == OK
+    assert bench.read(0x1001) == 0x11
+    assert bench.node.deadline() is None
+    assert guard(bench) == ["720#FF", GOOD]
+
+
+def test_no_more_life_time_ends_the_error(bench: Bench) -> None:
+    set_up(bench)
+    guard(bench)
+    bench.run(1.0)
+    assert GOOD in bench.send(0x600 + ID, "2F0D100000000000")
+    assert bench.read(0x1001) == 0
+
+
+@pytest.mark.parametrize("command", [129, 130])
+def test_a_reset_waits_for_the_first_remote_frame(bench: Bench, command: int) -> None:
+    for index, value in ((0x100C, 100), (0x100D, 3)):
+        bench.dictionary.entry(index).default = value
+    set_up(bench)
+    guard(bench)
+    bench.nmt(command)
+    assert bench.run(10.0) == []
+    guard(bench)
+    assert len(bench.run(10.0)) == 1
+    assert bench.nmt(command) == ["720#00"]
+    assert bench.read(0x1001) == 0
+
+
+def test_a_lost_heartbeat_and_a_silent_master_are_two_errors(bench: Bench) -> None:
+    set_up(bench)
+    bench.write(0x1016, 1, 0x00470064, 4)
+    bench.send(0x747, "05")
+    guard(bench)
+    assert bench.run(1.0) == [(0.1, "0A0#3081114700000000"), (0.3, LOST)]
+    assert guard(bench) == ["720#FF", "0A0#0000110000000000"]
+    assert bench.send(0x747, "05") == [GOOD]
+
+
+# With a heartbeat
+
+
+def test_a_heartbeat_takes_the_place_of_guarding(bench: Bench) -> None:
+    set_up(bench)
+    bench.write(0x1017, 0, 100, 2)
+    bench.run(0.0)
+    assert guard(bench) == []
+    assert bench.node.counters.remote_frames == 1
+    assert {text for _, text in bench.run(1.0)} == {"720#7F"}
+
+
+def test_it_ends_a_running_life_time(bench: Bench) -> None:
+    set_up(bench)
+    guard(bench)
+    bench.write(0x1017, 0, 1000, 2)
+    assert {text for _, text in bench.run(10.0)} == {"720#7F"}
+    bench.write(0x1017, 0, 0, 2)
+    assert bench.run(10.0) == []
+    assert guard(bench) == ["720#7F"]
+
+
+def test_it_ends_the_error_of_guarding(bench: Bench) -> None:
+    set_up(bench)
+    guard(bench)
+    bench.run(1.0)
+    assert GOOD in bench.send(0x600 + ID, "2B171000E8030000")
+    assert bench.read(0x1001) == 0
+
+
+def test_a_stored_heartbeat(silent: Bench) -> None:
+    entry = silent.dictionary.entry(0x1017)
+    entry.default = entry.value = 200
+    silent.start()
+    assert guard(silent) == []
+    assert silent.run(0.2) == [(0.2, "720#7F")]
+
+
+def test_no_heartbeat_written_again_changes_nothing(bench: Bench) -> None:
+    set_up(bench)
+    guard(bench)
+    bench.run(0.1)
+    assert bench.write(0x1017, 0, 0, 2) == OK
+    assert bench.node.deadline() == pytest.approx(0.3)
+    assert guard(bench) == ["720#FF"]
+
+
+@pytest.mark.parametrize("size", [1, 4])
+def test_wrong_sizes(bench: Bench, size: int) -> None:
+    expected = AbortCode.TOO_SHORT if size == 1 else AbortCode.TOO_LONG
+    assert bench.write(0x100C, 0, 1, size) is expected
