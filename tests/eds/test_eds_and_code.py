@@ -1,0 +1,191 @@
+"""The EDS files and the code that serves them: neither has an object that the other does not know."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import pytest
+
+from canfb import FeedbackModule, Frame, ModuleConfig
+from canfb.device.dictionary import Dictionary
+from canfb.device.entry import Entry
+from canfb.eds_files import eds_path
+from canfb.simulation.encoder_interface import EncoderInterface
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+
+from eds_model import Eds, read
+
+MODULE, INTERFACE = "canfb-module.eds", "encoder-interface.eds"
+NODE_ID = 32
+SYNC, SAMPLE = Frame(0x080, b""), Frame(0x190, bytes(4))
+START, MASTER_LSS, SLAVE_LSS = Frame(0x000, b"\x01\x00"), 0x7E5, 0x7E4
+
+CONSTANTS = {
+    0x1000: "device type",
+    0x1008: "name of the device",
+    0x1009: "version",
+    0x100A: "version",
+    0x1018: "identity",
+    0x1022: "format of 1021h: plain text",
+    0x6504: "alarms that there are",
+    0x6506: "warnings that there are",
+    0x6507: "versions",
+    0x6508: "operating time, not counted",
+}
+"""Objects whose default in the EDS is all there is to them: no code reads or writes them."""
+CONSTANT_ENTRIES = {(0x650A, 1): "offset of the manufacturer: none"}
+NOT_SERVED = {
+    INTERFACE: {
+        **dict.fromkeys([(0x6401, 3), (0x6401, 4)], "the simulated encoder has no coarse track yet"),
+        **dict.fromkeys([(0x2000, 1), (0x2000, 2), (0x2000, 3)], "nor sample times, nor a zero pulse"),
+    }
+}
+"""Entries that always read as 0, by device, and why; it should become empty."""
+NOT_OFFERED = {
+    INTERFACE: {
+        (0x1007, 0): "its PDO goes out with the SYNC: there is nothing that a window could hold back",
+        (0x1015, 0): "it reports errors of the communication only, which come singly",
+    }
+}
+"""Objects that the code of device/ would serve, by device, and why its EDS does without."""
+GENERIC = {"mapping.py"}
+"""Modules that look up whatever a master names, and so serve nothing by that."""
+
+Device = FeedbackModule | EncoderInterface
+
+
+class Still:
+    """A source of samples at standstill."""
+
+    def next(self) -> tuple[int, int] | None:
+        return 1000, 0
+
+
+def make_module() -> Device:
+    return FeedbackModule(ModuleConfig(node_id=NODE_ID, autostart=True))
+
+
+def make_interface() -> Device:
+    return EncoderInterface(NODE_ID, Still(), autostart=True)
+
+
+DEVICES: dict[str, Callable[[], Device]] = {MODULE: make_module, INTERFACE: make_interface}
+
+
+class Spy:
+    """Notes what is looked up in a dictionary."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.touched: set[tuple[int, int]] = set()
+        self.missed: set[tuple[int, int]] = set()
+        find, contains = Dictionary.find, Dictionary.__contains__
+
+        def spied_find(dictionary: Dictionary, index: int, subindex: int = 0) -> Entry | None:
+            found = find(dictionary, index, subindex)
+            if Path(sys._getframe(1).f_code.co_filename).name not in GENERIC:
+                (self.missed if found is None else self.touched).add((index, subindex))
+            return found
+
+        def spied_entry(dictionary: Dictionary, index: int, subindex: int = 0) -> Entry:
+            found = find(dictionary, index, subindex)
+            assert found is not None, f"{index:04X}h:{subindex:02X} is used, but is not in the EDS"
+            self.touched.add((index, subindex))
+            return found
+
+        def spied_contains(dictionary: Dictionary, key: tuple[int, int]) -> bool:
+            self.touched |= {key} if contains(dictionary, key) else set()
+            return contains(dictionary, key)
+
+        monkeypatch.setattr(Dictionary, "find", spied_find)
+        monkeypatch.setattr(Dictionary, "entry", spied_entry)
+        monkeypatch.setattr(Dictionary, "__contains__", spied_contains)
+
+
+@pytest.fixture(params=DEVICES)
+def name(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def eds(name: str) -> Eds:
+    return read(eds_path(name).read_text(encoding="ascii"), name, NODE_ID)[0]
+
+
+@pytest.fixture
+def spy(name: str, monkeypatch: pytest.MonkeyPatch) -> Spy:
+    """What a device touches from power-on to its second sample."""
+    spy = Spy(monkeypatch)
+    device = DEVICES[name]()
+    device.start(0.0)
+    for count in range(1, 3):
+        for frame in (SYNC, SAMPLE):
+            device.receive(frame, count * 0.001)
+    device.tick(1.0)
+    return spy
+
+
+def test_every_entry_of_the_eds_is_served(name: str, spy: Spy, eds: Eds) -> None:
+    not_served = {
+        (index, sub)
+        for index, sub in eds.entries
+        if (index, sub) not in spy.touched
+        and not (sub == 0 and eds.subs(index))  # the number of sub-indices
+        and index not in CONSTANTS
+        and (index, sub) not in CONSTANT_ENTRIES
+        and not is_slot(index, sub)
+    }
+    assert texts(not_served) == texts(NOT_SERVED.get(name, {}))
+
+
+def texts(places: Iterable[tuple[int, int]]) -> list[str]:
+    return sorted(f"{index:04X}h:{sub:02X}" for index, sub in places)
+
+
+def is_slot(index: int, sub: int) -> bool:
+    """Whether it is one of the mapped objects of a PDO or of the stored errors: as many as the EDS has."""
+    mapped = 0x1600 <= index < 0x1800 or 0x1A00 <= index < 0x1C00
+    return sub > 0 and (mapped or index in (0x1003, 0x1016))
+
+
+def test_every_object_that_the_code_serves_is_in_the_eds(name: str, spy: Spy) -> None:
+    assert texts(spy.missed) == texts(NOT_OFFERED.get(name, {}))
+
+
+def test_a_constant_is_really_one(spy: Spy, eds: Eds) -> None:
+    """The two lists above are not longer than they must be."""
+    written = {place for place in spy.touched if place in CONSTANT_ENTRIES or place[0] in CONSTANTS}
+    assert written <= {(0x1018, 4)}  # the serial number, which 650Bh repeats
+
+
+# [DeviceInfo] says what a master may expect.
+
+
+def test_lss_is_supported_as_the_eds_says(name: str, eds: Eds) -> None:
+    device = DEVICES[name]()
+    device.start(0.0)
+    device.receive(Frame(0x000, b"\x80\x00"), 0.0)
+    device.receive(Frame(MASTER_LSS, bytes([0x04, 0x01, 0, 0, 0, 0, 0, 0])), 0.0)
+    answers = device.receive(Frame(MASTER_LSS, bytes([0x5E, 0, 0, 0, 0, 0, 0, 0])), 0.0)
+    supported = [frame.can_id for frame in answers] == [SLAVE_LSS]
+    assert eds.section("DeviceInfo").number("LSS_Supported") == int(supported)
+
+
+def test_the_boot_up_is_that_of_the_eds(name: str, eds: Eds) -> None:
+    frames = DEVICES[name]().start(0.0)
+    boots = (0x700 + NODE_ID, b"\x00") in [(frame.can_id, frame.data) for frame in frames]
+    assert eds.section("DeviceInfo").number("SimpleBootUpSlave") == int(boots)
+
+
+@pytest.mark.parametrize("count", [0xFE, 0xFF])
+def test_multiplexed_pdos_are_refused_as_the_eds_says(name: str, eds: Eds, count: int) -> None:
+    device = DEVICES[name]()
+    device.start(0.0)
+    device.receive(Frame(0x000, b"\x80\x00"), 0.0)
+    cob_id = (0x80000180 + NODE_ID).to_bytes(4, "little")
+    device.receive(Frame(0x600 + NODE_ID, b"\x23\x00\x18\x01" + cob_id), 0.0)
+    device.receive(Frame(0x600 + NODE_ID, bytes([0x2F, 0x00, 0x1A, 0, 0, 0, 0, 0])), 0.0)
+    (answer,) = device.receive(Frame(0x600 + NODE_ID, bytes([0x2F, 0x00, 0x1A, 0, count, 0, 0, 0])), 0.0)
+    assert eds.section("DeviceInfo").number("GroupMessaging") == int(answer.data[0] == 0x60)
