@@ -123,7 +123,9 @@ def test_an_unknown_behaviour_is_refused(bench: Bench) -> None:
 
 def test_the_same_node_twice_is_refused(bench: Bench) -> None:
     assert bench.write(0x1016, 1, 0x00051234, 4) == OK
-    assert bench.write(0x1016, 2, 0x00051234, 4) is AbortCode.PARAMETER_INCOMPATIBLE
+    for milliseconds in (0x1234, 1, 0xFFFF):
+        assert bench.write(0x1016, 2, watch(5, milliseconds), 4) is AbortCode.PARAMETER_INCOMPATIBLE
+    assert bench.read(0x1016, 2) == 0
     assert bench.write(0x1016, 1, 0x00050010, 4) == OK
     assert bench.write(0x1016, 2, 0x00050000, 4) == OK
 
