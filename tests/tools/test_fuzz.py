@@ -1,0 +1,253 @@
+"""The fuzzer without its engine: kept and random inputs are played, and each check does find its fault."""
+
+from __future__ import annotations
+
+import sys
+import tracemalloc
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canfb.device.frame import Frame
+from canfb.device.nmt import NmtState
+from canfb.device.sdo_server import SdoServer
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+
+import fuzz_body
+import fuzz_input
+from fuzz_body import FIRST_ANSWER, Play
+from fuzz_input import NODE_ID, SERVER, Reader
+from fuzz_watch import Broken, SdoWatcher
+
+CORPUS = [
+    line.split(maxsplit=1)
+    for line in (Path(__file__).parent / "fuzz_corpus.txt").read_text(encoding="ascii").splitlines()
+    if line and not line.startswith("#")
+]
+MODULE, INTERFACE = 0, 2
+
+
+@pytest.mark.parametrize("data", [text for text, _ in CORPUS], ids=[why for _, why in CORPUS])
+def test_a_kept_input(data: str) -> None:
+    fuzz_body.play(bytes.fromhex(data))
+
+
+def test_kept_inputs_mean_what_they_did() -> None:
+    """Who changes one of these tables makes other inputs of the kept ones, and looks at them again."""
+    tables = (fuzz_input.KINDS, fuzz_input.INDICES, fuzz_input.VALUES, fuzz_input.PAUSES_S)
+    assert [len(table) for table in tables] == [18, 57, 40, 11]
+
+
+@settings(max_examples=200, deadline=None)
+@given(data=st.binary(max_size=300))
+def test_any_input(data: bytes) -> None:
+    fuzz_body.play(data)
+
+
+@given(data=st.binary(max_size=60))
+def test_every_input_is_read_to_its_end(data: bytes) -> None:
+    reader = Reader(data)
+    reader.byte()
+    for step in fuzz_input.steps(reader):
+        assert all(0 <= frame.can_id <= 0x7FF and len(frame.data) <= 9 for frame in step.frames)
+        assert step.pause_s >= 0.0
+    assert reader.is_empty
+
+
+@pytest.mark.parametrize(
+    ("begin", "segments"),
+    [
+        ("2120200100000100", (0x00, 0x10)),
+        ("2020200100000000", (0x00, 0x10)),
+        ("C020200100000000", range(1, 32)),
+    ],
+    ids=["segmented, with a size", "segmented", "block"],
+)
+def test_memory_is_bounded(begin: str, segments: Sequence[int]) -> None:
+    """A client that never ends its download."""
+    run = started(MODULE)
+    frames = [Frame(SERVER, bytes([command]) + bytes(7)) for command in segments]
+    run.receive(Frame(SERVER, bytes.fromhex(begin)))
+    tracemalloc.start()
+    try:
+        for _ in range(24_000 // len(frames)):
+            for frame in frames:
+                run.device.receive(frame, run.now)
+        assert (
+            tracemalloc.get_traced_memory()[1] < 100_000
+        )  # 65536 for the data, the most that a download may have
+    finally:
+        tracemalloc.stop()
+    run.check_alive()
+
+
+def started(choice: int) -> Play:
+    run = Play(fuzz_body.make(choice))
+    run.start()
+    return run
+
+
+# The checks, each with a device that does it wrong.
+
+
+class Rogue:
+    """A device that sends one frame more with each frame that it receives."""
+
+    def __init__(self, run: Play, extra: Frame) -> None:
+        device = run.device
+        run.device = self  # type: ignore[assignment]
+        self.node, self.start, self.tick, self.deadline = (
+            *(device.node, device.start, device.tick),
+            device.deadline,
+        )
+        self._receive, self._extra = device.receive, extra
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        return [*self._receive(frame, now), self._extra]
+
+
+READ = Frame(SERVER, bytes.fromhex("4000100000000000"))
+ANSWER = bytes.fromhex("4300100096010400")
+
+
+@pytest.mark.parametrize(
+    ("command", "extra", "text"),
+    [
+        (128, Frame(FIRST_ANSWER, ANSWER), "one answer too many"),
+        (2, Frame(FIRST_ANSWER, ANSWER), "an SDO answer in STOPPED"),
+        (128, Frame(0x1A0, bytes(8)), "in PRE_OPERATIONAL, which has no such service"),
+        (2, Frame(0x0A0, bytes(8)), "in STOPPED, which has no such service"),
+        (1, Frame(0x555, b""), "in OPERATIONAL, which has no such service"),
+        (1, Frame(0x1A0, bytes(9)), "impossible frame"),
+        (1, Frame(0x000, bytes(2)), "impossible frame"),
+        (1, Frame(0x1A0, b"", True), "a remote frame"),
+    ],
+)
+def test_a_frame_that_must_not_be_is_found(command: int, extra: Frame, text: str) -> None:
+    run = started(MODULE)
+    run.receive(Frame(0x000, bytes([command, NODE_ID])))
+    Rogue(run, extra)
+    with pytest.raises(Broken, match=text):
+        run.receive(READ)
+
+
+def test_a_flood_is_found() -> None:
+    run = started(MODULE)
+    run.device.node._outbox.extend([Frame(0x720, b"\x05")] * 161)
+    with pytest.raises(Broken, match="frames at once"):
+        run.tick()
+
+
+def test_a_deadline_in_the_past_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = started(MODULE)
+    run.now = 2.0
+    monkeypatch.setattr(run.device, "deadline", lambda: 2.0)
+    with pytest.raises(Broken, match=r"deadline 2\.0 is not after 2\.0"):
+        run.tick()
+
+
+def limit(run: Play) -> None:
+    run.dictionary.entry(0x2001, 1).value = 0
+
+
+def long_mapping(run: Play) -> None:
+    run.dictionary.entry(0x1A01, 2).value = 0x20110110
+    run.dictionary.entry(0x1A01, 0).value = 2
+
+
+def wrong_direction(run: Play) -> None:
+    run.dictionary.entry(0x1A01, 1).value = 0x20000110
+
+
+def restricted(run: Play) -> None:
+    run.dictionary.entry(0x1800, 1).value = 0x601
+
+
+def bad_type(run: Play) -> None:
+    run.dictionary.entry(0x1800, 2).value = 241
+
+
+def not_its_type(run: Play) -> None:
+    run.dictionary.entry(0x6000).value = 65536
+
+
+@pytest.mark.parametrize("spoil", [limit, long_mapping, wrong_direction, restricted, bad_type, not_its_type])
+def test_a_spoilt_dictionary_is_found(spoil: Callable[[Play], None]) -> None:
+    run = started(MODULE)
+    run.check_values()
+    spoil(run)
+    with pytest.raises(Exception, match=r".") as raised:
+        run.check_values()
+    assert type(raised.value).__name__ in ("Broken", "SdoAbort", "ValueError")
+
+
+def test_a_server_that_is_stuck_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    started(INTERFACE).check_alive()
+    monkeypatch.setattr(SdoServer, "handle", lambda server, data, now: None)
+    run = started(INTERFACE)
+    with pytest.raises(Broken, match="1000h is answered by"):
+        run.check_alive()
+    assert run.state is NmtState.PRE_OPERATIONAL
+
+
+# request, answer, what is wrong; the answers before are right
+EXCHANGES = [
+    ("4000100000000000", "43001000960104", "an answer of 7 bytes"),
+    ("4000100000000000", "8000100001000605", "unknown abort code 05060001h"),
+    ("4000100000000000", "4301100096010400", "about another object"),
+    ("4000100000000000", "6000100000000000", "is no answer to"),
+    ("4000100000000000", "4F00100096010000", "something in unused bytes"),
+    ("4000100000000000", "4200100096010000", "no answer to an upload"),
+    ("2F01200301000000", "6001200301000000", "reserved bits set"),
+    ("2F01200301000000", "2000000000000000", "is no answer to"),
+    ("6000000000000000", "0000000000000000", "segment of nothing"),
+    ("0000000000000000", "3000000000000000", "another toggle bit"),
+    ("0000000000000000", "2100000000000000", "reserved bits set"),
+    ("C620200100000000", "A420200180000000", "bad block size"),
+    ("C620200100000000", "A420200100000000", "bad block size"),
+    ("C620200100000000", "A120200100000000", "reserved bytes set"),
+    ("A02020017F000000", "C220210100000000", "about another object"),
+    ("A02020017F000000", "C020200100000000", "no end of a block upload"),
+    ("8020200100000000", "8020200100000005", "one answer too many"),
+]
+
+
+@pytest.mark.parametrize(("request_", "answer", "text"), EXCHANGES)
+def test_a_wrong_answer_is_found(request_: str, answer: str, text: str) -> None:
+    watcher = SdoWatcher()
+    watcher.request(bytes.fromhex(request_))
+    with pytest.raises(Broken, match=text):
+        watcher.answer(bytes.fromhex(answer))
+
+
+def exchange(watcher: SdoWatcher, request: str, *answers: str) -> None:
+    watcher.request(bytes.fromhex(request))
+    for answer in answers:
+        watcher.answer(bytes.fromhex(answer))
+
+
+def test_an_upload_that_is_shorter_than_announced_is_found() -> None:
+    watcher = SdoWatcher()
+    exchange(watcher, "4008100000000000", "410810000A000000")
+    exchange(watcher, "6000000000000000", "0001020304050607")
+    with pytest.raises(Broken, match="9 bytes came, 10 were announced"):
+        exchange(watcher, "7000000000000000", "1B08090000000000")
+
+
+def test_a_segment_out_of_sequence_is_found() -> None:
+    watcher = SdoWatcher()
+    exchange(watcher, "A42020017F000000", "C620200100040000")
+    exchange(watcher, "A300000000000000", "0100000000000000", "0200000000000000")
+    with pytest.raises(Broken, match="is no answer to"):
+        watcher.answer(bytes.fromhex("0400000000000000"))
+
+
+def test_a_bad_sequence_number_is_found() -> None:
+    watcher = SdoWatcher()
+    exchange(watcher, "C620200100000000", "A42020011F000000")
+    with pytest.raises(Broken, match="bad sequence number"):
+        exchange(watcher, "9F00000000000000", "A2801F0000000000")

@@ -1,0 +1,194 @@
+"""Bytes of a fuzzer -> frames with times. Every row of bytes means something, none is refused.
+
+The first byte chooses the device, then each step is one byte for its kind and what that kind takes; missing
+bytes are 0. A change of the kinds or of a table changes what kept inputs mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from canfb.device.frame import Frame
+
+NODE_ID = 32
+SERVER, SECOND_SERVER = 0x600 + NODE_ID, 0x6C0
+MOST_STEPS = 400
+
+INDICES = [0x1000, 0x1001, 0x1003, 0x1005, 0x1006, 0x1007, 0x1008, 0x100C, 0x100D, 0x1010, 0x1011, 0x1012]
+INDICES += [0x1014, 0x1015, 0x1016, 0x1017, 0x1018, 0x1019, 0x1020, 0x1021, 0x1029, 0x1200, 0x1201, 0x1400]
+INDICES += [0x1401, 0x1600, 0x1601, 0x1800, 0x1801, 0x1802, 0x1803, 0x1A00, 0x1A01, 0x1A02, 0x1A03, 0x1F80]
+INDICES += [0x2000, 0x2001, 0x2002, 0x2010, 0x2011, 0x2012, 0x2020, 0x2030, 0x2050, 0x6000, 0x6001, 0x6002]
+INDICES += [0x6003, 0x6004, 0x6008, 0x600C, 0x6401, 0x6503, 0x6509, 0x650A, 0x7777]
+VALUES = [0, 1, 2, 8, 100, 240, 254, 255, 0x80, 0x40000080, 0x190, 0x80000190, 0x400001A0, 0xC00001A0]
+VALUES += [0x2A0, 0x800002A0, 0x680, 0x6C0, 0x20000110, 0x20000210, 0x20000520, 0x20000608, 0x20110110]
+VALUES += [0x60080040, 0x60040020, 0x00050008, 0x00070020, 0xFFFFFFFF, 0x65766173, 0x64616F6C, 0x00470001]
+VALUES += [0x7FC00000, 0x7F800000, 0x3F800000, 0x800006C0, 0x5C0, 0x800005C0, 0x100, 0x80000100, 0x40000000]
+PAUSES_S = [0.0, 0.0001, 0.001, 0.002, 0.01, 0.1, 0.5, 1.0, 3.0, 100.0, 1e6]
+NMT_COMMANDS = [1, 2, 128, 129, 130, 0, 3, 255]
+NMT_NODES = [NODE_ID, 0, NODE_ID + 1]
+KNOWN_IDS = [0x000, 0x080, 0x100, 0x190, 0x1A0, 0x2A0, 0x320, 0x720, 0x747, 0x7E5, SERVER, SECOND_SERVER]
+
+
+@dataclass(frozen=True)
+class Step:
+    """Frames that come at once, then a pause, seconds. `punctual`: ticks come when the deadline says."""
+
+    frames: tuple[Frame, ...] = ()
+    pause_s: float = 0.0
+    punctual: bool = False
+
+
+class Reader:
+    """Takes bytes from the front; zeros when there are no more."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._place = 0
+
+    @property
+    def is_empty(self) -> bool:
+        return self._place >= len(self._data)
+
+    def take(self, count: int) -> bytes:
+        taken = self._data[self._place : self._place + count]
+        self._place += count
+        return taken.ljust(count, b"\x00")
+
+    def byte(self) -> int:
+        return self.take(1)[0]
+
+    def word(self) -> int:
+        return int.from_bytes(self.take(2), "little")
+
+    def choose(self, choices: list[int]) -> int:
+        return choices[self.byte() % len(choices)]
+
+
+def steps(reader: Reader) -> Iterator[Step]:
+    """The steps of an input, at most MOST_STEPS."""
+    for _ in range(MOST_STEPS):
+        if reader.is_empty:
+            return
+        yield KINDS[reader.byte() % len(KINDS)](reader)
+
+
+def _any_frame(reader: Reader) -> Step:
+    head = reader.word()
+    length = reader.byte() % 10
+    return Step((Frame(head & 0x7FF, reader.take(length), bool(head & 0x8000)),))
+
+
+def _known_frame(reader: Reader) -> Step:
+    can_id, length = reader.choose(KNOWN_IDS), reader.byte()
+    return Step((Frame(can_id, reader.take(length % 10), length >= 240),))
+
+
+def _request(reader: Reader) -> Step:
+    return Step((Frame(SERVER, reader.take(8)),))
+
+
+def _second_request(reader: Reader) -> Step:
+    return Step((Frame(SECOND_SERVER, reader.take(8)),))
+
+
+def _multiplexer(reader: Reader) -> bytes:
+    return reader.choose(INDICES).to_bytes(2, "little") + bytes([reader.byte() % 16])
+
+
+def _write(reader: Reader) -> Step:
+    multiplexer, size = _multiplexer(reader), reader.byte() % 5
+    value = reader.choose(VALUES).to_bytes(4, "little")
+    command = 0x23 | (4 - size) << 2 if size else 0x22
+    return Step((Frame(SERVER, bytes([command]) + multiplexer + value),))
+
+
+def _write_bytes(reader: Reader) -> Step:
+    multiplexer, size = _multiplexer(reader), reader.byte() % 4
+    return Step((Frame(SERVER, bytes([0x23 | size << 2]) + multiplexer + reader.take(4)),))
+
+
+def _read(reader: Reader) -> Step:
+    return Step((Frame(SERVER, b"\x40" + _multiplexer(reader) + bytes(4)),))
+
+
+def _begin(reader: Reader) -> Step:
+    """The first request of a segmented or block transfer."""
+    command = reader.choose([0x21, 0x20, 0xC6, 0xC2, 0xC0, 0xC4, 0xA0, 0xA4])
+    return Step((Frame(SERVER, bytes([command]) + _multiplexer(reader) + reader.take(2) + bytes(2)),))
+
+
+def _segments(reader: Reader) -> Step:
+    """Requests with commands that count or toggle, as a good client sends them."""
+    kind, count, filler = reader.byte(), reader.byte() % 40 + 1, reader.byte()
+    frames = []
+    for number in range(count):
+        toggle = 0x10 * (number & 1)
+        last = number == count - 1 and kind & 0x80
+        command = [toggle | bool(last), 0x60 | toggle, (number % 127 + 1) | (0x80 if last else 0)][kind % 3]
+        frames.append(Frame(SERVER, bytes([command]) + bytes([filler]) * 7))
+    return Step(tuple(frames))
+
+
+def _transfer_command(reader: Reader) -> Step:
+    command = reader.choose([0xA3, 0xA2, 0xA1, 0xC1, 0xD5, 0x80, 0x60, 0x70, 0x00, 0x10, 0x01, 0x0D, 0x81])
+    return Step((Frame(SERVER, bytes([command]) + reader.take(2) + bytes(5)),))
+
+
+def _nmt(reader: Reader) -> Step:
+    return Step((Frame(0x000, bytes([reader.choose(NMT_COMMANDS), reader.choose(NMT_NODES)])),))
+
+
+def _sync(reader: Reader) -> Step:
+    counter = reader.byte()
+    return Step((Frame(0x080, bytes([counter]) if counter else b""),))
+
+
+def _sample(reader: Reader) -> Step:
+    return Step((Frame(0x190, reader.take(4)),))
+
+
+def _cycles(reader: Reader) -> Step:
+    """SYNC and sample, many times."""
+    count, sample = reader.byte() % 32 + 1, reader.take(4)
+    return Step((Frame(0x080, b""), Frame(0x190, sample)) * count, 0.001)
+
+
+def _remote(reader: Reader) -> Step:
+    can_id, length = reader.choose(KNOWN_IDS), reader.byte() % 9
+    return Step((Frame(can_id, bytes(length), True),))
+
+
+def _pause(reader: Reader) -> Step:
+    choice = reader.byte()
+    return Step((), PAUSES_S[choice % len(PAUSES_S)], choice >= 128)
+
+
+def _second_channel(reader: Reader) -> Step:
+    """Make the second SDO channel valid, as a master would."""
+    writes = ((1, SECOND_SERVER), (2, 0x5C0 + 0x120))
+    frames = [b"\x23\x01\x12" + bytes([sub]) + value.to_bytes(4, "little") for sub, value in writes]
+    return Step(tuple(Frame(SERVER, frame) for frame in frames))
+
+
+def _mapping(reader: Reader) -> Step:
+    """Off, other objects, on: the whole sequence of a mapping."""
+    pdo, count = reader.choose([0x1400, 0x1401, 0x1800, 0x1801, 0x1802, 0x1803]), reader.byte() % 9
+    head, mapping = pdo.to_bytes(2, "little"), (pdo + 0x200).to_bytes(2, "little")
+    off = reader.choose(VALUES)
+    frames = [b"\x23" + head + b"\x01" + (off | 1 << 31).to_bytes(4, "little")]
+    frames.append(b"\x2f" + mapping + bytes(5))
+    frames += [
+        b"\x23" + mapping + bytes([sub]) + reader.choose(VALUES).to_bytes(4, "little")
+        for sub in range(1, count + 1)
+    ]
+    frames.append(b"\x2f" + mapping + b"\x00" + bytes([count, 0, 0, 0]))
+    frames.append(b"\x2f" + head + b"\x02" + bytes([reader.byte(), 0, 0, 0]))
+    frames.append(b"\x23" + head + b"\x01" + (off & ~(1 << 31)).to_bytes(4, "little"))
+    return Step(tuple(Frame(SERVER, frame) for frame in frames))
+
+
+KINDS: tuple[Callable[[Reader], Step], ...] = (
+    *(_any_frame, _known_frame, _request, _second_request, _write, _write_bytes, _read, _begin, _segments),
+    *(_transfer_command, _nmt, _sync, _sample, _cycles, _remote, _pause, _second_channel, _mapping),
+)

@@ -1,0 +1,67 @@
+#!/usr/bin/env python3
+"""Fuzz the SDO server, and the whole node around it, guided by what code an input reaches.
+
+    python tools/fuzz_sdo.py [CORPUS] [LIBFUZZER OPTIONS]       needs atheris: pip install -e '.[fuzz]'
+    python tools/fuzz_sdo.py --show FILE...                     inputs as frames, and what comes of them
+
+CORPUS is a folder that keeps the inputs that reached something new; without it they are forgotten. Useful
+options: -max_total_time=600 (seconds), -runs=100000, -max_len=300 (bytes), -seed=1. The first input that
+breaks a rule of fuzz_body.py ends the run and is left in a file crash-...; `--show` tells its story.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+MEGABYTES = 512
+"""A device has no need for more; an input that makes it take more is a crash."""
+
+
+def fuzz(arguments: list[str]) -> None:
+    """Run until a crash, or as long as the options of libFuzzer say. Does not return."""
+    import atheris
+    import can  # noqa: F401  what is loaded before is not instrumented
+    import canopen  # noqa: F401
+    import numpy as np  # noqa: F401
+
+    with atheris.instrument_imports(include=["canfb.device", "canfb.module", "canfb.simulation"]):
+        import fuzz_body
+
+    options = [f"-rss_limit_mb={MEGABYTES}", "-max_len=400", "-timeout=20"]
+    atheris.Setup([sys.argv[0], *options, *arguments], fuzz_body.play)
+    atheris.Fuzz()
+
+
+def show(path: Path) -> None:
+    """Tell what an input does, frame by frame. Raises what it raises."""
+    import fuzz_body
+    from fuzz_input import Reader, steps
+
+    data = path.read_bytes()
+    reader = Reader(data)
+    print(f"{path}: {data.hex()}\ndevice {reader.byte()}")
+    for step in steps(reader):
+        for frame in step.frames:
+            remote = " remote" if frame.rtr else ""
+            print(f"  {frame.can_id:03X}#{frame.data.hex().upper()}{remote}")
+        if step.pause_s:
+            print(f"  {step.pause_s} s{' with ticks when they are due' if step.punctual else ''}")
+    fuzz_body.play(data)
+    print("nothing is wrong")
+
+
+def main(arguments: list[str]) -> None:
+    """Fuzz, or show inputs."""
+    if arguments[:1] == ["--show"]:
+        for name in arguments[1:]:
+            show(Path(name))
+    elif arguments[:1] in (["-h"], ["--help"]):
+        print(__doc__)
+    else:
+        fuzz(arguments)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,121 @@
+"""What an SDO server may answer, seen from the bus alone (CiA 301, 7.2.4.3)."""
+
+from __future__ import annotations
+
+from canfb.device.codes import AbortCode
+
+ABORT = 0x80
+ABORT_CODES = {int(code) for code in AbortCode}
+LARGEST_BLOCK = 127
+# What may answer a request, by the command specifiers (bits 5 to 7) of both. An abort always may.
+ANSWERS = {0: {1}, 1: {3}, 2: {2}, 3: {0}, 4: set[int](), 5: {2, 6}, 6: {5}, 7: set[int]()}
+CLIENT_ABORTS = 4
+BLOCK_UPLOAD, START, ACKNOWLEDGE = 5, 3, 2
+
+
+class Broken(AssertionError):
+    """The device did what it must not."""
+
+
+def demand(good: object, text: str) -> None:
+    """Broken with the text unless `good`."""
+    if not good:
+        raise Broken(text)
+
+
+class SdoWatcher:
+    """Follows one channel: `request` for each frame of the client, `answer` for each of the server."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """As after a reset: whatever ran is given up."""
+        self._request = bytes(8)
+        self._left = 0  # answers that the server still may give
+        self._next = 0  # sequence number of the next segment of a block upload, 0 outside of one
+        self._in_block_download = False
+        self._size: int | None = None  # announced by the server, of a segmented upload
+        self._uploaded = 0
+
+    def request(self, data: bytes) -> None:
+        """A frame of the client; one that is not 8 bytes long is no request."""
+        if len(data) != 8:
+            return
+        self._request = data
+        self._next = int(data[0] >> 5 == BLOCK_UPLOAD and data[0] & 3 in (START, ACKNOWLEDGE))
+        self._left = 0 if data[0] >> 5 == CLIENT_ABORTS and not self._in_block_download else 1
+
+    def waiting(self) -> None:
+        """Time passes: a client that stays silent may be told so, once."""
+        self._left = 1
+
+    def answer(self, data: bytes) -> None:
+        """A frame of the server."""
+        demand(len(data) == 8, f"an answer of {len(data)} bytes")
+        if self._next and data[0] & 0x7F == self._next:
+            self._segment_of_a_block(data)
+            return
+        demand(self._left > 0, f"{data.hex()} is one answer too many to {self._request.hex()}")
+        self._left -= 1
+        self._next = 0
+        if data[0] == ABORT:
+            code = int.from_bytes(data[4:], "little")
+            demand(code in ABORT_CODES, f"unknown abort code {code:08X}h")
+            self._in_block_download = False
+            return
+        acknowledges = self._in_block_download and data[0] == 0xA2
+        fits = acknowledges or data[0] >> 5 in ANSWERS[self._request[0] >> 5]
+        demand(fits, f"{data.hex()} is no answer to {self._request.hex()}")
+        checks = (self._segment, self._download_segment, self._upload, self._download)
+        check = checks[data[0] >> 5] if data[0] >> 5 < len(checks) else self._block
+        check(data)
+
+    def _segment_of_a_block(self, data: bytes) -> None:
+        last = data[0] & 0x80 or self._next == LARGEST_BLOCK
+        self._next = 0 if last else self._next + 1
+
+    def _demand_same_object(self, data: bytes) -> None:
+        demand(data[1:4] == self._request[1:4], f"{data.hex()} is about another object")
+
+    def _segment(self, data: bytes) -> None:
+        unused = data[0] >> 1 & 7
+        demand(not any(data[8 - unused :]) or not unused, f"{data.hex()} has something in unused bytes")
+        self._uploaded += 7 - unused
+        demand(self._size is not None, f"{data.hex()} is a segment of nothing")
+        if data[0] & 1:
+            demand(self._uploaded == self._size, f"{self._uploaded} bytes came, {self._size} were announced")
+            self._size = None
+
+    def _download_segment(self, data: bytes) -> None:
+        demand(data[0] & 0x0F == 0 and not any(data[1:]), f"{data.hex()} has reserved bits set")
+        demand(data[0] & 0x10 == self._request[0] & 0x10, f"{data.hex()} has another toggle bit")
+
+    def _upload(self, data: bytes) -> None:
+        self._demand_same_object(data)
+        if data[0] == 0x41:
+            self._size, self._uploaded = int.from_bytes(data[4:], "little"), 0
+            return
+        demand(data[0] & 0xF3 == 0x43, f"{data.hex()} is no answer to an upload")
+        unused = data[0] >> 2 & 3
+        demand(not unused or not any(data[8 - unused :]), f"{data.hex()} has something in unused bytes")
+
+    def _download(self, data: bytes) -> None:
+        self._demand_same_object(data)
+        demand(data[0] == 0x60 and not any(data[4:]), f"{data.hex()} has reserved bits set")
+
+    def _block(self, data: bytes) -> None:
+        if data[0] in (0xA0, 0xA4):
+            self._demand_same_object(data)
+            demand(1 <= data[4] <= LARGEST_BLOCK and not any(data[5:]), f"bad block size in {data.hex()}")
+            self._in_block_download = True
+        elif data[0] == 0xA2:
+            demand(data[1] <= LARGEST_BLOCK, f"bad sequence number in {data.hex()}")
+            demand(1 <= data[2] <= LARGEST_BLOCK and not any(data[3:]), f"bad block size in {data.hex()}")
+        elif data[0] == 0xA1:
+            demand(not any(data[1:]), f"{data.hex()} has reserved bytes set")
+            self._in_block_download = False
+        elif data[0] in (0xC2, 0xC6):
+            self._demand_same_object(data)
+        else:
+            demand(data[0] & 0xE3 == 0xC1 and not any(data[3:]), f"{data.hex()} is no end of a block upload")
