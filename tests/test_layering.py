@@ -25,11 +25,12 @@ ALLOWED: dict[str, set[str]] = {
     "module": {"signal", "calibration", "device", "eds_files", "errors"},
     "simulation": {"signal", "device", "eds_files", "errors"},
     "configuration": {"signal", "module", "simulation", "errors"},
+    "commissioning": {"signal", "calibration", "errors"},
     "bus": {"module", "device", "simulation", "configuration", "errors"},
     "demo": {"signal", "calibration", "device", "module", "simulation", "configuration", "eds_files",
              "errors"},
     "cli": {"signal", "calibration", "device", "module", "simulation", "configuration", "eds_files", "errors",
-            "bus", "demo"},
+            "bus", "demo", "commissioning"},
     "__init__": {"signal", "calibration", "device", "module", "configuration", "errors"},
     "__main__": {"cli"},
 }  # fmt: skip
@@ -37,14 +38,15 @@ ALLOWED: dict[str, set[str]] = {
 TYPES_ONLY = {("errors", "calibration")}
 
 # What each part may import of other packages. canopen reads the EDS for the device, and is the master of
-# the demo; python-can has the words of the command line.
+# the demo and of the tools; python-can has the words of the command line.
 FOREIGN: dict[str, set[str]] = {
     "signal": {"numpy"},
     "calibration": {"numpy"},
     "device": {"canopen"},
     "simulation": {"numpy"},
     "configuration": {"yaml"},
-    "bus": {"can"},
+    "commissioning": {"numpy", "canopen", "can", "yaml"},
+    "bus": {"can", "canopen"},
     "demo": {"numpy", "canopen", "matplotlib"},
     "cli": {"can"},
 }

@@ -1,0 +1,155 @@
+"""A CANopen master on a python-can bus, for tools: SDO client, listening, clock and waiting in one place."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from datetime import date
+from types import TracebackType
+from typing import Any
+
+import can
+import canopen
+from canopen.network import MessageListener
+from canopen.sdo.client import SdoClient
+
+from canfb.bus.opening import reason
+from canfb.errors import BusError
+
+Hear = Callable[[int, bytes, float], None]
+Client = Any  # canopen.sdo.SdoClient, which has no types
+LOOK_S = 0.05  # how late a bus that has failed may be noticed
+SDO_ANSWER, SDO_REQUEST, SYNC = 0x580, 0x600, 0x80
+STOP_S = 1.0  # for the receiving thread to end
+
+
+def today() -> date:
+    """The date, for reports."""
+    return date.today()
+
+
+class BusMaster:
+    """The master's side of a network, in the calling thread but for the reception.
+
+    Use it as a context manager: the bus is shut down at the end. Every method raises BusError, in one line,
+    when the bus does not work any more.
+    """
+
+    def __init__(self, bus: can.BusABC, answer_within_s: float = 1.0) -> None:
+        self._bus = bus
+        self._answer_within_s = answer_within_s
+        self._network = _Network(bus)
+        self._clients: dict[int, Client] = {}
+        self._syncs: list[Any] = []
+
+    def __enter__(self) -> BusMaster:
+        self._network.connect()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for task in self._syncs:
+            task.stop()
+        if self._network.notifier is not None:
+            self._network.notifier.stop(STOP_S)
+        self._bus.shutdown()
+
+    def sdo(self, node_id: int) -> Client:
+        """The SDO client for a node (1..127), without an object dictionary: bytes in, bytes out."""
+        if node_id not in self._clients:
+            make: Any = SdoClient
+            dictionary: Any = canopen.ObjectDictionary
+            client = make(SDO_REQUEST + node_id, SDO_ANSWER + node_id, dictionary())
+            client.RESPONSE_TIMEOUT = self._answer_within_s
+            client.network = self._network
+            self._network.subscribe(client.tx_cobid, client.on_response)
+            self._clients[node_id] = client
+        return self._clients[node_id]
+
+    def subscribe(self, can_id: int, hear: Hear) -> None:
+        """Call ``hear`` with CAN-ID, data and time stamp of each data frame; in the receiving thread."""
+        self._network.subscribe(can_id, hear)
+
+    def unsubscribe(self, can_id: int, hear: Hear) -> None:
+        """No more of it."""
+        self._network.unsubscribe(can_id, hear)
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a data frame."""
+        try:
+            self._network.send_message(can_id, data)
+        except (can.CanError, OSError) as error:
+            raise BusError(f"a frame could not be sent: {reason(error)}") from error
+
+    def produce_sync(self, rate_hz: float) -> None:
+        """Send the SYNC at this rate until the end; the bus must have been opened to hear its own frames."""
+        message = can.Message(arbitration_id=SYNC, is_extended_id=False)
+        try:
+            self._syncs.append(self._bus.send_periodic(message, 1.0 / rate_hz))
+        except (can.CanError, OSError) as error:
+            raise BusError(f"the SYNC cannot be produced: {reason(error)}") from error
+
+    def now(self) -> float:
+        """Seconds, monotonic."""
+        return time.monotonic()
+
+    def wait(self, duration_s: float) -> None:
+        """Let time pass. BusError as soon as the bus has failed."""
+        end = self.now() + duration_s
+        while True:
+            self.check()
+            left = end - self.now()
+            if left <= 0.0:
+                return
+            time.sleep(min(left, LOOK_S))
+
+    def check(self) -> None:
+        """BusError if the reception has ended."""
+        error = self._network.listener.error
+        if error is not None:
+            raise BusError(f"the bus fails: {reason(error)}") from error
+
+
+class _Network(canopen.Network):
+    """canopen's network, whose bus only lets through what somebody listens to."""
+
+    NOTIFIER_CYCLE = LOOK_S
+
+    def __init__(self, bus: can.BusABC) -> None:
+        super().__init__(bus)
+        self._bus = bus
+        self.subscribers = {}
+        self.listener = _Listener(self)
+        self.listeners = [self.listener]
+
+    def subscribe(self, can_id: int, callback: Callable[..., None]) -> None:
+        """As in canopen; each frame that nobody wants costs time at high SYNC rates."""
+        super().subscribe(can_id, callback)
+        self._filter()
+
+    def unsubscribe(self, can_id: int, callback: Callable[..., None] | None = None) -> None:
+        """As in canopen."""
+        super().unsubscribe(can_id, callback)
+        self._filter()
+
+    def _filter(self) -> None:
+        wanted = [{"can_id": one, "can_mask": 0x7FF, "extended": False} for one in self.subscribers]
+        self._bus.set_filters(wanted or None)  # type: ignore[arg-type]
+
+
+class _Listener(MessageListener):
+    """Only classic frames with 11-bit identifiers are CANopen; keeps the error that ended the reception."""
+
+    def __init__(self, network: canopen.Network) -> None:
+        super().__init__(network)
+        self.error: Exception | None = None
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Pass it on."""
+        if not (msg.is_extended_id or msg.is_fd or msg.is_error_frame or msg.is_remote_frame):
+            self.network.notify(msg.arbitration_id, msg.data, msg.timestamp)
+
+    def on_error(self, exc: Exception) -> None:
+        """The receiving thread ends with this."""
+        self.error = exc

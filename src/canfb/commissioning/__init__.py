@@ -1,0 +1,15 @@
+"""Setting a module up over the bus: reference measurement, upload of its table, proof, report.
+
+The master's side, between the buses and the calculation::
+
+    samples            what was recorded, and files of it
+    listening          samples of the ADC PDO, SYNC by SYNC          pdo_layout: which PDO
+    recorder           samples of object 2050h of either node
+    own_calibration    the module's own reference measurement, object 2030h
+    active             table and conditioning: read, put in force, put back, save
+    deviation          how good a table is on samples that it has not seen
+    procedure          all of it in the right order; nothing half done
+    summary, report    figures and pictures for people; table_file: YAML
+
+``access.Master`` is what it needs of a bus: frames, an SDO client, a clock and a way to wait.
+"""

@@ -1,0 +1,193 @@
+"""What the procedure needs of a bus, and the objects of a node over SDO with errors in one line."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import can
+from canopen.sdo.exceptions import SdoAbortedError, SdoError
+
+from canfb.errors import CanfbError
+
+Hear = Callable[[int, bytes, float], None]
+Client = Any  # canopen.sdo.SdoClient, which has no types
+NO_OBJECT, NO_SUBINDEX = 0x06020000, 0x06090011
+UNSUPPORTED, WRITE_ONLY, READ_ONLY = 0x06010000, 0x06010001, 0x06010002
+SETTLE_S = 0.05  # for frames of an aborted block transfer that are still under way
+SEGMENT = 7
+
+
+class CommissioningError(CanfbError):
+    """A step that did not work; the text says what the state of the module is."""
+
+
+class ObjectAbsentError(CommissioningError):
+    """The node does not have the object."""
+
+
+class Master(Protocol):
+    """A bus as the master sees it, see :class:`canfb.bus.master.BusMaster`."""
+
+    def sdo(self, node_id: int) -> Client:
+        """SDO client for a node."""
+
+    def subscribe(self, can_id: int, hear: Hear) -> None:
+        """Call ``hear`` with CAN-ID, data and time stamp (s) of each data frame."""
+
+    def unsubscribe(self, can_id: int, hear: Hear) -> None:
+        """No more of it."""
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a data frame."""
+
+    def now(self) -> float:
+        """Seconds, monotonic."""
+
+    def wait(self, duration_s: float) -> None:
+        """Let time pass."""
+
+
+class NodeAccess:
+    """Objects of one node by SDO. CommissioningError, in one line, for whatever does not work."""
+
+    def __init__(self, master: Master, node_id: int, name: str) -> None:
+        self.master = master
+        self.node_id = node_id
+        self.name = f"{name} {node_id} ({node_id:02X}h)"
+
+    def read(self, index: int, subindex: int, layout: str) -> int | float:
+        """A number; ``layout`` as in struct, without the byte order: B, H, I, h, f ..."""
+        data = self._transfer("reading", index, subindex, lambda client: client.upload(index, subindex))
+        size = struct.calcsize(f"<{layout}")
+        if len(data) < size:
+            raise CommissioningError(
+                f"{self.name}: {index:04X}:{subindex:02X} has {len(data)} bytes, not {size}"
+            )
+        value: int | float = struct.unpack_from(f"<{layout}", data)[0]
+        return value
+
+    def integer(self, index: int, subindex: int, layout: str) -> int:
+        """:meth:`read` for integers."""
+        return int(self.read(index, subindex, layout))
+
+    def write(self, index: int, subindex: int, layout: str, value: float) -> None:
+        """Write a number."""
+        self.write_bytes(index, subindex, struct.pack(f"<{layout}", value))
+
+    def write_bytes(
+        self, index: int, subindex: int, data: bytes, answer_within_s: float | None = None
+    ) -> None:
+        """Write by expedited or segmented transfer; with a longer time for the answer, if given."""
+
+        def send(client: Client) -> bytes:
+            usual = client.RESPONSE_TIMEOUT
+            client.RESPONSE_TIMEOUT = max(usual, answer_within_s or 0.0)
+            try:
+                return _send(client, index, subindex, data, False)
+            finally:
+                client.RESPONSE_TIMEOUT = usual
+
+        self._transfer("writing", index, subindex, send)
+
+    def upload_domain(
+        self, index: int, subindex: int, heard: Callable[[float], None] = lambda part: None
+    ) -> bytes:
+        """A DOMAIN, by block transfer where the server has it, else segmented; ``heard`` gets 0..1."""
+        try:
+            return self._transfer(
+                "reading", index, subindex, lambda client: _fetch(client, index, subindex, True, heard)
+            )
+        except ObjectAbsentError:
+            raise
+        except CommissioningError:
+            self.master.wait(SETTLE_S)
+        return self._transfer(
+            "reading", index, subindex, lambda client: _fetch(client, index, subindex, False, heard)
+        )
+
+    def download_domain(self, index: int, subindex: int, data: bytes) -> None:
+        """A DOMAIN, by block transfer where the server has it, else segmented."""
+        try:
+            self._transfer(
+                "writing", index, subindex, lambda client: _send(client, index, subindex, data, True)
+            )
+        except ObjectAbsentError:
+            raise
+        except CommissioningError:
+            # canopen's block download fails on some servers, and some have none.
+            self.master.wait(SETTLE_S)
+            self.write_bytes(index, subindex, data)
+
+    def answers(self) -> bool:
+        """True if the node answers at all."""
+        try:
+            self.read(0x1000, 0, "I")
+        except ObjectAbsentError:
+            return True
+        except CommissioningError:
+            return False
+        return True
+
+    def _transfer(self, doing: str, index: int, subindex: int, act: Callable[[Client], bytes]) -> bytes:
+        what = f"{self.name}: {doing} {index:04X}:{subindex:02X}"
+        try:
+            return act(self.master.sdo(self.node_id))
+        except SdoAbortedError as error:
+            text = f"{what} is refused: {error}"
+            kind = ObjectAbsentError if error.code in (NO_OBJECT, NO_SUBINDEX) else CommissioningError
+            raise kind(text) from None
+        except SdoError as error:
+            self.master.wait(0.0)  # says so if it is the bus that has failed
+            said = str(error).rstrip(".")
+            if said == "No SDO response received":
+                said = "no answer; is the node there, and is it the right bit rate?"
+            raise CommissioningError(f"{what}: {said}") from None
+        except (can.CanError, OSError) as error:
+            raise CommissioningError(f"{what}: {' '.join(str(error).split())}") from error
+        except (AttributeError, RuntimeError, struct.error) as error:
+            # What canopen's streams come to on answers that they did not expect.
+            raise CommissioningError(f"{what}: the answer makes no sense ({error})") from error
+
+
+def _fetch(client: Client, index: int, subindex: int, block: bool, heard: Callable[[float], None]) -> bytes:
+    def take(stream: Any) -> bytes:
+        chunks: list[bytes] = []
+        while chunk := stream.read(SEGMENT):
+            chunks.append(chunk)
+            if stream.size and len(chunks) % 256 == 0:
+                heard(min(1.0, SEGMENT * len(chunks) / stream.size))
+        data = b"".join(chunks)
+        return data[: stream.size] if stream.size else data
+
+    return _through(client, client.open(index, subindex, "rb", buffering=0, block_transfer=block), take)
+
+
+def _send(client: Client, index: int, subindex: int, data: bytes, block: bool) -> bytes:
+    def give(stream: Any) -> bytes:
+        sent = 0
+        while sent < len(data):
+            sent += stream.write(data[sent : sent + SEGMENT])
+        return b""
+
+    stream = client.open(index, subindex, "wb", size=len(data), buffering=0, block_transfer=block)
+    return _through(client, stream, give)
+
+
+def _through(client: Client, stream: io.RawIOBase, act: Callable[[Any], bytes]) -> bytes:
+    """``act`` on the stream, which is closed after it. When anything goes wrong the transfer is aborted.
+
+    Closing canopen's streams ends the transfer as if all data had been sent: half a table would be
+    taken for a whole one.
+    """
+    try:
+        result = act(stream)
+    except BaseException as error:
+        io.RawIOBase.close(stream)
+        if not isinstance(error, SdoAbortedError):
+            client.abort()
+        raise
+    stream.close()
+    return result

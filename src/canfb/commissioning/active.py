@@ -1,0 +1,142 @@
+"""Table and conditioning of a module: read, put in force, put back, save."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
+from canfb.errors import CanfbError
+from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.correction import CorrectionTable
+
+TABLE, CONDITIONING, STORE = 0x2020, 0x2002, 0x1010
+STAGED, STAGED_CRC, ACTIVATE, ACTIVE_CRC, ENTRIES = 1, 2, 3, 4, 5
+MANUFACTURER, ALL = 4, 1  # sub-indices of 1010h, the narrower one first
+SAVE = b"save"
+SAVE_WITHIN_S = 10.0
+
+
+@dataclass(frozen=True)
+class ActiveSet:
+    """What a module computes with: a table, None for the identity, and the conditioning."""
+
+    table: CorrectionTable | None
+    conditioning: Conditioning
+
+    @property
+    def crc32(self) -> int:
+        """As object 2020:04 has it: 0 for the identity."""
+        return 0 if self.table is None else self.table.crc32
+
+
+NOTHING_ACTIVE = ActiveSet(None, IDENTITY)
+
+
+def read_active(module: NodeAccess) -> ActiveSet:
+    """What is in force. CommissioningError if the node is no feedback module, or the table is not whole."""
+    try:
+        crc32 = module.integer(TABLE, ACTIVE_CRC, "I")
+    except ObjectAbsentError:
+        raise CommissioningError(
+            f"{module.name} has no correction table (2020h): no feedback module; use --module"
+        ) from None
+    conditioning = read_conditioning(module)
+    if crc32 == 0:
+        return ActiveSet(None, conditioning)
+    try:
+        table = CorrectionTable.from_bytes(module.upload_domain(TABLE, STAGED))
+    except ValueError as error:
+        raise CommissioningError(f"{module.name}: 2020:01 is no correction table: {error}") from None
+    if table.crc32 != crc32:
+        raise CommissioningError(
+            f"{module.name}: the table read has the CRC {table.crc32:08X}h, the active one {crc32:08X}h"
+        )
+    return ActiveSet(table, conditioning)
+
+
+def read_conditioning(module: NodeAccess) -> Conditioning:
+    """Object 2002h; the identity where there is none."""
+    try:
+        values = [float(module.read(CONDITIONING, subindex, "f")) for subindex in range(1, 6)]
+        return Conditioning(*values)
+    except ObjectAbsentError:
+        return IDENTITY
+    except ValueError as error:
+        raise CommissioningError(f"{module.name}: conditioning (2002h) cannot be used: {error}") from None
+
+
+def put_in_force(module: NodeAccess, wanted: ActiveSet) -> None:
+    """Write conditioning and table, check the staged bytes, activate both together, check again.
+
+    CommissioningError where anything is not as it must be; the module may then be in between.
+    """
+    _write_conditioning(module, wanted.conditioning)
+    if wanted.table is not None and module.integer(TABLE, ACTIVE_CRC, "I") != wanted.crc32:
+        module.download_domain(TABLE, STAGED, wanted.table.to_bytes())
+        _check_crc(module, STAGED_CRC, "staged", wanted.crc32)
+    module.write(TABLE, ACTIVATE, "I", wanted.crc32)
+    _check_crc(module, ACTIVE_CRC, "active", wanted.crc32)
+
+
+def put_back(module: NodeAccess, before: ActiveSet) -> None:
+    """Put the old set in force again. CommissioningError, which says how things stand, if that fails."""
+    try:
+        put_in_force(module, before)
+        if read_active(module) != before:
+            raise CommissioningError(f"{module.name}: what is active now is not what was before")
+    except CanfbError as error:
+        raise CommissioningError(
+            f"the table and the conditioning from before could not be put back ({error}): switch "
+            f"{module.name} off and on, or write 0 to 2020:03"
+        ) from error
+
+
+def is_active(module: NodeAccess, wanted: ActiveSet) -> bool:
+    """True if just this is in force."""
+    return (
+        module.integer(TABLE, ACTIVE_CRC, "I") == wanted.crc32
+        and read_conditioning(module) == wanted.conditioning
+    )
+
+
+def save(module: NodeAccess) -> str | None:
+    """Keep table and parameters over a loss of power: the sub-index of 1010h used, None without one.
+
+    CommissioningError if the node refuses or fails to save.
+    """
+    for subindex in (MANUFACTURER, ALL):
+        try:
+            ability = module.integer(STORE, subindex, "I")
+        except ObjectAbsentError:
+            continue
+        if not ability & 1:
+            continue  # saves by itself, or not at all
+        module.write_bytes(STORE, subindex, SAVE, SAVE_WITHIN_S)
+        return f"1010:{subindex:02X}"
+    return None
+
+
+def _write_conditioning(module: NodeAccess, wanted: Conditioning) -> None:
+    if read_conditioning(module) == wanted:
+        return
+    values = (
+        wanted.sine_offset_counts,
+        wanted.cosine_offset_counts,
+        wanted.sine_gain,
+        wanted.cosine_gain,
+        wanted.phase_error_rad,
+    )
+    for subindex, value in enumerate(values, start=1):
+        module.write(CONDITIONING, subindex, "f", value)
+    written = tuple(struct.unpack("<f", struct.pack("<f", value))[0] for value in values)
+    if read_conditioning(module) != Conditioning(*written):
+        raise CommissioningError(f"{module.name}: the conditioning read back (2002h) is not what was written")
+
+
+def _check_crc(module: NodeAccess, subindex: int, which: str, wanted: int) -> None:
+    found = module.integer(TABLE, subindex, "I")
+    if found != wanted:
+        raise CommissioningError(
+            f"{module.name}: the CRC of the {which} table is {found:08X}h, not {wanted:08X}h"
+        )

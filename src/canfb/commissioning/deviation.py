@@ -1,0 +1,129 @@
+"""How far the positions of samples are from smooth motion, with a table that has not seen them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from canfb.calibration.blocks import Blocks, cut
+from canfb.calibration.evaluate import peak, root_mean
+from canfb.calibration.recording import BINS, Recording, check_clipped, recording
+from canfb.calibration.result import LOCKED
+from canfb.commissioning.active import ActiveSet
+from canfb.commissioning.samples import Samples
+from canfb.errors import CalibrationError
+from canfb.signal.phase import FloatArray, raw_phases
+
+# A few samples may be faulty; they do not belong to what the table does.
+FAULTY_SIGMAS = 8.0
+FAULTY_PART = 0.01
+MIN_BLOCKS = 8
+LEAST_BLOCK, LONGEST_BLOCK = 12, 4096
+CYCLES_OF_BLOCK = 2.0  # a cubic through less than that takes errors of the encoder for motion
+
+
+@dataclass(frozen=True, eq=False)
+class Deviation:
+    """Deviation of samples from smooth motion, cycles; arrays with one entry for each sample used.
+
+    rms, peak   with the table, noise of the samples included
+    phase       0..1, with the table
+    error       with the table
+    before      with the set of before, about its mean
+    faulty      samples left out because they are far from all others
+    """
+
+    rms: float
+    peak: float
+    before_rms: float
+    before_peak: float
+    phase: FloatArray
+    error: FloatArray
+    before: FloatArray
+    faulty: int
+
+    def mean_over_phase(self, before: bool = False) -> FloatArray:
+        """Mean error in each of 64 bins of the phase; NaN where there is no sample."""
+        values = self.before if before else self.error
+        bins = (self.phase * BINS).astype(np.int64) % BINS
+        count = np.bincount(bins, minlength=BINS)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.bincount(bins, values, BINS) / np.where(count, count, np.nan), np.float64)
+
+
+def best_deviation(
+    samples: Samples, used: ActiveSet, before: ActiveSet, block_samples: int, adc_bits: int | None = None
+) -> Deviation:
+    """:func:`deviation`, also with shorter blocks: the motion may be less smooth than it was before."""
+    lengths = sorted(
+        {block_samples, max(LEAST_BLOCK, block_samples // 2), max(LEAST_BLOCK, block_samples // 4)}
+    )
+    return min((deviation(samples, used, before, n, adc_bits) for n in lengths), key=lambda found: found.rms)
+
+
+def deviation(
+    samples: Samples, used: ActiveSet, before: ActiveSet, block_samples: int, adc_bits: int | None = None
+) -> Deviation:
+    """Deviation of ``samples`` from a cubic in each block of ``block_samples``.
+
+    ``used`` decides the positions; ``before`` is compared on the same samples. Blocks in which the
+    machine stands still or is locked to the samples say nothing and are left out. CalibrationError
+    when too little is left.
+    """
+    record = recording(samples.sine, samples.cosine, None, None, adc_bits)
+    phase = _phases(record, used)
+    check_clipped(record, np.where(np.isnan(phase), 0.0, phase))
+    position = record.positions(np.where(record.valid, phase, np.nan))
+    valid = record.valid & np.isfinite(position)
+    speed = float(np.nanmedian(np.abs(np.diff(position))))
+    slow = CYCLES_OF_BLOCK / max(speed, CYCLES_OF_BLOCK / LONGEST_BLOCK)
+    length = min(max(block_samples, LEAST_BLOCK, math.ceil(slow)), LONGEST_BLOCK)
+    blocks = cut(record.time, valid, record.breaks, length)
+    blocks = blocks.take(blocks.informative(position[blocks.index])) if len(blocks) else blocks
+    if len(blocks) < MIN_BLOCKS:
+        raise CalibrationError(
+            "the machine stands still, or its motion is locked to the samples: nothing can be said of the "
+            "table",
+            LOCKED,
+        )
+    followed = position[blocks.index]
+    smooth = blocks.evaluate(blocks.smooth(followed))
+    faulty = _faulty(blocks, followed - smooth)
+    if faulty.any():
+        blocks = blocks.using(blocks.used & ~faulty)
+        smooth = blocks.evaluate(blocks.smooth(followed))
+    error, use = followed - smooth, blocks.used
+    old = np.where(use, _phases(record, before)[blocks.index], 0.0) - smooth
+    old = _about_mean(old, use)
+    old = old - blocks.evaluate(blocks.smooth(old))
+    correct = float(np.sqrt(blocks.samples / max(1, blocks.freedom)))
+    return Deviation(
+        rms=root_mean(error[use]) * correct,
+        peak=peak(error[use]),
+        before_rms=root_mean(old[use]) * correct,
+        before_peak=peak(old[use]),
+        phase=np.asarray(phase[blocks.index][use], np.float64),
+        error=error[use],
+        before=old[use],
+        faulty=int(faulty.sum()),
+    )
+
+
+def _phases(record: Recording, used: ActiveSet) -> FloatArray:
+    """Phases of all samples, cycles."""
+    raw = raw_phases(*used.conditioning.apply(record.sine, record.cosine))
+    return raw if used.table is None else used.table.correct_array(raw)
+
+
+def _faulty(blocks: Blocks, error: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    size = np.abs(error)
+    limit = FAULTY_SIGMAS * 1.4826 * float(np.median(size[blocks.used]))
+    far = blocks.used & (size > limit)
+    return far if far.sum() <= FAULTY_PART * blocks.samples else np.zeros_like(far)
+
+
+def _about_mean(off: FloatArray, use: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> FloatArray:
+    middle = np.angle(np.mean(np.exp(2j * np.pi * off[use]))) / (2.0 * np.pi)
+    return np.asarray((off - middle + 0.5) % 1.0 - 0.5, np.float64)

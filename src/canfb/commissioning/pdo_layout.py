@@ -1,0 +1,96 @@
+"""Which PDO carries the samples, and where in it: read from the nodes, which know best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from canfb.commissioning.access import CommissioningError, NodeAccess
+
+INVALID = 1 << 31
+EXTENDED = 1 << 29
+PDOS = 4
+TPDO, RPDO = 0x1800, 0x1400
+INTERFACE_TRACKS = (0x64010110, 0x64010210)  # 6401:01 and :02, 16 bits each
+MODULE_TRACKS = (0x20000110, 0x20000210)  # 2000:01 and :02
+
+
+@dataclass(frozen=True)
+class PdoLayout:
+    """COB-ID of the PDO with the samples, and the bytes of both tracks in it."""
+
+    can_id: int
+    sine_byte: int = 0
+    cosine_byte: int = 2
+
+    def unpack(self, data: bytes) -> tuple[int, int] | None:
+        """Sine and cosine, counts; None for a PDO that is too short."""
+        if len(data) < max(self.sine_byte, self.cosine_byte) + 2:
+            return None
+        return (
+            int.from_bytes(data[self.sine_byte : self.sine_byte + 2], "little", signed=True),
+            int.from_bytes(data[self.cosine_byte : self.cosine_byte + 2], "little", signed=True),
+        )
+
+
+def module_layout(module: NodeAccess) -> PdoLayout | None:
+    """The RPDO from which the module takes its samples, None if it has none."""
+    return _find(module, RPDO, MODULE_TRACKS)
+
+
+def interface_layout(interface: NodeAccess) -> PdoLayout | None:
+    """The TPDO in which the encoder interface sends both tracks, None if it has none."""
+    return _find(interface, TPDO, INTERFACE_TRACKS)
+
+
+def agreed_layout(module: NodeAccess | None, interface: NodeAccess) -> PdoLayout:
+    """The PDO that the interface sends and the module takes.
+
+    CommissioningError if both are known and differ: the table would be that of another encoder.
+    An interface that does not answer is taken to send as the module expects it, or by default.
+    """
+    taken = module_layout(module) if module is not None else None
+    if not interface.answers():
+        return taken or PdoLayout(0x180 + interface.node_id)
+    sent = interface_layout(interface)
+    if sent is None:
+        raise CommissioningError(
+            f"{interface.name} has no valid TPDO with both tracks (6401:01, 6401:02): map and enable one"
+        )
+    if module is not None and taken is None:
+        raise CommissioningError(
+            f"{module.name} has no valid RPDO with both tracks (2000:01, 2000:02): map and enable one"
+        )
+    if module is not None and taken is not None and taken.can_id != sent.can_id:
+        raise CommissioningError(
+            f"{module.name} takes its samples from the PDO {taken.can_id:03X}h, and {interface.name} sends "
+            f"them in {sent.can_id:03X}h: give the right --encoder-interface, or link the PDOs (1400:01)"
+        )
+    return sent
+
+
+def _find(node: NodeAccess, parameters: int, wanted: tuple[int, int]) -> PdoLayout | None:
+    for number in range(PDOS):
+        try:
+            cob_id = node.integer(parameters + number, 1, "I")
+            count = node.integer(parameters + 0x200 + number, 0, "B")
+        except CommissioningError:
+            return None  # the node has no more PDOs
+        if cob_id & (INVALID | EXTENDED) or count > 64:
+            continue
+        entries = [node.integer(parameters + 0x200 + number, n, "I") for n in range(1, count + 1)]
+        places = _places(entries, wanted)
+        if places is not None:
+            return PdoLayout(cob_id & 0x7FF, *places)
+    return None
+
+
+def _places(entries: list[int], wanted: tuple[int, int]) -> tuple[int, int] | None:
+    """Bytes of both objects in a PDO with these mapping entries."""
+    at: dict[int, int] = {}
+    bit = 0
+    for entry in entries:
+        at.setdefault(entry, bit)
+        bit += entry & 0xFF
+    if not all(one in at and at[one] % 8 == 0 for one in wanted):
+        return None
+    return at[wanted[0]] // 8, at[wanted[1]] // 8

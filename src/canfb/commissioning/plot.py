@@ -1,0 +1,162 @@
+"""Small plots as SVG, for a page that stands alone: no library, no network, colours from the page's CSS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from html import escape
+
+import numpy as np
+
+from canfb.signal.phase import FloatArray
+
+LEFT, RIGHT, TOP, BOTTOM = 72.0, 14.0, 12.0, 44.0
+TICK_COUNT = 5
+
+
+class Scale:
+    """From values to places on the picture, linear or logarithmic (base 10)."""
+
+    def __init__(self, low: float, high: float, start: float, stop: float, log: bool = False) -> None:
+        if not high > low:
+            high = low + (abs(low) or 1.0)
+        self.low, self.high, self.log = low, high, log
+        self._start, self._stop = start, stop
+
+    def __call__(self, value: float) -> float:
+        """The place, held within a margin of the picture."""
+        if self.log:
+            part = math.log10(max(value, self.low) / self.low) / math.log10(self.high / self.low)
+        else:
+            part = (value - self.low) / (self.high - self.low)
+        return self._start + min(max(part, -0.02), 1.02) * (self._stop - self._start)
+
+    def ticks(self) -> list[float]:
+        """Round values."""
+        if self.log:
+            first, last = math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9)
+            return [10.0**power for power in range(first, last + 1)]
+        rough = (self.high - self.low) / TICK_COUNT
+        power = 10.0 ** math.floor(math.log10(rough))
+        step = next(one * power for one in (1.0, 2.0, 2.5, 5.0, 10.0) if one * power >= rough * 0.999)
+        first = math.ceil(self.low / step - 1e-9)
+        return [n * step for n in range(first, math.floor(self.high / step + 1e-9) + 1)]
+
+
+class Plot:
+    """One picture with two axes. ``title`` says to those who cannot see it what it shows."""
+
+    def __init__(
+        self,
+        title: str,
+        x: tuple[float, float],
+        y: tuple[float, float],
+        labels: tuple[str, str],
+        size: tuple[float, float] = (520.0, 300.0),
+        log_y: bool = False,
+    ) -> None:
+        self.width, self.height = size
+        self.x = Scale(*x, LEFT, self.width - RIGHT)
+        self.y = Scale(*y, self.height - BOTTOM, TOP, log_y)
+        self._title = title
+        self._labels = labels
+        self._parts: list[str] = []
+        self._legend: list[tuple[str, str, str]] = []
+
+    def line(self, xs: FloatArray, ys: FloatArray, style: str, name: str | None = None) -> None:
+        """A line through points, broken where a value is not a number; ``style`` is a CSS class."""
+        path, pen = [], "M"
+        for one, other in zip(xs.tolist(), ys.tolist(), strict=True):
+            if math.isfinite(other):
+                path.append(f"{pen}{self.x(one):.1f} {self.y(other):.1f}")
+                pen = "L"
+            else:
+                pen = "M"
+        self._draw(f'<path class="line {style}" d="{"".join(path)}"/>', style, name, "line")
+
+    def dots(self, xs: FloatArray, ys: FloatArray, style: str, name: str | None = None) -> None:
+        """Small dots: one path for all of them keeps the page small."""
+        path = "".join(
+            f"M{self.x(one):.1f} {self.y(other):.1f}h0"
+            for one, other in zip(xs.tolist(), ys.tolist(), strict=True)
+        )
+        self._draw(f'<path class="dots {style}" d="{path}"/>', style, name, "dot")
+
+    def bars(self, xs: FloatArray, ys: FloatArray, width: float, style: str, name: str | None = None) -> None:
+        """Bars from the bottom of the picture, ``width`` in units of x."""
+        bottom = self.y(self.y.low)
+        parts = []
+        for one, other in zip(xs.tolist(), ys.tolist(), strict=True):
+            if math.isfinite(other) and self.y(other) < bottom:
+                left, right, top = self.x(one - width / 2.0), self.x(one + width / 2.0), self.y(other)
+                parts.append(f"M{left:.1f} {bottom:.1f}V{top:.1f}H{right:.1f}V{bottom:.1f}Z")
+        self._draw(f'<path class="bar {style}" d="{"".join(parts)}"/>', style, name, "bar")
+
+    def level(self, value: float, style: str, name: str | None = None) -> None:
+        """A line across the picture."""
+        if self.y.low <= value <= self.y.high:
+            self.line(np.array([self.x.low, self.x.high]), np.array([value, value]), style, name)
+
+    def svg(self) -> str:
+        """The picture."""
+        return (
+            f'<svg viewBox="0 0 {self.width:g} {self.height:g}" role="img" '
+            f'aria-label="{escape(self._title)}">'
+            f"{self._grid()}{''.join(self._parts)}{self._axis_labels()}</svg>{self._legend_html()}"
+        )
+
+    def _draw(self, part: str, style: str, name: str | None, kind: str) -> None:
+        self._parts.append(part)
+        if name:
+            self._legend.append((name, style, kind))
+
+    def _grid(self) -> str:
+        bottom, top = self.y(self.y.low), self.y(self.y.high)
+        left, right = self.x(self.x.low), self.x(self.x.high)
+        parts = []
+        for value in self.x.ticks():
+            at = self.x(value)
+            parts.append(f'<path class="grid" d="M{at:.1f} {bottom:.1f}V{top:.1f}"/>')
+            parts.append(f'<text x="{at:.1f}" y="{bottom + 16:.1f}" class="tick mid">{_words(value)}</text>')
+        for value in self.y.ticks():
+            at = self.y(value)
+            parts.append(f'<path class="grid" d="M{left:.1f} {at:.1f}H{right:.1f}"/>')
+            parts.append(f'<text x="{left - 6:.1f}" y="{at + 4:.1f}" class="tick end">{_words(value)}</text>')
+        parts.append(f'<path class="axis" d="M{left:.1f} {top:.1f}V{bottom:.1f}H{right:.1f}"/>')
+        return "".join(parts)
+
+    def _axis_labels(self) -> str:
+        middle = (self.y(self.y.low) + self.y(self.y.high)) / 2.0
+        across = (self.x(self.x.low) + self.x(self.x.high)) / 2.0
+        return (
+            f'<text x="{across:.1f}" y="{self.height - 8:.1f}" class="label mid">'
+            f"{escape(self._labels[0])}</text>"
+            f'<text transform="translate(13 {middle:.1f}) rotate(-90)" class="label mid">'
+            f"{escape(self._labels[1])}</text>"
+        )
+
+    def _legend_html(self) -> str:
+        if not self._legend:
+            return ""
+        items = "".join(
+            f'<span><i class="{kind}-key {style}"></i>{escape(name)}</span>'
+            for name, style, kind in self._legend
+        )
+        return f'<div class="legend">{items}</div>'
+
+
+def nice_limit(values: Sequence[float] | FloatArray, least: float = 0.0) -> float:
+    """A little more than the largest size of the values that are numbers, at least ``least``."""
+    sizes = np.abs(np.asarray(values, np.float64))
+    sizes = sizes[np.isfinite(sizes)]
+    return max(1.1 * float(sizes.max()) if len(sizes) else 0.0, least, 1e-12)
+
+
+def _words(value: float) -> str:
+    """A tick in few characters."""
+    if value == 0.0:
+        return "0"
+    if 1e-4 <= abs(value) < 1e5:
+        return f"{value:.6g}"
+    power = math.floor(math.log10(abs(value)) + 1e-9)
+    return f"{value / 10.0**power:.3g}e{power}"

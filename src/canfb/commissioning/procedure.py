@@ -1,0 +1,201 @@
+"""The procedure in the right order. Whatever goes wrong on the way: the module is left as it was."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.result import Calibration
+from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
+from canfb.commissioning.access import CommissioningError, NodeAccess
+from canfb.commissioning.active import ActiveSet, put_back, put_in_force, save
+from canfb.commissioning.deviation import Deviation, best_deviation
+from canfb.commissioning.samples import Samples
+from canfb.errors import CanfbError
+
+MOTION, ZERO_CROSSINGS = "motion", "zero-crossings"
+METHODS = {MOTION: calibrate_from_motion, ZERO_CROSSINGS: calibrate_from_zero_crossings}
+# Fresh samples may come at another speed; a table that is wrong is worse than this by far.
+WORSE = 1.5
+BLOCK_CYCLES = 4  # of the method of zero crossings
+Heard = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to calibrate.
+
+    method         "motion" or "zero-crossings"
+    conditioning   "fit", or None to leave all to the table
+    entries        of the table, 16..4096
+    adc_bits       4..16, None: found from the samples
+    """
+
+    method: str = MOTION
+    conditioning: str | None = "fit"
+    entries: int = 1024
+    adc_bits: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """A reference measurement, compared with what was active before.
+
+    samples       what it was made of
+    calibration   what it gave
+    before        what was active
+    on_samples    deviation of those samples, with the new and with the old set
+    """
+
+    samples: Samples
+    calibration: Calibration
+    before: ActiveSet
+    on_samples: Deviation
+
+    @property
+    def found(self) -> ActiveSet:
+        """Table and conditioning that were found."""
+        return ActiveSet(self.calibration.table, self.calibration.conditioning)
+
+
+@dataclass
+class Installation:
+    """What was done with a measurement.
+
+    fresh      deviation of samples taken after the activation, None if nothing was activated
+    active     the new set is in force
+    saved_as   object that saved it, None: not saved
+    save_note  why it is not saved, in plain words
+    """
+
+    fresh: Deviation | None = None
+    active: bool = False
+    saved_as: str | None = None
+    save_note: str = ""
+
+
+class Guard:
+    """Keeps an interruption (Ctrl-C) away from what must not be left half done.
+
+    Call :meth:`interrupt` from a signal handler: it raises KeyboardInterrupt, but not while held.
+    """
+
+    def __init__(self) -> None:
+        self._held = False
+
+    def interrupt(self) -> None:
+        """Somebody wants it to end."""
+        if not self._held:
+            raise KeyboardInterrupt
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """No interruption in here: what is done here is the end anyway."""
+        self._held = True
+        try:
+            yield
+        finally:
+            self._held = False
+
+
+def measure(samples: Samples, settings: Settings, before: ActiveSet, heard: Heard) -> Measurement:
+    """Calibrate. CalibrationError for samples that cannot be used, CommissioningError for wrong settings."""
+    try:
+        calibration = METHODS[settings.method](
+            samples.sine,
+            samples.cosine,
+            settings.conditioning,
+            adc_bits=settings.adc_bits,
+            entries=settings.entries,
+            progress=heard,
+        )
+    except ValueError as error:
+        raise CommissioningError(f"the samples cannot be used: {error}") from error
+    found = ActiveSet(calibration.table, calibration.conditioning)
+    return Measurement(
+        samples,
+        calibration,
+        before,
+        best_deviation(samples, found, before, block_of(calibration), settings.adc_bits),
+    )
+
+
+def block_of(calibration: Calibration) -> int:
+    """Samples over which to take the motion for smooth."""
+    if calibration.method == "motion":
+        return calibration.block_samples
+    return BLOCK_CYCLES * calibration.block_samples
+
+
+def install(
+    module: NodeAccess,
+    measured: Measurement,
+    collect: Callable[[], Samples],
+    settings: Settings,
+    guard: Guard,
+    *,
+    keep: bool = True,
+    step: Callable[[str], None] = lambda text: None,
+) -> Installation:
+    """Put the new set in force, prove it on fresh samples from ``collect``, and save it if ``keep``.
+
+    It is saved only when it is proven. If anything goes wrong, or is interrupted, the old set is put
+    back (and saved again, where saving had begun) before the error goes on; the text says so.
+    """
+    done = Installation()
+    saving = False
+    try:
+        step("uploading the table")
+        put_in_force(module, measured.found)
+        done.active = True
+        step("verifying on fresh samples")
+        done.fresh = verify(collect(), measured, settings)
+        if keep:
+            step("saving")
+            saving = True
+            _save(module, done)
+        else:
+            done.save_note = "not saved, as asked: the table is lost when the module is switched off"
+    except BaseException as error:
+        with guard.held():
+            step("putting the old table back")
+            said = _undo(module, measured.before, saving)
+        if isinstance(error, CanfbError):
+            raise CommissioningError(f"{error}; {said}") from error
+        step(said)
+        raise
+    return done
+
+
+def verify(samples: Samples, measured: Measurement, settings: Settings) -> Deviation:
+    """Deviation of fresh samples with the new set. CommissioningError if it is worse than promised."""
+    calibration = measured.calibration
+    fresh = best_deviation(samples, measured.found, measured.before, block_of(calibration), settings.adc_bits)
+    limit = WORSE * calibration.residual_rms + calibration.uncertainty_rms
+    if fresh.rms > limit:
+        raise CommissioningError(
+            f"on fresh samples the table leaves {100 * fresh.rms:.3g} % of a cycle rms, promised were "
+            f"{100 * calibration.residual_rms:.3g} %: something has changed since"
+        )
+    return fresh
+
+
+def _save(module: NodeAccess, done: Installation) -> None:
+    done.saved_as = save(module)
+    if done.saved_as is None:
+        done.save_note = (
+            f"not saved: {module.name} has no `save` (1010h); the table is lost when it is switched off"
+        )
+
+
+def _undo(module: NodeAccess, before: ActiveSet, saving: bool) -> str:
+    """Put the old set back; what there is to say about it."""
+    try:
+        put_back(module, before)
+        if saving:
+            save(module)
+    except CanfbError as error:
+        return str(error)
+    return f"the table and the conditioning from before are active in {module.name}"

@@ -1,0 +1,56 @@
+"""Samples of both tracks, as they were recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.signal.phase import FloatArray
+
+MISSED = -32768
+"""Both tracks at this value: no sample came (recordings of object 2050h)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Both tracks in ADC counts, one sample an interval, NaN where a sample was missed.
+
+    rate_hz   samples per second, None if not known
+    origin    where they come from, for people
+    """
+
+    sine: FloatArray
+    cosine: FloatArray
+    rate_hz: float | None
+    origin: str
+
+    @classmethod
+    def of(cls, sine: npt.ArrayLike, cosine: npt.ArrayLike, rate_hz: float | None, origin: str) -> Samples:
+        """From counts; pairs of -32768 are missed samples. ValueError for arrays of different length."""
+        s, c = np.array(sine, np.float64), np.array(cosine, np.float64)
+        if s.ndim != 1 or s.shape != c.shape:
+            raise ValueError(f"sine and cosine must have one dimension and one length: {s.shape}, {c.shape}")
+        missed = (s == MISSED) & (c == MISSED) | np.isnan(s) | np.isnan(c)
+        s[missed] = c[missed] = np.nan
+        return cls(s, c, rate_hz, origin)
+
+    @classmethod
+    def from_bytes(cls, data: bytes, rate_hz: float | None, origin: str) -> Samples:
+        """From object 2050:03: pairs of INTEGER16, sine and cosine, little-endian."""
+        pairs = np.frombuffer(data[: len(data) // 4 * 4], "<i2").reshape(-1, 2)
+        return cls.of(pairs[:, 0], pairs[:, 1], rate_hz, origin)
+
+    def __len__(self) -> int:
+        return len(self.sine)
+
+    @property
+    def missed(self) -> int:
+        """Samples that did not come."""
+        return int(np.isnan(self.sine).sum())
+
+    @property
+    def duration_s(self) -> float | None:
+        """How long it took, None if the rate is not known."""
+        return len(self) / self.rate_hz if self.rate_hz else None

@@ -1,0 +1,189 @@
+"""The figures of a reference measurement: for the terminal, the report and programs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from canfb.calibration.result import REASONS
+from canfb.commissioning.active import ActiveSet
+from canfb.commissioning.procedure import Installation, Measurement
+from canfb.commissioning.table_file import conditioning_words
+
+ARC_SECONDS = 360.0 * 3600.0
+PERCENT = 100.0
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """Where and when it was measured.
+
+    date                   ISO 8601
+    module                 node id, None without a bus
+    encoder_interface      node id, None without a bus
+    encoder                name or serial number of the encoder, as the user gave it
+    cycles_per_revolution  None if not known
+    """
+
+    date: str
+    module: int | None = None
+    encoder_interface: int | None = None
+    encoder: str = ""
+    cycles_per_revolution: int | None = None
+
+    def arc_seconds(self, cycles: float) -> float | None:
+        """A part of the cycle as an angle of the shaft."""
+        return cycles * ARC_SECONDS / self.cycles_per_revolution if self.cycles_per_revolution else None
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the comparison."""
+
+    name: str
+    before: str
+    after: str
+
+
+def comparison(measured: Measurement, done: Installation, where: Circumstances) -> list[Row]:
+    """Before and after, in the words that are printed."""
+    found, calibration, on_samples = measured.found, measured.calibration, measured.on_samples
+    rows = [
+        Row("table", table_words(measured.before), table_words(found)),
+        Row("conditioning", _conditioning(measured.before), _conditioning(found)),
+        Row(
+            "deviation, rms",
+            percent(on_samples.before_rms, where),
+            percent(calibration.residual_rms, where),
+        ),
+        Row(
+            "deviation, peak",
+            percent(on_samples.before_peak, where),
+            percent(calibration.residual_peak, where),
+        ),
+    ]
+    if done.fresh is not None:
+        fresh = done.fresh
+        rows += [
+            Row("on fresh samples, rms", percent(fresh.before_rms, where), percent(fresh.rms, where)),
+            Row("on fresh samples, peak", percent(fresh.before_peak, where), percent(fresh.peak, where)),
+        ]
+    return rows
+
+
+def facts(measured: Measurement, where: Circumstances) -> list[tuple[str, str]]:
+    """What else there is to know of the measurement."""
+    calibration, samples = measured.calibration, measured.samples
+    rate = f" at {samples.rate_hz:.6g} Hz" if samples.rate_hz else ""
+    duration = f", {samples.duration_s:.3g} s" if samples.duration_s else ""
+    listed = [
+        ("table is good to", percent(calibration.uncertainty_peak, where)),
+        (
+            "noise of a sample",
+            f"{percent(calibration.noise_cycles, where)}, {calibration.noise_counts:.2f} counts",
+        ),
+        ("samples", f"{len(samples)}{rate}{duration}; {samples.origin}"),
+        ("left out", f"{samples.missed} missed, {calibration.samples_rejected} faulty"),
+        (
+            "coverage",
+            f"{PERCENT * calibration.coverage:.0f} % of the cycle, {calibration.cycles_used:.0f} cycles",
+        ),
+        ("method", f"{calibration.method}, {len(calibration.table)} entries"),
+    ]
+    if calibration.cramer_rao_ratio is not None:
+        listed.append(
+            ("error over the bound", f"{calibration.cramer_rao_ratio:.2f} times that of Cramer and Rao")
+        )
+    return listed
+
+
+def outcome(measured: Measurement, done: Installation) -> str:
+    """One line: what the module computes with now."""
+    if not done.active:
+        return "dry run: nothing was written to the module"
+    saved = f"saved ({done.saved_as})" if done.saved_as else done.save_note
+    return f"table {measured.calibration.table.crc32:08X}h is active and proven on fresh samples; {saved}"
+
+
+def verdict(measured: Measurement, done: Installation) -> str:
+    """The verdict in plain words."""
+    calibration, on_samples = measured.calibration, measured.on_samples
+    if not calibration.accepted:
+        return f"Refused: {REASONS[calibration.reason]}."
+    factor = on_samples.before_rms / calibration.residual_rms if calibration.residual_rms > 0.0 else 0.0
+    if factor > 1.5:
+        change = (
+            f"The error within a cycle falls from {PERCENT * on_samples.before_rms:.2g} % to "
+            f"{PERCENT * calibration.residual_rms:.2g} % of a cycle rms, {factor:.0f} times less; what is "
+            "left is mostly noise of single samples."
+        )
+    else:
+        change = "The table that was active before is as good: the encoder has not changed."
+    return f"Accepted. {change} The table itself is good to {PERCENT * calibration.uncertainty_peak:.2g} %."
+
+
+def as_json(measured: Measurement, done: Installation, where: Circumstances) -> dict[str, Any]:
+    """The figures for programs; cycles, counts, seconds."""
+    calibration, samples, fresh = measured.calibration, measured.samples, done.fresh
+    return {
+        "accepted": calibration.accepted,
+        "reason": calibration.reason,
+        "verdict": calibration.verdict,
+        **where_words(where),
+        "method": calibration.method,
+        "samples": len(samples),
+        "samples_missed": samples.missed,
+        "samples_rejected": calibration.samples_rejected,
+        "sample_rate_hz": samples.rate_hz,
+        "coverage": calibration.coverage,
+        "cycles_used": calibration.cycles_used,
+        "crc32_before": f"{measured.before.crc32:08X}",
+        "crc32": f"{calibration.table.crc32:08X}",
+        "entries": len(calibration.table),
+        "conditioning": conditioning_words(calibration.conditioning),
+        "before_rms_cycles": measured.on_samples.before_rms,
+        "before_peak_cycles": measured.on_samples.before_peak,
+        "residual_rms_cycles": calibration.residual_rms,
+        "residual_peak_cycles": calibration.residual_peak,
+        "uncertainty_rms_cycles": calibration.uncertainty_rms,
+        "uncertainty_peak_cycles": calibration.uncertainty_peak,
+        "noise_counts": calibration.noise_counts,
+        "fresh_rms_cycles": None if fresh is None else fresh.rms,
+        "fresh_peak_cycles": None if fresh is None else fresh.peak,
+        "active": done.active,
+        "saved": done.saved_as is not None,
+    }
+
+
+def where_words(where: Circumstances) -> dict[str, Any]:
+    """Circumstances as keys and values."""
+    return {
+        "date": where.date,
+        "encoder": where.encoder or None,
+        "module": where.module,
+        "encoder_interface": where.encoder_interface,
+        "cycles_per_revolution": where.cycles_per_revolution,
+    }
+
+
+def percent(cycles: float, where: Circumstances) -> str:
+    """A part of the cycle in percent, and as an angle of the shaft where that is known."""
+    arc = where.arc_seconds(cycles)
+    words = f"{PERCENT * cycles:.3g} %"
+    return words if arc is None else f"{words} ({arc:.2g}″)"
+
+
+def table_words(used: ActiveSet) -> str:
+    """A table in a word or two."""
+    return "none" if used.table is None else f"{used.crc32:08X}h, {len(used.table)} entries"
+
+
+def _conditioning(used: ActiveSet) -> str:
+    conditioning = used.conditioning
+    if conditioning.is_identity:
+        return "none"
+    return (
+        f"offset {conditioning.sine_offset_counts:+.1f}/{conditioning.cosine_offset_counts:+.1f}, gain "
+        f"{conditioning.sine_gain:.4f}/{conditioning.cosine_gain:.4f}, phase "
+        f"{conditioning.phase_error_rad:+.4f} rad"
+    )
