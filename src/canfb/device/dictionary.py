@@ -174,6 +174,7 @@ def _entry(parser: RawConfigParser, section: str, variable: ODVariable, node_id:
             low=number("LowLimit"),
             high=number("HighLimit"),
             pdo_mappable=variable.pdo_mappable,
+            follows_node_id="$NODEID" in parser.get(section, "DefaultValue", fallback="").upper(),
         )
         entry.encode()
         if entry.default is not None:

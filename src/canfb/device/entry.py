@@ -25,17 +25,22 @@ class Entry:
 
     Hooks: `on_read()` gives a live value (bytes for a DOMAIN) in place of `value`, and may raise
     SdoAbort. `on_write(value)` runs after all generic checks and before the value is stored, and
-    raises SdoAbort to refuse it. `on_written()` runs after the value is stored.
+    raises SdoAbort to refuse it. `on_written()` runs after the value is stored. `on_download()` runs
+    after an SDO has written it, and after no other write.
+
+    `follows_node_id` tells that the node-ID is part of the default ($NODEID in the EDS).
     """
 
     __slots__ = (
         "access",
         "data_type",
         "default",
+        "follows_node_id",
         "high",
         "index",
         "low",
         "name",
+        "on_download",
         "on_read",
         "on_write",
         "on_written",
@@ -59,6 +64,7 @@ class Entry:
         low: float | None = None,
         high: float | None = None,
         pdo_mappable: bool = False,
+        follows_node_id: bool = False,
     ) -> None:
         where = f"{index:04X}h:{subindex:02X}"
         if data_type not in datatypes.KNOWN:
@@ -74,9 +80,11 @@ class Entry:
         self.low = low
         self.high = high
         self.pdo_mappable = pdo_mappable
+        self.follows_node_id = follows_node_id
         self.on_read: Callable[[], Any] | None = None
         self.on_write: Callable[[Any], None] | None = None
         self.on_written: Callable[[], None] | None = None
+        self.on_download: Callable[[], None] | None = None
         self.reset()
 
     def __repr__(self) -> str:
@@ -155,3 +163,5 @@ class Entry:
         """What an SDO write does; SdoAbort when it is refused, the value then untouched."""
         self.check_writable()
         self.store(self.decode(data))
+        if self.on_download is not None:
+            self.on_download()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from canfb.device import cob, pdo
 from canfb.device.codes import EmergencyCode
@@ -12,11 +12,13 @@ from canfb.device.emergency import Emergency
 from canfb.device.frame import NEVER, Frame, Moment, Timed
 from canfb.device.guarding import NodeGuarding
 from canfb.device.heartbeat import HeartbeatConsumer, HeartbeatProducer
+from canfb.device.image import ParameterGroup
 from canfb.device.mapping import Direction
 from canfb.device.nmt import COMMUNICATING, ErrorBehaviour, Nmt, NmtState, Startup
 from canfb.device.rpdo import Rpdo
 from canfb.device.sdo_channel import SdoChannel, channel_indices
 from canfb.device.sdo_server import TIMEOUT_S
+from canfb.device.storage import Storage, Store
 from canfb.device.sync import Sync
 from canfb.device.time_stamp import TimeStamp
 from canfb.device.tpdo import Tpdo
@@ -47,7 +49,10 @@ class Node:
     synchronous TPDOs are sampled; `counter` is None without 1019h.
     on_state(old, new, now): after a change of the NMT state.
     on_reset(communication_only, now): the dictionary is back at its defaults (at `start`: is as it
-    is) and all errors are forgotten, before boot-up; report again what persists.
+    is), stored parameters are restored, and all errors are forgotten, before boot-up; report again
+    what persists.
+    on_parameter_faults(faults, now): stored parameters of these groups were refused, and why; the
+    defaults are in force. After each reset while there are any, and when a save or a load changes them.
     on_bad_rpdo(number, received, mapped, now): an RPDO too short, in bytes; its data was dropped.
     on_configured(): PDO parameters or the NMT state have changed; mappings may be others now.
     """
@@ -59,12 +64,13 @@ class Node:
         *,
         autostart: bool = False,
         sdo_timeout_s: float = TIMEOUT_S,
+        store: Store | None = None,
     ) -> None:
         """Make the node `node_id` (1..127); ValueError for another, or for an impossible EDS.
 
         With `autostart` it goes on to OPERATIONAL after each boot-up without a master: bit 2 of
         1F80h is then 0 by default. `sdo_timeout_s` is how long an SDO client may be silent within a
-        transfer, more than 0 s.
+        transfer, more than 0 s. `store` keeps what 1010h saves; None: nothing is saved.
         """
         if not 1 <= node_id <= 127:
             raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127")
@@ -80,6 +86,8 @@ class Node:
         self.on_reset: Callable[[bool, float], None] | None = None
         self.on_bad_rpdo: Callable[[int, int, int, float], None] | None = None
         self.on_configured: Callable[[], None] | None = None
+        self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str], float], None] | None = None
+        self.storage = Storage(dictionary, store, lambda: self.node_id, self._report_parameters)
 
         self._outbox: list[Frame] = []
         self._moment = Moment()
@@ -158,8 +166,13 @@ class Node:
         return self._startup.autostart
 
     def start(self, now: float) -> list[Frame]:
-        """Power on: the boot-up message, then PRE-OPERATIONAL. The values stay as they are."""
+        """Power on: the boot-up message, then PRE-OPERATIONAL.
+
+        Values stay as they are, but for those that the store keeps.
+        """
         self._moment.now = now
+        self.storage.power_on()
+        self.storage.restore()
         self._begin(False, now)
         return self._sent()
 
@@ -258,6 +271,7 @@ class Node:
         """NMT reset node or reset communication."""
         last = LAST_COMMUNICATION_INDEX if communication_only else 0xFFFF
         self.dictionary.reset(0x1000, last)
+        self.storage.restore(communication_only=communication_only)
         self._begin(communication_only, now)
 
     def _begin(self, communication_only: bool, now: float) -> None:
@@ -272,6 +286,8 @@ class Node:
             channel.configure()
         if self.on_reset is not None:
             self.on_reset(communication_only, now)
+        if self.storage.faults:
+            self._report_parameters()
         self._producer.boot_up(now)
         self._nmt.enter(NmtState.PRE_OPERATIONAL, now)
         if self._startup.autostart:
@@ -292,6 +308,10 @@ class Node:
         self._pdo_changed()
         if self.on_state is not None:
             self.on_state(old, new, now)
+
+    def _report_parameters(self) -> None:
+        if self.on_parameter_faults is not None:
+            self.on_parameter_faults(self.storage.faults, self._moment.now)
 
     def _heartbeat_changed(self) -> None:
         """1017h was written: a heartbeat takes the place of guarding."""
