@@ -85,7 +85,8 @@ class Storage:
         self._node_id = node_id
         self._changed = changed
         self._images: dict[ParameterGroup, bytes] = {}
-        self._verify = [entry for entry in dictionary if entry.index == VERIFY and entry.subindex]
+        found = (dictionary.find(VERIFY, subindex) for subindex in (1, 2))
+        self._verify = [entry for entry in found if entry is not None]
         self._install(SAVE, SAVES_ON_COMMAND if store is not None else 0, self._save_command)
         self._install(LOAD, RESTORES, self._load_command)
         for entry in self._verify:
