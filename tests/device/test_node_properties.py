@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
+from functools import partial
 from pathlib import Path
 
 from device_kit import ID
@@ -25,6 +26,7 @@ ERROR_CONTROL = 0x700 + ID
 SERVER = 0x600 + ID
 STATES = {1: NmtState.OPERATIONAL, 2: NmtState.STOPPED, 128: NmtState.PRE_OPERATIONAL}
 TALKING = (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
+RESTRICTED = [(0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF)]
 BIT_31, BIT_30 = 1 << 31, 1 << 30
 
 # Writes that lead somewhere: (index, sub-index, bytes): values.
@@ -254,6 +256,27 @@ class NodeModel(RuleBasedStateMachine):
                     entry.on_write(entry.value)
                 except SdoAbort as abort:
                     raise AssertionError(f"{entry} would be refused: {abort}") from abort
+
+    @invariant()
+    def parameters_are_in_their_ranges(self) -> None:
+        """What CiA 301 says, apart from the code that checks it."""
+        value = partial(value_of, self.node.dictionary)
+        off_31 = [(0x1014, 0), (0x1201, 1), (0x1201, 2), (0x1400, 1), (0x1401, 1)]
+        off_31 += [(0x1800 + number, 1) for number in range(4)]
+        used = [value(0x1005), value(0x1012)]
+        used += [value(*place) for place in off_31 if not value(*place) & BIT_31]
+        for cob_id in used:
+            assert not cob_id & 0x3FFFF800
+            assert not any(first <= cob_id & 0x7FF <= last for first, last in RESTRICTED)
+        assert value(0x1019) == 0 or 2 <= value(0x1019) <= 240
+        assert value(0x1029, 1) in (0, 1, 2)
+        assert value(0x1F80) in (0, 4)
+        assert not value(0x1012) & BIT_30
+        assert value(0x1800, 6) <= 240
+        assert value(0x1800, 2) not in (0xFC, 0xFD) or not value(0x1800, 1) & BIT_30
+        watched = [value(0x1016, sub) for sub in range(1, 5)]
+        nodes = [one >> 16 for one in watched if one & 0xFFFF and 1 <= one >> 16 <= 127]
+        assert len(nodes) == len(set(nodes))
 
     @invariant()
     def the_pdos_are_possible(self) -> None:
