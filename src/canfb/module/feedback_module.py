@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 from canfb.device.cob import is_valid
 from canfb.device.codes import EmergencyCode, ErrorRegister
 from canfb.device.dictionary import Dictionary
 from canfb.device.frame import Frame
+from canfb.device.image import ParameterGroup
 from canfb.device.nmt import NmtState
 from canfb.device.node import Node
 from canfb.device.pdo import EVENT_DRIVEN
+from canfb.device.storage import Store
 from canfb.eds_files import eds_path
 from canfb.module.config import ModuleConfig
 from canfb.module.interval import IntervalEstimate
@@ -23,6 +27,7 @@ from canfb.signal.supervision import VALID
 EDS = "canfb-module"
 POSITION_REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE
 BAD_FRAMES = 8  # 2012:08
+COMMANDS = (0x2030, 0x2050)  # calibration and recording
 TPDOS = (1, 2, 3, 4)
 ON_EVENT = EVENT_DRIVEN | {0}  # transmission types; 0 goes out at the SYNC after the event
 
@@ -33,17 +38,21 @@ class FeedbackModule:
     Time goes in as ``now`` (seconds, monotonic), frames come out; see
     :class:`canfb.device.node.Node` for start, receive, tick and deadline. A frame never
     raises, whatever it holds.
+
+    ``store`` keeps what 1010h saves; without one nothing is saved. ``on_parameter_faults`` is
+    called with the groups of stored parameters that were refused, and why.
     """
 
-    def __init__(self, config: ModuleConfig) -> None:
+    def __init__(self, config: ModuleConfig, store: Store | None = None) -> None:
         self.config = config
         self.dictionary = Dictionary.load(eds_path(EDS), config.node_id)
         apply_defaults(self.dictionary, configured_defaults(config))
         self.chain = SignalChain(config)
-        self.node = Node(self.dictionary, config.node_id, autostart=config.autostart)
+        self.node = Node(self.dictionary, config.node_id, autostart=config.autostart, store=store)
+        self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None = None
         self._interval = IntervalEstimate(self.dictionary.entry(0x1006))
         self._limits = Limits(self.dictionary, self.chain, self._interval)
-        self._tables = TableStore(self.dictionary, self.chain)
+        self._tables = TableStore(self.dictionary, self.chain, self.node.storage)
         self._profile = EncoderProfile(self.dictionary)
         self._input = SampleInput(self.dictionary, self.node)
         self._publication = Publication(self.dictionary, self._interval, self.chain, self._input)
@@ -58,6 +67,8 @@ class FeedbackModule:
         self.node.on_reset = self._on_reset
         self.node.on_bad_rpdo = self._on_bad_rpdo
         self.node.on_configured = self._on_configured
+        self.node.on_parameter_faults = self._on_parameter_faults
+        self._choose_parameters()
         self.dictionary.entry(0x2001, 1).on_written = self._encoder_changed
         self._limits.apply()
 
@@ -86,6 +97,15 @@ class FeedbackModule:
     def deadline(self) -> float | None:
         """When :meth:`tick` is wanted next, None for not at all."""
         return self.node.deadline()
+
+    def _choose_parameters(self) -> None:
+        """What `save` keeps beside the entries that it keeps anyway, and what is no parameter."""
+        entries = self.node.storage.entries
+        entries.keep(0x6003)  # without the preset that a write of it would set
+        entries.keep(0x6509)
+        for entry in self.dictionary:
+            if entry.index in COMMANDS and entry.access == "rw":
+                entries.leave_out(entry.index, entry.subindex)
 
     def _listen(self) -> None:
         """Wait for the first sample, and for the first SYNC."""
@@ -165,6 +185,15 @@ class FeedbackModule:
         self._tables.reset()
         self._profile.reset()
         self._publication.reset()
+
+    def _on_parameter_faults(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
+        self._profile.alarm_parameters(bool(faults))
+        if faults:
+            self.node.emergency(EmergencyCode.DATA_SET, POSITION_REGISTER, bytes(sorted(faults))[:5], now)
+        else:
+            self.node.clear_emergency(EmergencyCode.DATA_SET, now)
+        if self.on_parameter_faults is not None:
+            self.on_parameter_faults(faults)
 
     def _on_configured(self) -> None:
         """A sample comes in whichever RPDOs carry its parts; some TPDOs go out with it."""

@@ -15,7 +15,7 @@ from canfb.module.position import (
 from canfb.signal.chain import Feedback
 from canfb.signal.supervision import VALID
 
-ALARM_POSITION = 1 << 0  # 6503h
+ALARM_POSITION, ALARM_PARAMETERS = 1 << 0, 1 << 12  # 6503h
 WARNING_FREQUENCY, WARNING_AMPLITUDE = 1 << 0, 1 << 1  # 6505h
 STANDSTILL_CYCLES = 0.05  # per sample: what counts as standstill for a preset
 NEAR_LIMIT = 0.75  # residual over this part of the limit: warning
@@ -38,6 +38,8 @@ class EncoderProfile:
         self._cycles_per_revolution = entry(0x2001, 1)
         self._low, self._limit = entry(0x2001, 3), entry(0x2010, 1)
         self._last: Feedback | None = None
+        self._standing_alarms = 0
+        """Bits of 6503h that no sample ends."""
         entry(0x6003).on_write = self._preset
         entry(0x600C).on_read = self._raw_position
         entry(0x6505).on_read = self._warnings
@@ -49,8 +51,9 @@ class EncoderProfile:
         self.reset()
 
     def reset(self) -> None:
-        """No position, no preset."""
+        """No position, no alarm; the preset is that of 6509h."""
         self._last = None
+        self._standing_alarms = self._alarms.value = 0
         self.rescale()
 
     def rescale(self) -> None:
@@ -79,7 +82,13 @@ class EncoderProfile:
         units = scale.units(feedback.cycles, feedback.phase) + scale.offset
         self._position.value = units % scale.total_range
         self._fine.value = units & U64
-        self._alarms.value = 0 if feedback.status & VALID else ALARM_POSITION
+        standing = self._standing_alarms
+        self._alarms.value = standing if feedback.status & VALID else standing | ALARM_POSITION
+
+    def alarm_parameters(self, refused: bool) -> None:
+        """Bit 12 of 6503h: stored parameters were refused, the defaults are in force."""
+        self._standing_alarms = ALARM_PARAMETERS if refused else 0
+        self._alarms.value = self._alarms.value & ~ALARM_PARAMETERS | self._standing_alarms
 
     def _raw_position(self) -> int:
         last, scale = self._last, self._raw_scale

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from canfb.device.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
+from canfb.device.storage import Storage
 from canfb.signal.chain import SignalChain
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
@@ -15,23 +16,38 @@ STAGED, STAGED_CRC, ACTIVATE, ACTIVE_CRC, ACTIVE_ENTRIES = 1, 2, 3, 4, 5
 
 
 class TableStore:
-    """Object 2020h: a table is staged by 2020:01 and takes effect, with 2002h, by 2020:03."""
+    """Object 2020h: a table is staged by 2020:01 and takes effect, with 2002h, by 2020:03.
 
-    def __init__(self, dictionary: Dictionary, chain: SignalChain) -> None:
+    `save` keeps the active table, as the content of 2020:01; it is active again after a reset.
+    """
+
+    def __init__(self, dictionary: Dictionary, chain: SignalChain, storage: Storage) -> None:
         self._dictionary = dictionary
         self._chain = chain
         self._staged: CorrectionTable | None = None
         staged, activate = dictionary.entry(TABLE, STAGED), dictionary.entry(TABLE, ACTIVATE)
+        self._restored = staged
         staged.on_write = self._stage
+        staged.on_written = self._forget_restored
         staged.on_read = self._read_active
         activate.on_write = self._activate
+        activate.on_download = storage.configuration_changed
+        storage.entries.keep(TABLE, STAGED, saved=self._saved, check=_check_saved)
         for subindex in range(1, 6):
             dictionary.entry(CONDITIONING, subindex).on_write = self._checker(subindex)
 
     def reset(self) -> None:
-        """Nothing staged, no table active, the conditioning of 2002h in force."""
+        """Nothing staged, the stored table active or none, the conditioning of 2002h in force."""
         self._staged = None
-        self._put_in_force(None)
+        stored: bytes = self._restored.value
+        self._forget_restored()
+        self._put_in_force(CorrectionTable.from_bytes(stored) if stored else None)
+
+    def _saved(self) -> bytes:
+        return b"" if self._chain.table is None else self._chain.table.to_bytes()
+
+    def _forget_restored(self) -> None:
+        self._restored.value = b""
 
     def _stage(self, data: bytes) -> None:
         try:
@@ -71,3 +87,12 @@ class TableStore:
                 raise SdoAbort(AbortCode.INVALID_VALUE) from None
 
         return check
+
+
+def _check_saved(data: bytes) -> None:
+    """Refuse a stored table that could not be staged; none at all is the identity."""
+    try:
+        if data:
+            CorrectionTable.from_bytes(data)
+    except ValueError:
+        raise SdoAbort(AbortCode.INVALID_VALUE) from None

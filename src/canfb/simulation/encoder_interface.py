@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+from canfb.device.codes import EmergencyCode, ErrorRegister
 from canfb.device.dictionary import Dictionary
 from canfb.device.frame import Frame
+from canfb.device.image import ParameterGroup
 from canfb.device.mapping import Direction
 from canfb.device.node import Node
 from canfb.device.pdo import numbers
+from canfb.device.storage import Store
 from canfb.eds_files import eds_path
 from canfb.simulation.sources import Source, SourceEnded
 
@@ -18,13 +23,17 @@ class EncoderInterface:
 
     ``source`` gives the samples; a SYNC for which it has none gets no TPDO1, as if the
     sample were lost on the bus. ``ended`` becomes True when a recording is over. Each sample
-    is an event for the TPDOs, which counts for their types 0, FEh and FFh.
+    is an event for the TPDOs, which counts for their types 0, FEh and FFh. ``store`` keeps
+    what 1010h saves.
     """
 
-    def __init__(self, node_id: int, source: Source, *, autostart: bool = False) -> None:
+    def __init__(
+        self, node_id: int, source: Source, *, autostart: bool = False, store: Store | None = None
+    ) -> None:
         self.dictionary = Dictionary.load(eds_path(EDS), node_id)
-        self.node = Node(self.dictionary, node_id, autostart=autostart)
+        self.node = Node(self.dictionary, node_id, autostart=autostart, store=store)
         self.node.on_sync = self._on_sync
+        self.node.on_parameter_faults = self._on_parameter_faults
         self.source = source
         self.ended = False
         self.samples = 0
@@ -64,6 +73,13 @@ class EncoderInterface:
             channel.value = value
         for number in self._tpdos:
             self.node.trigger_tpdo(number, now)
+
+    def _on_parameter_faults(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
+        """Stored parameters were refused, or no longer are."""
+        if faults:
+            self.node.emergency(EmergencyCode.DATA_SET, ErrorRegister.GENERIC, bytes(sorted(faults))[:5], now)
+        else:
+            self.node.clear_emergency(EmergencyCode.DATA_SET, now)
 
     def _audible(self, frames: list[Frame]) -> list[Frame]:
         if not self._silent:
