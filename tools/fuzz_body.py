@@ -24,7 +24,8 @@ from canfb.device.nmt import COMMUNICATING, NmtState
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.encoder_interface import EncoderInterface
-from fuzz_input import NODE_ID, Reader, steps
+from fuzz_client import Follower
+from fuzz_input import NODE_ID, SERVER, Reader, Step, steps
 from fuzz_watch import SdoWatcher, demand
 
 Device = FeedbackModule | EncoderInterface
@@ -35,6 +36,7 @@ FIRST_ANSWER, SECOND_CHANNEL = 0x580 + NODE_ID, 0x1201
 MOST_FRAMES = 160
 """Sent in one call: a block of an SDO upload, and what else may be due."""
 MOST_TICKS = 50
+BLOCK_S = 0.05  # time for a block of an upload, and short of a time-out
 LIVE_LIMITS = frozenset({0x1003})
 """Objects whose limits say what may be written, not what may be read."""
 
@@ -86,6 +88,7 @@ class Play:
         self.dictionary = device.dictionary
         self.now = 0.0
         self._first, self._second = SdoWatcher(), SdoWatcher()
+        self._client = Follower()
 
     @property
     def state(self) -> NmtState:
@@ -128,6 +131,18 @@ class Play:
             self.tick()
         self.now = max(self.now, end)
         self.tick()
+
+    def do(self, step: Step) -> None:
+        """One step of an input."""
+        for frame in step.frames:
+            self.receive(frame)
+        self.wait(step.pause_s, punctual=step.punctual)
+        self._client.content, self._client.spoil = step.content, step.spoil
+        for _ in range(step.follow):
+            requests = self._client.requests()
+            for request in requests:
+                self.receive(Frame(SERVER, request))
+            self.wait(BLOCK_S if requests else 0.0, punctual=True)
 
     def _check_deadline(self) -> None:
         due = self.device.deadline()
@@ -178,6 +193,7 @@ class Play:
             if frame.can_id == FIRST_ANSWER:
                 demand(states & COMMUNICATING, f"an SDO answer in {before.name}")
                 self._first.answer(frame.data)
+                self._client.heard(frame.data)
             elif not may and any(frame.can_id == answer for _, answer in channels):
                 demand(states & COMMUNICATING, f"an SDO answer in {before.name}")
                 self._second.answer(frame.data)
@@ -228,9 +244,7 @@ def play(data: bytes) -> None:
     if choice & 0x80 == 0:  # else the frames come before the device is started
         run.start()
     for step in steps(reader):
-        for frame in step.frames:
-            run.receive(frame)
-        run.wait(step.pause_s, punctual=step.punctual)
+        run.do(step)
     if choice & 0x80:
         run.start()
     run.check_values()

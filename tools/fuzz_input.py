@@ -6,13 +6,14 @@ bytes are 0. A change of the kinds or of a table changes what kept inputs mean.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from canfb.device.frame import Frame
+from canfb.signal.correction import CorrectionTable
 
 NODE_ID = 32
-SERVER, SECOND_SERVER = 0x600 + NODE_ID, 0x6C0
+SERVER, SECOND_SERVER, SECOND_ANSWER = 0x600 + NODE_ID, 0x6C0, 0x6D0
 MOST_STEPS = 400
 
 INDICES = [0x1000, 0x1001, 0x1003, 0x1005, 0x1006, 0x1007, 0x1008, 0x100C, 0x100D, 0x1010, 0x1011, 0x1012]
@@ -28,15 +29,28 @@ PAUSES_S = [0.0, 0.0001, 0.001, 0.002, 0.01, 0.1, 0.5, 1.0, 3.0, 100.0, 1e6]
 NMT_COMMANDS = [1, 2, 128, 129, 130, 0, 3, 255]
 NMT_NODES = [NODE_ID, 0, NODE_ID + 1]
 KNOWN_IDS = [0x000, 0x080, 0x100, 0x190, 0x1A0, 0x2A0, 0x320, 0x720, 0x747, 0x7E5, SERVER, SECOND_SERVER]
+TABLE = CorrectionTable.identity(16)
+CONTENTS = [TABLE.to_bytes(), b"", b"a", b"1234567", b"canfb and more", bytes(64), bytes(70_000)]
+CHECKSUMS = [0, TABLE.crc32, 1]
+LAYOUTS = [(0x20000110, 0x20000210), (0x20000110, 0x20000210, 0x20000310, 0x20000410)]
+LAYOUTS += [(0x20000110, 0x20000210, 0x20000520), (0x20000110, 0x20000210, 0x20000608, 0x20000710)]
+LAYOUTS += [(0x20000110, 0x20000210, 0x00050008, 0x20000608), (0x20000510,), ()]
 
 
 @dataclass(frozen=True)
 class Step:
-    """Frames that come at once, then a pause, seconds. `punctual`: ticks come when the deadline says."""
+    """Frames that come at once, then a pause, seconds. `punctual`: ticks come when the deadline says.
+
+    Then a good client goes on with the transfer that runs, for `follow` rounds; `content` is what it writes,
+    and `spoil` what it adds to the CRC.
+    """
 
     frames: tuple[Frame, ...] = ()
     pause_s: float = 0.0
     punctual: bool = False
+    follow: int = 0
+    content: bytes = b""
+    spoil: int = 0
 
 
 class Reader:
@@ -166,7 +180,7 @@ def _pause(reader: Reader) -> Step:
 
 def _second_channel(reader: Reader) -> Step:
     """Make the second SDO channel valid, as a master would."""
-    writes = ((1, SECOND_SERVER), (2, 0x5C0 + 0x120))
+    writes = ((1, SECOND_SERVER), (2, SECOND_ANSWER))
     frames = [b"\x23\x01\x12" + bytes([sub]) + value.to_bytes(4, "little") for sub, value in writes]
     return Step(tuple(Frame(SERVER, frame) for frame in frames))
 
@@ -176,19 +190,75 @@ def _mapping(reader: Reader) -> Step:
     pdo, count = reader.choose([0x1400, 0x1401, 0x1800, 0x1801, 0x1802, 0x1803]), reader.byte() % 9
     head, mapping = pdo.to_bytes(2, "little"), (pdo + 0x200).to_bytes(2, "little")
     off = reader.choose(VALUES)
+    mapped = [reader.choose(VALUES) for _ in range(count)]
+    return _sequence(head, mapping, off, mapped, reader.byte())
+
+
+def _sequence(head: bytes, mapping: bytes, off: int, mapped: Sequence[int], kind: int) -> Step:
     frames = [b"\x23" + head + b"\x01" + (off | 1 << 31).to_bytes(4, "little")]
     frames.append(b"\x2f" + mapping + bytes(5))
     frames += [
-        b"\x23" + mapping + bytes([sub]) + reader.choose(VALUES).to_bytes(4, "little")
-        for sub in range(1, count + 1)
+        b"\x23" + mapping + bytes([sub]) + value.to_bytes(4, "little")
+        for sub, value in enumerate(mapped, start=1)
     ]
-    frames.append(b"\x2f" + mapping + b"\x00" + bytes([count, 0, 0, 0]))
-    frames.append(b"\x2f" + head + b"\x02" + bytes([reader.byte(), 0, 0, 0]))
+    frames.append(b"\x2f" + mapping + b"\x00" + bytes([len(mapped), 0, 0, 0]))
+    frames.append(b"\x2f" + head + b"\x02" + bytes([kind, 0, 0, 0]))
     frames.append(b"\x23" + head + b"\x01" + (off & ~(1 << 31)).to_bytes(4, "little"))
+    return Step(tuple(Frame(SERVER, frame) for frame in frames))
+
+
+def _sample_layout(reader: Reader) -> Step:
+    """RPDO1 with other parts of the sample."""
+    layout = LAYOUTS[reader.byte() % len(LAYOUTS)]
+    return _sequence(b"\x00\x14", b"\x00\x16", 0x190, layout, reader.byte())
+
+
+def _long_sample(reader: Reader) -> Step:
+    return Step((Frame(0x080, b""), Frame(0x190, reader.take(8))), 0.001)
+
+
+def _follow(reader: Reader) -> Step:
+    rounds, content, spoil = reader.byte() % 40 + 1, CONTENTS[reader.byte() % len(CONTENTS)], reader.byte()
+    return Step((), 0.0, True, rounds, content, 1 if spoil > 250 else 0)
+
+
+def _activate(reader: Reader) -> Step:
+    checksum = reader.choose(CHECKSUMS).to_bytes(4, "little")
+    return Step((Frame(SERVER, b"\x23\x20\x20\x03" + checksum),))
+
+
+def _producer(reader: Reader) -> Step:
+    """SYNC, heartbeat and TIME of others watched, SYNC of its own, with times that are near."""
+    frames = [
+        *(b"\x23\x06\x10\x00" + (reader.byte() * 100).to_bytes(4, "little"),),
+        *(b"\x23\x16\x10\x01" + bytes([reader.byte(), 0, 0x47, 0]),),
+        *(b"\x23\x12\x10\x00\x00\x01\x00\x80", b"\x23\x05\x10\x00\x80\x00\x00\x40"),
+    ]
+    return Step(tuple(Frame(SERVER, frame) for frame in frames))
+
+
+def _heard(reader: Reader) -> Step:
+    """A heartbeat, or the time of the day."""
+    beat = Frame(0x747, bytes([reader.choose([0, 4, 5, 127, 1])]))
+    return Step((beat, Frame(0x100, reader.take(6))))
+
+
+def _timing(reader: Reader) -> Step:
+    """A TPDO with transmission type, inhibit time, event timer and SYNC start value."""
+    number, kind = reader.byte() % 4, reader.choose([1, 2, 240, 252, 253, 254, 255, 0])
+    head = bytes([number, 0x18])
+    cob_id = ([0x1A0, 0x2A0, 0x3A0, 0x4A0][number]).to_bytes(4, "little")
+    inhibit, timer = ((reader.byte() * 10).to_bytes(2, "little") for _ in range(2))
+    frames = [
+        *(b"\x23" + head + b"\x01" + cob_id[:3] + b"\x80", b"\x2f" + head + b"\x02" + bytes([kind, 0, 0, 0])),
+        *(b"\x2b" + head + b"\x03" + inhibit + bytes(2), b"\x2b" + head + b"\x05" + timer + bytes(2)),
+        *(b"\x2f" + head + b"\x06" + bytes([reader.byte(), 0, 0, 0]), b"\x23" + head + b"\x01" + cob_id),
+    ]
     return Step(tuple(Frame(SERVER, frame) for frame in frames))
 
 
 KINDS: tuple[Callable[[Reader], Step], ...] = (
     *(_any_frame, _known_frame, _request, _second_request, _write, _write_bytes, _read, _begin, _segments),
     *(_transfer_command, _nmt, _sync, _sample, _cycles, _remote, _pause, _second_channel, _mapping),
+    *(_sample_layout, _long_sample, _follow, _activate, _producer, _heard, _timing),
 )

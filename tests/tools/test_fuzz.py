@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 import fuzz_body
 import fuzz_input
 from fuzz_body import FIRST_ANSWER, Play
-from fuzz_input import NODE_ID, SERVER, Reader
+from fuzz_input import NODE_ID, SERVER, Reader, Step
 from fuzz_watch import Broken, SdoWatcher
 
 CORPUS = [
@@ -39,7 +39,7 @@ def test_a_kept_input(data: str) -> None:
 def test_kept_inputs_mean_what_they_did() -> None:
     """Who changes one of these tables makes other inputs of the kept ones, and looks at them again."""
     tables = (fuzz_input.KINDS, fuzz_input.INDICES, fuzz_input.VALUES, fuzz_input.PAUSES_S)
-    assert [len(table) for table in tables] == [18, 57, 40, 11]
+    assert [len(table) for table in tables] == [25, 57, 40, 11]
 
 
 @settings(max_examples=200, deadline=None)
@@ -251,3 +251,42 @@ def test_a_bad_sequence_number_is_found() -> None:
     exchange(watcher, "C620200100000000", "A42020011F000000")
     with pytest.raises(Broken, match="bad sequence number"):
         exchange(watcher, "9F00000000000000", "A2801F0000000000")
+
+
+# The good client gets to the end of each kind of transfer.
+
+
+@pytest.mark.parametrize("begin", ["21202001", "20202001", "C6202001", "C2202001", "C0202001", "C4202001"])
+def test_the_client_ends_a_download(begin: str) -> None:
+    run = started(MODULE)
+    content = fuzz_input.CONTENTS[0]
+    begins = Frame(SERVER, bytes.fromhex(begin) + len(content).to_bytes(4, "little"))
+    run.do(Step((begins,), follow=39, content=content))
+    assert run.dictionary.entry(0x2020, 2).value == fuzz_input.TABLE.crc32
+
+
+def test_the_client_can_spoil_a_checksum() -> None:
+    run = started(MODULE)
+    begins = Frame(SERVER, bytes.fromhex("C420200100000000"))
+    run.do(Step((begins,), follow=39, content=fuzz_input.CONTENTS[0], spoil=1))
+    assert run.dictionary.entry(0x2020, 2).value == 0
+
+
+@pytest.mark.parametrize("begin", ["4020200100000000", "A02020017F000000", "A420200105000000"])
+def test_the_client_ends_an_upload(begin: str) -> None:
+    run = started(MODULE)
+    answers: list[bytes] = []
+    receive, tick = run.device.receive, run.device.tick
+    run.device.receive = lambda frame, now: noted(receive(frame, now), answers)  # type: ignore[method-assign]
+    run.device.tick = lambda now: noted(tick(now), answers)  # type: ignore[method-assign]
+    run.do(Step((Frame(SERVER, bytes.fromhex(begin)),), follow=200))
+    size = int.from_bytes(answers[0][4:], "little")
+    assert size >= 64
+    assert len(answers) >= 1 + size / 7
+    assert bytes([0x80]) not in [answer[:1] for answer in answers]
+    run.receive(READ)  # which would be an answer too many, did anything still run
+
+
+def noted(frames: list[Frame], answers: list[bytes]) -> list[Frame]:
+    answers += [frame.data for frame in frames if frame.can_id == FIRST_ANSWER]
+    return frames
