@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Self
 
 import numpy as np
 
@@ -10,9 +11,9 @@ from canfb.commissioning.access import CommissioningError, Master
 from canfb.commissioning.pdo_layout import PdoLayout
 from canfb.commissioning.samples import MISSED, Samples
 
-SYNC = 0x80
 PATIENCE_S = 2.0  # for the first SYNC, the first sample, and for either to go on
 LOOK_S = 0.1
+LONGEST = 6.0  # times the duration that was asked for, where SYNCs are rare
 PART_MISSED = 0.5
 Heard = Callable[[float], None]
 
@@ -67,55 +68,87 @@ class PdoRecorder:
         return 1.0 / float(near.mean()) if len(near) else None
 
 
-def listen(master: Master, layout: PdoLayout, duration_s: float, heard: Heard = lambda part: None) -> Samples:
-    """Samples of ``duration_s`` seconds from the first SYNC on; ``heard`` gets 0..1 as time goes.
+class Listener:
+    """Hears SYNC and PDO while it is entered; :meth:`look` must be called now and then."""
 
-    CommissioningError, with what to do, when SYNC or samples do not come.
-    """
-    recorder = PdoRecorder(layout)
-    master.subscribe(SYNC, recorder.hear_sync)
-    master.subscribe(layout.can_id, recorder.hear_pdo)
-    try:
-        _follow(master, recorder, layout, duration_s, heard)
-    finally:
-        master.unsubscribe(SYNC, recorder.hear_sync)
-        master.unsubscribe(layout.can_id, recorder.hear_pdo)
-    samples = recorder.result(f"PDO {layout.can_id:03X}h at each SYNC")
-    if samples.missed > PART_MISSED * len(samples):
-        raise CommissioningError(
-            f"{samples.missed} of {len(samples)} SYNCs brought no PDO {layout.can_id:03X}h: samples are "
-            "lost, or the PDO is not sent at each SYNC (transmission type 1 is needed)"
-        )
-    return samples
+    def __init__(self, master: Master, layout: PdoLayout) -> None:
+        self._master = master
+        self._layout = layout
+        self._recorder = PdoRecorder(layout)
+        self._syncs = self._samples = 0
+        self._began_s: float | None = None
 
+    def __enter__(self) -> Self:
+        self._last_sync_s = self._last_sample_s = self._master.now()
+        self._master.subscribe(self._layout.can_id, self._recorder.hear_pdo)
+        self._master.subscribe(self._layout.sync_id, self._recorder.hear_sync)
+        return self
 
-def _follow(
-    master: Master, recorder: PdoRecorder, layout: PdoLayout, duration_s: float, heard: Heard
-) -> None:
-    """Wait, and see that SYNC and samples keep coming."""
-    began = last_sync = last_sample = master.now()
-    started = False
-    syncs = samples = 0
-    while True:
-        master.wait(LOOK_S)
-        now = master.now()
-        if recorder.syncs > syncs:
-            syncs, last_sync = recorder.syncs, now
-            if not started:
-                started, began = True, now
-        if recorder.samples > samples:
-            samples, last_sample = recorder.samples, now
-        if now - last_sync > PATIENCE_S:
+    def __exit__(self, *error: object) -> None:
+        self._master.unsubscribe(self._layout.sync_id, self._recorder.hear_sync)
+        self._master.unsubscribe(self._layout.can_id, self._recorder.hear_pdo)
+
+    @property
+    def intervals(self) -> int:
+        """SYNCs that came."""
+        return self._recorder.syncs
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time since the first SYNC."""
+        return 0.0 if self._began_s is None else self._master.now() - self._began_s
+
+    def look(self) -> None:
+        """CommissioningError, with what to do, when SYNC or samples do not come or do not go on."""
+        now, recorder, layout = self._master.now(), self._recorder, self._layout
+        if recorder.syncs > self._syncs:
+            self._syncs, self._last_sync_s = recorder.syncs, now
+            if self._began_s is None:
+                self._began_s = self._last_sample_s = now
+        if recorder.samples > self._samples:
+            self._samples, self._last_sample_s = recorder.samples, now
+        if now - self._last_sync_s > PATIENCE_S:
             raise CommissioningError(
-                f"no SYNC (080h) for {PATIENCE_S:g} s: start the node that produces it, the drive or the "
-                "controller, or let canfb produce it (--sync HZ)"
+                f"no SYNC ({layout.sync_id:03X}h) for {PATIENCE_S:g} s: start the node that produces it, the "
+                "drive or the controller, or let canfb produce it (--sync HZ)"
             )
-        if now - max(last_sample, began) > PATIENCE_S:
+        if self._began_s is not None and now - self._last_sample_s > PATIENCE_S:
             raise CommissioningError(
                 f"SYNC comes, the PDO {layout.can_id:03X}h with the samples does not: is the encoder "
                 "interface OPERATIONAL (NMT start), and its id right?"
             )
-        if started:
-            heard(min(1.0, (now - began) / duration_s))
-            if now - began >= duration_s:
-                return
+
+    def result(self) -> Samples:
+        """What came. CommissioningError if it is full of gaps."""
+        can_id = self._layout.can_id
+        samples = self._recorder.result(f"PDO {can_id:03X}h at each SYNC")
+        if samples.missed > PART_MISSED * len(samples):
+            raise CommissioningError(
+                f"{samples.missed} of {len(samples)} SYNCs brought no PDO {can_id:03X}h: samples are lost, "
+                "or the PDO is not sent at each SYNC (transmission type 1 is needed)"
+            )
+        return samples
+
+
+def listen(
+    master: Master,
+    layout: PdoLayout,
+    duration_s: float,
+    least_samples: int = 0,
+    heard: Heard = lambda part: None,
+) -> Samples:
+    """Samples of ``duration_s`` seconds from the first SYNC on, and of more for ``least_samples`` intervals.
+
+    ``heard`` gets 0..1 as time goes. It takes no longer than six times ``duration_s``. CommissioningError,
+    with what to do, when SYNC or samples do not come.
+    """
+    with Listener(master, layout) as listener:
+        while True:
+            master.wait(LOOK_S)
+            listener.look()
+            passed = listener.elapsed_s / duration_s
+            part = min(passed, listener.intervals / least_samples if least_samples else passed)
+            heard(min(1.0, max(part, passed / LONGEST)))
+            if part >= 1.0 or passed >= LONGEST:
+                break
+    return listener.result()

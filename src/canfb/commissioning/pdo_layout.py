@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from canfb.commissioning.access import CommissioningError, NodeAccess
+from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
 
 INVALID = 1 << 31
 EXTENDED = 1 << 29
@@ -16,11 +16,12 @@ MODULE_TRACKS = (0x20000110, 0x20000210)  # 2000:01 and :02
 
 @dataclass(frozen=True)
 class PdoLayout:
-    """COB-ID of the PDO with the samples, and the bytes of both tracks in it."""
+    """COB-ID of the PDO with the samples, the bytes of both tracks in it, and the COB-ID of the SYNC."""
 
     can_id: int
     sine_byte: int = 0
     cosine_byte: int = 2
+    sync_id: int = 0x80
 
     def unpack(self, data: bytes) -> tuple[int, int] | None:
         """Sine and cosine, counts; None for a PDO that is too short."""
@@ -80,8 +81,15 @@ def _find(node: NodeAccess, parameters: int, wanted: tuple[int, int]) -> PdoLayo
         entries = [node.integer(parameters + 0x200 + number, n, "I") for n in range(1, count + 1)]
         places = _places(entries, wanted)
         if places is not None:
-            return PdoLayout(cob_id & 0x7FF, *places)
+            return PdoLayout(cob_id & 0x7FF, *places, _sync_id(node))
     return None
+
+
+def _sync_id(node: NodeAccess) -> int:
+    try:
+        return node.integer(0x1005, 0, "I") & 0x7FF
+    except ObjectAbsentError:
+        return 0x80
 
 
 def _places(entries: list[int], wanted: tuple[int, int]) -> tuple[int, int] | None:

@@ -14,6 +14,7 @@ from canfb.commissioning.active import ActiveSet, put_back, put_in_force, save
 from canfb.commissioning.deviation import Deviation, best_deviation
 from canfb.commissioning.samples import Samples
 from canfb.errors import CanfbError
+from canfb.signal.conditioning import Conditioning
 
 MOTION, ZERO_CROSSINGS = "motion", "zero-crossings"
 METHODS = {MOTION: calibrate_from_motion, ZERO_CROSSINGS: calibrate_from_zero_crossings}
@@ -100,13 +101,22 @@ class Guard:
             self._held = False
 
 
-def measure(samples: Samples, settings: Settings, before: ActiveSet, heard: Heard) -> Measurement:
-    """Calibrate. CalibrationError for samples that cannot be used, CommissioningError for wrong settings."""
+def measure(
+    samples: Samples,
+    settings: Settings,
+    before: ActiveSet,
+    heard: Heard,
+    conditioning: Conditioning | None = None,
+) -> Measurement:
+    """Calibrate; with a ``conditioning``, with this one in place of what the settings say.
+
+    CalibrationError for samples that cannot be used, CommissioningError for wrong settings.
+    """
     try:
         calibration = METHODS[settings.method](
             samples.sine,
             samples.cosine,
-            settings.conditioning,
+            settings.conditioning if conditioning is None else conditioning,
             adc_bits=settings.adc_bits,
             entries=settings.entries,
             progress=heard,
@@ -114,12 +124,9 @@ def measure(samples: Samples, settings: Settings, before: ActiveSet, heard: Hear
     except ValueError as error:
         raise CommissioningError(f"the samples cannot be used: {error}") from error
     found = ActiveSet(calibration.table, calibration.conditioning)
-    return Measurement(
-        samples,
-        calibration,
-        before,
-        best_deviation(samples, found, before, block_of(calibration), settings.adc_bits),
-    )
+    block = block_of(calibration)
+    on_samples = best_deviation(samples, found, before, block, settings.adc_bits)
+    return Measurement(samples, calibration, before, on_samples)
 
 
 def block_of(calibration: Calibration) -> int:
@@ -136,19 +143,25 @@ def install(
     settings: Settings,
     guard: Guard,
     *,
+    put: Callable[[], Measurement] | None = None,
     keep: bool = True,
     step: Callable[[str], None] = lambda text: None,
-) -> Installation:
+) -> tuple[Measurement, Installation]:
     """Put the new set in force, prove it on fresh samples from ``collect``, and save it if ``keep``.
+
+    ``put`` replaces the upload: it puts another table in force and gives the measurement with it.
 
     It is saved only when it is proven. If anything goes wrong, or is interrupted, the old set is put
     back (and saved again, where saving had begun) before the error goes on; the text says so.
     """
-    done = Installation()
+    done, before = Installation(), measured.before
     saving = False
     try:
-        step("uploading the table")
-        put_in_force(module, measured.found)
+        step("putting the table in force")
+        if put is None:
+            put_in_force(module, measured.found)
+        else:
+            measured = put()
         done.active = True
         step("verifying on fresh samples")
         done.fresh = verify(collect(), measured, settings)
@@ -161,12 +174,12 @@ def install(
     except BaseException as error:
         with guard.held():
             step("putting the old table back")
-            said = _undo(module, measured.before, saving)
+            said = _undo(module, before, saving)
         if isinstance(error, CanfbError):
             raise CommissioningError(f"{error}; {said}") from error
         step(said)
         raise
-    return done
+    return measured, done
 
 
 def verify(samples: Samples, measured: Measurement, settings: Settings) -> Deviation:

@@ -7,9 +7,12 @@ from html import escape
 
 from canfb.calibration.recording import BINS
 from canfb.commissioning import pictures
+from canfb.commissioning.active import NOTHING_ACTIVE, ActiveSet
 from canfb.commissioning.pictures import TrackLimits
 from canfb.commissioning.procedure import Installation, Measurement
+from canfb.commissioning.samples import Samples
 from canfb.commissioning.summary import Circumstances, comparison, facts, outcome, verdict
+from canfb.errors import CalibrationError
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1c2126; --soft: #5b656e; --paper: #ffffff; --panel: #f6f7f8;
@@ -78,21 +81,41 @@ def report_html(
     measured: Measurement, done: Installation, where: Circumstances, limits: TrackLimits | None = None
 ) -> str:
     """The page. It refers to nothing outside of itself and runs no script."""
-    good = measured.calibration.accepted
+    said = [verdict(measured, done), _sentence(outcome(measured, done))]
+    return _page(
+        where,
+        said,
+        f'<div class="top"><div>{_comparison(measured, done, where)}{_facts(measured, where)}</div>\n'
+        f"{_lissajous(measured.samples, measured.found, limits)}</div>\n"
+        f'<h2>Pictures</h2>\n<div class="pictures">\n{_pictures(measured, done)}</div>\n',
+    )
+
+
+def refusal_html(
+    samples: Samples, refused: CalibrationError, where: Circumstances, limits: TrackLimits | None = None
+) -> str:
+    """The page of a measurement that was refused: why, and what the tracks look like."""
+    said = [f"Refused: {refused}.", "Nothing was written to the module."]
+    rows = [("samples", f"{len(samples)}; {samples.origin}"), ("missed", str(samples.missed))]
+    return _page(
+        where,
+        said,
+        f'<div class="top"><div>{_rows(rows)}</div>\n{_lissajous(samples, NOTHING_ACTIVE, limits)}</div>\n',
+        good=False,
+    )
+
+
+def _page(where: Circumstances, said: list[str], body: str, good: bool = True) -> str:
     title = f"Reference measurement{f', encoder {where.encoder}' if where.encoder else ''}"
+    first, *others = (escape(line) for line in said)
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
         f'<h1>{escape(title)}</h1>\n<p class="where">{escape(_place(where))}</p>\n'
-        f'<div class="verdict{"" if good else " bad"}">'
-        f"<p><strong>{escape(verdict(measured, done))}</strong></p>"
-        f"<p>{escape(_sentence(outcome(measured, done)))}</p></div>\n"
-        f'<div class="top"><div>{_comparison(measured, done, where)}{_facts(measured, where)}</div>\n'
-        f"{_lissajous(measured, limits)}</div>\n"
-        f'<h2>Pictures</h2>\n<div class="pictures">\n{_pictures(measured, done)}</div>\n'
-        f"<footer>{FOOTER}</footer>\n"
-        "</body>\n</html>\n"
+        f'<div class="verdict{"" if good else " bad"}"><p><strong>{first}</strong></p>'
+        f"{''.join(f'<p>{line}</p>' for line in others)}</div>\n"
+        f"{body}<footer>{FOOTER}</footer>\n</body>\n</html>\n"
     )
 
 
@@ -123,14 +146,16 @@ def _comparison(measured: Measurement, done: Installation, where: Circumstances)
 
 
 def _facts(measured: Measurement, where: Circumstances) -> str:
-    rows = "".join(
-        f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>\n" for name, text in facts(measured, where)
-    )
+    return _rows(facts(measured, where))
+
+
+def _rows(listed: list[tuple[str, str]]) -> str:
+    rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>\n" for name, text in listed)
     return f"<h2>Measurement</h2>\n<table><tbody>\n{rows}</tbody></table>\n"
 
 
-def _lissajous(measured: Measurement, limits: TrackLimits | None) -> str:
-    picture = pictures.lissajous(measured.samples, measured.found, limits)
+def _lissajous(samples: Samples, used: ActiveSet, limits: TrackLimits | None) -> str:
+    picture = pictures.lissajous(samples, used, limits)
     return _figure("Lissajous picture", "a circle within the limits is wanted", picture)
 
 

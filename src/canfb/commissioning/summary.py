@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from canfb.calibration.result import REASONS
 from canfb.commissioning.active import ActiveSet
 from canfb.commissioning.procedure import Installation, Measurement
 from canfb.commissioning.table_file import conditioning_words
@@ -108,8 +107,6 @@ def outcome(measured: Measurement, done: Installation) -> str:
 def verdict(measured: Measurement, done: Installation) -> str:
     """The verdict in plain words."""
     calibration, on_samples = measured.calibration, measured.on_samples
-    if not calibration.accepted:
-        return f"Refused: {REASONS[calibration.reason]}."
     factor = on_samples.before_rms / calibration.residual_rms if calibration.residual_rms > 0.0 else 0.0
     if factor > 1.5:
         change = (

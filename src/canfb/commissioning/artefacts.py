@@ -1,0 +1,86 @@
+"""What a reference measurement leaves in a folder: table, samples, report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from canfb.commissioning.access import CommissioningError
+from canfb.commissioning.pictures import TrackLimits
+from canfb.commissioning.procedure import Installation, Measurement
+from canfb.commissioning.report import refusal_html, report_html
+from canfb.commissioning.sample_files import write_npz
+from canfb.commissioning.samples import Samples
+from canfb.commissioning.summary import Circumstances, as_json
+from canfb.commissioning.table_file import as_yaml
+from canfb.errors import CalibrationError
+
+TABLE_YAML, TABLE_BIN, SAMPLES, REPORT = "table.yaml", "table.bin", "samples.npz", "report.html"
+# What is in the YAML beyond crc32, conditioning and entries.
+META = (
+    "date",
+    "encoder",
+    "module",
+    "encoder_interface",
+    "cycles_per_revolution",
+    "method",
+    "verdict",
+    "samples",
+    "sample_rate_hz",
+    "coverage",
+    "before_rms_cycles",
+    "residual_rms_cycles",
+    "residual_peak_cycles",
+    "uncertainty_peak_cycles",
+    "active",
+    "saved",
+)
+
+
+def prepare(folder: Path) -> None:
+    """Make the folder. CommissioningError if it cannot be made or written to: before the work starts."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f".{REPORT}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise CommissioningError(f"cannot write to {folder}: {error.strerror}") from None
+
+
+def write(
+    folder: Path,
+    measured: Measurement,
+    done: Installation,
+    where: Circumstances,
+    limits: TrackLimits | None = None,
+) -> list[Path]:
+    """Write everything; the paths. CommissioningError if that does not work."""
+    figures = as_json(measured, done, where)
+    meta = {key: figures[key] for key in META if figures[key] is not None}
+    try:
+        (folder / TABLE_YAML).write_text(as_yaml(measured.found, meta), encoding="utf-8")
+        (folder / TABLE_BIN).write_bytes(measured.calibration.table.to_bytes())
+        write_npz(folder / SAMPLES, measured.samples)
+        page = report_html(measured, done, where, limits)
+        (folder / REPORT).write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise CommissioningError(f"cannot write to {folder}: {error.strerror}") from None
+    return [folder / name for name in (TABLE_YAML, TABLE_BIN, SAMPLES, REPORT)]
+
+
+def write_refusal(
+    folder: Path,
+    samples: Samples,
+    refused: CalibrationError,
+    where: Circumstances,
+    limits: TrackLimits | None = None,
+) -> list[Path]:
+    """Samples and report of a measurement that was refused: they show why. There is no table."""
+    try:
+        for name in (TABLE_YAML, TABLE_BIN):  # of an earlier run: they must not pass for those of this one
+            (folder / name).unlink(missing_ok=True)
+        write_npz(folder / SAMPLES, samples)
+        (folder / REPORT).write_text(refusal_html(samples, refused, where, limits), encoding="utf-8")
+    except OSError as error:
+        raise CommissioningError(f"cannot write to {folder}: {error.strerror}") from None
+    return [folder / name for name in (SAMPLES, REPORT)]

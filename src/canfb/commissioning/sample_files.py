@@ -1,0 +1,41 @@
+"""Samples as NPZ files: what numpy.load reads, and what `canfb calibrate --samples` takes again."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from canfb.commissioning.access import CommissioningError
+from canfb.commissioning.samples import MISSED, Samples
+
+
+def write_npz(path: Path, samples: Samples) -> None:
+    """Tracks as INTEGER16, -32768 in both for a missed sample, and the rate in Hz, 0 if not known."""
+    sine, cosine = (
+        np.nan_to_num(track, nan=MISSED).astype(np.int16) for track in (samples.sine, samples.cosine)
+    )
+    np.savez_compressed(
+        path, sine=sine, cosine=cosine, rate_hz=samples.rate_hz or 0.0, origin=np.array(samples.origin)
+    )
+
+
+def read_npz(path: Path) -> Samples:
+    """An NPZ file with arrays sine and cosine, and rate_hz if it is known.
+
+    CommissioningError, in one line, for anything else.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            missing = [name for name in ("sine", "cosine") if name not in content]
+            if missing:
+                raise CommissioningError(
+                    f"{path}: there is no array '{missing[0]}', only {', '.join(content.files) or 'nothing'}"
+                )
+            rate_hz = float(content["rate_hz"]) if "rate_hz" in content else 0.0
+            return Samples.of(content["sine"], content["cosine"], rate_hz or None, f"file {path.name}")
+    except OSError as error:
+        raise CommissioningError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise CommissioningError(f"{path}: this is no file of samples: {error}") from None

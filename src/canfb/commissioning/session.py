@@ -1,0 +1,71 @@
+"""A module and its encoder interface on a bus: what is active, what limits it, where samples come from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from canfb.commissioning.access import CommissioningError, Master, NodeAccess
+from canfb.commissioning.active import ActiveSet, read_active
+from canfb.commissioning.listening import listen
+from canfb.commissioning.pdo_layout import PdoLayout, agreed_layout, module_layout
+from canfb.commissioning.pictures import TrackLimits
+from canfb.commissioning.recorder import record
+from canfb.commissioning.samples import Samples
+
+Heard = Callable[[float], None]
+Source = Callable[[float, int, Heard], Samples]
+"""Collects samples: seconds, least number of samples, and who hears 0..1 as it goes on."""
+ENCODER = 0x2001
+DEFAULT_INTERFACE = 0x10
+
+
+@dataclass(frozen=True)
+class Session:
+    """Both nodes, read once.
+
+    active                  what is in force in the module
+    cycles_per_revolution   2001:01
+    limits                  2001:02..04
+    """
+
+    master: Master
+    module: NodeAccess
+    interface: NodeAccess
+    active: ActiveSet
+    cycles_per_revolution: int
+    limits: TrackLimits
+
+    @classmethod
+    def open(cls, master: Master, module_id: int, interface_id: int | None) -> Session:
+        """Read what there is to know. CommissioningError if the module does not answer, or is none."""
+        module = NodeAccess(master, module_id, "module")
+        active = read_active(module)
+        cycles, full_scale, low, high = (
+            module.integer(ENCODER, subindex, layout) for subindex, layout in enumerate("IHHH", start=1)
+        )
+        if interface_id is None:
+            interface_id = _interface_of(module)
+        interface = NodeAccess(master, interface_id, "encoder interface")
+        return cls(master, module, interface, active, cycles, TrackLimits(full_scale, low, high))
+
+    def source(self, kind: str, recorder: str, rate_hz: float | None) -> Source:
+        """Where samples come from: "pdo", or the "recording" of "interface" or "module"."""
+        if kind == "recording":
+            node = self.module if recorder == "module" else self.interface
+            return lambda seconds, least, heard: record(node, seconds, rate_hz, heard)
+        layout = self.layout()
+        return lambda seconds, least, heard: listen(self.master, layout, seconds, least, heard)
+
+    def layout(self) -> PdoLayout:
+        """The PDO with the samples; the errors of :func:`.pdo_layout.agreed_layout`."""
+        return agreed_layout(self.module, self.interface)
+
+
+def _interface_of(module: NodeAccess) -> int:
+    """The node from which the module takes its samples, as the COB-ID of its RPDO tells it."""
+    layout = module_layout(module)
+    if layout is None:
+        raise CommissioningError(f"{module.name} has no valid RPDO with both tracks (2000:01, 2000:02)")
+    node_id = layout.can_id & 0x7F
+    return node_id if layout.can_id & 0x780 in (0x180, 0x280, 0x380, 0x480) and node_id else DEFAULT_INTERFACE

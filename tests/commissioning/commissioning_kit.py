@@ -1,0 +1,152 @@
+"""A module, an encoder interface and a SYNC in simulated time, and the master that commissions them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import canopen
+import numpy as np
+from canopen.sdo.client import SdoClient
+from canopen.sdo.exceptions import SdoCommunicationError
+
+from canfb.demo.plant import EmbeddedNetwork
+from canfb.device.frame import Frame
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.simulation.encoder import Encoder, Harmonic
+from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.motion import Motion, Ripple
+from canfb.simulation.sources import Counts, MotionSource
+from canfb.simulation.sync_producer import SyncProducer
+
+MODULE_ID, INTERFACE_ID = 0x20, 0x10
+RATE_HZ = 1000.0
+CYCLES = 2500
+ANSWER_S = 0.05
+STEP_S = 0.001
+
+
+def random_encoder(seed: int) -> Encoder:
+    """An encoder of the quality that is bought: drawn anew for each seed."""
+    rng = np.random.default_rng(seed)
+    return Encoder(
+        amplitude_counts=float(rng.uniform(1100, 1700)),
+        sine_offset=float(rng.uniform(-0.06, 0.06)),
+        cosine_offset=float(rng.uniform(-0.06, 0.06)),
+        sine_amplitude=float(rng.uniform(0.93, 1.07)),
+        cosine_amplitude=float(rng.uniform(0.93, 1.07)),
+        phase_error_rad=float(rng.uniform(-0.08, 0.08)),
+        harmonics=(
+            Harmonic(2, *rng.uniform(0.0, 0.006, 2).tolist(), *rng.uniform(-3, 3, 2).tolist()),
+            Harmonic(3, *rng.uniform(0.0, 0.012, 2).tolist(), *rng.uniform(-3, 3, 2).tolist()),
+        ),
+        noise_lsb=float(rng.uniform(0.3, 1.0)),
+    )
+
+
+class ChangingSource:
+    """A motion whose encoder or counts a test may change on the way."""
+
+    def __init__(self, encoder: Encoder, motion: Motion) -> None:
+        self.motion = MotionSource(encoder, motion, CYCLES, 1.0 / RATE_HZ, seed=7)
+        self.change: Callable[[Counts], Counts | None] = lambda counts: counts
+
+    def next(self) -> Counts | None:
+        return self.change(self.motion.next())
+
+
+class EmbeddedClient(SdoClient):  # type: ignore[misc]
+    """canopen's SDO client; simulated time passes while it waits."""
+
+    wait: Callable[[float], None]
+
+    def read_response(self) -> bytes:
+        left = self.RESPONSE_TIMEOUT
+        while self.responses.empty():
+            if left <= 0.0:
+                raise SdoCommunicationError("No SDO response received")
+            self.wait(STEP_S)
+            left -= STEP_S
+        answer: bytes = super().read_response()
+        return answer
+
+
+class EmbeddedMaster:
+    """:class:`canfb.commissioning.access.Master` on an embedded bus."""
+
+    def __init__(self, bus: EmbeddedBus) -> None:
+        self.bus = bus
+        self.network = EmbeddedNetwork(bus)
+        self.network.subscribers = {}
+        self.clients: dict[int, EmbeddedClient] = {}
+        self.sent: list[Frame] = []
+        self.on_wait: Callable[[float], None] = lambda now: None
+        bus.taps.append(self._note)
+
+    def _note(self, frame: Frame, now: float) -> None:
+        if 0x600 < frame.can_id < 0x680 or frame.can_id in (0x000, 0x080):
+            self.sent.append(frame)
+
+    def sdo(self, node_id: int) -> Any:
+        if node_id not in self.clients:
+            client = EmbeddedClient(0x600 + node_id, 0x580 + node_id, canopen.ObjectDictionary())
+            client.RESPONSE_TIMEOUT = ANSWER_S
+            client.network = self.network
+            client.wait = self.wait
+            self.network.subscribe(client.tx_cobid, client.on_response)
+            self.clients[node_id] = client
+        return self.clients[node_id]
+
+    def subscribe(self, can_id: int, hear: Any) -> None:
+        self.network.subscribe(can_id, hear)
+
+    def unsubscribe(self, can_id: int, hear: Any) -> None:
+        self.network.unsubscribe(can_id, hear)
+
+    def send(self, can_id: int, data: bytes) -> None:
+        self.bus.send(Frame(can_id, data))
+
+    def now(self) -> float:
+        return self.bus.now
+
+    def wait(self, duration_s: float) -> None:
+        self.on_wait(self.bus.now)
+        self.bus.run_until(self.bus.now + duration_s)
+
+
+@dataclass
+class Bench:
+    """The network, powered on and operational, SYNC running."""
+
+    encoder: Encoder = field(default_factory=lambda: random_encoder(1))
+    rpm: float = 600.0
+    sync: bool = True
+    operational: bool = True
+    motion: Motion | None = None
+    config: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.bus = EmbeddedBus()
+        turning = Motion((), (Ripple(0.02 * self.rpm, 0.31), Ripple(0.01 * self.rpm, 1.7)), self.rpm)
+        self.source = ChangingSource(self.encoder, self.motion or turning)
+        self.module = FeedbackModule(
+            ModuleConfig(
+                node_id=MODULE_ID,
+                encoder_interface=INTERFACE_ID,
+                cycles_per_revolution=CYCLES,
+                autostart=self.operational,
+                **self.config,
+            )
+        )
+        self.interface = EncoderInterface(INTERFACE_ID, self.source, autostart=self.operational)
+        self.master = EmbeddedMaster(self.bus)
+        for device in (self.module, self.interface):
+            self.bus.attach(device)
+        if self.sync:
+            self.bus.attach(SyncProducer(1.0 / RATE_HZ))
+
+    def value(self, index: int, subindex: int) -> Any:
+        return self.module.dictionary.entry(index, subindex).value
