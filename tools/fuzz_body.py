@@ -21,6 +21,7 @@ from canfb.device.dictionary import Dictionary
 from canfb.device.frame import Frame
 from canfb.device.mapping import Direction, resolve_all
 from canfb.device.nmt import COMMUNICATING, NmtState
+from canfb.device.storage import MemoryStore
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.encoder_interface import EncoderInterface
@@ -31,8 +32,10 @@ from fuzz_watch import SdoWatcher, demand
 Device = FeedbackModule | EncoderInterface
 
 QUIET = frozenset({NmtState.INITIALISING, NmtState.STOPPED})
-ERROR_CONTROL, LSS_ANSWER = 0x700 + NODE_ID, 0x7E4
-FIRST_ANSWER, SECOND_CHANNEL = 0x580 + NODE_ID, 0x1201
+ERROR_CONTROL, LSS_ANSWER, FIRST_ANSWER, SECOND_CHANNEL = 0x700, 0x7E4, 0x580, 0x1201
+UNSTARTED, SAVING, DAMAGED = 0x80, 0x40, 0x20
+"""In the first byte of an input: the frames come before the power is on; the device has a store, and is
+switched off and on at the end; what it saved is damaged meanwhile."""
 MOST_FRAMES = 160
 """Sent in one call: a block of an SDO upload, and what else may be due."""
 MOST_TICKS = 50
@@ -72,12 +75,12 @@ def quick_dictionaries() -> Iterator[None]:
         yield
 
 
-def make(choice: int) -> Device:
+def make(choice: int, store: MemoryStore | None = None) -> Device:
     """One of the devices: the module, the module that starts by itself, the encoder interface."""
     with quick_dictionaries():
         if choice % 3 == 2:
-            return EncoderInterface(NODE_ID, Turning())
-        return FeedbackModule(ModuleConfig(node_id=NODE_ID, autostart=choice % 3 == 1))
+            return EncoderInterface(NODE_ID, Turning(), store=store)
+        return FeedbackModule(ModuleConfig(node_id=NODE_ID, autostart=choice % 3 == 1), store)
 
 
 class Play:
@@ -97,14 +100,14 @@ class Play:
     def start(self) -> None:
         """Power on: the boot-up."""
         sent = self.device.start(self.now)
-        demand((ERROR_CONTROL, b"\x00") in [(frame.can_id, frame.data) for frame in sent], "no boot-up")
+        demand(any(map(self._is_boot_up, sent)), "no boot-up")
         self._check_deadline()
 
     def receive(self, frame: Frame) -> list[Frame]:
         """A frame from the bus."""
         before, ids, second = self.state, self._own_ids(), self._second_channel()
         if before in COMMUNICATING and not frame.rtr:
-            if frame.can_id == 0x600 + NODE_ID:
+            if frame.can_id == SERVER:
                 self._first.request(frame.data)
             if second is not None and frame.can_id == second[0]:
                 self._second.request(frame.data)
@@ -148,6 +151,10 @@ class Play:
         due = self.device.deadline()
         demand(due is None or due > self.now, f"deadline {due} is not after {self.now}")
 
+    @staticmethod
+    def _is_boot_up(frame: Frame) -> bool:
+        return frame.can_id == ERROR_CONTROL + NODE_ID and frame.data == b"\x00"
+
     def _value(self, index: int, subindex: int) -> int | None:
         entry = self.dictionary.find(index, subindex)
         return None if entry is None else int(entry.value)
@@ -162,7 +169,7 @@ class Play:
     def _own_ids(self) -> dict[int, frozenset[NmtState]]:
         """CAN-IDs that the device may send with now, and in which states; without those of SDO."""
         everywhere, operational = frozenset(COMMUNICATING), frozenset({NmtState.OPERATIONAL})
-        ids = {ERROR_CONTROL: frozenset(NmtState), LSS_ANSWER: frozenset(NmtState)}
+        ids = {ERROR_CONTROL + NODE_ID: frozenset(NmtState), LSS_ANSWER: frozenset(NmtState)}
         for index in range(0x1800, 0x1804):
             value = self._value(index, 1)
             if value is not None and cob.is_valid(value):
@@ -183,14 +190,14 @@ class Play:
     ) -> None:
         after, ids_after, second_after = self.state, self._own_ids(), self._second_channel()
         demand(len(sent) <= MOST_FRAMES, f"{len(sent)} frames at once")
-        reset = any(frame.can_id == ERROR_CONTROL and frame.data == b"\x00" for frame in sent)
+        reset = any(map(self._is_boot_up, sent))
         states = {before, after} | (set(NmtState) if reset else set())
         for frame in sent:
             demand(0 < frame.can_id <= 0x7FF and len(frame.data) <= 8, f"impossible frame {frame}")
             demand(not frame.rtr or frame.can_id > 0x700, f"a remote frame {frame}")
             may = ids_before.get(frame.can_id, frozenset()) | ids_after.get(frame.can_id, frozenset())
             channels = [channel for channel in (second_before, second_after) if channel is not None]
-            if frame.can_id == FIRST_ANSWER:
+            if frame.can_id == FIRST_ANSWER + NODE_ID:
                 demand(states & COMMUNICATING, f"an SDO answer in {before.name}")
                 self._first.answer(frame.data)
                 self._client.heard(frame.data)
@@ -231,8 +238,8 @@ class Play:
         self.receive(Frame(0x000, bytes([128, NODE_ID])))
         demand(self.state is NmtState.PRE_OPERATIONAL, f"NMT does not lead out of {self.state.name}")
         self.wait(3.0, punctual=False)
-        sent = self.receive(Frame(0x600 + NODE_ID, b"\x40\x00\x10\x00" + bytes(4)))
-        answers = [frame.data[:4] for frame in sent if frame.can_id == FIRST_ANSWER]
+        sent = self.receive(Frame(SERVER, b"\x40\x00\x10\x00" + bytes(4)))
+        answers = [frame.data[:4] for frame in sent if frame.can_id == FIRST_ANSWER + NODE_ID]
         demand(answers == [b"\x43\x00\x10\x00"], f"1000h is answered by {answers}")
 
 
@@ -240,12 +247,29 @@ def play(data: bytes) -> None:
     """One input, from power-on to the last check. Raises when something is wrong."""
     reader = Reader(data)
     choice = reader.byte()
-    run = Play(make(choice))
-    if choice & 0x80 == 0:  # else the frames come before the device is started
+    store = MemoryStore() if choice & SAVING else None
+    run = Play(make(choice, store))
+    if not choice & UNSTARTED:
         run.start()
     for step in steps(reader):
         run.do(step)
-    if choice & 0x80:
+    if choice & UNSTARTED:
         run.start()
     run.check_values()
     run.check_alive()
+    if store is None:
+        return
+    if choice & DAMAGED:
+        damage(store, data)
+    run = Play(make(choice, store))
+    run.start()
+    run.check_values()
+    run.check_alive()
+
+
+def damage(store: MemoryStore, data: bytes) -> None:
+    """Change what is saved: a byte of each image, or its length."""
+    place, change = data[-1], data[-2] if len(data) > 1 else 1
+    for group, image in store.images.items():
+        at = place % (len(image) + 1)
+        store.images[group] = image[:at] + bytes([change]) + image[at + (change & 1) :]

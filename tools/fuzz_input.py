@@ -257,8 +257,15 @@ def _timing(reader: Reader) -> Step:
     return Step(tuple(Frame(SERVER, frame) for frame in frames))
 
 
+def _storage(reader: Reader) -> Step:
+    """Save or load parameters."""
+    index, command = reader.choose([0, 1]), reader.choose([0, 1])
+    multiplexer = bytes([0x10 + index, 0x10, reader.byte() % 5])
+    return Step((Frame(SERVER, b"\x23" + multiplexer + (b"save", b"load")[command]),))
+
+
 KINDS: tuple[Callable[[Reader], Step], ...] = (
     *(_any_frame, _known_frame, _request, _second_request, _write, _write_bytes, _read, _begin, _segments),
     *(_transfer_command, _nmt, _sync, _sample, _cycles, _remote, _pause, _second_channel, _mapping),
-    *(_sample_layout, _long_sample, _follow, _activate, _producer, _heard, _timing),
+    *(_sample_layout, _long_sample, _follow, _activate, _producer, _heard, _timing, _storage),
 )
