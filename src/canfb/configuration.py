@@ -245,6 +245,7 @@ class _Reader:
                 raise self.fail(
                     items[n], f"node_id {module.node_id} of modules[{n}] is that of modules[{other}]"
                 )
+        self._check_distinct_folders(items, config)
         for n, module in enumerate(config.modules):
             node = module.encoder_interface
             if node in owner:
@@ -252,3 +253,13 @@ class _Reader:
                     items[n],
                     f"encoder_interface {node} of modules[{n}] is the node_id of modules[{owner[node]}]",
                 )
+
+    def _check_distinct_folders(self, items: Any, config: Config) -> None:
+        """Two modules with one state_dir would overwrite each other's parameters."""
+        owner: dict[Path, int] = {}
+        for n, module in enumerate(config.modules):
+            if module.state_dir is None:
+                continue
+            other = owner.setdefault(Path(module.state_dir).absolute(), n)
+            if other != n:
+                raise self.fail(items[n], f"state_dir of modules[{n}] is that of modules[{other}]")

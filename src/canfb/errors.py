@@ -4,6 +4,7 @@ CanfbError
 ├── ConfigError         a configuration that cannot be used; names key and line
 ├── CalibrationError    a reference measurement that was refused
 ├── BusError            a bus that cannot be opened or that has gone for good
+├── StateDirError       a state_dir that cannot be used (canfb.bus.state_files)
 └── EdsNotFoundError    an EDS file that is not there (canfb.eds_files)
 """
 

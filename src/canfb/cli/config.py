@@ -19,6 +19,7 @@ modules:                                        # one process serves several nod
     residual_limit: 0.3333                      # cycles; the paper's 1/3
     coast_samples: 3                            # bad samples to bridge before the position is lost
     autostart: false                            # true: operational without a master
+    # state_dir: /var/lib/canfb/x               # keeps what `save` (1010h) saves; without it, nothing is kept
     # conditioning:                             # offset, gain and phase error of the tracks; default: none
     #   {sine_offset_counts: 0, cosine_offset_counts: 0, sine_gain: 1, cosine_gain: 1, phase_error_rad: 0}
 

@@ -14,7 +14,8 @@ class ModuleConfig(ChainConfig):
     node_id                  1..127, required
     encoder_interface        1..127: the node whose TPDO1 carries the ADC counts; not node_id
     max_acceleration_rad_s2  largest acceleration of the machine (2010:02); 0 = not known
-    state_dir                folder for what `save` (1010h) keeps
+    state_dir                folder for what `save` (1010h) keeps, made if it is missing; None: nothing
+                             is saved. `canfb run` uses it; each module has its own
     autostart                True: operational without a master
     """
 
@@ -37,5 +38,9 @@ class ModuleConfig(ChainConfig):
             raise ValueError("max_acceleration_rad_s2 must be 0 (not known) or positive, at most 1e9")
         if not isinstance(self.autostart, bool):
             raise ValueError(f"autostart must be true or false, not {self.autostart!r}")
-        if not isinstance(self.state_dir, (str, type(None))):
+        if self.state_dir is not None and not _is_folder_name(self.state_dir):
             raise ValueError(f"state_dir must be the name of a folder, not {self.state_dir!r}")
+
+
+def _is_folder_name(name: object) -> bool:
+    return isinstance(name, str) and bool(name.strip()) and "\0" not in name

@@ -1,0 +1,231 @@
+"""Stored parameters as files: one for each group in a folder, whole after a crash at any instant.
+
+A group alone is written beside its file and renamed over it. A change of several groups is first
+written as one file, ``pending.bin``, whose rename makes it valid, and then copied to the files of
+the groups; what a crash has left of it to do is done by the next save, and until then read from
+there. A file called ``….new`` was never finished and is not looked at.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import struct
+import sys
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from canfb.device.image import ParameterGroup
+from canfb.device.storage import PARAMETERS
+from canfb.errors import CanfbError
+
+LARGEST_FILE = 1 << 20  # bytes; stored parameters are some ten thousand
+PENDING = "pending.bin"
+LOCK = "lock"
+
+_MAGIC = b"CANFBSET"
+_HEADER = struct.Struct("<8sI")
+_PART = struct.Struct("<BBI")  # group, 1 for kept or 0 for forgotten, bytes of the image
+_CRC = struct.Struct("<I")
+
+Changes = Mapping[ParameterGroup, bytes | None]
+
+
+class StateDirError(CanfbError):
+    """A state_dir that cannot be used; the text says which, and why."""
+
+
+class StateFiles:
+    """A store (:class:`canfb.device.storage.Store`) in a folder, which is made if it is missing.
+
+    It belongs to one process until :meth:`close`. StateDirError when another one has it, or when it
+    cannot be written to.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+        try:
+            if not self.folder.is_dir():
+                os.makedirs(self.folder)
+                _sync_folder(self.folder.parent)
+            self._lock = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as error:
+            raise StateDirError(f"state_dir {self.folder} cannot be used: {error.strerror}") from None
+        try:
+            _lock(self._lock)
+        except OSError as error:
+            os.close(self._lock)
+            in_use = error.errno in (errno.EWOULDBLOCK, errno.EACCES)
+            why = "another process, or another module of this one, has it" if in_use else error.strerror
+            raise StateDirError(f"state_dir {self.folder} cannot be used: {why}") from None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let other processes have the folder."""
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+    def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
+        """What is kept, by group; an OSError for a group that is there and cannot be read."""
+        kept: dict[ParameterGroup, bytes | OSError] = {}
+        for group in ParameterGroup:
+            try:
+                image = self._read(_file_name(group))
+            except OSError as error:
+                kept[group] = error
+            else:
+                if image is not None:
+                    kept[group] = image
+        try:
+            pending = self._pending()
+        except OSError as error:
+            return kept | dict.fromkeys(PARAMETERS, error)
+        for group, image in pending.items():
+            kept.pop(group, None)
+            if image is not None:
+                kept[group] = image
+        return kept
+
+    def save(self, changes: Changes) -> None:
+        """Keep these groups, or forget those that are None: all of them or, with an OSError, none."""
+        try:
+            self._finish(self._pending())
+        except OSError as error:
+            if error.errno != errno.EBADMSG:
+                raise
+            # What was pending is lost, and the files may be partly older: they are refused for good.
+            changes = dict.fromkeys(PARAMETERS) | dict(changes)
+        if len(changes) == 1:
+            self._copy(changes)
+            return
+        self._write(PENDING, _pack(changes))
+        try:
+            _sync_folder(self.folder)
+        except OSError:
+            self._remove(PENDING)
+            raise
+        with contextlib.suppress(OSError):  # it is kept; the next save tries again
+            self._finish(changes)
+
+    def _pending(self) -> Changes:
+        """The change that is valid, but not yet in the files of its groups; OSError EBADMSG if damaged."""
+        data = self._read(PENDING)
+        return {} if data is None else _unpack(data)
+
+    def _finish(self, changes: Changes) -> None:
+        if changes:
+            self._copy(changes)
+            self._remove(PENDING)
+            _sync_folder(self.folder)
+
+    def _copy(self, changes: Changes) -> None:
+        """Into the files of the groups."""
+        for group, image in changes.items():
+            if image is None:
+                self._remove(_file_name(group))
+            else:
+                self._write(_file_name(group), image)
+        _sync_folder(self.folder)
+
+    def _read(self, name: str) -> bytes | None:
+        """The content of a file, None when there is none."""
+        try:
+            handle = os.open(self.folder / name, os.O_RDONLY)
+        except FileNotFoundError:
+            return None
+        try:
+            return _read_all(handle)
+        finally:
+            os.close(handle)
+
+    def _write(self, name: str, data: bytes) -> None:
+        """The whole file, or what it was before; the folder is still to be synchronised."""
+        path, new = self.folder / name, self.folder / f"{name}.new"
+        handle = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+        try:
+            rest = memoryview(data)
+            while rest:
+                rest = rest[os.write(handle, rest) :]
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+        os.replace(new, path)
+
+    def _remove(self, name: str) -> None:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(self.folder / name)
+
+
+def _file_name(group: ParameterGroup) -> str:
+    return f"{group.name.lower()}.bin"
+
+
+def _read_all(handle: int) -> bytes:
+    data = b""
+    while part := os.read(handle, 1 << 16):
+        data += part
+        if len(data) > LARGEST_FILE:
+            raise OSError(errno.EFBIG, "it is far too large")
+    return data
+
+
+def _pack(changes: Changes) -> bytes:
+    parts = [_HEADER.pack(_MAGIC, len(changes))]
+    for group, image in changes.items():
+        content = b"" if image is None else image
+        parts += [_PART.pack(group, image is not None, len(content)), content]
+    body = b"".join(parts)
+    return body + _CRC.pack(zlib.crc32(body))
+
+
+def _unpack(data: bytes) -> Changes:
+    body = data[: -_CRC.size]
+    good = data.startswith(_MAGIC) and len(data) >= _HEADER.size + _CRC.size
+    if not good or zlib.crc32(body) != _CRC.unpack_from(data, len(body))[0]:
+        raise OSError(errno.EBADMSG, f"{PENDING} is damaged")
+    changes: dict[ParameterGroup, bytes | None] = {}
+    offset = _HEADER.size
+    try:
+        for _ in range(_HEADER.unpack_from(body)[1]):
+            group, kept, size = _PART.unpack_from(body, offset)
+            offset += _PART.size
+            changes[ParameterGroup(group)] = body[offset : offset + size] if kept else None
+            offset += size
+    except (struct.error, ValueError):
+        raise OSError(errno.EBADMSG, f"{PENDING} is that of another version") from None
+    return changes
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make renames in a folder last."""
+    if sys.platform == "win32":
+        return
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _lock(handle: int) -> None:
+    """Take the lock, or raise OSError when someone has it; it ends with the process, however that ends."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
