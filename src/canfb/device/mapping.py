@@ -14,6 +14,8 @@ from canfb.device.dictionary import Dictionary
 from canfb.device.entry import RPDO_ACCESS, TPDO_ACCESS, Entry
 
 LONGEST_BITS = 64
+UNFIT = (struct.error, OverflowError)
+"""What `struct` raises for a value that does not fit."""
 
 
 class Direction(Enum):
@@ -63,12 +65,22 @@ def resolve_all(dictionary: Dictionary, mappings: Sequence[int], direction: Dire
 
 
 class Layout(Protocol):
-    """A compiled mapping: `length` is that of the PDO in bytes."""
+    """A compiled mapping: `length` is that of the PDO in bytes.
+
+    `pack()` gives the data of the PDO from the current values; ValueError when one does not fit its
+    type. `store(data)` puts data of at least `length` bytes into the dictionary without a check; None
+    where an entry has limits or hooks, so that `unpack` is needed.
+    """
 
     length: int
 
-    def pack(self) -> bytes:
-        """Data of the PDO from the current values. ValueError when one does not fit its type."""
+    @property
+    def pack(self) -> Callable[[], bytes]:
+        """Packs the current values."""
+
+    @property
+    def store(self) -> Callable[[bytes], None] | None:
+        """Stores data without a check."""
 
     def unpack(self, data: bytes) -> int:
         """Data of at least `length` bytes into the dictionary; how many values were refused."""
@@ -84,30 +96,21 @@ def compile_layout(slots: Sequence[Slot]) -> Layout:
 class AlignedLayout:
     """Whole bytes of types that `struct` knows."""
 
-    __slots__ = ("_entries", "_pack_all", "_plain", "_store_all", "_unpack", "length")
+    __slots__ = ("_entries", "_unpack", "length", "pack", "store")
 
     def __init__(self, slots: Sequence[Slot]) -> None:
         packer = struct.Struct("<" + "".join(_letter(slot) for slot in slots))
         self.length = packer.size
         self._unpack = packer.unpack_from
         self._entries = tuple(slot.entry for slot in slots if slot.entry is not None)
-        self._plain = all(_is_plain(entry) for entry in self._entries)
-        self._pack_all = _packer(packer.pack, self._entries)
-        self._store_all = _storer(packer.unpack_from, self._entries)
-
-    def pack(self) -> bytes:
-        """Data of the PDO."""
-        try:
-            return self._pack_all()
-        except (struct.error, OverflowError):
-            for entry in self._entries:
-                entry.encode()  # raises with the name of the one that does not fit
-            raise
+        self.pack = _packer(packer.pack, self._entries)
+        plain = all(_is_plain(entry) for entry in self._entries)
+        self.store = _storer(packer.unpack_from, self._entries) if plain else None
 
     def unpack(self, data: bytes) -> int:
         """Data into the dictionary."""
-        if self._plain:
-            self._store_all(data)
+        if self.store is not None:
+            self.store(data)
             return 0
         return sum(
             not _store(entry, value) for entry, value in zip(self._entries, self._unpack(data), strict=True)
@@ -118,6 +121,8 @@ class BitLayout:
     """Any lengths, one after the other without gaps, least significant bit first."""
 
     __slots__ = ("_places", "length")
+
+    store = None
 
     def __init__(self, slots: Sequence[Slot]) -> None:
         self._places: list[tuple[int, Slot]] = []
@@ -149,18 +154,49 @@ class BitLayout:
 
 def _packer(pack: Callable[..., bytes], entries: tuple[Entry, ...]) -> Callable[[], bytes]:
     """Packs the current values. For a few entries without a list, which takes longer than to pack."""
-    if any(entry.on_read for entry in entries):
-        return lambda: pack(*[entry.current() for entry in entries])
-    match entries:
-        case (a,):
-            return lambda: pack(a.value)
-        case (a, b):
-            return lambda: pack(a.value, b.value)
-        case (a, b, c):
-            return lambda: pack(a.value, b.value, c.value)
-        case (a, b, c, d):
-            return lambda: pack(a.value, b.value, c.value, d.value)
-    return lambda: pack(*[entry.value for entry in entries])
+    if any(entry.on_read for entry in entries) or len(entries) not in (1, 2, 3):
+        return _packer_of_any(pack, entries)
+    first, second, third = (entries * 3)[:3]
+
+    def pack_one() -> bytes:
+        try:
+            return pack(first.value)
+        except UNFIT:
+            raise _unfit(entries) from None
+
+    def pack_two() -> bytes:
+        try:
+            return pack(first.value, second.value)
+        except UNFIT:
+            raise _unfit(entries) from None
+
+    def pack_three() -> bytes:
+        try:
+            return pack(first.value, second.value, third.value)
+        except UNFIT:
+            raise _unfit(entries) from None
+
+    return (pack_one, pack_two, pack_three)[len(entries) - 1]
+
+
+def _packer_of_any(pack: Callable[..., bytes], entries: tuple[Entry, ...]) -> Callable[[], bytes]:
+    def pack_any() -> bytes:
+        try:
+            return pack(*[entry.current() for entry in entries])
+        except UNFIT:
+            raise _unfit(entries) from None
+
+    return pack_any
+
+
+def _unfit(entries: tuple[Entry, ...]) -> ValueError:
+    """The error that names the entry whose value does not fit."""
+    for entry in entries:
+        try:
+            entry.encode()
+        except ValueError as error:
+            return error
+    return ValueError(f"the values of {entries} do not fit their types")
 
 
 def _storer(

@@ -79,7 +79,7 @@ class Node:
         self.dictionary = dictionary
         self.node_id = node_id
         self.counters = Counters()
-        self.on_rpdo: Callable[[int, float], None] | None = None
+        self._on_rpdo: Callable[[int, float], None] | None = None
         self.on_time: Callable[[int, int, float], None] | None = None
         self.on_sync: Callable[[int | None, float], None] | None = None
         self.on_state: Callable[[NmtState, NmtState, float], None] | None = None
@@ -89,6 +89,7 @@ class Node:
         self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str], float], None] | None = None
         self.storage = Storage(dictionary, store, lambda: self.node_id, self._report_parameters)
 
+        self._operational = False
         self._outbox: list[Frame] = []
         self._moment = Moment()
         self._routes: dict[int, Handler] = {}
@@ -134,7 +135,7 @@ class Node:
                 counters=counters,
                 emergency=self._emergency,
                 window_open=self._sync.window_open,
-                delivered=self._rpdo_delivered,
+                delivered=_nobody_listens,
                 too_short=self._rpdo_too_short,
                 changed=self._pdo_changed,
             )
@@ -165,6 +166,17 @@ class Node:
         """Whether the next boot-up leads to OPERATIONAL without a master (1F80h)."""
         return self._startup.autostart
 
+    @property
+    def on_rpdo(self) -> Callable[[int, float], None] | None:
+        """The hook for RPDOs; the RPDOs call it themselves, which takes less time."""
+        return self._on_rpdo
+
+    @on_rpdo.setter
+    def on_rpdo(self, hook: Callable[[int, float], None] | None) -> None:
+        self._on_rpdo = hook
+        for rpdo in self._rpdos:
+            rpdo.delivered = _nobody_listens if hook is None else hook
+
     def start(self, now: float) -> list[Frame]:
         """Power on: the boot-up message, then PRE-OPERATIONAL.
 
@@ -190,7 +202,12 @@ class Node:
                 self.counters.unknown_cob_ids += 1
             else:
                 handler(data, now)
-        return self._sent() if self._outbox else []
+        outbox = self._outbox
+        if not outbox:
+            return []
+        sent = outbox[:]
+        outbox.clear()
+        return sent
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at `now`; gives what is to be sent."""
@@ -204,7 +221,7 @@ class Node:
         """When `tick` is wanted next, seconds; None when nothing is waiting."""
         if self._outbox:
             return self._moment.now
-        due = min(service.deadline for service in self._timed)
+        due = min([service.deadline for service in self._timed])  # faster than without the list
         return None if due == NEVER else due
 
     def trigger_tpdo(self, number: int, now: float) -> None:
@@ -294,7 +311,7 @@ class Node:
             self._nmt.enter(NmtState.OPERATIONAL, now)
 
     def _state_changed(self, old: NmtState, new: NmtState, now: float) -> None:
-        operational = new is NmtState.OPERATIONAL
+        self._operational = operational = new is NmtState.OPERATIONAL
         if operational or old is NmtState.OPERATIONAL:
             for rpdo in self._rpdos:
                 rpdo.enable(operational, now)
@@ -377,16 +394,12 @@ class Node:
     def _value(self, index: int, subindex: int) -> int:
         return int(self.dictionary.entry(index, subindex).value)
 
-    def _rpdo_delivered(self, number: int, now: float) -> None:
-        if self.on_rpdo is not None:
-            self.on_rpdo(number, now)
-
     def _rpdo_too_short(self, number: int, received: int, mapped: int, now: float) -> None:
         if self.on_bad_rpdo is not None:
             self.on_bad_rpdo(number, received, mapped, now)
 
     def _synchronise(self, counter: int | None, now: float) -> None:
-        if self._nmt.state is not NmtState.OPERATIONAL:
+        if not self._operational:
             return
         for rpdo in self._sync_rpdos:
             rpdo.synchronise(now)
@@ -394,6 +407,10 @@ class Node:
             self.on_sync(counter, now)
         for tpdo in self._sync_tpdos:
             tpdo.synchronise(counter, now)
+
+
+def _nobody_listens(number: int, now: float) -> None:
+    """In place of a hook that is not there."""
 
 
 def _both(first: Handler, second: Handler) -> Handler:

@@ -19,11 +19,11 @@ ERRORS = (EmergencyCode.RPDO_LENGTH, EmergencyCode.RPDO_LENGTH_EXCEEDED, Emergen
 class Rpdo:
     """Takes data into the dictionary: at once (types FEh, FFh) or at the next SYNC (0 to F0h).
 
-    `delivered(number, now)` is called when the data stands in the dictionary, `too_short(number,
-    received, mapped, now)` for a PDO that was kept out because it is too short (EMCY 8210h). One that
-    is too long is used as far as it is mapped (EMCY 8220h). Sub-index 5 is the time-out in
-    milliseconds: it runs from the first PDO on and gives EMCY 8250h. Each error is reported once; a
-    PDO of the mapped length ends it.
+    `delivered(number, now)`, which may be replaced at any time, is called when the data stands in the
+    dictionary, `too_short(number, received, mapped, now)` for a PDO that was kept out because it is
+    too short (EMCY 8210h). One that is too long is used as far as it is mapped (EMCY 8220h).
+    Sub-index 5 is the time-out in milliseconds: it runs from the first PDO on and gives EMCY 8250h.
+    Each error is reported once; a PDO of the mapped length ends it.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Rpdo:
         self._counters = counters
         self._emergency = emergency
         self._window_open = window_open
-        self._delivered = delivered
+        self.delivered = delivered
         self._too_short = too_short
         self._changed = changed
         self._parameters = PdoParameters(dictionary, number, Direction.RECEIVE, self._written)
@@ -59,6 +59,8 @@ class Rpdo:
         self._failed = False
         self._supervised = False
         self._pending: bytes | None = None
+        self._store: Callable[[bytes], None] | None = None
+        self._length = 0
 
     @property
     def can_id(self) -> int | None:
@@ -71,12 +73,20 @@ class Rpdo:
         self._layout = self._parameters.layout() if operational else None
         self.is_synchronous = self._parameters.type.value in SYNCHRONOUS
         self._timeout_s = 0.0 if self._timeout is None else self._timeout.value / 1000
-        self._supervised = self._failed or self._timeout_s > 0
         self._pending = None
         self.deadline = NEVER
+        self._supervise_if(self._failed or self._timeout_s > 0)
 
     def handle(self, data: bytes, now: float) -> None:
         """The PDO from the bus."""
+        store = self._store
+        if store is not None and len(data) == self._length:
+            store(data)
+            self.delivered(self.number, now)
+        else:
+            self._handle_any(data, now)
+
+    def _handle_any(self, data: bytes, now: float) -> None:
         layout = self._layout
         if layout is None:
             return
@@ -112,7 +122,7 @@ class Rpdo:
         refused = layout.unpack(data)
         if refused:
             self._counters.refused_rpdo_values += refused
-        self._delivered(self.number, now)
+        self.delivered(self.number, now)
 
     def _refuse(self, received: int, mapped: int, now: float) -> None:
         self._counters.short_rpdos += 1
@@ -129,15 +139,24 @@ class Rpdo:
         self._restart_timeout(now)
 
     def _report(self, code: EmergencyCode, manufacturer: bytes, now: float) -> None:
-        self._failed = self._supervised = True
+        self._failed = True
+        self._supervise_if(True)
         self._emergency.report(code, ErrorRegister.COMMUNICATION, manufacturer, now, self._source)
 
     def _supervise(self, now: float) -> None:
         """A good PDO: errors are over, the time-out starts anew."""
         if self._failed:
             self._clear_errors(now)
-        self._supervised = self._timeout_s > 0
+            self._supervise_if(self._timeout_s > 0)
         self._restart_timeout(now)
+
+    def _supervise_if(self, supervised: bool) -> None:
+        """Whether the time and the errors are looked at; else the usual PDO is just stored."""
+        layout = self._layout
+        self._supervised = supervised
+        plain = layout is not None and not supervised and not self.is_synchronous
+        self._store = layout.store if plain and layout is not None else None
+        self._length = 0 if layout is None else layout.length
 
     def _restart_timeout(self, now: float) -> None:
         self.deadline = now + self._timeout_s if self._timeout_s else NEVER

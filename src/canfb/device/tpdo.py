@@ -47,6 +47,7 @@ class Tpdo:
         self._install()
         self._operational = False
         self._layout: Layout | None = None
+        self._pack: Callable[[], bytes] | None = None
         self._can_id = 0
         self._type = 0
         self._event_driven = False
@@ -57,6 +58,7 @@ class Tpdo:
         self._timer_end = NEVER
         self._event = False
         self._waits_for_start = False
+        self._every_sync = False
         self._syncs = 0
         self._sampled: bytes | None = None
 
@@ -76,6 +78,7 @@ class Tpdo:
         """Whether the NMT state allows PDOs. The mapping is compiled here."""
         self._operational = operational
         self._layout = self._parameters.layout() if operational else None
+        self._pack = None if self._layout is None else self._layout.pack
         self._can_id = self._parameters.can_id
         self._type = self._parameters.type.value
         self._event_driven = self._layout is not None and self._type in EVENT_DRIVEN
@@ -87,6 +90,7 @@ class Tpdo:
         self._timer_end = now + self._timer_s if self._timer_s else NEVER
         self._event = False
         self._waits_for_start = _value(self._start_value) > 0
+        self._every_sync = self._type == 1 and not self._waits_for_start
         self._syncs = 0
         self._sampled = None
         self._schedule()
@@ -104,7 +108,9 @@ class Tpdo:
 
     def synchronise(self, counter: int | None, now: float) -> None:
         """A SYNC, with its counter if it has one."""
-        if self._type == 0:
+        if self._every_sync:
+            self._send(now)
+        elif self._type == 0:
             if self._event:
                 self._event = False
                 self._send(now)
@@ -151,10 +157,10 @@ class Tpdo:
         return b"" if self._layout is None else self._layout.pack()
 
     def _send(self, now: float) -> None:
-        layout = self._layout
-        if layout is None:
+        pack = self._pack
+        if pack is None:
             return
-        self._emit(_new(Frame, (self._can_id, layout.pack(), False, None)))
+        self._emit(_new(Frame, (self._can_id, pack(), False, None)))
         if self._limited:
             self._event = False
             if self._inhibit_s and self._event_driven:
