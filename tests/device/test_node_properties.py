@@ -62,7 +62,7 @@ WRITES: dict[tuple[int, int, int], list[int]] = {
     (0x1F80, 0, 4): [0, 4, 1, 8, 0xFFFFFFFF],
 }
 # Entries that may be refused as they are, by the rules for changing them and not for their value.
-PROCEDURE = {(0x1003, 0), (0x1019, 0)}
+PROCEDURE = {0x1003, 0x1010, 0x1011, 0x1019}
 
 writes = st.sampled_from(sorted(WRITES)).flatmap(
     lambda place: st.tuples(st.just(place), st.sampled_from(WRITES[place]))
@@ -251,7 +251,7 @@ class NodeModel(RuleBasedStateMachine):
             )
             if entry.on_write is None or mapping_or_fixed:
                 continue
-            if (entry.index, entry.subindex) not in PROCEDURE:
+            if entry.index not in PROCEDURE:
                 try:
                     entry.on_write(entry.value)
                 except SdoAbort as abort:
