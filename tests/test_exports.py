@@ -38,11 +38,13 @@ ADDITIONS = {
     "Conditioning",
     "Config",
     "ConfigError",
+    "Drift",
     "Feedback",
     "Sample",
     "StatusBit",
     "Track",
     "TrackResult",
+    "drift",
     "process_stream",
 }
 # What the design says of their use: parameters by name, in order, with the defaults that it states.

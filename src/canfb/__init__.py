@@ -7,6 +7,7 @@ detection by the residual (eq. 12).
 
 from __future__ import annotations
 
+from canfb.calibration.drift import Drift, drift
 from canfb.calibration.motion import calibrate_from_motion
 from canfb.calibration.result import Calibration
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
@@ -37,6 +38,7 @@ __all__ = [
     "Config",
     "ConfigError",
     "CorrectionTable",
+    "Drift",
     "Feedback",
     "FeedbackModule",
     "Frame",
@@ -49,6 +51,7 @@ __all__ = [
     "Tracker",
     "calibrate_from_motion",
     "calibrate_from_zero_crossings",
+    "drift",
     "load_config",
     "max_acceleration",
     "phase_in_cycle",

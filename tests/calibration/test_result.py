@@ -19,6 +19,8 @@ def test_reasons_keep_their_numbers():
         "noise",
         "monotonic",
         "speed",
+        "interrupted",
+        "failed",
     ]
     assert next(iter(REASONS)) == ACCEPTED
 

@@ -8,7 +8,7 @@ from canfb.calibration.blocks import Blocks
 from canfb.calibration.joint import JointFit, bound_covariance, fit_jointly
 from canfb.calibration.judgement import judge
 from canfb.calibration.recording import BINS, Recording, coverage
-from canfb.calibration.result import Calibration, ErrorCurve, Harmonic, error_harmonics
+from canfb.calibration.result import TRACK_POINTS, Calibration, ErrorCurve, Harmonic, error_harmonics
 from canfb.calibration.solver import Solution
 from canfb.calibration.waveform import (
     Waveform,
@@ -80,6 +80,7 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
         harmonics=_harmonics(fit.waveform, conditioning, origin_of(curve), expected),
         curve=curve_of_errors,
         block_samples=blocks.index.shape[1],
+        tracks=np.array(fit.waveform.tracks(grid_phases(TRACK_POINTS)[:-1] + origin_of(curve))),
     )
     return judge(found, loss)
 

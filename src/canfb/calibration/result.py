@@ -21,6 +21,8 @@ LOCKED = "locked"
 NOISE = "noise"
 MONOTONIC = "monotonic"
 SPEED = "speed"
+INTERRUPTED = "interrupted"
+FAILED = "failed"
 
 REASONS = {
     ACCEPTED: "the measurement can be used",
@@ -33,8 +35,12 @@ REASONS = {
     NOISE: "noise of tracks or motion leaves the table too uncertain",
     MONOTONIC: "raw phase does not rise through the cycle, or is too far from the phase",
     SPEED: "too few samples in each cycle for this method: too fast",
+    INTERRUPTED: "the samples ended before there were enough: the module left OPERATIONAL",
+    FAILED: "the computation itself failed",
 }
 """Every reason, in the order of their numbers in object 2030:07 (0 = accepted)."""
+
+TRACK_POINTS = 1024
 
 
 class Harmonic(NamedTuple):
@@ -89,6 +95,8 @@ class Calibration:
     harmonics        of the error of the conditioned arc tangent, largest first
     curve            deviation over the phase, before and after
     block_samples    samples over which motion was taken to be smooth
+    tracks           mean tracks, ADC counts as they come, sine above cosine, at phases n/1024;
+                     None where they are not known
     """
 
     table: CorrectionTable
@@ -113,6 +121,7 @@ class Calibration:
     harmonics: tuple[Harmonic, ...] = ()
     curve: ErrorCurve
     block_samples: int
+    tracks: FloatArray | None = None
 
     @property
     def accepted(self) -> bool:

@@ -19,7 +19,7 @@ from canfb.calibration.ellipse import angle_cycles, as_real32, fit_ellipse
 from canfb.calibration.evaluate import error_curve, peak, root_mean
 from canfb.calibration.judgement import judge
 from canfb.calibration.recording import Recording, check_clipped, coverage, recording
-from canfb.calibration.result import CYCLES, SPEED, Calibration, Harmonic, error_harmonics
+from canfb.calibration.result import CYCLES, SPEED, TRACK_POINTS, Calibration, Harmonic, error_harmonics
 from canfb.calibration.solver import Progress, no_progress
 from canfb.calibration.waveform import grid_phases, table_from_phases
 from canfb.errors import CalibrationError
@@ -82,13 +82,14 @@ def calibrate_from_zero_crossings(
 class _Passage:
     """The samples in the direction of positive raw phase.
 
-    time  sampling intervals;  sine  conditioned, counts;  usable  may be used;
-    raw  raw phase;  angle  ideal phase at that raw phase (the arc tangent), continuous, cycles;
-    amplitude  of the tracks, counts
+    time  sampling intervals;  sine  conditioned, counts;  counts  both tracks as they came;
+    usable  may be used;  raw  raw phase;  angle  ideal phase at that raw phase (the arc
+    tangent), continuous, cycles;  amplitude  of the tracks, counts
     """
 
     time: FloatArray
     sine: FloatArray
+    counts: FloatArray
     usable: BoolArray
     angle: FloatArray
     raw: FloatArray
@@ -103,10 +104,19 @@ class _Passage:
         last = np.maximum.accumulate(np.where(usable, np.arange(len(raw)), 0))
         angle = np.unwrap(_ideal_phase(raw[last]), period=1.0)
         amplitude = root_mean(np.hypot(s[usable], c[usable]))
+        counts = np.array((record.sine, record.cosine))
         if angle[-1] >= angle[0]:
-            return cls(record.time, s, usable, angle, raw, amplitude)
+            return cls(record.time, s, counts, usable, angle, raw, amplitude)
         # Backwards: read the recording from its end.
-        return cls(-record.time[::-1], s[::-1], usable[::-1], angle[::-1], raw[::-1], amplitude)
+        return cls(
+            -record.time[::-1],
+            s[::-1],
+            counts[:, ::-1],
+            usable[::-1],
+            angle[::-1],
+            raw[::-1],
+            amplitude,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,6 +283,7 @@ def _finish(
         harmonics=_harmonics(nodes, mean, max(root_mean(spread), measured)),
         curve=error_curve(position, before, after),
         block_samples=round(len(inside) / len(cycles)),
+        tracks=_mean_tracks(passage.counts[:, inside], position - mean[0]),
     )
     return judge(found)
 
@@ -293,6 +304,15 @@ def _positions(passage: _Passage, cycles: _Cycles, inside: IntArray, owner: IntA
         one = cycles.take(np.array([row]))
         positions[start:stop] = one.position(passage.time[inside[start:stop]][None])[0]
     return positions
+
+
+def _mean_tracks(counts: FloatArray, phase: FloatArray) -> FloatArray:
+    """Both tracks at phases n / TRACK_POINTS: the mean around there, straight over what has no sample."""
+    place = np.rint(phase % 1.0 * TRACK_POINTS).astype(np.int64) % TRACK_POINTS
+    number = np.bincount(place, minlength=TRACK_POINTS)
+    seen = np.flatnonzero(number)
+    means = [np.bincount(place, track, TRACK_POINTS)[seen] / number[seen] for track in counts]
+    return np.array([np.interp(np.arange(TRACK_POINTS), seen, one, period=TRACK_POINTS) for one in means])
 
 
 def _centred(off: FloatArray) -> FloatArray:

@@ -1,0 +1,166 @@
+"""How far an encoder is from the table in force: exact, whatever the conditionings are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from measurements import extreme_encoder, paper_motion, random_encoder, true_phases, wandering
+
+import canfb
+from canfb.calibration.drift import drift
+from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.result import Calibration
+from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
+from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.correction import CorrectionTable
+from canfb.simulation.encoder import Encoder
+
+
+@pytest.fixture(scope="module")
+def measured() -> Calibration:
+    """Some measurement, to put tables and tracks into."""
+    rng = np.random.default_rng(1)
+    return calibrate_from_motion(*random_encoder(rng, 0.5).sample(wandering(300.0, rng, 6.0), rng))
+
+
+def table_with(size: float, order: int, shift: float = 0.0, n: int = 1024, constant: float = 0.0):
+    x = np.arange(n) / n
+    return CorrectionTable(x + constant + size * np.sin(2.0 * np.pi * (order * x + shift)))
+
+
+def of_encoder(measured: Calibration, encoder: Encoder, conditioning: Conditioning, n: int = 1024):
+    """What a perfect measurement of this encoder gives."""
+    tracks = np.array(encoder.tracks(np.arange(1024) / 1024))
+    phases = true_phases(encoder, n, conditioning)
+    phases -= np.rint(phases[0])
+    return replace(measured, table=CorrectionTable(phases), conditioning=conditioning, tracks=tracks)
+
+
+conditionings = st.builds(
+    Conditioning,
+    st.floats(-80.0, 80.0),
+    st.floats(-80.0, 80.0),
+    st.floats(0.9, 1.1),
+    st.floats(0.9, 1.1),
+    st.floats(-0.1, 0.1),
+)
+
+
+def test_nothing_has_moved(measured: Calibration) -> None:
+    assert drift(measured, measured.table, measured.conditioning) == (0.0, 0.0)
+    assert canfb.drift is drift
+
+
+@given(st.floats(0.0, 0.01), st.integers(1, 12), st.floats(0.0, 1.0), st.floats(-0.2, 0.2))
+def test_a_sine_over_the_phase_is_measured(measured, size, order, shift, constant) -> None:
+    fresh = replace(measured, table=CorrectionTable.identity(1024))
+    found = drift(fresh, table_with(size, order, shift, constant=constant), fresh.conditioning)
+    assert found.peak == pytest.approx(size, rel=3e-3, abs=2e-7)
+    assert found.rms == pytest.approx(size / np.sqrt(2.0), rel=1e-3, abs=2e-7)
+
+
+@given(st.integers(16, 4096), st.integers(16, 4096), st.floats(1e-4, 0.02), st.floats(0.0, 1.0))
+def test_it_is_exact_between_entries_too(measured, first, second, size, shift) -> None:
+    """Against brute force at very many places, weighed by the way."""
+    fresh = replace(measured, table=table_with(size, 2, n=first))
+    active = table_with(0.7 * size, 3, shift, n=second)
+    raw = np.arange(1 << 18) / (1 << 18)
+    phase = fresh.table(raw)
+    off = (active(raw) - phase + 0.5) % 1.0 - 0.5
+    way = (np.roll(phase, -1) - phase + 0.5) % 1.0 - 0.5
+    off -= np.average(off, weights=way)
+    found = drift(fresh, active, fresh.conditioning)
+    assert found.rms == pytest.approx(np.sqrt(np.average(off**2, weights=way)), rel=1e-3, abs=1e-7)
+    assert found.peak == pytest.approx(np.abs(off).max(), rel=1e-3, abs=1e-6)
+
+
+@given(st.integers(0, 1 << 30), conditionings, conditionings, st.integers(256, 4096))
+def test_the_same_encoder_shows_no_drift_whatever_the_conditionings(measured, seed, active, fresh, n) -> None:
+    encoder = random_encoder(np.random.default_rng(seed), 0.0)
+    table = of_encoder(measured, encoder, active, n).table
+    found = drift(of_encoder(measured, encoder, fresh), table, active)
+    assert found.peak < 3e-5 * (1024 / min(n, 1024)) ** 2
+
+
+@given(st.integers(0, 1 << 30), conditionings, conditionings)
+def test_what_has_moved_does_not_depend_on_the_conditioning_of_the_fresh_measurement(
+    measured, seed, active, fresh
+) -> None:
+    rng = np.random.default_rng(seed)
+    before, after = random_encoder(rng, 0.0), random_encoder(rng, 0.0)
+    table = of_encoder(measured, before, active).table
+    same = drift(of_encoder(measured, after, active), table, active)
+    other = drift(of_encoder(measured, after, fresh), table, active)
+    assert other.rms == pytest.approx(same.rms, rel=5e-3, abs=1e-5)
+    assert other.peak == pytest.approx(same.peak, rel=2e-2, abs=3e-5)
+
+
+@given(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05))
+def test_an_offset_of_the_tracks_moves_the_position_as_theory_says(measured, sine, cosine) -> None:
+    """Offsets a, b turn the phase by (a cos x - b sin x) / 2 pi in first order."""
+    old, new = Encoder(), Encoder(sine_offset=sine, cosine_offset=cosine)
+    fresh = of_encoder(measured, new, Conditioning(1500.0 * sine, 1500.0 * cosine))
+    found = drift(fresh, of_encoder(measured, old, IDENTITY).table, IDENTITY)
+    size = np.hypot(sine, cosine)
+    assert found.rms == pytest.approx(size / (2.0 * np.pi) / np.sqrt(2.0), rel=0.6 * size, abs=1e-5)
+
+
+def test_no_table_is_the_identity(measured: Calibration) -> None:
+    against = [drift(measured, table, IDENTITY) for table in (None, CorrectionTable.identity(16))]
+    assert against[0].rms == pytest.approx(against[1].rms, rel=1e-5)
+    assert against[0].rms > 1e-3
+
+
+def test_a_turned_direction_is_as_far_off_as_can_be(measured: Calibration) -> None:
+    found = drift(measured, measured.table, Conditioning(sine_gain=-1.0))
+    assert found.peak > 0.45
+    assert found.rms > 0.2
+
+
+def test_a_conditioning_that_puts_zero_into_the_middle_of_the_tracks(measured: Calibration) -> None:
+    far = Conditioning(
+        sine_offset_counts=float(measured.tracks[0, 7]), cosine_offset_counts=float(measured.tracks[1, 7])
+    )
+    assert drift(measured, None, far).peak >= 0.25
+
+
+def test_other_conditionings_need_the_tracks(measured: Calibration) -> None:
+    old = replace(measured, tracks=None)
+    assert drift(old, measured.table, measured.conditioning) == (0.0, 0.0)
+    with pytest.raises(ValueError, match="measure again with the conditioning"):
+        drift(old, measured.table, Conditioning(1.0))
+
+
+@pytest.mark.parametrize("make", [random_encoder, extreme_encoder])
+@pytest.mark.parametrize("conditioning", [None, "fit"])
+def test_measurements_of_one_encoder_differ_by_their_uncertainty(make, conditioning) -> None:
+    rng = np.random.default_rng(3)
+    encoder = make(rng, 0.5)
+    first = calibrate_from_motion(*encoder.sample(wandering(300.0, rng, 8.0), rng), "fit")
+    slow = calibrate_from_zero_crossings(*encoder.sample(paper_motion(rng, 4.0), rng), conditioning)
+    for again in (
+        calibrate_from_motion(*encoder.sample(wandering(900.0, rng, 8.0), rng), conditioning),
+        slow,
+    ):
+        found = drift(again, first.table, first.conditioning)
+        uncertainty = np.hypot(first.uncertainty_rms, again.uncertainty_rms)
+        assert 1e-7 < found.rms < 3.0 * uncertainty
+        assert found.peak < 10.0 * uncertainty
+
+
+def test_an_encoder_that_has_moved_is_measured_to_a_hundredth_of_a_percent() -> None:
+    rng = np.random.default_rng(4)
+    encoder = random_encoder(rng, 0.5)
+    moved = replace(encoder, sine_offset=encoder.sine_offset + 0.02)
+    first = calibrate_from_motion(*encoder.sample(wandering(300.0, rng, 8.0), rng), "fit")
+    again = calibrate_from_motion(*moved.sample(wandering(300.0, rng, 8.0), rng), "fit")
+    n = 4096
+    truth = true_phases(encoder, n, first.conditioning) - true_phases(moved, n, first.conditioning)
+    truth -= truth.mean()
+    found = drift(again, first.table, first.conditioning)
+    assert found.rms == pytest.approx(np.sqrt(np.mean(truth**2)), abs=1e-4)
+    assert found.peak == pytest.approx(np.abs(truth).max(), abs=2e-4)
