@@ -117,8 +117,8 @@ class _Network(canopen.Network):
     NOTIFIER_CYCLE = LOOK_S
 
     def __init__(self, bus: can.BusABC) -> None:
-        super().__init__(bus)
         self._bus = bus
+        super().__init__(bus)
         self.subscribers = {}
         self.listener = _Listener(self)
         self.listeners = [self.listener]

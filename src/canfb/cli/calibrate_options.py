@@ -81,6 +81,13 @@ def _add_measurement(parser: argparse.ArgumentParser) -> None:
         "--seconds", type=float, metavar="S", help="how long to collect (20; 4 for a recording)"
     )
     group.add_argument(
+        "--least-samples",
+        type=int,
+        default=LEAST_SAMPLES,
+        metavar="N",
+        help=f"collect longer, up to six times, where the SYNC is slow ({LEAST_SAMPLES})",
+    )
+    group.add_argument(
         "--verify", type=float, metavar="S", help="how long to collect for the proof (4; 1 for a recording)"
     )
     group.add_argument(
@@ -126,10 +133,10 @@ def check_options(options: argparse.Namespace) -> None:
     fast = options.source == RECORDING
     options.seconds = options.seconds if options.seconds is not None else (4.0 if fast else 20.0)
     options.verify = options.verify if options.verify is not None else (1.0 if fast else 4.0)
-    options.least = LEAST_SAMPLES
     for name, low, high in (
         ("seconds", 0.1, 3600.0),
         ("verify", 0.1, 600.0),
+        ("least_samples", 0, 10_000_000),
         ("rate", 0.1, 1e7),
         ("sync", 0.1, 1e5),
         ("answer_within", 0.01, 60.0),

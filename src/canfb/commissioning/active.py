@@ -14,6 +14,7 @@ TABLE, CONDITIONING, STORE = 0x2020, 0x2002, 0x1010
 STAGED, STAGED_CRC, ACTIVATE, ACTIVE_CRC, ENTRIES = 1, 2, 3, 4, 5
 MANUFACTURER, ALL = 4, 1  # sub-indices of 1010h, the narrower one first
 SAVE = b"save"
+SAVES_ON_COMMAND = 1
 SAVE_WITHIN_S = 10.0
 
 
@@ -101,19 +102,18 @@ def is_active(module: NodeAccess, wanted: ActiveSet) -> bool:
 
 
 def save(module: NodeAccess) -> str | None:
-    """Keep table and parameters over a loss of power: the sub-index of 1010h used, None without one.
+    """Keep table and parameters over a loss of power: the object used, None where nothing can be kept.
 
-    CommissioningError if the node refuses or fails to save.
+    CommissioningError if the node can save and fails to.
     """
     for subindex in (MANUFACTURER, ALL):
         try:
             ability = module.integer(STORE, subindex, "I")
         except ObjectAbsentError:
             continue
-        if not ability & 1:
-            continue  # saves by itself, or not at all
-        module.write_bytes(STORE, subindex, SAVE, SAVE_WITHIN_S)
-        return f"1010:{subindex:02X}"
+        if ability & SAVES_ON_COMMAND:
+            module.write_bytes(STORE, subindex, SAVE, SAVE_WITHIN_S)
+            return f"1010:{subindex:02X}"
     return None
 
 

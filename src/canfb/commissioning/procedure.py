@@ -199,7 +199,8 @@ def _save(module: NodeAccess, done: Installation) -> None:
     done.saved_as = save(module)
     if done.saved_as is None:
         done.save_note = (
-            f"not saved: {module.name} has no `save` (1010h); the table is lost when it is switched off"
+            f"not saved: {module.name} cannot save (1010h; canfb run needs a state_dir for it), the table is "
+            "lost when it is switched off"
         )
 
 

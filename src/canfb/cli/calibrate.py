@@ -1,0 +1,229 @@
+"""``canfb calibrate``: a reference measurement over the bus, its table proven, active and saved."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from canfb.bus.master import BusMaster, today
+from canfb.bus.opening import open_bus
+from canfb.bus.runner import ending_on_signals
+from canfb.cli.calibrate_options import (
+    MODULE,
+    add_options,
+    check_options,
+    chosen_nodes,
+    samples_of_file,
+    settings_of,
+)
+from canfb.cli.options import Commands, add_command, bus_options
+from canfb.cli.progress import Progress
+from canfb.commissioning import own_calibration
+from canfb.commissioning.access import Master
+from canfb.commissioning.active import NOTHING_ACTIVE, ActiveSet
+from canfb.commissioning.artefacts import prepare, write, write_refusal
+from canfb.commissioning.drift_check import check, drift_json, drift_lines
+from canfb.commissioning.pictures import TrackLimits
+from canfb.commissioning.procedure import Guard, Installation, Measurement, Settings, install, measure
+from canfb.commissioning.samples import Samples
+from canfb.commissioning.session import Session, Source
+from canfb.commissioning.summary import Circumstances, as_json, comparison, facts, outcome, verdict
+from canfb.commissioning.table_file import read_table
+from canfb.configuration import Config, load_config
+from canfb.errors import CalibrationError
+
+LEAST_FRESH = 1500
+
+
+def register(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "calibrate",
+        "measure the encoder, build its correction table, put it in force and save it",
+        calibrate,
+    )
+    add_options(parser)
+
+
+def calibrate(options: argparse.Namespace) -> int:
+    """Do all of it; 0 when the table is in force, or when ``--dry-run`` or ``--check`` is done."""
+    check_options(options)
+    config = load_config(options.config) if options.config else Config()
+    progress = Progress(quiet=options.json)
+    if options.out:
+        prepare(options.out)
+    try:
+        if options.samples:
+            return _Job(options, progress, today().isoformat()).from_file()
+        words = bus_options(options, config.bus)
+        if options.sync is not None:
+            words = words | {"receive_own_messages": True}
+        guard = Guard()
+        with BusMaster(open_bus(words), options.answer_within) as master, ending_on_signals(guard.interrupt):
+            if options.sync is not None:
+                master.produce_sync(options.sync)
+            return over_bus(master, options, config, progress, guard, today().isoformat())
+    finally:
+        progress.clear()
+
+
+def over_bus(
+    master: Master,
+    options: argparse.Namespace,
+    config: Config,
+    progress: Progress,
+    guard: Guard,
+    date: str,
+) -> int:
+    """The command on an open bus; the exit code."""
+    progress.step("reading what is active")
+    session = Session.open(master, *chosen_nodes(options, config))
+    job = _Job(options, progress, date)
+    job.where = Circumstances(
+        date,
+        session.module.node_id,
+        session.interface.node_id,
+        options.encoder,
+        session.cycles_per_revolution,
+    )
+    job.limits = session.limits
+    settings = settings_of(options, session.limits)
+    source = session.source(options.source, options.recorder, options.rate)
+    if options.source == MODULE:
+        return _by_module(session, job, source, settings, guard)
+    progress.step(f"collecting samples for {options.seconds:g} s")
+    samples = source(options.seconds, options.least_samples, progress.part)
+    if options.check:
+        return job.report_drift(samples, session.active, settings)
+    measured, done = job.measured(samples, session.active, settings), Installation()
+    if not options.dry_run:
+        measured, done = job.install(session, measured, source, settings, guard)
+    return job.report(measured, done)
+
+
+def _by_module(session: Session, job: _Job, source: Source, settings: Settings, guard: Guard) -> int:
+    """The module measures; what it hears is measured here as well, for the figures and the pictures."""
+    job.progress.step("the module measures")
+    samples = own_calibration.let_measure(session.module, session.layout(), job.progress.part)
+    try:
+        measured, done = job.measured(samples, session.active, settings), Installation()
+        if job.options.dry_run:
+            own_calibration.stop(session.module)
+    except BaseException:
+        own_calibration.stop(session.module)
+        raise
+    if not job.options.dry_run:
+
+        def accept() -> Measurement:
+            return own_calibration.accept(session.module, measured, settings)
+
+        measured, done = job.install(session, measured, source, settings, guard, accept)
+    return job.report(measured, done)
+
+
+class _Job:
+    """What does not depend on where the samples come from."""
+
+    def __init__(self, options: argparse.Namespace, progress: Progress, date: str) -> None:
+        self.where = Circumstances(
+            date, encoder=options.encoder, cycles_per_revolution=options.cycles_per_revolution
+        )
+        self.limits: TrackLimits | None = None
+        self.options = options
+        self.progress = progress
+
+    def from_file(self) -> int:
+        """Samples of a file: nothing but files can come of it."""
+        options = self.options
+        samples = samples_of_file(options)
+        before = read_table(options.table) if options.table else NOTHING_ACTIVE
+        settings = settings_of(options, None)
+        if options.check:
+            return self.report_drift(samples, before, settings)
+        return self.report(self.measured(samples, before, settings), Installation())
+
+    def measured(self, samples: Samples, before: ActiveSet, settings: Settings) -> Measurement:
+        """Calibrate; what is refused leaves its samples and a report that shows why."""
+        found: Measurement = self._judged(
+            samples, lambda: measure(samples, settings, before, self.progress.part)
+        )
+        return found
+
+    def install(
+        self,
+        session: Session,
+        measured: Measurement,
+        source: Source,
+        settings: Settings,
+        guard: Guard,
+        put: Callable[[], Measurement] | None = None,
+    ) -> tuple[Measurement, Installation]:
+        """Put in force, prove, save."""
+        options, progress = self.options, self.progress
+
+        def collect() -> Samples:
+            return source(options.verify, min(options.least_samples, LEAST_FRESH), progress.part)
+
+        return install(
+            session.module,
+            measured,
+            collect,
+            settings,
+            guard,
+            put=put,
+            keep=not options.no_save,
+            step=progress.step,
+        )
+
+    def report_drift(self, samples: Samples, active: ActiveSet, settings: Settings) -> int:
+        """How far the encoder has moved away from its table."""
+        found = self._judged(samples, lambda: check(samples, active, settings, self.progress.part))
+        if self.options.json:
+            print(json.dumps(drift_json(found, self.where), indent=2))
+        else:
+            print("\n".join(drift_lines(found, self.where)))
+        return 0
+
+    def report(self, measured: Measurement, done: Installation) -> int:
+        """Say what came out, and write the files."""
+        out = self.options.out
+        paths = write(out, measured, done, self.where, self.limits) if out else []
+        if self.options.json:
+            figures = as_json(measured, done, self.where) | {"files": [str(path) for path in paths]}
+            print(json.dumps(figures, indent=2))
+        else:
+            print("\n".join(account(measured, done, self.where, paths)))
+        return 0
+
+    def _judged(self, samples: Samples, act: Callable[[], Any]) -> Any:
+        self.progress.step(f"calculating from {len(samples)} samples")
+        try:
+            result = act()
+        except CalibrationError as error:
+            out = self.options.out
+            if out:
+                write_refusal(out, samples, error, self.where, self.limits)
+            if self.options.json:
+                refusal = {"accepted": False, "reason": error.reason, "message": str(error)}
+                print(json.dumps(refusal | {"active": False, "saved": False}, indent=2))
+            raise
+        finally:
+            self.progress.clear()
+        return result
+
+
+def account(measured: Measurement, done: Installation, where: Circumstances, paths: list[Path]) -> list[str]:
+    """The account for people."""
+    rows = comparison(measured, done, where)
+    wide = max(len(row.before) for row in rows)
+    lines = [f"{'':24}{'before':{wide}}  after"]
+    lines += [f"{row.name:24}{row.before:{wide}}  {row.after}" for row in rows]
+    lines.append("")
+    lines += [f"{name:24}{text}" for name, text in facts(measured, where)]
+    lines += ["", verdict(measured, done), outcome(measured, done)]
+    lines += [f"written  {path}" for path in paths]
+    return lines

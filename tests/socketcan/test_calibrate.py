@@ -1,0 +1,86 @@
+"""`canfb calibrate` against `canfb run` and `canfb simulate`, three processes on a real bus."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+from network import NODE_ID, next_frame, position_fields, write_config
+
+from canfb.signal.supervision import StatusBit
+
+RATE_HZ = 200
+AUTOSTART = "    autostart: true\n"
+TURNING = """\
+simulation:
+  encoder: {amplitude: 0.7, sine_offset: 0.05, cosine_offset: -0.03, cosine_amplitude: 0.94,
+            phase_error_rad: 0.05, harmonics: [{order: 3, sine: 0.01, cosine: 0.008}]}
+  motion: {standstill_s: 0, ramp_s: 0, rpm: 31, ripple_rpm: 0.5, ripple_hz: 0.3}
+"""
+STANDING = TURNING.replace("rpm: 31, ripple_rpm: 0.5, ripple_hz: 0.3", "rpm: 0")
+BUS = ("-i", "socketcan", "-c", "vcan0")
+
+
+def machine(process: Callable[..., Any], folder: Path, simulation: str) -> None:
+    config = write_config(folder, AUTOSTART, simulation)
+    process("run", config).wait_for("end with Ctrl-C")
+    process("simulate", config, "--rate", str(RATE_HZ)).wait_for("end with Ctrl-C")
+
+
+def status(bus: can.BusABC) -> int:
+    """Status word of the next position PDO; a bus opened before would still hold old ones."""
+    data = next_frame(bus, 0x180 + NODE_ID)
+    assert data is not None
+    return position_fields(data)[1]
+
+
+def test_a_table_is_measured_uploaded_proven_and_reported(
+    process: Callable[..., Any], tmp_path: Path, open_bus: Callable[..., can.BusABC]
+) -> None:
+    machine(process, tmp_path, TURNING)
+    out = tmp_path / "out"
+    command = process(
+        "calibrate", *BUS, "--module", str(NODE_ID), "--seconds", "6", "--verify", "2", "--entries", "256",
+        "--least-samples", "1000", "--out", str(out), "--json",
+    )  # fmt: skip
+    assert command.wait(60.0) == 0, str(command)
+    figures = json.loads("\n".join(command.lines))
+    assert figures["accepted"]
+    assert figures["active"]
+    assert figures["before_rms_cycles"] > 0.005
+    assert 1e-6 < figures["fresh_rms_cycles"] < 3e-4
+    assert abs(figures["sample_rate_hz"] - RATE_HZ) < 0.05 * RATE_HZ
+    table = (out / "table.bin").read_bytes()
+    assert f"{zlib.crc32(table):08X}" == figures["crc32"]
+    assert "Accepted." in (out / "report.html").read_text()
+    assert status(open_bus()) & StatusBit.TABLE_ACTIVE
+
+
+def test_a_machine_that_stands_still_is_refused_and_nothing_changes(
+    process: Callable[..., Any], tmp_path: Path, open_bus: Callable[..., can.BusABC]
+) -> None:
+    machine(process, tmp_path, STANDING)
+    command = process("calibrate", *BUS, "--seconds", "2", "--least-samples", "200")
+    assert command.wait(60.0) == 1
+    assert command.lines[-1].startswith("canfb: the tracks hardly change: the machine stands still")
+    assert not status(open_bus()) & StatusBit.TABLE_ACTIVE
+
+
+@pytest.mark.parametrize("module", ["32", "33"])
+def test_without_a_sync_or_without_the_module_it_says_so(
+    process: Callable[..., Any], tmp_path: Path, module: str
+) -> None:
+    process("run", write_config(tmp_path)).wait_for("end with Ctrl-C")
+    command = process("calibrate", *BUS, "--module", module, "--seconds", "2", "--answer-within", "2")
+    assert command.wait(60.0) == 1
+    said = (
+        "canfb: no SYNC (080h) for 2 s: "
+        if module == "32"
+        else "canfb: module 33 (21h): reading 2020:04: no answer"
+    )
+    assert command.lines[-1].startswith(said)
