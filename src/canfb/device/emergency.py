@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Hashable
 
 from canfb.device import cob
+from canfb.device.agenda import Timed
 from canfb.device.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
@@ -20,7 +21,7 @@ APPLICATION = None
 """Source of the errors that the program reports."""
 
 
-class Emergency:
+class Emergency(Timed):
     """Reports errors: each once, until it is cleared.
 
     An error is known by its code and its source, so that two RPDOs that are both too short are two

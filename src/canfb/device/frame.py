@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 NEVER = float("inf")
 """The deadline of a service that waits for nothing, seconds."""
@@ -24,15 +24,6 @@ class Frame(NamedTuple):
 
 Emit = Callable[[Frame], None]
 """How a service sends a frame."""
-
-
-class Timed(Protocol):
-    """A service with a timer: `deadline` is when it wants `tick`, seconds, NEVER for not at all."""
-
-    deadline: float
-
-    def tick(self, now: float) -> None:
-        """Do what is due at `now` (seconds, monotonic) and move the deadline on."""
 
 
 class Moment:

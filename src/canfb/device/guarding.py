@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from canfb.device.agenda import Timed
 from canfb.device.codes import EmergencyCode, ErrorRegister
 from canfb.device.dictionary import Dictionary
 from canfb.device.emergency import Emergency
@@ -15,7 +16,7 @@ _TOGGLE = 0x80
 _SOURCE = 0x100C
 
 
-class NodeGuarding:
+class NodeGuarding(Timed):
     """Answers the remote frames of a master with the NMT state, and watches that they come.
 
     The toggle bit is 0 in the first answer after a reset, then alternates. The life time, 100Ch

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from canfb.device.agenda import Timed
 from canfb.device.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
@@ -16,7 +17,7 @@ ERROR_CONTROL = 0x700
 """CAN-ID of boot-up and heartbeat of node 0; the node-ID is added."""
 
 
-class HeartbeatProducer:
+class HeartbeatProducer(Timed):
     """Sends the NMT state every 1017h milliseconds; 0 is off.
 
     The boot-up counts as the first heartbeat. A new period starts with a heartbeat at once.
@@ -128,7 +129,7 @@ class HeartbeatMonitor:
         return self.entry.index, self.entry.subindex
 
 
-class HeartbeatConsumer:
+class HeartbeatConsumer(Timed):
     """Object 1016h. `changed()` is called when other nodes are to be watched."""
 
     def __init__(

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from canfb.device import cob, pdo
+from canfb.device.agenda import Agenda
 from canfb.device.codes import EmergencyCode
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.emergency import Emergency
-from canfb.device.frame import NEVER, Frame, Moment, Timed
+from canfb.device.frame import NEVER, Frame, Moment
 from canfb.device.guarding import NodeGuarding
 from canfb.device.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from canfb.device.image import ParameterGroup
@@ -92,6 +93,7 @@ class Node:
         self._operational = False
         self._outbox: list[Frame] = []
         self._moment = Moment()
+        self._agenda = Agenda()
         self._routes: dict[int, Handler] = {}
         self._remote_routes: dict[int, Callable[[float], None]] = {}
         self._sync_rpdos: list[Rpdo] = []
@@ -145,16 +147,18 @@ class Node:
             number: Tpdo(dictionary, number, emit=emit, moment=moment, changed=self._pdo_changed)
             for number in pdo.numbers(dictionary, Direction.TRANSMIT)
         }
-        self._timed: list[Timed] = [
-            self._sync,
-            *self._rpdos,
-            *self._tpdos.values(),
-            self._producer,
-            self._guarding,
-            self._consumer,
-            self._emergency,
-            *(channel.server for channel in self._channels),
-        ]
+        self._agenda.fill(
+            [
+                self._sync,
+                *self._rpdos,
+                *self._tpdos.values(),
+                self._producer,
+                self._guarding,
+                self._consumer,
+                self._emergency,
+                *(channel.server for channel in self._channels),
+            ]
+        )
 
     @property
     def state(self) -> NmtState:
@@ -212,16 +216,14 @@ class Node:
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at `now`; gives what is to be sent."""
         self._moment.now = now
-        for service in self._timed:
-            if service.deadline <= now:
-                service.tick(now)
+        self._agenda.tick(now)
         return self._sent()
 
     def deadline(self) -> float | None:
         """When `tick` is wanted next, seconds; None when nothing is waiting."""
         if self._outbox:
             return self._moment.now
-        due = min([service.deadline for service in self._timed])  # faster than without the list
+        due = self._agenda.due()
         return None if due == NEVER else due
 
     def trigger_tpdo(self, number: int, now: float) -> None:

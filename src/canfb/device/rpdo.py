@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from canfb.device.agenda import Timed
 from canfb.device.codes import EmergencyCode, ErrorRegister
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
@@ -16,7 +17,7 @@ ERRORS = (EmergencyCode.RPDO_LENGTH, EmergencyCode.RPDO_LENGTH_EXCEEDED, Emergen
 """What an RPDO of the mapped length ends."""
 
 
-class Rpdo:
+class Rpdo(Timed):
     """Takes data into the dictionary: at once (types FEh, FFh) or at the next SYNC (0 to F0h).
 
     `delivered(number, now)`, which may be replaced at any time, is called when the data stands in the

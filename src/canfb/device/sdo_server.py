@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from canfb.device.agenda import Timed
 from canfb.device.codes import AbortCode, SdoAbort
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
@@ -29,7 +30,7 @@ TIMEOUT_S = 1.0
 _FRAME_LENGTH = 8
 
 
-class SdoServer:
+class SdoServer(Timed):
     """Serves one client at a time; each channel has its own transfer, toggle bits and time-out.
 
     A request that is not 8 bytes long is ignored. A new request within a transfer gives the old

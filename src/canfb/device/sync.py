@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from canfb.device import cob
+from canfb.device.agenda import Timed
 from canfb.device.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
@@ -17,7 +18,7 @@ _DEFAULT_COB_ID = 0x080
 _LONGEST_COUNTER = 240
 
 
-class Sync:
+class Sync(Timed):
     """SYNC as the node sees it; `synchronise(counter, now)` is called at each one.
 
     The counter is None while 1019h is 0. A SYNC of the wrong length gives EMCY 8240h once and does

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from canfb.device.agenda import Timed
 from canfb.device.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
@@ -15,7 +16,7 @@ _LARGEST_START = 240
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
 
-class Tpdo:
+class Tpdo(Timed):
     """Samples the dictionary and sends it.
 
     Type 0: at the SYNC after an event. 1 to F0h: at every type-th SYNC, from the one with the

@@ -1,0 +1,68 @@
+"""Who wants to be called when: the services with a timer, and the earliest of their deadlines."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+
+from canfb.device.frame import NEVER
+
+
+class Agenda:
+    """The services with a timer, in the order in which they are called when several are due.
+
+    A host asks for the deadline at every frame, and few frames move one: so the earliest is kept
+    until a service says that its own has moved.
+    """
+
+    __slots__ = ("_due", "_services", "moved")
+
+    def __init__(self) -> None:
+        self._services: tuple[Timed, ...] = ()
+        self._due = NEVER
+        self.moved = True
+        """Whether a deadline has moved since the earliest was looked for."""
+
+    def fill(self, services: Iterable[Timed]) -> None:
+        """The services from now on."""
+        self._services = tuple(services)
+        for service in self._services:
+            service.agenda = self
+        self.moved = True
+
+    def due(self) -> float:
+        """The earliest deadline, seconds; NEVER when nobody waits."""
+        if self.moved:
+            self._due = min([service.deadline for service in self._services], default=NEVER)
+            self.moved = False
+        return self._due
+
+    def tick(self, now: float) -> None:
+        """Call the services that are due at `now` (seconds, monotonic)."""
+        if self.due() <= now:
+            for service in self._services:
+                if service.deadline <= now:
+                    service.tick(now)
+
+
+class Timed(ABC):
+    """A service with a timer: `deadline` is when it wants `tick`, seconds, NEVER for not at all."""
+
+    agenda = Agenda()
+    """Where the service is listed; as long as it is nowhere, one that nobody asks."""
+    _deadline = NEVER
+
+    @property
+    def deadline(self) -> float:
+        """When it wants `tick`, seconds; NEVER for not at all."""
+        return self._deadline
+
+    @deadline.setter
+    def deadline(self, due: float) -> None:
+        if due != self._deadline:
+            self._deadline = due
+            self.agenda.moved = True
+
+    @abstractmethod
+    def tick(self, now: float) -> None:
+        """Do what is due at `now` (seconds, monotonic) and move the deadline on."""
