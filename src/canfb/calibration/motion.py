@@ -32,7 +32,8 @@ def calibrate_from_motion(
 ) -> Calibration:
     """Correction table from samples of any motion, taken at any rate (also below Nyquist).
 
-    sine, cosine    ADC counts, shape (n,), NaN where a sample is missing
+    sine, cosine    ADC counts, shape (n,), NaN where a sample is missing, or -32768 in both, the
+                    mark of a recording (2050:03)
     conditioning    None leaves all to the table, "fit" fits the ellipse of the tracks first, or
                     a :class:`canfb.signal.conditioning.Conditioning` to use
     time_s          sample times in seconds, rising; None: one sample per interval, none left out

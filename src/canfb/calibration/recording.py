@@ -11,6 +11,7 @@ from canfb.calibration.blocks import BoolArray, IntArray
 from canfb.calibration.following import positions
 from canfb.errors import CalibrationError
 from canfb.signal.phase import FloatArray
+from canfb.signal.recorder import BYTES_PER_SAMPLE, MISSED_COUNTS
 
 MIN_SAMPLES = 200
 BINS = 64
@@ -55,10 +56,12 @@ def recording(
     adc_bits: int | None,
 ) -> Recording:
     """Check the arguments of a reference measurement. ValueError for wrong ones, CalibrationError
-    ("samples") for too few usable samples."""
+    ("samples") for too few usable samples. The mark of a missed sample (2050:03) is no sample."""
     s, c = np.array(sine, np.float64), np.array(cosine, np.float64)
     if s.ndim != 1 or s.shape != c.shape:
         raise ValueError(f"sine and cosine must have one dimension and one length: {s.shape}, {c.shape}")
+    missed = (s == MISSED_COUNTS) & (c == MISSED_COUNTS)
+    s[missed] = c[missed] = np.nan
     usable = np.isfinite(s) & np.isfinite(c)
     if valid is not None:
         mask = np.asarray(valid)
@@ -76,6 +79,18 @@ def recording(
     breaks = at[1:][np.diff(time[at]) > BREAK_INTERVALS]
     s, c = np.nan_to_num(s, posinf=0.0, neginf=0.0), np.nan_to_num(c, posinf=0.0, neginf=0.0)
     return Recording(s, c, usable, clipped, time, uneven, breaks.astype(np.int64))
+
+
+def recorded_tracks(data: bytes) -> tuple[FloatArray, FloatArray]:
+    """Sine and cosine, counts, of an uploaded recording (2050:03); NaN where a sample is missing.
+
+    ValueError unless ``data`` is whole samples.
+    """
+    if len(data) % BYTES_PER_SAMPLE:
+        raise ValueError(f"a recording has {BYTES_PER_SAMPLE} bytes per sample: {len(data)} is no multiple")
+    counts = np.frombuffer(data, "<i2").astype(np.float64).reshape(-1, 2)
+    counts[(counts == MISSED_COUNTS).all(axis=1)] = np.nan
+    return counts[:, 0].copy(), counts[:, 1].copy()
 
 
 def _clipped(s: FloatArray, c: FloatArray, usable: BoolArray, adc_bits: int | None) -> BoolArray:

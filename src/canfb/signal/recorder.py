@@ -1,0 +1,63 @@
+"""A recording of both tracks in bounded memory, as object 2050h holds it.
+
+The module records the samples that come with SYNC, an encoder interface its own fast ones; both
+are uploaded in one form: sine and cosine as INTEGER16, little-endian, sample after sample.
+"""
+
+from __future__ import annotations
+
+import sys
+from array import array
+
+MISSED_COUNTS = -32768
+"""Sine and cosine where a sample is missing. As a sample it would be clipped on both tracks, and
+so nothing that could be used is mistaken for it."""
+CAPACITY_SAMPLES = 1_000_000
+BYTES_PER_SAMPLE = 4
+
+
+class SampleRecording:
+    """Pairs of ADC counts, one for each sampling interval, up to ``capacity`` samples.
+
+    A sample that is missing keeps its place, so that no time is lost.
+    """
+
+    __slots__ = ("_counts", "capacity")
+
+    def __init__(self, capacity: int = CAPACITY_SAMPLES) -> None:
+        """An empty one for 1 or more samples. ValueError for another ``capacity``."""
+        if capacity < 1:
+            raise ValueError(f"capacity is {capacity}; give the number of samples, 1 or more")
+        self.capacity = capacity
+        self._counts = array("h")
+
+    def __len__(self) -> int:
+        return len(self._counts) // 2
+
+    @property
+    def is_full(self) -> bool:
+        """True if it takes no more samples."""
+        return len(self) >= self.capacity
+
+    def clear(self) -> None:
+        """Drop all samples."""
+        self._counts = array("h")
+
+    def take(self, sine: int, cosine: int) -> None:
+        """Add one sample, INTEGER16 counts. Nothing happens when it is full."""
+        counts = self._counts
+        if len(counts) < 2 * self.capacity:
+            counts.append(sine)
+            counts.append(cosine)
+
+    def miss(self) -> None:
+        """Add the mark of a missing sample."""
+        self.take(MISSED_COUNTS, MISSED_COUNTS)
+
+    def to_bytes(self) -> bytes:
+        """All samples so far, sine before cosine, INTEGER16, little-endian."""
+        if sys.byteorder == "little":
+            return self._counts.tobytes()
+        swapped = self._counts[:]
+        swapped.byteswap()
+        return swapped.tobytes()
