@@ -11,8 +11,11 @@ import numpy as np
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoCommunicationError
 
+from canfb.commissioning.access import NodeAccess
+from canfb.commissioning.samples import Samples
 from canfb.demo.plant import EmbeddedNetwork
 from canfb.device.frame import Frame
+from canfb.device.storage import Store
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.embedded_bus import EmbeddedBus
@@ -127,6 +130,7 @@ class Bench:
     operational: bool = True
     motion: Motion | None = None
     config: dict[str, Any] = field(default_factory=dict)
+    store: Store | None = None
 
     def __post_init__(self) -> None:
         self.bus = EmbeddedBus()
@@ -139,7 +143,8 @@ class Bench:
                 cycles_per_revolution=CYCLES,
                 autostart=self.operational,
                 **self.config,
-            )
+            ),
+            self.store,
         )
         self.interface = EncoderInterface(INTERFACE_ID, self.source, autostart=self.operational)
         self.master = EmbeddedMaster(self.bus)
@@ -148,5 +153,24 @@ class Bench:
         if self.sync:
             self.bus.attach(SyncProducer(1.0 / RATE_HZ))
 
+        self.access = NodeAccess(self.master, MODULE_ID, "module")
+        self.interface_access = NodeAccess(self.master, INTERFACE_ID, "encoder interface")
+
     def value(self, index: int, subindex: int) -> Any:
         return self.module.dictionary.entry(index, subindex).value
+
+
+def recorded(
+    encoder: Encoder,
+    n: int,
+    rpm: float = 600.0,
+    start_s: float = 0.0,
+    rate_hz: float = RATE_HZ,
+    seed: int = 5,
+) -> Samples:
+    """Samples of a machine that turns at about ``rpm``, without a bus."""
+    motion = Motion((), (Ripple(0.02 * rpm, 0.31), Ripple(0.01 * rpm, 1.7)), rpm)
+    times = start_s + np.arange(n) / rate_hz
+    position = np.array([motion.revolutions(float(time)) for time in times]) * CYCLES
+    sine, cosine = encoder.sample(position, np.random.default_rng(seed))
+    return Samples.of(sine, cosine, rate_hz, "a simulated machine")

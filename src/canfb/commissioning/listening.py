@@ -113,14 +113,13 @@ class Listener:
                 "drive or the controller, or let canfb produce it (--sync HZ)"
             )
         if self._began_s is not None and now - self._last_sample_s > PATIENCE_S:
-            raise CommissioningError(
-                f"SYNC comes, the PDO {layout.can_id:03X}h with the samples does not: is the encoder "
-                "interface OPERATIONAL (NMT start), and its id right?"
-            )
+            raise self._no_samples()
 
     def result(self) -> Samples:
         """What came. CommissioningError if it is full of gaps."""
         can_id = self._layout.can_id
+        if not self._recorder.samples:
+            raise self._no_samples()
         samples = self._recorder.result(f"PDO {can_id:03X}h at each SYNC")
         if samples.missed > PART_MISSED * len(samples):
             raise CommissioningError(
@@ -128,6 +127,12 @@ class Listener:
                 "or the PDO is not sent at each SYNC (transmission type 1 is needed)"
             )
         return samples
+
+    def _no_samples(self) -> CommissioningError:
+        return CommissioningError(
+            f"SYNC comes, the PDO {self._layout.can_id:03X}h with the samples does not: is the encoder "
+            "interface OPERATIONAL (NMT start), and its id right?"
+        )
 
 
 def listen(
