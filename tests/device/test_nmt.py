@@ -84,6 +84,28 @@ def test_autostart_without_1f80(sample_path: Path, tmp_path: Path) -> None:
         assert bench.read(0x1F80) is AbortCode.NO_OBJECT
 
 
+@pytest.mark.parametrize(
+    ("behaviour", "states"),
+    [
+        (0, {1: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED, 128: NmtState.PRE_OPERATIONAL}),
+        (1, COMMANDS),
+        (2, dict.fromkeys(COMMANDS, NmtState.STOPPED)),
+    ],
+)
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_communication_error_of_the_program(
+    bench: Bench, behaviour: int, states: dict[int, NmtState], command: int
+) -> None:
+    """Bus-off, which only the program knows of."""
+    bench.write(0x1029, 1, behaviour, 1)
+    bench.nmt(command)
+    seen: list[float] = []
+    bench.node.on_state = lambda old, new, now: seen.append(now)
+    bench.node.communication_error(4.5)
+    assert bench.node.state is states[command]
+    assert seen == ([] if states[command] is COMMANDS[command] else [4.5])
+
+
 @pytest.mark.parametrize("subindex", [1, 2])
 @pytest.mark.parametrize("value", [0, 1, 2, 3, 255])
 def test_the_error_behaviour_takes_0_to_2(bench: Bench, subindex: int, value: int) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from canfb.device import cob, pdo
+from canfb.device import pdo
 from canfb.device.agenda import Agenda
 from canfb.device.codes import EmergencyCode
 from canfb.device.counters import Counters
@@ -16,6 +16,7 @@ from canfb.device.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from canfb.device.image import ParameterGroup
 from canfb.device.mapping import Direction
 from canfb.device.nmt import COMMUNICATING, ErrorBehaviour, Nmt, NmtState, Startup
+from canfb.device.routing import Handler, RemoteHandler, Routes
 from canfb.device.rpdo import Rpdo
 from canfb.device.sdo_channel import SdoChannel, channel_indices
 from canfb.device.sdo_server import TIMEOUT_S
@@ -27,8 +28,6 @@ from canfb.device.tpdo import Tpdo
 NMT_COMMAND = 0x000
 LAST_COMMUNICATION_INDEX = 0x1FFF
 _LONGEST_DATA = 8
-
-Handler = Callable[[bytes, float], None]
 
 
 class Node:
@@ -95,7 +94,7 @@ class Node:
         self._moment = Moment()
         self._agenda = Agenda()
         self._routes: dict[int, Handler] = {}
-        self._remote_routes: dict[int, Callable[[float], None]] = {}
+        self._remote_routes: dict[int, RemoteHandler] = {}
         self._sync_rpdos: list[Rpdo] = []
         self._sync_tpdos: list[Tpdo] = []
         self._startup = Startup(dictionary.find(0x1F80), autostart=autostart)
@@ -118,11 +117,11 @@ class Node:
             self._emergency,
             state=self._get_state,
             heartbeat=lambda: self._producer.is_active,
-            lost=self._communication_error,
+            lost=self.communication_error,
         )
         self._time_stamp = TimeStamp(dictionary.find(0x1012), counters, self._time_heard, changed)
         self._consumer = HeartbeatConsumer(
-            dictionary, moment, counters, self._emergency, self._communication_error, changed
+            dictionary, moment, counters, self._emergency, self.communication_error, changed
         )
         self._sync = Sync(dictionary, emit, moment, counters, self._emergency, self._synchronise, changed)
         self._channels = [
@@ -263,6 +262,14 @@ class Node:
         """End an error: EMCY 0000h with what is left of 1001h. Nothing when it is not active."""
         self._emergency.clear(code, self._time(now))
 
+    def communication_error(self, now: float) -> None:
+        """The device had a communication error, such as bus-off: the NMT state that 1029h:01 names.
+
+        A lost heartbeat and a silent guarding master come here by themselves. EMCY is another matter.
+        """
+        self._moment.now = now
+        self._nmt.enter(self._error_behaviour.reaction(self._nmt.state), now)
+
     def _time(self, now: float | None) -> float:
         if now is not None:
             self._moment.now = now
@@ -342,9 +349,6 @@ class Node:
         if self.on_time is not None:
             self.on_time(days, milliseconds, now)
 
-    def _communication_error(self, now: float) -> None:
-        self._nmt.enter(self._error_behaviour.reaction(self._nmt.state), now)
-
     def _pdo_changed(self) -> None:
         self._route()
         if self.on_configured is not None:
@@ -352,49 +356,31 @@ class Node:
 
     def _route(self) -> None:
         """Who listens to which CAN-ID, in this NMT state and with these COB-IDs."""
-        self._routes = {}
-        self._remote_routes = {}
         self._sync_rpdos = [rpdo for rpdo in self._rpdos if rpdo.is_synchronous]
         self._sync_tpdos = [tpdo for tpdo in self._tpdos.values() if tpdo.is_synchronous]
+        routes = Routes()
+        self._routes, self._remote_routes = routes.data, routes.remote
         state = self._nmt.state
         if state is NmtState.INITIALISING:
             return
-        self._add_route(NMT_COMMAND, self._nmt.handle)
-        if self._guarding.can_id is not None:
-            self._remote_routes[self._guarding.can_id] = self._guarding.request
+        routes.add(NMT_COMMAND, self._nmt.handle)
+        routes.add_remote(self._guarding.can_id, self._guarding.request)
         for can_id, handler in self._consumer.routes().items():
-            self._add_route(can_id, handler)
+            routes.add(can_id, handler)
         if state in COMMUNICATING:
-            self._add_route(self._sync.can_id, self._sync.handle)
-            self._add_route(self._time_stamp.can_id, self._time_stamp.handle)
+            routes.add(self._sync.can_id, self._sync.handle)
+            routes.add(self._time_stamp.can_id, self._time_stamp.handle)
             for channel in self._channels:
-                self._add_route(channel.request_id, channel.server.handle)
+                routes.add(channel.request_id, channel.server.handle)
         if state is NmtState.OPERATIONAL:
             for rpdo in self._rpdos:
-                self._add_route(rpdo.can_id, rpdo.handle)
+                routes.add(rpdo.can_id, rpdo.handle)
             for tpdo in self._tpdos.values():
-                if tpdo.remote_can_id is not None:
-                    self._remote_routes[tpdo.remote_can_id] = tpdo.request
-
-    def _add_route(self, can_id: int | None, handler: Handler) -> None:
-        if can_id is None:
-            return
-        other = self._routes.get(can_id)
-        self._routes[can_id] = handler if other is None else _both(other, handler)
+                routes.add_remote(tpdo.remote_can_id, tpdo.request)
 
     def rpdo_with(self, *objects: tuple[int, int]) -> int | None:
         """Number of the first valid RPDO whose mapping holds all these objects (index, sub-index)."""
-        wanted = {index << 8 | subindex for index, subindex in objects}
-        value = self._value
-        for number in pdo.numbers(self.dictionary, Direction.RECEIVE):
-            mapping = 0x1600 + number - 1
-            mapped = {value(mapping, n) >> 8 for n in range(1, value(mapping, 0) + 1)}
-            if wanted <= mapped and not value(0x1400 + number - 1, 1) & cob.NOT_VALID:
-                return number
-        return None
-
-    def _value(self, index: int, subindex: int) -> int:
-        return int(self.dictionary.entry(index, subindex).value)
+        return pdo.rpdo_with(self.dictionary, objects)
 
     def _rpdo_too_short(self, number: int, received: int, mapped: int, now: float) -> None:
         if self.on_bad_rpdo is not None:
@@ -413,13 +399,3 @@ class Node:
 
 def _nobody_listens(number: int, now: float) -> None:
     """In place of a hook that is not there."""
-
-
-def _both(first: Handler, second: Handler) -> Handler:
-    """Two services on one CAN-ID, which the configuration allows."""
-
-    def handle(data: bytes, now: float) -> None:
-        first(data, now)
-        second(data, now)
-
-    return handle
