@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from canfb.device import datatypes
+from canfb.device.codes import SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
 from canfb.device.image import ParameterGroup, Record
@@ -94,16 +95,23 @@ class KeptEntries:
             check(value)
 
     def records(self, group: ParameterGroup, node_id: int) -> list[Record]:
-        """The present values of a group on node `node_id`."""
-        return [self._record(entry, node_id) for entry in self.of(group)]
+        """The present values of a group on node `node_id`.
 
-    def _record(self, entry: Entry, node_id: int) -> Record:
+        A value beyond its own limits is none that was written: it stays out, and comes with the defaults.
+        """
+        values = ((entry, self._value(entry)) for entry in self.of(group))
+        return [_record(entry, value, node_id) for entry, value in values if _is_within_limits(entry, value)]
+
+    def _value(self, entry: Entry) -> Any:
         saved = self._saved_value.get((entry.index, entry.subindex))
-        value = entry.value if saved is None else saved()
-        relative = _has_default_can_id(entry, value)
-        if relative:
-            value = (value - node_id) & _FLAGS_AND_ID
-        return Record(entry.index, entry.subindex, relative, datatypes.encode(entry.data_type, value))
+        return entry.value if saved is None else saved()
+
+
+def _record(entry: Entry, value: Any, node_id: int) -> Record:
+    relative = _has_default_can_id(entry, value)
+    if relative:
+        value = (value - node_id) & _FLAGS_AND_ID
+    return Record(entry.index, entry.subindex, relative, datatypes.encode(entry.data_type, value))
 
 
 def restored_value(entry: Entry, record: Record, node_id: int) -> Any:
@@ -112,6 +120,14 @@ def restored_value(entry: Entry, record: Record, node_id: int) -> Any:
         return entry.decode(record.data)
     value = (int.from_bytes(record.data, "little") + node_id) & _FLAGS_AND_ID
     return entry.decode(value.to_bytes(len(record.data), "little"))
+
+
+def _is_within_limits(entry: Entry, value: Any) -> bool:
+    try:
+        entry.check_limits(value)
+    except SdoAbort:
+        return False
+    return True
 
 
 def _has_default_can_id(entry: Entry, value: Any) -> bool:

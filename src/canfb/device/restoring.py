@@ -15,6 +15,7 @@ _MAPPINGS = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
 _COMMUNICATIONS = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
 _SDO_CHANNELS = range(0x1200, 0x1300)
 _EMCY = 0x1014
+_TURNS = range(4)
 
 Value = tuple[Entry, Any]
 
@@ -54,22 +55,24 @@ def _values(entries: KeptEntries, group: ParameterGroup, records: list[Record], 
 
 
 def _write(entries: KeptEntries, values: list[Value]) -> None:
-    """Write in order; where one value waits for another, as a lower limit for the upper one, again."""
-    waiting = sorted(values, key=lambda value: _turn(value[0]))
-    while waiting:
-        refused: list[Value] = []
-        reason = ""
-        for entry, value in waiting:
-            try:
-                entries.check(entry, value)
-            except SdoAbort as abort:
-                refused.append((entry, value))
-                reason = f"{entry.index:04X}h:{entry.subindex:02X}: {abort}"
-            else:
-                entry.value = value
-        if len(refused) == len(waiting):
-            raise ImageError(reason)
-        waiting = refused
+    """Write turn by turn; where one value waits for another, as a lower limit for the upper one, again."""
+    for turn in _TURNS:
+        waiting = [value for value in values if _turn(value[0]) == turn]
+        while waiting:
+            refused = [(value, reason) for value in waiting if (reason := _refusal(entries, *value))]
+            if len(refused) == len(waiting):
+                raise ImageError(refused[0][1])
+            waiting = [value for value, _ in refused]
+
+
+def _refusal(entries: KeptEntries, entry: Entry, value: Any) -> str:
+    """Write one value; why it is refused, or nothing."""
+    try:
+        entries.check(entry, value)
+    except SdoAbort as abort:
+        return f"{entry.index:04X}h:{entry.subindex:02X}: {abort}"
+    entry.value = value
+    return ""
 
 
 def _turn(entry: Entry) -> int:

@@ -1,0 +1,381 @@
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+from device_kit import ID, OK
+from storing_bench import (
+    ALL,
+    APPLICATION,
+    COMMUNICATION,
+    LOAD,
+    MANUFACTURER,
+    RESET_COMMUNICATION,
+    RESET_NODE,
+    SAVE,
+    SAVE_WORD,
+    VERIFY,
+    WRONG_WORD,
+    StoringBench,
+    write_eds,
+)
+
+from canfb.device.codes import AbortCode
+from canfb.device.image import ParameterGroup
+from canfb.device.storage import MemoryStore
+
+EACH = (ALL, COMMUNICATION, APPLICATION, MANUFACTURER)
+
+
+@pytest.fixture(scope="session")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_eds(tmp_path_factory.mktemp("eds") / "storing.eds")
+
+
+@pytest.fixture
+def store() -> MemoryStore:
+    return MemoryStore()
+
+
+@pytest.fixture
+def power_on(path: Path, store: MemoryStore) -> Callable[..., StoringBench]:
+    """A new device with this store."""
+
+    def make(node_id: int = ID) -> StoringBench:
+        bench = StoringBench(path, store, node_id)
+        bench.start()
+        return bench
+
+    return make
+
+
+class BrokenStore(MemoryStore):
+    """Gives what it has; saving fails."""
+
+    def save(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
+        raise OSError(28, "No space left on device")
+
+
+def change(bench: StoringBench) -> None:
+    """One parameter of each group."""
+    assert bench.write(0x1017, 0, 500, 2) == OK
+    assert bench.write(0x2025, 0, 111, 1) == OK
+    assert bench.write(0x6000, 0, 1234, 2) == OK
+
+
+def values(bench: StoringBench) -> list[object]:
+    return [bench.value(0x1017), bench.value(0x6000), bench.value(0x2025)]
+
+
+DEFAULTS = [0, -7, 0]
+CHANGED = [500, 1234, 111]
+
+
+# 1010h and 1011h as SDO sees them.
+
+
+@pytest.mark.parametrize("subindex", EACH)
+def test_it_saves_on_command_and_restores(power_on: Callable[..., StoringBench], subindex: int) -> None:
+    bench = power_on()
+    assert bench.read(SAVE, subindex) == 1
+    assert bench.read(LOAD, subindex) == 1
+
+
+@pytest.mark.parametrize("subindex", EACH)
+@pytest.mark.parametrize("word", [WRONG_WORD, 0, 0x45564153, 0x65766174])
+def test_a_wrong_signature_is_refused(
+    power_on: Callable[..., StoringBench], store: MemoryStore, subindex: int, word: int
+) -> None:
+    bench = power_on()
+    change(bench)
+    assert bench.command(SAVE, subindex, word) is AbortCode.NOT_STORED
+    assert bench.command(LOAD, subindex, word) is AbortCode.NOT_STORED
+    assert bench.command(LOAD, subindex, SAVE_WORD) is AbortCode.NOT_STORED
+    assert store.images == {}
+    assert values(bench) == CHANGED
+
+
+def test_without_a_store_it_says_so_and_the_defaults_come_with_a_reset(path: Path) -> None:
+    bench = StoringBench(path, None)
+    bench.start()
+    change(bench)
+    for subindex in EACH:
+        assert bench.read(SAVE, subindex) == 0
+        assert bench.save(subindex) is AbortCode.NOT_STORED
+        assert bench.read(LOAD, subindex) == 1
+        assert bench.load(subindex) == OK
+    assert values(bench) == CHANGED
+    bench.nmt(RESET_NODE)
+    assert values(bench) == DEFAULTS
+
+
+def test_a_store_that_fails_is_a_hardware_error_and_changes_nothing(path: Path) -> None:
+    store = BrokenStore()
+    bench = StoringBench(path, store)
+    bench.start()
+    change(bench)
+    assert bench.save() is AbortCode.HARDWARE
+    assert bench.read(SAVE, ALL) == 1
+    bench.nmt(RESET_NODE)
+    assert values(bench) == DEFAULTS
+    assert bench.load() == OK  # there is nothing to forget
+
+
+def test_a_store_that_cannot_forget_is_a_hardware_error(
+    power_on: Callable[..., StoringBench], store: MemoryStore, path: Path
+) -> None:
+    first = power_on()
+    change(first)
+    first.save()
+    broken = BrokenStore()
+    broken.images = store.images
+    bench = StoringBench(path, broken)
+    bench.start()
+    assert bench.load() is AbortCode.HARDWARE
+    bench.nmt(RESET_NODE)
+    assert values(bench) == CHANGED
+
+
+# What is kept, and what comes back when.
+
+
+@pytest.mark.parametrize("again", ["power", "reset node"])
+@pytest.mark.parametrize("subindex", EACH)
+def test_saved_groups_come_back_and_others_do_not(
+    power_on: Callable[..., StoringBench], again: str, subindex: int
+) -> None:
+    bench = power_on()
+    change(bench)
+    assert bench.save(subindex) == OK
+    if again == "power":
+        bench = power_on()
+    else:
+        bench.nmt(RESET_NODE)
+    kept = {COMMUNICATION: 0, APPLICATION: 1, MANUFACTURER: 2}
+    for group, place in kept.items():
+        expected = CHANGED if subindex in (ALL, group) else DEFAULTS
+        assert values(bench)[place] == expected[place]
+
+
+def test_reset_communication_restores_communication_parameters_alone(
+    power_on: Callable[..., StoringBench],
+) -> None:
+    bench = power_on()
+    change(bench)
+    bench.save()
+    bench.write(0x1017, 0, 900, 2)
+    bench.write(0x2025, 0, 99, 1)
+    bench.nmt(RESET_COMMUNICATION)
+    assert values(bench) == [500, 1234, 99]
+
+
+def test_a_restored_heartbeat_runs_from_the_one_boot_up_on(power_on: Callable[..., StoringBench]) -> None:
+    bench = power_on()
+    bench.write(0x1017, 0, 500, 2)
+    bench.save()
+    bench.now = 10.0
+    assert bench.nmt(RESET_NODE) == ["720#00"]
+    assert bench.run(1.2) == [(10.5, "720#7F"), (11.0, "720#7F")]
+
+
+def test_a_saved_sync_producer_starts_with_counter_1(power_on: Callable[..., StoringBench]) -> None:
+    bench = power_on()
+    bench.write(0x1019, 0, 5, 1)
+    bench.write(0x1006, 0, 100_000, 4)
+    bench.write(0x1005, 0, 0x40000080, 4)
+    bench.run(0.25)
+    assert bench.save() == OK
+    assert bench.nmt(RESET_NODE) == ["720#00"]
+    start = bench.now
+    assert [(round(at - start, 6), text) for at, text in bench.run(0.35)] == [
+        *((0.1, "080#01"), (0.2, "080#02"), (0.3, "080#03")),
+    ]
+
+
+def test_a_device_that_starts_by_itself_does_so_after_a_save(power_on: Callable[..., StoringBench]) -> None:
+    bench = power_on()
+    assert bench.write(0x1F80, 0, 0, 4) == OK
+    bench.save()
+    assert power_on().node.state == 5
+
+
+@pytest.mark.parametrize("group", [COMMUNICATION, APPLICATION, MANUFACTURER])
+def test_defaults_come_with_the_reset_after_load(power_on: Callable[..., StoringBench], group: int) -> None:
+    bench = power_on()
+    change(bench)
+    bench.save()
+    assert bench.load(group) == OK
+    assert values(bench) == CHANGED
+    place = {COMMUNICATION: 0, APPLICATION: 1, MANUFACTURER: 2}[group]
+    expected = [*CHANGED[:place], DEFAULTS[place], *CHANGED[place + 1 :]]
+    assert values(power_on()) == expected  # also when the power goes before a reset
+    bench.nmt(RESET_NODE)
+    assert values(bench) == expected
+
+
+def test_defaults_of_communication_parameters_come_with_reset_communication(
+    power_on: Callable[..., StoringBench],
+) -> None:
+    bench = power_on()
+    change(bench)
+    bench.save()
+    bench.load()
+    bench.nmt(RESET_COMMUNICATION)
+    assert values(bench) == [0, 1234, 111]
+    bench.nmt(RESET_NODE)
+    assert values(bench) == DEFAULTS
+
+
+def test_save_after_load_keeps_what_is_there(power_on: Callable[..., StoringBench]) -> None:
+    bench = power_on()
+    change(bench)
+    bench.load()
+    bench.save()
+    assert values(power_on()) == CHANGED
+
+
+def test_process_data_history_and_constants_are_not_kept(
+    power_on: Callable[..., StoringBench], store: MemoryStore
+) -> None:
+    bench = power_on()
+    assert bench.write(0x2000, 1, 77, 2) == OK  # rww: process data
+    bench.node.emergency(0x7300, 0x20, now=0.0)  # type: ignore[arg-type]
+    bench.dictionary.entry(0x6001).value = 5  # ro
+    bench.save()
+    bench = power_on()
+    assert bench.value(0x2000, 1) == 0
+    assert bench.value(0x1003, 0) == 0
+    assert bench.value(0x6001) == 0
+
+
+def test_every_type_comes_back(power_on: Callable[..., StoringBench]) -> None:
+    entries = {
+        0x2020: b"\x01\x02\x03" * 100,
+        0x2021: "another text",
+        0x2023: 2.25,
+        0x2024: b"\x00\xff",
+        0x2026: 2**63 + 1,
+        0x2027: -9,
+        0x2028: False,
+    }
+    bench = power_on()
+    for index, value in entries.items():
+        bench.dictionary.entry(index).value = value
+    bench.save()
+    bench = power_on()
+    assert {index: bench.value(index) for index in entries} == entries
+
+
+# COB-IDs and PDOs.
+
+
+def test_cob_ids_follow_the_node_id_unless_they_were_set(power_on: Callable[..., StoringBench]) -> None:
+    bench = power_on()
+    assert bench.write(0x1401, 1, 0x320, 4) == OK  # the default, made valid
+    assert bench.write(0x1801, 1, 0x800002A0, 4) == OK
+    assert bench.write(0x1801, 1, 0x800001F0, 4) == OK  # another CAN-ID
+    assert bench.write(0x1400, 1, 0x80000190, 4) == OK  # never had the node-ID in it
+    bench.save()
+    assert bench.value(0x1014) == 0xA0
+    other = power_on(33)
+    assert other.value(0x1401, 1) == 0x321
+    assert other.value(0x1801, 1) == 0x800001F0
+    assert other.value(0x1400, 1) == 0x80000190
+    assert other.value(0x1800, 1) == 0x400001A1
+    assert other.value(0x1014) == 0xA1
+    assert other.faults == []
+
+
+def test_a_saved_mapping_is_in_force_at_once(power_on: Callable[..., StoringBench]) -> None:
+    bench = power_on()
+    for index, sub, value, size in (
+        *((0x1800, 1, 0xC00001A0, 4), (0x1A00, 0, 0, 1), (0x1A00, 1, 0x20100620, 4)),
+        *((0x1A00, 1, 0x20100608, 4), (0x1A00, 0, 1, 1), (0x1800, 3, 50, 2), (0x1800, 6, 2, 1)),
+        *((0x1800, 2, 255, 1), (0x1800, 5, 100, 2), (0x1800, 1, 0x400001A0, 4)),
+    ):
+        bench.write(index, sub, value, size)
+    bench.save()
+    bench = power_on()
+    bench.dictionary.entry(0x2010, 6).value = 5
+    bench.nmt(1)
+    assert [text for _, text in bench.run(0.1)] == ["1A0#05"]
+
+
+def test_heartbeat_consumers_may_change_places(power_on: Callable[..., StoringBench]) -> None:
+    bench = power_on()
+    for value, sub in ((0x000A0064, 1), (0x000B0064, 2)):
+        assert bench.write(0x1016, sub, value, 4) == OK
+    bench.save()
+    for value, sub in ((0, 1), (0x000A0064, 2), (0x000B0064, 1)):
+        assert bench.write(0x1016, sub, value, 4) == OK
+    bench.save()
+    bench.nmt(RESET_NODE)
+    assert bench.faults == []
+    assert (bench.value(0x1016, 1), bench.value(0x1016, 2)) == (0x000B0064, 0x000A0064)
+
+
+def test_a_further_sdo_channel_comes_back_or_not(power_on: Callable[..., StoringBench]) -> None:
+    bench = power_on()
+    bench.write(0x1201, 1, 0x640 + 0x80, 4)
+    bench.write(0x1201, 2, 0x6C1, 4)
+    bench.nmt(RESET_COMMUNICATION)
+    assert bench.value(0x1201, 1) == 0x80000000
+    bench.write(0x1201, 1, 0x6C0, 4)
+    bench.write(0x1201, 2, 0x6C1, 4)
+    bench.save()
+    bench.nmt(RESET_COMMUNICATION)
+    assert (bench.value(0x1201, 1), bench.value(0x1201, 2)) == (0x6C0, 0x6C1)
+    assert bench.send(0x6C0, "4017100000000000") == ["6C1#4B17100000000000"]
+
+
+# 1020h.
+
+
+def verified(bench: StoringBench) -> tuple[object, object]:
+    return bench.read(VERIFY, 1), bench.read(VERIFY, 2)
+
+
+def test_the_date_of_the_configuration_is_kept(power_on: Callable[..., StoringBench]) -> None:
+    bench = power_on()
+    change(bench)
+    bench.write(VERIFY, 1, 15000, 4)
+    bench.write(VERIFY, 2, 42, 4)
+    assert bench.save() == OK
+    assert verified(bench) == (15000, 42)
+    bench.nmt(RESET_NODE)
+    assert verified(bench) == (15000, 42)
+    bench = power_on()
+    assert verified(bench) == (15000, 42)
+    assert bench.read(0x1017) == 500  # reading changes nothing
+    assert bench.write(0x2000, 1, 5, 2) == OK  # nor does process data
+    assert bench.write(0x2025, 0, 2, 1) is not None
+    assert bench.write(0x2025, 0, 201, 1) is not OK  # nor what is refused
+    bench.nmt(RESET_NODE)
+    assert verified(bench) == (15000, 42)
+
+
+@pytest.mark.parametrize(("index", "value", "size"), [(0x1017, 1, 2), (0x2025, 50, 1), (0x6000, 3, 2)])
+def test_a_later_change_takes_the_date_away(
+    power_on: Callable[..., StoringBench], index: int, value: int, size: int
+) -> None:
+    bench = power_on()
+    bench.write(VERIFY, 1, 15000, 4)
+    bench.write(VERIFY, 2, 42, 4)
+    bench.save()
+    assert bench.write(index, 0, value, size) == OK
+    assert verified(bench) == (0, 0)
+    bench.nmt(RESET_NODE)
+    assert verified(bench) == (15000, 42)  # the change was not saved
+    bench.write(index, 0, value, size)
+    bench.save()
+    bench.nmt(RESET_NODE)
+    assert verified(bench) == (0, 0)
+
+
+def test_so_does_load(power_on: Callable[..., StoringBench]) -> None:
+    bench = power_on()
+    bench.write(VERIFY, 1, 15000, 4)
+    bench.save()
+    bench.load()
+    assert verified(bench) == (0, 0)
