@@ -19,7 +19,7 @@ from canfb.cli.calibrate_options import (
     samples_of_file,
     settings_of,
 )
-from canfb.cli.options import Commands, add_command, bus_options
+from canfb.cli.options import Commands, add_command, bus_options, report
 from canfb.cli.progress import Progress
 from canfb.commissioning import own_calibration
 from canfb.commissioning.access import Master
@@ -67,6 +67,10 @@ def calibrate(options: argparse.Namespace) -> int:
             if options.sync is not None:
                 master.produce_sync(options.sync)
             return over_bus(master, options, config, progress, guard, today().isoformat())
+    except KeyboardInterrupt:
+        progress.clear()
+        report("interrupted; the module is as it was")
+        raise
     finally:
         progress.clear()
 

@@ -174,9 +174,9 @@ def install(
     except BaseException as error:
         with guard.held():
             step("putting the old table back")
-            said = _undo(module, before, saving)
-        if isinstance(error, CanfbError):
-            raise CommissioningError(f"{error}; {said}") from error
+            undone, said = _undo(module, before, saving)
+        if isinstance(error, CanfbError) or not undone:
+            raise CommissioningError(f"{str(error) or 'interrupted'}; {said}") from error
         step(said)
         raise
     return measured, done
@@ -204,12 +204,12 @@ def _save(module: NodeAccess, done: Installation) -> None:
         )
 
 
-def _undo(module: NodeAccess, before: ActiveSet, saving: bool) -> str:
-    """Put the old set back; what there is to say about it."""
+def _undo(module: NodeAccess, before: ActiveSet, saving: bool) -> tuple[bool, str]:
+    """Put the old set back; if that worked, and what there is to say about it."""
     try:
         put_back(module, before)
         if saving:
             save(module)
     except CanfbError as error:
-        return str(error)
-    return f"the table and the conditioning from before are active in {module.name}"
+        return False, str(error)
+    return True, f"the table and the conditioning from before are active in {module.name}"

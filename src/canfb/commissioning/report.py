@@ -73,8 +73,9 @@ footer { color: var(--soft); font-size: .87em; margin: 2em 0; }
 
 FOOTER = (
     "Made by canfb calibrate. Deviation: how far single samples are from smooth motion, noise included, on "
-    "samples not used for the table that they are measured with. Angles (″) are those of the shaft."
+    "samples not used for the table that they are measured with."
 )
+ANGLES = " Angles (″) are those of the shaft."
 
 
 def report_html(
@@ -115,7 +116,7 @@ def _page(where: Circumstances, said: list[str], body: str, good: bool = True) -
         f'<h1>{escape(title)}</h1>\n<p class="where">{escape(_place(where))}</p>\n'
         f'<div class="verdict{"" if good else " bad"}"><p><strong>{first}</strong></p>'
         f"{''.join(f'<p>{line}</p>' for line in others)}</div>\n"
-        f"{body}<footer>{FOOTER}</footer>\n</body>\n</html>\n"
+        f"{body}<footer>{FOOTER}{ANGLES if where.cycles_per_revolution else ''}</footer>\n</body>\n</html>\n"
     )
 
 
