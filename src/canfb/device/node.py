@@ -337,7 +337,7 @@ class Node:
 
     def _report_parameters(self) -> None:
         if self.on_parameter_faults is not None:
-            self.on_parameter_faults(self.storage.faults, self._moment.now)
+            self.on_parameter_faults(dict(self.storage.faults), self._moment.now)
 
     def _heartbeat_changed(self) -> None:
         """1017h was written: a heartbeat takes the place of guarding."""

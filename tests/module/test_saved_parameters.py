@@ -1,0 +1,270 @@
+"""What `save` keeps of a module, over a reset and over a power-off."""
+
+from __future__ import annotations
+
+import struct
+
+import canopen
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from module_bench import SYNC
+
+from canfb.demo.plant import EmbeddedNetwork
+from canfb.device.frame import Frame
+from canfb.device.image import Identity, ParameterGroup, Record, decode_image, encode_image
+from canfb.device.storage import MemoryStore
+from canfb.eds_files import eds_path
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import CorrectionTable
+from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.simulation.encoder_interface import EncoderInterface
+
+MANUFACTURER = ParameterGroup.MANUFACTURER
+IDENTITY = Identity(0, 1, 1)
+PHASES = np.arange(64) / 64
+TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
+
+
+class Machine:
+    """A module with its store, on a bus with a master."""
+
+    def __init__(self, store: MemoryStore | None, **fields: object) -> None:
+        self.bus = EmbeddedBus()
+        network = EmbeddedNetwork(self.bus)
+        self.module = FeedbackModule(ModuleConfig(**{"node_id": 32, **fields}), store)  # type: ignore[arg-type]
+        self.master = canopen.RemoteNode(self.module.config.node_id, str(eds_path("canfb-module")))
+        network.add_node(self.master)
+        self.sdo = self.master.sdo
+        self.heard: list[Frame] = []
+        self.bus.taps.append(lambda frame, now: self.heard.append(frame))
+        self.bus.attach(self.module)
+
+    def save(self, subindex: int = 1) -> None:
+        self.sdo.download(0x1010, subindex, b"save")
+
+    def load(self, subindex: int = 1) -> None:
+        self.sdo.download(0x1011, subindex, b"load")
+
+    def activate(self, table: CorrectionTable) -> None:
+        self.sdo.download(0x2020, 1, table.to_bytes())
+        self.sdo[0x2020][3].raw = table.crc32
+
+    def alarms(self) -> list[tuple[int, int, int]]:
+        """Code, register and first manufacturer byte of each EMCY."""
+        return [struct.unpack_from("<HBB", frame.data) for frame in self.heard if frame.can_id == 0xA0]
+
+    def sample(self) -> None:
+        for frame in (SYNC, Frame(0x190, struct.pack("<hh", 0, 1500))):
+            self.bus.send(frame)
+
+
+@pytest.fixture
+def store() -> MemoryStore:
+    return MemoryStore()
+
+
+def test_table_conditioning_and_parameters_come_back(store: MemoryStore) -> None:
+    first = Machine(store)
+    first.sdo[0x2001][3].raw, first.sdo[0x2001][4].raw = 100, 200  # below the default of the lower limit
+    first.sdo[0x2002][1].raw = 12.5
+    first.sdo[0x2010][3].raw = 9
+    first.sdo[0x6001].raw = 3600
+    first.sdo[0x6000].raw = 4
+    first.activate(TABLE)
+    first.save()
+    for again in (Machine(store), first):
+        if again is first:
+            again.master.nmt.send_command(0x81)
+        assert again.module.chain.table == TABLE
+        assert again.module.chain.conditioning == Conditioning(sine_offset_counts=12.5)
+        assert again.sdo.upload(0x2020, 1) == TABLE.to_bytes()
+        assert again.sdo[0x2020][2].raw == 0  # it is active, not staged
+        assert again.sdo[0x2020][4].raw == TABLE.crc32
+        assert again.sdo[0x2020][5].raw == 64
+        assert (again.sdo[0x2001][3].raw, again.sdo[0x2001][4].raw) == (100, 200)
+        assert (again.sdo[0x6001].raw, again.sdo[0x6500].raw) == (3600, 4)
+        assert again.module.node.storage.faults == {}
+        assert again.alarms() == []
+
+
+def test_a_table_that_was_only_staged_is_not_kept(store: MemoryStore) -> None:
+    machine = Machine(store)
+    machine.sdo.download(0x2020, 1, TABLE.to_bytes())
+    machine.save()
+    assert Machine(store).module.chain.table is None
+    machine.activate(TABLE)
+    machine.save()
+    machine.sdo[0x2020][3].raw = 0
+    machine.save()
+    assert Machine(store).module.chain.table is None
+
+
+def test_without_a_save_a_reset_takes_the_table_away(store: MemoryStore) -> None:
+    machine = Machine(store)
+    machine.activate(TABLE)
+    machine.master.nmt.send_command(0x82)
+    assert machine.module.chain.table == TABLE
+    machine.master.nmt.send_command(0x81)
+    assert machine.module.chain.table is None
+
+
+def test_the_table_survives_reset_communication_and_goes_with_load(store: MemoryStore) -> None:
+    machine = Machine(store)
+    machine.activate(TABLE)
+    machine.save(4)
+    machine.master.nmt.send_command(0x82)
+    assert machine.module.chain.table == TABLE
+    machine.load(4)
+    assert machine.module.chain.table == TABLE
+    machine.master.nmt.send_command(0x81)
+    assert machine.module.chain.table is None
+
+
+def test_a_preset_is_kept_as_the_offset_that_it_made(store: MemoryStore) -> None:
+    machine = Machine(store)
+    machine.master.nmt.state = "OPERATIONAL"
+    machine.sample()
+    machine.sdo[0x6003].raw = 5000
+    offset = machine.sdo[0x6509].raw
+    assert offset != 0
+    machine.save(3)
+    again = Machine(store)
+    assert (again.sdo[0x6003].raw, again.sdo[0x6509].raw) == (5000, offset)
+    again.master.nmt.state = "OPERATIONAL"
+    again.sample()
+    assert again.sdo[0x6004].raw == 5000
+
+
+def test_activation_takes_the_date_of_the_configuration_away(store: MemoryStore) -> None:
+    machine = Machine(store)
+    machine.sdo[0x1020][1].raw = 15000
+    machine.save()
+    machine.sdo[0x2020][3].raw = 0
+    assert machine.sdo[0x1020][1].raw == 0
+
+
+# What must not be used.
+
+
+def stored(store: MemoryStore) -> list[Record]:
+    return decode_image(store.images[MANUFACTURER], MANUFACTURER, IDENTITY)
+
+
+BAD_TABLES = {
+    "too short": TABLE.to_bytes()[:60],
+    "no whole entries": TABLE.to_bytes()[:-1],
+    "not rising": TABLE.to_bytes()[::-1],
+    "not a number": b"\x00\x00\xc0\x7f" * 64,
+    "further than a quarter cycle": np.full(64, 0.5, dtype="<f4").tobytes(),
+}
+
+
+@pytest.mark.parametrize("name", BAD_TABLES)
+def test_a_bad_table_refuses_the_whole_group_and_raises_the_alarm(store: MemoryStore, name: str) -> None:
+    first = Machine(store)
+    first.sdo[0x2010][3].raw = 9
+    first.sdo[0x1017].raw = 0
+    first.save()
+    records = [r for r in stored(store) if (r.index, r.subindex) != (0x2020, 1)]
+    records.append(Record(0x2020, 1, False, BAD_TABLES[name]))
+    store.images[MANUFACTURER] = encode_image(MANUFACTURER, IDENTITY, records)
+    machine = Machine(store)
+    assert machine.heard[0] == Frame(0x720, b"\x00")
+    assert machine.alarms() == [(0x6310, 0x21, 4)]
+    assert machine.sdo[0x6503].raw == 0x1000
+    assert machine.sdo[0x6504].raw & 0x1000
+    assert machine.sdo[0x1001].raw == 0x21
+    assert machine.sdo[0x2010][3].raw == 3
+    assert machine.module.chain.table is None
+    machine.master.nmt.state = "OPERATIONAL"
+    machine.sample()
+    assert machine.sdo[0x2011][1].raw & 1  # it measures
+    assert machine.sdo[0x6503].raw == 0x1000
+    machine.activate(TABLE)
+    machine.save()
+    assert machine.alarms() == [(0x6310, 0x21, 4), (0, 0, 0)]
+    assert machine.sdo[0x6503].raw == 0
+    assert machine.sdo[0x1001].raw == 0
+
+
+def test_the_alarm_comes_again_with_each_reset_and_ends_with_load(store: MemoryStore) -> None:
+    store.images[MANUFACTURER] = b"?"
+    machine = Machine(store)
+    told: list[object] = []
+    machine.module.on_parameter_faults = told.append
+    for command in (0x81, 0x82):
+        machine.master.nmt.send_command(command)
+        assert machine.sdo[0x6503].raw == 0x1000
+    assert [code for code, *_ in machine.alarms()] == [0x6310] * 3
+    machine.load()
+    assert machine.sdo[0x6503].raw == 0
+    assert machine.alarms()[-1] == (0, 0, 0)
+    assert told == [{MANUFACTURER: "no stored parameters, or cut off"}] * 2 + [{}]
+    machine.master.nmt.send_command(0x81)
+    assert machine.sdo[0x6503].raw == 0
+    assert len(machine.alarms()) == 4
+
+
+def test_the_encoder_interface_keeps_its_communication_parameters() -> None:
+    class Still:
+        def next(self) -> tuple[int, int]:
+            return 0, 1500
+
+    store = MemoryStore()
+    bus = EmbeddedBus()
+    network = EmbeddedNetwork(bus)
+    master = canopen.RemoteNode(16, str(eds_path("encoder-interface")))
+    network.add_node(master)
+    bus.attach(EncoderInterface(16, Still(), store=store))
+    master.sdo[0x1800][2].raw = 4
+    master.sdo.download(0x1010, 1, b"save")
+    assert set(store.images) == {ParameterGroup.COMMUNICATION}
+    assert EncoderInterface(16, Still(), store=store).start(0.0) == [Frame(0x710, b"\x00")]
+    master.sdo[0x1800][2].raw = 1
+    master.nmt.send_command(0x82)
+    assert master.sdo[0x1800][2].raw == 4
+    store.images[ParameterGroup.COMMUNICATION] = b"?"
+    frames = EncoderInterface(16, Still(), store=store).start(0.0)
+    assert [frame.data.hex() for frame in frames] == ["00", "1063010200000000"]
+
+
+# Any configuration.
+
+configurations = st.fixed_dictionaries(
+    {},
+    optional={
+        "node_id": st.integers(1, 15) | st.integers(17, 127),
+        "encoder_interface": st.just(16),
+        "cycles_per_revolution": st.integers(1, 1048576),
+        "adc_bits": st.integers(4, 16),
+        "residual_limit": st.floats(0.01, 0.5),
+        "coast_samples": st.integers(0, 255),
+        "frozen_samples": st.integers(0, 255),
+        "coarse_limit_revolutions": st.floats(1e-6, 0.25),
+        "max_acceleration_rad_s2": st.floats(0, 1e9),
+        "conditioning": st.builds(
+            Conditioning, st.floats(-50, 50), st.floats(-50, 50), st.floats(0.5, 2), st.floats(0.5, 2)
+        ),
+        "autostart": st.booleans(),
+    },
+)
+
+
+@settings(max_examples=40)
+@given(configurations, configurations)
+def test_what_one_configuration_saves_another_restores(
+    before: dict[str, object], after: dict[str, object]
+) -> None:
+    store = MemoryStore()
+    first = Machine(store, **before)
+    first.save()
+    second = Machine(store, **after)
+    assert second.module.node.storage.faults == {}
+    for index, subindex in ((0x2001, 1), (0x2001, 2), (0x2002, 1), (0x2010, 1), (0x6001, 0), (0x1F80, 0)):
+        entries = (machine.module.dictionary.entry(index, subindex) for machine in (first, second))
+        one, other = (entry.encode() for entry in entries)
+        assert one == other
