@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Fuzz the SDO server, and the whole node around it, guided by what code an input reaches.
 
-    python tools/fuzz_sdo.py [CORPUS] [LIBFUZZER OPTIONS]       needs atheris: pip install -e '.[fuzz]'
+    python tools/fuzz_sdo.py [CORPUS] [LIBFUZZER OPTIONS]       needs atheris: pip install 'atheris>=3.0'
     python tools/fuzz_sdo.py --show FILE...                     inputs as frames, and what comes of them
 
 CORPUS is a folder that keeps the inputs that reached something new; without it they are forgotten. Useful
@@ -21,7 +21,10 @@ MEGABYTES = 512
 
 def fuzz(arguments: list[str]) -> None:
     """Run until a crash, or as long as the options of libFuzzer say. Does not return."""
-    import atheris
+    try:
+        import atheris
+    except ImportError:
+        sys.exit("atheris is missing: python -m pip install 'atheris>=3.0'")
     import can  # noqa: F401  what is loaded before is not instrumented
     import canopen  # noqa: F401
     import numpy as np  # noqa: F401

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 import tracemalloc
 from collections.abc import Callable, Sequence
@@ -291,3 +293,47 @@ def test_the_client_ends_an_upload(begin: str) -> None:
 def noted(frames: list[Frame], answers: list[bytes]) -> list[Frame]:
     answers += [frame.data for frame in frames if frame.can_id == FIRST_ANSWER]
     return frames
+
+
+# The command.
+
+
+def fuzz(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(Path(fuzz_body.__file__).with_name("fuzz_sdo.py")), *arguments]
+    return subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+        cwd=cwd,
+        env=os.environ | environment,
+    )
+
+
+def test_an_input_is_shown_as_frames(tmp_path: Path) -> None:
+    (tmp_path / "crash-1").write_bytes(bytes([0, 10, 0, 0, 15, 130, 11]))
+    done = fuzz("--show", "crash-1", cwd=tmp_path)
+    assert done.stderr == ""
+    assert done.stdout.splitlines() == [
+        "crash-1: 000a00000f820b",
+        "device 0",
+        "  000#0120",
+        "  100.0 s with ticks when they are due",
+        "  080#",
+        "nothing is wrong",
+    ]
+
+
+def test_without_atheris_it_says_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "atheris.py").write_text("raise ImportError")
+    done = fuzz("-runs=1", cwd=tmp_path, PYTHONPATH=str(tmp_path))
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == "atheris is missing: python -m pip install 'atheris>=3.0'\n"
+
+
+def test_it_runs_with_atheris(tmp_path: Path) -> None:
+    pytest.importorskip("atheris", reason="pip install 'atheris>=3.0'")
+    done = fuzz("-runs=5", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Done 5 runs" in done.stderr
