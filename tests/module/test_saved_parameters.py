@@ -268,3 +268,9 @@ def test_what_one_configuration_saves_another_restores(
         entries = (machine.module.dictionary.entry(index, subindex) for machine in (first, second))
         one, other = (entry.encode() for entry in entries)
         assert one == other
+
+
+def test_the_whole_range_of_32_bits_does_not_fit_6002h() -> None:
+    """16 cycles are 2**17 units, and 2**15 revolutions would be 2**32."""
+    machine = Machine(None, cycles_per_revolution=16)
+    assert machine.sdo[0x6002].raw == 2**32 - 2**17
