@@ -115,7 +115,7 @@ def test_a_refusal_shows_the_tracks_and_the_reason(samples: Samples) -> None:
 
 
 def test_a_dry_run_says_so(measured: Measurement) -> None:
-    text = Page(report_html(measured, Installation(), Circumstances("2026-03-01"), None)).text
+    text = Page(report_html(measured, Installation(), Circumstances("2026-03-01", 32), None)).text
     assert "Dry run: nothing was written to the module." in text
     assert "fresh" not in text
     assert "″)" not in text, "no angle where the cycles per revolution are not known"

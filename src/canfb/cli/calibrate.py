@@ -59,6 +59,7 @@ def calibrate(options: argparse.Namespace) -> int:
     try:
         if options.samples:
             return _Job(options, progress, today().isoformat()).from_file()
+        chosen_nodes(options, config)  # says what cannot be before there is a bus
         words = bus_options(options, config.bus)
         if options.sync is not None:
             words = words | {"receive_own_messages": True}
@@ -228,6 +229,6 @@ def account(measured: Measurement, done: Installation, where: Circumstances, pat
     lines += [f"{row.name:24}{row.before:{wide}}  {row.after}" for row in rows]
     lines.append("")
     lines += [f"{name:24}{text}" for name, text in facts(measured, where)]
-    lines += ["", verdict(measured, done), outcome(measured, done)]
+    lines += ["", verdict(measured), outcome(measured, done, where)]
     lines += [f"written  {path}" for path in paths]
     return lines

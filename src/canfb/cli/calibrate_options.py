@@ -154,9 +154,7 @@ def check_options(options: argparse.Namespace) -> None:
     if len(options.columns.split(",")) != 2:
         raise ConfigError(f"--columns {options.columns}: two columns, sine,cosine, are wanted")
     if options.table and not options.samples:
-        raise ConfigError(
-            "--table: only with --samples; over the bus the module says which table is in force"
-        )
+        raise ConfigError("--table: only with --samples; over the bus the module tells its table")
     if options.check and options.source == MODULE and not options.samples:
         raise ConfigError(
             "--check --source module: the module tells its drift itself (2030:08); use --source pdo"

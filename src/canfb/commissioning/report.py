@@ -82,7 +82,7 @@ def report_html(
     measured: Measurement, done: Installation, where: Circumstances, limits: TrackLimits | None = None
 ) -> str:
     """The page. It refers to nothing outside of itself and runs no script."""
-    said = [verdict(measured, done), _sentence(outcome(measured, done))]
+    said = [verdict(measured), _sentence(outcome(measured, done, where))]
     return _page(
         where,
         said,

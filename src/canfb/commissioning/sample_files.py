@@ -27,7 +27,7 @@ def read_npz(path: Path) -> Samples:
     CommissioningError, in one line, for anything else.
     """
     try:
-        with np.load(path, allow_pickle=False) as content:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
             missing = [name for name in ("sine", "cosine") if name not in content]
             if missing:
                 raise CommissioningError(

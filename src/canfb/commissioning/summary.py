@@ -96,15 +96,17 @@ def facts(measured: Measurement, where: Circumstances) -> list[tuple[str, str]]:
     return listed
 
 
-def outcome(measured: Measurement, done: Installation) -> str:
+def outcome(measured: Measurement, done: Installation, where: Circumstances) -> str:
     """One line: what the module computes with now."""
+    if where.module is None:
+        return "measured from a file: there is no module to which anything was written"
     if not done.active:
         return "dry run: nothing was written to the module"
     saved = f"saved ({done.saved_as})" if done.saved_as else done.save_note
     return f"table {measured.calibration.table.crc32:08X}h is active and proven on fresh samples; {saved}"
 
 
-def verdict(measured: Measurement, done: Installation) -> str:
+def verdict(measured: Measurement) -> str:
     """The verdict in plain words."""
     calibration, on_samples = measured.calibration, measured.on_samples
     factor = on_samples.before_rms / calibration.residual_rms if calibration.residual_rms > 0.0 else 0.0

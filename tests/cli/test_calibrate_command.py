@@ -1,0 +1,236 @@
+"""`canfb calibrate`: options that cannot be, samples of files, tables of files, a bus that is not there."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from canfb.cli.main import main
+from canfb.cli.progress import CLEAR, Progress
+from canfb.signal.correction import CorrectionTable
+from canfb.simulation.encoder import Encoder, Harmonic
+
+ENCODER = Encoder(
+    amplitude_counts=1400.0,
+    sine_offset=0.03,
+    cosine_amplitude=0.95,
+    phase_error_rad=0.04,
+    harmonics=(Harmonic(3, 0.01, 0.008),),
+    noise_lsb=0.5,
+)
+
+
+def tracks(n: int = 4000, speed: float = 3.37, seed: int = 1) -> tuple[Any, Any]:
+    """Counts at about ``speed`` cycles a sample, with a wandering speed."""
+    k = np.arange(n)
+    position = speed * k + 20.0 * np.sin(k / 300.0)
+    return ENCODER.sample(position, np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def npz(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("samples") / "tracks.npz"
+    sine, cosine = tracks()
+    np.savez(path, sine=sine, cosine=cosine, rate_hz=1000.0)
+    return str(path)
+
+
+def failed(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """Exit code, and the last line on standard error; the others are steps."""
+    code = main(["calibrate", *arguments])
+    said = capsys.readouterr()
+    assert said.out == ""
+    *steps, line = said.err.splitlines()
+    assert all(step.startswith("... ") for step in steps)
+    assert line.startswith("canfb: ")
+    return code, line.removeprefix("canfb: ")
+
+
+WRONG_USE = {
+    "seconds": (["--seconds", "0"], "--seconds 0: must be 0.1 to 3600"),
+    "not a number": (["--verify", "nan"], "--verify nan: must be 0.1 to 600"),
+    "entries": (["--entries", "15"], "--entries 15: must be 16 to 4096"),
+    "module": (["--module", "128"], "--module 128: must be 1 to 127"),
+    "one node": (
+        ["--module", "0x10", "--encoder-interface", "16"],
+        "--encoder-interface 16: must be another node than the module",
+    ),
+    "table": (["--table", "x.yaml"], "--table: only with --samples; over the bus the module tells its table"),
+    "own method": (
+        ["--source", "module", "--method", "zero-crossings"],
+        "--source module: the module has the method motion only",
+    ),
+    "own check": (
+        ["--source", "module", "--check"],
+        "--check --source module: the module tells its drift itself (2030:08); use --source pdo",
+    ),
+    "columns": (
+        ["--samples", "x.csv", "--columns", "a"],
+        "--columns a: two columns, sine,cosine, are wanted",
+    ),
+    "configuration": (["nothing.yaml"], "nothing.yaml: cannot be read: No such file or directory"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_USE)
+def test_wrong_use_is_one_line_and_exit_code_2(case: str, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments, words = WRONG_USE[case]
+    assert failed(arguments, capsys) == (2, words)
+
+
+def test_a_bus_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    code, line = failed(["-i", "socketcan", "-c", "nothing77"], capsys)
+    assert code == 1
+    assert line.startswith("cannot open the bus socketcan nothing77: ")
+
+
+def test_a_bus_on_which_nobody_is(capsys: pytest.CaptureFixture[str]) -> None:
+    code, line = failed(["-i", "virtual", "-c", "empty", "--answer-within", "0.05"], capsys)
+    assert code == 1
+    assert line.startswith("module 32 (20h): reading 2020:04: no answer; is the node there")
+
+
+def test_the_configuration_names_bus_and_nodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "feedback.yaml"
+    path.write_text(
+        "bus: {interface: virtual, channel: configured}\nmodules: [{node_id: 77}, {node_id: 78}]\n"
+    )
+    options = ["--answer-within", "0.05"]
+    assert failed([str(path), *options], capsys)[1].startswith("module 77 (4Dh): ")
+    assert failed([str(path), "--module", "78", *options], capsys)[1].startswith("module 78 (4Eh): ")
+
+
+def test_samples_of_a_file_give_table_and_report(
+    npz: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(["calibrate", "--samples", npz, "--out", str(out), "--json", "--entries", "128"]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    figures = json.loads(said.out)
+    assert figures["accepted"]
+    assert not figures["active"]
+    assert figures["module"] is None
+    assert figures["sample_rate_hz"] == 1000.0
+    assert figures["before_rms_cycles"] > 30 * figures["residual_rms_cycles"]
+    table = CorrectionTable.from_bytes((out / "table.bin").read_bytes())
+    assert len(table) == figures["entries"] == 128
+    assert figures["files"] == [
+        str(out / n) for n in ("table.yaml", "table.bin", "samples.npz", "report.html")
+    ]
+    again = ["--samples", str(out / "samples.npz"), "--entries", "128", "--json"]
+    assert main(["calibrate", *again]) == 0
+    assert json.loads(capsys.readouterr().out)["crc32"] == figures["crc32"], (
+        "the samples are kept as they were"
+    )
+
+
+def test_a_csv_file_with_gaps_and_an_offset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sine, cosine = tracks()
+    times = np.arange(4000) * 0.001
+    times[2000:] += 5.0
+    rows = [f"{t:.4f},{c + 2048},{s + 2048}" for t, s, c in zip(times, sine, cosine, strict=True)]
+    path = tmp_path / "scope.csv"
+    path.write_text("t,b,a\n" + "\n".join(rows) + "\n")
+    options = ["--columns", "a,b", "--mid-scale", "2048", "--time-column", "t", "--rate", "1000"]
+    assert main(["calibrate", "--samples", str(path), *options, "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["samples_missed"] == 20
+    assert figures["uncertainty_peak_cycles"] < 1e-4
+
+
+def test_drift_of_a_file_against_a_table_of_a_file(
+    npz: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(["calibrate", "--samples", npz, "--out", str(tmp_path)])
+    assert "dry run" not in capsys.readouterr().out, "there is no module to be spared"
+    check = ["calibrate", "--check", "--samples"]
+    assert main([*check, npz, "--table", str(tmp_path / "table.yaml"), "--json"]) == 0
+    same = json.loads(capsys.readouterr().out)
+    assert same["drift_rms_cycles"] < 1e-5
+    assert not same["drift_seen"]
+    sine, cosine = tracks(seed=3)
+    moved = tmp_path / "moved.npz"
+    np.savez(moved, sine=sine + 10, cosine=cosine)
+    assert main([*check, str(moved), "--table", str(tmp_path / "table.yaml"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["drift_rms_cycles"] == pytest.approx(10 / 1400 / (2 * np.pi * np.sqrt(2)), rel=0.1)
+    assert found["drift_seen"]
+
+
+def test_a_refused_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "still.npz"
+    np.savez(path, sine=np.full(1000, 700), cosine=np.full(1000, -1200))
+    code, line = failed(["--samples", str(path)], capsys)
+    assert code == 1
+    assert line.startswith("the tracks hardly change: the machine stands still")
+    assert main(["calibrate", "--samples", str(path), "--json"]) == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out)["reason"] == "coverage"
+    assert len(said.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("none.npz", None, "cannot be read: No such file or directory"),
+        ("none.csv", None, "cannot be read: No such file or directory"),
+        ("text.npz", b"sine,cosine\n1,2\n", "this is no file of samples: "),
+        ("zip.npz", b"PK\x03\x04 and no more", "this is no file of samples: "),
+        ("text.csv", b"t,u\n1,2\n", "there is no column 'sine'; there are t, u"),
+    ],
+)
+def test_what_is_no_file_of_samples(
+    name: str, content: bytes | None, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    code, line = failed(["--samples", str(path)], capsys)
+    assert code == 1
+    assert line.startswith(str(path))
+    assert words in line
+
+
+def test_arrays_that_do_not_belong_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for n, arrays in enumerate(
+        ({"sine": [1]}, {"sine": [1, 2], "cosine": [1]}, {"sine": [[1]], "cosine": [[1]]}, {"other": [1]})
+    ):
+        path = tmp_path / f"{n}.npz"
+        np.savez(path, **{key: np.array(value) for key, value in arrays.items()})
+        code, line = failed(["--samples", str(path)], capsys)
+        assert code == 1
+        assert line.startswith(f"{path}: ")
+
+
+def test_a_folder_that_cannot_be_made_is_told_before_the_work(
+    npz: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, line = failed(["--samples", npz, "--out", f"{npz}/out"], capsys)
+    assert (code, line) == (1, f"cannot write to {npz}/out: Not a directory")
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_is_lines_and_on_a_terminal_a_bar() -> None:
+    plain, terminal, quiet = io.StringIO(), Terminal(), io.StringIO()
+    for stream in (plain, terminal, quiet):
+        progress = Progress(stream is quiet, stream)
+        progress.step("one")
+        for part in (0.0, 0.001, 0.5, 2.0):
+            progress.part(part)
+        progress.step("two")
+        progress.clear()
+    assert plain.getvalue() == "... one\n... two\n"
+    assert quiet.getvalue() == ""
+    bars = terminal.getvalue().split(CLEAR)
+    assert [bar.split()[-2] for bar in bars if "%" in bar] == ["0", "50", "100"]
+    assert bars[-1] == "... two\n"
