@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,8 @@ CLIPPED_PART_OF_BIN = 0.2
 BREAK_INTERVALS = 10.0
 ADC_BITS = (12, 14, 16)
 UNEVEN = 1e-6
+SECONDS_PER_TICK = 1e-7  # sample times, 2000:05
+NO_TIME = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +96,20 @@ def recorded_tracks(data: bytes) -> tuple[FloatArray, FloatArray]:
     return counts[:, 0].copy(), counts[:, 1].copy()
 
 
+def timed_tracks(data: bytes, times: bytes) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """:func:`recorded_tracks` with sample times in seconds, those samples alone that have one.
+
+    ``times`` in units of 100 ns, INTEGER64 of this machine, NO_TIME for none. ValueError unless
+    there is one for each sample.
+    """
+    ticks = np.frombuffer(times, np.int64)
+    known = ticks != NO_TIME
+    sine, cosine = recorded_tracks(data)
+    if len(ticks) != len(sine):
+        raise ValueError(f"{len(sine)} samples have {len(ticks)} times")
+    return sine[known], cosine[known], ticks[known] * SECONDS_PER_TICK
+
+
 def _clipped(s: FloatArray, c: FloatArray, usable: BoolArray, adc_bits: int | None) -> BoolArray:
     if not usable.any():
         return usable
@@ -140,5 +157,10 @@ def check_clipped(record: Recording, angle: FloatArray) -> None:
 
 def coverage(phase: FloatArray) -> float:
     """Part of the cycle that is sampled: bins of 1/64 with two of these phases (cycles) in or beside them."""
-    counts = np.bincount((phase % 1.0 * BINS).astype(np.int64) % BINS, minlength=BINS)
-    return float(np.mean(np.roll(counts, 1) + counts + np.roll(counts, -1) >= MIN_PER_BIN))
+    return covered(np.bincount((phase % 1.0 * BINS).astype(np.int64) % BINS, minlength=BINS))
+
+
+def covered(counts: Sequence[int] | IntArray) -> float:
+    """:func:`coverage` of so many samples in each of the bins."""
+    here = np.asarray(counts)
+    return float(np.mean(np.roll(here, 1) + here + np.roll(here, -1) >= MIN_PER_BIN))

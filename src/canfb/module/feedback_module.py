@@ -14,13 +14,17 @@ from canfb.device.node import Node
 from canfb.device.pdo import EVENT_DRIVEN
 from canfb.device.storage import Store
 from canfb.eds_files import eds_path
+from canfb.module.calibrating import Calibrating
+from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.config import ModuleConfig
 from canfb.module.interval import IntervalEstimate
 from canfb.module.parameters import Limits, apply_defaults, configured_defaults
 from canfb.module.profile import EncoderProfile
 from canfb.module.publication import Publication
+from canfb.module.recorder import Recorder
 from canfb.module.sample_input import SampleInput
 from canfb.module.table_store import TableStore
+from canfb.module.tap import Taps
 from canfb.signal.chain import Feedback, SignalChain
 from canfb.signal.supervision import VALID
 
@@ -56,6 +60,11 @@ class FeedbackModule:
         self._profile = EncoderProfile(self.dictionary)
         self._input = SampleInput(self.dictionary, self.node)
         self._publication = Publication(self.dictionary, self._interval, self.chain, self._input)
+        self._taps = Taps()
+        self._recorder = Recorder(self.dictionary, self._interval, self._taps)
+        self._calibrating = Calibrating(
+            self.dictionary, self.chain, self._tables, self._taps, self._publication.calibrating
+        )
         self._bad_frames = self.dictionary.entry(0x2012, BAD_FRAMES)
         self._feedback: Feedback | None = None
         self._event_tpdos: list[int] = []
@@ -98,6 +107,27 @@ class FeedbackModule:
         """When :meth:`tick` is wanted next, None for not at all."""
         return self.node.deadline()
 
+    def pending_job(self) -> CalibrationJob | None:
+        """What takes seconds to compute and waits to be done, None for nothing.
+
+        The module goes on meanwhile. Ask again and again: another job, or None, says that the one
+        before is not wanted any more. Call the job, in another process where frames must not wait,
+        and give what it returns, or the Exception that it raised, to :meth:`finish_job`.
+        """
+        return self._calibrating.pending_job
+
+    def finish_job(self, job: CalibrationJob, result: Outcome | Exception, now: float) -> list[Frame]:
+        """Take the ``result`` of a ``job`` at ``now``; the frames to send.
+
+        Nothing happens if the job is not wanted any more. An Exception refuses the measurement.
+        """
+        self._calibrating.finish(job, result)
+        return []
+
+    def job_progress(self, job: CalibrationJob, part: float) -> None:
+        """So much of the ``job``, ``part`` 0..1, is done: for 2030:03."""
+        self._calibrating.computed(job, part)
+
     def _choose_parameters(self) -> None:
         """What `save` keeps beside the entries that it keeps anyway, and what is no parameter."""
         entries = self.node.storage.entries
@@ -127,11 +157,14 @@ class FeedbackModule:
             self._limits.follow()
         if self._input.timed:
             self.chain.interval_s = self._interval.seconds
-        feedback = self.chain.step(self._input.sample())
+        sample = self._input.sample()
+        feedback = self.chain.step(sample)
         if feedback is self._feedback:  # its time has told that it is the last one again
             self._count_bad_frame()
         else:
             self._publish(feedback, now)
+            if self._taps.open:
+                self._taps.take(sample, feedback)
 
     def _on_sync(self, counter: int | None, now: float) -> None:
         self._interval.event(now)
@@ -140,6 +173,7 @@ class FeedbackModule:
         if self._synced and self._sampled and not self._sample_came:
             known_as_lost = self.chain.lost
             self._publish(self.chain.miss(), now, send=not known_as_lost)
+            self._taps.miss()
         self._sample_came = False
         self._synced = True
 
@@ -168,6 +202,9 @@ class FeedbackModule:
             self._listen()
             self._interval.pause()
             self.chain.resume()
+        elif old is NmtState.OPERATIONAL:
+            self._recorder.stop()
+            self._calibrating.interrupted()
 
     def _encoder_changed(self) -> None:
         """2001:01 was written: every cycle is another part of a revolution."""
@@ -185,6 +222,8 @@ class FeedbackModule:
         self._tables.reset()
         self._profile.reset()
         self._publication.reset()
+        self._recorder.reset()
+        self._calibrating.reset()
 
     def _on_parameter_faults(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
         self._profile.alarm_parameters(bool(faults))

@@ -9,7 +9,17 @@ from canfb.module.interval import IntervalEstimate
 from canfb.module.position import PHASE_UNITS
 from canfb.module.sample_input import SampleInput
 from canfb.signal.chain import Feedback, SignalChain
-from canfb.signal.supervision import AMPLITUDE, CLIPPED, COARSE, COASTING, FROZEN, LOST, MISSED, RESIDUAL
+from canfb.signal.supervision import (
+    AMPLITUDE,
+    CALIBRATING,
+    CLIPPED,
+    COARSE,
+    COASTING,
+    FROZEN,
+    LOST,
+    MISSED,
+    RESIDUAL,
+)
 
 FEEDBACK, COUNTERS = 0x2011, 0x2012
 U16, U32 = 0xFFFF, 0xFFFFFFFF
@@ -57,6 +67,7 @@ class Publication:
         self._counters = {n: entry(COUNTERS, n) for n in range(1, 13)}
         self._cycles_per_revolution = entry(0x2001, 1)
         self._interval = interval
+        self._work = 0  # bit 10 of the status word
         self.reset()
 
     def reset(self) -> None:
@@ -69,13 +80,18 @@ class Publication:
         """Put it into 2011h, count in 2012h."""
         self._last = feedback
         status, raw = feedback.status, feedback.raw_phase
-        self._status.value = status
+        self._status.value = status | self._work
         self._residual.value = int(feedback.residual * SIXTEEN_BITS)
         self._samples.value = feedback.samples & U32
         if raw == raw:
             self._last_raw = raw
         if status & FAULTS or self._lost:
             self._count(status)
+
+    def calibrating(self, working: bool) -> None:
+        """Bit 10 of the status word, at once: the module records or computes for 2030h."""
+        self._work = CALIBRATING if working else 0
+        self._status.value = self._status.value & ~CALIBRATING | self._work
 
     def _phase(self) -> int:
         return int(self._last.phase * PHASE_UNITS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import astuple
 
 from canfb.device.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
@@ -24,6 +25,7 @@ class TableStore:
     def __init__(self, dictionary: Dictionary, chain: SignalChain, storage: Storage) -> None:
         self._dictionary = dictionary
         self._chain = chain
+        self._storage = storage
         self._staged: CorrectionTable | None = None
         staged, activate = dictionary.entry(TABLE, STAGED), dictionary.entry(TABLE, ACTIVATE)
         self._restored = staged
@@ -42,6 +44,15 @@ class TableStore:
         stored: bytes = self._restored.value
         self._forget_restored()
         self._put_in_force(CorrectionTable.from_bytes(stored) if stored else None)
+
+    def take_over(self, table: CorrectionTable, conditioning: Conditioning) -> None:
+        """Put both in force together, between two samples. 2002h shows the conditioning then; what
+        is staged stays staged.
+        """
+        for subindex, value in enumerate(astuple(conditioning), start=1):
+            self._dictionary.entry(CONDITIONING, subindex).value = value
+        self._put_in_force(table)
+        self._storage.configuration_changed()
 
     def _saved(self) -> bytes:
         return b"" if self._chain.table is None else self._chain.table.to_bytes()

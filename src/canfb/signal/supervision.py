@@ -35,6 +35,7 @@ MISSED: Final = int(StatusBit.MISSED)
 TABLE_ACTIVE: Final = int(StatusBit.TABLE_ACTIVE)
 REFERENCED: Final = int(StatusBit.REFERENCED)
 COARSE: Final = int(StatusBit.COARSE)
+CALIBRATING: Final = int(StatusBit.CALIBRATING)
 FROZEN: Final = int(StatusBit.FROZEN)
 
 # After a fault the limits are so much narrower until a sample keeps them.

@@ -1,0 +1,56 @@
+"""The computation of a reference measurement, to be run where it keeps nobody waiting."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.recording import recorded_tracks, timed_tracks
+from canfb.calibration.result import ACCEPTED, Calibration
+from canfb.calibration.solver import no_progress
+from canfb.errors import CalibrationError
+
+
+class Outcome(NamedTuple):
+    """What came out of a :class:`CalibrationJob`.
+
+    reason        one of :data:`canfb.calibration.result.REASONS`
+    calibration   the measurement; if it was refused, for diagnosis only, and None where there is none
+    text          one line for people
+    """
+
+    reason: str
+    calibration: Calibration | None
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationJob:
+    """Samples, and what to make of them: a call computes it, in seconds. It can be pickled.
+
+    samples     as 2050:03 has them
+    times       sample times in 100 ns, rising, INTEGER64 of this machine, NO_TIME for none;
+                None: one sample per interval
+    adc_bits    4..16
+    """
+
+    samples: bytes
+    times: bytes | None
+    adc_bits: int
+
+    def __call__(self, progress: Callable[[float], None] = no_progress) -> Outcome:
+        """Table and conditioning from the samples; ``progress`` is called with 0..1."""
+        time_s = None
+        if self.times is None:
+            sine, cosine = recorded_tracks(self.samples)
+        else:
+            sine, cosine, time_s = timed_tracks(self.samples, self.times)
+        try:
+            found = calibrate_from_motion(
+                sine, cosine, "fit", time_s=time_s, adc_bits=self.adc_bits, progress=progress
+            )
+        except CalibrationError as error:
+            return Outcome(error.reason, error.calibration, str(error))
+        return Outcome(ACCEPTED, found, found.verdict)
