@@ -81,11 +81,13 @@ class SdoWatcher:
     def _segment(self, data: bytes) -> None:
         unused = data[0] >> 1 & 7
         demand(not any(data[8 - unused :]) or not unused, f"{data.hex()} has something in unused bytes")
-        self._uploaded += 7 - unused
+        demand(data[0] & 0x10 == self._request[0] & 0x10, f"{data.hex()} has another toggle bit")
         demand(self._size is not None, f"{data.hex()} is a segment of nothing")
-        if data[0] & 1:
-            demand(self._uploaded == self._size, f"{self._uploaded} bytes came, {self._size} were announced")
-            self._size = None
+        self._uploaded += 7 - unused
+        size, last = self._size or 0, data[0] & 1
+        right = self._uploaded == size if last else self._uploaded < size
+        demand(right, f"{self._uploaded} bytes came, {size} were announced")
+        self._size = None if last else size
 
     def _download_segment(self, data: bytes) -> None:
         demand(data[0] & 0x0F == 0 and not any(data[1:]), f"{data.hex()} has reserved bits set")

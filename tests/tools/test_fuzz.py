@@ -208,6 +208,7 @@ EXCHANGES = [
     ("2F01200301000000", "6001200301000000", "reserved bits set"),
     ("2F01200301000000", "2000000000000000", "is no answer to"),
     ("6000000000000000", "0000000000000000", "segment of nothing"),
+    ("6000000000000000", "1000000000000000", "another toggle bit"),
     ("0000000000000000", "3000000000000000", "another toggle bit"),
     ("0000000000000000", "2100000000000000", "reserved bits set"),
     ("C620200100000000", "A420200180000000", "bad block size"),
@@ -239,6 +240,13 @@ def test_an_upload_that_is_shorter_than_announced_is_found() -> None:
     exchange(watcher, "6000000000000000", "0001020304050607")
     with pytest.raises(Broken, match="9 bytes came, 10 were announced"):
         exchange(watcher, "7000000000000000", "1B08090000000000")
+
+
+def test_an_upload_that_does_not_end_is_found() -> None:
+    watcher = SdoWatcher()
+    exchange(watcher, "4008100000000000", "4108100007000000")
+    with pytest.raises(Broken, match="7 bytes came, 7 were announced"):
+        exchange(watcher, "6000000000000000", "0001020304050607")
 
 
 def test_a_segment_out_of_sequence_is_found() -> None:
