@@ -64,14 +64,14 @@ class Dictionary:
 
     @classmethod
     def load(cls, path: str | Path, node_id: int) -> Dictionary:
-        """The objects of an EDS file for node `node_id` (1..127), all at their defaults.
+        """The objects of an EDS file for node `node_id` (1..127; 255 for none yet), all at their defaults.
 
         Raises OSError when the file cannot be read, and ValueError that names the section when it
         describes something impossible. ParameterValue of a DCF is not used. The value of 1021h, where
         the file has it, is the file itself.
         """
-        if not 1 <= node_id <= 127:
-            raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127")
+        if not (1 <= node_id <= 127 or node_id == 255):
+            raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127, or 255 for none yet")
         path = Path(path)
         parser = eds.read(path)
         try:
@@ -129,6 +129,15 @@ class Dictionary:
     def objects(self) -> Iterator[ObjectInfo]:
         """What each index holds, ascending."""
         return iter(self._objects.values())
+
+    def change_node_id(self, old: int, new: int) -> None:
+        """Make the defaults that have the node-ID in them, and the values that are such defaults, new."""
+        for entry in self._entries.values():
+            if entry.follows_node_id and isinstance(entry.default, int):
+                is_default = entry.value == entry.default
+                entry.default += new - old
+                if is_default:
+                    entry.value = entry.default
 
     def reset(self, first: int = 0x1000, last: int = 0xFFFF) -> None:
         """Values of the indices `first` to `last`, both included, back to their defaults.

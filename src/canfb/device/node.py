@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection
 
 from canfb.device import pdo
 from canfb.device.agenda import Agenda
@@ -13,7 +13,8 @@ from canfb.device.emergency import Emergency
 from canfb.device.frame import NEVER, Frame, Moment
 from canfb.device.guarding import NodeGuarding
 from canfb.device.heartbeat import HeartbeatConsumer, HeartbeatProducer
-from canfb.device.image import ParameterGroup
+from canfb.device.hooks import Hooks
+from canfb.device.lss import REQUEST_ID, UNCONFIGURED, LssSlave, is_node_id
 from canfb.device.mapping import Direction
 from canfb.device.nmt import COMMUNICATING, ErrorBehaviour, Nmt, NmtState, Startup
 from canfb.device.routing import Handler, RemoteHandler, Routes
@@ -30,7 +31,7 @@ LAST_COMMUNICATION_INDEX = 0x1FFF
 _LONGEST_DATA = 8
 
 
-class Node:
+class Node(Hooks):
     """A CiA 301 slave without I/O.
 
     Frames and times go in, frames and the next deadline come out: `start`, `receive` and `tick`
@@ -38,23 +39,11 @@ class Node:
     seconds (monotonic) and must not go back. The node is given its object dictionary and takes its
     communication parameters from it; write those by SDO, or before `start`.
 
-    The hooks `on_...` are called from within these calls. They may write entries and call
-    `trigger_tpdo`, `emergency` and `clear_emergency`, but not `receive` or `tick`. What they raise
-    comes out of the call: it is a mistake in the program. No frame from the bus raises by itself.
+    What it tells the program are `Hooks`. No frame from the bus raises by itself.
 
-    on_rpdo(number, now): the data of RPDO `number` stands in the dictionary.
-    on_time(days, milliseconds, now): a TIME, with the days since 1984-01-01 and the milliseconds of
-    the day, while 1012h says that it is consumed.
-    on_sync(counter, now): a SYNC in OPERATIONAL, after synchronous RPDOs were taken over, before
-    synchronous TPDOs are sampled; `counter` is None without 1019h.
-    on_state(old, new, now): after a change of the NMT state.
-    on_reset(communication_only, now): the dictionary is back at its defaults (at `start`: is as it
-    is), stored parameters are restored, and all errors are forgotten, before boot-up; report again
-    what persists.
-    on_parameter_faults(faults, now): stored parameters of these groups were refused, and why; the
-    defaults are in force. After each reset while there are any, and when a save or a load changes them.
-    on_bad_rpdo(number, received, mapped, now): an RPDO too short, in bytes; its data was dropped.
-    on_configured(): PDO parameters or the NMT state have changed; mappings may be others now.
+    With the node-ID 255 the device has none yet: it stays in INITIALISING and answers LSS only, until
+    a master has given it one. A node-ID from LSS is in force from the next reset on; one that was
+    stored comes before that of the program.
     """
 
     def __init__(
@@ -65,28 +54,24 @@ class Node:
         autostart: bool = False,
         sdo_timeout_s: float = TIMEOUT_S,
         store: Store | None = None,
+        bit_rates_kbit_s: Collection[int] = (),
     ) -> None:
-        """Make the node `node_id` (1..127); ValueError for another, or for an impossible EDS.
+        """Make the node `node_id` (1..127, 255); ValueError for another, or for an impossible EDS.
 
         With `autostart` it goes on to OPERATIONAL after each boot-up without a master: bit 2 of
         1F80h is then 0 by default. `sdo_timeout_s` is how long an SDO client may be silent within a
-        transfer, more than 0 s. `store` keeps what 1010h saves; None: nothing is saved.
+        transfer, more than 0 s. `store` keeps what 1010h and LSS save; None: nothing is saved.
+        `bit_rates_kbit_s` are those that LSS may choose; they are changed by `on_bit_rate`.
         """
-        if not 1 <= node_id <= 127:
-            raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127")
+        if not is_node_id(node_id):
+            raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127, or 255 for none yet")
         if not 0 < sdo_timeout_s < NEVER:
             raise ValueError(f"sdo_timeout_s is {sdo_timeout_s}; give a time in seconds, more than 0")
+        super().__init__()
         self.dictionary = dictionary
         self.node_id = node_id
         self.counters = Counters()
         self._on_rpdo: Callable[[int, float], None] | None = None
-        self.on_time: Callable[[int, int, float], None] | None = None
-        self.on_sync: Callable[[int | None, float], None] | None = None
-        self.on_state: Callable[[NmtState, NmtState, float], None] | None = None
-        self.on_reset: Callable[[bool, float], None] | None = None
-        self.on_bad_rpdo: Callable[[int, int, int, float], None] | None = None
-        self.on_configured: Callable[[], None] | None = None
-        self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str], float], None] | None = None
         self.storage = Storage(dictionary, store, lambda: self.node_id, self._report_parameters)
 
         self._operational = False
@@ -98,9 +83,21 @@ class Node:
         self._sync_rpdos: list[Rpdo] = []
         self._sync_tpdos: list[Tpdo] = []
         self._startup = Startup(dictionary.find(0x1F80), autostart=autostart)
-        self._make_services(sdo_timeout_s)
+        self._sdo_timeout_s = sdo_timeout_s
+        self.lss = LssSlave(
+            dictionary,
+            self.storage,
+            self.counters,
+            self._outbox.append,
+            active_node_id=lambda: self.node_id,
+            bit_rates_kbit_s=bit_rates_kbit_s,
+            activate=self._bit_rate_wanted,
+            configured=self._lss_left,
+        )
+        self._make_services()
 
-    def _make_services(self, sdo_timeout_s: float) -> None:
+    def _make_services(self) -> None:
+        """All services that know the node-ID: anew when it changes."""
         dictionary, node_id, counters, moment = self.dictionary, self.node_id, self.counters, self._moment
         emit, changed = self._outbox.append, self._route
         self._nmt = Nmt(node_id, counters, self._state_changed, self._reset)
@@ -125,7 +122,7 @@ class Node:
         )
         self._sync = Sync(dictionary, emit, moment, counters, self._emergency, self._synchronise, changed)
         self._channels = [
-            SdoChannel(dictionary, index, node_id, emit, counters, changed, timeout_s=sdo_timeout_s)
+            SdoChannel(dictionary, index, node_id, emit, counters, changed, timeout_s=self._sdo_timeout_s)
             for index in channel_indices(dictionary)
         ]
         self._rpdos = [
@@ -187,8 +184,9 @@ class Node:
         """
         self._moment.now = now
         self.storage.power_on()
-        self.storage.restore()
-        self._begin(False, now)
+        self.lss.power_on()
+        self._change_node_id(now)
+        self._power_up(now)
         return self._sent()
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
@@ -293,10 +291,50 @@ class Node:
         else:
             handler(now)
 
+    def _power_up(self, now: float) -> None:
+        """With a node-ID: to the boot-up. Without one there is LSS only (CiA 305)."""
+        self._nmt.enter(NmtState.INITIALISING, now)
+        if self.node_id == UNCONFIGURED:
+            self._wait_for_node_id()
+            return
+        self.storage.restore()
+        self._begin(False, now)
+
+    def _wait_for_node_id(self) -> None:
+        self._producer.stop()
+        self._emergency.reset()
+        self.lss.reset()
+        self._route()
+
+    def _change_node_id(self, now: float) -> None:
+        """Take over the node-ID of LSS."""
+        old, new = self.node_id, self.lss.pending_node_id
+        if new == old:
+            return
+        self._nmt.enter(NmtState.INITIALISING, now)
+        self.node_id = new
+        self.dictionary.change_node_id(old, new)
+        self._make_services()
+        self.on_rpdo = self._on_rpdo
+
+    def _lss_left(self, now: float) -> None:
+        """The LSS master has left the configuration state: a first node-ID is in force at once."""
+        if self.node_id == UNCONFIGURED != self.lss.pending_node_id:
+            self._change_node_id(now)
+            self._power_up(now)
+
+    def _bit_rate_wanted(self, kbit_s: int, delay_s: float) -> None:
+        if self.on_bit_rate is not None:
+            self.on_bit_rate(kbit_s, delay_s, self._moment.now)
+
     def _reset(self, communication_only: bool, now: float) -> None:
         """NMT reset node or reset communication."""
         last = LAST_COMMUNICATION_INDEX if communication_only else 0xFFFF
         self.dictionary.reset(0x1000, last)
+        self._change_node_id(now)
+        if self.node_id == UNCONFIGURED:
+            self._wait_for_node_id()
+            return
         self.storage.restore(communication_only=communication_only)
         self._begin(communication_only, now)
 
@@ -310,6 +348,7 @@ class Node:
         self._sync.configure()
         for channel in self._channels:
             channel.configure()
+        self.lss.reset()
         if self.on_reset is not None:
             self.on_reset(communication_only, now)
         if self.storage.faults:
@@ -360,6 +399,7 @@ class Node:
         self._sync_tpdos = [tpdo for tpdo in self._tpdos.values() if tpdo.is_synchronous]
         routes = Routes()
         self._routes, self._remote_routes = routes.data, routes.remote
+        routes.add(REQUEST_ID, self.lss.handle)
         state = self._nmt.state
         if state is NmtState.INITIALISING:
             return

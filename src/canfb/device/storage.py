@@ -92,6 +92,11 @@ class Storage:
         for entry in self._verify:
             entry.on_download = None
 
+    @property
+    def is_there(self) -> bool:
+        """Whether there is a store."""
+        return self._store is not None
+
     def power_on(self) -> None:
         """Ask the store for what it keeps."""
         self._images, self.faults = {}, {}
@@ -117,7 +122,7 @@ class Storage:
             try:
                 restore(self.entries, group, records, self._node_id())
             except ImageError as error:
-                self._refuse(group, error)
+                self.refuse(group, str(error))
 
     def records(self, group: ParameterGroup) -> list[Record] | None:
         """The stored records of a group, None when there are none that can be used."""
@@ -127,7 +132,7 @@ class Storage:
         try:
             return decode_image(image, group, self._identity())
         except ImageError as error:
-            self._refuse(group, error)
+            self.refuse(group, str(error))
             return None
 
     def save_records(self, group: ParameterGroup, records: list[Record]) -> None:
@@ -139,9 +144,10 @@ class Storage:
         for entry in self._verify:
             entry.value = 0
 
-    def _refuse(self, group: ParameterGroup, error: ImageError) -> None:
+    def refuse(self, group: ParameterGroup, reason: str) -> None:
+        """Do not use the stored parameters of this group."""
         del self._images[group]
-        self.faults[group] = str(error)
+        self.faults[group] = reason
 
     def _identity(self) -> Identity:
         found = (self._dictionary.find(0x1018, subindex) for subindex in (1, 2, 3))

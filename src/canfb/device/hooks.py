@@ -1,0 +1,43 @@
+"""What a program can listen to on a node."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from canfb.device.image import ParameterGroup
+from canfb.device.nmt import NmtState
+
+
+class Hooks:
+    """Functions of the program that the node calls; None for what it does not want to hear.
+
+    They are called from within the calls of the node. They may write entries and call
+    `trigger_tpdo`, `emergency` and `clear_emergency`, but not `receive` or `tick`. What they raise
+    comes out of the call: it is a mistake in the program.
+
+    on_rpdo(number, now): the data of RPDO `number` stands in the dictionary.
+    on_time(days, milliseconds, now): a TIME, with the days since 1984-01-01 and the milliseconds of
+    the day, while 1012h says that it is consumed.
+    on_sync(counter, now): a SYNC in OPERATIONAL, after synchronous RPDOs were taken over, before
+    synchronous TPDOs are sampled; `counter` is None without 1019h.
+    on_state(old, new, now): after a change of the NMT state.
+    on_reset(communication_only, now): the dictionary is back at its defaults (at `start`: is as it
+    is), stored parameters are restored, and all errors are forgotten, before boot-up; report again
+    what persists.
+    on_parameter_faults(faults, now): stored parameters of these groups were refused, and why; the
+    defaults are in force. After each reset while there are any, and when a save or a load changes them.
+    on_bad_rpdo(number, received, mapped, now): an RPDO too short, in bytes; its data was dropped.
+    on_configured(): PDO parameters or the NMT state have changed; mappings may be others now.
+    on_bit_rate(kbit_s, delay_s, now): LSS wants another bit rate. Send nothing for `delay_s`, change
+    it, send nothing for `delay_s` again.
+    """
+
+    def __init__(self) -> None:
+        self.on_time: Callable[[int, int, float], None] | None = None
+        self.on_sync: Callable[[int | None, float], None] | None = None
+        self.on_state: Callable[[NmtState, NmtState, float], None] | None = None
+        self.on_reset: Callable[[bool, float], None] | None = None
+        self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str], float], None] | None = None
+        self.on_bad_rpdo: Callable[[int, int, int, float], None] | None = None
+        self.on_configured: Callable[[], None] | None = None
+        self.on_bit_rate: Callable[[int, float, float], None] | None = None
