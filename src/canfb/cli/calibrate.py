@@ -25,7 +25,13 @@ from canfb.commissioning import own_calibration
 from canfb.commissioning.access import Master
 from canfb.commissioning.active import NOTHING_ACTIVE, ActiveSet
 from canfb.commissioning.artefacts import prepare, write, write_refusal
-from canfb.commissioning.drift_check import check, drift_json, drift_lines
+from canfb.commissioning.drift_check import (
+    check,
+    drift_json,
+    drift_lines,
+    module_drift_json,
+    module_drift_lines,
+)
 from canfb.commissioning.pictures import TrackLimits
 from canfb.commissioning.procedure import Guard, Installation, Measurement, Settings, install, measure
 from canfb.commissioning.samples import Samples
@@ -113,13 +119,19 @@ def over_bus(
 def _by_module(session: Session, job: _Job, source: Source, settings: Settings, guard: Guard) -> int:
     """The module measures; what it hears is measured here as well, for the figures and the pictures."""
     job.progress.step("the module measures")
+    if job.options.check:
+        drift = own_calibration.let_check(session.module, job.progress.part)
+        return job.say(
+            module_drift_json(drift, session.active, job.where),
+            module_drift_lines(drift, session.active, job.where),
+        )
     samples = own_calibration.let_measure(session.module, session.layout(), job.progress.part)
     try:
         measured, done = job.measured(samples, session.active, settings), Installation()
         if job.options.dry_run:
-            own_calibration.stop(session.module)
+            own_calibration.discard(session.module)
     except BaseException:
-        own_calibration.stop(session.module)
+        own_calibration.discard(session.module)
         raise
     if not job.options.dry_run:
 
@@ -187,21 +199,19 @@ class _Job:
     def report_drift(self, samples: Samples, active: ActiveSet, settings: Settings) -> int:
         """How far the encoder has moved away from its table."""
         found = self._judged(samples, lambda: check(samples, active, settings, self.progress.part))
-        if self.options.json:
-            print(json.dumps(drift_json(found, self.where), indent=2))
-        else:
-            print("\n".join(drift_lines(found, self.where)))
-        return 0
+        return self.say(drift_json(found, self.where), drift_lines(found, self.where))
 
     def report(self, measured: Measurement, done: Installation) -> int:
         """Say what came out, and write the files."""
         out = self.options.out
         paths = write(out, measured, done, self.where, self.limits) if out else []
-        if self.options.json:
-            figures = as_json(measured, done, self.where) | {"files": [str(path) for path in paths]}
-            print(json.dumps(figures, indent=2))
-        else:
-            print("\n".join(account(measured, done, self.where, paths)))
+        figures = as_json(measured, done, self.where) | {"files": [str(path) for path in paths]}
+        return self.say(figures, account(measured, done, self.where, paths))
+
+    def say(self, figures: dict[str, Any], lines: list[str]) -> int:
+        """On standard output, for programs or for people."""
+        self.progress.clear()
+        print(json.dumps(figures, indent=2) if self.options.json else "\n".join(lines))
         return 0
 
     def _judged(self, samples: Samples, act: Callable[[], Any]) -> Any:

@@ -130,7 +130,7 @@ def check_options(options: argparse.Namespace) -> None:
     """ConfigError for options that cannot be, alone or together; fills in what depends on others."""
     if options.source is None:
         options.source = RECORDING if options.method == ZERO_CROSSINGS else PDO
-    fast = options.source == RECORDING
+    fast = options.source == RECORDING and options.recorder == "interface"
     options.seconds = options.seconds if options.seconds is not None else (4.0 if fast else 20.0)
     options.verify = options.verify if options.verify is not None else (1.0 if fast else 4.0)
     for name, low, high in (
@@ -155,10 +155,6 @@ def check_options(options: argparse.Namespace) -> None:
         raise ConfigError(f"--columns {options.columns}: two columns, sine,cosine, are wanted")
     if options.table and not options.samples:
         raise ConfigError("--table: only with --samples; over the bus the module tells its table")
-    if options.check and options.source == MODULE and not options.samples:
-        raise ConfigError(
-            "--check --source module: the module tells its drift itself (2030:08); use --source pdo"
-        )
     if options.source == MODULE and options.method != MOTION:
         raise ConfigError("--source module: the module has the method motion only")
 

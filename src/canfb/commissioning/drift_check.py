@@ -9,6 +9,7 @@ from canfb.calibration.drift import drift
 from canfb.calibration.result import Calibration
 from canfb.commissioning.active import ActiveSet
 from canfb.commissioning.deviation import Deviation
+from canfb.commissioning.own_calibration import ModuleDrift
 from canfb.commissioning.procedure import Heard, Settings, measure
 from canfb.commissioning.samples import Samples
 from canfb.commissioning.summary import Circumstances, percent, table_words, where_words
@@ -39,6 +40,29 @@ def check(samples: Samples, active: ActiveSet, settings: Settings, heard: Heard)
     measured = measure(samples, settings, active, heard, active.conditioning)
     found = drift(measured.calibration, active.table, active.conditioning)
     return DriftCheck(found.rms, found.peak, active, measured.calibration, measured.on_samples)
+
+
+def module_drift_lines(found: ModuleDrift, active: ActiveSet, where: Circumstances) -> list[str]:
+    """What the module itself says, for people."""
+    return [
+        f"{'table in force':24}{table_words(active)}",
+        f"{'its error now, rms':24}{percent(found.rms, where)} of a cycle",
+        f"{'its error now, peak':24}{percent(found.peak, where)} of a cycle",
+        f"{'noise of a sample':24}{percent(found.residual_rms, where)} rms",
+        f"{'coverage':24}{100 * found.coverage:.0f} %",
+    ]
+
+
+def module_drift_json(found: ModuleDrift, active: ActiveSet, where: Circumstances) -> dict[str, Any]:
+    """The same for programs; cycles."""
+    return {
+        **where_words(where),
+        "crc32": f"{active.crc32:08X}",
+        "drift_rms_cycles": found.rms,
+        "drift_peak_cycles": found.peak,
+        "new_table_rms_cycles": found.residual_rms,
+        "coverage": found.coverage,
+    }
 
 
 def drift_lines(found: DriftCheck, where: Circumstances) -> list[str]:

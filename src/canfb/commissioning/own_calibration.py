@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from canfb.calibration.result import REASONS
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
@@ -16,35 +16,62 @@ from canfb.commissioning.samples import Samples
 from canfb.errors import CalibrationError
 
 OBJECT = 0x2030
-COMMAND, STATE, PROGRESS, REASON = 1, 2, 3, 7
-START, STOP, ACCEPT = 1, 2, 3
-IDLE, RECORDING, COMPUTING, READY, REFUSED, ACCEPTED = range(6)
+COMMAND, STATE, PROGRESS, COVERAGE, RMS, PEAK, REASON, DRIFT_RMS, DRIFT_PEAK, WANTED = range(1, 11)
+START, STOP, ACCEPT, CHECK, DISCARD = range(1, 6)
+IDLE, RECORDING, COMPUTING, READY, REFUSED, ACCEPTED, CHECKED = range(7)
 LOOK_S = 0.2
-PATIENCE_S = 60.0  # without progress
+PATIENCE_S = 120.0  # without progress: a slow computer calculates for long
+
+
+@dataclass(frozen=True)
+class ModuleDrift:
+    """What the module says of its table: its error now, rms and peak, and the noise, all in cycles."""
+
+    rms: float
+    peak: float
+    residual_rms: float
+    residual_peak: float
+    coverage: float
 
 
 def let_measure(module: NodeAccess, layout: PdoLayout, heard: Callable[[float], None]) -> Samples:
-    """Start the module's measurement, wait until it is ready; the samples that came in the meantime.
+    """Let the module measure until it is ready; the samples that were on the bus in the meantime.
 
     CalibrationError, with the module's reason, if it refuses them; CommissioningError if it cannot measure
-    or comes to nothing. Then, as after an interruption, the measurement is stopped.
+    or comes to nothing. Then, as after an interruption, the measurement is dropped.
     """
-    try:
-        module.write(OBJECT, COMMAND, "B", START)
-    except ObjectAbsentError:
-        raise CommissioningError(f"{module.name} cannot measure by itself: it has no object 2030h") from None
+    _start(module, START)
     try:
         with Listener(module.master, layout) as listener:
-            _wait(module, listener, heard)
+            _wait(module, READY, heard, listener.look)
         return listener.result()
     except BaseException:
-        stop(module)
+        discard(module)
         raise
 
 
-def stop(module: NodeAccess) -> None:
-    """End a measurement that has not been accepted; what was active stays so."""
-    module.write(OBJECT, COMMAND, "B", STOP)
+def let_check(module: NodeAccess, heard: Callable[[float], None]) -> ModuleDrift:
+    """Let the module measure how far its encoder has moved away from its table. Errors as above."""
+    _start(module, CHECK)
+    try:
+        _wait(module, CHECKED, heard, lambda: None)
+        rms, peak, noise, largest = (
+            float(module.read(OBJECT, one, "f")) for one in (DRIFT_RMS, DRIFT_PEAK, RMS, PEAK)
+        )
+        coverage = module.integer(OBJECT, COVERAGE, "B") / 100.0
+    finally:
+        discard(module)
+    return ModuleDrift(rms, peak, noise, largest, coverage)
+
+
+def discard(module: NodeAccess) -> None:
+    """Drop a measurement that has not been accepted; what is active stays so. Never fails."""
+    for command in (DISCARD, STOP):  # a module that does not know the first may know the second
+        try:
+            module.write(OBJECT, COMMAND, "B", command)
+        except CommissioningError:
+            continue
+        return
 
 
 def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Measurement:
@@ -75,16 +102,24 @@ def with_table(measured: Measurement, found: ActiveSet, settings: Settings) -> M
     return replace(measured, calibration=calibration, on_samples=on_samples)
 
 
-def _wait(module: NodeAccess, listener: Listener, heard: Callable[[float], None]) -> None:
+def _start(module: NodeAccess, command: int) -> None:
+    try:
+        module.write(OBJECT, COMMAND, "B", command)
+    except ObjectAbsentError:
+        raise CommissioningError(f"{module.name} cannot measure by itself: it has no object 2030h") from None
+
+
+def _wait(module: NodeAccess, wanted: int, heard: Callable[[float], None], look: Callable[[], None]) -> None:
+    """Until 2030:02 is ``wanted``."""
     master = module.master
     seen, moved = -1, master.now()
     while True:
         master.wait(LOOK_S)
-        listener.look()
+        look()
         state = module.integer(OBJECT, STATE, "B")
         progress = module.integer(OBJECT, PROGRESS, "B")
         heard(progress / 100.0)
-        if state == READY:
+        if state == wanted:
             return
         if state == REFUSED:
             number = module.integer(OBJECT, REASON, "B")
