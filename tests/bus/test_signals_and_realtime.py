@@ -74,7 +74,7 @@ class System:
 
 ALL = RealtimeConfig(priority=80, lock_memory=True, cpu=3)
 ALL_CALLS = [
-    ("scheduler", 0, os.SCHED_FIFO, 80),
+    ("scheduler", 0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 80),
     ("mlockall", MCL_CURRENT | MCL_FUTURE),
     ("affinity", 0, {3}),
 ]

@@ -31,7 +31,8 @@ def _try(name: str, report: Callable[[str], None], action: Callable[[], None]) -
 
 
 def _set_fifo(priority: int) -> None:
-    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    # Not for processes that we start: a computation must not take the time of the SYNC cycle.
+    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
 
 
 def _lock_memory() -> None:

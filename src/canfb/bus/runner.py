@@ -14,6 +14,7 @@ from uuid import uuid4
 
 import can
 
+from canfb.bus.computing import Computation, Computing
 from canfb.bus.opening import brings_own_frames_back, reason
 from canfb.device.frame import Frame
 
@@ -96,6 +97,9 @@ class Runner:
         self._stopped = False
         self._receiving = _Direction(report, "the bus fails", "the bus works again")
         self._sending = _Direction(report, "a frame could not be sent", "frames can be sent again")
+        self._computations = [
+            (device, Computation(device, report)) for device in devices if isinstance(device, Computing)
+        ]
         # Such a bus carries the channel of a message along: it shows which frames are ours.
         self._mark = uuid4().hex if brings_own_frames_back(bus) else None
 
@@ -107,11 +111,16 @@ class Runner:
         """Power the devices on and serve them until :meth:`stop`, or until ``finished()``."""
         for device in self._devices:
             self._spread(device, device.start(self._clock()))
-        while not self._stopped and not finished():
-            message = self._next_message()
-            if message is not None:
-                self._take(message)
-            self._tick()
+        try:
+            while not self._stopped and not finished():
+                message = self._next_message()
+                if message is not None:
+                    self._take(message)
+                self._tick()
+                self._compute()
+        finally:
+            for _, computation in self._computations:
+                computation.close()
 
     def _next_message(self) -> can.Message | None:
         deadlines = [deadline for device in self._devices if (deadline := device.deadline()) is not None]
@@ -149,6 +158,13 @@ class Runner:
             deadline = device.deadline()
             if deadline is not None and deadline <= now:
                 self._spread(device, device.tick(now))
+
+    def _compute(self) -> None:
+        """Give what a device wants computed to another process, without waiting for it."""
+        for device, computation in self._computations:
+            frames = computation.poll(self._clock())
+            if frames:
+                self._spread(device, frames)
 
     def _spread(self, sender: Device, frames: list[Frame]) -> None:
         """Send frames, and give them to the other devices of this process as well."""

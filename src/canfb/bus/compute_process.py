@@ -1,0 +1,47 @@
+"""The other process: takes one job, computes it, tells how far it is and what came out.
+
+    python -m canfb.bus.compute_process
+
+Standard input is a pickled job, standard output pickled messages (:mod:`canfb.bus.messages`).
+Only the process that started it talks to it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import sys
+from typing import BinaryIO
+
+from canfb.bus.messages import pack
+
+NICENESS = 10  # frames come first
+
+
+def compute(source: BinaryIO, answers: BinaryIO) -> None:
+    """Do the job that ``source`` holds; what happens goes to ``answers``."""
+
+    def tell(message: object) -> None:
+        answers.write(pack(message))
+        answers.flush()
+
+    try:
+        result = pickle.load(source)(tell)
+    except Exception as error:  # whatever it is, the module must hear of it
+        result = RuntimeError(f"{type(error).__name__}: {error}")
+    tell(result)
+
+
+def main() -> None:
+    """Compute; what the job itself prints goes nowhere near the answers."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.nice(NICENESS)
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    with contextlib.suppress(BrokenPipeError), answers:  # nobody wants it any more
+        compute(sys.stdin.buffer, answers)
+
+
+if __name__ == "__main__":
+    main()

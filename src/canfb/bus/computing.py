@@ -1,0 +1,156 @@
+"""Long computations of a device, in a process of their own, so that no frame waits for them."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import IO, Any, Protocol, runtime_checkable
+
+from canfb.bus.messages import Inbox
+from canfb.device.frame import Frame
+
+COMMAND = (sys.executable, "-m", "canfb.bus.compute_process")
+PIECE_BYTES = 1 << 16
+
+
+@runtime_checkable
+class Computing(Protocol):
+    """A device with something to compute now and then, as FeedbackModule is."""
+
+    def pending_job(self) -> Any:
+        """What is to be computed, None for nothing."""
+
+    def finish_job(self, job: Any, result: Any, now: float) -> list[Frame]:
+        """What came out, or an Exception."""
+
+    def job_progress(self, job: Any, part: float) -> None:
+        """How far it is, 0..1."""
+
+
+class Computation:
+    """The computations of one ``device``, one at a time. The process is started when one comes.
+
+    A fresh process, not a fork nor a thread: a fork would take bus and memory along, a thread the
+    time of the SYNC cycle. A process that ends without a result is told to ``report``, and refuses
+    the measurement. ``command`` is what is started, but for tests.
+    """
+
+    def __init__(
+        self,
+        device: Computing,
+        report: Callable[[str], None] = lambda text: None,
+        command: tuple[str, ...] = COMMAND,
+    ) -> None:
+        self._device = device
+        self._report = report
+        self._command = command
+        self._job: Any = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._killed: list[subprocess.Popen[bytes]] = []
+
+    def poll(self, now: float) -> list[Frame]:
+        """Start, feed, hear or end what there is, without waiting; the frames of the device."""
+        if self._killed:
+            self._killed = [process for process in self._killed if process.poll() is None]
+        job = self._device.pending_job()
+        if job is not self._job:
+            self._kill()
+            self._job = job
+            if job is not None:
+                try:
+                    self._start(job)
+                except OSError as error:
+                    return self._finish(error, now)
+        if self._process is None:
+            return []
+        return self._exchange(self._process, now)
+
+    def close(self) -> None:
+        """Kill the process, if there is one, and wait for its end."""
+        self._kill()
+        for process in self._killed:
+            process.wait()
+        self._killed = []
+
+    def _kill(self) -> None:
+        process, self._process = self._process, None
+        if process is None:
+            return
+        process.kill()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                pipe.close()
+        self._killed.append(process)
+
+    def _start(self, job: Any) -> None:
+        path = os.pathsep.join(folder or os.getcwd() for folder in sys.path)
+        self._process = process = subprocess.Popen(
+            self._command,
+            bufsize=0,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": path},
+            start_new_session=True,  # Ctrl-C is for us; we end it
+        )
+        for pipe in (process.stdin, process.stdout):
+            os.set_blocking(_number(pipe), False)
+        self._unsent = memoryview(pickle.dumps(job))
+        self._inbox = Inbox()
+
+    def _exchange(self, process: subprocess.Popen[bytes], now: float) -> list[Frame]:
+        self._feed(process)
+        try:
+            ended = self._hear(process)
+            for message in self._inbox.messages():
+                if not isinstance(message, float):
+                    return self._finish(message, now)
+                self._device.job_progress(self._job, message)
+        except Exception as error:  # what it sent is no message
+            return self._finish(error, now)
+        if not ended:
+            return []
+        status = process.poll()
+        text = "without a result" if status is None else f"without a result, exit status {status}"
+        return self._finish(ChildProcessError(f"the process ended {text}"), now)
+
+    def _feed(self, process: subprocess.Popen[bytes]) -> None:
+        """Write what the pipe takes; at the end it is closed."""
+        pipe = process.stdin
+        if pipe is None or pipe.closed:
+            return
+        try:
+            while self._unsent:
+                self._unsent = self._unsent[os.write(_number(pipe), self._unsent) :]
+        except BlockingIOError:
+            return
+        except OSError:  # it has ended; that is seen where its answers end
+            self._unsent = self._unsent[:0]
+        pipe.close()
+
+    def _hear(self, process: subprocess.Popen[bytes]) -> bool:
+        """Read what there is; True if no more will come."""
+        while True:
+            try:
+                piece = os.read(_number(process.stdout), PIECE_BYTES)
+            except BlockingIOError:
+                return False
+            if not piece:
+                return True
+            self._inbox.add(piece)
+
+    def _finish(self, result: Any, now: float) -> list[Frame]:
+        self._kill()
+        if isinstance(result, Exception):
+            self._report(f"the computation of a reference measurement failed: {result}")
+        return self._device.finish_job(self._job, result, now)
+
+
+def _number(pipe: IO[bytes] | None) -> int:
+    """File descriptor of a pipe that was asked for."""
+    if pipe is None:
+        raise OSError("there is no pipe to the process")
+    return pipe.fileno()
