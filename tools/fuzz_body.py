@@ -19,6 +19,7 @@ from canfb.device import cob, pdo
 from canfb.device.codes import SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.device.frame import Frame
+from canfb.device.lss import UNCONFIGURED
 from canfb.device.mapping import Direction, resolve_all
 from canfb.device.nmt import COMMUNICATING, NmtState
 from canfb.device.storage import MemoryStore
@@ -26,7 +27,7 @@ from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.encoder_interface import EncoderInterface
 from fuzz_client import Follower
-from fuzz_input import NODE_ID, SERVER, Reader, Step, steps
+from fuzz_input import LSS, NODE_ID, SERVER, Reader, Step, steps
 from fuzz_watch import SdoWatcher, demand
 
 Device = FeedbackModule | EncoderInterface
@@ -92,22 +93,33 @@ class Play:
         self.now = 0.0
         self._first, self._second = SdoWatcher(), SdoWatcher()
         self._client = Follower()
+        self._answers: set[int] = set()
 
     @property
     def state(self) -> NmtState:
         return self.device.node.state
 
+    @property
+    def node_id(self) -> int:
+        """The present one: LSS may change it."""
+        return self.device.node.node_id
+
+    @property
+    def _is_configured(self) -> bool:
+        return self.node_id != UNCONFIGURED
+
     def start(self) -> None:
         """Power on: the boot-up."""
         sent = self.device.start(self.now)
-        demand(any(map(self._is_boot_up, sent)), "no boot-up")
+        demand(any(map(self._is_boot_up, sent)) or not self._is_configured, "no boot-up")
         self._check_deadline()
 
     def receive(self, frame: Frame) -> list[Frame]:
         """A frame from the bus."""
         before, ids, second = self.state, self._own_ids(), self._second_channel()
+        self._answers = {FIRST_ANSWER + self.node_id}
         if before in COMMUNICATING and not frame.rtr:
-            if frame.can_id == SERVER:
+            if frame.can_id == 0x600 + self.node_id:
                 self._first.request(frame.data)
             if second is not None and frame.can_id == second[0]:
                 self._second.request(frame.data)
@@ -118,6 +130,7 @@ class Play:
     def tick(self) -> None:
         """The time is up."""
         before, ids, second = self.state, self._own_ids(), self._second_channel()
+        self._answers = {FIRST_ANSWER + self.node_id}
         self._first.waiting()
         self._second.waiting()
         self._check_sent(self.device.tick(self.now), before, ids, second)
@@ -138,22 +151,29 @@ class Play:
     def do(self, step: Step) -> None:
         """One step of an input."""
         for frame in step.frames:
-            self.receive(frame)
+            self.receive(self._addressed(frame))
         self.wait(step.pause_s, punctual=step.punctual)
         self._client.content, self._client.spoil = step.content, step.spoil
         for _ in range(step.follow):
             requests = self._client.requests()
             for request in requests:
-                self.receive(Frame(SERVER, request))
+                self.receive(self._addressed(Frame(SERVER, request)))
             self.wait(BLOCK_S if requests else 0.0, punctual=True)
+
+    def _addressed(self, frame: Frame) -> Frame:
+        """What an input sends to NODE_ID goes to the node-ID that the device has by now."""
+        if frame.can_id == SERVER and self._is_configured:
+            return frame._replace(can_id=0x600 + self.node_id)
+        if frame.can_id == 0x000 and frame.data[1:] == bytes([NODE_ID]):
+            return frame._replace(data=bytes([frame.data[0], self.node_id]))
+        return frame
 
     def _check_deadline(self) -> None:
         due = self.device.deadline()
         demand(due is None or due > self.now, f"deadline {due} is not after {self.now}")
 
-    @staticmethod
-    def _is_boot_up(frame: Frame) -> bool:
-        return frame.can_id == ERROR_CONTROL + NODE_ID and frame.data == b"\x00"
+    def _is_boot_up(self, frame: Frame) -> bool:
+        return frame.can_id == ERROR_CONTROL + self.node_id and frame.data == b"\x00"
 
     def _value(self, index: int, subindex: int) -> int | None:
         entry = self.dictionary.find(index, subindex)
@@ -169,7 +189,10 @@ class Play:
     def _own_ids(self) -> dict[int, frozenset[NmtState]]:
         """CAN-IDs that the device may send with now, and in which states; without those of SDO."""
         everywhere, operational = frozenset(COMMUNICATING), frozenset({NmtState.OPERATIONAL})
-        ids = {ERROR_CONTROL + NODE_ID: frozenset(NmtState), LSS_ANSWER: frozenset(NmtState)}
+        ids = {LSS_ANSWER: frozenset(NmtState)}
+        if not self._is_configured:
+            return ids
+        ids[ERROR_CONTROL + self.node_id] = frozenset(NmtState)
         for index in range(0x1800, 0x1804):
             value = self._value(index, 1)
             if value is not None and cob.is_valid(value):
@@ -192,12 +215,13 @@ class Play:
         demand(len(sent) <= MOST_FRAMES, f"{len(sent)} frames at once")
         reset = any(map(self._is_boot_up, sent))
         states = {before, after} | (set(NmtState) if reset else set())
+        answers = self._answers | {FIRST_ANSWER + self.node_id}
         for frame in sent:
             demand(0 < frame.can_id <= 0x7FF and len(frame.data) <= 8, f"impossible frame {frame}")
             demand(not frame.rtr or frame.can_id > 0x700, f"a remote frame {frame}")
             may = ids_before.get(frame.can_id, frozenset()) | ids_after.get(frame.can_id, frozenset())
             channels = [channel for channel in (second_before, second_after) if channel is not None]
-            if frame.can_id == FIRST_ANSWER + NODE_ID:
+            if frame.can_id in answers:
                 demand(states & COMMUNICATING, f"an SDO answer in {before.name}")
                 self._first.answer(frame.data)
                 self._client.heard(frame.data)
@@ -235,11 +259,15 @@ class Play:
     def check_alive(self) -> None:
         """The next client is served: after a second of silence, in PRE-OPERATIONAL."""
         self.wait(3.0, punctual=False)
-        self.receive(Frame(0x000, bytes([128, NODE_ID])))
+        if not self._is_configured:
+            for request in (b"\x04\x01", bytes([0x11, NODE_ID]), b"\x04\x00"):
+                self.receive(Frame(LSS, request.ljust(8, b"\x00")))
+            demand(self._is_configured, "LSS gives no node-ID")
+        self.receive(self._addressed(Frame(0x000, bytes([128, NODE_ID]))))
         demand(self.state is NmtState.PRE_OPERATIONAL, f"NMT does not lead out of {self.state.name}")
         self.wait(3.0, punctual=False)
-        sent = self.receive(Frame(SERVER, b"\x40\x00\x10\x00" + bytes(4)))
-        answers = [frame.data[:4] for frame in sent if frame.can_id == FIRST_ANSWER + NODE_ID]
+        sent = self.receive(self._addressed(Frame(SERVER, b"\x40\x00\x10\x00" + bytes(4))))
+        answers = [frame.data[:4] for frame in sent if frame.can_id in self._answers]
         demand(answers == [b"\x43\x00\x10\x00"], f"1000h is answered by {answers}")
 
 

@@ -14,6 +14,8 @@ from canfb.signal.correction import CorrectionTable
 
 NODE_ID = 32
 SERVER, SECOND_SERVER, SECOND_ANSWER = 0x600 + NODE_ID, 0x6C0, 0x6D0
+LSS = 0x7E5
+LSS_COMMANDS = [0x04, 0x11, 0x13, 0x15, 0x17, 0x40, 0x41, 0x42, 0x43, 0x46, 0x4C, 0x51, 0x5A, 0x5E]
 MOST_STEPS = 400
 
 INDICES = [0x1000, 0x1001, 0x1003, 0x1005, 0x1006, 0x1007, 0x1008, 0x100C, 0x100D, 0x1010, 0x1011, 0x1012]
@@ -28,6 +30,7 @@ VALUES += [0x7FC00000, 0x7F800000, 0x3F800000, 0x800006C0, 0x5C0, 0x800005C0, 0x
 PAUSES_S = [0.0, 0.0001, 0.001, 0.002, 0.01, 0.1, 0.5, 1.0, 3.0, 100.0, 1e6]
 NMT_COMMANDS = [1, 2, 128, 129, 130, 0, 3, 255]
 NMT_NODES = [NODE_ID, 0, NODE_ID + 1]
+NODE_IDS = [1, 127, 255, NODE_ID, 16, 0, 128]
 KNOWN_IDS = [0x000, 0x080, 0x100, 0x190, 0x1A0, 0x2A0, 0x320, 0x720, 0x747, 0x7E5, SERVER, SECOND_SERVER]
 TABLE = CorrectionTable.identity(16)
 CONTENTS = [TABLE.to_bytes(), b"", b"a", b"1234567", b"canfb and more", bytes(64), bytes(70_000)]
@@ -264,8 +267,28 @@ def _storage(reader: Reader) -> Step:
     return Step((Frame(SERVER, b"\x23" + multiplexer + (b"save", b"load")[command]),))
 
 
+def _lss(reader: Reader) -> Step:
+    """The LSS master: state, node-ID, bit rate, store, identification, fastscan."""
+    command = reader.choose(
+        [0x04, 0x11, 0x13, 0x15, 0x17, 0x40, 0x41, 0x42, 0x43, 0x46, 0x4C, 0x51, 0x5A, 0x5E]
+    )
+    if command == 0x11:
+        return Step((Frame(LSS, bytes([command, reader.choose(NODE_IDS)]) + bytes(6)),))
+    if command in (0x04, 0x13):
+        return Step((Frame(LSS, bytes([command, reader.byte() % 3, reader.byte() % 10]) + bytes(5)),))
+    return Step((Frame(LSS, bytes([command]) + reader.take(2).ljust(7, b"\x00")),))
+
+
+def _lss_node_id(reader: Reader) -> Step:
+    """Another node-ID, and what puts it in force: configuration, store, waiting, reset."""
+    frames = [b"\x04\x01", bytes([0x11, reader.choose(NODE_IDS)]), b"\x17", b"\x04\x00"]
+    reset = Frame(0x000, bytes([129 + reader.byte() % 2, 0]))
+    return Step((*(Frame(LSS, frame.ljust(8, b"\x00")) for frame in frames), reset))
+
+
 KINDS: tuple[Callable[[Reader], Step], ...] = (
     *(_any_frame, _known_frame, _request, _second_request, _write, _write_bytes, _read, _begin, _segments),
     *(_transfer_command, _nmt, _sync, _sample, _cycles, _remote, _pause, _second_channel, _mapping),
     *(_sample_layout, _long_sample, _follow, _activate, _producer, _heard, _timing, _storage),
+    *(_lss, _lss_node_id),
 )
