@@ -17,7 +17,7 @@ from typing import Any
 import yaml
 
 from canfb.errors import ConfigError
-from canfb.module.config import ModuleConfig
+from canfb.module.config import UNCONFIGURED, ModuleConfig
 from canfb.signal.chain import integer_in
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
@@ -239,9 +239,10 @@ class _Reader:
         """Two modules with one node id would answer each other's masters; a module sends no ADC counts."""
         items = next(value for key, value in root.value if key.value == "modules").value
         owner: dict[int, int] = {}
+        self._check_distinct_serial_numbers(items, config)
         for n, module in enumerate(config.modules):
             other = owner.setdefault(module.node_id, n)
-            if other != n:
+            if other != n and module.node_id != UNCONFIGURED:
                 raise self.fail(
                     items[n], f"node_id {module.node_id} of modules[{n}] is that of modules[{other}]"
                 )
@@ -252,6 +253,18 @@ class _Reader:
                 raise self.fail(
                     items[n],
                     f"encoder_interface {node} of modules[{n}] is the node_id of modules[{owner[node]}]",
+                )
+
+    def _check_distinct_serial_numbers(self, items: Any, config: Config) -> None:
+        """Modules without a node-ID are told apart by LSS, by their serial numbers."""
+        owner: dict[int, int] = {}
+        for n, module in enumerate(config.modules):
+            other = owner.setdefault(module.serial_number, n)
+            if other != n and UNCONFIGURED in (module.node_id, config.modules[other].node_id):
+                number = module.serial_number
+                raise self.fail(
+                    items[n],
+                    f"serial_number {number} of modules[{n}] is that of modules[{other}]: LSS needs two",
                 )
 
     def _check_distinct_folders(self, items: Any, config: Config) -> None:

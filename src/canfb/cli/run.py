@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 from collections.abc import Mapping
+from typing import Any
 
 from canfb.bus.opening import describe, open_bus
 from canfb.bus.realtime import apply_realtime
@@ -13,6 +14,7 @@ from canfb.bus.state_files import StateFiles
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, report
 from canfb.configuration import load_config
 from canfb.device.image import ParameterGroup
+from canfb.device.lss import UNCONFIGURED
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 
@@ -29,12 +31,12 @@ def run(options: argparse.Namespace) -> int:
     config = load_config(options.config)
     words = bus_options(options, config.bus)
     with contextlib.ExitStack() as resources:
-        modules = [make_module(module, resources) for module in config.modules]
+        modules = [make_module(module, resources, words) for module in config.modules]
         bus = resources.enter_context(open_bus(words))
         runner = Runner(bus, list(modules), report)
         apply_realtime(config.realtime, report)
-        nodes = ", ".join(f"{module.config.node_id} ({module.config.node_id:02X}h)" for module in modules)
         with ending_on_signals(runner.stop):
+            nodes = ", ".join(_name(module) for module in modules)
             print(f"running node {nodes} on {describe(words)}; end with Ctrl-C", flush=True)
             runner.run()
     for module in modules:
@@ -42,23 +44,40 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def make_module(config: ModuleConfig, resources: contextlib.ExitStack) -> FeedbackModule:
-    """The module with its state_dir, if it has one, which is held until `resources` are closed."""
+def make_module(
+    config: ModuleConfig, resources: contextlib.ExitStack, bus_words: Mapping[str, Any]
+) -> FeedbackModule:
+    """The module with its state_dir, if it has one, which is held until `resources` are closed.
+
+    The bit rate of the bus belongs to the system: LSS may choose the one that it has, and no other.
+    """
     store = None
     if config.state_dir is not None:
         store = resources.enter_context(StateFiles(config.state_dir))
-    module = FeedbackModule(config, store)
+    bit_rate = bus_words.get("bitrate")
+    bit_rates = [bit_rate // 1000] if isinstance(bit_rate, int) else []
+    module = FeedbackModule(config, store, bit_rates_kbit_s=bit_rates)
 
     def tell(faults: Mapping[ParameterGroup, str]) -> None:
         for group, why in faults.items():
             name = group.name.lower()
             report(
-                f"node {config.node_id}: stored {name} parameters in {config.state_dir} refused: {why}; "
+                f"node {module.node.node_id}: stored {name} parameters in {config.state_dir} refused: {why}; "
                 "the defaults are in force"
             )
 
     module.on_parameter_faults = tell
     return module
+
+
+def _name(module: FeedbackModule) -> str:
+    """The node-ID that it has, or is going to have."""
+    module.node.storage.power_on()  # a node-ID that LSS has stored comes before that of the configuration
+    module.node.lss.power_on()
+    node_id = module.node.lss.pending_node_id
+    if node_id == UNCONFIGURED:
+        return f"without a node-ID yet (LSS, serial number {module.config.serial_number})"
+    return f"{node_id} ({node_id:02X}h)"
 
 
 def _summary(module: FeedbackModule) -> str:
@@ -67,4 +86,4 @@ def _summary(module: FeedbackModule) -> str:
         f"{name} {module.dictionary.entry(0x2012, n).value}" for n, name in enumerate(names, 1)
     )
     samples = module.dictionary.entry(0x2011, 8).value
-    return f"node {module.config.node_id}: {samples} samples; {counts}"
+    return f"node {module.node.node_id}: {samples} samples; {counts}"

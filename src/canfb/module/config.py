@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for who reads configurations
 from canfb.signal.chain import ChainConfig, integer_in
 
 
@@ -11,7 +12,9 @@ from canfb.signal.chain import ChainConfig, integer_in
 class ModuleConfig(ChainConfig):
     """One drive feedback module: the fields of ChainConfig, and its place on the bus.
 
-    node_id                  1..127, required
+    node_id                  1..127, required; 255: none yet, an LSS master gives one. One that LSS has
+                             stored in state_dir comes before it
+    serial_number            0..4294967295 (1018:04): with it an LSS master tells equal modules apart
     encoder_interface        1..127: the node whose TPDO1 carries the ADC counts; not node_id
     max_acceleration_rad_s2  largest acceleration of the machine (2010:02); 0 = not known
     state_dir                folder for what `save` (1010h) keeps, made if it is missing; None: nothing
@@ -20,6 +23,7 @@ class ModuleConfig(ChainConfig):
     """
 
     node_id: int
+    serial_number: int = 0
     encoder_interface: int = 16
     max_acceleration_rad_s2: float = 0.0
     state_dir: str | None = None
@@ -27,7 +31,9 @@ class ModuleConfig(ChainConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        integer_in("node_id", self.node_id, 1, 127)
+        if self.node_id != UNCONFIGURED or not isinstance(self.node_id, int):
+            integer_in("node_id", self.node_id, 1, 127)
+        integer_in("serial_number", self.serial_number, 0, 0xFFFFFFFF)
         integer_in("encoder_interface", self.encoder_interface, 1, 127)
         if self.encoder_interface == self.node_id:
             raise ValueError(f"encoder_interface must be another node than node_id {self.node_id}")

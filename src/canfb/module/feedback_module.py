@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 from canfb.device.cob import is_valid
 from canfb.device.codes import EmergencyCode, ErrorRegister
@@ -43,16 +43,25 @@ class FeedbackModule:
     :class:`canfb.device.node.Node` for start, receive, tick and deadline. A frame never
     raises, whatever it holds.
 
-    ``store`` keeps what 1010h saves; without one nothing is saved. ``on_parameter_faults`` is
-    called with the groups of stored parameters that were refused, and why.
+    ``store`` keeps what 1010h and LSS save; without one nothing is saved. ``on_parameter_faults``
+    is called with the groups of stored parameters that were refused, and why. ``bit_rates_kbit_s``
+    are those that LSS may choose; see ``on_bit_rate`` of the node.
     """
 
-    def __init__(self, config: ModuleConfig, store: Store | None = None) -> None:
+    def __init__(
+        self, config: ModuleConfig, store: Store | None = None, *, bit_rates_kbit_s: Collection[int] = ()
+    ) -> None:
         self.config = config
         self.dictionary = Dictionary.load(eds_path(EDS), config.node_id)
         apply_defaults(self.dictionary, configured_defaults(config))
         self.chain = SignalChain(config)
-        self.node = Node(self.dictionary, config.node_id, autostart=config.autostart, store=store)
+        self.node = Node(
+            self.dictionary,
+            config.node_id,
+            autostart=config.autostart,
+            store=store,
+            bit_rates_kbit_s=bit_rates_kbit_s,
+        )
         self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None = None
         self._interval = IntervalEstimate(self.dictionary.entry(0x1006))
         self._limits = Limits(self.dictionary, self.chain, self._interval)

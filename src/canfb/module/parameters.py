@@ -24,7 +24,9 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
     resolution = single_turn_resolution(config.cycles_per_revolution)
     revolutions = distinguishable_revolutions(resolution)
     return {
+        (0x1018, 4): config.serial_number,
         (0x1400, 1): 0x180 + config.encoder_interface,
+        (0x650B, 0): config.serial_number,
         (ENCODER, 1): config.cycles_per_revolution,
         (ENCODER, 2): limits.full_scale_counts,
         (ENCODER, 3): limits.amplitude_low_counts,

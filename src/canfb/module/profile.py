@@ -46,8 +46,7 @@ class EncoderProfile:
         self._operating.on_write = self._check_operating
         for changed in (self._operating, self._units_per_rev, self._range):
             changed.on_written = self.rescale
-        self._serial, self._module_range = entry(0x650B), (entry(0x650A, 2), entry(0x650A, 3))
-        self._serial.value = entry(0x1018, 4).value
+        self._module_range = entry(0x650A, 2), entry(0x650A, 3)
         self.reset()
 
     def reset(self) -> None:
