@@ -28,8 +28,13 @@ ROWS = [
 ]
 
 
-def write_eds(path: Path) -> Path:
-    return sample_eds.write(path, sorted(ROWS, key=lambda row: (row[0], row[1] or 0)))
+def write_eds(path: Path, identity: tuple[int, ...] = ()) -> Path:
+    """The EDS of the device; `identity` are vendor-ID, product code and so on, if they are to be there."""
+    rows = [row for row in ROWS if not identity or row[0] != 0x1018]
+    if identity:
+        rows.append((0x1018, 0, U8, "ro", str(len(identity)), 0))
+    rows += [(0x1018, sub, U32, "ro", f"0x{number:X}", 0) for sub, number in enumerate(identity, 1)]
+    return sample_eds.write(path, sorted(rows, key=lambda row: (row[0], row[1] or 0)))
 
 
 class StoringBench(Bench):

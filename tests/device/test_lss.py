@@ -1,0 +1,414 @@
+"""The LSS slave by its frames (CiA 305)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+from device_kit import hexes
+from hypothesis import given
+from hypothesis import strategies as st
+from storing_bench import RESET_COMMUNICATION, RESET_NODE, StoringBench, write_eds
+
+from canfb.device.frame import Frame
+from canfb.device.image import ParameterGroup
+from canfb.device.lss import LssState
+from canfb.device.nmt import NmtState
+from canfb.device.node import Node
+from canfb.device.storage import MemoryStore
+
+ADDRESS = (0x11223344, 0x55667788, 0x00010002, 0xDEADBEEF)
+NONE = 255
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_eds(tmp_path_factory.mktemp("eds") / "lss.eds", ADDRESS)
+
+
+class LssBench(StoringBench):
+    """The device, and an LSS master that sends frames and hears the answers."""
+
+    def __init__(self, path: Path, node_id: int, store: MemoryStore | None = None) -> None:
+        super().__init__(path, store, node_id)
+        self.activated: list[tuple[int, float, float]] = []
+        self.node = Node(self.dictionary, node_id, store=store, bit_rates_kbit_s=(125, 500))
+        self.node.on_bit_rate = lambda kbit_s, delay_s, now: self.activated.append((kbit_s, delay_s, now))
+
+    def lss(self, command: int, *rest: int) -> list[str]:
+        """The answers, without their CAN-ID and trailing zero bytes."""
+        data = bytes([command, *rest]).ljust(8, b"\x00")
+        answers = self.node.receive(Frame(0x7E5, data), self.now)
+        assert all(len(frame.data) == 8 for frame in answers if frame.can_id == 0x7E4)
+        return [text.removeprefix("7E4#").rstrip("0") for text in hexes(answers)]
+
+    def part(self, command: int, number: int) -> list[str]:
+        return self.lss(command, *number.to_bytes(4, "little"))
+
+    def select(self, address: tuple[int, ...] = ADDRESS) -> list[str]:
+        return [text for n, number in enumerate(address) for text in self.part(0x40 + n, number)]
+
+    def identify(self, *numbers: int) -> list[str]:
+        return [text for n, number in enumerate(numbers) for text in self.part(0x46 + n, number)]
+
+    def configure(self) -> LssBench:
+        assert self.lss(0x04, 1) == []
+        return self
+
+
+@pytest.fixture
+def make(path: Path) -> Callable[..., LssBench]:
+    def power_on(node_id: int = 32, store: MemoryStore | None = None) -> LssBench:
+        bench = LssBench(path, node_id, store)
+        bench.first = bench.start()  # type: ignore[attr-defined]
+        return bench
+
+    return power_on
+
+
+@pytest.fixture
+def bench(make: Callable[..., LssBench]) -> LssBench:
+    return make()
+
+
+# Switching the state.
+
+
+def test_global_switch(bench: LssBench) -> None:
+    assert bench.lss(0x5E) == []
+    assert bench.configure().lss(0x5E) == ["5E2"]  # 20h, and zeros
+    assert bench.lss(0x04, 2) == []
+    assert bench.node.lss.state is LssState.CONFIGURATION
+    assert bench.lss(0x04, 0) == []
+    assert bench.lss(0x5E) == []
+
+
+def test_selective_switch(bench: LssBench) -> None:
+    assert bench.select() == ["44"]
+    assert bench.lss(0x5E) == ["5E2"]
+    assert bench.select() == []  # it is selected already
+
+
+@pytest.mark.parametrize("wrong", range(4))
+def test_another_address_selects_nobody(bench: LssBench, wrong: int) -> None:
+    address = [number ^ (1 << 31 if n == wrong else 0) for n, number in enumerate(ADDRESS)]
+    assert bench.select(tuple(address)) == []
+    assert bench.select(ADDRESS[1:] + ADDRESS[:1]) == []
+    assert bench.node.lss.state is LssState.WAITING
+    assert bench.part(0x43, ADDRESS[3]) == []  # three parts are missing
+    assert bench.select() == ["44"]
+
+
+def test_a_selection_with_a_part_left_out_is_none(bench: LssBench) -> None:
+    for part in (0, 1, 3):
+        assert bench.part(0x40 + part, ADDRESS[part]) == []
+    assert bench.part(0x42, ADDRESS[2]) == []
+    assert bench.node.lss.state is LssState.WAITING
+
+
+# Inquiries.
+
+
+def test_the_identity(bench: LssBench) -> None:
+    for command in range(0x5A, 0x5E):
+        assert bench.lss(command) == []
+    bench.configure()
+    assert [bench.lss(command) for command in range(0x5A, 0x5E)] == [
+        *(["5A44332211"], ["5B88776655"], ["5C020001"], ["5DEFBEADDE"]),
+    ]
+
+
+def test_identify_remote_slave(bench: LssBench) -> None:
+    vendor, product, revision, serial = ADDRESS
+    assert bench.identify(vendor, product, revision, revision, serial, serial) == ["4F"]
+    assert bench.identify(vendor, product, 0, 0xFFFFFFFF, 0, 0xFFFFFFFF) == ["4F"]
+    assert bench.identify(vendor, product, revision + 1, 0xFFFFFFFF, 0, 0xFFFFFFFF) == []
+    assert bench.identify(vendor, product, 0, revision - 1, 0, 0xFFFFFFFF) == []
+    assert bench.identify(vendor, product, 0, revision, serial + 1, 0xFFFFFFFF) == []
+    assert bench.identify(vendor, product, 0, revision, 0, serial - 1) == []
+    assert bench.identify(vendor + 1, product, 0, revision, 0, serial) == []
+    assert bench.identify(vendor, product + 1, 0, revision, 0, serial) == []
+    bench.configure()
+    assert bench.identify(vendor, product, 0, revision, 0, serial) == ["4F"]
+
+
+def test_identify_non_configured_slave(make: Callable[..., LssBench]) -> None:
+    assert make(32).lss(0x4C) == []
+    bench = make(NONE)
+    assert bench.lss(0x4C) == ["5"]  # 50h
+    bench.configure().lss(0x11, 5)
+    assert bench.lss(0x4C) == []
+
+
+# Node-ID.
+
+
+def test_a_node_id_is_in_force_after_reset_communication(bench: LssBench) -> None:
+    assert bench.lss(0x11, 40) == []
+    assert bench.configure().lss(0x11, 40) == ["11"]
+    assert bench.lss(0x5E) == ["5E2"]
+    assert bench.lss(0x04, 0) == []
+    assert bench.read(0x1014) == 0xA0
+    assert bench.nmt(RESET_COMMUNICATION) == ["728#00"]
+    assert bench.node.node_id == 40
+    assert bench.nmt(RESET_COMMUNICATION) == []  # 32 is somebody else now
+    assert bench.send(0x620, "4000100000000000") == []
+    assert bench.send(0x628, "4014100000000000") == ["5A8#43141000A8000000"]
+    assert bench.value(0x1800, 1) == 0x400001A8
+    assert bench.value(0x1400, 1) == 0x190
+    assert bench.send(0x728, rtr=True) == ["728#7F"]
+    assert bench.nmt(1, 40) == []
+    assert bench.node.state is NmtState.OPERATIONAL
+
+
+def test_reset_node_takes_it_over_as_well(bench: LssBench) -> None:
+    bench.configure().lss(0x11, 40)
+    assert bench.nmt(RESET_NODE) == ["728#00"]
+    assert bench.lss(0x5E) == []  # in the waiting state again
+
+
+def test_every_service_has_the_new_node_id(bench: LssBench) -> None:
+    seen: list[int] = []
+    bench.node.on_rpdo = lambda number, now: seen.append(number)
+    bench.configure().lss(0x11, 40)
+    bench.nmt(RESET_COMMUNICATION)
+    bench.nmt(1, 40)
+    assert bench.send(0x190, bytes(4)) == []
+    assert seen == [1]
+    bench.node.trigger_tpdo(1, 0.0)
+    bench.node.emergency(0x7300, 0x20, now=0.0)  # type: ignore[arg-type]
+    assert [text[:3] for text in bench.tick()] == ["1A8", "0A8"]
+    assert bench.send(0x628, "2B17100064000000") == ["5A8#6017100000000000"]
+    assert [text for _, text in bench.run(0.15)] == ["728#05", "728#05"]
+
+
+@pytest.mark.parametrize("node_id", [0, 128, 200, 254])
+def test_an_impossible_node_id_is_refused(bench: LssBench, node_id: int) -> None:
+    assert bench.configure().lss(0x11, node_id) == ["1101"]
+    assert bench.nmt(RESET_COMMUNICATION) == ["720#00"]
+
+
+def test_a_changed_cob_id_is_back_at_its_default_for_the_new_node_id(bench: LssBench) -> None:
+    bench.write(0x1800, 1, 0xC00001A0, 4)
+    bench.write(0x1800, 1, 0x400001B0, 4)
+    bench.configure().lss(0x11, 40)
+    bench.nmt(RESET_COMMUNICATION)
+    assert bench.value(0x1800, 1) == 0x400001A8
+
+
+# Without a node-ID.
+
+
+def test_without_a_node_id_there_is_lss_and_nothing_else(make: Callable[..., LssBench]) -> None:
+    bench = make(NONE)
+    assert bench.first == []  # type: ignore[attr-defined]
+    assert bench.node.state is NmtState.INITIALISING
+    assert bench.node.deadline() is None
+    for can_id in (0x000, 0x080, 0x600 + NONE, 0x67F, 0x190, 0x100):
+        for data in (b"\x01\x00", b"\x82\x00", b"\x81\xff", b"", bytes(8)):
+            assert bench.send(can_id, data) == []
+    assert bench.send(0x7FF, rtr=True) == []
+    assert bench.node.state is NmtState.INITIALISING
+    bench.node.emergency(0x7300, 0x20, now=0.0)  # type: ignore[arg-type]
+    assert bench.run(10.0) == []
+    assert bench.configure().lss(0x5E) == ["5EFF"]
+
+
+def test_it_boots_when_it_has_got_one_and_waits_again(make: Callable[..., LssBench]) -> None:
+    bench = make(NONE)
+    assert bench.lss(0x04, 0) == []
+    assert bench.configure().lss(0x04, 0) == []  # still none
+    assert bench.node.state is NmtState.INITIALISING
+    assert bench.configure().lss(0x11, 32) == ["11"]
+    assert bench.lss(0x5E) == ["5EFF"]
+    assert bench.lss(0x04, 0) == ["720#"]  # the boot-up
+    assert bench.node.state is NmtState.PRE_OPERATIONAL
+    assert bench.read(0x1014) == 0xA0
+    assert bench.value(0x1800, 1) == 0x400001A0
+    assert bench.lss(0x4C) == []
+
+
+def test_a_node_id_can_be_taken_away(make: Callable[..., LssBench]) -> None:
+    bench = make(32)
+    bench.write(0x1017, 0, 100, 2)
+    bench.nmt(1)
+    assert bench.configure().lss(0x11, NONE) == ["11"]
+    assert bench.nmt(RESET_COMMUNICATION) == []
+    assert bench.node.state is NmtState.INITIALISING
+    assert bench.run(1.0) == []
+    assert bench.lss(0x4C) == ["5"]
+    bench.configure().lss(0x11, 33)
+    assert bench.lss(0x04, 0) == ["721#"]
+    assert bench.value(0x1014) == 0xA1
+
+
+# Fastscan.
+
+
+def fastscan(bench: LssBench, number: int, bit: int, part: int, following: int) -> list[str]:
+    return bench.lss(0x51, *number.to_bytes(4, "little"), bit, part, following)
+
+
+def test_fastscan_finds_the_address_bit_by_bit(make: Callable[..., LssBench]) -> None:
+    bench = make(NONE)
+    assert fastscan(bench, 0, 128, 0, 0) == ["4F"]
+    for part, wanted in enumerate(ADDRESS):
+        found = 0
+        for bit in range(31, -1, -1):
+            if fastscan(bench, found, bit, part, part) == []:
+                found |= 1 << bit
+        assert found == wanted
+        assert bench.node.lss.state is LssState.WAITING
+        assert fastscan(bench, found, 0, part, (part + 1) % 4) == ["4F"]
+    assert bench.node.lss.state is LssState.CONFIGURATION
+    assert fastscan(bench, 0, 128, 0, 0) == []  # it has been found
+
+
+def test_fastscan_is_for_devices_without_a_node_id(bench: LssBench) -> None:
+    assert fastscan(bench, 0, 128, 0, 0) == []
+
+
+@pytest.mark.parametrize(("bit", "part", "following"), [(32, 0, 0), (127, 0, 0), (0, 4, 0), (0, 0, 4)])
+def test_an_impossible_fastscan_is_not_answered(
+    make: Callable[..., LssBench], bit: int, part: int, following: int
+) -> None:
+    bench = make(NONE)
+    fastscan(bench, 0, 128, 0, 0)
+    assert fastscan(bench, ADDRESS[0], bit, part, following) == []
+
+
+def test_a_part_out_of_turn_is_not_answered(make: Callable[..., LssBench]) -> None:
+    bench = make(NONE)
+    fastscan(bench, 0, 128, 0, 0)
+    assert fastscan(bench, ADDRESS[1], 0, 1, 1) == []
+    assert fastscan(bench, ADDRESS[0], 0, 0, 1) == ["4F"]
+    assert fastscan(bench, ADDRESS[1], 0, 1, 1) == ["4F"]
+    assert fastscan(bench, 0, 128, 0, 0) == ["4F"]  # begins anew
+    assert fastscan(bench, ADDRESS[1], 0, 1, 1) == []
+
+
+# Bit rate.
+
+
+def test_the_bit_rates_of_the_bus_can_be_configured(bench: LssBench) -> None:
+    bench.configure()
+    answers = {index: bench.lss(0x13, 0, index) for index in (*range(11), 255)}
+    assert [index for index, answer in answers.items() if answer == ["13"]] == [2, 4]
+    assert all(answer in (["13"], ["1301"]) for answer in answers.values())
+    assert bench.lss(0x13, 1, 2) == ["1301"]  # no other table
+    assert bench.node.lss.bit_rate_kbit_s == 125
+
+
+def test_activation_is_told_with_the_delay(bench: LssBench) -> None:
+    bench.configure()
+    assert bench.lss(0x15, 0xE8, 0x03) == []
+    assert bench.activated == []  # nothing was configured
+    bench.lss(0x13, 0, 2)
+    bench.now = 5.0
+    assert bench.lss(0x15, 0xE8, 0x03) == []
+    assert bench.activated == [(500, 1.0, 5.0)]
+    bench.lss(0x04, 0)
+    assert bench.lss(0x15, 0xE8, 0x03) == []
+    assert len(bench.activated) == 1
+
+
+# Storing.
+
+
+def test_what_is_stored_comes_before_the_node_id_of_the_program(make: Callable[..., LssBench]) -> None:
+    store = MemoryStore()
+    bench = make(32, store)
+    bench.configure().lss(0x11, 40)
+    bench.lss(0x13, 0, 4)
+    assert bench.lss(0x17) == ["17"]
+    again = make(32, store)
+    assert again.first == ["728#00"]  # type: ignore[attr-defined]
+    assert again.node.lss.bit_rate_kbit_s == 125
+    again.configure().lss(0x11, NONE)
+    assert again.lss(0x17) == ["17"]
+    assert make(32, store).first == []  # type: ignore[attr-defined]
+    assert set(store.images) == {ParameterGroup.LSS}
+
+
+def test_what_is_not_stored_is_gone_with_the_power(make: Callable[..., LssBench]) -> None:
+    store = MemoryStore()
+    bench = make(32, store)
+    bench.configure().lss(0x11, 40)
+    bench.nmt(RESET_COMMUNICATION)
+    assert hexes(bench.node.start(0.0)) == ["720#00"]
+    assert bench.value(0x1014) == 0xA0
+
+
+def test_parameters_follow_the_stored_node_id(make: Callable[..., LssBench]) -> None:
+    store = MemoryStore()
+    bench = make(32, store)
+    bench.write(0x1017, 0, 500, 2)
+    bench.save()
+    bench.configure().lss(0x11, 40)
+    bench.lss(0x17)
+    bench.nmt(RESET_COMMUNICATION)
+    for device in (bench, make(32, store)):
+        assert device.value(0x1017) == 500
+        assert device.value(0x1800, 1) == 0x400001A8
+
+
+def test_load_takes_no_node_id_away(make: Callable[..., LssBench]) -> None:
+    store = MemoryStore()
+    bench = make(32, store)
+    bench.configure().lss(0x11, 40)
+    bench.lss(0x17)
+    bench.lss(0x04, 0)
+    bench.save()
+    bench.load()
+    assert set(store.images) == {ParameterGroup.LSS}
+
+
+def test_without_a_store_and_with_one_that_fails(make: Callable[..., LssBench]) -> None:
+    class Full(MemoryStore):
+        def save(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
+            raise OSError(28, "No space left on device")
+
+    assert make(32).configure().lss(0x17) == ["1701"]
+    assert make(32, Full()).configure().lss(0x17) == ["1702"]
+    assert make(32, MemoryStore()).lss(0x17) == []  # not selected
+
+
+@pytest.mark.parametrize("damage", ["not an image", "no node-ID"])
+def test_a_stored_node_id_that_is_none_is_refused(make: Callable[..., LssBench], damage: str) -> None:
+    store = MemoryStore()
+    bench = make(32, store)
+    bench.node.lss.pending_node_id = 0
+    bench.configure().lss(0x17)
+    if damage == "not an image":
+        store.images[ParameterGroup.LSS] = b"?"
+    again = make(32, store)
+    assert again.first == ["720#00"]  # type: ignore[attr-defined]
+    assert list(again.node.storage.faults) == [ParameterGroup.LSS]
+
+
+# In every state, with any frame.
+
+
+@pytest.mark.parametrize("command", [1, 2, 128])
+def test_it_answers_in_every_nmt_state(bench: LssBench, command: int) -> None:
+    bench.nmt(command)
+    assert bench.configure().lss(0x5E) == ["5E2"]
+
+
+def test_a_short_frame_is_dropped_and_counted(bench: LssBench) -> None:
+    assert bench.send(0x7E5, b"\x04\x01") == []
+    assert bench.node.lss.state is LssState.WAITING
+    assert bench.node.counters.malformed_frames == 1
+
+
+@given(st.lists(st.binary(max_size=8) | st.binary(min_size=8, max_size=8), max_size=40), st.booleans())
+def test_no_frame_raises_and_answers_are_lss_answers(
+    path: Path, frames: list[bytes], unconfigured: bool
+) -> None:
+    bench = LssBench(path, NONE if unconfigured else 32, MemoryStore())
+    bench.node.start(0.0)
+    for data in [b"\x04\x01\x00\x00\x00\x00\x00\x00", *frames]:
+        for answer in bench.node.receive(Frame(0x7E5, data), 0.0):
+            assert answer.can_id == 0x7E4 or answer.data == b"\x00"
+    assert bench.node.node_id == NONE or 1 <= bench.node.node_id <= 127
