@@ -24,13 +24,24 @@ class EncoderInterface:
     ``source`` gives the samples; a SYNC for which it has none gets no TPDO1, as if the
     sample were lost on the bus. ``ended`` becomes True when a recording is over. Each sample
     is an event for the TPDOs, which counts for their types 0, FEh and FFh. ``store`` keeps
-    what 1010h saves.
+    what 1010h and LSS save. A ``node_id`` of 255 is one that an LSS master gives it; it knows
+    the device by its ``serial_number``, 0..4294967295.
     """
 
     def __init__(
-        self, node_id: int, source: Source, *, autostart: bool = False, store: Store | None = None
+        self,
+        node_id: int,
+        source: Source,
+        *,
+        autostart: bool = False,
+        store: Store | None = None,
+        serial_number: int = 0,
     ) -> None:
+        if not 0 <= serial_number <= 0xFFFFFFFF:
+            raise ValueError(f"serial_number must be 0..4294967295, not {serial_number}")
         self.dictionary = Dictionary.load(eds_path(EDS), node_id)
+        serial = self.dictionary.entry(0x1018, 4)
+        serial.default = serial.value = serial_number
         self.node = Node(self.dictionary, node_id, autostart=autostart, store=store)
         self.node.on_sync = self._on_sync
         self.node.on_parameter_faults = self._on_parameter_faults

@@ -1,0 +1,160 @@
+"""Modules and the encoder interface under python canopen's LSS master, on an embedded bus."""
+
+from __future__ import annotations
+
+import canopen
+import canopen.lss
+import pytest
+
+from canfb.demo.plant import EmbeddedNetwork
+from canfb.device.storage import MemoryStore
+from canfb.eds_files import eds_path
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.simulation.encoder_interface import EncoderInterface
+
+MODULE = (0, 1, 1)  # vendor-ID, product code, revision number
+INTERFACE = (0, 2, 1)
+NONE = 255
+
+
+class Still:
+    def next(self) -> tuple[int, int]:
+        return 0, 1500
+
+
+class Bus:
+    """A bus with an LSS master that need not wait: an answer is there at once or never."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(canopen.lss.time, "sleep", lambda seconds: None)
+        self.bus = EmbeddedBus()
+        self.network = EmbeddedNetwork(self.bus)
+        self.lss = self.network.lss
+        self.lss.RESPONSE_TIMEOUT = 0
+        self.heard: list[int] = []
+        self.bus.taps.append(lambda frame, now: self.heard.append(frame.can_id))
+
+    def module(self, node_id: int, serial_number: int, store: MemoryStore | None = None) -> FeedbackModule:
+        config = ModuleConfig(node_id=node_id, serial_number=serial_number)
+        module = FeedbackModule(config, store, bit_rates_kbit_s=[1000, 500])
+        self.bus.attach(module)
+        return module
+
+    def master(self, node_id: int, eds: str = "canfb-module") -> canopen.RemoteNode:
+        return self.network.add_node(canopen.RemoteNode(node_id, str(eds_path(eds))))
+
+    def wait(self) -> None:
+        self.lss.send_switch_state_global(self.lss.WAITING_STATE)
+
+
+@pytest.fixture
+def bus(monkeypatch: pytest.MonkeyPatch) -> Bus:
+    return Bus(monkeypatch)
+
+
+@pytest.mark.parametrize("serial_number", [0, 1, 0x80000000, 0xFFFFFFFF, 0x12345678])
+def test_fast_scan_finds_a_module(bus: Bus, serial_number: int) -> None:
+    bus.module(NONE, serial_number)
+    bus.module(33, 7)
+    assert bus.lss.fast_scan() == (True, [*MODULE, serial_number])
+    bus.lss.configure_node_id(34)
+    bus.wait()
+    assert bus.heard[-1] == 0x722
+    assert bus.lss.fast_scan() == (False, None)
+    assert bus.master(34).sdo[0x1018][4].raw == serial_number
+    assert bus.master(34).sdo[0x650B].raw == serial_number
+
+
+def test_devices_without_a_node_id_get_one_after_the_other(bus: Bus) -> None:
+    """Lowest identity first, until nobody answers."""
+    for serial_number in (300, 5, 77):
+        bus.module(NONE, serial_number)
+    bus.bus.attach(EncoderInterface(NONE, Still(), serial_number=5))
+    assert bus.heard == []
+    found = []
+    for node_id in range(10, 20):
+        there, identity = bus.lss.fast_scan()
+        if not there:
+            break
+        found.append(tuple(identity))
+        bus.lss.configure_node_id(node_id)
+        bus.wait()
+        assert bus.heard[-1] == 0x700 + node_id
+    assert found == [(*MODULE, 5), (*MODULE, 77), (*MODULE, 300), (*INTERFACE, 5)]
+    sdos = [bus.master(node_id).sdo for node_id in (10, 11, 12)]
+    assert [sdo[0x1018][4].raw for sdo in sdos] == [5, 77, 300]
+    assert bus.master(13, "encoder-interface").sdo[0x1800][1].raw == 0x18D
+    bus.network.nmt.state = "OPERATIONAL"
+    bus.bus.run_until(1.0)
+
+
+def test_one_of_two_is_selected_and_moved(bus: Bus) -> None:
+    first, second = bus.module(32, 1), bus.module(33, 2)
+    assert bus.lss.send_switch_state_selective(*MODULE, 2)
+    assert bus.lss.inquire_node_id() == 33
+    commands = (
+        canopen.lss.CS_INQUIRE_VENDOR_ID,
+        canopen.lss.CS_INQUIRE_PRODUCT_CODE,
+        canopen.lss.CS_INQUIRE_REVISION_NUMBER,
+        canopen.lss.CS_INQUIRE_SERIAL_NUMBER,
+    )
+    assert [bus.lss.inquire_lss_address(command) for command in commands] == [*MODULE, 2]
+    bus.lss.configure_node_id(40)
+    bus.wait()
+    assert second.node.node_id == 33
+    bus.network.send_message(0, [0x82, 33])
+    assert (first.node.node_id, second.node.node_id) == (32, 40)
+    sdo = bus.master(40).sdo
+    assert sdo[0x1800][1].raw == 0x400001A8
+    assert sdo[0x1014].raw == 0xA8
+    assert sdo[0x1400][1].raw == 0x190
+
+
+def test_a_node_id_that_is_none_and_a_bit_rate_that_is_not_there_are_refused(bus: Bus) -> None:
+    bus.module(32, 1)
+    bus.lss.send_switch_state_global(bus.lss.CONFIGURATION_STATE)
+    with pytest.raises(canopen.lss.LssError, match="LSS Error: 1"):
+        bus.lss.configure_node_id(128)
+    with pytest.raises(canopen.lss.LssError, match="LSS Error: 1"):
+        bus.lss.configure_bit_timing(4)
+    bus.lss.configure_bit_timing(2)
+    with pytest.raises(canopen.lss.LssError, match="LSS Error: 1"):
+        bus.lss.store_configuration()  # without a store
+
+
+def test_a_stored_node_id_is_there_after_the_power_was_off(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = MemoryStore()
+    bus.module(NONE, 1, store)
+    assert bus.lss.fast_scan()[0]
+    bus.lss.configure_node_id(40)
+    bus.lss.store_configuration()
+    again = Bus(monkeypatch)
+    module = again.module(NONE, 1, store)
+    assert again.heard == [0x728]
+    assert module.node.node_id == 40
+    assert again.master(40).sdo[0x1800][1].raw == 0x400001A8
+
+
+def test_the_activation_of_a_bit_rate_reaches_the_program(bus: Bus) -> None:
+    module = bus.module(32, 1)
+    wanted = []
+    module.node.on_bit_rate = lambda kbit_s, delay_s, now: wanted.append((kbit_s, delay_s))
+    bus.lss.send_switch_state_global(bus.lss.CONFIGURATION_STATE)
+    bus.lss.configure_bit_timing(2)
+    bus.lss.activate_bit_timing(250)
+    assert wanted == [(500, 0.25)]
+
+
+def test_a_module_that_got_its_node_id_measures(bus: Bus) -> None:
+    bus.module(NONE, 1)
+    bus.bus.attach(EncoderInterface(16, Still()))
+    bus.lss.fast_scan()
+    bus.lss.configure_node_id(32)
+    bus.wait()
+    bus.network.nmt.state = "OPERATIONAL"
+    for _ in range(3):
+        bus.network.send_message(0x80, b"")
+    assert bus.heard.count(0x1A0) >= 2
+    assert bus.master(32).sdo[0x2011][1].raw & 1
