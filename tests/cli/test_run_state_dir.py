@@ -1,0 +1,187 @@
+"""``canfb run`` with a state_dir: parameters outlive the process, however it ends."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import canopen
+import pytest
+
+from canfb.bus.opening import open_bus
+from canfb.bus.state_files import StateDirError
+from canfb.cli.main import main
+from canfb.cli.run import make_module
+from canfb.device.frame import Frame
+from canfb.eds_files import eds_path
+from canfb.errors import BusError
+from canfb.module.config import ModuleConfig
+
+LIMIT_S = 30.0
+SAVE = bytes.fromhex("2310100173617665")
+SAVED = Frame(0x5A0, bytes.fromhex("6010100100000000"))
+CHANGE = bytes.fromhex("2B171000F4010000")  # 1017h = 500
+READ = bytes.fromhex("4017100000000000")
+
+
+def exchanged(config: ModuleConfig, *requests: bytes) -> list[str]:
+    """The answers of a module that is made, switched on, asked and taken away again."""
+    with contextlib.ExitStack() as resources:
+        module = make_module(config, resources, {})
+        module.start(0.0)
+        return [frame.data.hex() for data in requests for frame in module.receive(Frame(0x620, data), 0.0)]
+
+
+def test_a_module_of_the_command_keeps_its_parameters(tmp_path: Path) -> None:
+    config = ModuleConfig(node_id=32, state_dir=str(tmp_path / "state"))
+    assert exchanged(config, CHANGE, SAVE)[-1] == SAVED.data.hex()
+    assert exchanged(config, READ) == ["4b171000f4010000"]
+
+
+def test_without_a_state_dir_it_says_that_nothing_is_kept() -> None:
+    assert exchanged(ModuleConfig(node_id=32), SAVE) == ["8010100120000008"]
+
+
+def test_parameters_that_are_refused_are_told_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = ModuleConfig(node_id=32, state_dir=str(tmp_path))
+    (tmp_path / "manufacturer.bin").write_bytes(b"?")
+    exchanged(config)
+    assert capsys.readouterr().err == (
+        f"canfb: node 32: stored manufacturer parameters in {tmp_path} refused: no stored parameters, "
+        "or cut off; the defaults are in force\n"
+    )
+
+
+def test_two_modules_in_one_folder_are_refused(tmp_path: Path) -> None:
+    config = ModuleConfig(node_id=32, state_dir=str(tmp_path))
+    with contextlib.ExitStack() as resources:
+        make_module(config, resources, {})
+        with pytest.raises(StateDirError, match="has it"):
+            make_module(config, resources, {})
+
+
+def test_a_state_dir_that_cannot_be_used_is_one_line_and_exit_code_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    config = tmp_path / "feedback.yaml"
+    config.write_text(f"modules: [{{node_id: 32, state_dir: {tmp_path}/file}}]\n")
+    assert main(["run", str(config), "-i", "virtual", "-c", "state"]) == 1
+    assert capsys.readouterr().err == f"canfb: state_dir {tmp_path}/file cannot be used: File exists\n"
+
+
+@pytest.mark.parametrize(
+    ("modules", "line", "text"),
+    [
+        ("- {node_id: 3, state_dir: a}\n- {node_id: 4, state_dir: a/}\n", 3, "state_dir of modules[1] is"),
+        ("- {node_id: 3, state_dir: ''}\n", 2, "state_dir must be the name of a folder"),
+        ('- {node_id: 3, state_dir: "a\\0"}\n', 2, "state_dir must be the name of a folder"),
+        ("- {node_id: 255}\n- {node_id: 255}\n", 3, "serial_number 0 of modules[1] is that of modules[0]"),
+        ("- {node_id: 3, serial_number: -1}\n", 2, "serial_number must be a whole number 0..4294967295"),
+        ("- {node_id: 255.0}\n", 2, "node_id must be a whole number 1..127, not 255.0"),
+    ],
+)
+def test_what_a_configuration_may_not_say(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], modules: str, line: int, text: str
+) -> None:
+    config = tmp_path / "feedback.yaml"
+    config.write_text(f"modules:\n{modules}")
+    assert main(["config", "check", str(config)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"canfb: {config}:{line}: ")
+    assert text in error
+
+
+# In processes of their own.
+
+
+class Process:
+    """``canfb run`` in a process of its own, on a multicast bus, and a master."""
+
+    def __init__(self, config: Path, network: canopen.Network) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-W", "error", "-m", "canfb", "run", str(config)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert self.process.stdout is not None
+        self.first_line = self.process.stdout.readline()
+        self.master = network.add_node(canopen.RemoteNode(32, str(eds_path("canfb-module"))))
+        self.master.sdo.RESPONSE_TIMEOUT = LIMIT_S
+        deadline = time.monotonic() + LIMIT_S
+        while network.scanner.nodes.count(32) == 0 and time.monotonic() < deadline:
+            network.check()
+            self.master.nmt.send_command(0x82)  # a boot-up tells that it listens
+            with contextlib.suppress(canopen.nmt.NmtError):
+                self.master.nmt.wait_for_bootup(0.2)
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+
+@pytest.fixture
+def words() -> dict[str, object]:
+    """A multicast bus of this machine alone, on a port that nobody uses; skips where there is none."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("", 0))
+        port = int(free.getsockname()[1])
+    words = {"interface": "udp_multicast", "channel": "239.74.163.2", "port": port, "hop_limit": 0}
+    with contextlib.ExitStack() as stack:
+        try:
+            bus, probe = (stack.enter_context(open_bus(words)) for _ in range(2))
+            probe.send(can.Message(arbitration_id=0x7F0, is_extended_id=False))
+            if bus.recv(2.0) is None:
+                pytest.skip("no multicast on this machine: a datagram did not arrive")
+        except (BusError, can.CanError) as error:
+            pytest.skip(f"no multicast on this machine: {error}")
+    return words
+
+
+@pytest.fixture
+def network(words: dict[str, object]) -> Iterator[canopen.Network]:
+    network = canopen.Network()
+    network.connect(**words)
+    yield network
+    network.disconnect()
+
+
+def test_what_was_saved_is_there_after_a_kill(
+    tmp_path: Path, words: dict[str, object], network: canopen.Network
+) -> None:
+    config = tmp_path / "feedback.yaml"
+    bus = ", ".join(f"{key}: {value}" for key, value in words.items())
+    config.write_text(f"bus: {{{bus}}}\nmodules: [{{node_id: 32, state_dir: {tmp_path}/state}}]\n")
+    first = Process(config, network)
+    try:
+        assert first.first_line.startswith("running node 32 (20h) on")
+        assert first.master.sdo[0x1010][1].raw == 1
+        first.master.sdo[0x2010][3].raw = 9
+        first.master.sdo.download(0x1010, 1, b"save")
+        first.master.sdo[0x2010][3].raw = 10
+        second = subprocess.run(
+            [sys.executable, "-m", "canfb", "run", str(config)],
+            capture_output=True,
+            text=True,
+            timeout=LIMIT_S,
+            check=False,
+        )
+        assert second.returncode == 1
+        assert second.stderr.startswith(f"canfb: state_dir {tmp_path}/state cannot be used: another process")
+    finally:
+        first.kill()
+    again = Process(config, network)
+    try:
+        assert again.master.sdo[0x2010][3].raw == 9
+    finally:
+        again.kill()
