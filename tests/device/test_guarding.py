@@ -200,6 +200,14 @@ def test_no_more_life_time_ends_the_error(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("command", [129, 130])
+def test_a_life_time_after_a_reset_waits_as_well(bench: Bench, command: int) -> None:
+    guard(bench)
+    bench.nmt(command)
+    set_up(bench)
+    assert bench.run(10.0) == []
+
+
+@pytest.mark.parametrize("command", [129, 130])
 def test_a_reset_waits_for_the_first_remote_frame(bench: Bench, command: int) -> None:
     for index, value in ((0x100C, 100), (0x100D, 3)):
         bench.dictionary.entry(index).default = value

@@ -76,6 +76,7 @@ def test_too_short(bench: Bench, kind: int, length: int) -> None:
     assert bench.send(RPDO, bytes(length)) == []
     bench.sync()
     assert calls == [("bad", 1, length, 4, 0.0)] * 2
+    assert bench.node.counters.short_rpdos == 2
     assert bench.read(0x1001) == 0x11
     assert bench.read(0x1003, 1) == 0x8210 | 0x01 << 16 | length << 24
     assert bench.send(RPDO, "05000600") == ["0A0#0000000000000000"]

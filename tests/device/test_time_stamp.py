@@ -91,6 +91,11 @@ def test_the_can_id_is_fixed_while_it_is_used(listening: Bench) -> None:
     assert seen == [(2, 1, 0.0)]
 
 
+def test_on_with_another_can_id(bench: Bench) -> None:
+    assert bench.write(0x1012, 0, 0x80000181, 4) == OK
+    assert bench.write(0x1012, 0, 0x00000182, 4) == OK
+
+
 @pytest.mark.parametrize("value", [0x40000100, 0xC0000100, 0x20000100, 0xA0000100, 0x00000900])
 def test_flags_that_are_not_meant(bench: Bench, value: int) -> None:
     assert bench.write(0x1012, 0, value, 4) is AbortCode.INVALID_VALUE

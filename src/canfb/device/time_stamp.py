@@ -37,7 +37,7 @@ class TimeStamp:
         self._counters = counters
         self._heard = heard
         if entry is not None:
-            entry.on_write = self._check
+            entry.on_write = lambda value: _check(value, entry.value)
             entry.on_written = changed
 
     @property
@@ -55,9 +55,8 @@ class TimeStamp:
             return
         self._heard(int.from_bytes(data[4:], "little"), milliseconds, now)
 
-    def _check(self, value: int) -> None:
-        old = 0 if self._entry is None else self._entry.value
-        if value & PRODUCE or cob.is_restricted(value & cob.CAN_ID):
-            raise SdoAbort(AbortCode.INVALID_VALUE)
-        flags = CONSUME | PRODUCE
-        cob.check(value & ~flags, old & ~flags, uses_new=bool(value & CONSUME), uses_old=bool(old & CONSUME))
+
+def _check(value: int, old: int) -> None:
+    if value & PRODUCE or cob.is_restricted(value & cob.CAN_ID):
+        raise SdoAbort(AbortCode.INVALID_VALUE)
+    cob.check(value, old, uses_new=bool(value & CONSUME), uses_old=bool(old & CONSUME))
