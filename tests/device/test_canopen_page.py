@@ -60,7 +60,7 @@ def section(title: str) -> str:
 
 
 def test_the_python_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    (example,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+    (example,) = re.findall(r"```python\n(.*?)```", section("Try it"), re.S)
     exec(example, {})
     assert capsys.readouterr().out == "1 1800000\n"
 
@@ -69,7 +69,7 @@ def test_the_frames_of_the_shell_example() -> None:
     node = Node(Dictionary.load(ROOT / "eds" / "canfb-module.eds", 32), 32)
     node.start(0.0)
     sent = []
-    for can_id, text in re.findall(r"^cansend can0 ([0-9A-F]{3})#(\w+)", PAGE, re.M):
+    for can_id, text in re.findall(r"^cansend can0 ([0-9A-F]{3})#(\w+)", section("Try it"), re.M):
         remote = text == "R"
         data = b"" if remote else bytes.fromhex(text)
         sent += [frame.data[:4].hex() for frame in node.receive(Frame(int(can_id, 16), data, remote), 0.0)]

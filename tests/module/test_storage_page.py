@@ -1,0 +1,72 @@
+"""docs/canopen.md, Storage and LSS: the examples run, on a module and a master as the page has them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import canopen
+import canopen.lss
+import pytest
+
+from canfb.demo.plant import EmbeddedNetwork
+from canfb.device.frame import Frame
+from canfb.device.storage import MemoryStore
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.simulation.embedded_bus import EmbeddedBus
+
+PAGE = (Path(__file__).parents[2] / "docs" / "canopen.md").read_text(encoding="utf-8")
+
+
+def section(title: str) -> str:
+    found = PAGE.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
+    assert found
+    return found
+
+
+def examples(title: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", section(title), re.S)
+
+
+def test_the_frames_of_saving_and_loading() -> None:
+    module = FeedbackModule(ModuleConfig(node_id=32), MemoryStore())
+    module.start(0.0)
+    (commands,) = examples("Storage", "sh")
+    seen = []
+    for can_id, data in re.findall(r"^cansend can0 ([0-9A-F]{3})#(\w+)", commands, re.M):
+        answers = module.receive(Frame(int(can_id, 16), bytes.fromhex(data)), 0.0)
+        seen.append((answers[0].data[:4].hex(), module.dictionary.entry(0x1017).value))
+    assert seen == [("60171000", 500), ("60101001", 500), ("00", 500), ("60111001", 500), ("00", 0)]
+
+
+def test_the_program_with_a_store_of_its_own() -> None:
+    (program,) = examples("Storage", "python")
+    exec(program, {})
+
+
+def test_the_master_that_sets_a_node_id(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus = EmbeddedBus()
+    network = EmbeddedNetwork(bus)
+    network.lss.RESPONSE_TIMEOUT = 0
+    monkeypatch.setattr(canopen.lss.time, "sleep", lambda seconds: None)
+    monkeypatch.setattr(network, "connect", lambda **words: network)
+    monkeypatch.setattr(network, "disconnect", lambda: None)
+    monkeypatch.setattr(canopen, "Network", lambda: network)
+    store = MemoryStore()
+    config = ModuleConfig(node_id=32, serial_number=4711)
+    module = FeedbackModule(config, store)
+    bus.attach(module)
+    (program,) = examples("LSS", "python")
+    exec(program, {})
+    assert module.node.node_id == 0x21
+    assert FeedbackModule(config, store).start(0.0) == [Frame(0x721, b"\x00")]
+
+
+def test_the_files_that_the_page_names_are_those_of_the_program() -> None:
+    from canfb.bus import state_files
+    from canfb.device.image import ParameterGroup
+
+    named = set(re.findall(r"`(\w+\.bin)`", PAGE))
+    made = {f"{group.name.lower()}.bin" for group in ParameterGroup}
+    assert named == made | {state_files.PENDING}
