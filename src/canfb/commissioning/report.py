@@ -22,7 +22,7 @@ STYLE = """
   --bad: #ff8a7d; } }
 @media print { :root { color-scheme: light; --ink: #000; --soft: #444; --paper: #fff; --panel: #fff;
   --rule: #bbb; --before: #b5472f; --after: #14708c; --limit: #666; --good: #1d6b3a; --bad: #a8261b; }
-  body { margin: 0 !important; } figure { break-inside: avoid; } }
+}
 body { background: var(--paper); color: var(--ink); font: 15px/1.45 system-ui, "Segoe UI", Roboto, sans-serif;
   margin: 2em auto; max-width: 1120px; padding: 0 1.2em; }
 h1 { font-size: 1.5em; margin: 0 0 .2em; }
@@ -38,6 +38,8 @@ th, td { text-align: left; padding: .28em 1.4em .28em 0; border-bottom: 1px soli
 td { font-variant-numeric: tabular-nums; }
 .top table { width: 100%; } .top th, .top td { padding-right: .9em; }
 .top thead + tbody td:nth-child(2) { white-space: nowrap; }
+@media (max-width: 560px) { .top th, .top td, .top thead + tbody td:nth-child(2) { white-space: normal;
+  overflow-wrap: anywhere; padding-right: .5em; } }
 thead th { color: var(--soft); font-weight: 600; }
 tbody th { font-weight: 500; white-space: nowrap; }
 .pictures { display: grid; gap: 1.1em;
@@ -68,6 +70,9 @@ svg .label { fill: var(--ink); }
 .legend i.dashed { border-top-style: dashed; }
 i.before { color: var(--before); } i.after { color: var(--after); } i.limit { color: var(--limit); }
 footer { color: var(--soft); font-size: .87em; margin: 2em 0; }
+@media print { body { margin: 0; padding: 0; font-size: 11px; } figure { break-inside: avoid; }
+  h2 { break-after: avoid; } .top, .pictures { grid-template-columns: 1fr 1fr; gap: .6em; }
+  figure { padding: .4em; } .top figure { margin-top: .6em; } footer { margin: 1em 0 0; } }
 """
 
 
