@@ -385,6 +385,10 @@ def test_a_stored_node_id_that_is_none_is_refused(make: Callable[..., LssBench],
     again = make(32, store)
     assert again.first == ["720#00"]  # type: ignore[attr-defined]
     assert list(again.node.storage.faults) == [ParameterGroup.LSS]
+    told: list[object] = []
+    again.node.on_parameter_faults = lambda faults, now: told.append(faults)
+    assert again.configure().lss(0x17) == ["17"]
+    assert told == [{}]
 
 
 # In every state, with any frame.

@@ -184,13 +184,10 @@ class Storage:
         return encode_image(group, self._identity(), records) if records else None
 
     def _command(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
-        faults = dict(self.faults)
         try:
             self._keep(changes)
         except OSError:
             raise SdoAbort(AbortCode.HARDWARE) from None
-        if self.faults != faults:
-            self._changed()
 
     def _keep(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
         if not changes:
@@ -198,12 +195,14 @@ class Storage:
         if self._store is None:
             raise OSError("there is no store")
         self._store.save(changes)
+        mended = [group for group in changes if self.faults.pop(group, None)]
         for group, image in changes.items():
-            self.faults.pop(group, None)
             if image is None:
                 self._images.pop(group, None)
             else:
                 self._images[group] = image
+        if mended:
+            self._changed()
 
 
 def _groups(subindex: int) -> tuple[ParameterGroup, ...]:
