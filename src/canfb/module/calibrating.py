@@ -37,7 +37,7 @@ class Command(IntEnum):
     STOP = 2
     ACCEPT = 3
     CHECK = 4
-    DISCARD = 5
+    FINISH = 5
 
 
 class State(IntEnum):
@@ -78,10 +78,10 @@ class Calibrating:
         self._calibration: Calibration | None = None
         self._commands: dict[int, Callable[[], None]] = {
             Command.START: lambda: self._start(Command.START),
-            Command.STOP: self._stop,
+            Command.STOP: self.reset,
             Command.ACCEPT: self._accept,
             Command.CHECK: lambda: self._start(Command.CHECK),
-            Command.DISCARD: self.reset,
+            Command.FINISH: self._finish,
         }
         self.reset()
         command = dictionary.entry(CALIBRATION, COMMAND)
@@ -169,10 +169,10 @@ class Calibrating:
         self._lowest, self._highest = 1 - self._full_scale.value, self._full_scale.value - 2
         self._enter(State.RECORDING)
 
-    def _stop(self) -> None:
-        """Enough samples. Whoever comes too late with it does no harm: then there is nothing to stop."""
-        if self.state is State.RECORDING:
-            self._compute()
+    def _finish(self) -> None:
+        if self.state is not State.RECORDING:
+            raise SdoAbort(AbortCode.DEVICE_STATE)
+        self._compute()
 
     def _accept(self) -> None:
         if self.state is not State.READY or self._calibration is None:

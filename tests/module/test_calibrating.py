@@ -1,0 +1,594 @@
+"""Object 2030h: the module measures its own reference, and goes on publishing."""
+
+from __future__ import annotations
+
+import math
+import pickle
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from canopen import SdoAbortedError
+from measuring import (
+    DEVICE_STATE,
+    ENCODER,
+    INVALID_VALUE,
+    NUMBER,
+    SAMPLES,
+    Measuring,
+    computed,
+    counts_of,
+    good_outcome,
+    motion,
+)
+
+from canfb.calibration.drift import drift
+from canfb.device.frame import Frame
+from canfb.module.calibrating import Command, State
+from canfb.module.calibration_job import Outcome
+from canfb.signal.conditioning import IDENTITY
+from canfb.signal.correction import CorrectionTable
+from canfb.signal.supervision import StatusBit
+from canfb.simulation.encoder import Encoder, Harmonic
+
+WAVY = CorrectionTable(np.arange(64) / 64 + 0.01 * np.sin(np.arange(64) * np.pi / 32))
+
+
+def refused(bench: Measuring, command: int, code: int) -> None:
+    with pytest.raises(SdoAbortedError) as error:
+        bench.command(command)
+    assert error.value.code == code
+
+
+def activate(bench: Measuring, table: CorrectionTable) -> None:
+    bench.sdo.download(0x2020, 1, table.to_bytes())
+    bench.sdo[0x2020][3].raw = table.crc32
+
+
+@pytest.mark.parametrize("cycles_per_sample", [0.013, 0.31, 2.71, 123.456], ids=str)
+def test_the_whole_story_at_any_speed(cycles_per_sample: float) -> None:
+    """Recorded, computed, accepted: all the while every SYNC has its position, and it is right."""
+    rng = np.random.default_rng(7)
+    position = motion(cycles_per_sample, SAMPLES + 600, rng)
+    samples = counts_of(ENCODER, position, rng)
+    bench, twin = Measuring(), Measuring()
+    twin.start()
+    bench.begin()
+    assert (bench.state, bench.is_calibrating) == (State.RECORDING, True)
+    seen = [bench.sdo[0x2030][3].raw]
+    for first in range(0, SAMPLES, 500):
+        part = samples[first : first + 500]
+        published = bench.feed(part)
+        assert len(published) == len(part)
+        marked = [(units, status | StatusBit.CALIBRATING, off) for units, status, off in twin.feed(part)]
+        assert published == marked
+        seen.append(bench.sdo[0x2030][3].raw)
+    assert seen == sorted(set(seen))
+    assert (bench.state, bench.is_calibrating) == (State.COMPUTING, True)
+    assert bench.sdo[0x2030][4].raw >= 95
+    published = bench.feed(samples[SAMPLES : SAMPLES + 300])
+    assert len(published) == 300, "while it computes, too"
+    assert all(status & StatusBit.CALIBRATING for _, status, _ in published)
+    result = bench.compute()
+    assert result.calibration is not None
+    table, conditioning = result.calibration.table, result.calibration.conditioning
+    assert (bench.state, bench.is_calibrating, bench.reason) == (State.READY, False, "accepted")
+    assert [bench.sdo[0x2030][subindex].raw for subindex in (1, 3, 4)] == [0, 100, 100]
+    assert bench.figures()[:2] == pytest.approx(
+        [result.calibration.residual_rms, result.calibration.residual_peak]
+    )
+    assert bench.figures()[2:] == pytest.approx(drift(result.calibration, None, IDENTITY))
+    assert bench.in_force() == (0, 0, 0), "nothing is in force before it is accepted"
+    bench.command(Command.ACCEPT)
+    assert bench.state == State.ACCEPTED
+    assert bench.in_force() == (0, table.crc32, len(table))
+    assert bench.sdo.upload(0x2020, 1) == table.to_bytes()
+    assert bench.module.chain.conditioning == conditioning
+    assert bench.conditioning() == pytest.approx(
+        (
+            conditioning.sine_offset_counts,
+            conditioning.cosine_offset_counts,
+            conditioning.sine_gain,
+            conditioning.cosine_gain,
+            conditioning.phase_error_rad,
+        )
+    )
+    assert bench.figures()[2:] == [0.0, 0.0]
+    after = np.array([units for units, _, _ in bench.feed(samples[SAMPLES + 300 :])]) / 8192
+    off = (after - position[SAMPLES + 300 :] + 0.5) % 1.0 - 0.5
+    before = np.array([units for units, _, _ in twin.feed(samples[SAMPLES + 300 :])]) / 8192
+    raw_off = (before - position[SAMPLES + 300 :] + 0.5) % 1.0 - 0.5
+    assert np.std(off) < 3e-4
+    assert np.std(raw_off) > 5e-3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_encoders_motions_and_faults(seed: int) -> None:
+    """Lost samples, glitches and a burst cost accuracy, no more."""
+    rng = np.random.default_rng(seed)
+    encoder = replace(
+        ENCODER,
+        sine_offset=rng.uniform(-0.1, 0.1),
+        cosine_amplitude=rng.uniform(0.9, 1.1),
+        phase_error_rad=rng.uniform(-0.1, 0.1),
+        harmonics=(Harmonic(3, *rng.uniform(0.0, 0.02, 2), *rng.uniform(0.0, 6.0, 2)),),
+    )
+    samples = counts_of(encoder, motion(10.0 ** rng.uniform(-1.5, 2.0), SAMPLES, rng), rng)
+    for place in rng.integers(0, SAMPLES, 60).tolist():
+        samples[place] = None if rng.random() < 0.5 else tuple(rng.integers(-2048, 2048, 2).tolist())
+    start = int(rng.integers(0, SAMPLES - 20))
+    samples[start : start + 20] = [None] * 20
+    bench = Measuring()
+    bench.begin()
+    bench.feed([(0, 1500)] * 2)
+    bench.command(Command.START)
+    bench.feed(samples)
+    result = bench.compute()
+    assert bench.state == State.READY, result.text
+    truth = computed(encoder, seed).calibration
+    assert truth is not None
+    bench.command(Command.ACCEPT)
+    found = drift(truth, bench.module.chain.table, bench.module.chain.conditioning)
+    assert found.rms < 2e-4
+
+
+def test_a_poor_encoder_whose_position_is_lost_is_measured_all_the_same() -> None:
+    """40 % offset, 20 % amplitude error, started at speed: the count is wrong, the samples are not."""
+    rng = np.random.default_rng(3)
+    poor = Encoder(
+        amplitude_counts=1250.0,
+        sine_offset=0.4,
+        cosine_offset=-0.4,
+        sine_amplitude=1.2,
+        cosine_amplitude=0.8,
+        noise_lsb=0.5,
+    )
+    samples = counts_of(
+        poor, 0.37 * np.arange(SAMPLES + 400) + 3.0 * np.sin(np.arange(SAMPLES + 400) / 150.0), rng
+    )
+    bench = Measuring()
+    bench.begin()
+    published = bench.feed(samples[:SAMPLES])
+    assert any(status & StatusBit.LOST for _, status, _ in published)
+    result = bench.compute()
+    assert bench.state == State.READY, result.text
+    bench.command(Command.ACCEPT)
+    bench.remote.nmt.state = "PRE-OPERATIONAL"
+    bench.start()
+    published = bench.feed(samples[SAMPLES:][:1]) + bench.feed(samples[SAMPLES + 1 :])
+    assert not any(status & (StatusBit.AMPLITUDE | StatusBit.CLIPPED) for _, status, _ in published)
+
+
+# --- refusals -------------------------------------------------------------------------------------------
+
+
+def recordings(rng: np.random.Generator, n: int) -> dict[str, list[tuple[int, int] | None]]:
+    time = np.arange(n)
+    moving = motion(0.31, n, rng)
+    good = counts_of(ENCODER, moving, rng)
+    large = counts_of(replace(ENCODER, amplitude_counts=2300.0), moving, rng)
+    return {
+        "samples": [*good[:150], *[None] * (n - 149)],  # a SYNC tells that the sample before it is missing
+        "clipped": large,
+        "ellipse": [(sine, 1500) for sine, _ in good],
+        "coverage": counts_of(ENCODER, np.full(n, 0.3), rng),
+        "cycles": counts_of(ENCODER, time * 5.0 / n, rng),
+        "locked": counts_of(ENCODER, 0.125 * time, rng),
+        "noise": counts_of(replace(ENCODER, noise_lsb=200.0), moving, rng),
+    }
+
+
+@pytest.mark.parametrize("reason", recordings(np.random.default_rng(1), 300))
+def test_what_cannot_be_used_is_refused_with_its_reason(reason: str) -> None:
+    bench = Measuring()
+    activate(bench, WAVY)
+    bench.begin()
+    bench.feed(recordings(np.random.default_rng(1), SAMPLES)[reason])
+    result = bench.compute()
+    assert (bench.state, bench.reason, bench.sdo[0x2030][7].raw) == (State.REFUSED, reason, NUMBER[reason]), (
+        result.text
+    )
+    assert not bench.is_calibrating
+    assert bench.sdo[0x2030][3].raw == 100
+    assert all(math.isnan(figure) for figure in bench.figures()[2:]), "no drift from what is refused"
+    refused(bench, Command.ACCEPT, DEVICE_STATE)
+    assert bench.in_force()[1] == WAVY.crc32
+    bench.command(Command.START)
+    assert (bench.state, bench.reason) == (State.RECORDING, "accepted")
+
+
+def test_a_computation_that_fails_is_a_refusal() -> None:
+    bench = Measuring()
+    bench.begin()
+    bench.feed([(0, 1500)] * 5)
+    bench.command(Command.FINISH)
+    bench.finish_with(MemoryError())
+    assert (bench.state, bench.reason) == (State.REFUSED, "failed")
+    assert bench.module.pending_job() is None
+    refused(bench, Command.ACCEPT, DEVICE_STATE)
+
+
+def test_the_figures_of_a_refused_measurement_are_there_for_diagnosis() -> None:
+    bench = Measuring()
+    bench.begin()
+    bench.command(Command.FINISH)
+    calibration = good_outcome().calibration
+    assert calibration is not None
+    bench.finish_with(Outcome("noise", replace(calibration, reason="noise"), "refused"))
+    assert bench.figures()[:2] == pytest.approx([calibration.residual_rms, calibration.residual_peak])
+    assert all(math.isnan(figure) for figure in bench.figures()[2:])
+
+
+# --- commands and states ---------------------------------------------------------------------------------
+
+
+def test_before_anything_nothing_is_known() -> None:
+    bench = Measuring()
+    assert [bench.sdo[0x2030][subindex].raw for subindex in (1, 2, 3, 4, 7)] == [0] * 5
+    assert all(math.isnan(figure) for figure in bench.figures())
+    assert bench.module.pending_job() is None
+
+
+@pytest.mark.parametrize("value", [0, 6, 255])
+def test_other_commands_are_refused(value: int) -> None:
+    bench = Measuring()
+    refused(bench, value, INVALID_VALUE)
+    bench.begin()
+    bench.feed([(0, 1500)] * 3)
+    refused(bench, value, INVALID_VALUE)
+    assert (bench.state, bench.sdo[0x2030][1].raw) == (State.RECORDING, 1)
+
+
+def test_accept_is_for_a_ready_measurement_alone() -> None:
+    bench = Measuring()
+    refused(bench, Command.ACCEPT, DEVICE_STATE)
+    bench.begin()
+    refused(bench, Command.ACCEPT, DEVICE_STATE)
+    bench.feed([(0, 1500)])
+    bench.command(Command.FINISH)
+    refused(bench, Command.ACCEPT, DEVICE_STATE)
+    bench.finish_with(good_outcome())
+    bench.command(Command.ACCEPT)
+    refused(bench, Command.ACCEPT, DEVICE_STATE)
+    assert bench.state == State.ACCEPTED
+    bench.command(Command.STOP)
+    refused(bench, Command.ACCEPT, DEVICE_STATE)
+
+
+def test_finish_is_for_a_recording_alone() -> None:
+    bench = Measuring()
+    refused(bench, Command.FINISH, DEVICE_STATE)
+    bench.ready()
+    refused(bench, Command.FINISH, DEVICE_STATE)
+    assert bench.state == State.READY
+
+
+@pytest.mark.parametrize("samples", [199, 200_001])
+def test_the_number_of_samples_has_limits(samples: int) -> None:
+    bench = Measuring()
+    with pytest.raises(SdoAbortedError):
+        bench.sdo[0x2030][10].raw = samples
+    assert bench.sdo[0x2030][10].raw == SAMPLES
+    bench.remote.nmt.state = "RESET"
+    assert bench.sdo[0x2030][10].raw == 20000
+
+
+def test_the_number_of_samples_counts_from_the_next_start() -> None:
+    bench = Measuring(200)
+    bench.begin()
+    bench.sdo[0x2030][10].raw = 300
+    bench.feed([(0, 1500)] * 199)
+    assert (bench.state, bench.sdo[0x2030][3].raw) == (State.RECORDING, 79)
+    bench.feed([(0, 1500)])
+    assert bench.state == State.COMPUTING
+    bench.command(Command.START)
+    bench.feed([(0, 1500)] * 250)
+    assert bench.state == State.RECORDING
+
+
+def test_stop_drops_it_and_changes_nothing_in_force() -> None:
+    bench = Measuring()
+    activate(bench, WAVY)
+    for stage in ("recording", "computing", "ready", "accepted"):
+        bench.begin()
+        bench.feed([(0, 1500)] * 3)
+        job = None
+        if stage != "recording":
+            bench.command(Command.FINISH)
+            job = bench.module.pending_job()
+        if stage in ("ready", "accepted"):
+            bench.finish_with(good_outcome())
+        if stage == "accepted":
+            bench.command(Command.ACCEPT)
+        before = bench.in_force()
+        bench.command(Command.STOP)
+        assert (bench.state, bench.is_calibrating, bench.sdo[0x2030][3].raw) == (State.IDLE, False, 0), stage
+        assert bench.module.pending_job() is None
+        if job is not None:
+            bench.module.finish_job(job, good_outcome(), bench.bus.now)
+        assert bench.state == State.IDLE, "what comes too late is dropped"
+        assert bench.in_force() == before
+        assert all(math.isnan(figure) for figure in bench.figures())
+
+
+def test_a_second_start_begins_anew() -> None:
+    bench = Measuring(200)
+    bench.begin()
+    bench.feed([(0, 1500)] * 150)
+    bench.command(Command.START)
+    bench.feed([(0, 1500)] * 150)
+    assert bench.state == State.RECORDING
+    bench.feed([(0, 1500)] * 50)
+    first = bench.module.pending_job()
+    assert first is not None
+    bench.command(Command.CHECK)
+    assert bench.module.pending_job() is None
+    bench.module.finish_job(first, good_outcome(), bench.bus.now)
+    assert (bench.state, bench.sdo[0x2030][1].raw) == (State.RECORDING, Command.CHECK)
+
+
+def test_a_result_that_is_none_is_a_mistake_of_the_caller() -> None:
+    bench = Measuring()
+    bench.begin()
+    bench.command(Command.FINISH)
+    job = bench.module.pending_job()
+    assert job is not None
+    with pytest.raises(TypeError, match="what the job returned"):
+        bench.module.finish_job(job, None, bench.bus.now)  # type: ignore[arg-type]
+    assert bench.state == State.COMPUTING
+
+
+def test_the_progress_covers_the_computation() -> None:
+    bench = Measuring()
+    bench.begin()
+    bench.command(Command.FINISH)
+    job = bench.module.pending_job()
+    assert job is not None
+    seen = []
+    for part in (0.0, 0.5, 1.0, 7.0, -1.0):
+        bench.module.job_progress(job, part)
+        seen.append(bench.sdo[0x2030][3].raw)
+    assert seen == [80, 89, 99, 99, 80]
+    bench.command(Command.START)
+    bench.module.job_progress(job, 1.0)
+    assert bench.sdo[0x2030][3].raw == 0
+
+
+def test_the_coverage_is_seen_while_it_records() -> None:
+    bench = Measuring()
+    bench.begin()
+    rng = np.random.default_rng(1)
+    bench.feed(counts_of(ENCODER, np.linspace(0.0, 0.5, 400), rng))
+    assert 45 <= bench.sdo[0x2030][4].raw <= 60
+    bench.feed(counts_of(ENCODER, np.linspace(0.5, 1.0, 400), rng))
+    assert bench.sdo[0x2030][4].raw == 100
+
+
+# --- beside it --------------------------------------------------------------------------------------------
+
+
+def test_what_a_master_has_staged_stays_staged() -> None:
+    bench = Measuring()
+    bench.sdo.download(0x2020, 1, WAVY.to_bytes())
+    result = bench.ready().calibration
+    assert result is not None
+    bench.command(Command.ACCEPT)
+    assert bench.in_force() == (WAVY.crc32, result.table.crc32, len(result.table))
+    bench.sdo[0x2020][3].raw = WAVY.crc32
+    assert bench.in_force()[1] == WAVY.crc32
+    assert bench.state == State.ACCEPTED
+
+
+def test_another_table_meanwhile_is_what_the_drift_is_told_of() -> None:
+    bench = Measuring()
+    result = bench.ready().calibration
+    assert result is not None
+    against_identity = bench.figures()[2:]
+    activate(bench, WAVY)
+    assert bench.figures()[2:] == pytest.approx(drift(result, WAVY, IDENTITY))
+    assert bench.figures()[2:] != against_identity
+    bench.sdo[0x2020][3].raw = 0
+    assert bench.figures()[2:] == against_identity
+    bench.sdo[0x2002][1].raw = 30.0
+    assert bench.figures()[2:] == against_identity, "staged only"
+    bench.command(Command.ACCEPT)
+    assert bench.figures()[2:] == [0.0, 0.0]
+    assert bench.conditioning()[0] == pytest.approx(result.conditioning.sine_offset_counts)
+    activate(bench, WAVY)
+    assert bench.state == State.ACCEPTED
+    assert bench.figures()[2] > 1e-3
+
+
+def test_a_check_has_nothing_to_accept() -> None:
+    bench = Measuring()
+    activate(bench, WAVY)
+    result = bench.ready(Command.CHECK).calibration
+    assert result is not None
+    refused(bench, Command.ACCEPT, DEVICE_STATE)
+    assert bench.in_force()[1] == WAVY.crc32
+    assert bench.figures()[2:] == pytest.approx(drift(result, WAVY, IDENTITY))
+
+
+def test_drift_is_seen_as_it_grows() -> None:
+    rng = np.random.default_rng(5)
+    bench = Measuring()
+    bench.begin()
+    bench.feed(counts_of(ENCODER, motion(0.31, SAMPLES, rng), rng))
+    bench.compute()
+    bench.command(Command.ACCEPT)
+    seen = []
+    for offset in (0.0, 0.005, 0.02):
+        moved = replace(ENCODER, sine_offset=ENCODER.sine_offset + offset)
+        bench.command(Command.CHECK)
+        bench.feed(counts_of(moved, motion(0.31, SAMPLES, rng), rng))
+        bench.compute()
+        assert bench.state == State.CHECKED
+        seen.append(bench.figures()[2])
+    want = [offset / (2.0 * np.pi * np.sqrt(2.0)) for offset in (0.0, 0.005, 0.02)]
+    assert seen == pytest.approx(want, rel=0.1, abs=5e-5)
+
+
+# --- NMT ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("state", ["PRE-OPERATIONAL", "STOPPED", "RESET COMMUNICATION"])
+def test_leaving_operational_interrupts_a_recording(state: str) -> None:
+    bench = Measuring()
+    bench.begin()
+    bench.feed([(0, 1500)] * 3)
+    bench.remote.nmt.state = state
+    bench.start()
+    assert (bench.state, bench.reason, bench.is_calibrating) == (State.REFUSED, "interrupted", False)
+    bench.feed([(0, 1500)] * 3)
+    assert bench.state == State.REFUSED
+
+
+@pytest.mark.parametrize("state", ["PRE-OPERATIONAL", "STOPPED", "RESET COMMUNICATION"])
+def test_what_is_recorded_is_computed_in_any_state(state: str) -> None:
+    bench = Measuring()
+    bench.begin()
+    bench.command(Command.FINISH)
+    bench.remote.nmt.state = state
+    bench.finish_with(good_outcome())
+    bench.remote.nmt.state = "PRE-OPERATIONAL"
+    assert bench.state == State.READY
+    bench.command(Command.ACCEPT)
+    assert bench.in_force()[1] != 0
+
+
+@pytest.mark.parametrize("stage", ["recording", "computing", "ready", "accepted", "refused"])
+def test_a_reset_of_the_node_forgets_it(stage: str) -> None:
+    bench = Measuring()
+    bench.begin()
+    bench.feed([(0, 1500)] * 3)
+    job = None
+    if stage != "recording":
+        bench.command(Command.FINISH)
+        job = bench.module.pending_job()
+    if stage in ("ready", "accepted"):
+        bench.finish_with(good_outcome())
+    if stage == "accepted":
+        bench.command(Command.ACCEPT)
+    if stage == "refused":
+        bench.finish_with(ValueError())
+    bench.remote.nmt.state = "RESET"
+    if job is not None:
+        bench.module.finish_job(job, good_outcome(), bench.bus.now)
+    assert (bench.state, bench.reason, bench.is_calibrating) == (State.IDLE, "accepted", False)
+    assert bench.in_force() == (0, 0, 0)
+    assert bench.module.pending_job() is None
+
+
+def test_started_before_it_is_operational_it_begins_with_the_first_sample() -> None:
+    bench = Measuring(200)
+    bench.command(Command.START)
+    assert (bench.state, bench.is_calibrating) == (State.RECORDING, True)
+    bench.start()
+    bench.feed([None, *[(0, 1500)] * 200])
+    assert bench.state == State.COMPUTING
+
+
+def test_an_sdo_transfer_that_is_broken_off_commands_nothing() -> None:
+    bench = Measuring()
+    bench.ready()
+    bench.sent(Frame(0x620, bytes.fromhex("2130200101000000")))  # segmented: 1 byte announced
+    bench.sent(Frame(0x620, bytes.fromhex("8030200100000008")))
+    bench.sent(Frame(0x620, bytes.fromhex("2b30200103000000")))  # two bytes where one belongs
+    bench.sdo.responses.queue.clear()
+    assert bench.state == State.READY
+    assert bench.in_force() == (0, 0, 0)
+
+
+# --- samples ------------------------------------------------------------------------------------------------
+
+
+def recorded_pairs(bench: Measuring) -> list[tuple[int, int]]:
+    bench.command(Command.FINISH)
+    job = bench.module.pending_job()
+    assert job is not None
+    return list(struct.iter_unpack("<hh", job.samples))
+
+
+MISSED = (-32768, -32768)
+
+
+def test_flagged_samples_are_left_out_and_keep_their_place() -> None:
+    bench = Measuring()
+    bench.start()
+    bench.feed([(0, 1500)] * 5)
+    bench.command(Command.START)
+    bench.feed([(0, 1500), (0, 100), None, (9, 1500), (2047, 0), (9, 1500)])
+    assert recorded_pairs(bench) == [(0, 1500), MISSED, MISSED, (9, 1500), (2047, 0), (9, 1500)], (
+        "a small amplitude is a fault; what is clipped stays, for the computation to tell"
+    )
+
+
+def test_a_sample_over_the_residual_limit_is_left_out() -> None:
+    bench = Measuring()
+    bench.start()
+    bench.feed([(0, 1500)] * 20)
+    bench.command(Command.START)
+    bench.feed([(0, -1500)])
+    assert recorded_pairs(bench) == [MISSED]
+
+
+@pytest.mark.parametrize("full_scale", [2048, 2000, 32768, 65535])
+def test_clipped_samples_are_found_as_such_whatever_the_full_scale(full_scale: int) -> None:
+    bench = Measuring(amplitude_high_counts=65535)
+    bench.sdo[0x2001][2].raw = full_scale
+    bench.begin()
+    top = min(full_scale - 1, 32767)
+    bench.feed([(top, 10), (-top - 1, 10), (3, 10)])
+    bench.command(Command.FINISH)
+    job = bench.module.pending_job()
+    assert job is not None
+    full = 1 << (job.adc_bits - 1)
+    pairs = list(struct.iter_unpack("<hh", job.samples))
+    assert [pair[0] for pair in pairs][:2] == [full - 1, -full] if full_scale < 65535 else True
+    assert full >= min(full_scale, 32768)
+
+
+def test_a_job_can_be_pickled_and_takes_as_many_bytes_as_samples() -> None:
+    bench = Measuring(200)
+    bench.begin()
+    bench.feed([(5, 1500)] * 200)
+    job = bench.module.pending_job()
+    assert job is not None
+    again = pickle.loads(pickle.dumps(job))
+    assert (again.samples, again.times, again.adc_bits) == (job.samples, None, 12)
+    assert len(pickle.dumps(job)) < 200 * 4 + 400
+
+
+def test_sample_times_count_where_they_come() -> None:
+    """At uneven times a constant speed looks like noise; with the times it is a straight line."""
+    rng = np.random.default_rng(9)
+    bench = Measuring(2000)
+    bench.sdo[0x1401][1].raw = 0x80000290
+    bench.sdo[0x1601][0].raw = 0
+    bench.sdo[0x1601][1].raw = 0x20000520
+    bench.sdo[0x1601][0].raw = 1
+    bench.sdo[0x1401][1].raw = 0x290
+    bench.begin()
+    time_s = 429.4 + (np.arange(2100) + rng.uniform(-0.3, 0.3, 2100)) * 1e-3  # the 32 bits wrap at 429.5 s
+    for tick, counts in zip(
+        (time_s * 1e7).astype(np.int64).tolist(), counts_of(ENCODER, 83.2e3 * time_s, rng), strict=True
+    ):
+        if rng.random() < 0.02:
+            bench.sync()
+            continue
+        bench.sync()
+        bench.sent(Frame(0x290, struct.pack("<I", tick % (1 << 32))))
+        bench.counts(*counts)
+        if bench.state == State.COMPUTING:
+            break
+    job = bench.module.pending_job()
+    assert job is not None
+    assert job.times is not None
+    assert replace(job, times=None)().reason == "noise"
+    result = bench.compute()
+    assert bench.state == State.READY, result.text
+    truth = good_outcome().calibration
+    assert truth is not None
+    assert result.calibration is not None
+    assert drift(truth, result.calibration.table, result.calibration.conditioning).rms < 3e-4

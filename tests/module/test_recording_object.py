@@ -1,0 +1,215 @@
+"""Object 2050h of the module: what comes is kept, and nothing else changes."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from canopen import SdoAbortedError
+from hypothesis import given
+from hypothesis import strategies as st
+from module_bench import Bench
+
+from canfb.device.frame import Frame
+from canfb.device.kept import RANGES
+from canfb.signal.recorder import MISSED_COUNTS
+
+MISSED = (MISSED_COUNTS, MISSED_COUNTS)
+START, STOP = 1, 2
+
+
+def command(bench: Bench, value: int) -> None:
+    bench.sdo[0x2050][1].raw = value
+
+
+def pairs(data: bytes) -> list[tuple[int, int]]:
+    return list(struct.iter_unpack("<hh", data))
+
+
+def recorded(bench: Bench) -> list[tuple[int, int]]:
+    data = bench.sdo.upload(0x2050, 3)
+    assert bench.sdo[0x2050][2].raw == len(data) // 4
+    return pairs(data)
+
+
+def interval(bench: Bench, counts: tuple[int, int] | None) -> list[Frame]:
+    """A SYNC and its sample, or none."""
+    frames = bench.sync()
+    return frames if counts is None else frames + bench.counts(*counts)
+
+
+def small_memory(bench: Bench, samples: int) -> None:
+    bench.module._recorder._recording.capacity = samples
+
+
+def test_before_anything_there_is_nothing(bench: Bench) -> None:
+    assert [bench.sdo[0x2050][n].raw for n in (1, 2, 5)] == [0, 0, 1_000_000]
+    assert recorded(bench) == []
+
+
+def test_start_read_stop_read_start(bench: Bench) -> None:
+    interval(bench, (1, 1500))
+    command(bench, START)
+    assert bench.sdo[0x2050][1].raw == 1
+    for n in range(2, 12):
+        interval(bench, (n, 1500))
+    assert recorded(bench) == [(n, 1500) for n in range(2, 12)], "read while it records"
+    interval(bench, (12, -1500))
+    command(bench, STOP)
+    interval(bench, (13, 1500))
+    assert bench.sdo[0x2050][1].raw == 0
+    assert recorded(bench) == [*((n, 1500) for n in range(2, 12)), (12, -1500)]
+    command(bench, STOP)
+    assert len(recorded(bench)) == 11
+    command(bench, START)
+    assert recorded(bench) == []
+    interval(bench, (14, 1500))
+    command(bench, START)
+    interval(bench, (15, 1500))
+    assert recorded(bench) == [(15, 1500)], "a second start begins anew"
+
+
+def test_the_upload_is_what_there_was_when_it_began(bench: Bench) -> None:
+    command(bench, START)
+    for n in range(300):
+        interval(bench, (n, 1500))
+    with bench.sdo[0x2050][3].open("rb") as stream:
+        first = stream.read(7)
+        interval(bench, (999, 999))
+        data = first + stream.read()
+    assert pairs(data) == [(n, 1500) for n in range(300)]
+    assert len(recorded(bench)) == 301
+
+
+def test_block_transfer_brings_the_same(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    read_response = bench.sdo.read_response
+
+    def waiting() -> object:
+        """Simulated time passes while the master waits: the module sends a block in portions."""
+        while bench.sdo.responses.empty():
+            bench.bus.run_until(bench.bus.now + 1e-3)
+        return read_response()
+
+    monkeypatch.setattr(bench.sdo, "read_response", waiting)
+    command(bench, START)
+    for n in range(1000):
+        interval(bench, (n, 1500))
+    with bench.sdo[0x2050][3].open("rb", block_transfer=True) as stream:
+        assert pairs(stream.read()) == [(n, 1500) for n in range(1000)] == recorded(bench)
+
+
+@given(st.lists(st.one_of(st.none(), st.tuples(*[st.integers(-2048, 2047)] * 2)), max_size=60))
+def test_every_interval_has_its_place_and_publication_is_as_without_recording(samples) -> None:
+    benches = Bench(), Bench()
+    for bench in benches:
+        bench.start()
+        interval(bench, (0, 1500))  # a miss is seen once samples come
+    command(benches[1], START)
+    benches[1].heard.clear()
+    benches[0].heard.clear()
+    for counts in samples:
+        assert interval(benches[0], counts) == interval(benches[1], counts)
+    assert benches[0].module.feedback == benches[1].module.feedback
+    interval(benches[1], (0, 1500))  # closes the last interval
+    assert recorded(benches[1]) == [*(counts or MISSED for counts in samples), (0, 1500)]
+
+
+def test_the_memory_is_bounded_and_says_so(bench: Bench) -> None:
+    small_memory(bench, 5)
+    command(bench, START)
+    for n in range(4):
+        interval(bench, (n, 1500))
+    assert bench.sdo[0x2050][1].raw == 1
+    for n in range(4, 9):
+        interval(bench, (n, 1500))
+    assert bench.sdo[0x2050][1].raw == 0, "it has ended by itself"
+    assert recorded(bench) == [(n, 1500) for n in range(5)]
+    command(bench, START)
+    interval(bench, (7, 7))
+    assert recorded(bench) == [(7, 7)]
+
+
+def test_the_last_place_may_be_a_missed_sample(bench: Bench) -> None:
+    small_memory(bench, 2)
+    interval(bench, (1, 1500))
+    command(bench, START)
+    for counts in (None, None, (2, 1500), (3, 1500)):
+        interval(bench, counts)
+    assert recorded(bench) == [MISSED, MISSED]
+    assert bench.sdo[0x2050][1].raw == 0
+
+
+def test_faulty_samples_are_recorded_as_they_came_invalid_ones_are_none(bench: Bench) -> None:
+    bench.sdo[0x1601][0].raw = 0
+    bench.sdo[0x1601][1].raw = 0x20000608
+    bench.sdo[0x1601][0].raw = 1
+    bench.sdo[0x1401][1].raw = 0x290
+    command(bench, START)
+    for counts, flags in (((2047, 2047), 0), ((0, 3), 0), ((5, 1500), 2), ((6, 1500), 0)):
+        bench.sync()
+        bench.sent(Frame(0x290, bytes([flags])))
+        bench.counts(*counts)
+    assert recorded(bench) == [(2047, 2047), (0, 3), MISSED, (6, 1500)]
+
+
+@pytest.mark.parametrize("value", [0, 3, 255])
+def test_other_commands_are_refused(bench: Bench, value: int) -> None:
+    command(bench, START)
+    interval(bench, (1, 1500))
+    with pytest.raises(SdoAbortedError) as error:
+        command(bench, value)
+    assert error.value.code == 0x06090030
+    assert bench.sdo[0x2050][1].raw == 1
+    assert recorded(bench) == [(1, 1500)]
+
+
+@pytest.mark.parametrize("subindex", [2, 3, 4, 5])
+def test_the_rest_cannot_be_written(bench: Bench, subindex: int) -> None:
+    with pytest.raises(SdoAbortedError) as error:
+        bench.sdo.download(0x2050, subindex, bytes(4))
+    assert error.value.code == 0x06010002
+
+
+def test_started_before_it_is_operational_it_begins_with_the_first_sample() -> None:
+    bench = Bench()
+    command(bench, START)
+    interval(bench, (1, 1500))
+    assert recorded(bench) == []
+    bench.start()
+    for counts in (None, (2, 1500), (3, 1500)):
+        interval(bench, counts)
+    assert recorded(bench) == [(2, 1500), (3, 1500)], "nothing is missed before the first sample"
+
+
+@pytest.mark.parametrize("state", ["PRE-OPERATIONAL", "STOPPED", "RESET COMMUNICATION"])
+def test_it_ends_where_time_would_be_lost(bench: Bench, state: str) -> None:
+    command(bench, START)
+    interval(bench, (1, 1500))
+    bench.remote.nmt.state = state
+    bench.start()
+    interval(bench, (2, 1500))
+    assert bench.sdo[0x2050][1].raw == 0
+    assert recorded(bench) == [(1, 1500)]
+
+
+def test_a_reset_of_the_node_drops_it(bench: Bench) -> None:
+    command(bench, START)
+    interval(bench, (1, 1500))
+    bench.remote.nmt.state = "RESET"
+    assert bench.sdo[0x2050][1].raw == 0
+    assert recorded(bench) == []
+
+
+def test_the_rate_is_that_of_the_syncs(bench: Bench) -> None:
+    assert bench.sdo[0x2050][4].raw == 0, "not known"
+    for n in range(5):
+        interval(bench, (n, 1500))
+    assert bench.sdo[0x2050][4].raw == 1000
+    bench.sdo[0x1006].raw = 500
+    assert bench.sdo[0x2050][4].raw == 2000
+
+
+def test_a_recording_is_no_parameter_to_be_saved(bench: Bench) -> None:
+    kept = [entry for group in RANGES for entry in bench.module.node.storage.entries.of(group)]
+    assert kept
+    assert not [entry for entry in kept if entry.index in (0x2030, 0x2050)]
