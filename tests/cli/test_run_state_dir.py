@@ -183,5 +183,9 @@ def test_what_was_saved_is_there_after_a_kill(
     again = Process(config, network)
     try:
         assert again.master.sdo[0x2010][3].raw == 9
+        assert again.process.stdout is not None
+        assert again.process.stdout.readline() == (
+            "node 32 (20h): saved values come before the configuration: 2010h:03\n"
+        )
     finally:
         again.kill()

@@ -13,10 +13,12 @@ from canfb.bus.runner import Runner, ending_on_signals
 from canfb.bus.state_files import StateFiles
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, report
 from canfb.configuration import load_config
+from canfb.device.datatypes import encode
 from canfb.device.image import ParameterGroup
 from canfb.device.lss import UNCONFIGURED
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.parameters import configured_defaults
 
 
 def register(commands: Commands) -> None:
@@ -38,6 +40,8 @@ def run(options: argparse.Namespace) -> int:
         with ending_on_signals(runner.stop):
             nodes = ", ".join(_name(module) for module in modules)
             print(f"running node {nodes} on {describe(words)}; end with Ctrl-C", flush=True)
+            for module in modules:
+                _tell_what_is_saved(module)
             runner.run()
     for module in modules:
         print(_summary(module), flush=True)
@@ -78,6 +82,19 @@ def _name(module: FeedbackModule) -> str:
     if node_id == UNCONFIGURED:
         return f"without a node-ID yet (LSS, serial number {module.config.serial_number})"
     return f"{node_id} ({node_id:02X}h)"
+
+
+def _tell_what_is_saved(module: FeedbackModule) -> None:
+    """Which values of the configuration are not in force, because others were saved."""
+    module.node.storage.restore()  # the start does it again
+    changed = []
+    for index, subindex in configured_defaults(module.config):
+        entry = module.dictionary.entry(index, subindex)
+        if encode(entry.data_type, entry.value) != encode(entry.data_type, entry.default):
+            changed.append(f"{index:04X}h:{subindex:02X}")
+    if changed:
+        objects = ", ".join(changed)
+        print(f"node {_name(module)}: saved values come before the configuration: {objects}", flush=True)
 
 
 def _summary(module: FeedbackModule) -> str:
