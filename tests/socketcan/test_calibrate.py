@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import signal
+import struct
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -39,13 +41,19 @@ def status(bus: can.BusABC) -> int:
     return position_fields(data)[1]
 
 
+def sdo_write(index: int, subindex: int, value: int) -> list[can.Message]:
+    """An expedited download of an UNSIGNED32 to the module."""
+    data = struct.pack("<BHBI", 0x23, index, subindex, value)
+    return [can.Message(arbitration_id=0x600 + NODE_ID, data=data, is_extended_id=False)]
+
+
 def test_a_table_is_measured_uploaded_proven_and_reported(
     process: Callable[..., Any], tmp_path: Path, open_bus: Callable[..., can.BusABC]
 ) -> None:
     machine(process, tmp_path, TURNING)
     out = tmp_path / "out"
     command = process(
-        "calibrate", *BUS, "--module", str(NODE_ID), "--seconds", "6", "--verify", "2", "--entries", "256",
+        "calibrate", *BUS, "--module", str(NODE_ID), "--seconds", "5", "--verify", "2", "--entries", "256",
         "--least-samples", "1000", "--out", str(out), "--json",
     )  # fmt: skip
     assert command.wait(60.0) == 0, str(command)
@@ -84,3 +92,34 @@ def test_without_a_sync_or_without_the_module_it_says_so(
         else "canfb: module 33 (21h): reading 2020:04: no answer"
     )
     assert command.lines[-1].startswith(said)
+
+
+def test_ctrl_c_while_the_new_table_is_being_proven_brings_the_old_one_back(
+    process: Callable[..., Any], tmp_path: Path, open_bus: Callable[..., can.BusABC]
+) -> None:
+    machine(process, tmp_path, TURNING)
+    command = process("calibrate", *BUS, "--seconds", "4", "--least-samples", "700", "--verify", "60")
+    command.wait_for("verifying on fresh samples", 60.0)
+    assert status(open_bus()) & StatusBit.TABLE_ACTIVE
+    command.send(signal.SIGINT)
+    assert command.wait(30.0) == 1
+    assert command.lines[-2:] == [
+        "... the table and the conditioning from before are active in module 32 (20h)",
+        "canfb: interrupted; the module is as it was",
+    ]
+    assert not status(open_bus()) & StatusBit.TABLE_ACTIVE
+
+
+def test_the_module_measures_by_itself(
+    process: Callable[..., Any], tmp_path: Path, can_bus: can.BusABC
+) -> None:
+    machine(process, tmp_path, TURNING)
+    for message in sdo_write(0x2030, 0x0A, 900):
+        can_bus.send(message)
+    command = process(
+        "calibrate", *BUS, "--source", "module", "--verify", "2", "--least-samples", "400", "--json"
+    )
+    assert command.wait(90.0) == 0, str(command)
+    figures = json.loads("\n".join(command.lines))
+    assert figures["active"]
+    assert figures["fresh_rms_cycles"] < 3e-4
