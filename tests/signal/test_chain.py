@@ -23,10 +23,11 @@ def sample_at(position: float, **rest: object) -> Sample:
 
 
 def ramp_up(chain: SignalChain, speed: float) -> float:
-    """Drive the chain from standstill to ``speed`` (cycles per sample); the position reached."""
+    """Drive the chain from standstill to ``speed`` (cycles per sample), and a bit on; where it is then."""
     position, now = 0.0, 0.0
     chain.step(sample_at(position))
-    while now < speed:
+    ramp = math.ceil(speed / 0.25)
+    for _ in range(ramp + 20):
         now = min(speed, now + 0.25)
         position += now
         assert chain.step(sample_at(position)).valid

@@ -1,9 +1,8 @@
 """Coasting over bad samples, and the moment when the position counts as lost.
 
 The recursion of eq. 9 never forgets: after one wrong cycle count it runs on with a wrong
-speed. So a sample that fails a check leaves the position in doubt. It is then carried on
-from the last few samples (:mod:`canfb.signal.candidates`), and it is valid again when one of
-these meets several samples in a row. Eq. 9 runs on beside them, as in the paper: it is right
+speed. So a sample that fails a check leaves the position in doubt (:mod:`canfb.signal.doubt`)
+until several samples in a row tell it. Eq. 9 runs on beside that, as in the paper: it is right
 when not a sample was wrong but the acceleration was beyond the limit.
 """
 
@@ -16,14 +15,15 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from canfb.signal.candidates import Candidate, Place, candidates
+from canfb.signal.bridge import Place
+from canfb.signal.doubt import Doubt
 from canfb.signal.phase import FloatArray
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.tracker import Track, Tracker
 
 # A glitch below the residual limit is seen one sample later, a row of three at most three later.
 DOUBTED_SAMPLES = 3
-REMEMBERED_SAMPLES = DOUBTED_SAMPLES + 4  # what a candidate needs for its acceleration
+REMEMBERED_SAMPLES = 16  # tell how smoothly the machine runs
 
 
 class Recovery:
@@ -34,7 +34,7 @@ class Recovery:
     :meth:`found`: eq. 9 then runs on with the samples, but nothing vouches for its count.
     """
 
-    __slots__ = ("_candidates", "_places", "coast_samples", "lost", "tracker")
+    __slots__ = ("_doubt", "_places", "coast_samples", "lost", "tracker")
 
     def __init__(self, tracker: Tracker, coast_samples: int) -> None:
         self.tracker = tracker
@@ -46,12 +46,12 @@ class Recovery:
         """Start afresh at standstill with this cycle count; the position is not lost any more."""
         self.tracker.restart(cycles)
         self.lost = False
-        self._candidates: list[Candidate] = []
+        self._doubt: Doubt | None = None
         self._places.clear()
 
     def resume(self) -> None:
         """Go on at standstill from the last position, or from cycle count 0 if it was lost."""
-        if self.lost or self._candidates or not self._places:
+        if self.lost or self._doubt or not self._places:
             self.restart()
         else:
             self.tracker.halt()
@@ -62,14 +62,19 @@ class Recovery:
     def lose(self) -> None:
         """Call the position lost, from outside."""
         self.lost = True
-        self._candidates = []
+        self._doubt = None
         self._places.clear()
 
     def found(self, cycles: int, step_cycles: int) -> None:
         """Shift the cycle count by ``cycles`` and the speed by ``step_cycles`` per interval."""
         self.tracker.shift(cycles, step_cycles)
-        self._candidates = []
-        self._remember_tracker()
+        if self._doubt is None and not step_cycles and not self.lost:
+            places = [(count + cycles, phase, elapsed) for count, phase, elapsed in self._places]
+            self._places.clear()
+            self._places.extend(places)
+        else:
+            self._doubt = None
+            self._remember_tracker()
 
     def vouch(self) -> None:
         """The position is not lost any more: what eq. 9 counts is right."""
@@ -79,7 +84,7 @@ class Recovery:
     @property
     def in_doubt(self) -> bool:
         """True while the next samples must decide where the position is; not when it is lost."""
-        return bool(self._candidates)
+        return self._doubt is not None
 
     def followed(self, cycles: Sequence[int], phases: Sequence[float]) -> None:
         """The tracker has followed a run of samples to these places, the last ones of the run."""
@@ -87,7 +92,7 @@ class Recovery:
             self._places.extend((count, phase, 1.0) for count, phase in zip(cycles, phases, strict=True))
 
     def _remember_tracker(self) -> None:
-        """The two samples that eq. 9 stands on are the last places: a candidate goes on with its speed."""
+        """The two samples that eq. 9 stands on are the last places: the position goes on with its speed."""
         before, last, elapsed = self.tracker.places
         self._places.clear()
         self._places.append((before.cycles, before.phase, 1.0))
@@ -117,7 +122,7 @@ class Recovery:
 
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
         """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL."""
-        settled = not (self.lost or self._candidates)
+        settled = not (self.lost or self._doubt)
         if settled and elapsed == 1.0 and (followed := self.tracker.follow(phase)) is not None:
             self._places.append((followed.cycles, phase, 1.0))
             return followed, VALID
@@ -145,56 +150,39 @@ class Recovery:
         self.tracker.skip(elapsed)
         if self.lost:
             return predicted, LOST
-        for candidate in self._doubt():
-            candidate.wait(elapsed)
-        self._drop_exhausted()
-        if not self._candidates:
+        doubt = self._doubted()
+        coasted = doubt.wait(elapsed)
+        if doubt.is_over(self.coast_samples):
             self.lose()
             return predicted, LOST
-        return self._likeliest().predict(), COASTING
+        return coasted, COASTING
 
-    def _doubt(self) -> list[Candidate]:
-        """The candidates, made at the first bad sample: each takes one sample more for bad."""
-        if not self._candidates:
-            places = [Place(*place) for place in self._places]
-            # One place has no speed: a candidate from it stands still, which only a start allows.
-            for doubted in range(max(1, min(DOUBTED_SAMPLES + 1, len(places) - 1))):
-                self._candidates += candidates(places, doubted)
-        return self._candidates
+    def _doubted(self) -> Doubt:
+        """The doubt that is, or that begins with this sample."""
+        if self._doubt is None:
+            before = [Place(*place) for place in self._places]
+            self._doubt = Doubt(before, DOUBTED_SAMPLES, self.tracker.residual_limit)
+        return self._doubt
 
     def _decide(self, followed: Track, elapsed: float) -> tuple[Track, int]:
         """A sample while the position is in doubt; ``followed`` is what eq. 9 makes of it."""
-        met = []
-        for candidate in self._doubt():
-            candidate.wait(elapsed)
-            if candidate.meet(followed.phase):
-                met.append(candidate)
-        self._candidates = met
-        self._drop_exhausted()
-        proven = [candidate for candidate in self._candidates if candidate.proven]
-        if proven and all(candidate.last.cycles == proven[0].last.cycles for candidate in proven):
-            return self._adopt(proven[0]), VALID
-        if proven or not self._candidates:  # two ways through the gap, or none
+        doubt = self._doubted()
+        coasted = doubt.meet(followed.phase, elapsed)
+        places = doubt.decide()
+        if places:
+            return self._adopt(places), VALID
+        if places is not None or doubt.is_over(self.coast_samples):
             self.lose()
             return followed, LOST if followed.ok else LOST | RESIDUAL
-        likeliest = self._likeliest()
-        if likeliest.gap == 0.0:
-            return likeliest.last, COASTING
-        # Nothing met this sample. If the acceleration is beyond the limit, eq. 9 is right (paper, section 4).
+        if coasted is not None:
+            return coasted, COASTING
+        # It is nowhere near. If the acceleration is beyond the limit, eq. 9 is right (paper, section 4).
         return followed, COASTING | RESIDUAL
 
-    def _likeliest(self) -> Candidate:
-        return max(self._candidates, key=lambda candidate: candidate.confirmed)
-
-    def _drop_exhausted(self) -> None:
-        limit = self.coast_samples + 0.5
-        self._candidates = [candidate for candidate in self._candidates if candidate.gap < limit]
-
-    def _adopt(self, candidate: Candidate) -> Track:
-        before, last, elapsed = candidate.before, candidate.last, candidate.elapsed
-        self.tracker.set_places(before, last, elapsed)
-        self._candidates = []
+    def _adopt(self, places: Sequence[Place]) -> Track:
+        before, last = (Track(place.cycles, place.phase, 0.0, True) for place in places[-2:])
+        self.tracker.set_places(before, last, places[-1].elapsed)
+        self._doubt = None
         self._places.clear()
-        self._places.append((before.cycles, before.phase, 1.0))
-        self._places.append((last.cycles, last.phase, elapsed))
+        self._places.extend(places)
         return last

@@ -1,0 +1,154 @@
+"""The time from a bad sample until the position is certain again, or lost.
+
+The samples that come form runs: neighbouring ones whose accelerations agree. A run that is
+long enough not to be chance is joined to the places before the fault, if there is one way
+only to do that (:mod:`canfb.signal.bridge`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from canfb.signal.bridge import Place, Way, accelerations, bridge, roughness, run_accelerations, speed
+from canfb.signal.tracker import Track
+
+SHORTEST_RUN = 4
+LONGEST_RUN = 12  # one that is not joined by then never will be
+LONGEST_DOUBT = 32  # intervals without a decision, beyond those that may be coasted
+RUN_WIDTH = 0.25  # of the accelerations in a run, cycles per interval squared, at most
+ROUGHNESS_FACTOR = 2.5  # and at most so many times their roughness before the fault, and some more
+RUN_WIDTH_CYCLES = 0.01
+# Samples with any phase agree by chance once in so many faults; the first two of a run always do.
+CHANCE = 1e-5
+# How close to the prediction a sample is counted from it, cycles, one interval after the last.
+CLOSE_CYCLES = 0.055
+
+
+class _Sample(NamedTuple):
+    time: float  # intervals since the last accepted place
+    phase: float
+
+
+class Doubt:
+    """What is known since the last accepted sample.
+
+    ``before``: the accepted places, oldest first, at least one, of which the last ``doubted``
+    may have been bad. ``limit``: the residual limit, cycles.
+    """
+
+    def __init__(self, before: Sequence[Place], doubted: int, limit: float) -> None:
+        self._before = before
+        self._doubted = doubted
+        self._limit = limit
+        self._now = 0.0
+        self._last_good = 0.0  # the time of the last sample that contradicts nothing
+        self._waited = False
+        self._run: list[_Sample] = []
+        self._most_width = ROUGHNESS_FACTOR * roughness(accelerations(before)) + RUN_WIDTH_CYCLES
+        self._anchor, self._speed = before[-1], speed(before)
+        self._anchored = 0.0
+
+    def is_over(self, coast_samples: int) -> bool:
+        """True if there was no good sample for longer than that, or no decision for very long."""
+        return self._now - self._last_good >= coast_samples + 0.5 or self._now > coast_samples + LONGEST_DOUBT
+
+    def wait(self, elapsed: float) -> Track:
+        """A bad sample, or none, after ``elapsed`` intervals: the predicted position."""
+        self._now += elapsed
+        self._waited = True
+        self._run = []
+        cycles, part = self._predict()
+        turns = math.floor(part)
+        phase = part - turns
+        if phase >= 1.0:
+            turns, phase = turns + 1, 0.0
+        return Track(cycles + turns, phase, 0.5, False)
+
+    def meet(self, phase: float, elapsed: float) -> Track | None:
+        """A sample ``elapsed`` intervals after the one before: where it is if it is near the prediction."""
+        self._now += elapsed
+        self._run.append(_Sample(self._now, phase))
+        if self._run_agrees():
+            self._last_good = self._now
+        else:
+            del self._run[:-2]
+        cycles, part = self._predict()
+        c = part - phase
+        turns = round(c)
+        residual = abs(turns - c)
+        gap = self._now - self._anchored
+        if residual > CLOSE_CYCLES * (gap + 1.0) / 2.0:
+            return None
+        place = Place(cycles + turns, phase, gap)
+        if gap < 1.5:
+            self._speed = speed([self._anchor, place])
+        self._anchor, self._anchored = place, self._now
+        return Track(place.cycles, phase, residual, True)
+
+    def decide(self) -> list[Place] | None:
+        """The places after the gap; empty if no more samples can tell; None if more may."""
+        if len(self._run) < SHORTEST_RUN:
+            return None
+        even = self._even(self._run)
+        length = self._smooth(even)
+        run, even = self._run[-length:], even[-length:]
+        if length < SHORTEST_RUN or length < _enough(_width(run_accelerations(even))):
+            return [] if len(self._run) >= LONGEST_RUN else None
+        way = bridge(self._before, even, run[0].time, self._doubted, self._limit)
+        if way is None:
+            return []
+        if length >= _enough(way.width):
+            return self._places(run, even, way)
+        return None
+
+    def _smooth(self, even: Sequence[float]) -> int:
+        """How many of the last samples run as smoothly as those before the fault did.
+
+        All of them must be taken: to leave some out would be to choose among ways.
+        """
+        seen = run_accelerations(even)[::-1]
+        for length in range(2, len(seen) + 1):
+            if _width(seen[:length]) > self._most_width:
+                return length + 1
+        return len(even)
+
+    def _run_agrees(self) -> bool:
+        if len(self._run) < 3:
+            # The first sample without a bad one before it is here since it contradicts the last places.
+            return self._waited or len(self._run) > 1
+        seen = run_accelerations(self._even(self._run))
+        return max(map(abs, seen)) < self._limit and _width(seen) <= RUN_WIDTH
+
+    def _even(self, run: Sequence[_Sample]) -> list[float]:
+        """Phases as they would be one interval apart; the speed is known well enough for that."""
+        start = run[0].time
+        return [sample.phase - self._speed * (sample.time - start - k) for k, sample in enumerate(run)]
+
+    def _predict(self) -> tuple[int, float]:
+        way = self._speed * (self._now - self._anchored)
+        whole = math.floor(way)
+        return self._anchor.cycles + whole, self._anchor.phase + (way - whole)
+
+    def _places(self, run: Sequence[_Sample], even: Sequence[float], way: Way) -> list[Place]:
+        """The places of a run that goes on with this way."""
+        at = [even[0], even[1] + way.step_cycles]
+        for bend in run_accelerations(even):
+            at.append(2.0 * at[-1] - at[-2] + bend)
+        places = []
+        time = run[0].time - 1.0
+        for sample, position, offset in zip(run, at, even, strict=True):
+            cycles = way.cycles + round(position - offset)
+            places.append(Place(cycles, sample.phase, sample.time - time))
+            time = sample.time
+        return places
+
+
+def _width(seen: Sequence[float]) -> float:
+    return max(seen) - min(seen) if seen else 0.0
+
+
+def _enough(width: float) -> int:
+    """Samples in a run for it not to be chance, if their accelerations spread over this width."""
+    return max(SHORTEST_RUN, 2 + math.ceil(math.log(CHANCE) / math.log(min(max(width, 1e-9), RUN_WIDTH * 2))))
