@@ -12,6 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 from conformance_eds import Eds
 
 from canfb.device.frame import Frame
+from canfb.device.storage import MemoryStore
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.encoder_interface import EncoderInterface
@@ -288,12 +289,13 @@ class Tester:
 
 
 def make_tester(kind: str, **fields: Any) -> Tester:
-    """A device just switched on, with its tester; `fields` are those of ModuleConfig."""
+    """A device just switched on, with a memory and its tester; `fields` are those of ModuleConfig."""
     device: Any
     if kind == MODULE:
-        device = FeedbackModule(ModuleConfig(node_id=MODULE_ID, encoder_interface=INTERFACE_ID, **fields))
+        config = ModuleConfig(node_id=MODULE_ID, encoder_interface=INTERFACE_ID, **fields)
+        device = FeedbackModule(config, MemoryStore())
     else:
-        device = EncoderInterface(INTERFACE_ID, StillSource())
+        device = EncoderInterface(INTERFACE_ID, StillSource(), store=MemoryStore())
     tester = Tester(kind, device, EDS[kind])
     assert only(tester.power_on(), 0x700 + tester.id) == ["00"]
     return tester

@@ -24,20 +24,14 @@ def _lacking(text: str, cases: str, *absent: int, sub: int = 0) -> dict[str, Not
     return dict.fromkeys(cases.split(), reason)
 
 
-_STORAGE = _lacking(
-    "no 1010h, so nothing is stored", "sync_08 sync_10 other_01 other_02 other_05 other_06", 0x1010
-)
 _NO_RPDO = _lacking("no RPDO", "pdo_01 pdo_27 pdo_28 pdo_29 pdo_33 emcy_04 emcy_05 emcy_06", 0x1400, sub=1)
 
 NOT_APPLICABLE: dict[str, dict[str, NotApplicable]] = {
-    MODULE: {
-        **_STORAGE,
-    },
+    MODULE: {},
     INTERFACE: {
         "sdo_04": NotApplicable("no write-only entry"),
         "sdo_11": NotApplicable("no entry with a minimum above 0"),
         "pdo_31": NotApplicable("no mappable object that is only written"),
         **_NO_RPDO,
-        **_STORAGE,
     },
 }
