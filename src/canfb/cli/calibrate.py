@@ -126,19 +126,20 @@ def _by_module(session: Session, job: _Job, source: Source, settings: Settings, 
             module_drift_lines(drift, session.active, job.where),
         )
     samples = own_calibration.let_measure(session.module, session.layout(), job.progress.part)
+    accepted = False
+
+    def accept() -> Measurement:
+        return own_calibration.accept(session.module, ours, settings)
+
     try:
-        measured, done = job.measured(samples, session.active, settings), Installation()
-        if job.options.dry_run:
+        ours = measured = job.measured(samples, session.active, settings)
+        done = Installation()
+        if not job.options.dry_run:
+            measured, done = job.install(session, ours, source, settings, guard, accept)
+        accepted = done.active
+    finally:
+        if not accepted:
             own_calibration.discard(session.module)
-    except BaseException:
-        own_calibration.discard(session.module)
-        raise
-    if not job.options.dry_run:
-
-        def accept() -> Measurement:
-            return own_calibration.accept(session.module, measured, settings)
-
-        measured, done = job.install(session, measured, source, settings, guard, accept)
     return job.report(measured, done)
 
 

@@ -23,7 +23,7 @@ LARGEST_ARRAY = 50_000_000
 
 
 def _number(text: str) -> int:
-    """A node id, decimal or 20h's way, 0x20."""
+    """A whole number, decimal or as 0x20."""
     try:
         return int(text, 0)
     except ValueError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -13,11 +14,11 @@ from canfb.commissioning.listening import Listener
 from canfb.commissioning.pdo_layout import PdoLayout
 from canfb.commissioning.procedure import Measurement, Settings, block_of
 from canfb.commissioning.samples import Samples
-from canfb.errors import CalibrationError
+from canfb.errors import CalibrationError, CanfbError
 
 OBJECT = 0x2030
 COMMAND, STATE, PROGRESS, COVERAGE, RMS, PEAK, REASON, DRIFT_RMS, DRIFT_PEAK, WANTED = range(1, 11)
-START, STOP, ACCEPT, CHECK, DISCARD = range(1, 6)
+START, STOP, ACCEPT, CHECK = range(1, 5)
 IDLE, RECORDING, COMPUTING, READY, REFUSED, ACCEPTED, CHECKED = range(7)
 LOOK_S = 0.2
 PATIENCE_S = 120.0  # without progress: a slow computer calculates for long
@@ -66,12 +67,8 @@ def let_check(module: NodeAccess, heard: Callable[[float], None]) -> ModuleDrift
 
 def discard(module: NodeAccess) -> None:
     """Drop a measurement that has not been accepted; what is active stays so. Never fails."""
-    for command in (DISCARD, STOP):  # a module that does not know the first may know the second
-        try:
-            module.write(OBJECT, COMMAND, "B", command)
-        except CommissioningError:
-            continue
-        return
+    with contextlib.suppress(CanfbError):
+        module.write(OBJECT, COMMAND, "B", STOP)
 
 
 def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Measurement:

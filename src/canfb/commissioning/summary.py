@@ -82,7 +82,10 @@ def facts(measured: Measurement, where: Circumstances) -> list[tuple[str, str]]:
             f"{percent(calibration.noise_cycles, where)}, {calibration.noise_counts:.2f} counts",
         ),
         ("samples", f"{len(samples)}{rate}{duration}; {samples.origin}"),
-        ("left out", f"{samples.missed} missed, {calibration.samples_rejected} faulty"),
+        (
+            "left out",
+            f"{samples.missed} missed, {calibration.samples_rejected} faulty or not in whole cycles",
+        ),
         (
             "coverage",
             f"{PERCENT * calibration.coverage:.0f} % of the cycle, {calibration.cycles_used:.0f} cycles",
