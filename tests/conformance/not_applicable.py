@@ -31,6 +31,7 @@ NOT_APPLICABLE: dict[str, dict[str, NotApplicable]] = {
     INTERFACE: {
         "sdo_04": NotApplicable("no write-only entry"),
         "sdo_11": NotApplicable("no entry with a minimum above 0"),
+        "od_04": NotApplicable("no write-only entry"),
         "pdo_31": NotApplicable("no mappable object that is only written"),
         **_NO_RPDO,
     },

@@ -15,7 +15,13 @@ NAMES = ("canfb-module.eds", "encoder-interface.eds")
 DCFCHK = ("-W", "always", "-c", "import sys; from dcf.cli import main; sys.exit(main())", "-n", "32")
 EDS_VALIDATE = ("-c", "import sys; from eds_utils.eds_validate import eds_validate; sys.exit(eds_validate())")
 
-KNOWN: dict[tuple[str, str], str] = {}
+KNOWN: dict[tuple[str, str], str] = {
+    (
+        NAMES[0],
+        f'AUTO-FIXED: Unknown entry "ObjFlags" in [{section}]',
+    ): "CiA 306 has it: no write in a download"
+    for section in ("2020sub3", "2030sub1", "2050sub1", "6003")
+}
 """File and message of a checker that is wrong, and why it is; empty is best."""
 
 TRANSLATED = {
