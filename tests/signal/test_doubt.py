@@ -94,10 +94,17 @@ def test_it_is_over_when_no_good_sample_comes() -> None:
 
 
 def test_samples_that_contradict_each_other_are_not_good_ones() -> None:
-    doubt = doubt_at(100.2)
-    for phase in np.random.default_rng(5).uniform(size=12).tolist():
-        meet(doubt, phase)
-    assert doubt.is_over(8)
+    ended = []
+    for seed in range(20):
+        doubt, samples = doubt_at(100.2), 0
+        for phase in np.random.default_rng(seed).uniform(size=50).tolist():
+            assert not meet(doubt, phase)
+            samples += 1
+            if doubt.is_over(3):
+                break
+        ended.append(samples)
+    assert max(ended) < 3 + LONGEST_DOUBT
+    assert np.median(ended) < 12
 
 
 def test_good_samples_that_are_never_enough_end_it_too() -> None:

@@ -43,8 +43,8 @@ class Doubt:
         self._doubted = doubted
         self._limit = limit
         self._now = 0.0
-        self._last_good = 0.0  # the time of the last sample that contradicts nothing
-        self._waited = False
+        self._last_good = 0.0  # the time of the last sample that nothing contradicts
+        self._contradicted = True  # or there would be no doubt
         self._run: list[_Sample] = []
         self._most_width = ROUGHNESS_FACTOR * roughness(accelerations(before)) + RUN_WIDTH_CYCLES
         self._anchor, self._speed = before[-1], speed(before)
@@ -52,12 +52,14 @@ class Doubt:
 
     def is_over(self, coast_samples: int) -> bool:
         """True if there was no good sample for longer than that, or no decision for very long."""
-        return self._now - self._last_good >= coast_samples + 0.5 or self._now > coast_samples + LONGEST_DOUBT
+        alone = len(self._run) == 1 and self._contradicted
+        gap = self._now if alone or not self._run else self._run[0].time - 1.0
+        return gap - self._last_good >= coast_samples + 0.5 or self._now > coast_samples + LONGEST_DOUBT
 
     def wait(self, elapsed: float) -> Track:
         """A bad sample, or none, after ``elapsed`` intervals: the predicted position."""
         self._now += elapsed
-        self._waited = True
+        self._contradicted = False
         self._run = []
         cycles, part = self._predict()
         turns = math.floor(part)
@@ -70,10 +72,11 @@ class Doubt:
         """A sample ``elapsed`` intervals after the one before: where it is if it is near the prediction."""
         self._now += elapsed
         self._run.append(_Sample(self._now, phase))
-        if self._run_agrees():
-            self._last_good = self._now
-        else:
+        if not self._run_agrees():
+            self._contradicted = True
             del self._run[:-2]
+        if not self._contradicted or len(self._run) >= SHORTEST_RUN:
+            self._last_good = self._now
         cycles, part = self._predict()
         c = part - phase
         turns = round(c)
@@ -116,8 +119,7 @@ class Doubt:
 
     def _run_agrees(self) -> bool:
         if len(self._run) < 3:
-            # The first sample without a bad one before it is here since it contradicts the last places.
-            return self._waited or len(self._run) > 1
+            return True
         seen = run_accelerations(self._even(self._run))
         return max(map(abs, seen)) < self._limit and _width(seen) <= RUN_WIDTH
 
