@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from canfb.cli import main as command
 from canfb.cli.main import main
 from canfb.cli.progress import CLEAR, Progress
+from canfb.errors import BusError
 from canfb.signal.correction import CorrectionTable
 from canfb.simulation.encoder import Encoder, Harmonic
 
@@ -89,6 +91,23 @@ def test_a_bus_on_which_nobody_is(capsys: pytest.CaptureFixture[str]) -> None:
     code, line = failed(["-i", "virtual", "-c", "empty", "--answer-within", "0.05"], capsys)
     assert code == 1
     assert line.startswith("module 32 (20h): reading 2020:04: no answer; is the node there")
+
+
+def test_who_produces_the_sync_has_to_hear_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened: list[dict[str, object]] = []
+
+    def refuse(words: dict[str, object]) -> None:
+        opened.append(words)
+        raise BusError("no")
+
+    monkeypatch.setattr(command.calibrate, "open_bus", refuse)
+    bus = ["-i", "virtual", "-c", "x"]
+    assert failed([*bus, "--sync", "100"], capsys) == (1, "no")
+    assert failed(bus, capsys) == (1, "no")
+    plain = {"interface": "virtual", "channel": "x"}
+    assert opened == [plain | {"receive_own_messages": True}, plain, plain]
 
 
 def test_the_configuration_names_bus_and_nodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

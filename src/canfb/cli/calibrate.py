@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import can
 
 from canfb.bus.master import BusMaster, today
 from canfb.bus.opening import open_bus
@@ -39,7 +42,7 @@ from canfb.commissioning.session import Session, Source
 from canfb.commissioning.summary import Circumstances, as_json, comparison, facts, outcome, verdict
 from canfb.commissioning.table_file import read_table
 from canfb.configuration import Config, load_config
-from canfb.errors import CalibrationError
+from canfb.errors import BusError, CalibrationError
 
 LEAST_FRESH = 1500
 
@@ -67,10 +70,9 @@ def calibrate(options: argparse.Namespace) -> int:
             return _Job(options, progress, today().isoformat()).from_file()
         chosen_nodes(options, config)  # says what cannot be before there is a bus
         words = bus_options(options, config.bus)
-        if options.sync is not None:
-            words = words | {"receive_own_messages": True}
         guard = Guard()
-        with BusMaster(open_bus(words), options.answer_within) as master, ending_on_signals(guard.interrupt):
+        bus = _open(words, hears_itself=options.sync is not None)
+        with BusMaster(bus, options.answer_within) as master, ending_on_signals(guard.interrupt):
             if options.sync is not None:
                 master.produce_sync(options.sync)
             return over_bus(master, options, config, progress, guard, today().isoformat())
@@ -80,6 +82,14 @@ def calibrate(options: argparse.Namespace) -> int:
         raise
     finally:
         progress.clear()
+
+
+def _open(words: dict[str, Any], hears_itself: bool) -> can.BusABC:
+    """The bus; one that ``hears_itself`` if it can be told to, because samples are counted by the SYNC."""
+    if hears_itself:
+        with contextlib.suppress(BusError):  # udp_multicast always does, and cannot be told
+            return open_bus(words | {"receive_own_messages": True})
+    return open_bus(words)
 
 
 def over_bus(
