@@ -62,7 +62,7 @@ class Computation:
             if job is not None:
                 try:
                     self._start(job)
-                except OSError as error:
+                except Exception as error:  # no process, or a job that cannot be sent
                     return self._finish(error, now)
         if self._process is None:
             return []
@@ -86,6 +86,8 @@ class Computation:
         self._killed.append(process)
 
     def _start(self, job: Any) -> None:
+        self._unsent = memoryview(pickle.dumps(job))
+        self._inbox = Inbox()
         path = os.pathsep.join(folder or os.getcwd() for folder in sys.path)
         self._process = process = subprocess.Popen(
             self._command,
@@ -98,8 +100,6 @@ class Computation:
         )
         for pipe in (process.stdin, process.stdout):
             os.set_blocking(_number(pipe), False)
-        self._unsent = memoryview(pickle.dumps(job))
-        self._inbox = Inbox()
 
     def _exchange(self, process: subprocess.Popen[bytes], now: float) -> list[Frame]:
         self._feed(process)

@@ -1,0 +1,247 @@
+"""Long computations: in another process, never waited for, never left behind."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from computing_jobs import Crash, Forever, Raise, Sum, Where
+from fake_bus import FakeBus, FakeClock
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.bus.computing import COMMAND, Computation, Computing
+from canfb.bus.messages import Inbox, pack
+from canfb.bus.runner import Runner
+from canfb.device.frame import Frame
+from canfb.module.calibration_job import CalibrationJob, Outcome
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.recorder import SampleRecording
+from canfb.simulation.encoder import Encoder
+
+PATIENCE_S = 60.0
+LONGEST_POLL_S = 0.25  # a loaded machine; it is below 1 ms
+
+
+class FakeComputer:
+    """A device that has one thing to compute after the other."""
+
+    def __init__(self, *jobs: Any) -> None:
+        self.jobs = list(jobs)
+        self.results: list[Any] = []
+        self.parts: list[float] = []
+
+    def pending_job(self) -> Any:
+        return self.jobs[0] if self.jobs else None
+
+    def finish_job(self, job: Any, result: Any, now: float) -> list[Frame]:
+        assert job is self.jobs.pop(0)
+        self.results.append(result)
+        return [Frame(0x123, bytes([len(self.results)]))]
+
+    def job_progress(self, job: Any, part: float) -> None:
+        assert job is self.jobs[0]
+        self.parts.append(part)
+
+
+class Host:
+    """Polls a computation until something has happened."""
+
+    def __init__(self, device: FakeComputer, **options: Any) -> None:
+        self.lines: list[str] = []
+        self.frames: list[Frame] = []
+        self.computation = Computation(device, self.lines.append, **options)
+
+    def poll_until(self, done: Callable[[], bool]) -> None:
+        give_up = time.monotonic() + PATIENCE_S
+        while not done():
+            assert time.monotonic() < give_up
+            began = time.perf_counter()
+            self.frames += self.computation.poll(7.0)
+            assert time.perf_counter() - began < LONGEST_POLL_S
+            time.sleep(1e-3)  # the other process is a real one
+
+
+@pytest.fixture
+def host() -> Any:
+    hosts: list[Host] = []
+
+    def make(device: FakeComputer, **options: Any) -> Host:
+        hosts.append(Host(device, **options))
+        return hosts[-1]
+
+    yield make
+    for one in hosts:
+        one.computation.close()
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_jobs_are_done_one_after_the_other(host: Any) -> None:
+    device = FakeComputer(Sum((1, 2)), Sum(tuple(range(300_000))))
+    one = host(device)
+    one.poll_until(lambda: len(device.results) == 2)
+    assert device.results == [3, sum(range(300_000))]
+    assert device.parts == [0.25, 1.0, 0.25, 1.0]
+    assert one.frames == [Frame(0x123, b"\1"), Frame(0x123, b"\2")]
+    assert one.lines == []
+
+
+def test_it_is_another_process_that_gives_way(host: Any) -> None:
+    device = FakeComputer(Where())
+    host(device).poll_until(lambda: bool(device.results))
+    ((pid, niceness, program),) = device.results
+    assert pid != os.getpid()
+    assert niceness == min(os.getpriority(os.PRIO_PROCESS, 0) + 10, 19)
+    assert program.endswith("compute_process.py"), "nothing of the program that uses it is run again"
+
+
+def test_without_a_job_there_is_no_process(host: Any) -> None:
+    one = host(FakeComputer(), command=("/nowhere/at-all",))
+    assert one.computation.poll(0.0) == []
+
+
+@pytest.mark.parametrize(
+    ("job", "text"),
+    [
+        (Raise(), "LookupError: nothing to be found"),
+        (Crash(3), "the process ended without a result"),
+        (lambda: None, "attribute"),
+    ],
+    ids=["raises", "crashes", "cannot be sent"],
+)
+def test_what_fails_is_told_and_the_next_job_is_done(host: Any, job: Any, text: str) -> None:
+    device = FakeComputer(job, Sum((4,)))
+    one = host(device)
+    one.poll_until(lambda: len(device.results) == 2)
+    assert isinstance(device.results[0], Exception)
+    assert device.results[1] == 4
+    assert len(one.lines) == 1
+    assert one.lines[0].startswith("the computation of a reference measurement failed: ")
+    assert text in one.lines[0].lower() or text in one.lines[0]
+
+
+@pytest.mark.parametrize("command", [("/nowhere/at-all",), ("/bin/echo", "no message at all")])
+def test_a_process_that_is_none_of_ours_is_a_failure(host: Any, command: tuple[str, ...]) -> None:
+    device = FakeComputer(Sum((1,) * 100_000))
+    one = host(device, command=command)
+    one.poll_until(lambda: bool(device.results))
+    assert isinstance(device.results[0], Exception)
+    assert len(one.lines) == 1
+
+
+def test_what_is_not_wanted_any_more_is_killed(host: Any) -> None:
+    device = FakeComputer(Forever())
+    one = host(device)
+    one.poll_until(lambda: bool(device.parts))
+    pid = int(device.parts[0])
+    assert is_alive(pid)
+    device.jobs = [Sum((1,))]
+    one.poll_until(lambda: bool(device.results))
+    one.poll_until(lambda: not is_alive(pid))
+    assert device.results == [1]
+
+
+def test_closing_kills_it_and_leaves_nothing(host: Any) -> None:
+    device = FakeComputer(Forever())
+    one = host(device)
+    one.poll_until(lambda: bool(device.parts))
+    one.computation.close()
+    assert not is_alive(int(device.parts[0]))
+    one.computation.close()
+
+
+@given(st.lists(st.one_of(st.floats(0.0, 1.0), st.text(), st.binary())), st.data())
+def test_messages_are_put_together_from_any_pieces(messages: list[Any], data: st.DataObject) -> None:
+    stream = b"".join(pack(message) for message in messages)
+    inbox, got = Inbox(), []
+    while stream:
+        size = data.draw(st.integers(1, len(stream)))
+        inbox.add(stream[:size])
+        stream = stream[size:]
+        got += list(inbox.messages())
+    assert got == messages
+
+
+def recorded() -> CalibrationJob:
+    rng = np.random.default_rng(1)
+    recording = SampleRecording()
+    position = 0.31 * np.arange(2000) + 2.0 * np.sin(np.arange(2000) / 170.0)
+    for sine, cosine in zip(*Encoder(noise_lsb=0.5).sample(position, rng), strict=True):
+        recording.take(int(sine), int(cosine))
+    return CalibrationJob(recording.to_bytes(), None, 12)
+
+
+def test_the_job_of_the_module_gives_the_same_there_as_here(host: Any) -> None:
+    job = recorded()
+    device = FakeComputer(job)
+    host(device).poll_until(lambda: bool(device.results))
+    there, here = device.results[0], job()
+    assert isinstance(there, Outcome)
+    assert there.text == here.text
+    assert there.calibration.table == here.calibration.table  # type: ignore[union-attr]
+    assert device.parts == sorted(device.parts)
+    assert device.parts[-1] == 1.0
+
+
+def test_a_refusal_comes_back_with_its_reason(host: Any) -> None:
+    device = FakeComputer(CalibrationJob(bytes(400), None, 12))
+    host(device).poll_until(lambda: bool(device.results))
+    assert device.results[0].reason == "samples"
+
+
+def test_the_runner_computes_for_the_module_and_ends_it() -> None:
+    """A second of real time at most: what it starts, it ends."""
+    module = FeedbackModule(ModuleConfig(node_id=32))
+    assert isinstance(module, Computing)
+    clock = FakeClock()
+    started: list[int] = []
+
+    def finished() -> bool:
+        module.dictionary.entry(0x2030, 1).store(1 if not started else 5) if len(started) < 2 else None
+        started.append(1)
+        time.sleep(1e-3)
+        return module.dictionary.entry(0x2030, 2).current() == 4
+
+    bus: Any = FakeBus(clock)
+    Runner(bus, [module], clock=clock).run(finished)
+    assert module.dictionary.entry(0x2030, 7).current() == 1, "too few samples"
+
+
+def test_the_runner_kills_it_at_its_own_end() -> None:
+
+    class Idle(FakeComputer):
+        """A device as well."""
+
+        def start(self, now: float) -> list[Frame]:
+            return []
+
+        receive: Any = staticmethod(lambda frame, now: [])
+        tick: Any = staticmethod(lambda now: [])
+        deadline: Any = staticmethod(lambda: None)
+
+    device = Idle(Forever())
+    clock = FakeClock()
+    bus: Any = FakeBus(clock)
+
+    def finished() -> bool:
+        time.sleep(1e-3)
+        return bool(device.parts)
+
+    Runner(bus, [device], clock=clock).run(finished)
+    assert not is_alive(int(device.parts[0]))
+
+
+def test_the_command_is_this_python() -> None:
+    assert COMMAND[1:] == ("-m", "canfb.bus.compute_process")
