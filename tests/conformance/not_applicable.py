@@ -25,6 +25,7 @@ def _lacking(text: str, cases: str, *absent: int, sub: int = 0) -> dict[str, Not
 
 
 _NO_RPDO = _lacking("no RPDO", "pdo_01 pdo_27 pdo_28 pdo_29 pdo_33 emcy_04 emcy_05 emcy_06", 0x1400, sub=1)
+_NO_CONSUMER = _lacking("no heartbeat consumer: no 1016h", "hb_04 hb_05 hb_06 hb_07", 0x1016, sub=1)
 
 NOT_APPLICABLE: dict[str, dict[str, NotApplicable]] = {
     MODULE: {},
@@ -34,5 +35,6 @@ NOT_APPLICABLE: dict[str, dict[str, NotApplicable]] = {
         "od_04": NotApplicable("no write-only entry"),
         "pdo_31": NotApplicable("no mappable object that is only written"),
         **_NO_RPDO,
+        **_NO_CONSUMER,
     },
 }

@@ -19,7 +19,7 @@ KNOWN: dict[tuple[str, str], str] = {
     (
         NAMES[0],
         f'AUTO-FIXED: Unknown entry "ObjFlags" in [{section}]',
-    ): "CiA 306 has it: no write in a download"
+    ): "CiA 306 has it: not for a download"
     for section in ("2020sub3", "2030sub1", "2050sub1", "6003")
 }
 """File and message of a checker that is wrong, and why it is; empty is best."""

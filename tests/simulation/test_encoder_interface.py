@@ -176,3 +176,12 @@ def test_each_sample_is_an_event_for_a_pdo_of_type_0() -> None:
     interface.receive(download(0x1800, 2, 0, size=1), 0.0)
     sent = [interface.receive(SYNC, 0.0) for _ in range(4)]
     assert sent == [[adc(1, 2)], [], [adc(3, 4)], []]
+
+
+def test_an_event_driven_pdo_keeps_to_its_timer() -> None:
+    interface = operational(Endless())
+    for frame in (download(0x1800, 2, 0xFE, size=1), download(0x1800, 5, 100, size=2)):
+        (answer,) = interface.receive(frame, 0.0)
+        assert answer.data[0] == 0x60
+    assert [interface.receive(SYNC, 0.01 * n) for n in range(3)] == [[], [], []]
+    assert interface.tick(0.1) == [adc(3, -3)]

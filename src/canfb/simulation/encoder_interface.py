@@ -10,7 +10,7 @@ from canfb.device.frame import Frame
 from canfb.device.image import ParameterGroup
 from canfb.device.mapping import Direction
 from canfb.device.node import Node
-from canfb.device.pdo import numbers
+from canfb.device.pdo import COMMUNICATION, numbers
 from canfb.device.storage import Store
 from canfb.eds_files import eds_path
 from canfb.simulation.sources import Source, SourceEnded
@@ -23,9 +23,9 @@ class EncoderInterface:
 
     ``source`` gives the samples; a SYNC for which it has none gets no TPDO1, as if the
     sample were lost on the bus. ``ended`` becomes True when a recording is over. Each sample
-    is an event for the TPDOs, which counts for their types 0, FEh and FFh. ``store`` keeps
-    what 1010h and LSS save. A ``node_id`` of 255 is one that an LSS master gives it; it knows
-    the device by its ``serial_number``, 0..4294967295.
+    is an event for the TPDOs of type 0; types FEh and FFh have their event timer. ``store``
+    keeps what 1010h and LSS save. A ``node_id`` of 255 is one that an LSS master gives it; it
+    knows the device by its ``serial_number``, 0..4294967295.
     """
 
     def __init__(
@@ -51,7 +51,10 @@ class EncoderInterface:
         self._silent = False
         self._channels = [self.dictionary.entry(0x6401, n) for n in (1, 2)]
         self._cob_id = self.dictionary.entry(0x1800, 1)
-        self._tpdos = numbers(self.dictionary, Direction.TRANSMIT)
+        self._tpdos = {
+            number: self.dictionary.entry(COMMUNICATION[Direction.TRANSMIT] + number - 1, 2)
+            for number in numbers(self.dictionary, Direction.TRANSMIT)
+        }
 
     def start(self, now: float) -> list[Frame]:
         """Power-on at ``now`` (seconds): the boot-up frame."""
@@ -82,8 +85,9 @@ class EncoderInterface:
         self.samples += 1
         for channel, value in zip(self._channels, counts, strict=True):
             channel.value = value
-        for number in self._tpdos:
-            self.node.trigger_tpdo(number, now)
+        for number, kind in self._tpdos.items():
+            if kind.value == 0:  # FEh and FFh have their event timer; a sample of each SYNC would be too much
+                self.node.trigger_tpdo(number, now)
 
     def _on_parameter_faults(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
         """Stored parameters were refused, or no longer are."""

@@ -1,0 +1,115 @@
+"""EMCY 01 to 06 and SYNC 01 to 09; SYNC 08 and 10 stand with saving and restoring."""
+
+from __future__ import annotations
+
+import pytest
+from conformance_kit import INTERFACE_ID, G, Tester, filled, little, only
+
+RPDO1 = 0x180 + INTERFACE_ID
+SYNC = 0x080
+PRODUCER_ON, PRODUCER_OFF = "23 05 10 00 80 00 00 40", "23 05 10 00 80 00 00 00"
+
+
+def test_emcy_01_cob_id(tester: Tester) -> None:
+    assert tester.ask("40 14 10 00") == "43 14 10 00 " + little(0x80 + tester.id, 4)
+
+
+def test_emcy_02_error_register(tester: Tester) -> None:
+    assert tester.ask("40 01 10 00") == filled("4F 01 10 00 00")
+
+
+def test_emcy_03_no_error_stored(tester: Tester) -> None:
+    assert tester.ask("40 03 10 00") == filled("4F 03 10 00 00")
+    assert tester.refuse("40 03 10 01", "08000024", G) == "08000024"
+
+
+def short_rpdo(tester: Tester) -> str:
+    """RPDO1 without data, then Pre-operational; the EMCY upon it."""
+    tester.operational()
+    heard = tester.send(RPDO1) + tester.nmt("80") + tester.wait(0.5)
+    (emergency,) = only(heard, 0x80 + tester.id)
+    return emergency
+
+
+def test_emcy_04_rpdo_without_data(tester: Tester) -> None:
+    emergency = short_rpdo(tester)
+    assert len(emergency) == 23
+    assert emergency[:5] == "10 82"
+    assert int(emergency[6:8], 16) & 0x11 == 0x11  # generic, communication
+
+
+def test_emcy_05_error_register_equals_the_emergency(tester: Tester) -> None:
+    emergency = short_rpdo(tester)
+    assert tester.ask("40 01 10 00") == filled("4F 01 10 00 " + emergency[6:8])
+
+
+def test_emcy_06_error_history(tester: Tester) -> None:
+    emergency = short_rpdo(tester)
+    assert tester.ask("40 03 10 00") == filled("4F 03 10 00 01")
+    assert tester.ask("40 03 10 01") == f"43 03 10 01 {emergency[:5]} {emergency[9:14]}"
+    tester.accept("2F 03 10 00 00")
+    tester.refuse("40 03 10 01", "08000024", G)
+
+
+def test_sync_01_cob_id(tester: Tester) -> None:
+    assert tester.ask("40 05 10 00") == "43 05 10 00 80 00 00 00"
+
+
+@pytest.mark.parametrize("state", ["80", "01"])
+def test_sync_02_producer(tester: Tester, state: str) -> None:
+    tester.nmt(state)
+    tester.accept("23 06 10 00 A0 86 01 00")
+    heard = tester.send(0x600 + tester.id, PRODUCER_ON) + tester.wait(10.0)
+    syncs = only(heard, SYNC)
+    assert 99 <= len(syncs) <= 101
+    assert set(syncs) == {""}
+    tester.accept(PRODUCER_OFF)
+    assert only(tester.wait(2.0), SYNC) == []
+
+
+def test_sync_03_every_tenth_sync(tester: Tester) -> None:
+    can_ids = [tester.set_up_tpdo(number, "0A") for number in tester.valid_tpdos]
+    assert can_ids
+    tester.operational()
+    heard = tester.repeat(100, 0.1, lambda: tester.send(SYNC))
+    assert [len(only(heard, can_id)) for can_id in can_ids] == [10 for _ in can_ids]
+
+
+def test_sync_04_no_period(tester: Tester) -> None:
+    tester.accept(PRODUCER_OFF)
+    tester.accept("23 06 10 00")
+
+
+@pytest.mark.parametrize("overflow", ["01", "F1", "FF"])
+def test_sync_05_counter_overflow_out_of_range(tester: Tester, overflow: str) -> None:
+    tester.accept("23 06 10 00")
+    tester.refuse(f"2F 19 10 00 {overflow}", "06090030", "06090031")
+    assert tester.ask("40 19 10 00") == filled("4F 19 10 00 00")
+
+
+def test_sync_05_one_is_an_invalid_value(tester: Tester) -> None:
+    tester.accept("23 06 10 00")
+    tester.refuse("2F 19 10 00 01", "06090030")
+
+
+def test_sync_06_producer_without_counter(tester: Tester) -> None:
+    tester.accept("2F 19 10 00 00")
+    tester.accept("23 06 10 00 A0 86 01 00")
+    tester.accept(PRODUCER_ON)
+    assert only(tester.wait(1.0), SYNC)[0] == ""
+
+
+def test_sync_07_producer_with_counter(tester: Tester) -> None:
+    tester.accept(PRODUCER_OFF)
+    tester.accept("23 06 10 00")
+    tester.accept("2F 19 10 00 05")
+    tester.accept("23 06 10 00 40 0D 03 00")
+    heard = tester.send(0x600 + tester.id, PRODUCER_ON) + tester.wait(2.5)
+    assert only(heard, SYNC)[:10] == ["01", "02", "03", "04", "05"] * 2
+
+
+def test_sync_09_counter_while_there_is_a_period(tester: Tester) -> None:
+    tester.accept(PRODUCER_OFF)
+    tester.accept("23 06 10 00 E8 03")
+    assert tester.refuse("2F 19 10 00 05", "08000022", G) == "08000022"
+    assert tester.ask("40 19 10 00") == filled("4F 19 10 00 00")

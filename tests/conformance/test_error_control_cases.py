@@ -1,0 +1,224 @@
+"""Guard 01 to 06, HB 01 to 07, HvG 01 to 07."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from conformance_kit import Heard, Tester, filled, little, m, only
+
+WATCHED = 0x47
+
+
+def guard(tester: Tester) -> list[str]:
+    """Answers to a remote frame on the CAN-ID of error control."""
+    return only(tester.remote(0x700 + tester.id), 0x700 + tester.id)
+
+
+def guarded(tester: Tester, guard_ms: int = 100, factor: int = 3) -> None:
+    tester.write(0x100C, 0, guard_ms, 2)
+    tester.write(0x100D, 0, factor, 1)
+
+
+def beats(tester: Tester, frames: list[Heard]) -> list[str]:
+    return only(frames, 0x700 + tester.id)
+
+
+def emergencies(tester: Tester, frames: list[Heard]) -> list[str]:
+    """Codes of the EMCY frames."""
+    return [data[3:5] + data[:2] for data in only(frames, 0x80 + tester.id)]
+
+
+# -- guarding ---------------------------------------------------------------------------------------
+
+
+def test_guard_01_defaults(tester: Tester) -> None:
+    assert tester.ask("40 0C 10 00") == filled("4B 0C 10 00")
+    assert tester.ask("40 0D 10 00") == filled("4F 0D 10 00")
+
+
+@pytest.mark.parametrize(("command", "state"), [("80", 0x7F), ("01", 0x05), ("02", 0x04)])
+def test_guard_02_the_answer_tells_the_state(tester: Tester, command: str, state: int) -> None:
+    guarded(tester)
+    tester.nmt(command)
+    assert guard(tester) == [f"{state:02X}"]
+    assert guard(tester) == [f"{state | 0x80:02X}"]
+
+
+def test_guard_03_toggle_bit(tester: Tester) -> None:
+    guarded(tester, factor=0)
+    assert [guard(tester) for _ in range(4)] == [["7F"], ["FF"], ["7F"], ["FF"]]
+    assert guard(tester) == ["7F"]
+    for reset in ("81", "82"):
+        tester.nmt(reset)
+        assert [guard(tester) for _ in range(3)] == [["7F"], ["FF"], ["7F"]]
+
+
+def test_guard_04_only_the_own_id_answers(tester: Tester) -> None:
+    guarded(tester, factor=0)
+    for node_id in range(1, 0x78):
+        heard = tester.remote(0x700 + node_id)
+        assert bool(heard) == (node_id == tester.id)
+
+
+def test_guard_05_values_are_kept(tester: Tester) -> None:
+    tester.accept("2B 0C 10 00 F4 01")
+    tester.accept("2F 0D 10 00 03")
+    assert tester.ask("40 0C 10 00") == filled("4B 0C 10 00 F4 01")
+    assert tester.ask("40 0D 10 00") == filled("4F 0D 10 00 03")
+
+
+@pytest.mark.parametrize(("behaviour", "state"), [(None, "7F"), ("00", "7F"), ("01", "05"), ("02", "04")])
+def test_guard_06_life_guarding(tester: Tester, behaviour: str | None, state: str) -> None:
+    guarded(tester, 100, 3)
+    if behaviour is not None:
+        tester.accept(f"2F 29 10 01 {behaviour}")
+    tester.operational()
+    assert emergencies(tester, tester.wait(5.0)) == []  # not armed before the first remote frame
+    regular = tester.repeat(20, 0.25, lambda: tester.remote(0x700 + tester.id))
+    assert emergencies(tester, regular) == []
+    assert {int(data, 16) & 0x7F for data in beats(tester, regular)} == {0x05}
+    silence = tester.wait(0.2)
+    codes = emergencies(tester, silence)
+    after = guard(tester)
+    assert codes == ["8130"]
+    assert f"{int(after[0], 16) & 0x7F:02X}" == state
+    if state != "04":  # nothing but NMT and error control in Stopped
+        assert emergencies(tester, tester.repeat(1, 0.1, lambda: tester.remote(0x700 + tester.id))) == []
+
+
+# -- heartbeat --------------------------------------------------------------------------------------
+
+
+def test_hb_01_no_heartbeat(tester: Tester) -> None:
+    tester.accept("2B 17 10 00 00 00")
+
+
+def test_hb_02_heartbeat_every_100_ms(tester: Tester) -> None:
+    heard = tester.send(0x600 + tester.id, filled("2B 17 10 00 64 00")) + tester.wait(10.0)
+    assert 99 <= len(beats(tester, heard)) <= 102
+    assert set(beats(tester, heard)) == {"7F"}
+    times = [frame.time for frame in heard if frame.can_id == 0x700 + tester.id]
+    assert all(b - a == pytest.approx(0.1) for a, b in pairwise(times))
+
+
+def test_hb_03_heartbeat_off(tester: Tester) -> None:
+    tester.accept("2B 17 10 00 64 00")
+    tester.wait(0.55)
+    tester.accept("2B 17 10 00 00 00")
+    assert beats(tester, tester.wait(5.0)) == []
+
+
+def test_hb_04_one_node_twice(tester: Tester) -> None:
+    tester.accept("23 16 10 01 34 12 05 00")
+    tester.refuse("23 16 10 02 34 12 05 00", "06040043")
+
+
+def subs(tester: Tester) -> range:
+    return range(1, tester.read(0x1016) + 1)
+
+
+def beat(tester: Tester) -> list[Heard]:
+    return tester.send(0x700 + WATCHED, "05")
+
+
+def clear_consumers(tester: Tester) -> None:
+    for sub in subs(tester):
+        tester.accept(f"23 {m(0x1016, sub)} 00 00 00 00")
+
+
+def consume(tester: Tester, sub: int) -> None:
+    tester.accept(f"23 {m(0x1016, sub)} E8 03 {WATCHED:02X} 00")
+
+
+def test_hb_05_good_heartbeats(tester: Tester) -> None:
+    tester.accept("2B 17 10 00 E8 03")
+    for sub in subs(tester):
+        tester.nmt("80")
+        clear_consumers(tester)
+        consume(tester, sub)
+        tester.operational()
+        heard = tester.repeat(11, 0.95, lambda: beat(tester))
+        assert emergencies(tester, heard) == []
+        assert set(beats(tester, heard)) == {"05"}
+        assert len(beats(tester, heard)) >= 10
+
+
+def test_hb_06_no_heartbeat_at_all_and_slow_ones(tester: Tester) -> None:
+    for sub in subs(tester):
+        clear_consumers(tester)
+        consume(tester, sub)
+        assert emergencies(tester, tester.wait(10.0)) == []
+        first = beat(tester) + tester.wait(1.2)
+        assert emergencies(tester, first) == ["8130"]
+        second = beat(tester)
+        assert emergencies(tester, second) == ["0000"]
+        assert emergencies(tester, tester.wait(1.2)) == ["8130"]
+        clear_consumers(tester)
+
+
+def test_hb_07_the_error_leads_to_pre_operational(tester: Tester) -> None:
+    for sub in subs(tester):
+        tester.nmt("81")
+        tester.accept("2B 17 10 00 E8 03")
+        tester.accept(f"23 {m(0x1016, sub)} {little(WATCHED << 16 | 1000, 4)}")
+        tester.operational()
+        silence = tester.wait(10.0)
+        assert set(beats(tester, silence)) == {"05"}
+        good = tester.repeat(11, 0.95, lambda: beat(tester))
+        assert set(beats(tester, good)) == {"05"}
+        assert emergencies(tester, silence + good) == []
+        slow = beat(tester) + tester.wait(2.1)
+        assert emergencies(tester, slow) == ["8130"]
+        assert beats(tester, slow)[-1] == "7F"
+
+
+# -- one of both ------------------------------------------------------------------------------------
+
+
+def test_hvg_01_one_of_both_is_there(tester: Tester) -> None:
+    answers = [tester.ask("40 17 10 00"), tester.ask("40 0C 10 00")]
+    assert any(answer[:2] == "4B" for answer in answers)
+
+
+def test_hvg_02_no_heartbeat_with_time_0(tester: Tester) -> None:
+    tester.accept("2B 17 10 00 00 00")
+    assert beats(tester, tester.wait(10.0)) == []
+
+
+def test_hvg_03_guarding_without_heartbeat(tester: Tester) -> None:
+    tester.accept("2B 17 10 00 00 00")
+    guarded(tester)
+    assert [guard(tester), guard(tester)] == [["7F"], ["FF"]]
+
+
+def test_hvg_04_heartbeat_without_guarding(tester: Tester) -> None:
+    guarded(tester, 0, 0)
+    tester.accept("2B 17 10 00 64 00")
+    assert len(beats(tester, tester.wait(1.05))) >= 10
+
+
+def test_hvg_05_a_remote_frame_does_not_disturb_the_heartbeat(tester: Tester) -> None:
+    guarded(tester, 0, 0)
+    tester.accept("2B 17 10 00 64 00")
+    tester.wait(0.05)
+    heard = tester.repeat(10, 0.1, lambda: tester.remote(0x700 + tester.id))
+    assert beats(tester, heard) == ["7F"] * 10
+
+
+def test_hvg_06_with_both_there_is_the_heartbeat(tester: Tester) -> None:
+    guarded(tester)
+    tester.accept("2B 17 10 00 64 00")
+    heard = tester.wait(5.05)
+    assert beats(tester, heard) == ["7F"] * len(beats(tester, heard))  # toggle bit 0
+    assert len(beats(tester, heard)) >= 50
+    assert emergencies(tester, heard) == []
+
+
+def test_hvg_07_with_both_no_guarding(tester: Tester) -> None:
+    guarded(tester)
+    tester.accept("2B 17 10 00 64 00")
+    tester.wait(0.05)
+    heard = tester.repeat(10, 0.1, lambda: tester.remote(0x700 + tester.id))
+    assert beats(tester, heard) == ["7F"] * 10
+    assert emergencies(tester, heard + tester.wait(2.0)) == []

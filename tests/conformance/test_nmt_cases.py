@@ -1,0 +1,162 @@
+"""State 01 to 04 and Trans 01 to 04."""
+
+from __future__ import annotations
+
+from random import Random
+
+import pytest
+from conformance_kit import Heard, Tester, filled, m, only
+
+SYNC = 0x080
+STATES = {"01": "05", "02": "04", "80": "7F"}
+
+
+def beats(tester: Tester, frames: list[Heard]) -> list[str]:
+    return only(frames, 0x700 + tester.id)
+
+
+def answers_sdo(tester: Tester) -> bool:
+    return tester.sdo("40 00 10 00")[0][:11] == "43 00 10 00"
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_state_01_random_writes_and_reset(tester: Tester, seed: int) -> None:
+    random = Random(seed)
+    assert "00" not in beats(tester, tester.wait(0.1))
+    tester.accept("2B 17 10 00 F4 01")
+    assert set(beats(tester, tester.wait(1.1))) == {"7F"}
+    entries = [entry for entry in tester.eds.entries.values() if entry.index < 0x2000]
+    for entry in entries:
+        if entry.writable and 1 <= entry.size <= 4:
+            value = random.choice((0, 1, 1 << 8 * entry.size - 1, random.randrange(1 << 8 * entry.size)))
+            (answer,) = tester.sdo(tester.download(entry.index, entry.sub, value, entry.size))
+            assert answer == filled(f"60 {entry.m}") or answer[:11] == f"80 {entry.m}"
+    tester.nmt("81")
+    for entry in entries:
+        if entry.default and entry.readable:
+            assert tester.upload(entry.m) == entry.raw(entry.default), entry
+
+
+def set_up_services(tester: Tester) -> list[int]:
+    """Heartbeat, SYNC producer of 6 ms, TPDOs of type FEh each second. CAN-IDs of the TPDOs."""
+    tester.accept("2B 17 10 00 F4 01")
+    tester.accept("23 06 10 00 70 17")
+    tester.accept("23 05 10 00 80 00 00 40")
+    return [tester.set_up_tpdo(number, "FE", timer_ms=1000) for number in tester.valid_tpdos]
+
+
+def guarding_works(tester: Tester, state: str) -> None:
+    """Without a heartbeat, and with it again afterwards."""
+    tester.accept("2B 17 10 00 00 00")
+    (answer,) = only(tester.remote(0x700 + tester.id), 0x700 + tester.id)
+    assert f"{int(answer, 16) & 0x7F:02X}" == state
+    tester.accept("2B 17 10 00 F4 01")
+
+
+def remote_only_type(tester: Tester) -> list[int]:
+    """Types FDh where the TPDO may be asked for; elsewhere 06090030."""
+    asked: list[int] = []
+    for number in tester.valid_tpdos:
+        if tester.read(0x1800 + number - 1, 1) >> 30 & 1:
+            tester.refuse(f"2F {m(0x1800 + number - 1, 2)} FD", "06090030")
+        else:
+            asked.append(tester.set_up_tpdo(number, "FD"))
+    return asked
+
+
+def test_state_02_pre_operational(tester: Tester) -> None:
+    for can_id in remote_only_type(tester):
+        assert tester.remote(can_id) == []
+    can_ids = set_up_services(tester)
+    guarding_works(tester, "7F")
+    heard = tester.wait(3.0)
+    assert answers_sdo(tester)
+    assert set(beats(tester, heard)) == {"7F"}
+    assert 498 <= len(only(heard, SYNC)) <= 502
+    assert not any(only(heard, can_id) for can_id in can_ids)
+
+
+def test_state_03_operational(tester: Tester) -> None:
+    can_ids = set_up_services(tester)
+    begin = tester.now
+    tester.operational()
+    guarding_works(tester, "05")
+    heard = tester.wait(3.05)
+    assert answers_sdo(tester)
+    assert set(beats(tester, heard)) == {"05"}
+    assert 500 <= len(only(heard, SYNC)) <= 510
+    for can_id in can_ids:
+        times = [frame.time - begin for frame in heard if frame.can_id == can_id]
+        assert times[0] == pytest.approx(1.0)
+        assert len(times) == 3
+
+
+@pytest.mark.parametrize(("behaviour", "state"), [(None, 0x7F), ("01", 0x05), ("02", 0x04)])
+def test_state_03_guarding_error(tester: Tester, behaviour: str | None, state: int) -> None:
+    if behaviour is not None:
+        tester.accept(f"2F 29 10 01 {behaviour}")
+    tester.accept("2B 0C 10 00 64 00")
+    tester.accept("2F 0D 10 00 02")
+    tester.operational()
+    tester.remote(0x700 + tester.id)
+    tester.wait(1.0)
+    (answer,) = only(tester.remote(0x700 + tester.id), 0x700 + tester.id)
+    assert int(answer, 16) & 0x7F == state
+
+
+def test_state_04_stopped(tester: Tester) -> None:
+    can_ids = set_up_services(tester)
+    tester.nmt("02")
+    heard = tester.wait(3.0)
+    assert tester.sdo("40 00 10 00", wait=1.0) == []
+    assert set(beats(tester, heard)) == {"04"}
+    assert only(heard, SYNC) == []
+    assert not any(only(heard, can_id) for can_id in can_ids)
+    tester.nmt("80")
+    assert answers_sdo(tester)
+
+
+def states(tester: Tester, *commands: str) -> list[str]:
+    """The state that heartbeats show after each command; 1017h set anew after a reset."""
+    seen = []
+    for command in commands:
+        tester.nmt(command)
+        if command in ("81", "82"):
+            tester.accept("2B 17 10 00 F4 01")
+        shown = set(beats(tester, tester.wait(1.6)))
+        seen.append("/".join(sorted(shown)))
+    return seen
+
+
+def guarded_states(tester: Tester, *commands: str) -> list[str]:
+    """The same by remote frames."""
+    seen = []
+    for command in commands:
+        tester.nmt(command)
+        (answer,) = only(tester.remote(0x700 + tester.id), 0x700 + tester.id)
+        seen.append(f"{int(answer, 16) & 0x7F:02X}")
+    return seen
+
+
+def check(tester: Tester, *commands: str) -> None:
+    expected = [STATES.get(command, "7F") for command in commands]
+    assert guarded_states(tester, *commands) == expected
+    tester.nmt("81")
+    tester.accept("2B 17 10 00 F4 01")
+    assert states(tester, *commands) == expected
+
+
+def test_trans_01_resets(tester: Tester) -> None:
+    check(tester, "81", "01", "82")
+
+
+def test_trans_02_pre_operational_and_stopped(tester: Tester) -> None:
+    check(tester, "01", "80", "02", "80")
+
+
+def test_trans_03_operational_again(tester: Tester) -> None:
+    check(tester, "01", "02", "01")
+
+
+def test_trans_04_stopped_again(tester: Tester) -> None:
+    check(tester, "02", "01", "02")
