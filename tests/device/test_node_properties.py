@@ -24,6 +24,7 @@ SHIPPED = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
 PRISTINE = Dictionary.load(SHIPPED, ID)
 ERROR_CONTROL = 0x700 + ID
 SERVER = 0x600 + ID
+LSS_REQUEST, LSS_RESPONSE = 0x7E5, 0x7E4
 STATES = {1: NmtState.OPERATIONAL, 2: NmtState.STOPPED, 128: NmtState.PRE_OPERATIONAL}
 TALKING = (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
 RESTRICTED = [(0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF)]
@@ -76,7 +77,7 @@ def value_of(dictionary: Dictionary, index: int, subindex: int = 0) -> int:
 
 def may_send(node: Node) -> set[int]:
     """The CAN-IDs that CiA 301 allows in this state, with these parameters."""
-    allowed = {ERROR_CONTROL}
+    allowed = {ERROR_CONTROL, LSS_RESPONSE}
     if node.state in TALKING:
         allowed |= {0x580 + ID, value_of(node.dictionary, 0x1201, 2) & cob.CAN_ID}
         allowed |= {value_of(node.dictionary, index) & cob.CAN_ID for index in (0x1005, 0x1014)}
@@ -196,10 +197,18 @@ class NodeModel(RuleBasedStateMachine):
 
     @rule(can_id=st.integers(1, 0x7FF), data=st.binary(max_size=9), rtr=st.booleans())
     def anything_else(self, can_id: int, data: bytes, rtr: bool) -> None:
-        """Not to the servers and not to node guarding, which have their own rules."""
+        """Not to the servers, node guarding and LSS, which have their own rules."""
         servers = {SERVER, value_of(self.node.dictionary, 0x1201, 1) & cob.CAN_ID}
-        if can_id not in servers | {ERROR_CONTROL}:
+        if can_id not in servers | {ERROR_CONTROL, LSS_REQUEST}:
             self.call(Frame(can_id, data, rtr))
+
+    @rule(command=st.sampled_from([0x04, 0x5A, 0x5E, 0x4C, 0x51, 0x11]), value=st.integers(0, 2))
+    def by_lss(self, command: int, value: int) -> None:
+        """In every state, without a change of it; a new node-ID is refused or waits for a reset."""
+        if command != 0x11 or value == 0:  # 0 is no node-ID
+            sent = self.call(Frame(LSS_REQUEST, bytes([command, value, *bytes(6)])))
+            assert {frame.can_id for frame in sent} <= {LSS_RESPONSE}
+            assert all(len(frame.data) == 8 for frame in sent)
 
     @rule(number=st.integers(1, 4))
     def event(self, number: int) -> None:

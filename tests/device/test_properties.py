@@ -18,8 +18,10 @@ from canfb.device.nmt import NmtState
 SHIPPED = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
 SERVER = 0x600 + ID
 ERROR_CONTROL = 0x700 + ID
+LSS_RESPONSE = 0x7E4
 INDICES = [0x1000, 0x1001, 0x1003, 0x1005, 0x1006, 0x1007, 0x1008, 0x1014, 0x1015, 0x1016, 0x1017]
 INDICES += [0x1019, 0x1029, 0x1200, 0x1201, 0x1400, 0x1401, 0x1600, 0x1601, 0x1800, 0x1801, 0x1A00]
+INDICES += [0x100C, 0x100D, 0x1012, 0x1021, 0x1022, 0x1F80]
 INDICES += [0x1A01, 0x2000, 0x2010, 0x2011, 0x2020, 0x2021, 0x6004]
 VALUES = [0, 1, 2, 8, 100, 240, 254, 255, 0x80, 0x40000080, 0x190, 0x80000190, 0x400001A0, 0xC00001A0]
 VALUES += [0x2A0, 0x800002A0, 0x680, 0x6C0, 0x00470010, 0x20000110, 0x20000210, 0x20100120, 0x20110110]
@@ -45,7 +47,7 @@ def sdo_segments(draw: st.DrawFn) -> Frame:
     return Frame(SERVER, bytes([command]) + draw(st.binary(min_size=7, max_size=7)))
 
 
-known = st.sampled_from([0x000, 0x080, 0x190, 0x200, 0x320, 0x680, 0x747, SERVER])
+known = st.sampled_from([0x000, 0x080, 0x100, 0x720, 0x190, 0x200, 0x320, 0x680, 0x747, SERVER])
 frames = st.one_of(
     sdo_requests(),
     sdo_requests(),
@@ -84,7 +86,7 @@ def check_sent(before: NmtState, after: NmtState, sent: list[Frame]) -> None:
         assert not frame.rtr
     quiet = {NmtState.INITIALISING, NmtState.STOPPED}
     if before in quiet and after in quiet:
-        assert {frame.can_id for frame in sent} <= {ERROR_CONTROL}
+        assert {frame.can_id for frame in sent} <= {ERROR_CONTROL, LSS_RESPONSE}
 
 
 def play(bench: Bench, script: list[tuple[Frame, float]]) -> None:
