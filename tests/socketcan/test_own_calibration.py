@@ -1,0 +1,86 @@
+"""The module measures its own reference on a real bus, with python canopen as the master."""
+
+from __future__ import annotations
+
+import queue
+import struct
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from network import NODE_ID, POSITION_COB_ID, Master, position_fields, write_config
+
+from canfb.signal.supervision import StatusBit
+
+SAMPLES = 1200
+IDLE, RECORDING, COMPUTING, READY, REFUSED, ACCEPTED = range(6)
+START, ACCEPT = 1, 3
+COMPUTED_S = 120.0  # an emulated machine, and a loaded one
+SIMULATION = (
+    "simulation:\n"
+    "  encoder: {sine_offset: 0.03, cosine_amplitude: 0.97, phase_error_rad: 0.05}\n"
+    "  motion: {standstill_s: 0.05, ramp_s: 0.2, rpm: 7.4, ripple_rpm: 0.3, ripple_hz: 1.3}\n"
+)
+
+
+@pytest.fixture
+def master(can_channel: str) -> Iterator[Master]:
+    made = Master(can_channel)
+    yield made
+    made.close()
+
+
+def test_measured_accepted_and_recorded_over_a_real_bus(
+    process: Callable[..., Any], master: Master, tmp_path: Path
+) -> None:
+    config = write_config(tmp_path, simulation=SIMULATION)
+    for one in (process("run", config), process("simulate", config)):
+        one.wait_for("end with Ctrl-C")
+    heard: queue.Queue[int] = queue.Queue()
+    master.network.subscribe(
+        POSITION_COB_ID, lambda can_id, data, timestamp: heard.put(position_fields(bytes(data))[1])
+    )
+    sdo = master.module.sdo
+    for node in (master.module, master.interface):
+        node.nmt.state = "OPERATIONAL"
+
+    def synchronise(count: int) -> list[int]:
+        """That many SYNCs, each with its position: the status words."""
+        words = []
+        for _ in range(count):
+            master.network.sync.transmit()
+            words.append(heard.get(timeout=10))
+        return words
+
+    sdo[0x2030][10].raw = SAMPLES
+    sdo[0x2050][1].raw = START
+    sdo[0x2030][1].raw = START
+    words = synchronise(SAMPLES // 2)
+    assert (sdo[0x2030][2].raw, sdo[0x2030][3].raw) == (RECORDING, 40)
+    words += synchronise(SAMPLES - SAMPLES // 2)
+    give_up = time.monotonic() + COMPUTED_S
+    while sdo[0x2030][2].raw in (RECORDING, COMPUTING):
+        assert time.monotonic() < give_up
+        words += synchronise(10)
+    assert all(word & StatusBit.VALID for word in words), "it goes on publishing, and what is right"
+    assert all(word & StatusBit.CALIBRATING for word in words[:SAMPLES])
+    assert (sdo[0x2030][2].raw, sdo[0x2030][7].raw) == (READY, 0)
+    assert 0.0 < sdo[0x2030][5].raw < 5e-4
+    assert sdo[0x2030][8].raw > 2e-3, "against the identity"
+    assert sdo[0x2020][4].raw == 0
+    sdo[0x2030][1].raw = ACCEPT
+    assert (sdo[0x2030][2].raw, sdo[0x2030][8].raw) == (ACCEPTED, 0.0)
+    assert len(sdo.upload(0x2020, 1)) == 4 * sdo[0x2020][5].raw
+    assert sdo[0x2020][4].raw != 0
+    assert synchronise(1)[0] == StatusBit.VALID | StatusBit.TABLE_ACTIVE
+
+    sdo[0x2050][1].raw = 2
+    with sdo[0x2050][3].open("rb", block_transfer=True) as stream:
+        data = stream.read()
+    pairs = list(struct.iter_unpack("<hh", data))
+    assert len(pairs) == sdo[0x2050][2].raw == len(words) + 1
+    assert max(abs(sine) for sine, _ in pairs) > 1000
+    assert (-32768, -32768) not in pairs
+    assert sdo[0x2012][1].raw == 0, f"node {NODE_ID} missed nothing"
