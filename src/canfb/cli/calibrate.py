@@ -249,7 +249,7 @@ def account(measured: Measurement, done: Installation, where: Circumstances, pat
     lines = [f"{'':24}{'before':{wide}}  after"]
     lines += [f"{row.name:24}{row.before:{wide}}  {row.after}" for row in rows]
     lines.append("")
-    lines += [f"{name:24}{text}" for name, text in facts(measured, where)]
+    lines += [f"{name:24}{text}" for name, text in facts(measured, done, where)]
     lines += ["", verdict(measured), outcome(measured, done, where)]
     lines += [f"written  {path}" for path in paths]
     return lines

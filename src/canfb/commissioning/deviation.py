@@ -9,7 +9,7 @@ import numpy as np
 
 from canfb.calibration.blocks import Blocks, cut
 from canfb.calibration.evaluate import peak, root_mean
-from canfb.calibration.recording import BINS, Recording, check_clipped, recording
+from canfb.calibration.recording import BINS, Recording, check_clipped, coverage, recording
 from canfb.calibration.result import LOCKED
 from canfb.commissioning.active import ActiveSet
 from canfb.commissioning.samples import Samples
@@ -19,7 +19,11 @@ from canfb.signal.phase import FloatArray, raw_phases
 # A few samples may be faulty; they do not belong to what the table does.
 FAULTY_SIGMAS = 8.0
 FAULTY_PART = 0.01
+# Nor does a SYNC that was not heard, which moves all samples of its block. A bad table shows in every block.
+FAULTY_BLOCK = 4.0
+FAULTY_BLOCKS_PART = 0.1
 MIN_BLOCKS = 8
+MIN_COVERAGE = 0.9
 LEAST_BLOCK, LONGEST_BLOCK = 12, 4096
 CYCLES_OF_BLOCK = 2.0  # a cubic through less than that takes errors of the encoder for motion
 
@@ -32,7 +36,7 @@ class Deviation:
     phase       0..1, with the table
     error       with the table
     before      with the set of before, about its mean
-    faulty      samples left out because they are far from all others
+    faulty      samples left out because they, or those around them, are far from all others
     """
 
     rms: float
@@ -82,7 +86,7 @@ def deviation(
     length = min(max(block_samples, LEAST_BLOCK, math.ceil(slow)), LONGEST_BLOCK)
     blocks = cut(record.time, valid, record.breaks, length)
     blocks = blocks.take(blocks.informative(position[blocks.index])) if len(blocks) else blocks
-    if len(blocks) < MIN_BLOCKS:
+    if len(blocks) < MIN_BLOCKS or coverage(position[blocks.index][blocks.used]) < MIN_COVERAGE:
         raise CalibrationError(
             "the machine stands still, or its motion is locked to the samples: nothing can be said of the "
             "table",
@@ -94,6 +98,10 @@ def deviation(
     if faulty.any():
         blocks = blocks.using(blocks.used & ~faulty)
         smooth = blocks.evaluate(blocks.smooth(followed))
+    left_out = int(faulty.sum())
+    sound = _sound_blocks(blocks, followed - smooth)
+    left_out += int(blocks.used[~sound].sum())
+    blocks, followed, smooth = blocks.take(sound), followed[sound], smooth[sound]
     error, use = followed - smooth, blocks.used
     old = np.where(use, _phases(record, before)[blocks.index], 0.0) - smooth
     old = _about_mean(old, use)
@@ -107,7 +115,7 @@ def deviation(
         phase=np.asarray(phase[blocks.index][use], np.float64),
         error=error[use],
         before=old[use],
-        faulty=int(faulty.sum()),
+        faulty=left_out,
     )
 
 
@@ -122,6 +130,15 @@ def _faulty(blocks: Blocks, error: FloatArray) -> np.ndarray[tuple[int, ...], np
     limit = FAULTY_SIGMAS * 1.4826 * float(np.median(size[blocks.used]))
     far = blocks.used & (size > limit)
     return far if far.sum() <= FAULTY_PART * blocks.samples else np.zeros_like(far)
+
+
+def _sound_blocks(blocks: Blocks, error: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """False for a few blocks that are far worse than the others."""
+    count = np.maximum(1, blocks.used.sum(axis=1))
+    size = np.sqrt(np.sum(np.where(blocks.used, error, 0.0) ** 2, axis=1) / count)
+    bad = size > FAULTY_BLOCK * float(np.median(size))
+    few = bad.sum() <= max(1.0, FAULTY_BLOCKS_PART * len(blocks))
+    return np.asarray(~bad if few else np.ones_like(bad), np.bool_)
 
 
 def _about_mean(off: FloatArray, use: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> FloatArray:

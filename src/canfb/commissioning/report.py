@@ -91,7 +91,7 @@ def report_html(
     return _page(
         where,
         said,
-        f'<div class="top"><div>{_comparison(measured, done, where)}{_facts(measured, where)}</div>\n'
+        f'<div class="top"><div>{_comparison(measured, done, where)}{_facts(measured, done, where)}</div>\n'
         f"{_lissajous(measured.samples, measured.found, limits)}</div>\n"
         f'<h2>Pictures</h2>\n<div class="pictures">\n{_pictures(measured, done)}</div>\n',
     )
@@ -151,8 +151,8 @@ def _comparison(measured: Measurement, done: Installation, where: Circumstances)
     )
 
 
-def _facts(measured: Measurement, where: Circumstances) -> str:
-    return _rows(facts(measured, where))
+def _facts(measured: Measurement, done: Installation, where: Circumstances) -> str:
+    return _rows(facts(measured, done, where))
 
 
 def _rows(listed: list[tuple[str, str]]) -> str:

@@ -70,7 +70,7 @@ def comparison(measured: Measurement, done: Installation, where: Circumstances) 
     return rows
 
 
-def facts(measured: Measurement, where: Circumstances) -> list[tuple[str, str]]:
+def facts(measured: Measurement, done: Installation, where: Circumstances) -> list[tuple[str, str]]:
     """What else there is to know of the measurement."""
     calibration, samples = measured.calibration, measured.samples
     rate = f" at {samples.rate_hz:.6g} Hz" if samples.rate_hz else ""
@@ -92,6 +92,8 @@ def facts(measured: Measurement, where: Circumstances) -> list[tuple[str, str]]:
         ),
         ("method", f"{calibration.method}, {len(calibration.table)} entries"),
     ]
+    if done.fresh is not None:
+        listed.append(("fresh samples", f"{len(done.fresh.error)} used, {done.fresh.faulty} left out"))
     if calibration.cramer_rao_ratio is not None:
         listed.append(
             ("error over the bound", f"{calibration.cramer_rao_ratio:.2f} times that of Cramer and Rao")
