@@ -89,7 +89,7 @@ def deviation(
     if len(blocks) < MIN_BLOCKS or coverage(position[blocks.index][blocks.used]) < MIN_COVERAGE:
         raise CalibrationError(
             "the machine stands still, or its motion is locked to the samples: nothing can be said of the "
-            "table",
+            "table. Let it turn at another speed, or collect for longer",
             LOCKED,
         )
     followed = position[blocks.index]
