@@ -1,0 +1,198 @@
+"""What the reference forgets and when, and to which instant a zero pulse belongs."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from supervision_kit import at, flags
+
+from canfb.signal.chain import ChainConfig, Feedback, SignalChain
+from canfb.signal.coarse import CoarseTrack
+from canfb.signal.reference import Reference
+from canfb.signal.sample import Sample
+from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
+from canfb.signal.tracker import Track
+from canfb.signal.zero_pulse import ZeroPulse
+
+N = 2500
+
+
+class Turned:
+    """A machine at rest whose coarse track can be turned away."""
+
+    def __init__(self, n: int = N, limit: float = 0.125) -> None:
+        self.chain = SignalChain(ChainConfig(cycles_per_revolution=n, coarse_limit_revolutions=limit))
+        for _ in range(40):
+            got = self.step()
+        assert flags(got) == VALID
+
+    def step(self, away: float = 0.0) -> Feedback:
+        angle = 2 * math.pi * (0.3 + away)
+        return self.chain.step(
+            at(0.25, coarse_sine=1500 * math.sin(angle), coarse_cosine=1500 * math.cos(angle))
+        )
+
+    def until_valid(self) -> None:
+        for _ in range(100):
+            if self.step().valid:
+                return
+        raise AssertionError("not valid any more")
+
+
+@pytest.mark.parametrize("pause", ["pause", "loss and restart"])
+def test_disagreements_count_from_nought_after(pause: str) -> None:
+    machine = Turned()
+    assert [flags(machine.step(0.3)) for _ in range(2)] == [COARSE | COASTING] * 2
+    if pause == "pause":
+        machine.chain.resume()
+    else:
+        for _ in range(5):
+            machine.chain.step(Sample(0.0, 0.0))
+        assert machine.chain.lost
+        machine.chain.restart()
+    machine.until_valid()
+    assert [flags(machine.step(0.3)) for _ in range(3)] == [*[COARSE | COASTING] * 2, COARSE | LOST]
+
+
+def test_a_missed_sample_between_disagreements_does_not_make_them_fewer() -> None:
+    machine = Turned()
+    machine.step(0.3)
+    machine.step(0.3)
+    machine.chain.miss()
+    got = [flags(machine.step(0.3)) for _ in range(20)]
+    judged = next(bits for bits in got if bits & COARSE)
+    assert judged == COARSE | LOST
+
+
+def test_what_the_coarse_track_has_contradicted_it_sets_right_again() -> None:
+    machine = Turned(n=8, limit=1 / 32)  # better than half a cycle
+    recovered = machine.chain.reference.recovered
+    assert flags([machine.step(0.3) for _ in range(3)][-1]) == COARSE | LOST
+    machine.until_valid()
+    assert machine.chain.reference.recovered == recovered + 1
+
+
+class Noted:
+    """A recovery that notes what it is told."""
+
+    def __init__(self, lost: bool) -> None:
+        self.lost = lost
+        self.told: list[tuple[int, int]] = []
+        self.vouched = 0
+
+    def found(self, jump: int, missing: int) -> None:
+        self.told.append((jump, missing))
+
+    def vouch(self) -> None:
+        self.lost = False
+        self.vouched += 1
+
+    def lose(self) -> None:
+        self.lost = True
+
+
+def reference(recovery: Noted, n: int = N) -> Reference:
+    return Reference(recovery, CoarseTrack(n, 2048, 1 / 32), ZeroPulse(n))  # type: ignore[arg-type]
+
+
+def track(position: float) -> Track:
+    cycles = math.floor(position)
+    return Track(cycles, position - cycles, 0.0, True)
+
+
+def pulse(made: Reference, speed: float, time: float, place: float, elapsed: float) -> None:
+    """A pulse at this time, counted with this speed, in a sample that comes after ``elapsed``."""
+    end = time + (1.0 - place) * elapsed
+    before, after = track(speed * (end - elapsed)), track(speed * end)
+    made.apply(Sample(1.0, 0.0, elapsed, zero_pulse=place), after, LOST, before, end, elapsed)
+
+
+@pytest.mark.parametrize("missing", [83, -17, 2])
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ((0.2, 1.0), (0.7, 1.0)),
+        ((0.95, 1.0), (0.05, 1.0)),
+        ((0.3, 1.0), (0.4, 2.5)),
+        ((0.3, 2.5), (0.4, 1.0)),
+        ((0.5, 0.5), (0.5, 1.0)),
+        ((1.0, 1.0), (1.0, 0.25)),
+    ],
+)
+@pytest.mark.parametrize("speed", [83.4, -83.4, 481.3])
+def test_a_pulse_belongs_to_its_place_between_two_samples(
+    speed: float, missing: int, first: tuple[float, float], second: tuple[float, float]
+) -> None:
+    recovery = Noted(lost=True)
+    made = reference(recovery)
+    pulse(made, speed - missing, 100.0, *first)
+    assert recovery.told == []
+    pulse(made, speed - missing, 100.0 + N / abs(speed), *second)
+    assert recovery.told == [(0, missing)]
+
+
+@pytest.mark.parametrize("apart", [-1, 1])
+def test_a_search_begins_anew_at_a_sample_that_was_not_taken(apart: int) -> None:
+    """At rest it takes 8 samples; the one that was not taken is none of them."""
+
+    def step(taken: bool) -> bool:
+        nonlocal time
+        time += 1.0
+        sample = Sample(1.0, 0.0, 1.0, coarse_sine=1500.0, coarse_cosine=0.0)
+        bits, _ = made.apply(
+            sample, track(apart * 3.0), VALID, track(apart * 3.0) if taken else None, time, 1.0
+        )
+        return bool(bits & VALID)
+
+    time, made = 0.0, reference(Noted(lost=False))
+    assert [step(True) for _ in range(7)] == [False] * 7
+    assert not step(False)
+    assert [step(True) for _ in range(8)] == [*[False] * 7, True]
+
+
+@pytest.mark.parametrize(("speed", "told"), [(500.0, []), (-1250.0, []), (499.3, [(0, 3)])])
+def test_where_a_revolution_either_way_would_do_no_speed_is_told(
+    speed: float, told: list[tuple[int, int]]
+) -> None:
+    """At a whole number of intervals in a revolution the pulses come the same whichever way it turns."""
+    recovery = Noted(lost=True)
+    made = reference(recovery)
+    pulse(made, speed - 3, 100.0, 0.5, 1.0)
+    pulse(made, speed - 3, 100.0 + N / abs(speed), 0.5, 1.0)
+    assert recovery.told == told
+
+
+@pytest.mark.parametrize("later", [0.0, 0.5, 0.99])
+def test_two_pulses_within_an_interval_tell_nothing(later: float) -> None:
+    recovery = Noted(lost=True)
+    made = reference(recovery)
+    pulse(made, 0.3, 100.0, 0.5, 1.0)
+    pulse(made, 0.3, 100.0 + later, 0.5, 1.0)
+    assert recovery.told == []
+
+
+def test_what_two_pulses_have_told_the_third_confirms_and_sets_the_place() -> None:
+    recovery = Noted(lost=True)
+    made = reference(recovery)
+    for turn in range(3):
+        assert recovery.vouched == 0
+        pulse(made, 83.4, 100.0 + turn * N / 83.4, 0.5, 1.0)
+    assert recovery.told == [(0, 0), (0, 0)]
+    assert recovery.vouched == 1
+    assert made.zero.referenced
+    assert made.set_right == 0
+
+
+def test_a_missed_sample_ends_what_two_pulses_have_told() -> None:
+    recovery = Noted(lost=True)
+    made = reference(recovery)
+    for turn in range(2):
+        pulse(made, 83.4, 100.0 + turn * N / 83.4, 0.5, 1.0)
+    made.missed()
+    pulse(made, 83.4, 100.0 + 2 * N / 83.4, 0.5, 1.0)
+    assert recovery.vouched == 0
+    pulse(made, 83.4, 100.0 + 3 * N / 83.4, 0.5, 1.0)
+    assert recovery.vouched == 0
+    pulse(made, 83.4, 100.0 + 4 * N / 83.4, 0.5, 1.0)
+    assert recovery.vouched == 1
