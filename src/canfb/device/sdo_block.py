@@ -79,6 +79,7 @@ class BlockUpload:
         self._data = data
         self._block_size = block_size
         self._with_crc = with_crc
+        self._crc = 0
         self._reply = reply
         self._phase = UploadPhase.START
         self._confirmed = 0
@@ -123,7 +124,10 @@ class BlockUpload:
         _check_block_size(block_size)
         complete = sequence > 0 and self._is_last(sequence)
         self._block_size = block_size
-        self._confirmed += sequence * _SEGMENT
+        confirmed = self._confirmed + sequence * _SEGMENT
+        if self._with_crc:  # portion by portion: PDOs must not wait for that of a megabyte
+            self._crc = crc_hqx(self._data[self._confirmed : confirmed], self._crc)
+        self._confirmed = confirmed
         if complete:
             self._send_end()
 
@@ -140,8 +144,7 @@ class BlockUpload:
         self._phase = UploadPhase.END
         self.pause = NEVER
         unused = -len(self._data) % _SEGMENT if self._data else _SEGMENT
-        crc = crc16(self._data) if self._with_crc else 0
-        self._reply(bytes([_UPLOAD_END | unused << 2]) + crc.to_bytes(2, "little"))
+        self._reply(bytes([_UPLOAD_END | unused << 2]) + self._crc.to_bytes(2, "little"))
 
 
 class BlockDownload(Quiet):
