@@ -1,0 +1,288 @@
+"""Beyond 11 to 20; saved values of 13 and 19 stand with saving and restoring."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from conformance_kit import INTERFACE_ID, Heard, Tester, filled, little, m, only
+
+RPDO1, SYNC = 0x180 + INTERFACE_ID, 0x080
+INVALID = 0x80000000
+
+
+def emergencies(tester: Tester, frames: list[Heard]) -> list[str]:
+    return [data[3:5] + data[:2] for data in only(frames, 0x80 + tester.id)]
+
+
+def test_beyond_11_a_short_rpdo(module: Tester) -> None:
+    module.operational()
+    good = module.send(RPDO1, "2C 01 78 05")
+    assert emergencies(module, good) == []
+    heard = module.send(RPDO1, "FF 00 FF") + module.send(RPDO1, "FF") + module.send(RPDO1)
+    assert emergencies(module, heard) == ["8210"]
+    assert module.ask("40 00 20 01") == filled("4B 00 20 01 2C 01")
+    assert emergencies(module, module.send(RPDO1, "2D 01 78 05")) == ["0000"]
+    assert module.ask("40 00 20 01") == filled("4B 00 20 01 2D 01")
+    assert module.read(0x1001) == 0
+
+
+def test_beyond_11_a_long_rpdo(module: Tester) -> None:
+    module.operational()
+    heard = module.send(RPDO1, "2C 01 78 05 AA BB CC DD")
+    assert emergencies(module, heard) in ([], ["8220"])
+    assert module.ask("40 00 20 01") == filled("4B 00 20 01 2C 01")
+    assert module.ask("40 00 20 02") == filled("4B 00 20 02 78 05")
+    assert module.ask("40 00 20 03") == filled("4B 00 20 03")
+
+
+def test_beyond_12_type_information(tester: Tester) -> None:
+    for index, object_type in tester.eds.objects.items():
+        subs = {e.sub: e.data_type for e in tester.eds.entries.values() if e.index == index}
+        multiplexer = m(index, 0xFF)
+        answer = tester.ask(f"40 {multiplexer}")
+        if answer[:2] == "80":
+            tester.aborted(answer, multiplexer, "06090011")
+            continue
+        assert answer[:11] == f"43 {multiplexer}"
+        information = int.from_bytes(bytes.fromhex(answer)[4:], "little")
+        assert information & 0xFF == object_type
+        if object_type in (0x02, 0x07):
+            assert information >> 8 == subs[0]
+        elif object_type == 0x08:
+            assert information >> 8 == subs[1]
+
+
+def test_beyond_12_all_that_is_not_there(tester: Tester) -> None:
+    absent = filled("80 00 00 00 00 00 02 06")[12:]
+    for index in range(0x10000):
+        if index not in tester.eds.objects:
+            answer = tester.ask(f"40 {m(index)}")
+            assert answer == f"80 {m(index)} {absent}", answer
+    for index in tester.eds.objects:
+        for sub in range(0xFF):
+            if not tester.eds.has(index, sub):
+                tester.refuse(f"40 {m(index, sub)}", "06090011")
+                tester.refuse(f"2F {m(index, sub)} 00", "06090011")
+
+
+@pytest.mark.parametrize("bit", [0, 1, 3, 4, 5, 6, 7, 8, 31])
+def test_beyond_13_startup_bits_not_supported(tester: Tester, bit: int) -> None:
+    before = tester.read(0x1F80)
+    assert before & 4
+    tester.refuse(f"23 80 1F 00 {little(1 << bit, 4)}", "06090030")
+    assert tester.read(0x1F80) == before
+
+
+def moved(tester: Tester, index: int, sub: int, new: int, *, flag: int = INVALID) -> None:
+    """A new CAN-ID is refused while the object is in use, taken with the flag, and then used."""
+    before = tester.read(index, sub)
+    assert not before & INVALID or flag != INVALID
+    request = f"23 {m(index, sub)} {little(new, 4)}"
+    tester.refuse(request, "06090030")
+    assert tester.read(index, sub) == before
+    tester.accept(f"23 {m(index, sub)} {little(before | flag, 4)}")
+    tester.accept(f"23 {m(index, sub)} {little(new | flag, 4)}")
+    tester.accept(request)
+    assert tester.read(index, sub) == new
+
+
+def test_beyond_14_a_valid_tpdo_keeps_its_can_id(tester: Tester) -> None:
+    for number in tester.valid_tpdos:
+        index = 0x1800 + number - 1
+        before = tester.read(index, 1)
+        new = before & 0x40000000 | (before & 0x7FF) + 1
+        moved(tester, index, 1, new)
+        tester.refuse(f"23 {m(index, 1)} {little(new | 0x20000000, 4)}", "06090030")
+        tester.accept(f"2F {m(index, 2)} 01")
+        tester.operational()
+        heard = tester.send(SYNC)
+        assert len(only(heard, new & 0x7FF)) == 1
+        assert only(heard, before & 0x7FF) == []
+        tester.nmt("80")
+
+
+def test_beyond_14_a_valid_emcy_keeps_its_can_id(tester: Tester) -> None:
+    moved(tester, 0x1014, 0, 0x300)
+    tester.refuse(f"23 14 10 00 {little(0x20000300, 4)}", "06090030")
+
+
+def test_beyond_14_a_sync_producer_keeps_its_can_id(tester: Tester) -> None:
+    tester.write(0x1006, 0, 100_000, 4)
+    tester.write(0x1005, 0, 0x40000080, 4)
+    tester.refuse("23 05 10 00 00 02 00 40", "06090030")
+    assert tester.read(0x1005) == 0x40000080
+    assert set(only(tester.wait(0.5), 0x080)) == {""}
+    tester.refuse("23 05 10 00 80 00 00 20", "06090030")
+    tester.write(0x1005, 0, 0x080, 4)
+    tester.write(0x1005, 0, 0x200, 4)
+    tester.write(0x1005, 0, 0x40000200, 4)
+    heard = tester.wait(0.5)
+    assert only(heard, 0x080) == []
+    assert len(only(heard, 0x200)) >= 4
+
+
+def test_beyond_14_a_valid_rpdo_keeps_its_can_id(module: Tester) -> None:
+    moved(module, 0x1400, 1, 0x205)
+    module.refuse(f"23 00 14 01 {little(0x20000205, 4)}", "06090030")
+    module.operational()
+    module.send(RPDO1, "11 11 11 11")
+    module.send(0x205, "22 22 22 22")
+    assert module.ask("40 00 20 01") == filled("4B 00 20 01 22 22")
+
+
+def test_beyond_14_a_valid_sdo_channel_keeps_its_can_ids(module: Tester) -> None:
+    module.accept("23 01 12 01 C0 06")
+    module.accept("23 01 12 02 40 05")
+    moved(module, 0x1201, 1, 0x6C1)
+    assert only(module.send(0x6C1, filled("40 00 10 00")), 0x540)
+    assert module.send(0x6C0, filled("40 00 10 00")) == []
+    module.refuse("23 01 12 01 C1 06 00 20", "06090030")
+
+
+def test_beyond_15_inhibit_time_and_start_value_of_a_valid_tpdo(tester: Tester) -> None:
+    for number in tester.valid_tpdos:
+        index = 0x1800 + number - 1
+        tester.refuse(f"2B {m(index, 3)} 64 00", "06090030", "08000022")
+        tester.refuse(f"2F {m(index, 6)} 05", "06090030", "08000022")
+        assert (tester.read(index, 3), tester.read(index, 6)) == (0, 0)
+        tester.accept(f"2B {m(index, 5)} 64 00")
+
+
+def test_beyond_15_the_event_timer_starts_anew(tester: Tester) -> None:
+    for number in tester.valid_tpdos:
+        can_id = tester.set_up_tpdo(number, "FE", timer_ms=200)
+        tester.operational()
+        tester.wait(0.15)
+        tester.write(0x1800 + number - 1, 5, 300, 2)
+        begin = tester.now
+        times = [frame.time - begin for frame in tester.wait(1.0) if frame.can_id == can_id]
+        assert times == pytest.approx([0.3, 0.6, 0.9])
+        tester.nmt("80")
+
+
+def test_beyond_15_inhibit_time(module: Tester) -> None:
+    """30 ms between frames; the one that waited has the newest data."""
+    module.write(0x1800, 1, 0xC00001A0, 4)
+    module.write(0x1800, 3, 300, 2)
+    module.write(0x1A00, 0, 0, 1)
+    module.write(0x1A00, 1, 0x20110820, 4)  # samples processed
+    module.write(0x1A00, 0, 1, 1)
+    module.write(0x1800, 1, 0x400001A0, 4)
+    module.operational()
+    heard: list[Heard] = []
+    for _ in range(10):
+        heard += module.send(SYNC) + module.cause_event() + module.wait(0.008)
+    heard += module.wait(0.1)
+    frames = [frame for frame in heard if frame.can_id == 0x1A0]
+    assert all(b.time - a.time == pytest.approx(0.03) for a, b in pairwise(frames))
+    counts = [int.from_bytes(bytes.fromhex(frame.data), "little") for frame in frames]
+    assert counts == [1, 4, 8, 10]
+
+
+def test_beyond_16_reserved_types(tester: Tester) -> None:
+    for number in tester.tpdos:
+        index = 0x1800 + number - 1
+        before = tester.read(index, 2)
+        for kind in range(0xF1, 0xFC):
+            tester.refuse(f"2F {m(index, 2)} {kind:02X}", "06090030")
+        if tester.read(index, 1) >> 30 & 1:
+            for kind in (0xFC, 0xFD):
+                tester.refuse(f"2F {m(index, 2)} {kind:02X}", "06090030")
+        assert tester.read(index, 2) == before
+    for number in tester.rpdos:
+        index = 0x1400 + number - 1
+        before = tester.read(index, 2)
+        for kind in range(0xF1, 0xFE):
+            tester.refuse(f"2F {m(index, 2)} {kind:02X}", "06090030")
+        assert tester.read(index, 2) == before
+
+
+def test_beyond_16_no_answer_where_none_is_allowed(tester: Tester) -> None:
+    number = tester.valid_tpdos[0]
+    can_id = tester.set_up_tpdo(number, "FE", remote=False)
+    tester.operational()
+    assert tester.remote(can_id) + tester.wait(1.0) == []
+
+
+def synchronous(tester: Tester) -> int:
+    can_id = tester.set_up_tpdo(tester.valid_tpdos[0], "01")
+    tester.operational()
+    return can_id
+
+
+def test_beyond_17_a_counter_not_expected(tester: Tester) -> None:
+    can_id = synchronous(tester)
+    first = tester.send(SYNC, "01")
+    second = tester.send(SYNC, "02")
+    assert emergencies(tester, first + second) == ["8240"]
+    assert [len(only(frames, can_id)) for frames in (first, second)] == [0, 0]  # no SYNC, always
+    good = tester.send(SYNC)
+    assert emergencies(tester, good) == ["0000"]
+    assert len(only(good, can_id)) == 1
+
+
+def test_beyond_17_a_counter_that_is_missing(tester: Tester) -> None:
+    tester.write(0x1019, 0, 10, 1)
+    can_id = synchronous(tester)
+    first = tester.send(SYNC)
+    second = tester.send(SYNC, "01 02")
+    assert emergencies(tester, first + second) == ["8240"]
+    assert [len(only(frames, can_id)) for frames in (first, second)] == [0, 0]
+    good = tester.send(SYNC, "05")
+    assert emergencies(tester, good) == ["0000"]
+    assert len(only(good, can_id)) == 1
+
+
+@pytest.mark.parametrize(("window_us", "delay", "taken"), [
+    (10_000, 0.005, True), (10_000, 0.015, False), (0, 0.5, True),
+])  # fmt: skip
+def test_beyond_18_synchronous_window(module: Tester, window_us: int, delay: float, taken: bool) -> None:
+    module.write(0x1007, 0, window_us, 4)
+    module.write(0x1400, 2, 1, 1)
+    can_id = module.set_up_tpdo(2, "01")
+    module.operational()
+    assert len(only(module.send(SYNC), can_id)) == 1  # at the SYNC itself, within any window
+    late = module.wait(delay) + module.send(RPDO1, "2C 01 78 05")
+    assert only(late, can_id) == []
+    module.send(SYNC)
+    assert module.read(0x2000, 1) == (300 if taken else 0)
+    module.wait(0.001)
+    module.send(RPDO1, "2D 01 78 05")  # the next cycle is as any other
+    module.send(SYNC)
+    assert module.read(0x2000, 1) == 301
+
+
+def test_beyond_19_heartbeat_consumer_values(module: Tester) -> None:
+    module.accept("23 16 10 01 E8 03 05 00")
+    module.refuse("23 16 10 02 D0 07 05 00", "06040043")
+    module.accept("23 16 10 01 D0 07 05 00")
+    assert module.read(0x1016, 1) == 0x000507D0
+    for unused in ("00 00 05 00", "E8 03 00 00", "E8 03 80 00", "E8 03 FF 00"):
+        module.accept(f"23 16 10 03 {unused}")
+        assert emergencies(module, module.send(0x705, "05") + module.wait(1.5)) == []
+        module.send(0x705, "05")
+
+
+def state(tester: Tester) -> str:
+    (answer,) = only(tester.remote(0x700 + tester.id), 0x700 + tester.id)
+    return f"{int(answer, 16) & 0x7F:02X}"
+
+
+def test_beyond_20_commands_that_are_none(tester: Tester) -> None:
+    for command in ("01", "02", "80", "81", "82"):
+        assert tester.send(0x000, f"{command} {tester.id + 1:02X}") == []
+        assert tester.send(0x000, command) == []
+        assert tester.send(0x000, f"{command} {tester.nn} 00") == []
+    for command in ("00", "03", "7F", "83", "FF"):
+        assert tester.send(0x000, f"{command} {tester.nn}") == []
+    assert tester.send(0x000, "") == []
+    assert tester.remote(0x000) == []
+    assert state(tester) == "7F"
+    tester.send(0x000, "01 00")
+    assert state(tester) == "05"
+    tester.send(0x000, "02 00")
+    assert state(tester) == "04"
+    tester.send(0x000, "80 00")
+    assert state(tester) == "7F"
+    assert only(tester.send(0x000, "82 00") + tester.wait(1.0), 0x700 + tester.id) == ["00"]

@@ -1,0 +1,321 @@
+"""Beyond 01 to 10: what an SDO server does with clients that go wrong."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from conformance_blocks import begin_download, begin_upload, block_download, block_upload, end_frame, segments
+from conformance_kit import Tester, crc, filled, hexes, little, only
+
+NAME, HEARTBEAT, EDS_FILE, TABLE = "08 10 00", "17 10 00", "21 10 00", "20 20 01"
+ANY_SEGMENT = "05040001"
+IDENTITY = b"".join(struct.pack("<f", n / 128) for n in range(128))
+"""512 bytes for 2020h:01: several blocks."""
+
+
+def name_of(tester: Tester) -> bytes:
+    return tester.eds[0x1008, 0].default.encode()
+
+
+def is_idle(tester: Tester) -> None:
+    """The server waits for nothing, and serves the next request."""
+    tester.aborted(tester.ask("60"), None, ANY_SEGMENT)
+    assert tester.upload(NAME) == name_of(tester)
+
+
+def heartbeat_ms(tester: Tester) -> int:
+    return tester.read(0x1017)
+
+
+@pytest.mark.parametrize("length", range(8))
+def test_beyond_01_short_requests_are_ignored(tester: Tester, length: int) -> None:
+    request = bytes.fromhex(filled("2B 17 10 00 64"))[:length]
+    assert only(tester.send(0x600 + tester.id, hexes(request)), 0x580 + tester.id) == []
+    assert heartbeat_ms(tester) == 0
+    tester.ask(f"40 {NAME}")
+    first = tester.ask("60")
+    assert tester.send(0x600 + tester.id, hexes(bytes.fromhex(filled("70"))[:length])) == []
+    second = tester.ask("70")
+    assert (bytes.fromhex(first)[1:] + bytes.fromhex(second)[1:]) == name_of(tester)[:14]
+
+
+@pytest.mark.parametrize("segment", ["60", "70", "00 11 22 33 44 55 66 77", "0B E8 03", "1B E8 03"])
+def test_beyond_02_a_segment_without_a_transfer(tester: Tester, segment: str) -> None:
+    tester.aborted(tester.ask(segment), None, ANY_SEGMENT)
+    assert tester.upload(NAME) == name_of(tester)
+
+
+def test_beyond_02_an_abort_without_a_transfer(tester: Tester) -> None:
+    assert tester.sdo("80 17 10 00 00 00 04 05", wait=2.0) == []
+    assert tester.upload(NAME) == name_of(tester)
+
+
+def start_segmented_upload(tester: Tester) -> str:
+    tester.ask(f"40 {NAME}")
+    tester.ask("60")
+    return NAME
+
+
+def start_segmented_download(tester: Tester) -> str:
+    tester.accept(f"21 {HEARTBEAT} 02")
+    return HEARTBEAT
+
+
+def start_block_download(tester: Tester) -> str:
+    begin_download(tester, HEARTBEAT, 2)
+    return HEARTBEAT
+
+
+def start_block_download_end(tester: Tester) -> str:
+    begin_download(tester, HEARTBEAT, 2)
+    assert tester.ask("81 E8 03")[:5] == "A2 01"
+    return HEARTBEAT
+
+
+def start_block_upload(tester: Tester) -> str:
+    begin_upload(tester, EDS_FILE, 0x7F)
+    return EDS_FILE
+
+
+def start_block_upload_segments(tester: Tester) -> str:
+    """Amid a block: the server is still sending."""
+    begin_upload(tester, EDS_FILE, 0x7F)
+    assert tester.sdo("A3")
+    return EDS_FILE
+
+
+def start_block_upload_acknowledge(tester: Tester) -> str:
+    begin_upload(tester, EDS_FILE, 0x04)
+    assert len(tester.sdo("A3", wait=0.2)) == 4
+    return EDS_FILE
+
+
+STARTS = [
+    start_segmented_upload,
+    start_segmented_download,
+    start_block_download,
+    start_block_download_end,
+    start_block_upload,
+    start_block_upload_segments,
+    start_block_upload_acknowledge,
+]
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_beyond_03_abort_by_the_client(tester: Tester, start: object) -> None:
+    multiplexer = start(tester)  # type: ignore[operator]
+    assert tester.sdo(f"80 {multiplexer} 00 00 04 05") == []
+    assert tester.wait(5.0) == []
+    assert heartbeat_ms(tester) == 0
+    is_idle(tester)
+
+
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("request_", ["40 00 10 00", "2B 17 10 00 E8 03", "40 08 10 00", "A4 08 10 00 14"])
+def test_beyond_03_a_new_request_amid_a_transfer(tester: Tester, start: object, request_: str) -> None:
+    start(tester)  # type: ignore[operator]
+    answer = tester.sdo(request_)[-1]
+    served = answer[3:11] == request_[3:11] and answer[:2] != "80"
+    if not served:
+        tester.aborted(answer, None, ANY_SEGMENT)
+    tester.sdo("80", wait=3.0)
+    is_idle(tester)
+
+
+def send_block(tester: Tester, parts: list[bytes], numbers: list[int], last: int) -> list[str]:
+    """Segments by their numbers (from 1); the answers to the last one sent."""
+    answers: list[str] = []
+    for number in numbers:
+        mark = 0x80 if number == last else 0
+        answers = tester.sdo(f"{mark | number:02X} {hexes(parts[number - 1])}")
+    return answers
+
+
+def test_beyond_04_a_lost_segment_is_sent_again(module: Tester) -> None:
+    data = IDENTITY[:64]  # 16 entries: 10 segments
+    parts = list(segments(data))
+    for lost in (1, 3, len(parts) - 1):
+        begin_download(module, TABLE, len(data))
+        numbers = [number for number in range(1, len(parts) + 1) if number != lost]
+        (answer,) = send_block(module, parts, numbers, len(parts))
+        assert answer[:5] == f"A2 {lost - 1:02X}"
+        rest = parts[lost - 1 :]
+        (answer,) = send_block(module, rest, list(range(1, len(rest) + 1)), len(rest))
+        assert answer[:5] == f"A2 {len(rest):02X}"
+        answer = module.ask(end_frame(data))
+        assert answer[:2] == "A1" or answer[12:] == "30 00 09 06"  # the CRC was right; the table is not one
+
+
+def test_beyond_04_a_table_arrives_whole_in_spite_of_gaps(module: Tester) -> None:
+    _, block_size = begin_download(module, TABLE, len(IDENTITY))
+    parts, turn = list(segments(IDENTITY)), 0
+    while parts:
+        block = parts[:block_size]
+        lost = turn % 4 if turn < 8 else 0  # 0: none
+        turn += 1
+        for sequence, part in enumerate(block, 1):
+            last = 0x80 if sequence == len(parts) else 0
+            answers = [] if sequence == lost else module.sdo(f"{last | sequence:02X} {hexes(part)}")
+        (answer,) = answers
+        accepted, block_size = int(answer[3:5], 16), int(answer[6:8], 16)
+        assert accepted == (lost - 1 if lost else len(block))
+        parts = parts[accepted:]
+    assert module.ask(end_frame(IDENTITY)) == filled("A1")
+
+
+def test_beyond_05_wrong_crc(tester: Tester) -> None:
+    begin_download(tester, HEARTBEAT, 2)
+    tester.ask("81 E8 03")
+    wrong = crc(bytes.fromhex("E8 03")) ^ 0x0001
+    tester.aborted(tester.ask(f"D5 {little(wrong, 2)}"), HEARTBEAT, "05040004")
+    assert heartbeat_ms(tester) == 0
+
+
+LONG, SHORT = ("06070010", "06070012"), ("06070010", "06070013")
+
+
+@pytest.mark.parametrize(("announced", "data", "codes"), [
+    (3, "E8 03 00", LONG), (1, "E8", SHORT), (2, "E8 03 00", LONG), (2, "E8", SHORT),
+    (None, "E8 03 00", LONG), (None, "E8", SHORT),
+])  # fmt: skip
+def test_beyond_05_wrong_sizes(
+    tester: Tester, announced: int | None, data: str, codes: tuple[str, ...]
+) -> None:
+    raw = bytes.fromhex(data)
+    # segmented
+    first = "20" if announced is None else "21"
+    answer = tester.ask(f"{first} {HEARTBEAT} {little(announced or 0, 4)}")
+    if answer[:2] == "60":
+        answer = tester.ask(f"{(7 - len(raw)) << 1 | 1:02X} {data}")
+    tester.aborted(answer, HEARTBEAT, *codes)
+    # by block
+    answer, _ = begin_download(tester, HEARTBEAT, announced)
+    if answer[:2] != "80":
+        answer = tester.ask(f"81 {data}")
+    if answer[:2] != "80":
+        answer = tester.ask(end_frame(raw))
+    tester.aborted(answer, HEARTBEAT, *codes)
+    assert heartbeat_ms(tester) == 0
+    is_idle(tester)
+
+
+def test_beyond_06_segments_after_a_gap_are_sent_again(tester: Tester) -> None:
+    size = begin_upload(tester, EDS_FILE, 10, with_crc=True)
+    answers, data, block_size = tester.sdo("A3", wait=0.5), b"", 10
+    for turn in range(2000):
+        assert len(answers) <= block_size
+        numbers = [int(answer[:2], 16) & 0x7F for answer in answers]
+        assert numbers == list(range(1, len(answers) + 1))
+        accepted = max(0, len(answers) - turn % 3)  # now and then some are lost
+        data += b"".join(bytes.fromhex(answer)[1:] for answer in answers[:accepted])
+        complete = accepted == len(answers) and int(answers[-1][:2], 16) & 0x80
+        block_size = 3 + turn * 7 % 125
+        answers = tester.sdo(f"A2 {accepted:02X} {block_size:02X}", wait=0.5)
+        if complete:
+            break
+    (end,) = answers
+    data = data[: len(data) - (int(end[:2], 16) >> 2 & 7)]
+    assert len(data) == size
+    assert end[3:8] == little(crc(data), 2)
+    assert tester.sdo("A1") == []
+    assert block_upload(tester, EDS_FILE, block_size=0x7F)[0] == data
+
+
+@pytest.mark.parametrize("size", ["00", "80", "FF"])
+def test_beyond_06_another_block_size_out_of_range(tester: Tester, size: str) -> None:
+    begin_upload(tester, EDS_FILE, 4)
+    tester.sdo("A3", wait=0.2)
+    tester.aborted(tester.ask(f"A2 04 {size}"), EDS_FILE, "05040002")
+    is_idle(tester)
+
+
+@pytest.mark.parametrize("threshold", [0, 1, 4, 20, 255])
+def test_beyond_07_protocol_switch_threshold(tester: Tester, threshold: int) -> None:
+    for multiplexer, size in (("00 10 00", 4), (NAME, len(name_of(tester)))):
+        answer = tester.ask(f"A4 {multiplexer} 14 {threshold:02X}")
+        if size > threshold:
+            assert answer == filled(f"C6 {multiplexer} {little(size, 4)}")
+        else:
+            assert answer[:2] in ("C6", "43", "41")
+        if answer[:2] == "41":
+            assert tester.ask("60")[:2] == "00"
+        tester.sdo("80")
+    is_idle(tester)
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_beyond_08_a_silent_client(tester: Tester, start: object) -> None:
+    multiplexer = start(tester)  # type: ignore[operator]
+    heard = only(tester.wait(30.0), 0x580 + tester.id)
+    aborts = [data for data in heard if data[:11] == f"80 {multiplexer}"]
+    assert aborts == [f"80 {multiplexer} 00 00 04 05"]
+    assert heard[-1] == aborts[0]
+    for late in ("60", "0B E8 03"):
+        tester.aborted(tester.ask(late), None, ANY_SEGMENT)
+    assert heartbeat_ms(tester) == 0
+    is_idle(tester)
+
+
+def test_beyond_09_two_servers_at_the_same_time(module: Tester) -> None:
+    module.accept("23 01 12 01 C0 06")
+    module.accept("23 01 12 02 40 05")
+
+    def second(request: str) -> list[str]:
+        return only(module.send(0x6C0, filled(request)), 0x540)
+
+    # a segmented upload on the first, a block download and then a segmented upload on the second
+    assert module.ask(f"40 {NAME}")[:2] == "41"
+    assert second(f"C6 {HEARTBEAT} 02")[0][:11] == f"A4 {HEARTBEAT}"
+    assert module.ask("60")[:2] == "00"
+    assert second("81 E8 03")[0][:5] == "A2 01"
+    assert module.ask("70")[:2] == "10"
+    assert second(end_frame(bytes.fromhex("E8 03"))) == [filled("A1")]
+    assert second(f"40 {NAME}")[0][:2] == "41"
+    got: dict[int, bytes] = {0: name_of(module)[:14], 1: b""}
+    toggles = {0: 0x00, 1: 0x00}
+    while len(got[1]) < len(name_of(module)):
+        for client, ask in enumerate((module.sdo, second)):
+            if len(got[client]) < len(name_of(module)):
+                (answer,) = ask(f"{0x60 | toggles[client]:02X}")
+                raw = bytes.fromhex(answer)
+                assert raw[0] & 0xF0 == toggles[client]
+                got[client] += raw[1 : 8 - (raw[0] >> 1 & 7)]
+                toggles[client] ^= 0x10
+    assert got == {0: name_of(module), 1: name_of(module)}
+    assert heartbeat_ms(module) == 1000
+
+
+def test_beyond_09_a_time_out_of_one_leaves_the_other_alone(module: Tester) -> None:
+    module.accept("23 01 12 01 C0 06")
+    module.accept("23 01 12 02 40 05")
+    module.send(0x6C0, filled(f"40 {NAME}"))
+    module.ask(f"40 {NAME}")
+    toggle, heard = 0, []
+    for _ in range(3):
+        heard += module.wait(0.5)
+        assert module.ask(f"{0x60 | toggle:02X}")[:2] == f"{toggle:02X}"
+        toggle ^= 0x10
+    assert only(heard, 0x540) == [f"80 {NAME} 00 00 04 05"]
+    assert only(heard, 0x5A0) == []
+
+
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("command", ["81", "82", "02"])
+def test_beyond_10_reset_or_stop_amid_a_transfer(tester: Tester, start: object, command: str) -> None:
+    start(tester)  # type: ignore[operator]
+    heard = tester.nmt(command) + tester.wait(5.0)
+    assert only(heard, 0x580 + tester.id) == []
+    if command == "02":
+        assert tester.sdo("81 E8 03", wait=2.0) == []
+        tester.nmt("80")
+    assert heartbeat_ms(tester) == 0
+    is_idle(tester)
+
+
+def test_a_table_in_blocks_is_read_back(module: Tester) -> None:
+    assert block_download(module, TABLE, IDENTITY) == "ok"
+    checksum = module.read(0x2020, 2)
+    assert checksum != 0
+    module.write(0x2020, 3, checksum, 4)
+    assert block_upload(module, TABLE, with_crc=True)[0] == IDENTITY
