@@ -196,3 +196,77 @@ def test_a_missed_sample_ends_what_two_pulses_have_told() -> None:
     assert recovery.vouched == 0
     pulse(made, 83.4, 100.0 + 4 * N / 83.4, 0.5, 1.0)
     assert recovery.vouched == 1
+
+
+class Seen:
+    """A reference that sees a coarse track without error; the truth is ``true``, eq. 9 says ``counted``."""
+
+    def __init__(self, *, lost: bool, aligned: bool, true: float = 1000.25, n: int = N) -> None:
+        self.recovery = Noted(lost)
+        self.made = reference(self.recovery, n)
+        self.true = self.counted = true
+        self.n, self.time = n, 0.0
+        if aligned:
+            self.made.coarse.align(self._angle(), *track(true)[:2])
+
+    def _angle(self) -> float:
+        return self.true / self.n % 1.0
+
+    def step(self, bits: int = VALID, **rest: object) -> tuple[int, int]:
+        angle = 2 * math.pi * self._angle()
+        coarse = {"coarse_sine": 1500 * math.sin(angle), "coarse_cosine": 1500 * math.cos(angle)}
+        self.time += 1.0
+        sample = Sample(1.0, 0.0, 1.0, **coarse, **rest)
+        here = track(self.counted)
+        return self.made.apply(sample, here, bits, here, self.time, 1.0)
+
+    def until_told(self, speed: float, missing: int) -> tuple[int, int]:
+        """Up to the sample in which the coarse track tells the speed."""
+        for _ in range(1000):
+            self.true += speed
+            self.counted += speed - missing
+            got = self.step(LOST if self.recovery.lost else VALID)
+            if self.made._range_known:
+                return got
+        raise AssertionError("the coarse track tells nothing")
+
+
+def test_lost_before_there_was_a_position_it_is_good_as_it_is() -> None:
+    seen = Seen(lost=True, aligned=False)
+    assert seen.until_told(0.0, 0) == (LOST & ~VALID, 0)
+    assert seen.recovery.told == []
+    assert seen.recovery.vouched == 1
+    assert seen.made.recovered == 1
+
+
+@pytest.mark.parametrize("missing", [0, 5, -3])
+@pytest.mark.parametrize("off", [7, -7, 400])
+def test_lost_the_coarse_track_sets_count_and_speed_right(off: int, missing: int) -> None:
+    seen = Seen(lost=True, aligned=True)
+    seen.counted += off
+    _, jump = seen.until_told(3.13, missing)
+    wrong = round(seen.counted - seen.true)
+    assert (jump + wrong) % N == 0, "whole revolutions are not known"
+    assert 0 < abs(jump) <= N / 2
+    assert seen.recovery.told == [(jump, missing)]
+    assert seen.recovery.vouched == 0, "it is good to a 32nd of a revolution only: the zero pulse is to come"
+    assert seen.made.recovered == 1
+
+
+@pytest.mark.parametrize(("aligned", "missing"), [(True, 0), (False, 0), (False, 4)])
+def test_a_valid_position_keeps_its_count(aligned: bool, missing: int) -> None:
+    seen = Seen(lost=False, aligned=aligned)
+    seen.counted += 9
+    assert seen.until_told(0.5, missing) == (VALID, 0)
+    cycles, phase = track(seen.counted)[:2]
+    assert seen.made.coarse.nearest_cycles(seen._angle(), cycles, phase) == cycles, "aligned anew"
+    assert seen.recovery.told == [(0, missing)] * bool(missing)
+    assert seen.made.recovered == bool(missing)
+
+
+def test_a_position_that_is_contradicted_does_not_jump() -> None:
+    seen = Seen(lost=False, aligned=True)
+    seen.counted += 1000
+    while not seen.recovery.lost:
+        got = seen.step()
+    assert got == (COARSE | LOST, 0)
