@@ -188,3 +188,44 @@ def test_the_most_stuff_bits_are_counted_and_no_more(size: int) -> None:
 def test_the_longest_frame_is_the_one_that_the_books_have() -> None:
     assert frame_bits(8) == 135
     assert frame_bits(0) == 55
+
+
+class Computer:
+    """A participant that wants something computed when it hears a frame, and tells what came out."""
+
+    def __init__(self) -> None:
+        self.job: Callable[[], int] | None = None
+
+    def start(self, now: float) -> list[Frame]:
+        return []
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        self.job = lambda: frame.can_id + 1
+        return [Frame(0x200, b"")]
+
+    def tick(self, now: float) -> list[Frame]:
+        return []
+
+    def deadline(self) -> float | None:
+        return None
+
+    def pending_job(self) -> Callable[[], int] | None:
+        return self.job
+
+    def finish_job(self, job: Callable[[], int], result: int, now: float) -> list[Frame]:
+        assert job is self.job
+        self.job = None
+        return [Frame(result, b"")]
+
+
+def test_what_a_participant_wants_computed_is_computed_after_the_frames_of_this_instant() -> None:
+    bus, heard = EmbeddedBus(), list[int]()
+    computer = Computer()
+    bus.attach(computer)
+    bus.taps.append(lambda frame, now: heard.append(frame.can_id))
+    bus.send(Frame(0x100, b""))
+    assert heard == [0x100, 0x200, 0x101]
+    bus.computes = False
+    bus.send(Frame(0x110, b""))
+    assert heard[3:] == [0x110, 0x200]
+    assert computer.job is not None, "it waits for whoever computes it"
