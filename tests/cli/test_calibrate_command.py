@@ -172,7 +172,10 @@ def test_drift_of_a_file_against_a_table_of_a_file(
     sine, cosine = tracks(seed=3)
     moved = tmp_path / "moved.npz"
     np.savez(moved, sine=sine + 10, cosine=cosine)
-    assert main([*check, str(moved), "--table", str(tmp_path / "table.yaml"), "--json"]) == 0
+    out = tmp_path / "today"
+    table = str(tmp_path / "table.yaml")
+    assert main([*check, str(moved), "--table", table, "--json", "--out", str(out)]) == 0
+    assert [path.name for path in out.iterdir()] == ["samples.npz"]
     found = json.loads(capsys.readouterr().out)
     assert found["drift_rms_cycles"] == pytest.approx(10 / 1400 / (2 * np.pi * np.sqrt(2)), rel=0.1)
     assert found["drift_seen"]

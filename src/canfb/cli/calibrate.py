@@ -27,7 +27,7 @@ from canfb.cli.progress import Progress
 from canfb.commissioning import own_calibration
 from canfb.commissioning.access import Master
 from canfb.commissioning.active import NOTHING_ACTIVE, ActiveSet
-from canfb.commissioning.artefacts import prepare, write, write_refusal
+from canfb.commissioning.artefacts import keep_samples, prepare, write, write_refusal
 from canfb.commissioning.drift_check import (
     check,
     drift_json,
@@ -210,6 +210,8 @@ class _Job:
     def report_drift(self, samples: Samples, active: ActiveSet, settings: Settings) -> int:
         """How far the encoder has moved away from its table."""
         found = self._judged(samples, lambda: check(samples, active, settings, self.progress.part))
+        if self.options.out:
+            keep_samples(self.options.out, samples)
         return self.say(drift_json(found, self.where), drift_lines(found, self.where))
 
     def report(self, measured: Measurement, done: Installation) -> int:

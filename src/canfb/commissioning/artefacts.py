@@ -68,6 +68,15 @@ def write(
     return [folder / name for name in (TABLE_YAML, TABLE_BIN, SAMPLES, REPORT)]
 
 
+def keep_samples(folder: Path, samples: Samples) -> Path:
+    """Write the samples alone; their path. CommissioningError if that does not work."""
+    try:
+        write_npz(folder / SAMPLES, samples)
+    except OSError as error:
+        raise CommissioningError(f"cannot write to {folder}: {error.strerror}") from None
+    return folder / SAMPLES
+
+
 def write_refusal(
     folder: Path,
     samples: Samples,
