@@ -2,14 +2,17 @@
 
 The master's side, between the buses and the calculation::
 
-    samples            what was recorded, and files of it
-    listening          samples of the ADC PDO, SYNC by SYNC          pdo_layout: which PDO
+    samples            what was recorded; sample_files: NPZ
+    listening          samples of the ADC PDO, SYNC by SYNC; pdo_layout: which PDO it is
     recorder           samples of object 2050h of either node
     own_calibration    the module's own reference measurement, object 2030h
     active             table and conditioning: read, put in force, put back, save
     deviation          how good a table is on samples that it has not seen
     procedure          all of it in the right order; nothing half done
-    summary, report    figures and pictures for people; table_file: YAML
+    drift_check        how far an encoder has moved away from its table
+    session            both nodes on a bus, read once
+    summary, report    figures and pictures (pictures, plot) for people
+    artefacts          the files of a measurement; table_file: tables as YAML
 
 ``access.Master`` is what it needs of a bus: frames, an SDO client, a clock and a way to wait.
 """
