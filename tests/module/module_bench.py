@@ -7,6 +7,7 @@ import canopen
 
 from canfb.demo.plant import EmbeddedNetwork
 from canfb.device.frame import Frame
+from canfb.device.storage import Store
 from canfb.eds_files import eds_path
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
@@ -18,11 +19,11 @@ SYNC = Frame(0x80, b"")
 class Bench:
     """A module on an embedded bus with python canopen's master, and an encoder interface played by hand."""
 
-    def __init__(self, **fields: object) -> None:
+    def __init__(self, store: Store | None = None, **fields: object) -> None:
         self.bus = EmbeddedBus()
         self.heard: list[Frame] = []
         self.network = EmbeddedNetwork(self.bus)
-        self.module = FeedbackModule(ModuleConfig(node_id=32, **fields))
+        self.module = FeedbackModule(ModuleConfig(node_id=32, **fields), store)
         self.remote = canopen.RemoteNode(32, str(eds_path("canfb-module")))
         self.network.add_node(self.remote)
         self.sdo = self.remote.sdo

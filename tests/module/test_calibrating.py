@@ -25,6 +25,8 @@ from measuring import (
 
 from canfb.calibration.drift import drift
 from canfb.device.frame import Frame
+from canfb.device.storage import MemoryStore
+from canfb.module import calibrating
 from canfb.module.calibrating import Command, State
 from canfb.module.calibration_job import Outcome
 from canfb.signal.conditioning import IDENTITY
@@ -144,20 +146,18 @@ def test_a_poor_encoder_whose_position_is_lost_is_measured_all_the_same() -> Non
         cosine_amplitude=0.8,
         noise_lsb=0.5,
     )
-    samples = counts_of(
-        poor, 0.37 * np.arange(SAMPLES + 400) + 3.0 * np.sin(np.arange(SAMPLES + 400) / 150.0), rng
-    )
+    time = np.arange(SAMPLES)
     bench = Measuring()
     bench.begin()
-    published = bench.feed(samples[:SAMPLES])
+    published = bench.feed(counts_of(poor, 0.37 * time + 3.0 * np.sin(time / 150.0), rng))
     assert any(status & StatusBit.LOST for _, status, _ in published)
     result = bench.compute()
     assert bench.state == State.READY, result.text
     bench.command(Command.ACCEPT)
     bench.remote.nmt.state = "PRE-OPERATIONAL"
     bench.start()
-    published = bench.feed(samples[SAMPLES:][:1]) + bench.feed(samples[SAMPLES + 1 :])
-    assert not any(status & (StatusBit.AMPLITUDE | StatusBit.CLIPPED) for _, status, _ in published)
+    published = bench.feed(counts_of(poor, motion(5.3, 600, rng), rng))
+    assert {status for _, status, _ in published} == {StatusBit.VALID | StatusBit.TABLE_ACTIVE}
 
 
 # --- refusals -------------------------------------------------------------------------------------------
@@ -429,6 +429,21 @@ def test_drift_is_seen_as_it_grows() -> None:
     assert seen == pytest.approx(want, rel=0.1, abs=5e-5)
 
 
+def test_what_was_accepted_can_be_saved_and_is_in_force_after_a_reset() -> None:
+    store = MemoryStore()
+    bench = Measuring(store=store)
+    result = bench.ready().calibration
+    assert result is not None
+    bench.sdo[0x1020][1].raw = 7
+    bench.command(Command.ACCEPT)
+    assert bench.sdo[0x1020][1].raw == 0, "the configuration is another one now"
+    bench.sdo.download(0x1010, 1, b"save")
+    bench.remote.nmt.state = "RESET"
+    assert bench.in_force() == (0, result.table.crc32, len(result.table))
+    assert bench.module.chain.conditioning == result.conditioning
+    assert bench.state == State.IDLE
+
+
 # --- NMT ----------------------------------------------------------------------------------------------------
 
 
@@ -531,6 +546,39 @@ def test_a_sample_over_the_residual_limit_is_left_out() -> None:
     bench.command(Command.START)
     bench.feed([(0, -1500)])
     assert recorded_pairs(bench) == [MISSED]
+
+
+@pytest.mark.parametrize(
+    ("status", "out"),
+    [
+        (0, False),
+        (StatusBit.VALID, False),
+        (StatusBit.COASTING, False),
+        (StatusBit.AMPLITUDE, True),
+        (StatusBit.FROZEN | StatusBit.LOST, True),
+        (StatusBit.RESIDUAL, True),
+        (StatusBit.RESIDUAL | StatusBit.COASTING, True),
+        (StatusBit.RESIDUAL | StatusBit.LOST, False),
+        (StatusBit.LOST, False),
+        (StatusBit.CLIPPED | StatusBit.AMPLITUDE, False),
+        (StatusBit.COARSE | StatusBit.MISSED, False),
+    ],
+)
+def test_which_flags_leave_a_sample_out(status: int, out: bool) -> None:
+    assert calibrating._left_out(int(status)) is out
+
+
+def test_an_invalid_sample_is_left_out() -> None:
+    bench = Measuring()
+    bench.sdo[0x1601][1].raw = 0x20000608
+    bench.sdo[0x1601][0].raw = 1
+    bench.sdo[0x1401][1].raw = 0x290
+    bench.begin()
+    for flags in (0, 2, 1):
+        bench.sync()
+        bench.sent(Frame(0x290, bytes([flags])))
+        bench.counts(7, 1500)
+    assert recorded_pairs(bench) == [(7, 1500), MISSED, (7, 1500)]
 
 
 @pytest.mark.parametrize("full_scale", [2048, 2000, 32768, 65535])
