@@ -101,11 +101,11 @@ def track(position: float) -> Track:
     return Track(cycles, position - cycles, 0.0, True)
 
 
-def pulse(made: Reference, speed: float, time: float, place: float, elapsed: float) -> None:
+def pulse(made: Reference, speed: float, time: float, place: float, elapsed: float) -> tuple[int, int]:
     """A pulse at this time, counted with this speed, in a sample that comes after ``elapsed``."""
     end = time + (1.0 - place) * elapsed
     before, after = track(speed * (end - elapsed)), track(speed * end)
-    made.apply(Sample(1.0, 0.0, elapsed, zero_pulse=place), after, LOST, before, end, elapsed)
+    return made.apply(Sample(1.0, 0.0, elapsed, zero_pulse=place), after, LOST, before, end, elapsed)
 
 
 @pytest.mark.parametrize("missing", [83, -17, 2])
@@ -270,3 +270,98 @@ def test_a_position_that_is_contradicted_does_not_jump() -> None:
     while not seen.recovery.lost:
         got = seen.step()
     assert got == (COARSE | LOST, 0)
+
+
+def test_what_is_in_doubt_is_not_judged() -> None:
+    seen = Seen(lost=False, aligned=True)
+    seen.until_told(0.0, 0)
+    seen.counted += 500
+    assert [seen.step(COASTING) for _ in range(9)] == [(COASTING, 0)] * 9
+    assert [seen.step()[0] for _ in range(3)] == [*[COARSE | COASTING] * 2, COARSE | LOST]
+
+
+def test_found_again_without_a_place_of_the_coarse_track_it_is_aligned_as_soon_as_valid() -> None:
+    seen = Seen(lost=True, aligned=False)
+    seen.until_told(0.0, 0)
+    assert not seen.made.coarse.aligned
+    dead = Sample(1.0, 0.0, coarse_sine=0.0, coarse_cosine=0.0)
+    here = track(seen.counted)
+    assert seen.made.apply(dead, here, VALID, here, seen.time + 1.0, 1.0) == (COARSE | COASTING, 0)
+    assert not seen.made.coarse.aligned
+    assert seen.step() == (VALID, 0)
+    assert seen.made.coarse.aligned
+    seen.counted += 500
+    assert seen.step() == (COARSE | COASTING, 0)
+
+
+def pulse_at(made: Reference, position: float, bits: int, **coarse: float) -> tuple[int, int]:
+    """A pulse in the middle between two samples, the second one at ``position + 0.1``."""
+    before, after = track(position - 0.1), track(position + 0.1)
+    return made.apply(Sample(1.0, 0.0, zero_pulse=0.5, **coarse), after, bits, before, 1.0, 1.0)
+
+
+def test_a_pulse_says_where_it_is_and_the_next_one_what_is_wrong() -> None:
+    recovery = Noted(lost=False)
+    made = reference(recovery)
+    assert pulse_at(made, 70.5, COASTING) == (COASTING, 0)
+    assert not made.zero.referenced, "a position in doubt says nothing"
+    assert pulse_at(made, 70.5, VALID) == (VALID, 0)
+    assert made.zero.referenced
+    assert pulse_at(made, 70.5 - 3 * N + 0.3, VALID) == (VALID, 0)
+    assert (made.set_right, recovery.told) == (0, [])
+    assert pulse_at(made, 73.5, COASTING) == (COASTING, 0)
+    assert (made.set_right, recovery.told) == (0, [])
+    assert pulse_at(made, 73.5, VALID) == (COASTING, -3)
+    assert (made.set_right, recovery.told) == (1, [(-3, 0)])
+
+
+@pytest.mark.parametrize("off", [0, 5, -8])
+def test_lost_with_a_known_speed_the_pulse_sets_the_count_right(off: int) -> None:
+    seen = Seen(lost=True, aligned=False)
+    seen.made.zero.set_place(1000, 0.25)
+    seen.until_told(0.0, 0)
+    assert not seen.made.coarse.aligned
+    seen.counted += off
+    angle = 2 * math.pi * seen.true / N
+    coarse = {"coarse_sine": 1500 * math.sin(angle), "coarse_cosine": 1500 * math.cos(angle)}
+    assert pulse_at(seen.made, seen.counted, LOST, **coarse) == (LOST, -off)
+    assert seen.recovery.told[-1] == (-off, 0)
+    assert seen.recovery.vouched == 1
+    assert seen.made.set_right == bool(off)
+    seen.counted -= off
+    cycles, phase = track(seen.counted + 0.1)[:2]
+    assert seen.made.coarse.aligned
+    assert seen.made.coarse.nearest_cycles(seen._angle(), cycles, phase) == cycles
+    assert not seen.made.coarse.disagrees(seen._angle(), cycles, phase)
+
+
+@pytest.mark.parametrize("coarse", [{}, {"coarse_sine": 0.0, "coarse_cosine": 1.0}], ids=["none", "dead"])
+def test_a_pulse_without_an_angle_does_not_align_the_coarse_track(coarse: dict[str, float]) -> None:
+    recovery = Noted(lost=True)
+    made = reference(recovery)
+    made._range_known = True
+    assert pulse_at(made, 70.5, LOST, **coarse) == (LOST, 0)
+    assert recovery.vouched == 1
+    assert not made.coarse.aligned
+    assert made.zero.error_cycles(70, 0.5) == 0
+    assert made.zero.error_cycles(72, 0.5) == 2
+
+
+def test_a_pulse_that_cannot_tell_the_speed_yet_changes_nothing() -> None:
+    recovery = Noted(lost=True)
+    assert pulse(reference(recovery), 83.4, 100.0, 0.5, 1.0) == (LOST, 0)
+    assert (recovery.told, recovery.vouched) == ([], 0)
+
+
+@pytest.mark.parametrize("way", [3.3, -3.3, 0.4, -83.75])
+@pytest.mark.parametrize("place", [0.0, 0.25, 0.9, 1.0])
+@pytest.mark.parametrize("begin", [70.6, -0.4, -2500.75])
+def test_the_place_of_a_pulse_is_on_the_way_between_two_samples(
+    begin: float, place: float, way: float
+) -> None:
+    made = reference(Noted(lost=False))
+    sample = Sample(1.0, 0.0, zero_pulse=place)
+    made.apply(sample, track(begin + way), VALID, track(begin), 1.0, 1.0)
+    for off, wrong in ((0.49, 0), (-0.49, 0), (0.51, 1), (-0.51, -1)):
+        cycles, phase = track(begin + place * way + off)[:2]
+        assert made.zero.error_cycles(cycles, phase) == wrong
