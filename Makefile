@@ -8,6 +8,8 @@ PYTEST := $(PY) -m pytest
 WORKERS ?= auto
 VCAN := $(PYTHON) tools/vcan.py
 DEMO_OUT ?= build/demo
+# The tests run side by side already: more threads of the linear algebra only wait for each other.
+export OPENBLAS_NUM_THREADS ?= 1
 
 # What pip has installed, one stamp for each set of extras; a change of pyproject.toml installs again.
 INSTALLED := $(VENV)/.installed
