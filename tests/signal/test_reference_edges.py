@@ -365,3 +365,13 @@ def test_the_place_of_a_pulse_is_on_the_way_between_two_samples(
     for off, wrong in ((0.49, 0), (-0.49, 0), (0.51, 1), (-0.51, -1)):
         cycles, phase = track(begin + place * way + off)[:2]
         assert made.zero.error_cycles(cycles, phase) == wrong
+
+
+def test_what_a_pulse_has_set_right_needs_no_proof_of_the_coarse_track() -> None:
+    recovery = Noted(lost=True)
+    made = reference(recovery)
+    made._range_known = True  # two pulses have told it
+    angle = {"coarse_sine": 0.0, "coarse_cosine": 1500.0}
+    assert pulse_at(made, 70.5, LOST, **angle) == (LOST, 0)
+    here = track(70.6)
+    assert made.apply(Sample(1.0, 0.0, **angle), here, VALID, here, 2.0, 1.0) == (VALID, 0)
