@@ -1,7 +1,7 @@
 """A third master: the npm package `canopen` moves data by SDO. It needs node and the package:
 
-npm install canopen@6 (it compiles a part of itself), and CANFB_NODE_CANOPEN set to the folder of node_modules.
-It is not part of the usual run: node and a compiler are much to install for one more client.
+npm install canopen@6 (it compiles a part of itself), and CANFB_NODE_CANOPEN set to the folder that has its
+node_modules. It is not part of the usual run: node and a compiler are much to install for one more client.
 """
 
 from __future__ import annotations
