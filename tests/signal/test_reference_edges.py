@@ -375,3 +375,35 @@ def test_what_a_pulse_has_set_right_needs_no_proof_of_the_coarse_track() -> None
     assert pulse_at(made, 70.5, LOST, **angle) == (LOST, 0)
     here = track(70.6)
     assert made.apply(Sample(1.0, 0.0, **angle), here, VALID, here, 2.0, 1.0) == (VALID, 0)
+
+
+@pytest.mark.parametrize("missing", [4, -30])
+def test_a_machine_that_came_back_passed_the_same_pulse_twice(missing: int) -> None:
+    recovery = Noted(lost=True)
+    made = reference(recovery)
+    pulse(made, -missing, 100.0, 0.5, 1.0)
+    pulse(made, -missing, 110.3, 0.5, 1.0)
+    assert recovery.told == [(0, missing)]
+
+
+@pytest.mark.parametrize(
+    ("off", "told"), [(0.9, [(0, 5)]), (-0.9, [(0, 5)]), (1.0, []), (-1.0, []), (1.1, [])]
+)
+def test_pulses_a_cycle_off_tell_no_speed(off: float, told: list[tuple[int, int]]) -> None:
+    recovery = Noted(lost=True)
+    made = reference(recovery)
+    begin, end = 1000.0, 1000.0 + N - 5 * 32 + off
+    for time, position in ((100.0, begin), (132.0, end)):
+        sample = Sample(1.0, 0.0, zero_pulse=1.0)
+        made.apply(sample, track(position), LOST, track(position - 1.0), time, 1.0)
+    assert recovery.told == told
+
+
+def test_a_speed_that_is_not_known_any_more_is_searched_anew() -> None:
+    seen = Seen(lost=True, aligned=True)
+    for _ in range(2):
+        for _ in range(7):
+            seen.step(LOST)
+            assert not seen.made._range_known
+        seen.made.slipped()
+    seen.until_told(0.0, 0)
