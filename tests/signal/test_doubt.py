@@ -25,9 +25,9 @@ def doubt_at(position: float, rough: float = 0.0, doubted: int = 3) -> Doubt:
     return Doubt(before, doubted, 1 / 3)
 
 
-def meet(doubt: Doubt, position: float, elapsed: float = 1.0) -> list[Place] | None:
+def meet(doubt: Doubt, position: float, elapsed: float = 1.0, coast: int = 3) -> list[Place] | None:
     doubt.meet(position % 1.0, elapsed)
-    return doubt.decide()
+    return doubt.decide(coast)
 
 
 def test_four_samples_of_a_steady_machine_are_proof() -> None:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 # What a machine may do in a gap beyond what was seen: cycles per interval squared, and a part of it.
 SPARE_CYCLES = 0.01
 SPARE_PART = 0.5
-MOST_WIDTH = 0.15  # of all accelerations together: a machine that does more can do anything in a gap
+MOST_WIDTH = 0.11  # of all accelerations together: a machine that does more can do anything in a gap
 # Any other way must need so many times the width of the accelerations, and some more.
 CLEARLY = 2.0
 CLEARLY_CYCLES = 0.02

@@ -35,7 +35,8 @@ class Doubt:
     """What is known since the last accepted sample.
 
     ``before``: the accepted places, oldest first, at least one, of which the last ``doubted``
-    may have been bad. ``limit``: the residual limit, cycles.
+    may have been bad, and as many samples after them without a sign of it. ``limit``: the
+    residual limit, cycles.
     """
 
     def __init__(self, before: Sequence[Place], doubted: int, limit: float) -> None:
@@ -45,6 +46,7 @@ class Doubt:
         self._now = 0.0
         self._last_good = 0.0  # the time of the last sample that nothing contradicts
         self._contradicted = True  # or there would be no doubt
+        self._left_out = 0  # samples that were contradicted
         self._run: list[_Sample] = []
         self._most_width = ROUGHNESS_FACTOR * roughness(accelerations(before)) + RUN_WIDTH_CYCLES
         self._anchor, self._speed = before[-1], speed(before)
@@ -74,6 +76,7 @@ class Doubt:
         self._run.append(_Sample(self._now, phase))
         if not self._run_agrees():
             self._contradicted = True
+            self._left_out += len(self._run) - 2
             del self._run[:-2]
         if not self._contradicted or len(self._run) >= SHORTEST_RUN:
             self._last_good = self._now
@@ -90,8 +93,11 @@ class Doubt:
         self._anchor, self._anchored = place, self._now
         return Track(place.cycles, phase, residual, True)
 
-    def decide(self) -> list[Place] | None:
-        """The places after the gap; empty if no more samples can tell; None if more may."""
+    def decide(self, coast_samples: int) -> list[Place] | None:
+        """The places after the gap; empty if no more samples can tell; None if more may.
+
+        Up to ``coast_samples`` and ``doubted`` intervals are bridged, bad samples or none.
+        """
         if len(self._run) < SHORTEST_RUN:
             return None
         even = self._even(self._run)
@@ -99,6 +105,9 @@ class Doubt:
         run, even = self._run[-length:], even[-length:]
         if length < SHORTEST_RUN or length < _enough(_width(run_accelerations(even))):
             return [] if len(self._run) >= LONGEST_RUN else None
+        left_out = self._left_out + len(self._run) - length
+        if left_out > self._doubted or run[0].time - 1.0 > coast_samples + self._doubted:
+            return []  # more than a glitch: what comes then is not to be trusted either
         way = bridge(self._before, even, run[0].time, self._doubted, self._limit)
         if way is None:
             return []

@@ -168,7 +168,7 @@ class Recovery:
         """A sample while the position is in doubt; ``followed`` is what eq. 9 makes of it."""
         doubt = self._doubted()
         coasted = doubt.meet(followed.phase, elapsed)
-        places = doubt.decide()
+        places = doubt.decide(self.coast_samples)
         if places:
             return self._adopt(places), VALID
         if places is not None or doubt.is_over(self.coast_samples):
