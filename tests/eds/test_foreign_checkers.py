@@ -17,10 +17,16 @@ EDS_VALIDATE = ("-c", "import sys; from eds_utils.eds_validate import eds_valida
 
 KNOWN: dict[tuple[str, str], str] = {
     (
-        NAMES[0],
+        NAMES[number],
         f'AUTO-FIXED: Unknown entry "ObjFlags" in [{section}]',
     ): "CiA 306 has it: not for a download"
-    for section in ("2020sub3", "2030sub1", "2050sub1", "6003")
+    for number, section in (
+        (0, "2020sub3"),
+        (0, "2030sub1"),
+        (0, "2050sub1"),
+        (0, "6003"),
+        (1, "2050sub1"),
+    )
 }
 """File and message of a checker that is wrong, and why it is; empty is best."""
 

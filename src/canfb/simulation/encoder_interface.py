@@ -13,6 +13,7 @@ from canfb.device.node import Node
 from canfb.device.pdo import COMMUNICATION, numbers
 from canfb.device.storage import Store
 from canfb.eds_files import eds_path
+from canfb.simulation.fast_recording import COMMAND, RECORDING, Continuous, FastRecorder
 from canfb.simulation.sources import Source, SourceEnded
 
 EDS = "encoder-interface"
@@ -45,7 +46,12 @@ class EncoderInterface:
         self.node = Node(self.dictionary, node_id, autostart=autostart, store=store)
         self.node.on_sync = self._on_sync
         self.node.on_parameter_faults = self._on_parameter_faults
+        self.node.on_reset = self._on_reset
+        self.node.storage.entries.leave_out(RECORDING, COMMAND)
+        self._now = 0.0
+        self.recorder = FastRecorder(self.dictionary, source, lambda: self._now)
         self.source = source
+        self._continuous = source if isinstance(source, Continuous) else None
         self.ended = False
         self.samples = 0
         self._silent = False
@@ -58,16 +64,19 @@ class EncoderInterface:
 
     def start(self, now: float) -> list[Frame]:
         """Power-on at ``now`` (seconds): the boot-up frame."""
+        self._now = now
         return self.node.start(now)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Take a frame from the bus; the frames to send."""
         self._silent = False
+        self._now = now
         return self._audible(self.node.receive(frame, now))
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at ``now``, a SYNC of its own too (1005h bit 30); the frames to send."""
         self._silent = False
+        self._now = now
         return self._audible(self.node.tick(now))
 
     def deadline(self) -> float | None:
@@ -75,6 +84,8 @@ class EncoderInterface:
         return self.node.deadline()
 
     def _on_sync(self, counter: int | None, now: float) -> None:
+        if self._continuous is not None:
+            self._continuous.hear_sync(now)
         try:
             counts = None if self.ended else self.source.next()
         except SourceEnded:
@@ -88,6 +99,10 @@ class EncoderInterface:
         for number, kind in self._tpdos.items():
             if kind.value == 0:  # FEh and FFh have their event timer; a sample of each SYNC would be too much
                 self.node.trigger_tpdo(number, now)
+
+    def _on_reset(self, communication_only: bool, now: float) -> None:
+        if not communication_only:
+            self.recorder.reset()
 
     def _on_parameter_faults(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
         """Stored parameters were refused, or no longer are."""

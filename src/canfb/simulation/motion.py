@@ -6,6 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
+from canfb.signal.phase import FloatArray
+
 
 class Ramp(NamedTuple):
     """A stretch of ``duration_s`` that ends at ``end_rpm``; the speed changes linearly."""
@@ -47,6 +52,22 @@ class Motion:
         else:
             position += left * speed
         return position + sum(self._swing(ripple, time_s) for ripple in self.ripples)
+
+    def revolutions_at(self, times_s: npt.ArrayLike) -> FloatArray:
+        """:meth:`revolutions` for an array of times."""
+        left = np.asarray(times_s, dtype=np.float64)
+        position, speed = np.zeros(left.shape), self.start_rpm / 60.0
+        for ripple in self.ripples:
+            omega = 2.0 * math.pi * ripple.frequency_hz
+            position += ripple.size_rpm / 60.0 * (1.0 - np.cos(omega * left)) / omega
+        for ramp in self.ramps:
+            end = ramp.end_rpm / 60.0
+            spent = np.clip(left, 0.0, ramp.duration_s)
+            if ramp.duration_s > 0.0:
+                position += spent * (speed + (end - speed) * spent / ramp.duration_s / 2.0)
+            left = left - spent
+            speed = end
+        return position + left * speed
 
     @staticmethod
     def _swing(ripple: Ripple, time_s: float) -> float:

@@ -10,10 +10,13 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from canfb.errors import CanfbError
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion
+
+PAUSE_S = 0.5  # longer without a SYNC: the machine has moved on by itself
 
 Counts = tuple[int, int]
 """Sine and cosine in ADC counts, signed, zero at mid-scale."""
@@ -41,12 +44,37 @@ class MotionSource:
         self._cycles_per_revolution = cycles_per_revolution
         self._interval_s = interval_s
         self._rng = np.random.default_rng(seed)
+        self._seed = seed
         self._count = 0
+        self._last_now: float | None = None
+        self._last_s = 0.0
         self.position_cycles = 0.0
+
+    def machine_time(self, now: float) -> float:
+        """The time of the motion, seconds, at the time ``now`` of the node: on from the last sample."""
+        if self._last_now is None:
+            self._last_now = now
+        return self._last_s + max(0.0, now - self._last_now)
+
+    def fast_samples(self, times_s: npt.NDArray[np.float64], seed: tuple[int, int]) -> npt.NDArray[np.int16]:
+        """Both tracks at these times of the motion, shape (n, 2), in ADC counts."""
+        position = self._motion.revolutions_at(times_s) * self._cycles_per_revolution
+        rng = np.random.default_rng((self._seed, *seed))
+        return np.stack(self._encoder.sample(position, rng), axis=-1).astype(np.int16)
+
+    def hear_sync(self, now: float) -> None:
+        """The next sample is taken at the time ``now`` of the node.
+
+        Each sample is one interval after the one before, whenever its SYNC is heard: a real SYNC is far
+        more regular than the time at which a program hears it. After a pause the motion has gone on.
+        """
+        if self._last_now is not None and now - self._last_now > PAUSE_S:
+            self._count = round(self.machine_time(now) / self._interval_s)
+        self._last_now = now
 
     def next(self) -> Counts:
         """The sample at this interval; ``position_cycles`` is then its true position."""
-        time_s = self._count * self._interval_s
+        self._last_s = time_s = self._count * self._interval_s
         self._count += 1
         self.position_cycles = self._motion.revolutions(time_s) * self._cycles_per_revolution
         sine, cosine = self._encoder.sample(self.position_cycles, self._rng)

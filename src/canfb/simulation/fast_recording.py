@@ -1,0 +1,118 @@
+"""Object 2050h of the encoder interface: both tracks, sampled faster than SYNC."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.device.codes import AbortCode, SdoAbort
+from canfb.device.dictionary import Dictionary
+
+RECORDING = 0x2050
+COMMAND, SAMPLES, DATA, RATE, CAPACITY = 1, 2, 3, 4, 5
+START, STOP = 1, 2
+BLOCK_SAMPLES = 1 << 16
+
+Block = npt.NDArray[np.int16]
+"""Sine and cosine in ADC counts, shape (n, 2)."""
+
+
+@runtime_checkable
+class Continuous(Protocol):
+    """A source that can be sampled at any time."""
+
+    def hear_sync(self, now: float) -> None:
+        """The next sample is taken at the time ``now`` of the node."""
+
+    def machine_time(self, now: float) -> float:
+        """The time of the machine, seconds, at the time ``now`` of the node."""
+
+    def fast_samples(self, times_s: npt.NDArray[np.float64], seed: tuple[int, int]) -> Block:
+        """Both tracks at these times of the machine; ``seed`` is that of the noise."""
+
+
+class FastRecorder:
+    """Samples the encoder from start (2050:01 = 1) to stop (2), or until the memory is full (2050:05).
+
+    The rate is that of 2050:04, in Hz; no SYNC is needed. Nothing happens while it records: the samples
+    are a function of time, computed when 2050:03 is read. Leaving OPERATIONAL changes nothing, a reset
+    of the node drops all. Without a ``source`` that can do this, as when a file is played, start is
+    refused (08000022h).
+    """
+
+    def __init__(self, dictionary: Dictionary, source: object, now: Callable[[], float]) -> None:
+        self._source = source if isinstance(source, Continuous) else None
+        self._now = now
+        command, samples, data, self._rate, self._capacity = (
+            dictionary.entry(RECORDING, n) for n in (COMMAND, SAMPLES, DATA, RATE, CAPACITY)
+        )
+        command.on_write = self._command
+        command.on_read = lambda: int(self.is_recording)
+        samples.on_read = lambda: self.count
+        data.on_read = self.to_bytes
+        self._rate.on_write = self._refuse_while_recording
+        self._number = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing is recorded, and nothing was."""
+        self._began_s: float | None = None  # time of the node, while it records
+        self._first_s = 0.0  # time of the machine
+        self._kept = 0
+        self._rate_hz = 1.0
+        self._blocks: list[bytes] = []
+
+    @property
+    def is_recording(self) -> bool:
+        """True from start to stop, or until it is full."""
+        return self._began_s is not None and self.count < self._capacity.value
+
+    @property
+    def count(self) -> int:
+        """Samples so far."""
+        if self._began_s is None:
+            return self._kept
+        passed = max(0.0, self._now() - self._began_s)
+        # The first sample is taken at the start; a sum of times may fall short of a whole by rounding.
+        return min(int(passed * self._rate_hz + 1e-6) + 1, int(self._capacity.value))
+
+    def to_bytes(self) -> bytes:
+        """All samples so far, sine before cosine, INTEGER16, little-endian."""
+        count = self.count
+        whole, rest = divmod(count, BLOCK_SAMPLES)
+        while len(self._blocks) < whole:
+            self._blocks.append(self._block(len(self._blocks)))
+        tail = self._block(whole)[: 4 * rest] if rest else b""
+        return b"".join((*self._blocks[:whole], tail))
+
+    def _block(self, number: int) -> bytes:
+        """Whole blocks only, so that reading early changes nothing of the noise."""
+        if self._source is None:
+            return b""
+        places = np.arange(number * BLOCK_SAMPLES, (number + 1) * BLOCK_SAMPLES)
+        block = self._source.fast_samples(self._first_s + places / self._rate_hz, (self._number, number))
+        return block.astype("<i2").tobytes()
+
+    def _command(self, value: int) -> None:
+        if value == START:
+            self._start()
+        elif value == STOP:
+            self._kept, self._began_s = self.count, None
+        else:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+
+    def _start(self) -> None:
+        if self._source is None:
+            raise SdoAbort(AbortCode.DEVICE_STATE)
+        self.reset()
+        self._number += 1
+        self._rate_hz = float(self._rate.value)
+        self._began_s = self._now()
+        self._first_s = self._source.machine_time(self._began_s)
+
+    def _refuse_while_recording(self, value: int) -> None:
+        if self.is_recording:
+            raise SdoAbort(AbortCode.DEVICE_STATE)

@@ -1,0 +1,169 @@
+"""2050h of the encoder interface, by python canopen's block upload: the paper's reference measurement."""
+
+from __future__ import annotations
+
+import canopen
+import numpy as np
+import pytest
+from canopen.sdo import SdoAbortedError
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import canfb
+from canfb.demo.plant import EmbeddedNetwork
+from canfb.eds_files import eds_path
+from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.motion import Motion, Ramp, Ripple
+from canfb.simulation.sources import MotionSource, Source
+from canfb.simulation.sync_producer import SyncProducer
+
+NODE = 16
+START, STOP = 1, 2
+
+
+class PatientNetwork(EmbeddedNetwork):
+    """Lets ``patience_s`` pass after each request: a device paces the segments of a block."""
+
+    patience_s = 0.0
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        super().send_message(can_id, data, remote)
+        self._embedded.run_until(self._embedded.now + self.patience_s)
+
+
+class Bench:
+    """An encoder interface on an embedded bus, and python canopen as the master."""
+
+    def __init__(self, source: Source) -> None:
+        self.bus = EmbeddedBus()
+        self.network = PatientNetwork(self.bus)
+        self.remote = canopen.RemoteNode(NODE, str(eds_path("encoder-interface")))
+        self.network.add_node(self.remote)
+        self.interface = EncoderInterface(NODE, source)
+        self.bus.attach(self.interface)
+        self.sdo = self.remote.sdo
+
+    def record(self, seconds: float) -> None:
+        self.sdo[0x2050][1].raw = START
+        self.bus.run_until(self.bus.now + seconds)
+        self.sdo[0x2050][1].raw = STOP
+
+    def upload(self) -> np.ndarray:
+        self.network.patience_s = 0.1
+        with self.sdo.open(0x2050, 3, "rb", block_transfer=True) as stream:
+            data = stream.read()
+        self.network.patience_s = 0.0
+        return np.frombuffer(data, dtype="<i2").reshape(-1, 2)
+
+
+def turning(rpm: float = 15.0, **encoder: float) -> MotionSource:
+    return MotionSource(Encoder(amplitude_counts=1400.0, **encoder), Motion((), start_rpm=rpm), 2500, 1e-3)
+
+
+def peak_of(bench: Bench, encoder: Encoder) -> float:
+    """Largest error of the calibrated phase, cycles, over a whole cycle without noise and ADC."""
+    sine, cosine = bench.upload().astype(float).T
+    table = canfb.calibrate_from_zero_crossings(sine, cosine).table
+    phase = np.arange(4096) / 4096
+    raw = canfb.phase_in_cycle(*encoder.tracks(phase))
+    error = (table(raw) - phase + 0.5) % 1.0 - 0.5
+    return float(np.abs(error - error.mean()).max())
+
+
+@pytest.mark.parametrize(
+    ("errors", "limit"),
+    [({}, 0.0002), ({"sine_offset": 0.4, "cosine_amplitude": 0.8}, 0.0005)],
+    ids=["ideal", "40 % offset, 20 % amplitude"],
+)
+@pytest.mark.parametrize("rpm", [9.0, 20.0])
+def test_the_reference_measurement_of_the_paper(rpm: float, errors: dict[str, float], limit: float) -> None:
+    bench = Bench(turning(rpm, **errors))
+    bench.record(2.0)
+    assert bench.sdo[0x2050][2].raw == 100_001
+    assert 1e-6 < peak_of(bench, Encoder(amplitude_counts=1400.0, **errors)) <= limit
+
+
+def test_it_tells_what_it_does_and_what_it_has() -> None:
+    bench = Bench(turning())
+    assert [bench.sdo[0x2050][n].raw for n in (1, 2, 4, 5)] == [0, 0, 50_000, 1_000_000]
+    bench.sdo[0x2050][1].raw = START
+    bench.bus.run_until(0.01)
+    assert [bench.sdo[0x2050][n].raw for n in (1, 2)] == [1, 501]
+    early = bench.upload()
+    bench.sdo[0x2050][1].raw = STOP
+    count = bench.sdo[0x2050][2].raw
+    assert count > 501
+    bench.bus.run_until(bench.bus.now + 0.5)
+    assert [bench.sdo[0x2050][n].raw for n in (1, 2)] == [0, count]
+    assert np.array_equal(bench.upload()[:501], early)
+    bench.remote.nmt.state = "RESET"
+    assert bench.sdo[0x2050][2].raw == 0
+
+
+def test_the_memory_is_bounded() -> None:
+    bench = Bench(turning())
+    bench.interface.dictionary.entry(0x2050, 5).value = 70_000
+    bench.sdo[0x2050][1].raw = START
+    bench.bus.run_until(3600.0)
+    assert [bench.sdo[0x2050][n].raw for n in (1, 2)] == [0, 70_000]
+    assert len(bench.upload()) == 70_000
+
+
+def test_the_rate_can_be_set_but_not_while_it_records() -> None:
+    bench = Bench(turning())
+    bench.sdo[0x2050][4].raw = 1000
+    bench.sdo[0x2050][1].raw = START
+    bench.bus.run_until(0.1)
+    for value in (2000, 1000):
+        with pytest.raises(SdoAbortedError) as error:
+            bench.sdo[0x2050][4].raw = value
+        assert error.value.code == 0x08000022
+    bench.sdo[0x2050][1].raw = STOP
+    assert bench.sdo[0x2050][2].raw == 101
+    for value, code in ((999, 0x06090032), (200_001, 0x06090031)):
+        with pytest.raises(SdoAbortedError) as error:
+            bench.sdo[0x2050][4].raw = value
+        assert error.value.code == code
+
+
+@pytest.mark.parametrize("value", [0, 3, 255])
+def test_other_commands_are_refused(value: int) -> None:
+    with pytest.raises(SdoAbortedError) as error:
+        Bench(turning()).sdo[0x2050][1].raw = value
+    assert error.value.code == 0x06090030
+
+
+class Played:
+    """A source that is no motion."""
+
+    def next(self) -> tuple[int, int]:
+        return 0, 0
+
+
+def test_what_is_played_from_a_file_cannot_be_sampled_faster() -> None:
+    with pytest.raises(SdoAbortedError) as error:
+        Bench(Played()).sdo[0x2050][1].raw = START
+    assert error.value.code == 0x08000022
+
+
+def test_fast_samples_and_those_of_the_syncs_are_of_one_motion() -> None:
+    bench = Bench(turning(60.0))
+    heard: list[bytes] = []
+    bench.bus.taps.append(lambda frame, now: heard.append(frame.data) if frame.can_id == 0x190 else None)
+    bench.bus.attach(SyncProducer(1e-3))
+    bench.remote.nmt.state = "OPERATIONAL"
+    bench.bus.run_until(0.0105)
+    del heard[:]
+    bench.record(0.02)
+    of_syncs = np.frombuffer(b"".join(heard), dtype="<i2").reshape(-1, 2)
+    assert len(of_syncs) == 20
+    assert np.abs(bench.upload()[25::50] - of_syncs).max() <= 1
+
+
+@settings(max_examples=30)
+@given(st.lists(st.floats(0.0, 20.0), min_size=1, max_size=20), st.floats(-50.0, 50.0))
+def test_a_motion_over_an_array_is_that_at_each_time(times: list[float], rpm: float) -> None:
+    motion = Motion((Ramp(0.0, 3.0), Ramp(2.0, rpm), Ramp(1.0, 5.0)), (Ripple(2.0, 0.7),), 1.0)
+    assert motion.revolutions_at(times) == pytest.approx([motion.revolutions(t) for t in times], abs=1e-9)
