@@ -129,10 +129,10 @@ def no_pdo(tester: Tester, can_ids: list[int], frames: list[Heard]) -> None:
 
 
 def check_no_remote(tester: Tester, state: str) -> None:
-    numbers = [n for n in tester.valid_tpdos if not tester.read(0x1800 + n - 1, 1) >> 30 & 1]
+    numbers = tester.valid_tpdos
     assert numbers
     for kind in ("FD", "01"):
-        can_ids = [tester.set_up_tpdo(number, kind) for number in numbers]
+        can_ids = [tester.set_up_tpdo(number, kind, remote=True) for number in numbers]
         tester.nmt(state)
         for can_id in can_ids:
             assert tester.remote(can_id) == []

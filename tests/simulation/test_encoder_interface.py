@@ -185,3 +185,15 @@ def test_an_event_driven_pdo_keeps_to_its_timer() -> None:
         assert answer.data[0] == 0x60
     assert [interface.receive(SYNC, 0.01 * n) for n in range(3)] == [[], [], []]
     assert interface.tick(0.1) == [adc(3, -3)]
+
+
+def test_no_answer_to_a_remote_frame_unless_the_master_allows_it() -> None:
+    """A module would take the answer for a new sample."""
+    interface = operational(Listed([(5, -6), (7, 8)]))
+    remote = Frame(TPDO1, b"", rtr=True)
+    assert interface.receive(SYNC, 0.0) == [adc(5, -6)]
+    assert interface.receive(remote, 0.0) == []
+    assert interface.receive(SYNC, 0.0) == [adc(7, 8)], "the next sample is not used up"
+    for cob_id in (0x80000000 | TPDO1, TPDO1):
+        interface.receive(download(0x1800, 1, cob_id), 0.0)
+    assert interface.receive(remote, 0.0) == [adc(7, 8)]
