@@ -16,8 +16,6 @@ from canfb.errors import CanfbError
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion
 
-PAUSE_S = 0.5  # longer without a SYNC: the machine has moved on by itself
-
 Counts = tuple[int, int]
 """Sine and cosine in ADC counts, signed, zero at mid-scale."""
 
@@ -66,10 +64,9 @@ class MotionSource:
         """The next sample is taken at the time ``now`` of the node.
 
         Each sample is one interval after the one before, whenever its SYNC is heard: a real SYNC is far
-        more regular than the time at which a program hears it. After a pause the motion has gone on.
+        more regular than the time at which a program hears it. A pause of SYNC is a pause of the motion,
+        so that a program that was held up loses no position; only a recording sees the time pass then.
         """
-        if self._last_now is not None and now - self._last_now > PAUSE_S:
-            self._count = round(self.machine_time(now) / self._interval_s)
         self._last_now = now
 
     def next(self) -> Counts:
