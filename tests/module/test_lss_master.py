@@ -85,7 +85,7 @@ def test_devices_without_a_node_id_get_one_after_the_other(bus: Bus) -> None:
     assert found == [(*MODULE, 5), (*MODULE, 77), (*MODULE, 300), (*INTERFACE, 5)]
     sdos = [bus.master(node_id).sdo for node_id in (10, 11, 12)]
     assert [sdo[0x1018][4].raw for sdo in sdos] == [5, 77, 300]
-    assert bus.master(13, "encoder-interface").sdo[0x1800][1].raw == 0x18D
+    assert bus.master(13, "encoder-interface").sdo[0x1800][1].raw == 0x4000018D
     bus.network.nmt.state = "OPERATIONAL"
     bus.bus.run_until(1.0)
 

@@ -13,7 +13,7 @@ from canfb.device.node import Node
 from canfb.device.pdo import COMMUNICATION, numbers
 from canfb.device.storage import Store
 from canfb.eds_files import eds_path
-from canfb.simulation.fast_recording import COMMAND, RECORDING, Continuous, FastRecorder
+from canfb.simulation.fast_recording import COMMAND, RATE, RECORDING, Continuous, FastRecorder
 from canfb.simulation.sources import Source, SourceEnded
 
 EDS = "encoder-interface"
@@ -47,7 +47,8 @@ class EncoderInterface:
         self.node.on_sync = self._on_sync
         self.node.on_parameter_faults = self._on_parameter_faults
         self.node.on_reset = self._on_reset
-        self.node.storage.entries.leave_out(RECORDING, COMMAND)
+        for subindex in (COMMAND, RATE):  # of one recording, nothing to keep
+            self.node.storage.entries.leave_out(RECORDING, subindex)
         self._now = 0.0
         self.recorder = FastRecorder(self.dictionary, source, lambda: self._now)
         self.source = source
