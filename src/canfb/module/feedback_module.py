@@ -17,6 +17,7 @@ from canfb.eds_files import eds_path
 from canfb.module.calibrating import Calibrating
 from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.config import ModuleConfig
+from canfb.module.cyclic_timer import CyclicTimer
 from canfb.module.interval import IntervalEstimate
 from canfb.module.parameters import Limits, apply_defaults, configured_defaults
 from canfb.module.profile import EncoderProfile
@@ -66,8 +67,14 @@ class FeedbackModule:
         self._interval = IntervalEstimate(self.dictionary.entry(0x1006))
         self._limits = Limits(self.dictionary, self.chain, self._interval)
         self._tables = TableStore(self.dictionary, self.chain, self.node.storage)
-        self._profile = EncoderProfile(self.dictionary)
         self._input = SampleInput(self.dictionary, self.node)
+        self._profile = EncoderProfile(
+            self.dictionary,
+            self._interval,
+            lambda: self._input.expects_pulse,
+            lambda: self._limits.residual_limit_cycles,
+        )
+        CyclicTimer(self.dictionary, self.node.storage)
         self._publication = Publication(self.dictionary, self._interval, self.chain, self._input)
         self._taps = Taps()
         self._recorder = Recorder(self.dictionary, self._interval, self._taps)
@@ -140,7 +147,8 @@ class FeedbackModule:
     def _choose_parameters(self) -> None:
         """What `save` keeps beside the entries that it keeps anyway, and what is no parameter."""
         entries = self.node.storage.entries
-        entries.keep(0x6003)  # without the preset that a write of it would set
+        for preset in (0x6003, 0x6009):
+            entries.keep(preset)  # without the preset that a write of it would set
         entries.keep(0x6509)
         for entry in self.dictionary:
             if entry.index in COMMANDS and entry.access == "rw":

@@ -70,6 +70,8 @@ class Limits:
         self._applied_s = 0.0
         self.narrowed = False
         """A known acceleration narrows the residual limit; it then depends on the sampling interval."""
+        self.residual_limit_cycles = 0.0
+        """The residual limit in force, narrowed or not."""
         self._low.on_write = self._check(lambda low: low < self._high.value)
         self._high.on_write = self._check(lambda high: high > self._low.value)
         self._acceleration.on_write = self._check(lambda value: 0.0 <= value <= 1e9)
@@ -96,6 +98,7 @@ class Limits:
         interval_s, cycles = self._interval.seconds, self._cycles_per_revolution.value
         if interval_s > 0.0:
             limit = narrowed_residual_limit(limit, self._acceleration.value, cycles, interval_s)
+        self.residual_limit_cycles = limit
         self._applied_s, self.narrowed = interval_s, self._acceleration.value > 0.0
         limits = SampleLimits(self._full_scale.value, self._low.value, self._high.value)
         coarse_limit = self._coarse.value / LIMIT_UNITS

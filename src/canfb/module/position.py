@@ -10,7 +10,6 @@ MAX_UNITS_PER_CYCLE = 8192  # 1/5800 cycle is what a 12-bit converter resolves
 CODE_SEQUENCE = 1 << 0  # 6000h: set = position falls when the machine turns clockwise
 SCALING = 1 << 2  # 6000h: 6001h and 6002h are used
 U32 = 0xFFFFFFFF
-U64 = 0xFFFFFFFFFFFFFFFF
 
 
 def single_turn_resolution(cycles_per_revolution: int) -> int:
@@ -34,7 +33,14 @@ class PositionScale:
     The position value 6004h is (units + offset) modulo ``total_range``.
     """
 
-    __slots__ = ("_denominator", "_numerator", "offset", "total_range")
+    __slots__ = (
+        "_denominator",
+        "_numerator",
+        "cycles_per_revolution",
+        "offset",
+        "total_range",
+        "units_per_revolution",
+    )
 
     def __init__(
         self,
@@ -45,6 +51,8 @@ class PositionScale:
         offset: int,
     ) -> None:
         numerator = -units_per_revolution if reverse else units_per_revolution
+        self.cycles_per_revolution = cycles_per_revolution
+        self.units_per_revolution = numerator  # negative when the code sequence is reversed
         denominator = cycles_per_revolution * PHASE_UNITS
         # In lowest terms, which are small for usual resolutions: long integers take longer to divide.
         common = math.gcd(numerator, denominator)
@@ -56,6 +64,10 @@ class PositionScale:
         """Measuring units since the start, unwrapped, rounded down; phase in cycles, 0 <= phase < 1."""
         phase_units = int(phase * PHASE_SCALE)
         return (cycles * PHASE_UNITS + phase_units) * self._numerator // self._denominator
+
+    def position(self, cycles: int, phase: float) -> int:
+        """The position value: 0 .. ``total_range`` - 1, with the preset."""
+        return (self.units(cycles, phase) + self.offset) % self.total_range
 
     def offset_for(self, units: int, preset: int) -> int:
         """The offset that makes these units the position ``preset``, nearest to zero."""

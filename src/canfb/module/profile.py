@@ -1,22 +1,27 @@
-"""The encoder profile CiA 406 of one channel: scaled position, preset, alarms and warnings."""
+"""The encoder profile CiA 406 of one channel: see docs/encoder-profile.md for all of its objects."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from canfb.device.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
+from canfb.module.cams import Cams
+from canfb.module.interval import IntervalEstimate
 from canfb.module.position import (
     CODE_SEQUENCE,
     SCALING,
-    U64,
     PositionScale,
     distinguishable_revolutions,
     single_turn_resolution,
 )
+from canfb.module.speed import Motion
+from canfb.module.work_area import WorkArea
 from canfb.signal.chain import Feedback
-from canfb.signal.supervision import VALID
+from canfb.signal.supervision import REFERENCED, VALID
 
 ALARM_POSITION, ALARM_PARAMETERS = 1 << 0, 1 << 12  # 6503h
-WARNING_FREQUENCY, WARNING_AMPLITUDE = 1 << 0, 1 << 1  # 6505h
+WARNING_FREQUENCY, WARNING_AMPLITUDE, WARNING_REFERENCE = 1 << 0, 1 << 1, 1 << 5  # 6505h
 STANDSTILL_CYCLES = 0.05  # per sample: what counts as standstill for a preset
 NEAR_LIMIT = 0.75  # residual over this part of the limit: warning
 AMPLITUDE_RESERVE = 1.15  # amplitude below this multiple of the lowest accepted one: warning
@@ -25,38 +30,54 @@ AMPLITUDE_RESERVE = 1.15  # amplitude below this multiple of the lowest accepted
 class EncoderProfile:
     """Objects 6000h to 650Bh over the feedback of a signal chain.
 
-    Raw position 600Ch and warnings 6505h are computed when they are read, because few samples are
-    asked for them.
+    What the default PDOs do not hold is computed when it is read, because few samples are asked for
+    it. Cams, work area, speed and acceleration hold the last valid position.
+
+    ``expects_pulse()`` tells whether a zero pulse is wired. ``residual_limit()`` is the one in force,
+    in cycles.
     """
 
-    def __init__(self, dictionary: Dictionary) -> None:
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        interval: IntervalEstimate,
+        expects_pulse: Callable[[], bool],
+        residual_limit: Callable[[], float],
+    ) -> None:
+        self._expects_pulse, self._residual_limit = expects_pulse, residual_limit
         entry = dictionary.entry
         self._operating, self._units_per_rev, self._range = entry(0x6000), entry(0x6001), entry(0x6002)
         self._position, self._fine = entry(0x6004), entry(0x6008)
         self._status, self._alarms = entry(0x6500), entry(0x6503)
         self._resolution, self._revolutions, self._offset = entry(0x6501), entry(0x6502), entry(0x6509)
         self._cycles_per_revolution = entry(0x2001, 1)
-        self._low, self._limit = entry(0x2001, 3), entry(0x2010, 1)
+        self._low = entry(0x2001, 3)
         self._last: Feedback | None = None
+        self._last_valid: Feedback | None = None
         self._standing_alarms = 0
         """Bits of 6503h that no sample ends."""
-        entry(0x6003).on_write = self._preset
+        self._presets = entry(0x6003), entry(0x6009)
+        for preset in self._presets:
+            preset.on_write = self._preset
         entry(0x600C).on_read = self._raw_position
         entry(0x6505).on_read = self._warnings
         self._operating.on_write = self._check_operating
         for changed in (self._operating, self._units_per_rev, self._range):
             changed.on_written = self.rescale
         self._module_range = entry(0x650A, 2), entry(0x650A, 3)
+        self._cams = Cams(dictionary, self._valid_position)
+        WorkArea(dictionary, self._valid_position, lambda: self._scale.total_range)
+        Motion(dictionary, interval, lambda: self._last_valid, lambda: self._scale)
         self.reset()
 
     def reset(self) -> None:
         """No position, no alarm; the preset is that of 6509h."""
-        self._last = None
+        self._last = self._last_valid = None
         self._standing_alarms = self._alarms.value = 0
         self.rescale()
 
     def rescale(self) -> None:
-        """Take over 2001:01, 6000h, 6001h, 6002h and 6509h."""
+        """Take over 2001:01, 6000h, 6001h, 6002h and 6509h; the position is the new one at once."""
         cycles = self._cycles_per_revolution.value
         self._resolution.value = resolution = single_turn_resolution(cycles)
         self._revolutions.value = revolutions = distinguishable_revolutions(resolution)
@@ -73,21 +94,36 @@ class EncoderProfile:
         # INTEGER32 objects for a range that needs 32 bits without sign: saturated, not wrapped.
         self._module_range[0].value = 0
         self._module_range[1].value = min(self._scale.total_range - 1, 0x7FFFFFFF)
+        self._moved()
+
+    def _moved(self) -> None:
+        """Every position has another value now."""
+        self._cams.configure(self._scale.total_range)
+        if self._last is not None:
+            self.publish(self._last)
 
     def publish(self, feedback: Feedback) -> None:
         """Write the position objects and the alarm."""
         self._last = feedback
         scale = self._scale
         units = scale.units(feedback.cycles, feedback.phase) + scale.offset
-        self._position.value = units % scale.total_range
-        self._fine.value = units & U64
-        standing = self._standing_alarms
-        self._alarms.value = standing if feedback.status & VALID else standing | ALARM_POSITION
+        self._position.value = self._fine.value = position = units % scale.total_range
+        if feedback.status & VALID:
+            self._last_valid = feedback
+            self._alarms.value = self._standing_alarms
+            if self._cams.follows:
+                self._cams.follow(position)
+        else:
+            self._alarms.value = self._standing_alarms | ALARM_POSITION
 
     def alarm_parameters(self, refused: bool) -> None:
         """Bit 12 of 6503h: stored parameters were refused, the defaults are in force."""
         self._standing_alarms = ALARM_PARAMETERS if refused else 0
         self._alarms.value = self._alarms.value & ~ALARM_PARAMETERS | self._standing_alarms
+
+    def _valid_position(self) -> int | None:
+        last = self._last_valid
+        return None if last is None else self._scale.position(last.cycles, last.phase)
 
     def _raw_position(self) -> int:
         last, scale = self._last, self._raw_scale
@@ -98,10 +134,12 @@ class EncoderProfile:
     def _warnings(self) -> int:
         last, warnings = self._last, 0
         if last is not None and last.valid:
-            if last.residual > NEAR_LIMIT / 65536 * self._limit.value:
+            if last.residual > NEAR_LIMIT * self._residual_limit():
                 warnings = WARNING_FREQUENCY
             if last.amplitude < AMPLITUDE_RESERVE * self._low.value:
                 warnings |= WARNING_AMPLITUDE
+        if self._expects_pulse() and not (last is not None and last.status & REFERENCED):
+            warnings |= WARNING_REFERENCE
         return warnings
 
     def _check_operating(self, value: int) -> None:
@@ -117,4 +155,6 @@ class EncoderProfile:
         units = self._scale.units(last.cycles, last.phase)
         offset = self._scale.offset_for(units, value)
         self._offset.value = self._scale.offset = max(-0x80000000, min(offset, 0x7FFFFFFF))
-        self.publish(last)
+        for preset in self._presets:  # one value, in 32 and in 64 bits
+            preset.value = value
+        self._moved()

@@ -25,8 +25,14 @@ class SampleInput:
         self._wanted = self._arrived = 0  # bit n: RPDO n
         self.timed = False
         """Each sample brings its time."""
+        self._with_flags = False
         self.pulses = 0
         """Zero pulses seen."""
+
+    @property
+    def expects_pulse(self) -> bool:
+        """An RPDO carries 2000:06, which brings the zero pulse."""
+        return self._with_flags
 
     def configure(self) -> None:
         """Find out which RPDOs bring what; called when PDO parameters or the NMT state change."""
