@@ -10,6 +10,7 @@ import pytest
 from canfb.cli.main import build_parser, main
 from canfb.cli.simulate import chosen_source
 from canfb.configuration import load_config
+from canfb.signal.sample import Sample
 from canfb.simulation.sources import MotionSource, RecordingSource
 
 CHANNEL = "canfb-simulate"
@@ -142,7 +143,7 @@ def source_of(arguments: list[str]) -> MotionSource | RecordingSource:
 def test_speed_rate_and_module_move_the_machine(options: list[str], cycles: float, config: str) -> None:
     source = source_of([config, *options])
     assert isinstance(source, MotionSource)
-    assert source.next() == (0, 1024)
+    assert source.next() == Sample(0, 1024)
     source.next()
     assert source.position_cycles == pytest.approx(cycles)
 
@@ -150,10 +151,11 @@ def test_speed_rate_and_module_move_the_machine(options: list[str], cycles: floa
 def test_gaps_and_mid_scale_of_a_recording(config: str, samples: str) -> None:
     options = ["--columns", "a,b", "--mid-scale", "2048", "--time-column", "t", "--gap-samples", "2"]
     source = source_of([config, "--samples", samples, *options])
-    assert [source.next() for _ in range(5)] == [(100, -100), None, None, (300, -300), (400, -400)]
+    played = [source.next() for _ in range(5)]
+    assert played == [Sample(100, -100), None, None, Sample(300, -300), Sample(400, -400)]
     far = source_of([config, "--samples", samples, *options, "--gap", "1"])
-    assert far.next() == (100, -100)
-    assert far.next() == (200, -200)
+    assert far.next() == Sample(100, -100)
+    assert far.next() == Sample(200, -200)
 
 
 def test_a_recording_is_played_onto_the_bus_and_ends_by_itself(

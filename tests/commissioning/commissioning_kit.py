@@ -18,11 +18,12 @@ from canfb.device.frame import Frame
 from canfb.device.storage import Store
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, Harmonic
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion, Ripple
-from canfb.simulation.sources import Counts, MotionSource
+from canfb.simulation.sources import MotionSource
 from canfb.simulation.sync_producer import SyncProducer
 
 MODULE_ID, INTERFACE_ID = 0x20, 0x10
@@ -55,10 +56,11 @@ class ChangingSource:
 
     def __init__(self, encoder: Encoder, motion: Motion) -> None:
         self.motion = MotionSource(encoder, motion, CYCLES, 1.0 / RATE_HZ, seed=7)
-        self.change: Callable[[Counts], Counts | None] = lambda counts: counts
+        self.change: Callable[[tuple[float, float]], tuple[float, float] | None] = lambda counts: counts
 
-    def next(self) -> Counts | None:
-        return self.change(self.motion.next())
+    def next(self) -> Sample | None:
+        counts = self.change(self.motion.next()[:2])
+        return None if counts is None else Sample(*counts)
 
 
 class EmbeddedClient(SdoClient):  # type: ignore[misc]

@@ -15,6 +15,7 @@ from canfb.device.frame import Frame
 from canfb.device.storage import MemoryStore
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.sample import Sample
 from canfb.simulation.encoder_interface import EncoderInterface
 
 MODULE, INTERFACE = "module", "interface"
@@ -77,8 +78,8 @@ class StillSource:
 
     counts: tuple[int, int] = (300, 1400)
 
-    def next(self) -> tuple[int, int]:
-        return self.counts
+    def next(self) -> Sample:
+        return Sample(*self.counts)
 
 
 @dataclass

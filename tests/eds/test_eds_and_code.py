@@ -12,6 +12,7 @@ from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
 from canfb.eds_files import eds_path
+from canfb.signal.sample import Sample
 from canfb.simulation.encoder_interface import EncoderInterface
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
@@ -60,8 +61,8 @@ Device = FeedbackModule | EncoderInterface
 class Still:
     """A source of samples at standstill."""
 
-    def next(self) -> tuple[int, int] | None:
-        return 1000, 0
+    def next(self) -> Sample:
+        return Sample(1000, 0)
 
 
 def make_module() -> Device:

@@ -11,6 +11,7 @@ from canfb.device.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder_interface import EncoderInterface
 
@@ -20,8 +21,8 @@ NONE = 255
 
 
 class Still:
-    def next(self) -> tuple[int, int]:
-        return 0, 1500
+    def next(self) -> Sample:
+        return Sample(0, 1500)
 
 
 class Bus:

@@ -20,6 +20,7 @@ from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
+from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder_interface import EncoderInterface
 
@@ -211,8 +212,8 @@ def test_the_alarm_comes_again_with_each_reset_and_ends_with_load(store: MemoryS
 
 def test_the_encoder_interface_keeps_its_communication_parameters() -> None:
     class Still:
-        def next(self) -> tuple[int, int]:
-            return 0, 1500
+        def next(self) -> Sample:
+            return Sample(0, 1500)
 
     store = MemoryStore()
     bus = EmbeddedBus()

@@ -10,14 +10,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canfb.device.frame import Frame
+from canfb.signal.sample import Sample
+from canfb.signal.source import SourceEnded
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion
-from canfb.simulation.sources import Counts, MotionSource, SourceEnded
+from canfb.simulation.sources import MotionSource
 
 NODE, TPDO1 = 16, 0x190
 SYNC = Frame(0x80, b"")
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
+
+
+Counts = tuple[int, int]
 
 
 class Listed:
@@ -27,12 +32,13 @@ class Listed:
         self._samples = iter(samples)
         self.taken = 0
 
-    def next(self) -> Counts | None:
+    def next(self) -> Sample | None:
         self.taken += 1
         try:
-            return next(self._samples)
+            counts = next(self._samples)
         except StopIteration:
             raise SourceEnded from None
+        return None if counts is None else Sample(*counts)
 
 
 class Endless:
@@ -41,9 +47,9 @@ class Endless:
     def __init__(self) -> None:
         self.taken = 0
 
-    def next(self) -> Counts:
+    def next(self) -> Sample:
         self.taken += 1
-        return self.taken, -self.taken
+        return Sample(self.taken, -self.taken)
 
 
 def nmt(command: int, node: int = NODE) -> Frame:

@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 import canfb
 from canfb.demo.plant import EmbeddedNetwork
 from canfb.eds_files import eds_path
+from canfb.signal.sample import Sample
+from canfb.signal.source import Source
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion, Ramp, Ripple
-from canfb.simulation.sources import MotionSource, Source
+from canfb.simulation.sources import MotionSource
 from canfb.simulation.sync_producer import SyncProducer
 
 NODE = 16
@@ -138,8 +140,8 @@ def test_other_commands_are_refused(value: int) -> None:
 class Played:
     """A source that is no motion."""
 
-    def next(self) -> tuple[int, int]:
-        return 0, 0
+    def next(self) -> Sample:
+        return Sample(0, 0)
 
 
 def test_what_is_played_from_a_file_cannot_be_sampled_faster() -> None:

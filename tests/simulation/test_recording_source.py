@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from canfb.errors import CanfbError
-from canfb.simulation.sources import Counts, RecordingLayout, RecordingSource, SourceEnded
+from canfb.signal.sample import Sample
+from canfb.signal.source import SourceEnded
+from canfb.simulation.sources import RecordingLayout, RecordingSource
 
 AB = RecordingLayout(("a", "b"))
 
@@ -20,11 +22,12 @@ def written(tmp_path: Path, text: str | bytes) -> Path:
     return path
 
 
-def played(source: RecordingSource) -> list[Counts | None]:
-    samples: list[Counts | None] = []
+def played(source: RecordingSource) -> list[tuple[float, float] | None]:
+    samples: list[tuple[float, float] | None] = []
     with contextlib.suppress(SourceEnded):
         while len(samples) < 1000:
-            samples.append(source.next())
+            sample = source.next()
+            samples.append(sample and sample[:2])
     return samples
 
 
@@ -34,7 +37,7 @@ def test_rows_are_played_in_order_and_then_it_ends(tmp_path: Path) -> None:
     assert source.row == -1
     rows = []
     for want in ((1, -2), (3, 4), (5, 6)):
-        assert source.next() == want
+        assert source.next() == Sample(*want)
         rows.append(source.row)
     assert rows == [0, 1, 2]
     for _ in range(2):

@@ -14,7 +14,8 @@ from canfb.commissioning.sample_files import read_npz
 from canfb.commissioning.samples import Samples
 from canfb.configuration import Config
 from canfb.errors import ConfigError
-from canfb.simulation.sources import RecordingLayout, RecordingSource, SourceEnded
+from canfb.signal.source import SourceEnded
+from canfb.simulation.sources import RecordingLayout, RecordingSource
 
 PDO, RECORDING, MODULE = "pdo", "recording", "module"
 DEFAULT_MODULE = 0x20
@@ -192,11 +193,11 @@ def samples_of_file(options: argparse.Namespace) -> Samples:
     sine, cosine = [], []
     while True:
         try:
-            counts = source.next()
+            sample = source.next()
         except SourceEnded:
             break
-        sine.append(math.nan if counts is None else float(counts[0]))
-        cosine.append(math.nan if counts is None else float(counts[1]))
+        sine.append(math.nan if sample is None else float(sample.sine))
+        cosine.append(math.nan if sample is None else float(sample.cosine))
     try:
         return Samples.of(sine, cosine, options.rate, f"file {path.name}")
     except ValueError as error:

@@ -12,8 +12,9 @@ from canfb.bus.runner import Device, Runner, ending_on_signals
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, report
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
+from canfb.signal.source import Source
 from canfb.simulation.encoder_interface import EncoderInterface
-from canfb.simulation.sources import MotionSource, RecordingLayout, RecordingSource, Source
+from canfb.simulation.sources import MotionSource, RecordingLayout, RecordingSource
 from canfb.simulation.sync_producer import SyncProducer
 
 DEFAULT_RATE_HZ = 1000.0

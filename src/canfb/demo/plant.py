@@ -13,12 +13,13 @@ from canfb.eds_files import eds_path
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.phase import FloatArray
+from canfb.signal.sample import Sample
 from canfb.simulation.drive import Drive
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, demo_encoder
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion, Ramp, Ripple
-from canfb.simulation.sources import Counts, MotionSource
+from canfb.simulation.sources import MotionSource
 
 SYNC_PERIOD_S = 1e-3
 BIT_RATE = 1_000_000
@@ -48,21 +49,24 @@ class EmbeddedNetwork(canopen.Network):
             self.notify(frame.can_id, bytearray(frame.data), now)
 
 
+Fault = Callable[[Sample], Sample | None]
+
+
 class FaultySource:
-    """A motion with faults on request: sample number -> what becomes of its counts, None = lost."""
+    """A motion with faults on request: sample number -> what becomes of it, None = lost."""
 
     def __init__(self, motion: MotionSource) -> None:
         self.motion = motion
-        self.faults: dict[int, Callable[[Counts], Counts | None]] = {}
+        self.faults: dict[int, Fault] = {}
         self.truth_cycles: list[float] = []
 
-    def next(self) -> Counts | None:
+    def next(self) -> Sample | None:
         """The next sample; its true position is noted."""
-        counts = self.motion.next()
+        sample = self.motion.next()
         number = len(self.truth_cycles)
         self.truth_cycles.append(self.motion.position_cycles)
         fault = self.faults.get(number)
-        return counts if fault is None else fault(counts)
+        return sample if fault is None else fault(sample)
 
 
 def demo_motion() -> Motion:

@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 
 from canfb.calibration.motion import calibrate_from_motion
 from canfb.calibration.result import Calibration
-from canfb.demo.plant import BIT_RATE, SYNC_PERIOD_S, UNITS_PER_REVOLUTION, Plant
+from canfb.demo.plant import BIT_RATE, SYNC_PERIOD_S, UNITS_PER_REVOLUTION, Fault, Plant
 from canfb.signal.phase import FloatArray
+from canfb.signal.sample import Sample
 from canfb.signal.supervision import VALID
-from canfb.simulation.sources import Counts
 
 RUN_UP_SAMPLES = 2500
 TRACK_SAMPLES = 3000
 REFERENCE_SAMPLES = 20_000
 FAULT_SAMPLES = 80
 LOST_SAMPLE = 60
-FAULTS: dict[int, tuple[str, Callable[[Counts], Counts | None]]] = {
-    15: ("both tracks open", lambda counts: (0, 0)),
-    30: ("tracks inverted", lambda counts: (-counts[0], -counts[1])),
-    45: ("sine track at its stop", lambda counts: (2047, counts[1])),
-    LOST_SAMPLE: ("sample lost", lambda counts: None),
+FAULTS: dict[int, tuple[str, Fault]] = {
+    15: ("both tracks open", lambda sample: Sample(0, 0)),
+    30: ("tracks inverted", lambda sample: Sample(-sample.sine, -sample.cosine)),
+    45: ("sine track at its stop", lambda sample: Sample(2047, sample.cosine)),
+    LOST_SAMPLE: ("sample lost", lambda sample: None),
 }
 SCALING_ON = 1 << 2
 INVALID = 1 << 31

@@ -13,8 +13,8 @@ from canfb.device.node import Node
 from canfb.device.pdo import COMMUNICATION, numbers
 from canfb.device.storage import Store
 from canfb.eds_files import eds_path
+from canfb.signal.source import Source, SourceEnded
 from canfb.simulation.fast_recording import COMMAND, RATE, RECORDING, Continuous, FastRecorder
-from canfb.simulation.sources import Source, SourceEnded
 
 EDS = "encoder-interface"
 
@@ -88,14 +88,14 @@ class EncoderInterface:
         if self._continuous is not None:
             self._continuous.hear_sync(now)
         try:
-            counts = None if self.ended else self.source.next()
+            sample = None if self.ended else self.source.next()
         except SourceEnded:
-            self.ended, counts = True, None
-        if counts is None:
+            self.ended, sample = True, None
+        if sample is None:
             self._silent = True
             return
         self.samples += 1
-        for channel, value in zip(self._channels, counts, strict=True):
+        for channel, value in zip(self._channels, sample[:2], strict=True):
             channel.value = value
         for number, kind in self._tpdos.items():
             if kind.value == 0:  # FEh and FFh have their event timer; a sample of each SYNC would be too much

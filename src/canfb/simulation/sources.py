@@ -1,4 +1,4 @@
-"""Where the samples of a simulated encoder interface come from: a motion, or a recording."""
+"""Samples without an encoder: of a simulated machine, or of a recording (:mod:`canfb.signal.source`)."""
 
 from __future__ import annotations
 
@@ -7,28 +7,15 @@ import itertools
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from canfb.errors import CanfbError
+from canfb.signal.sample import Sample
+from canfb.signal.source import SourceEnded
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion
-
-Counts = tuple[int, int]
-"""Sine and cosine in ADC counts, signed, zero at mid-scale."""
-
-
-class Source(Protocol):
-    """Gives one sample for each SYNC."""
-
-    def next(self) -> Counts | None:
-        """The next sample, None for a SYNC that gets no answer. SourceEnded at the end."""
-
-
-class SourceEnded(Exception):
-    """A recording has no sample left."""
 
 
 class MotionSource:
@@ -69,13 +56,13 @@ class MotionSource:
         """
         self._last_now = now
 
-    def next(self) -> Counts:
+    def next(self) -> Sample:
         """The sample at this interval; ``position_cycles`` is then its true position."""
         self._last_s = time_s = self._count * self._interval_s
         self._count += 1
         self.position_cycles = self._motion.revolutions(time_s) * self._cycles_per_revolution
         sine, cosine = self._encoder.sample(self.position_cycles, self._rng)
-        return int(sine), int(cosine)
+        return Sample(int(sine), int(cosine))
 
 
 @dataclass(frozen=True)
@@ -109,7 +96,7 @@ class RecordingSource:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def next(self) -> Counts | None:
+    def next(self) -> Sample | None:
         """The next sample, None within a gap. SourceEnded at the end."""
         if self._waiting:
             self._waiting -= 1
@@ -123,7 +110,7 @@ class RecordingSource:
         self.row = self._next_row
         self._next_row += 1
         _, sine, cosine = self._rows[self.row]
-        return sine, cosine
+        return Sample(sine, cosine)
 
 
 def _pauses(rows: list[tuple[float, int, int]], layout: RecordingLayout) -> dict[int, int]:

@@ -1,0 +1,27 @@
+"""Where samples come from: one small interface for a local ADC, a recording and a simulated machine."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from canfb.errors import CanfbError
+from canfb.signal.sample import Sample
+
+
+class Source(Protocol):
+    """Gives one sample for each SYNC; it is passive and never waits."""
+
+    def next(self) -> Sample | None:
+        """The sample of this SYNC, ADC counts within INTEGER16; None where there is none.
+
+        SourceEnded when none will come any more, SourceError where the converter cannot be read: it is
+        asked again at the next SYNC.
+        """
+
+
+class SourceEnded(Exception):
+    """A recording has no sample left."""
+
+
+class SourceError(CanfbError):
+    """A source that cannot give its sample; the text says what and where."""
