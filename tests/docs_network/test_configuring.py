@@ -1,0 +1,171 @@
+"""docs/drive-network/configuring.py against the devices of this package, on an embedded bus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import configuring
+import network_file
+import pytest
+from network_bench import INTERFACE_ID, MODULE_ID, TEXT, Network, write
+
+from canfb.device.nmt import NmtState
+from canfb.device.storage import MemoryStore
+
+
+def configuration(network: Network, folder: Path, text: str = TEXT) -> configuring.Configuration:
+    return configuring.Configuration(network.network, network_file.load(write(folder, text)))
+
+
+def test_everything_is_as_the_file_says(tmp_path: Path) -> None:
+    network = Network()
+    made = configuration(network, tmp_path)
+    made.check_identity()
+    assert made.apply() == 14
+    assert network.value(0x2001, 1) == 1024
+    assert network.value(0x2010, 2) == 12.5
+    assert network.value(0x6002) == 0x40000000
+    assert network.value(0x1006) == 10_000
+    assert network.value(0x1017) == 100
+    assert [network.value(0x1016, n) for n in range(1, 5)] == [0x11 << 16 | 300, 1 << 16 | 1000, 0, 0]
+    assert network.value(0x1400, 1) == 0x191
+    assert (network.value(0x1800, 1), network.value(0x1800, 3)) == (0x400001A1, 5)
+    assert network.value(0x1A00, 0) == 2
+    assert network.value(0x1801, 1) & configuring.OFF
+    assert made.compare() == []
+
+
+def test_a_second_run_writes_nothing(tmp_path: Path) -> None:
+    network = Network()
+    configuration(network, tmp_path).apply()
+    network.sent.clear()
+    assert configuration(network, tmp_path).apply() == 0
+    assert network.downloads(MODULE_ID) == network.downloads(INTERFACE_ID) == []
+
+
+def test_identity_and_compare_write_nothing(tmp_path: Path) -> None:
+    network = Network()
+    before = network.values()
+    made = configuration(network, tmp_path)
+    made.check_identity()
+    lines = made.compare()
+    assert "module (21h) 2001:01 is 000009C4h, not 00000400h" in lines
+    assert not any("1801:01 is 800" in line for line in lines)
+    assert network.values() == before
+    assert network.downloads(MODULE_ID) == network.downloads(INTERFACE_ID) == []
+    assert not [frame for frame in network.sent if frame.can_id == 0]
+
+
+def test_a_pdo_is_written_in_the_order_of_the_standard(tmp_path: Path) -> None:
+    network = Network()
+    configuration(network, tmp_path).apply()
+    written = [one for one in network.downloads(MODULE_ID) if one[0] in (0x1800, 0x1A00)]
+    assert written == [
+        (0x1800, 1, 0xC00001A1),
+        (0x1A00, 0, 0),
+        (0x1A00, 0, 2),
+        (0x1800, 3, 5),
+        (0x1800, 1, 0x400001A1),
+    ]
+
+
+def test_new_entries_and_another_cob_id(tmp_path: Path) -> None:
+    network = Network()
+    text = TEXT.replace("[6004, 2011:01]", "[2011:02, 6004]").replace("0x1A1", "0x2B5")
+    configuration(network, tmp_path, text.replace("type: 254", "type: 3")).apply()
+    written = [one for one in network.downloads(MODULE_ID) if one[0] in (0x1800, 0x1A00)]
+    assert written == [
+        (0x1800, 1, 0xC00001A1),
+        (0x1A00, 0, 0),
+        (0x1A00, 1, 0x20110210),
+        (0x1A00, 2, 0x60040020),
+        (0x1A00, 0, 2),
+        (0x1800, 2, 3),
+        (0x1800, 3, 5),
+        (0x1800, 1, 0x400002B5),
+    ]
+
+
+def test_a_node_that_is_not_there(tmp_path: Path) -> None:
+    network = Network()
+    text = TEXT.replace("node_id: 0x21", "node_id: 0x22")
+    made = configuration(network, tmp_path, text)
+    made.remotes["module"].sdo.RESPONSE_TIMEOUT = 0.01
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(configuring, "ANSWER_S", 0.01)
+        with pytest.raises(configuring.NetworkError, match=r"module \(22h\) 1000:00: no answer"):
+            made.check_identity()
+
+
+def test_another_device(tmp_path: Path) -> None:
+    made = configuration(Network(), tmp_path, TEXT.replace("product_code: 1,", "product_code: 7,"))
+    with pytest.raises(
+        configuring.NetworkError, match=r"module \(21h\) 1018:02: another device, 00000001h where 00000007h"
+    ):
+        made.check_identity()
+
+
+REFUSED = TEXT.replace("6000: 4", "6000: 8")
+
+
+def test_a_refusal_names_node_object_and_abort_code(tmp_path: Path) -> None:
+    with pytest.raises(configuring.NetworkError) as error:
+        configuration(Network(), tmp_path, REFUSED).apply()
+    assert str(error.value) == "module (21h) 6000:00: abort 06090030h, Value range of parameter exceeded"
+
+
+@pytest.mark.parametrize("refused", [0x6000, 0x1A00, 0x1800, 0x1016, 0x1017])
+def test_a_failure_undoes_what_was_written(tmp_path: Path, refused: int) -> None:
+    """Wherever it fails, every object is what it was, and the nodes are PRE-OPERATIONAL."""
+    network = Network()
+    for node in (0x11, 0x21):
+        network.network.send_message(0, bytes([1, node]))
+    made = configuration(network, tmp_path)
+    before = network.values()
+    sdo = made.remotes["module"].sdo
+    download, counted = sdo.download, []
+
+    def failing(index: int, subindex: int, data: bytes) -> None:
+        counted.append(index)
+        if index == refused and counted.count(index) == 1 + (index in (0x1A00, 0x1800)):
+            raise configuring.SdoAbortedError(0x08000022)
+        download(index, subindex, data)
+
+    sdo.download = failing
+    with pytest.raises(configuring.NetworkError, match=f"{refused:04X}:.*08000022h"):
+        made.apply()
+    changed = {place: value for place, value in network.values().items() if value != before[place]}
+    assert changed == {}
+    assert network.module.state is NmtState.PRE_OPERATIONAL
+    assert network.interface.node.state is NmtState.PRE_OPERATIONAL
+
+
+def test_what_a_node_does_not_take_is_noticed(tmp_path: Path) -> None:
+    network = Network()
+    made = configuration(network, tmp_path)
+    made.remotes["module"].sdo.download = lambda index, subindex, data: None
+    with pytest.raises(configuring.NetworkError, match=r"2001:01: written 00000400h, reads 000009C4h"):
+        made.apply()
+
+
+def test_saved_parameters_survive_a_reset(tmp_path: Path) -> None:
+    store = MemoryStore()
+    network = Network(store)
+    text = TEXT.replace("    eds: canfb-module.eds\n", "    eds: canfb-module.eds\n    save: true\n")
+    configuration(network, tmp_path, text).apply()
+    assert store.images
+    network.network.send_message(0, bytes([0x81, MODULE_ID]))
+    made = configuration(network, tmp_path, text)
+    assert [line for line in made.compare() if line.startswith("module")] == []
+    kept = dict(store.images)
+    made.apply()
+    assert store.images == kept
+
+
+def test_a_node_that_cannot_save_is_named(tmp_path: Path) -> None:
+    network = Network()
+    text = TEXT.replace("    eds: canfb-module.eds\n", "    eds: canfb-module.eds\n    save: true\n")
+    before = network.values()
+    with pytest.raises(configuring.NetworkError, match=r"module \(21h\) 1010:01: abort 08000020h"):
+        configuration(network, tmp_path, text).apply()
+    assert network.values() == before
