@@ -9,24 +9,17 @@ from canfb.device.agenda import Agenda
 from canfb.device.codes import EmergencyCode
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
-from canfb.device.emergency import Emergency
 from canfb.device.frame import NEVER, Frame, Moment
-from canfb.device.guarding import NodeGuarding
-from canfb.device.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from canfb.device.hooks import Hooks
 from canfb.device.lss import REQUEST_ID, UNCONFIGURED, LssSlave, is_node_id
-from canfb.device.mapping import Direction
-from canfb.device.nmt import COMMUNICATING, ErrorBehaviour, Nmt, NmtState, Startup
-from canfb.device.routing import Handler, RemoteHandler, Routes
+from canfb.device.nmt import NmtState, Startup
+from canfb.device.routing import Handler, RemoteHandler
 from canfb.device.rpdo import Rpdo
-from canfb.device.sdo_channel import SdoChannel, channel_indices
 from canfb.device.sdo_server import TIMEOUT_S
+from canfb.device.services import Links, Services, nobody_listens
 from canfb.device.storage import Storage, Store
-from canfb.device.sync import Sync
-from canfb.device.time_stamp import TimeStamp
 from canfb.device.tpdo import Tpdo
 
-NMT_COMMAND = 0x000
 LAST_COMMUNICATION_INDEX = 0x1FFF
 _LONGEST_DATA = 8
 
@@ -98,63 +91,30 @@ class Node(Hooks):
 
     def _make_services(self) -> None:
         """All services that know the node-ID: anew when it changes."""
-        dictionary, node_id, counters, moment = self.dictionary, self.node_id, self.counters, self._moment
-        emit, changed = self._outbox.append, self._route
-        self._nmt = Nmt(node_id, counters, self._state_changed, self._reset)
-        self._error_behaviour = ErrorBehaviour(dictionary)
-        self._emergency = Emergency(dictionary, node_id, emit, counters)
-        self._producer = HeartbeatProducer(
-            dictionary.find(0x1017), node_id, emit, moment, self._get_state, self._heartbeat_changed
-        )
-        self._guarding = NodeGuarding(
-            dictionary,
-            node_id,
-            emit,
-            moment,
-            self._emergency,
-            state=self._get_state,
-            heartbeat=lambda: self._producer.is_active,
+        links = Links(
+            emit=self._outbox.append,
+            state_changed=self._state_changed,
+            reset=self._reset,
             lost=self.communication_error,
+            time_heard=self._time_heard,
+            synchronise=self._synchronise,
+            rpdo_too_short=self._rpdo_too_short,
+            heartbeat_changed=self._heartbeat_changed,
+            pdo_changed=self._pdo_changed,
+            changed=self._route,
         )
-        self._time_stamp = TimeStamp(dictionary.find(0x1012), counters, self._time_heard, changed)
-        self._consumer = HeartbeatConsumer(
-            dictionary, moment, counters, self._emergency, self.communication_error, changed
+        self._services = Services(
+            self.dictionary,
+            self.node_id,
+            links,
+            moment=self._moment,
+            counters=self.counters,
+            sdo_timeout_s=self._sdo_timeout_s,
         )
-        self._sync = Sync(dictionary, emit, moment, counters, self._emergency, self._synchronise, changed)
-        self._channels = [
-            SdoChannel(dictionary, index, node_id, emit, counters, changed, timeout_s=self._sdo_timeout_s)
-            for index in channel_indices(dictionary)
-        ]
-        self._rpdos = [
-            Rpdo(
-                dictionary,
-                number,
-                moment=moment,
-                counters=counters,
-                emergency=self._emergency,
-                window_open=self._sync.window_open,
-                delivered=_nobody_listens,
-                too_short=self._rpdo_too_short,
-                changed=self._pdo_changed,
-            )
-            for number in pdo.numbers(dictionary, Direction.RECEIVE)
-        ]
-        self._tpdos = {
-            number: Tpdo(dictionary, number, emit=emit, moment=moment, changed=self._pdo_changed)
-            for number in pdo.numbers(dictionary, Direction.TRANSMIT)
-        }
-        self._agenda.fill(
-            [
-                self._sync,
-                *self._rpdos,
-                *self._tpdos.values(),
-                self._producer,
-                self._guarding,
-                self._consumer,
-                self._emergency,
-                *(channel.server for channel in self._channels),
-            ]
-        )
+        self._nmt = self._services.nmt
+        self._emergency = self._services.emergency
+        self._tpdos = self._services.tpdos
+        self._agenda.fill(self._services.timed())
 
     @property
     def state(self) -> NmtState:
@@ -174,8 +134,8 @@ class Node(Hooks):
     @on_rpdo.setter
     def on_rpdo(self, hook: Callable[[int, float], None] | None) -> None:
         self._on_rpdo = hook
-        for rpdo in self._rpdos:
-            rpdo.delivered = _nobody_listens if hook is None else hook
+        for rpdo in self._services.rpdos:
+            rpdo.delivered = nobody_listens if hook is None else hook
 
     def start(self, now: float) -> list[Frame]:
         """Power on: the boot-up message, then PRE-OPERATIONAL.
@@ -266,7 +226,7 @@ class Node(Hooks):
         A lost heartbeat and a silent guarding master come here by themselves. EMCY is another matter.
         """
         self._moment.now = now
-        self._nmt.enter(self._error_behaviour.reaction(self._nmt.state), now)
+        self._nmt.enter(self._services.error_behaviour.reaction(self._nmt.state), now)
 
     def _time(self, now: float | None) -> float:
         if now is not None:
@@ -280,9 +240,6 @@ class Node(Hooks):
         sent = outbox[:]
         outbox.clear()
         return sent
-
-    def _get_state(self) -> NmtState:
-        return self._nmt.state
 
     def _receive_remote(self, can_id: int, now: float) -> None:
         handler = self._remote_routes.get(can_id)
@@ -301,8 +258,7 @@ class Node(Hooks):
         self._begin(False, now)
 
     def _wait_for_node_id(self) -> None:
-        self._producer.stop()
-        self._emergency.reset()
+        self._services.silence()
         self.lss.reset()
         self._route()
 
@@ -341,35 +297,20 @@ class Node(Hooks):
     def _begin(self, communication_only: bool, now: float) -> None:
         """INITIALISING, from the values in the dictionary, up to the state after the boot-up."""
         self._nmt.enter(NmtState.INITIALISING, now)
-        self._producer.stop()
-        self._emergency.reset()
-        self._guarding.configure(now)
-        self._consumer.configure(now)
-        self._sync.configure()
-        for channel in self._channels:
-            channel.configure()
+        self._services.configure(now)
         self.lss.reset()
         if self.on_reset is not None:
             self.on_reset(communication_only, now)
         if self.storage.faults:
             self._report_parameters()
-        self._producer.boot_up(now)
+        self._services.producer.boot_up(now)
         self._nmt.enter(NmtState.PRE_OPERATIONAL, now)
         if self._startup.autostart:
             self._nmt.enter(NmtState.OPERATIONAL, now)
 
     def _state_changed(self, old: NmtState, new: NmtState, now: float) -> None:
-        self._operational = operational = new is NmtState.OPERATIONAL
-        if operational or old is NmtState.OPERATIONAL:
-            for rpdo in self._rpdos:
-                rpdo.enable(operational, now)
-            for tpdo in self._tpdos.values():
-                tpdo.enable(operational, now)
-        if new not in COMMUNICATING:
-            for channel in self._channels:
-                channel.server.drop()
-        self._sync.enable(new in COMMUNICATING, now)
-        self._emergency.enable(new in COMMUNICATING, now)
+        self._operational = new is NmtState.OPERATIONAL
+        self._services.enter(old, new, now)
         self._pdo_changed()
         if self.on_state is not None:
             self.on_state(old, new, now)
@@ -380,8 +321,8 @@ class Node(Hooks):
 
     def _heartbeat_changed(self) -> None:
         """1017h was written: a heartbeat takes the place of guarding."""
-        if self._producer.is_active:
-            self._guarding.configure(self._moment.now)
+        if self._services.producer.is_active:
+            self._services.guarding.configure(self._moment.now)
         self._route()
 
     def _time_heard(self, days: int, milliseconds: int, now: float) -> None:
@@ -395,28 +336,11 @@ class Node(Hooks):
 
     def _route(self) -> None:
         """Who listens to which CAN-ID, in this NMT state and with these COB-IDs."""
-        self._sync_rpdos = [rpdo for rpdo in self._rpdos if rpdo.is_synchronous]
+        self._sync_rpdos = [rpdo for rpdo in self._services.rpdos if rpdo.is_synchronous]
         self._sync_tpdos = [tpdo for tpdo in self._tpdos.values() if tpdo.is_synchronous]
-        routes = Routes()
-        self._routes, self._remote_routes = routes.data, routes.remote
+        routes = self._services.routes()
         routes.add(REQUEST_ID, self.lss.handle)
-        state = self._nmt.state
-        if state is NmtState.INITIALISING:
-            return
-        routes.add(NMT_COMMAND, self._nmt.handle)
-        routes.add_remote(self._guarding.can_id, self._guarding.request)
-        for can_id, handler in self._consumer.routes().items():
-            routes.add(can_id, handler)
-        if state in COMMUNICATING:
-            routes.add(self._sync.can_id, self._sync.handle)
-            routes.add(self._time_stamp.can_id, self._time_stamp.handle)
-            for channel in self._channels:
-                routes.add(channel.request_id, channel.server.handle)
-        if state is NmtState.OPERATIONAL:
-            for rpdo in self._rpdos:
-                routes.add(rpdo.can_id, rpdo.handle)
-            for tpdo in self._tpdos.values():
-                routes.add_remote(tpdo.remote_can_id, tpdo.request)
+        self._routes, self._remote_routes = routes.data, routes.remote
 
     def rpdo_with(self, *objects: tuple[int, int]) -> int | None:
         """Number of the first valid RPDO whose mapping holds all these objects (index, sub-index)."""
@@ -435,7 +359,3 @@ class Node(Hooks):
             self.on_sync(counter, now)
         for tpdo in self._sync_tpdos:
             tpdo.synchronise(counter, now)
-
-
-def _nobody_listens(number: int, now: float) -> None:
-    """In place of a hook that is not there."""

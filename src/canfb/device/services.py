@@ -1,0 +1,170 @@
+"""The services that know the node-ID, and which of them listens to which CAN-ID."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from canfb.device import pdo
+from canfb.device.agenda import Timed
+from canfb.device.counters import Counters
+from canfb.device.dictionary import Dictionary
+from canfb.device.emergency import Emergency
+from canfb.device.frame import Emit, Moment
+from canfb.device.guarding import NodeGuarding
+from canfb.device.heartbeat import HeartbeatConsumer, HeartbeatProducer
+from canfb.device.mapping import Direction
+from canfb.device.nmt import COMMUNICATING, ErrorBehaviour, Nmt, NmtState
+from canfb.device.routing import Routes
+from canfb.device.rpdo import Rpdo
+from canfb.device.sdo_channel import SdoChannel, channel_indices
+from canfb.device.sync import Sync
+from canfb.device.time_stamp import TimeStamp
+from canfb.device.tpdo import Tpdo
+
+NMT_COMMAND = 0x000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Links:
+    """What the services call in the node."""
+
+    emit: Emit
+    state_changed: Callable[[NmtState, NmtState, float], None]
+    reset: Callable[[bool, float], None]
+    lost: Callable[[float], None]
+    """A heartbeat or the guarding master is lost."""
+    time_heard: Callable[[int, int, float], None]
+    synchronise: Callable[[int | None, float], None]
+    rpdo_too_short: Callable[[int, int, int, float], None]
+    heartbeat_changed: Callable[[], None]
+    pdo_changed: Callable[[], None]
+    changed: Callable[[], None]
+    """A COB-ID has changed: the routes are others now."""
+
+
+class Services:
+    """All services of one node-ID; made anew when it changes.
+
+    `configure` and `enter` follow the NMT state machine, `routes` says who listens.
+    """
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        node_id: int,
+        links: Links,
+        *,
+        moment: Moment,
+        counters: Counters,
+        sdo_timeout_s: float,
+    ) -> None:
+        emit, changed = links.emit, links.changed
+        self.nmt = nmt = Nmt(node_id, counters, links.state_changed, links.reset)
+        self.error_behaviour = ErrorBehaviour(dictionary)
+        self.emergency = emergency = Emergency(dictionary, node_id, emit, counters)
+        self.producer = producer = HeartbeatProducer(
+            dictionary.find(0x1017), node_id, emit, moment, lambda: nmt.state, links.heartbeat_changed
+        )
+        self.guarding = NodeGuarding(
+            dictionary,
+            node_id,
+            emit,
+            moment,
+            emergency,
+            state=lambda: nmt.state,
+            heartbeat=lambda: producer.is_active,
+            lost=links.lost,
+        )
+        self.time_stamp = TimeStamp(dictionary.find(0x1012), counters, links.time_heard, changed)
+        self.consumer = HeartbeatConsumer(dictionary, moment, counters, emergency, links.lost, changed)
+        self.sync = Sync(dictionary, emit, moment, counters, emergency, links.synchronise, changed)
+        self.channels = [
+            SdoChannel(dictionary, index, node_id, emit, counters, changed, timeout_s=sdo_timeout_s)
+            for index in channel_indices(dictionary)
+        ]
+        self.rpdos = [
+            Rpdo(
+                dictionary,
+                number,
+                moment=moment,
+                counters=counters,
+                emergency=emergency,
+                window_open=self.sync.window_open,
+                delivered=nobody_listens,
+                too_short=links.rpdo_too_short,
+                changed=links.pdo_changed,
+            )
+            for number in pdo.numbers(dictionary, Direction.RECEIVE)
+        ]
+        self.tpdos = {
+            number: Tpdo(dictionary, number, emit=emit, moment=moment, changed=links.pdo_changed)
+            for number in pdo.numbers(dictionary, Direction.TRANSMIT)
+        }
+
+    def timed(self) -> list[Timed]:
+        """Those with a timer, in the order in which they are called."""
+        return [
+            self.sync,
+            *self.rpdos,
+            *self.tpdos.values(),
+            self.producer,
+            self.guarding,
+            self.consumer,
+            self.emergency,
+            *(channel.server for channel in self.channels),
+        ]
+
+    def configure(self, now: float) -> None:
+        """Begin anew with the values in the dictionary, after a reset: no error, no timer, no transfer."""
+        self.silence()
+        self.guarding.configure(now)
+        self.consumer.configure(now)
+        self.sync.configure()
+        for channel in self.channels:
+            channel.configure()
+
+    def silence(self) -> None:
+        """No heartbeat until the next boot-up, and no error."""
+        self.producer.stop()
+        self.emergency.reset()
+
+    def enter(self, old: NmtState, new: NmtState, now: float) -> None:
+        """What a change of the NMT state allows and forbids (CiA 301, 7.3.2.2.5)."""
+        operational = new is NmtState.OPERATIONAL
+        if operational or old is NmtState.OPERATIONAL:
+            for rpdo in self.rpdos:
+                rpdo.enable(operational, now)
+            for tpdo in self.tpdos.values():
+                tpdo.enable(operational, now)
+        if new not in COMMUNICATING:
+            for channel in self.channels:
+                channel.server.drop()
+        self.sync.enable(new in COMMUNICATING, now)
+        self.emergency.enable(new in COMMUNICATING, now)
+
+    def routes(self) -> Routes:
+        """Who listens to which CAN-ID, in this NMT state and with these COB-IDs."""
+        routes = Routes()
+        state = self.nmt.state
+        if state is NmtState.INITIALISING:
+            return routes
+        routes.add(NMT_COMMAND, self.nmt.handle)
+        routes.add_remote(self.guarding.can_id, self.guarding.request)
+        for can_id, handler in self.consumer.routes().items():
+            routes.add(can_id, handler)
+        if state in COMMUNICATING:
+            routes.add(self.sync.can_id, self.sync.handle)
+            routes.add(self.time_stamp.can_id, self.time_stamp.handle)
+            for channel in self.channels:
+                routes.add(channel.request_id, channel.server.handle)
+        if state is NmtState.OPERATIONAL:
+            for rpdo in self.rpdos:
+                routes.add(rpdo.can_id, rpdo.handle)
+            for tpdo in self.tpdos.values():
+                routes.add_remote(tpdo.remote_can_id, tpdo.request)
+        return routes
+
+
+def nobody_listens(number: int, now: float) -> None:
+    """In place of a hook for RPDOs that is not there."""
