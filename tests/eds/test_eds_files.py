@@ -18,14 +18,15 @@ sys.path.insert(0, str(ROOT / "tools"))
 import check_eds  # noqa: E402
 from eds_model import BITS, number, number_of_type, read  # noqa: E402
 
-MODULE, INTERFACE = "canfb-module.eds", "encoder-interface.eds"
-NAMES = (MODULE, INTERFACE)
+MODULE, INTERFACE, DRIVE = "canfb-module.eds", "encoder-interface.eds", "drive.eds"
+NAMES = (MODULE, INTERFACE, DRIVE)
 TEXTS = {name: eds_path(name).read_text(encoding="ascii") for name in NAMES}
 TYPES = {
     "U8": 0x05,
     "U16": 0x06,
     "U32": 0x07,
     "U64": 0x1B,
+    "I8": 0x02,
     "I16": 0x03,
     "I32": 0x04,
     "I64": 0x15,
@@ -138,9 +139,78 @@ INTERFACE_CONTRACT = """
 6401:03 I16 ro pdo
 6401:04 I16 ro pdo
 """
+DRIVE_CONTRACT = """
+1000:00 U32 ro 0x00020192
+1400:01 U32 rw $NODEID+0x200
+1400:02 U8 rw 255
+1401:01 U32 rw $NODEID+0x300
+1401:02 U8 rw 1
+1402:01 U32 rw $NODEID+0x80000400
+1403:01 U32 rw $NODEID+0x80000500
+1403:02 U8 rw 255
+1600:01 U32 rw 0x60400010
+1600:02 U32 rw 0x60600008
+1601:01 U32 rw 0x607A0020
+1602:00 U8 rw 0
+1603:01 U32 rw 0x60E40120
+1603:02 U32 rw 0x21100110
+1603:03 U32 rw 0x21100410
+1800:01 U32 rw $NODEID+0x40000180
+1800:02 U8 rw 255
+1801:01 U32 rw $NODEID+0x40000280
+1801:02 U8 rw 1
+1A00:01 U32 rw 0x60410010
+1A00:02 U32 rw 0x60610008
+1A00:03 U32 rw 0x603F0010
+1A01:01 U32 rw 0x60640020
+1A01:02 U32 rw 0x606C0020
+6007:00 I16 rw 1 0..3
+603F:00 U16 ro pdo
+6040:00 U16 rww pdo 0
+6041:00 U16 ro pdo
+605A:00 I16 rw 2
+605E:00 I16 rw 2 0..2
+6060:00 I8 rww pdo 0
+6061:00 I8 ro pdo
+6062:00 I32 ro pdo
+6063:00 I32 ro pdo
+6064:00 I32 ro pdo
+6065:00 U32 rw 104858
+6066:00 U16 rw 10
+6067:00 U32 rw 1049
+6068:00 U16 rw 10
+606C:00 I32 ro pdo
+6072:00 U16 rww pdo 1000
+6074:00 I16 ro pdo
+6076:00 U32 rw 500
+6077:00 I16 ro pdo
+607A:00 I32 rww pdo 0
+607D:01 I32 rw -2147483648
+607D:02 I32 rw 2147483647
+6080:00 U32 rw 3000
+6081:00 U32 rww pdo 10485760
+6083:00 U32 rw 52428800
+6084:00 U32 rw 52428800
+6085:00 U32 rw 62914560
+608F:01 U32 rw 1048576
+608F:02 U32 rw 1
+60C2:01 U8 rw 1
+60C2:02 I8 rw -3 -6..0
+60E4:01 I32 rww pdo
+60E6:01 U32 rw 20480000
+60EB:01 U32 rw 1
+60F4:00 I32 ro pdo
+6502:00 U32 ro 0x81
+2100:05 U32 rw 10000
+2110:01 U16 rww pdo
+2110:02 U16 rw 1
+2110:03 U16 rw 1
+2110:05 U32 rw 4280320000
+2110:06 U8 rw 2
+"""
 CONTRACT = [
     (name, line)
-    for name, table in ((MODULE, MODULE_CONTRACT), (INTERFACE, INTERFACE_CONTRACT))
+    for name, table in ((MODULE, MODULE_CONTRACT), (INTERFACE, INTERFACE_CONTRACT), (DRIVE, DRIVE_CONTRACT))
     for line in table.strip().splitlines()
 ]
 
@@ -227,8 +297,8 @@ def test_a_file_is_found_with_and_without_its_suffix(name: str) -> None:
 
 
 def test_an_unknown_file_is_refused_with_the_names_there_are() -> None:
-    with pytest.raises(EdsNotFoundError, match=r"no EDS file drive\.eds in .*canfb-module\.eds, encoder-int"):
-        eds_path("drive")
+    with pytest.raises(EdsNotFoundError, match=r"no EDS file motor\.eds in .*canfb-module\.eds, drive\.eds, enc"):
+        eds_path("motor")
     assert issubclass(EdsNotFoundError, CanfbError)
     assert issubclass(EdsNotFoundError, FileNotFoundError)
 

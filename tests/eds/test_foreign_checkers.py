@@ -10,7 +10,7 @@ import pytest
 
 from canfb.eds_files import eds_path
 
-NAMES = ("canfb-module.eds", "encoder-interface.eds")
+NAMES = ("canfb-module.eds", "encoder-interface.eds", "drive.eds")
 
 DCFCHK = ("-W", "always", "-c", "import sys; from dcf.cli import main; sys.exit(main())", "-n", "32")
 EDS_VALIDATE = ("-c", "import sys; from eds_utils.eds_validate import eds_validate; sys.exit(eds_validate())")
