@@ -297,7 +297,9 @@ def test_a_file_is_found_with_and_without_its_suffix(name: str) -> None:
 
 
 def test_an_unknown_file_is_refused_with_the_names_there_are() -> None:
-    with pytest.raises(EdsNotFoundError, match=r"no EDS file motor\.eds in .*canfb-module\.eds, drive\.eds, enc"):
+    with pytest.raises(
+        EdsNotFoundError, match=r"no EDS file motor\.eds in .*canfb-module\.eds, drive\.eds, enc"
+    ):
         eds_path("motor")
     assert issubclass(EdsNotFoundError, CanfbError)
     assert issubclass(EdsNotFoundError, FileNotFoundError)
