@@ -1,0 +1,242 @@
+"""A CiA 402 drive from the master's side, over its PDOs: states, moves, and what came out of a move.
+
+Needs python canopen. Positions are revolutions of the machine.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from canopen.profiles.p402 import State402
+
+PROFILE, CYCLIC = 1, 8  # 6060h: profile position; cyclic synchronous position
+ENABLE, NEW_SET_POINT, CHANGE_AT_ONCE, RESET_FAULT = 0x0F, 0x10, 0x20, 0x80
+TARGET_REACHED, SET_POINT_TAKEN = 1 << 10, 1 << 12
+VALID = 1 << 0  # 2011:01 of the module
+
+NEXT = {
+    "SWITCH ON DISABLED": "READY TO SWITCH ON",
+    "READY TO SWITCH ON": "SWITCHED ON",
+    "SWITCHED ON": "OPERATION ENABLED",
+    "QUICK STOP ACTIVE": "SWITCH ON DISABLED",
+}  # on the way to OPERATION ENABLED
+
+Until = Callable[[Callable[[], bool], float, str], None]
+"""Wait until it is true, so many seconds at most, for what: raises when something goes wrong."""
+
+
+class FaultError(Exception):
+    """A node has a fault, is gone, or does not do what it should; one line."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One SYNC: what the drive and the module have sent, revolutions."""
+
+    state: str
+    position: float
+    demand: float
+    following_error: float
+    module_position: float
+    module_valid: bool
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What came out of a move, revolutions and SYNCs."""
+
+    following_rms: float
+    following_peak: float
+    settled_syncs: int
+    drive: float
+    module: float
+    apart_peak: float
+
+
+class Axis:
+    """The drive ``drive`` with its feedback ``module``, two canopen.RemoteNode whose PDOs are set up.
+
+    ``range_units`` is 6002h of the module: its position wraps there. ``until`` waits.
+    """
+
+    def __init__(self, drive: Any, module: Any, range_units: int, until: Until) -> None:
+        self._drive, self._module, self._until = drive, module, until
+        self._range = range_units
+        self._last_units: int | None = None
+        self._module_units = 0
+        self.units = int(drive.sdo[0x608F][1].raw) / int(drive.sdo[0x608F][2].raw)
+        self.module_units = int(drive.sdo[0x60E6][1].raw) / int(drive.sdo[0x60EB][1].raw)
+        self.window = drive.sdo[0x6067].raw / self.units
+        self._speed = drive.sdo[0x6081].raw / self.units
+        self._acceleration = drive.sdo[0x6083].raw / self.units
+        self.rows: list[Row] = []
+        self.follow: Callable[[], float] | None = None  # the set-point for the next SYNC
+        self._module_pdo = next(pdo for pdo in module.tpdo.values() if _holds(pdo, 0x6004))
+        self._state_pdo = next(pdo for pdo in drive.tpdo.values() if _holds(pdo, 0x6041))
+        self._loop_pdo = next(pdo for pdo in drive.tpdo.values() if _holds(pdo, 0x60F4))
+        self._command_pdo = next(pdo for pdo in drive.rpdo.values() if _holds(pdo, 0x6040))
+        self._module_pdo.add_callback(self._hear_module)
+        self._loop_pdo.add_callback(self._hear_drive)  # the last one that the drive sends at a SYNC
+
+    @property
+    def state(self) -> str:
+        """The state of the drive, as canopen names it: OPERATION ENABLED, FAULT, ..."""
+        return _state(self._state_pdo[0x6041].raw)
+
+    @property
+    def position(self) -> float:
+        """What the drive says."""
+        return float(self._state_pdo[0x6064].raw / self.units)
+
+    @property
+    def module_status(self) -> int:
+        """2011:01 of the last position PDO."""
+        return int(self._module_pdo[0x2011].raw)
+
+    def enable(self, mode: int) -> None:
+        """Through the states to OPERATION ENABLED, where the target is the present position."""
+        self._until(lambda: len(self.rows) > 0, 5.0, "the drive to answer the SYNC")
+        passing = ("NOT READY TO SWITCH ON", "FAULT REACTION ACTIVE")
+        self._until(lambda: self.state not in passing, 5.0, "a state that can be left by command")
+        self._command_pdo[0x6060].raw = mode
+        if self.state == "FAULT":
+            self.command(0)
+            answered = len(self.rows)
+            self._until(lambda: len(self.rows) > answered + 2, 5.0, "three SYNCs")  # the reset is an edge
+            self.command(RESET_FAULT)
+            self._until(lambda: self.state != "FAULT", 5.0, "the end of the fault; is its cause still there?")
+        while (state := self.state) != "OPERATION ENABLED":
+            aim = NEXT.get(state)
+            if aim is None:
+                raise FaultError(f"the drive is in {state}, from where no command leads on")
+            self.command(State402.TRANSITIONTABLE[state, aim], self.position)
+            self._running(lambda before=state: self.state != before, 5.0, aim)  # type: ignore[misc]
+        self._running(lambda: self._state_pdo[0x6061].raw == mode, 5.0, f"mode {mode} (6061h)")
+
+    def disable(self) -> None:
+        """Switch the power stage off; no wait."""
+        self.follow = None
+        self.command(0)
+
+    def command(self, controlword: int, target: float | None = None) -> None:
+        """Send controlword, mode and target; the drive takes them at the next SYNC."""
+        self._command_pdo[0x6040].raw = controlword
+        if target is not None:
+            self._command_pdo[0x607A].raw = round(target * self.units)
+        self._command_pdo.transmit()
+
+    def begin(self, mode: int, distance: float) -> float:
+        """Begin a move; its target."""
+        self.rows.clear()
+        start = self.position
+        target = start + distance
+        if mode == CYCLIC:
+            profile = trapezoid(distance, self._speed, self._acceleration)
+            period = self._drive.sdo[0x60C2][1].raw * 10.0 ** self._drive.sdo[0x60C2][2].raw
+            self.follow = lambda: start + profile(len(self.rows) * period)
+        else:
+            self.command(ENABLE, target)
+            self.wait_syncs(2)
+            self.command(ENABLE | NEW_SET_POINT | CHANGE_AT_ONCE, target)
+        return target
+
+    def finish(self, mode: int, target: float) -> None:
+        """Wait until the target is reached, and see it stay there for half a second of SYNCs."""
+        if mode == PROFILE:
+            status = self._state_pdo[0x6041]
+            self._running(lambda: status.raw & SET_POINT_TAKEN != 0, 5.0, "the drive to take the set-point")
+            self.command(ENABLE, target)
+            self._running(
+                lambda: self._demands(target) and status.raw & TARGET_REACHED != 0, 60.0, "the target"
+            )
+        self._running(lambda: self._demands(target), 60.0, "the end of the set-points")
+        self.wait_syncs(50)
+        self.follow = None
+
+    def figures(self, start: float, target: float) -> Figures:
+        """What came out of the move that has just ended."""
+        rows = self.rows
+        errors = [row.following_error for row in rows]
+        ended = next(n for n, row in enumerate(rows) if abs(row.demand - target) <= 1.5 / self.units)
+        outside = [n for n, row in enumerate(rows) if abs(row.position - target) > self.window]
+        offset = rows[0].module_position - rows[0].position
+        return Figures(
+            math.sqrt(sum(error * error for error in errors) / len(errors)),
+            max(abs(error) for error in errors),
+            max(0, outside[-1] + 1 - ended) if outside else 0,
+            rows[-1].position - start,
+            rows[-1].module_position - offset - start,
+            max(abs(row.module_position - offset - row.position) for row in rows),
+        )
+
+    def wait_syncs(self, count: int) -> None:
+        """Wait for so many SYNCs that the drive has answered."""
+        end = len(self.rows) + count
+        self._running(lambda: len(self.rows) >= end, 1.0 + 0.2 * count, "the drive to answer the SYNC")
+
+    def _running(self, true: Callable[[], bool], seconds: float, what: str) -> None:
+        """Wait while the drive has no fault."""
+
+        def done() -> bool:
+            state = self.state
+            if state.startswith("FAULT"):
+                raise FaultError(f"the drive is in {state}")
+            return true()
+
+        self._until(done, seconds, what)
+
+    def _demands(self, target: float) -> bool:
+        return bool(self.rows) and abs(self.rows[-1].demand - target) <= 1.5 / self.units
+
+    def _hear_module(self, pdo: Any) -> None:
+        units, last = int(pdo[0x6004].raw), self._last_units
+        step = 0 if last is None else (units - last + self._range // 2) % self._range - self._range // 2
+        self._module_units += units if last is None else step
+        self._last_units = units
+
+    def _hear_drive(self, pdo: Any) -> None:
+        state = self._state_pdo
+        self.rows.append(
+            Row(
+                self.state,
+                state[0x6064].raw / self.units,
+                pdo[0x6062].raw / self.units,
+                pdo[0x60F4].raw / self.units,
+                self._module_units / self.module_units,
+                bool(self.module_status & VALID),
+            )
+        )
+        if self.follow is not None:
+            self.command(ENABLE, self.follow())
+
+
+def trapezoid(distance: float, speed: float, acceleration: float) -> Callable[[float], float]:
+    """Position of a move from rest to rest as a function of time, s; all in one unit, speeds positive."""
+    way, sign = abs(distance), math.copysign(1.0, distance)
+    speed = min(speed, math.sqrt(way * acceleration))
+    ramp = speed / acceleration
+    total = ramp + (way / speed if speed else 0.0)
+
+    def at(time: float) -> float:
+        time = min(max(time, 0.0), total)
+        if time < ramp:
+            gone = 0.5 * acceleration * time * time
+        elif time < total - ramp:
+            gone = 0.5 * speed * ramp + speed * (time - ramp)
+        else:
+            gone = way - 0.5 * acceleration * (total - time) ** 2
+        return sign * gone
+
+    return at
+
+
+def _holds(pdo: Any, index: int) -> bool:
+    return bool(pdo.enabled) and any(variable.index == index for variable in pdo.map)
+
+
+def _state(statusword: int) -> str:
+    masks = State402.SW_MASK.items()
+    return next((name for name, (mask, bits) in masks if statusword & mask == bits), "UNKNOWN")
