@@ -37,7 +37,7 @@ def test_remote_frames_where_none_is_meant(bench: Bench) -> None:
     assert bench.node.state is NmtState.OPERATIONAL
 
 
-@pytest.mark.parametrize("can_id", [0x123, 0x621, 0x5A0, 0x720, 0x1A0, 0x800, 0x1FFFFFFF, -1])
+@pytest.mark.parametrize("can_id", [0x123, 0x621, 0x5A1, 0x721, 0x1A1, 0x800, 0x1FFFFFFF, -1])
 def test_unknown_ids(bench: Bench, can_id: int) -> None:
     bench.operational()
     assert bench.send(can_id, "4000100000000000") == []

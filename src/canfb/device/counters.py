@@ -15,6 +15,8 @@ class Counters:
     """More than 8 bytes, or a length or content that the service cannot mean."""
     remote_frames: int = 0
     """Remote frames where none is meant, or on a TPDO that allows none."""
+    duplicate_frames: int = 0
+    """Data frames with a CAN-ID that only this node may send: another has its node-ID or COB-ID."""
     short_rpdos: int = 0
     """RPDOs shorter than their mapping; the data was kept."""
     long_rpdos: int = 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 
 from canfb.device import cob
 from canfb.device.agenda import Timed
@@ -26,12 +26,21 @@ class Emergency(Timed):
 
     An error is known by its code and its source, so that two RPDOs that are both too short are two
     errors. Frames that may not go out now (inhibit time 1015h, NMT state) wait, up to eight.
+    `changed` is called when 1014h was written.
     """
 
-    def __init__(self, dictionary: Dictionary, node_id: int, emit: Emit, counters: Counters) -> None:
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        node_id: int,
+        emit: Emit,
+        counters: Counters,
+        changed: Callable[[], None],
+    ) -> None:
         self.deadline = NEVER
         self._emit = emit
         self._counters = counters
+        self._changed = changed
         self._register = dictionary.find(0x1001)
         self._history_count = dictionary.find(0x1003)
         self._history = [entry for entry in dictionary if entry.index == 0x1003 and entry.subindex]
@@ -43,6 +52,11 @@ class Emergency(Timed):
         self._allowed = False
         self._not_before = -NEVER
         self._install()
+
+    @property
+    def can_id(self) -> int | None:
+        """The CAN-ID of EMCY, None while it is switched off (1014h bit 31)."""
+        return self._can_id() if self._is_valid() else None
 
     def reset(self) -> None:
         """Forget the errors, with an NMT reset. Who still has one reports it again."""
@@ -133,6 +147,7 @@ class Emergency(Timed):
     def _install(self) -> None:
         if self._cob_id is not None:
             self._cob_id.on_write = self._check_cob_id
+            self._cob_id.on_written = self._changed
         if self._history_count is not None:
             self._history_count.on_write = _check_clear
         for entry in self._history:

@@ -26,6 +26,8 @@ class Hooks:
     what persists.
     on_parameter_faults(faults, now): stored parameters of these groups were refused, and why; the
     defaults are in force. After each reset while there are any, and when a save or a load changes them.
+    on_duplicate(can_id, now): another node sends with a CAN-ID that belongs to this one, most likely
+    with the same node-ID. For the first such frame after each reset; `counters` counts them all.
     on_bad_rpdo(number, received, mapped, now): an RPDO too short, in bytes; its data was dropped.
     on_configured(): PDO parameters or the NMT state have changed; mappings may be others now.
     on_bit_rate(kbit_s, delay_s, now): LSS wants another bit rate. Send nothing for `delay_s`, change
@@ -38,6 +40,7 @@ class Hooks:
         self.on_state: Callable[[NmtState, NmtState, float], None] | None = None
         self.on_reset: Callable[[bool, float], None] | None = None
         self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str], float], None] | None = None
+        self.on_duplicate: Callable[[int, float], None] | None = None
         self.on_bad_rpdo: Callable[[int, int, int, float], None] | None = None
         self.on_configured: Callable[[], None] | None = None
         self.on_bit_rate: Callable[[int, float, float], None] | None = None

@@ -99,6 +99,7 @@ class Node(Hooks):
             time_heard=self._time_heard,
             synchronise=self._synchronise,
             rpdo_too_short=self._rpdo_too_short,
+            duplicate=self._duplicate,
             heartbeat_changed=self._heartbeat_changed,
             pdo_changed=self._pdo_changed,
             changed=self._route,
@@ -120,6 +121,14 @@ class Node(Hooks):
     def state(self) -> NmtState:
         """The NMT state."""
         return self._nmt.state
+
+    @property
+    def own_can_ids(self) -> frozenset[int]:
+        """The CAN-IDs that only this node may send now; empty while it has no node-ID.
+
+        A recorded log holds the frames of the node itself there: leave them out of a replay.
+        """
+        return frozenset() if self.node_id == UNCONFIGURED else self._services.own_can_ids()
 
     @property
     def autostart(self) -> bool:
@@ -349,6 +358,10 @@ class Node(Hooks):
     def _rpdo_too_short(self, number: int, received: int, mapped: int, now: float) -> None:
         if self.on_bad_rpdo is not None:
             self.on_bad_rpdo(number, received, mapped, now)
+
+    def _duplicate(self, can_id: int, now: float) -> None:
+        if self.on_duplicate is not None:
+            self.on_duplicate(can_id, now)
 
     def _synchronise(self, counter: int | None, now: float) -> None:
         if not self._operational:

@@ -68,6 +68,11 @@ class Rpdo(Timed):
         """The CAN-ID it listens to now, None while it is not active."""
         return None if self._layout is None else self._parameters.can_id
 
+    @property
+    def configured_can_id(self) -> int | None:
+        """The CAN-ID it has, in any NMT state; None while it is not valid."""
+        return self._parameters.can_id if self._parameters.is_valid else None
+
     def enable(self, operational: bool, now: float) -> None:
         """Whether the NMT state allows PDOs. The mapping is compiled here."""
         self._operational = operational

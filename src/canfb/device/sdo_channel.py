@@ -61,6 +61,11 @@ class SdoChannel:
             return None
         return int(self._request.value & cob.CAN_ID)
 
+    @property
+    def response_id(self) -> int | None:
+        """The CAN-ID of the answers, None while the channel does not exist."""
+        return None if self.request_id is None else self.server.response_id
+
     def configure(self) -> None:
         """Read the parameters again; a running transfer is given up."""
         self.server.drop()

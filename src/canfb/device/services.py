@@ -9,10 +9,11 @@ from canfb.device import pdo
 from canfb.device.agenda import Timed
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
+from canfb.device.duplicate import DuplicateWatch
 from canfb.device.emergency import Emergency
 from canfb.device.frame import Emit, Moment
 from canfb.device.guarding import NodeGuarding
-from canfb.device.heartbeat import HeartbeatConsumer, HeartbeatProducer
+from canfb.device.heartbeat import ERROR_CONTROL, HeartbeatConsumer, HeartbeatProducer
 from canfb.device.mapping import Direction
 from canfb.device.nmt import COMMUNICATING, ErrorBehaviour, Nmt, NmtState
 from canfb.device.routing import Routes
@@ -37,6 +38,7 @@ class Links:
     time_heard: Callable[[int, int, float], None]
     synchronise: Callable[[int | None, float], None]
     rpdo_too_short: Callable[[int, int, int, float], None]
+    duplicate: Callable[[int, float], None]
     heartbeat_changed: Callable[[], None]
     pdo_changed: Callable[[], None]
     changed: Callable[[], None]
@@ -60,9 +62,11 @@ class Services:
         sdo_timeout_s: float,
     ) -> None:
         emit, changed = links.emit, links.changed
+        self._error_control_id = ERROR_CONTROL + node_id
         self.nmt = nmt = Nmt(node_id, counters, links.state_changed, links.reset)
         self.error_behaviour = ErrorBehaviour(dictionary)
-        self.emergency = emergency = Emergency(dictionary, node_id, emit, counters)
+        self.emergency = emergency = Emergency(dictionary, node_id, emit, counters, changed)
+        self.duplicates = DuplicateWatch(counters, emergency, links.duplicate)
         self.producer = producer = HeartbeatProducer(
             dictionary.find(0x1017), node_id, emit, moment, lambda: nmt.state, links.heartbeat_changed
         )
@@ -128,6 +132,7 @@ class Services:
         """No heartbeat until the next boot-up, and no error."""
         self.producer.stop()
         self.emergency.reset()
+        self.duplicates.reset()
 
     def enter(self, old: NmtState, new: NmtState, now: float) -> None:
         """What a change of the NMT state allows and forbids (CiA 301, 7.3.2.2.5)."""
@@ -163,7 +168,31 @@ class Services:
                 routes.add(rpdo.can_id, rpdo.handle)
             for tpdo in self.tpdos.values():
                 routes.add_remote(tpdo.remote_can_id, tpdo.request)
+        for can_id in self.own_can_ids():
+            routes.add(can_id, self.duplicates.handler(can_id))
         return routes
+
+    def own_can_ids(self) -> frozenset[int]:
+        """The CAN-IDs that only this node may send, in any NMT state.
+
+        One that the node is also configured to listen to is not among them: there are other senders,
+        and the configuration wants them. Boot-up and heartbeat are always its own.
+        """
+        sent = [
+            *(channel.response_id for channel in self.channels),
+            self.emergency.can_id,
+            *(tpdo.configured_can_id for tpdo in self.tpdos.values()),
+        ]
+        heard = {
+            NMT_COMMAND,
+            self.sync.can_id,
+            self.time_stamp.can_id,
+            *self.consumer.routes(),
+            *(channel.request_id for channel in self.channels),
+            *(rpdo.configured_can_id for rpdo in self.rpdos),
+        }
+        own = {can_id for can_id in sent if can_id is not None and can_id not in heard}
+        return frozenset(own | {self._error_control_id})
 
 
 def nobody_listens(number: int, now: float) -> None:

@@ -71,6 +71,11 @@ class Tpdo(Timed):
         return self._can_id
 
     @property
+    def configured_can_id(self) -> int | None:
+        """The CAN-ID it has, in any NMT state; None while it is not valid."""
+        return self._parameters.can_id if self._parameters.is_valid else None
+
+    @property
     def is_synchronous(self) -> bool:
         """Whether the TPDO acts at a SYNC now."""
         return self._layout is not None and (self._type in SYNCHRONOUS or self._type == SYNC_REMOTE)

@@ -1,0 +1,309 @@
+"""Another node with the same node-ID: it is noticed by any frame that only this node may send."""
+
+from __future__ import annotations
+
+from collections import deque
+from copy import deepcopy
+from pathlib import Path
+
+import pytest
+from device_kit import ID, OK, Bench
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canfb.device.dictionary import Dictionary
+from canfb.device.frame import Frame
+from canfb.device.nmt import NmtState
+from canfb.device.node import Node
+
+SHIPPED = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
+PRISTINE = Dictionary.load(SHIPPED, ID)
+OWN = {0x0A0, 0x1A0, 0x2A0, 0x5A0, 0x720}
+"""Of the module with its defaults: EMCY, two TPDOs, SDO answers, boot-up and heartbeat."""
+STATES = {1: NmtState.OPERATIONAL, 2: NmtState.STOPPED, 128: NmtState.PRE_OPERATIONAL}
+
+
+class Shipped(Bench):
+    """The module's dictionary, and what the hook was told."""
+
+    def __init__(self) -> None:
+        super().__init__(deepcopy(PRISTINE))
+        self.noticed: list[tuple[int, float]] = []
+        self.node.on_duplicate = lambda can_id, now: self.noticed.append((can_id, now))
+        self.start()
+
+    @property
+    def count(self) -> int:
+        return self.node.counters.duplicate_frames
+
+
+@pytest.fixture
+def shipped() -> Shipped:
+    return Shipped()
+
+
+def emergency(can_id: int, at: int = 0x0A0) -> list[str]:
+    return [f"{at:03X}#508111{can_id & 0xFF:02X}{can_id >> 8:02X}000000"]
+
+
+@pytest.mark.parametrize("command", [1, 128])
+@pytest.mark.parametrize("can_id", sorted(OWN))
+def test_a_frame_that_only_this_node_may_send(shipped: Shipped, can_id: int, command: int) -> None:
+    shipped.nmt(command)
+    shipped.now = 7.0
+    assert shipped.send(can_id, "05") == emergency(can_id)
+    assert shipped.noticed == [(can_id, 7.0)]
+    assert shipped.read(0x1001) == 0x11
+    assert shipped.read(0x1003, 1) == can_id << 16 | 0x8150
+    assert shipped.node.state is STATES[command], "one stray frame stops nothing"
+    assert shipped.count == 1
+
+
+def test_it_is_reported_once_and_counted_always(shipped: Shipped) -> None:
+    shipped.operational()
+    assert shipped.send(0x720, "00") == emergency(0x720)
+    for can_id in sorted(OWN) * 3:
+        assert shipped.send(can_id, bytes(8)) == []
+    assert shipped.count == 16
+    assert shipped.noticed == [(0x720, 0.0)]
+    assert shipped.node.counters.unknown_cob_ids == 0
+
+
+@pytest.mark.parametrize("command", [129, 130])
+def test_a_reset_forgets_it_and_the_next_frame_tells_it_again(shipped: Shipped, command: int) -> None:
+    shipped.send(0x720, "05")
+    assert shipped.nmt(command) == ["720#00"]
+    assert shipped.read(0x1001) == 0
+    assert shipped.send(0x5A0, bytes(8)) == emergency(0x5A0)
+    assert [can_id for can_id, _ in shipped.noticed] == [0x720, 0x5A0]
+    assert shipped.count == 2
+
+
+def test_in_stopped_it_waits_for_emcy(shipped: Shipped) -> None:
+    shipped.nmt(2)
+    assert shipped.send(0x1A0, bytes(8)) == []
+    assert shipped.count == len(shipped.noticed) == 1
+    assert shipped.nmt(128) == emergency(0x1A0)
+
+
+@pytest.mark.parametrize("can_id", sorted(OWN))
+def test_a_remote_frame_is_a_question(shipped: Shipped, can_id: int) -> None:
+    shipped.operational()
+    shipped.send(can_id, rtr=True)
+    assert shipped.count == 0
+    assert shipped.noticed == []
+
+
+def test_frames_of_others_are_none(shipped: Shipped) -> None:
+    shipped.operational()
+    for can_id in range(0x800):
+        if can_id not in OWN | {0x000}:
+            shipped.send(can_id, bytes(8))
+    assert shipped.count == 0
+
+
+def test_a_frame_longer_than_any_is_malformed_and_no_more(shipped: Shipped) -> None:
+    shipped.send(0x720, bytes(9))
+    assert (shipped.count, shipped.node.counters.malformed_frames) == (0, 1)
+
+
+def test_without_a_hook(bench: Bench) -> None:
+    assert bench.node.on_duplicate is None
+    assert bench.send(0x720, "00") == emergency(0x720)
+
+
+def set_cob_id(bench: Bench, index: int, subindex: int, value: int) -> None:
+    """Off first, then the new one: as a master has to do it."""
+    off = bench.dictionary.entry(index, subindex).value | 0x80000000
+    assert bench.write(index, subindex, off, 4) is OK
+    assert bench.write(index, subindex, value | 0x80000000, 4) is OK
+    assert bench.write(index, subindex, value, 4) is OK
+
+
+@pytest.mark.parametrize("operational", [False, True])
+def test_a_tpdo_with_another_can_id(shipped: Shipped, operational: bool) -> None:
+    if operational:
+        shipped.operational()
+    set_cob_id(shipped, 0x1800, 1, 0x40000333)
+    shipped.send(0x1A0, bytes(8))
+    assert shipped.count == 0
+    assert shipped.send(0x333, bytes(8)) == emergency(0x333)
+
+
+def test_a_tpdo_that_is_switched_off_or_on(shipped: Shipped) -> None:
+    assert shipped.write(0x1801, 1, 0x800002A0, 4) is OK
+    assert shipped.write(0x1802, 1, 0x400003A0, 4) is OK
+    shipped.send(0x2A0, bytes(8))
+    assert shipped.count == 0
+    shipped.send(0x3A0, bytes(8))
+    assert shipped.count == 1
+
+
+def test_emcy_with_another_can_id_or_none(shipped: Shipped) -> None:
+    set_cob_id(shipped, 0x1014, 0, 0x345)
+    shipped.send(0x0A0, bytes(8))
+    assert shipped.count == 0
+    assert shipped.send(0x345, bytes(8)) == emergency(0x345, at=0x345)
+    assert shipped.write(0x1014, 0, 0x80000345, 4) is OK
+    shipped.send(0x345, bytes(8))
+    assert shipped.count == 1
+
+
+def test_a_second_sdo_server(shipped: Shipped) -> None:
+    assert shipped.write(0x1201, 1, 0x6C0, 4) is OK
+    shipped.send(0x6C1, bytes(8))
+    assert shipped.count == 0, "one of the two is not enough"
+    assert shipped.write(0x1201, 2, 0x6C1, 4) is OK
+    shipped.send(0x6C1, bytes(8))
+    assert shipped.count == 1
+    assert shipped.write(0x1201, 1, 0x800006C0, 4) is OK
+    shipped.send(0x6C1, bytes(8))
+    assert shipped.count == 1
+
+
+def test_an_rpdo_on_the_can_id_of_a_tpdo_works_and_gives_no_alarm(shipped: Shipped) -> None:
+    """Somebody has configured it so: another node sends there, and this one listens."""
+    set_cob_id(shipped, 0x1800, 1, 0x40000190)
+    shipped.send(0x190, "01000200")
+    shipped.operational()
+    assert shipped.send(0x190, "03000400") == []
+    assert [shipped.dictionary.entry(0x2000, subindex).value for subindex in (1, 2)] == [3, 4]
+    shipped.nmt(2)
+    shipped.send(0x190, "03000400")
+    assert shipped.count == 0
+    shipped.nmt(128)
+    assert shipped.write(0x1400, 1, 0x80000190, 4) is OK
+    assert shipped.send(0x190, "05000600") == emergency(0x190), "nobody listens there any more"
+
+
+def test_emcy_on_the_can_id_of_sync(shipped: Shipped) -> None:
+    set_cob_id(shipped, 0x1014, 0, 0x080)
+    shipped.operational()
+    assert shipped.sync() != []
+    shipped.nmt(2)
+    shipped.sync()
+    assert shipped.count == 0
+
+
+def test_a_node_that_watches_itself_hears_both(shipped: Shipped) -> None:
+    assert shipped.write(0x1016, 1, ID << 16 | 100, 4) is OK
+    assert shipped.send(0x720, "05") == emergency(0x720)
+    shipped.now = 0.2
+    assert [text[:8] for text in shipped.tick()] == ["0A0#3081"]
+
+
+def test_the_node_id_of_lss() -> None:
+    bench = Shipped()
+    for request in ("0401", "1121", "0400"):
+        bench.send(0x7E5, bytes.fromhex(request).ljust(8, b"\0"))
+    assert bench.node.own_can_ids == OWN, "until the reset"
+    bench.nmt(130)
+    assert bench.node.own_can_ids == {can_id + 1 for can_id in OWN}
+    for can_id in sorted(OWN):
+        bench.send(can_id, bytes(8))
+    assert bench.count == 0
+    assert bench.send(0x721, "00") == emergency(0x721, at=0x0A1)
+
+
+def test_without_a_node_id_nothing_is_its_own() -> None:
+    node = Node(Dictionary.load(SHIPPED, 255), 255)
+    node.start(0.0)
+    assert node.own_can_ids == frozenset()
+    for can_id in range(0x800):
+        assert node.receive(Frame(can_id, b"\x00"), 0.0) == []
+    assert node.counters.duplicate_frames == 0
+
+
+def exchange(nodes: list[Node], frames: list[Frame], origin: Node | None = None) -> list[Frame]:
+    """Bring frames to all nodes but their senders, answers too; what was on the bus."""
+    queue = deque((origin, frame) for frame in frames)
+    seen = []
+    while queue:
+        sender, frame = queue.popleft()
+        seen.append(frame)
+        assert len(seen) < 50, "they talk without end"
+        for node in nodes:
+            if node is not sender:
+                queue.extend((node, answer) for answer in node.receive(frame, 0.0))
+    return seen
+
+
+def test_the_boot_up_of_the_second_is_noticed_by_the_first_and_its_answer_by_the_second() -> None:
+    first, second = (Node(deepcopy(PRISTINE), ID) for _ in range(2))
+    first.start(0.0)
+    seen = exchange([first, second], second.start(0.0), second)
+    assert [frame.can_id for frame in seen] == [0x720, 0x0A0, 0x0A0]
+    for node in (first, second):
+        assert node.counters.duplicate_frames >= 1
+        assert node.state is NmtState.PRE_OPERATIONAL
+
+
+def test_two_that_answer_the_same_request_notice_each_other() -> None:
+    nodes = [Node(deepcopy(PRISTINE), ID) for _ in range(2)]
+    for node in nodes:
+        node.start(0.0)
+    seen = exchange(nodes, [Frame(0x620, bytes.fromhex("4000100000000000"))])
+    assert sorted(frame.can_id for frame in seen) == [0x0A0, 0x0A0, 0x5A0, 0x5A0, 0x620]
+    assert [node.counters.duplicate_frames for node in nodes] == [2, 2]
+
+
+any_frame = st.builds(
+    Frame,
+    st.integers(0, 0x7FF) | st.sampled_from([*sorted(OWN), 0x3A0, 0x190, 0x6C1]),
+    st.binary(max_size=8),
+    st.booleans() | st.just(False),
+)
+cob_ids = st.sampled_from(
+    [
+        (0x1014, 0, [0x0A0, 0x800000A0, 0x080, 0x190]),
+        (0x1201, 1, [0x6C0, 0x800006C0, 0x190]),
+        (0x1201, 2, [0x6C1, 0x800006C1, 0x190]),
+        (0x1400, 1, [0x190, 0x80000190, 0x1A0, 0x800001A0]),
+        (0x1800, 1, [0x400001A0, 0x800001A0, 0x190, 0x400006C0]),
+        (0x1802, 1, [0x400003A0, 0xC00003A0, 0x080, 0x400001A0]),
+    ]
+).flatmap(lambda row: st.tuples(st.just(row[:2]), st.sampled_from(row[2])))
+
+
+def expected_own(dictionary: Dictionary) -> set[int]:
+    """The same from the objects alone: valid COB-IDs of what it sends, without those of what it hears."""
+
+    def valid(index: int, subindex: int = 1) -> set[int]:
+        value = dictionary.entry(index, subindex).value
+        return set() if value & 1 << 31 else {value & 0x7FF}
+
+    second = valid(0x1201, 1) and valid(0x1201, 2)
+    sent = valid(0x1014, 0) | {0x5A0} | (valid(0x1201, 2) if second else set())
+    for index in range(0x1800, 0x1804):
+        sent |= valid(index)
+    heard = {0x080, 0x620} | valid(0x1400) | valid(0x1401) | (valid(0x1201, 1) if second else set())
+    return sent - heard | {0x720}
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    changes=st.lists(cob_ids, max_size=8),
+    command=st.sampled_from([1, 2, 128]),
+    frames=st.lists(any_frame, max_size=30),
+)
+def test_whatever_comes_own_can_ids_are_counted_and_the_state_stays(
+    changes: list[tuple[tuple[int, int], int]], command: int, frames: list[Frame]
+) -> None:
+    bench = Shipped()
+    for (index, subindex), value in changes:
+        bench.write(index, subindex, value, 4)
+    bench.nmt(command)
+    own = expected_own(bench.dictionary)
+    assert bench.node.own_can_ids == own
+    first = None
+    counted = 0
+    for frame in frames:
+        if frame.can_id in (0x000, 0x620, 0x7E5, 0x6C0, 0x190):
+            continue  # commands, and what may be a request of the second SDO client, change things
+        if frame.can_id in own and not frame.rtr:
+            counted += 1
+            first = frame.can_id if first is None else first
+        bench.node.receive(frame, 0.0)
+        assert bench.node.state is STATES[command]
+    assert bench.count == counted
+    assert bench.noticed == ([] if first is None else [(first, 0.0)])
