@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for who reads configurations
+from canfb.module.source_config import SourceConfig
 from canfb.signal.chain import ChainConfig, integer_in
 
 
@@ -15,7 +16,9 @@ class ModuleConfig(ChainConfig):
     node_id                  1..127, required; 255: none yet, an LSS master gives one. One that LSS has
                              stored in state_dir comes before it
     serial_number            0..4294967295 (1018:04): with it an LSS master tells equal modules apart
-    encoder_interface        1..127: the node whose TPDO1 carries the ADC counts; not node_id
+    encoder_interface        1..127: the node whose TPDO1 carries the ADC counts; not node_id. Not used
+                             with a source
+    source                   where the samples come from in place of the ADC PDO; None: from the PDO
     max_acceleration_rad_s2  largest acceleration of the machine (2010:02); 0 = not known
     state_dir                folder for what `save` (1010h) keeps, made if it is missing; None: nothing
                              is saved. `canfb run` uses it; each module has its own
@@ -25,6 +28,7 @@ class ModuleConfig(ChainConfig):
     node_id: int
     serial_number: int = 0
     encoder_interface: int = 16
+    source: SourceConfig | None = None
     max_acceleration_rad_s2: float = 0.0
     state_dir: str | None = None
     autostart: bool = False
@@ -35,7 +39,9 @@ class ModuleConfig(ChainConfig):
             integer_in("node_id", self.node_id, 1, 127)
         integer_in("serial_number", self.serial_number, 0, 0xFFFFFFFF)
         integer_in("encoder_interface", self.encoder_interface, 1, 127)
-        if self.encoder_interface == self.node_id:
+        if self.source is not None and not isinstance(self.source, SourceConfig):
+            raise ValueError(f"source must be a configuration of a source, not {self.source!r}")
+        if self.source is None and self.encoder_interface == self.node_id:
             raise ValueError(f"encoder_interface must be another node than node_id {self.node_id}")
         if (
             not isinstance(self.max_acceleration_rad_s2, (int, float))

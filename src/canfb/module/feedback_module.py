@@ -19,7 +19,8 @@ from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.config import ModuleConfig
 from canfb.module.cyclic_timer import CyclicTimer
 from canfb.module.interval import IntervalEstimate
-from canfb.module.parameters import Limits, apply_defaults, configured_defaults
+from canfb.module.local_source import LocalSource
+from canfb.module.parameters import Limits, apply_defaults, configured_defaults, without_adc_pdo
 from canfb.module.profile import EncoderProfile
 from canfb.module.publication import Publication
 from canfb.module.recorder import Recorder
@@ -27,6 +28,8 @@ from canfb.module.sample_input import SampleInput
 from canfb.module.table_store import TableStore
 from canfb.module.tap import Taps
 from canfb.signal.chain import Feedback, SignalChain
+from canfb.signal.sample import Sample
+from canfb.signal.source import Source
 from canfb.signal.supervision import VALID
 
 EDS = "canfb-module"
@@ -38,7 +41,7 @@ ON_EVENT = EVENT_DRIVEN | {0}  # transmission types; 0 goes out at the SYNC afte
 
 
 class FeedbackModule:
-    """ADC sine/cosine PDOs in, a supervised position PDO out.
+    """ADC sine/cosine PDOs, or the samples of a ``source``, in; a supervised position PDO out.
 
     Time goes in as ``now`` (seconds, monotonic), frames come out; see
     :class:`canfb.device.node.Node` for start, receive, tick and deadline. A frame never
@@ -47,14 +50,27 @@ class FeedbackModule:
     ``store`` keeps what 1010h and LSS save; without one nothing is saved. ``on_parameter_faults``
     is called with the groups of stored parameters that were refused, and why. ``bit_rates_kbit_s``
     are those that LSS may choose; see ``on_bit_rate`` of the node.
+
+    A ``source`` is asked at each SYNC in OPERATIONAL for the sample of that very SYNC; RPDO1 is off
+    then. ``on_source`` is called with one line when it fails, works again or has ended. ValueError
+    where ``config.source`` speaks of a source and none is given.
     """
 
     def __init__(
-        self, config: ModuleConfig, store: Store | None = None, *, bit_rates_kbit_s: Collection[int] = ()
+        self,
+        config: ModuleConfig,
+        store: Store | None = None,
+        *,
+        source: Source | None = None,
+        bit_rates_kbit_s: Collection[int] = (),
     ) -> None:
+        if config.source is not None and source is None:
+            raise ValueError(f"config.source is {config.source.kind!r}: open it, and give it as source=")
         self.config = config
         self.dictionary = Dictionary.load(eds_path(EDS), config.node_id)
         apply_defaults(self.dictionary, configured_defaults(config))
+        if source is not None:
+            apply_defaults(self.dictionary, without_adc_pdo(config))
         self.chain = SignalChain(config)
         self.node = Node(
             self.dictionary,
@@ -64,10 +80,14 @@ class FeedbackModule:
             bit_rates_kbit_s=bit_rates_kbit_s,
         )
         self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None = None
+        self.on_source: Callable[[str], None] | None = None
         self._interval = IntervalEstimate(self.dictionary.entry(0x1006))
         self._limits = Limits(self.dictionary, self.chain, self._interval)
         self._tables = TableStore(self.dictionary, self.chain, self.node.storage)
         self._input = SampleInput(self.dictionary, self.node)
+        self._source: LocalSource | None = None
+        if source is not None:
+            self._source = LocalSource(source, self.dictionary, self._input, self._tell_of_source)
         self._profile = EncoderProfile(
             self.dictionary,
             self._interval,
@@ -86,7 +106,7 @@ class FeedbackModule:
         self._event_tpdos: list[int] = []
         self._alarmed = False
         self._listen()
-        self.node.on_rpdo = self._on_rpdo
+        self.node.on_rpdo = self._on_rpdo if self._source is None else None
         self.node.on_sync = self._on_sync
         self.node.on_state = self._on_state
         self.node.on_reset = self._on_reset
@@ -170,11 +190,13 @@ class FeedbackModule:
         self._sample_came = self._sampled = True
         if not self._synced:
             self._interval.event(now)
+        self._process(self._input.sample(), now)
+
+    def _process(self, sample: Sample, now: float) -> None:
         if self._limits.narrowed:
             self._limits.follow()
-        if self._input.timed:
+        if sample.time_100ns is not None:
             self.chain.interval_s = self._interval.seconds
-        sample = self._input.sample()
         feedback = self.chain.step(sample)
         if feedback is self._feedback:  # its time has told that it is the last one again
             self._count_bad_frame()
@@ -185,7 +207,9 @@ class FeedbackModule:
 
     def _on_sync(self, counter: int | None, now: float) -> None:
         self._interval.event(now)
-        if self._input.give_up():
+        if self._source is not None:
+            self._sample_source(self._source, now)
+        elif self._input.give_up():
             self._count_bad_frame()
         if self._synced and self._sampled and not self._sample_came:
             known_as_lost = self.chain.lost
@@ -193,6 +217,18 @@ class FeedbackModule:
             self._taps.miss()
         self._sample_came = False
         self._synced = True
+
+    def _sample_source(self, source: LocalSource, now: float) -> None:
+        """The sample of this very SYNC; without one it is missed, from the first SYNC on."""
+        self._sampled = self._synced = True
+        sample = source.next(now)
+        if sample is not None:
+            self._sample_came = True
+            self._process(sample, now)
+
+    def _tell_of_source(self, text: str) -> None:
+        if self.on_source is not None:
+            self.on_source(text)
 
     def _publish(self, feedback: Feedback, now: float, send: bool = True) -> None:
         """Into the dictionary, and out if there is something new to say."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from canfb.device.cob import NOT_VALID
 from canfb.device.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.module.config import ModuleConfig
@@ -46,6 +47,11 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         (0x6501, 0): resolution,
         (0x6502, 0): revolutions,
     }
+
+
+def without_adc_pdo(config: ModuleConfig) -> dict[tuple[int, int], Any]:
+    """What :func:`configured_defaults` becomes for a module that samples itself: RPDO1 is not valid."""
+    return {(0x1400, 1): NOT_VALID | 0x180 + config.encoder_interface}
 
 
 def apply_defaults(dictionary: Dictionary, defaults: dict[tuple[int, int], Any]) -> None:

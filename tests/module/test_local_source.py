@@ -1,0 +1,288 @@
+"""A module that samples itself: one sample of its source at each SYNC, whatever the source does."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.device.frame import Frame
+from canfb.device.nmt import NmtState
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.source_config import MotionSourceConfig
+from canfb.signal.sample import Sample
+from canfb.signal.source import SourceEnded, SourceError
+from canfb.signal.supervision import MISSED, VALID
+from canfb.simulation.encoder import Encoder
+from canfb.simulation.motion import Motion, Ramp
+from canfb.simulation.sources import MotionSource
+
+NODE = 32
+SYNC = Frame(0x80, b"")
+PERIOD_S = 1e-3
+UNITS_PER_CYCLE = 8192  # 6501h over 2500 cycles
+RANGE_CYCLES = 209 * 2500  # 6002h
+
+
+class Played:
+    """A source that does what it is told, SYNC by SYNC; the last one for ever."""
+
+    def __init__(self, *steps: Sample | Exception | None) -> None:
+        self.steps = list(steps)
+        self.taken = 0
+
+    def next(self) -> Sample | None:
+        step = self.steps[min(self.taken, len(self.steps) - 1)]
+        self.taken += 1
+        if isinstance(step, Exception):
+            raise step
+        return step
+
+
+class Local:
+    """A module with a source, and the SYNCs by hand."""
+
+    def __init__(self, source: object, **fields: object) -> None:
+        self.module = FeedbackModule(ModuleConfig(node_id=NODE, **fields), source=source)
+        self.told: list[str] = []
+        self.module.on_source = self.told.append
+        self.now = 0.0
+        self.module.start(0.0)
+
+    def start(self) -> None:
+        self.module.receive(Frame(0, bytes([1, NODE])), self.now)
+
+    def sync(self, passed_s: float = PERIOD_S) -> list[Frame]:
+        self.now += passed_s
+        return self.module.receive(SYNC, self.now)
+
+    def value(self, index: int, subindex: int = 0) -> int:
+        entry = self.module.dictionary.entry(index, subindex)
+        return entry.on_read() if entry.on_read is not None else entry.value
+
+    @staticmethod
+    def position(frames: list[Frame]) -> tuple[int, int, int]:
+        (data,) = [frame.data for frame in frames if frame.can_id == 0x1A0]
+        return struct.unpack("<IHH", data)
+
+
+def at(cycles: float, time_s: float | None = None) -> Sample:
+    angle = 2.0 * math.pi * cycles
+    time = None if time_s is None else round(time_s * 1e7) & 0xFFFFFFFF
+    return Sample(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)), time_100ns=time)
+
+
+def test_each_sync_brings_the_position_of_its_own_sample() -> None:
+    motion = Motion((Ramp(0.1, 0.0), Ramp(0.5, 600.0)))
+    source = MotionSource(Encoder(noise_lsb=0.5), motion, 2500, PERIOD_S)
+    local = Local(source)
+    local.start()
+    for _ in range(1500):
+        units, status, _ = local.position(local.sync())
+        assert status & VALID
+        error = units / UNITS_PER_CYCLE - source.position_cycles
+        assert abs(math.remainder(error, RANGE_CYCLES)) < 0.01
+    assert source.position_cycles > 10_000
+
+
+def test_a_tpdo_of_type_1_carries_the_sample_of_this_very_sync() -> None:
+    local = Local(Played(at(0.125), at(0.25), at(0.375)))
+    local.module.dictionary.entry(0x1800, 2).value = 1
+    local.start()
+    eighth = UNITS_PER_CYCLE // 8
+    for n in (1, 2, 3):
+        assert local.position(local.sync())[0] == pytest.approx(n * eighth, abs=4)
+
+
+def test_the_counts_stand_in_2000h() -> None:
+    sample = Sample(100.4, -200.0, coarse_sine=7, coarse_cosine=-8, zero_pulse=0.25, time_100ns=2**32 + 5)
+    local = Local(Played(sample, sample._replace(invalid=True, zero_pulse=None, time_100ns=6)))
+    local.start()
+    local.sync()
+    assert [local.value(0x2000, n) for n in range(1, 8)] == [100, -200, 7, -8, 5, 1, 16384]
+    assert local.value(0x2012, 7) == 1
+    local.sync()
+    assert local.value(0x2000, 6) == 2
+
+
+def test_outside_of_operational_no_sample_is_taken() -> None:
+    source = Played(at(0.1))
+    local = Local(source)
+    for _ in range(5):
+        assert local.sync() == []
+    assert source.taken == 0
+    local.start()
+    local.sync()
+    assert source.taken == 1
+    local.module.receive(Frame(0, bytes([2, NODE])), local.now)
+    local.sync()
+    assert source.taken == 1
+
+
+def test_the_adc_pdo_is_off_and_what_comes_on_it_is_no_sample() -> None:
+    local = Local(Played(at(0.25)))
+    assert local.value(0x1400, 1) == 0x80000190
+    local.start()
+    local.module.dictionary.entry(0x1400, 1).value = 0x190
+    local.module.receive(Frame(0, bytes([128, NODE])), local.now)
+    local.start()
+    assert local.module.receive(Frame(0x190, struct.pack("<hh", 1, 2)), local.now) == []
+    assert local.position(local.sync())[0] == pytest.approx(UNITS_PER_CYCLE // 4, abs=4)
+    assert local.value(0x2011, 8) == 1
+
+
+def test_a_module_on_the_bus_keeps_its_adc_pdo() -> None:
+    module = FeedbackModule(ModuleConfig(node_id=NODE))
+    assert module.dictionary.entry(0x1400, 1).value == 0x190
+
+
+def test_a_sample_that_is_not_there_is_missed_and_the_tracker_steps_over_it() -> None:
+    steps = [None if n in (20, 21) else at(0.3 * n) for n in range(40)]
+    local = Local(Played(*steps))
+    local.start()
+    for n in range(40):
+        units, status, _ = local.position(local.sync())
+        assert bool(status & MISSED) == (n in (20, 21))
+        assert units / UNITS_PER_CYCLE == pytest.approx(0.3 * n, abs=0.01)
+    assert local.value(0x2012, 1) == 2
+
+
+@pytest.mark.parametrize(
+    "error", [SourceError("no such device"), OSError(19, "No such device"), ZeroDivisionError()], ids=repr
+)
+def test_a_source_that_fails_loses_the_position_and_says_so_once(error: Exception) -> None:
+    local = Local(Played(*[at(0.1)] * 20, *[error] * 100, at(0.1)))
+    local.start()
+    frames: list[Frame] = []
+    for _ in range(120):
+        frames += local.sync()
+    assert len(local.told) == 1
+    assert local.told[0].startswith("the source fails: ")
+    status = local.value(0x2011, 1)
+    assert not status & VALID
+    assert status & MISSED
+    assert [frame for frame in frames if frame.can_id == 0x0A0], "an EMCY"
+    assert local.module.state is NmtState.OPERATIONAL
+    for _ in range(990):
+        local.sync()
+    assert len(local.told) == 1, "not settled yet"
+    for _ in range(20):
+        local.sync()
+    assert local.told[1:] == ["the source works again"]
+
+
+def test_a_source_that_flickers_does_not_fill_the_screen() -> None:
+    local = Local(Played(*[at(0.1), SourceError("loose contact")] * 500))
+    local.start()
+    for _ in range(1000):
+        local.sync()
+    assert local.told == ["the source fails: loose contact"]
+
+
+def test_a_source_that_never_gives_anything_raises_the_alarm() -> None:
+    local = Local(Played(None))
+    local.start()
+    frames = [frame for _ in range(10) for frame in local.sync()]
+    assert not local.value(0x2011, 1) & VALID
+    assert local.value(0x2012, 1) == 10
+    assert [frame.can_id for frame in frames].count(0x0A0) == 1
+
+
+def test_the_end_of_a_recording_is_told_once_and_the_node_goes_on() -> None:
+    source = Played(at(0.1), at(0.1), SourceEnded())
+    local = Local(source)
+    local.start()
+    for _ in range(10):
+        local.sync()
+    assert local.told == ["the source has ended: no more samples"]
+    assert source.taken == 3, "it is not asked again"
+    assert local.value(0x2012, 1) == 8
+
+
+@pytest.mark.parametrize("sine", [40_000, -32_769, math.nan, math.inf])
+def test_counts_that_do_not_fit_are_a_failure(sine: float) -> None:
+    local = Local(Played(Sample(sine, 0.0)))
+    local.start()
+    local.sync()
+    assert local.told == [f"the source fails: sine {sine} does not fit INTEGER16"]
+
+
+def test_sample_times_bridge_a_sync_that_came_late() -> None:
+    """Each SYNC jitters by a tenth of the interval; the machine and its time stamps do not."""
+    times = [(n + 1) * PERIOD_S + (n % 3 - 1) * 1e-4 for n in range(200)]
+    speed = 250.0  # cycles per second: 0.25 a sample, and 0.025 by the jitter
+    local = Local(Played(*[at(speed * time, time) for time in times]))
+    local.start()
+    for n, time in enumerate(times):
+        units, status, residual = local.position(local.sync())
+        assert status & VALID
+        if n > 2:
+            assert units / UNITS_PER_CYCLE == pytest.approx(speed * time, abs=0.01)
+            assert residual / 65536 < 0.005, "without the time it would be up to 0.075"
+    assert local.value(0x2000, 5) == round(times[-1] * 1e7)
+
+
+def test_a_scan_that_comes_twice_is_counted_and_no_new_sample() -> None:
+    local = Local(Played(at(0.1, 0.0), at(0.1, 0.001), at(0.1, 0.001)))
+    local.start()
+    for _ in range(3):
+        local.sync()
+    assert local.value(0x2012, 8) == 1
+    assert local.value(0x2011, 8) == 2
+
+
+def test_the_recording_of_the_module_holds_its_samples() -> None:
+    local = Local(Played(Sample(0, 1500), Sample(10, 1500), None, Sample(30, 1500)))
+    local.start()
+    local.sync()
+    local.module.receive(Frame(0x600 + NODE, bytes.fromhex("2f50200101000000")), local.now)
+    for _ in range(3):
+        local.sync()
+    data = local.module.dictionary.entry(0x2050, 3).on_read()
+    assert struct.unpack("<6h", data) == (10, 1500, -32768, -32768, 30, 1500)
+
+
+def test_a_node_may_have_the_id_of_the_interface_that_it_does_not_need() -> None:
+    source = MotionSourceConfig()
+    assert ModuleConfig(node_id=16, source=source).source is source
+    with pytest.raises(ValueError, match="encoder_interface"):
+        ModuleConfig(node_id=16)
+
+
+def test_a_configured_source_must_be_given() -> None:
+    with pytest.raises(ValueError, match="source="):
+        FeedbackModule(ModuleConfig(node_id=NODE, source=MotionSourceConfig()))
+
+
+numbers = st.floats(allow_nan=True, allow_infinity=True) | st.integers(-(10**9), 10**9)
+times = st.none() | st.integers(-(10**12), 10**12)
+steps = st.none() | st.builds(Sample, numbers, numbers, time_100ns=times) | st.just(SourceError("broken"))
+
+
+@given(st.lists(steps, min_size=1, max_size=30))
+def test_nothing_that_a_source_does_raises(played: list[Sample | Exception | None]) -> None:
+    local = Local(Played(*played))
+    local.start()
+    for _ in played:
+        local.sync()
+    assert local.value(0x2011, 8) + local.value(0x2012, 8) == len(played)
+
+
+def test_a_reset_begins_with_the_next_sample() -> None:
+    resets: list[Callable[[Local], None]] = [
+        lambda local: local.module.receive(Frame(0, bytes([129, NODE])), local.now) and None,
+        lambda local: local.module.receive(Frame(0, bytes([130, NODE])), local.now) and None,
+    ]
+    for reset in resets:
+        local = Local(Played(at(0.25)))
+        local.start()
+        local.sync()
+        reset(local)
+        assert local.value(0x1400, 1) == 0x80000190
+        local.start()
+        assert local.position(local.sync())[1] & VALID
