@@ -52,7 +52,7 @@ class RecordingSourceConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class MotionSourceConfig:
-    """The machine of the ``simulation:`` section; each sample is 1/``rate_hz`` (0.1..100000) after the last."""
+    """The machine of the ``simulation:`` section; a sample is 1/``rate_hz`` (0.1..100000) after the last."""
 
     kind: str = "motion"
     rate_hz: float = 1000.0
