@@ -1,0 +1,303 @@
+"""docs/attach.md: every claim about the module is tried, every example is run."""
+
+from __future__ import annotations
+
+import math
+import random
+import re
+import struct
+import time
+from pathlib import Path
+from typing import Any
+
+import canopen
+import pytest
+
+from canfb.configuration import parse_config
+from canfb.demo.plant import EmbeddedNetwork
+from canfb.device.frame import Frame
+from canfb.device.nmt import NmtState
+from canfb.device.storage import MemoryStore
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.supervision import StatusBit
+from canfb.simulation.embedded_bus import EmbeddedBus, frame_bits
+
+PAGE = (Path(__file__).parents[2] / "docs" / "attach.md").read_text(encoding="utf-8")
+NODE, INTERFACE = 0x20, 0x10
+SYNC, OFF, NO_REMOTE = Frame(0x80, b""), 1 << 31, 1 << 30
+TRACKS = 0x190
+UNITS_PER_CYCLE = 8192
+OWN = {0x0A0, 0x1A0, 0x2A0, 0x5A0, 0x720, 0x7E4}
+
+
+class Bus:
+    """A module alone, frame by frame; ``sent`` is all that it has sent."""
+
+    def __init__(self, store: MemoryStore | None = None, **config: Any) -> None:
+        self.module = FeedbackModule(
+            ModuleConfig(node_id=NODE, encoder_interface=INTERFACE, **config), store=store
+        )
+        self.now = 0.0
+        self.tracks = TRACKS
+        self.sent = self.module.start(0.0)
+
+    def hear(self, *frames: Frame) -> list[Frame]:
+        answers = []
+        for frame in frames:
+            self.now += 1e-4
+            answers += self.module.receive(frame, self.now)
+        self.sent += answers
+        return answers
+
+    def wait(self, seconds: float) -> list[Frame]:
+        end, sent = self.now + seconds, []
+        while (due := self.module.deadline()) is not None and due <= end:
+            self.now = max(self.now, due)
+            sent += self.module.tick(self.now)
+        self.now = end
+        self.sent += sent
+        return sent
+
+    def write(self, index: int, subindex: int, value: int, size: int = 4) -> None:
+        request = struct.pack("<BHBI", 0x23 | (4 - size) << 2, index, subindex, value)
+        (answer,) = self.hear(Frame(0x600 + NODE, request))
+        assert answer.data[0] == 0x60, f"{index:04X}:{subindex:02X} {answer.data.hex()}"
+
+    def start(self) -> None:
+        self.hear(Frame(0, bytes([1, 0])))
+
+    def sample(self, cycles: float = 0.0) -> list[Frame]:
+        x = 2 * math.pi * cycles
+        counts = round(1500 * math.sin(x)), round(1500 * math.cos(x))
+        return self.hear(Frame(self.tracks, struct.pack("<hh", *counts)))
+
+
+def ids(frames: list[Frame]) -> set[int]:
+    return {frame.can_id for frame in frames}
+
+
+# What the module never does
+
+
+def test_not_operational_it_costs_one_frame() -> None:
+    bus = Bus()
+    bus.hear(SYNC, Frame(TRACKS, bytes(4)), SYNC, Frame(0x100, bytes(6)), Frame(0x700, b"", True))
+    bus.wait(1000.0)
+    assert bus.sent == [Frame(0x720, b"\x00")]
+
+
+def test_as_delivered_it_sends_on_its_own_can_ids_whatever_it_hears() -> None:
+    """SYNC, NMT, SDO requests, TIME, LSS commands, heartbeats: it answers, and sends none of its own."""
+    rng = random.Random(406)
+    bus = Bus()
+    answered = (0x000, 0x080, 0x100, TRACKS, 0x1A0, 0x600 + NODE, 0x700 + INTERFACE, 0x720, 0x7E5)
+    bus.start()
+    for _ in range(3000):
+        can_id = rng.choice(answered) if rng.random() < 0.8 else rng.randrange(0x800)
+        data = rng.randbytes(rng.randrange(9))
+        if can_id == 0x600 + NODE:  # reads only: a write may change a CAN-ID
+            data = bytes([0x40, *rng.randbytes(7)])
+        if can_id == 0x7E5:  # a new node-ID would change them all
+            data = bytes([rng.choice([0x4C, 0x5A, 0x5B, 0x5C, 0x5D, 0x5E, *range(0x46, 0x4C)]), *data[:7]])
+        bus.hear(Frame(can_id, data, rng.random() < 0.05))
+        bus.wait(0.001)
+        bus.start()
+    assert ids(bus.sent) - {0x720} <= OWN
+    assert {0x0A0, 0x2A0, 0x5A0, 0x720} <= ids(bus.sent)
+    assert not any(frame.rtr for frame in bus.sent)
+
+
+def test_every_can_id_changed_nothing_is_sent_on_the_old_ones() -> None:
+    bus = Bus()
+    bus.write(0x1014, 0, OFF | 0xA0)
+    bus.write(0x1014, 0, 0xC5)
+    for number, can_id in enumerate((0x3C1, 0x3C2, 0x3C3, 0x3C4)):
+        bus.write(0x1800 + number, 1, OFF | NO_REMOTE | can_id)
+        if number > 1:
+            bus.write(0x1A00 + number, 1, 0x60040020)
+            bus.write(0x1A00 + number, 0, 1, 1)
+        bus.write(0x1800 + number, 1, NO_REMOTE | can_id)
+    bus.write(0x1400, 1, OFF | TRACKS)
+    bus.write(0x1400, 1, 0x3C5)
+    bus.tracks = 0x3C5
+    bus.write(0x1005, 0, 0x85)
+    bus.start()
+    bus.sent.clear()
+    for k in range(20):
+        bus.hear(Frame(0x85, b""))
+        bus.sample(k / 64)
+    for _ in range(20):  # the encoder fails
+        bus.hear(Frame(0x85, b""), Frame(0x3C5, bytes(4)), SYNC, Frame(TRACKS, bytes(4)))
+    assert ids(bus.sent) == {0xC5, 0x3C1, 0x3C2, 0x3C3, 0x3C4}
+
+
+def test_a_node_id_that_is_taken_is_told() -> None:
+    bus = Bus()
+    assert bus.hear(Frame(0x720, b"\x05"))[0].data[:2] == b"\x50\x81"
+    assert PAGE.count("8150h") == 1
+
+
+def test_it_may_be_made_the_producer_of_the_sync() -> None:
+    bus = Bus()
+    bus.write(0x1006, 0, 10_000)
+    bus.write(0x1005, 0, 1 << 30 | 0x80)
+    assert ids(bus.wait(0.1)) == {0x80}
+
+
+def test_without_autostart_no_pdo_and_with_it_at_once() -> None:
+    waiting, going = Bus(), Bus(autostart=True)
+    for bus in (waiting, going):
+        bus.hear(SYNC)
+        bus.sample()
+    assert ids(waiting.sent) == {0x720}
+    assert ids(going.sent) == {0x720, 0x1A0, 0x2A0}
+
+
+# Transmission types
+
+
+def ages(rpdo: int, tpdo: int) -> set[tuple[str, int]]:
+    """Where the position of a sample goes out, and how many SYNCs after its own."""
+    bus = Bus()
+    bus.write(0x1801, 1, OFF | NO_REMOTE | 0x2A0)
+    bus.write(0x1400, 2, rpdo, 1)
+    bus.write(0x1800, 2, tpdo, 1)
+    bus.start()
+    found = set()
+    for k in range(40):
+        for where, frames in (("sync", bus.hear(SYNC)), ("sample", bus.sample(k / 8))):
+            for frame in frames:
+                position, status = struct.unpack_from("<IH", frame.data)
+                if status & StatusBit.VALID:
+                    found.add((where, k - round(position * 8 / UNITS_PER_CYCLE)))
+    return found
+
+
+@pytest.mark.parametrize("rpdo", [255, 254])
+@pytest.mark.parametrize("tpdo", [254, 255])
+def test_the_same_cycle(rpdo: int, tpdo: int) -> None:
+    assert ages(rpdo, tpdo) == {("sample", 0)}
+
+
+@pytest.mark.parametrize(
+    ("rpdo", "tpdo"), [(255, 1), (255, 0), (1, 254), (240, 255), (0, 0), (1, 0), (1, 1), (0, 1)]
+)
+def test_one_sync_later(rpdo: int, tpdo: int) -> None:
+    assert ages(rpdo, tpdo) == {("sync", 1)}
+
+
+def test_type_1_sends_always_type_0_only_news() -> None:
+    for kind, frames in ((1, 5), (0, 0)):
+        bus = Bus()
+        bus.write(0x1800, 2, kind, 1)
+        bus.start()
+        assert [frame.can_id for frame in bus.hear(*[SYNC] * 5)].count(0x1A0) == frames
+
+
+def test_every_nth_sync() -> None:
+    bus = Bus()
+    bus.write(0x1800, 2, 3, 1)
+    bus.start()
+    assert [len([f for f in bus.hear(SYNC) if f.can_id == 0x1A0]) for _ in range(9)] == [0, 0, 1] * 3
+
+
+def test_a_missed_sample_is_told_at_the_next_sync_and_a_lost_position_once() -> None:
+    bus = Bus()
+    bus.write(0x1801, 1, OFF | NO_REMOTE | 0x2A0)
+    bus.start()
+    for _ in range(10):
+        bus.hear(SYNC)
+        bus.sample()
+    assert bus.hear(SYNC) == []  # its sample does not come
+    (told,) = [frame for frame in bus.hear(SYNC) if frame.can_id == 0x1A0]
+    assert struct.unpack_from("<H", told.data, 4)[0] & StatusBit.MISSED
+    sent = bus.hear(*[SYNC] * 50)
+    last = [frame for frame in sent if frame.can_id == 0x1A0][-1]
+    status = struct.unpack_from("<H", last.data, 4)[0]
+    assert status & StatusBit.LOST
+    assert not status & StatusBit.VALID
+    assert bus.hear(*[SYNC] * 50) == []
+
+
+# The rest of the page
+
+
+def test_bits_and_load() -> None:
+    assert all(frame_bits(n) == 55 + 10 * n for n in range(9))
+    rows = re.findall(r"^\| .* \| (\d) \| (\d+) \|$", PAGE, re.M)
+    assert [(int(n), int(bits)) for n, bits in rows] == [(0, 55), (4, 95), (8, 135), (8, 135)]
+    assert sum(int(bits) for _, bits in rows) == 420
+    assert 285 == 55 + 95 + 135
+
+
+def test_a_lost_interface_takes_the_module_to_preoperational() -> None:
+    bus = Bus()
+    bus.write(0x1016, 1, INTERFACE << 16 | 500)
+    bus.start()
+    bus.hear(Frame(0x700 + INTERFACE, b"\x05"))
+    assert Frame(0xA0, bytes.fromhex("3081111000000000")) in bus.wait(1.0)
+    assert bus.module.state is NmtState.PRE_OPERATIONAL
+
+
+def test_all_frames_of_cansend_are_taken() -> None:
+    bus = Bus(store=MemoryStore())
+    sent = re.findall(r"cansend can0 620#(\w+)", PAGE)
+    assert len(sent) == 8
+    for text in sent:
+        (answer,) = [f for f in bus.hear(Frame(0x620, bytes.fromhex(text))) if f.can_id == 0x5A0]
+        assert answer.data[:1] == b"\x60", text
+    for index, subindex, value in re.findall(r"# ([0-9A-F]{4})h:0(\d) = ([0-9A-F]{8})h", PAGE):
+        line = next(line for line in PAGE.splitlines() if f"{index}h:0{subindex} = {value}h" in line)
+        frame = bytes.fromhex(line.split("#")[1].strip())
+        assert struct.unpack_from("<HBI", frame, 1) == (int(index, 16), int(subindex), int(value, 16))
+    entry = bus.module.dictionary.entry
+    assert entry(0x1800, 1).value == NO_REMOTE | 0x2B5
+    assert entry(0x1801, 1).value == OFF | NO_REMOTE | 0x2A0
+    assert entry(0x1400, 1).value == 0x195
+    assert (entry(0x1017).value, entry(0x1016, 1).value) == (100, 0x1001F4)
+    bus.wait(0.05)
+    bus.hear(Frame(0, bytes.fromhex("0120")))
+    assert bus.module.state is NmtState.OPERATIONAL
+    bus.hear(Frame(0, bytes.fromhex("8020")))
+    assert bus.module.state is NmtState.PRE_OPERATIONAL
+
+
+def test_the_configuration_is_one() -> None:
+    (text,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.S)
+    assert parse_config(text).modules[0].node_id == NODE
+
+
+@pytest.fixture
+def bus_of_the_page(monkeypatch: pytest.MonkeyPatch) -> FeedbackModule:
+    """A module on an embedded bus, on which every canopen.Network connects."""
+    bus = EmbeddedBus()
+    module = FeedbackModule(ModuleConfig(node_id=NODE, encoder_interface=INTERFACE))
+    bus.attach(module)
+
+    class Connected(EmbeddedNetwork):
+        def __init__(self) -> None:
+            super().__init__(bus)
+
+        def connect(self, **words: Any) -> Connected:
+            assert words == {"interface": "socketcan", "channel": "can0"}
+            return self
+
+        def disconnect(self) -> None:
+            pass
+
+    monkeypatch.setattr(canopen, "Network", Connected)
+    monkeypatch.setattr(time, "sleep", lambda seconds: None)
+    return module
+
+
+def test_the_python_examples_run(bus_of_the_page: FeedbackModule, capsys: pytest.CaptureFixture[str]) -> None:
+    scan, links = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+    exec(scan, {})
+    assert capsys.readouterr().out == "in use: 20h\n"
+    exec(links, {})
+    entry = bus_of_the_page.dictionary.entry
+    assert entry(0x1800, 1).value == NO_REMOTE | 0x2B5
+    assert entry(0x1801, 1).value & OFF
+    assert entry(0x1400, 1).value == 0x195
+    assert [entry(0x1A00, n).value for n in range(4)] == [3, 0x60040020, 0x20110110, 0x20110210]
