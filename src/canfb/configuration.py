@@ -18,6 +18,7 @@ import yaml
 
 from canfb.errors import ConfigError
 from canfb.module.config import UNCONFIGURED, ModuleConfig
+from canfb.module.source_config import SOURCE_KINDS, IioSourceConfig
 from canfb.signal.chain import integer_in
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
@@ -66,6 +67,7 @@ _NESTED: dict[str, type] = {
     "harmonics": HarmonicConfig,
 }
 _LISTS = frozenset({"modules", "harmonics"})
+_VALUE_LISTS = frozenset({"columns"})
 
 
 _LONGEST_MESSAGE = 300
@@ -152,7 +154,7 @@ class _Reader:
         if not isinstance(node, yaml.MappingNode):
             raise self.fail(node, f"{where} must be a mapping of keys to values")
         self._check_tag(node, "map", where)
-        known = [f.name for f in dataclasses.fields(kind)]
+        known = [f.name for f in dataclasses.fields(kind) if f.metadata.get("key", True)]
         values: dict[str, Any] = {}
         lines: dict[str, yaml.Node] = {}
         for key_node, value_node in self._pairs(node, where):
@@ -166,6 +168,9 @@ class _Reader:
             if no_default and required.name not in values:
                 raise self.fail(node, f"'{required.name}' is missing in {where}")
         try:
+            if isinstance(source := values.get("source"), IioSourceConfig):
+                # The default of the module says nothing of this converter.
+                values["source"] = dataclasses.replace(source, adc_bits=values.get("adc_bits"))
             return kind(**values)
         except (ValueError, TypeError) as error:
             guilty = self._guilty(str(error), lines)
@@ -195,10 +200,13 @@ class _Reader:
     def _value(self, key: str, node: yaml.Node, where: str) -> Any:
         if key == "bus":
             return self._bus(node)
+        if key == "source":
+            return self._source(node)
+        if key in _VALUE_LISTS and isinstance(node, yaml.SequenceNode):
+            self._check_tag(node, "seq", f"'{key}' in {where}")
+            return [self._single(item, f"a part of '{key}' in {where}") for item in node.value]
         if key not in _NESTED:
-            if not isinstance(node, yaml.ScalarNode):
-                raise self.fail(node, f"'{key}' in {where} must be a single value")
-            return self._plain(node, f"'{key}' in {where}")
+            return self._single(node, f"'{key}' in {where}")
         if key not in _LISTS:
             return self.read(node, _NESTED[key], key)
         if not isinstance(node, yaml.SequenceNode):
@@ -214,6 +222,25 @@ class _Reader:
         return {
             key.value: self._plain(value, f"{key.value!r} in bus") for key, value in self._pairs(node, "bus")
         }
+
+    def _source(self, node: yaml.Node) -> Any:
+        """One of several classes, by its ``kind``."""
+        if not isinstance(node, yaml.MappingNode):
+            raise self.fail(
+                node, "'source' must be a mapping with a kind, such as {kind: iio, device: ads7950}"
+            )
+        kinds = [value for key, value in self._pairs(node, "source") if key.value == "kind"]
+        if not kinds:
+            raise self.fail(node, f"'kind' is missing in source; known are {', '.join(SOURCE_KINDS)}")
+        kind = kinds[0].value if isinstance(kinds[0], yaml.ScalarNode) else None
+        if kind not in SOURCE_KINDS:
+            raise self.fail(kinds[0], f"unknown kind {kind!r} of source; known are {', '.join(SOURCE_KINDS)}")
+        return self.read(node, SOURCE_KINDS[kind], "source")
+
+    def _single(self, node: yaml.Node, what: str) -> Any:
+        if not isinstance(node, yaml.ScalarNode):
+            raise self.fail(node, f"{what} must be a single value")
+        return self._plain(node, what)
 
     def _plain(self, node: yaml.Node, what: str) -> Any:
         loader = _Loader("")
@@ -249,7 +276,7 @@ class _Reader:
         self._check_distinct_folders(items, config)
         for n, module in enumerate(config.modules):
             node = module.encoder_interface
-            if node in owner:
+            if module.source is None and node in owner:
                 raise self.fail(
                     items[n],
                     f"encoder_interface {node} of modules[{n}] is the node_id of modules[{owner[node]}]",

@@ -1,0 +1,119 @@
+"""`source:` of a module: what is right loads, what is wrong gets one line with line and key."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from canfb.configuration import parse_config
+from canfb.errors import ConfigError
+from canfb.module.source_config import (
+    IioSourceConfig,
+    MotionSourceConfig,
+    RecordingSourceConfig,
+    SourceConfig,
+)
+
+
+def source_of(text: str, module: str = "") -> SourceConfig | None:
+    config = parse_config(f"modules:\n  - node_id: 32\n    source: {text}\n{module}")
+    return config.modules[0].source
+
+
+RIGHT = {
+    "{kind: motion}": MotionSourceConfig(),
+    "{kind: motion, rate_hz: 500}": MotionSourceConfig(rate_hz=500),
+    "{kind: recording, file: tracks.csv}": RecordingSourceConfig(file="tracks.csv"),
+    "{kind: recording, file: a.csv, columns: [1, b], mid_scale: 2048, time_column: t, gap_s: 1, gap_samples: 3}": (
+        RecordingSourceConfig(
+            file="a.csv", columns=[1, "b"], mid_scale=2048, time_column="t", gap_s=1, gap_samples=3
+        )
+    ),
+    "{kind: recording, file: a.csv, time_column: 0, time_stamps: true}": RecordingSourceConfig(
+        file="a.csv", time_column=0, time_stamps=True
+    ),
+    "{kind: iio, device: ads7950}": IioSourceConfig(device="ads7950"),
+    "{kind: iio, device: x, uri: 'ip:10.0.0.1', sine: voltage2, cosine: voltage3, mid_scale: 2048, trigger: t0, "
+    "rate_hz: 4000, time_stamps: false, buffer_scans: 32, wait_us: 500}": IioSourceConfig(
+        device="x",
+        uri="ip:10.0.0.1",
+        sine="voltage2",
+        cosine="voltage3",
+        mid_scale=2048,
+        trigger="t0",
+        rate_hz=4000,
+        time_stamps=False,
+        buffer_scans=32,
+        wait_us=500,
+    ),
+}
+
+
+@pytest.mark.parametrize("text", RIGHT, ids=range(len(RIGHT)))
+def test_what_is_right_loads(text: str) -> None:
+    assert source_of(text) == RIGHT[text]
+
+
+def test_without_a_source_the_samples_come_from_the_pdo() -> None:
+    assert parse_config("modules: [{node_id: 32}]").modules[0].source is None
+
+
+def test_only_bits_that_are_stated_are_held_against_the_converter() -> None:
+    unstated = source_of("{kind: iio, device: x}")
+    stated = source_of("{kind: iio, device: x}", "    adc_bits: 12\n")
+    assert isinstance(unstated, IioSourceConfig)
+    assert isinstance(stated, IioSourceConfig)
+    assert (unstated.adc_bits, stated.adc_bits) == (None, 12)
+
+
+WRONG = {
+    "iio": "'source' must be a mapping with a kind",
+    "[motion]": "'source' must be a mapping with a kind",
+    "{device: x}": "'kind' is missing in source; known are recording, motion, iio",
+    "{kind: adc}": "unknown kind 'adc' of source; known are recording, motion, iio",
+    "{kind: [iio]}": "unknown kind None of source",
+    "{kind: iio, kind: iio}": "key 'kind' appears twice in source",
+    "{kind: iio}": "'device' is missing in source",
+    "{kind: recording}": "'file' is missing in source",
+    "{kind: iio, device: x, adc_bits: 12}": "unknown key 'adc_bits' in source",
+    "{kind: iio, devices: x}": "unknown key 'devices' in source; did you mean 'device'?",
+    "{kind: iio, device: ''}": "source: device must be a text, not ''",
+    "{kind: iio, device: 7}": "source: device must be a text, not 7",
+    "{kind: iio, device: x, sine: voltage1}": "source: cosine must be another channel than sine",
+    "{kind: iio, device: x, uri: 'ip:ä'}": "source: uri must be such as",
+    "{kind: iio, device: x, trigger: ''}": "source: trigger must be a text",
+    "{kind: iio, device: x, mid_scale: middle}": "source: mid_scale must be a number, not 'middle'",
+    "{kind: iio, device: x, mid_scale: .nan}": "source: mid_scale must be a number",
+    "{kind: iio, device: x, rate_hz: 0}": "source: rate_hz must be a whole number 1..10000000, not 0",
+    "{kind: iio, device: x, time_stamps: 1}": "source: time_stamps must be true or false, not 1",
+    "{kind: iio, device: x, buffer_scans: 1}": "source: buffer_scans must be a whole number 2..65536",
+    "{kind: iio, device: x, wait_us: 5}": "source: wait_us must be a whole number 10..100000",
+    "{kind: motion, rate_hz: 0}": "source: rate_hz must be a number 0.1..100000, not 0",
+    "{kind: motion, file: x}": "unknown key 'file' in source; known are kind, rate_hz",
+    "{kind: recording, file: x, columns: a}": "source: columns must be two, [sine, cosine], not 'a'",
+    "{kind: recording, file: x, columns: [a, b, c]}": "source: columns must be two",
+    "{kind: recording, file: x, columns: [a, [b]]}": "a part of 'columns' in source must be a single value",
+    "{kind: recording, file: x, columns: [a, null]}": "source: columns must be a name or a number",
+    "{kind: recording, file: x, gap_s: 0}": "source: gap_s must be more than 0, not 0",
+    "{kind: recording, file: x, gap_samples: 0}": "source: gap_samples must be a whole number 1..1000000",
+    "{kind: recording, file: x, time_stamps: true}": "source: time_stamps need a time_column",
+}
+
+
+@pytest.mark.parametrize("text", WRONG, ids=range(len(WRONG)))
+def test_what_is_wrong_gets_one_line(text: str) -> None:
+    with pytest.raises(ConfigError, match=rf"^configuration:3: {re.escape(WRONG[text])}"):
+        source_of(text)
+
+
+def test_wrong_bits_are_the_fault_of_the_key_of_the_module() -> None:
+    with pytest.raises(ConfigError, match=r"^configuration:4: modules\[0\]: adc_bits must be"):
+        source_of("{kind: iio, device: x}", "    adc_bits: 24\n")
+
+
+def test_the_encoder_interface_is_nobodys_business_with_a_source() -> None:
+    both = "modules:\n  - {node_id: 16, source: {kind: motion}}\n  - {node_id: 17, source: {kind: motion}}\n"
+    assert [module.node_id for module in parse_config(both).modules] == [16, 17]
+    with pytest.raises(ConfigError, match="encoder_interface 16"):
+        parse_config("modules:\n  - {node_id: 16, source: {kind: motion}}\n  - {node_id: 17}\n")
