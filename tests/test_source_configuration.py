@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 
 import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 
 from canfb.configuration import parse_config
 from canfb.errors import ConfigError
@@ -25,7 +28,8 @@ RIGHT = {
     "{kind: motion}": MotionSourceConfig(),
     "{kind: motion, rate_hz: 500}": MotionSourceConfig(rate_hz=500),
     "{kind: recording, file: tracks.csv}": RecordingSourceConfig(file="tracks.csv"),
-    "{kind: recording, file: a.csv, columns: [1, b], mid_scale: 2048, time_column: t, gap_s: 1, gap_samples: 3}": (
+    "{kind: recording, file: a.csv, columns: [1, b], mid_scale: 2048, time_column: t, gap_s: 1, "
+    "gap_samples: 3}": (
         RecordingSourceConfig(
             file="a.csv", columns=[1, "b"], mid_scale=2048, time_column="t", gap_s=1, gap_samples=3
         )
@@ -34,8 +38,8 @@ RIGHT = {
         file="a.csv", time_column=0, time_stamps=True
     ),
     "{kind: iio, device: ads7950}": IioSourceConfig(device="ads7950"),
-    "{kind: iio, device: x, uri: 'ip:10.0.0.1', sine: voltage2, cosine: voltage3, mid_scale: 2048, trigger: t0, "
-    "rate_hz: 4000, time_stamps: false, buffer_scans: 32, wait_us: 500}": IioSourceConfig(
+    "{kind: iio, device: x, uri: 'ip:10.0.0.1', sine: voltage2, cosine: voltage3, mid_scale: 2048, "
+    "trigger: t0, rate_hz: 4000, time_stamps: false, buffer_scans: 32, wait_us: 500}": IioSourceConfig(
         device="x",
         uri="ip:10.0.0.1",
         sine="voltage2",
@@ -117,3 +121,23 @@ def test_the_encoder_interface_is_nobodys_business_with_a_source() -> None:
     assert [module.node_id for module in parse_config(both).modules] == [16, 17]
     with pytest.raises(ConfigError, match="encoder_interface 16"):
         parse_config("modules:\n  - {node_id: 16, source: {kind: motion}}\n  - {node_id: 17}\n")
+
+
+plain = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8))
+KEYS = st.sampled_from(
+    [f for kind in (RecordingSourceConfig, MotionSourceConfig, IioSourceConfig) for f in kind.__annotations__]
+)
+
+
+@given(
+    st.sampled_from(["iio", "motion", "recording"]),
+    st.dictionaries(KEYS, plain | st.lists(plain), max_size=4),
+)
+def test_any_value_of_a_key_loads_or_is_refused(kind: str, keys: dict[str, object]) -> None:
+    source = {"kind": kind} | ({"device": "x"} if kind == "iio" else {}) | keys
+    text = yaml.safe_dump({"modules": [{"node_id": 3, "source": source}]}, allow_unicode=True)
+    try:
+        assert parse_config(text).modules[0].source is not None
+    except ConfigError as error:
+        assert re.match(r"configuration:\d+: \S", str(error))
+        assert "\n" not in str(error)
