@@ -38,14 +38,16 @@ class EmbeddedNetwork(canopen.Network):
     def __init__(self, bus: EmbeddedBus) -> None:
         super().__init__()
         self._embedded = bus
+        self._own: Frame | None = None
         bus.taps.append(self._hear)
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         """Put a frame on the embedded bus."""
-        self._embedded.send(Frame(can_id, bytes(data), remote))
+        self._own = Frame(can_id, bytes(data), remote)
+        self._embedded.send(self._own)
 
     def _hear(self, frame: Frame, now: float) -> None:
-        if not frame.rtr:
+        if not frame.rtr and frame is not self._own:  # a controller does not receive what it sends
             self.notify(frame.can_id, bytearray(frame.data), now)
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Collection
 
 from canfb.device import pdo
 from canfb.device.agenda import Agenda
-from canfb.device.codes import EmergencyCode
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.frame import NEVER, Frame, Moment
@@ -206,7 +205,7 @@ class Node(Hooks):
 
     def emergency(
         self,
-        code: EmergencyCode,
+        code: int,
         register_bits: int,
         manufacturer: bytes = b"",
         now: float | None = None,
@@ -225,7 +224,7 @@ class Node(Hooks):
             raise ValueError(f"{code:#x} is no error code; use clear_emergency to end an error")
         self._emergency.report(code, register_bits, manufacturer, self._time(now))
 
-    def clear_emergency(self, code: EmergencyCode, now: float | None = None) -> None:
+    def clear_emergency(self, code: int, now: float | None = None) -> None:
         """End an error: EMCY 0000h with what is left of 1001h. Nothing when it is not active."""
         self._emergency.clear(code, self._time(now))
 

@@ -1,0 +1,264 @@
+"""The motion of the drive: position demand of the mode of operation, position loop, and their objects."""
+
+from __future__ import annotations
+
+import math
+
+from canfb.device.codes import AbortCode, SdoAbort
+from canfb.device.dictionary import Dictionary
+from canfb.device.entry import Entry
+from canfb.simulation.cia402.feedback import FeedbackInput
+from canfb.simulation.cia402.loop import Demand, Gains, PositionLoop, chosen_gains
+from canfb.simulation.cia402.scaling import Scaling, nearest, saturated, wrapped
+from canfb.simulation.cia402.set_points import SetPoints
+from canfb.simulation.cia402.state_machine import Control, Status
+from canfb.simulation.cia402.trajectory import Interpolation, Trajectory
+from canfb.simulation.cia402.windows import Lasting
+
+NO_MODE, PROFILE_POSITION, CYCLIC_SYNCHRONOUS_POSITION = 0, 1, 8
+MODES = frozenset({NO_MODE, PROFILE_POSITION, CYCLIC_SYNCHRONOUS_POSITION})
+OFF = 0xFFFFFFFF
+"""6065h and 6067h: no window."""
+KG_M2_PER_G_CM2 = 1e-7
+STANDSTILL_REV_S = 0.02
+
+
+class Axis:
+    """Computes while the drive has power: :meth:`advance` at each SYNC, :meth:`control` with each position.
+
+    Position demand and actual position are in units of 608Fh, of any size; the objects show them as
+    INTEGER32, which wraps. A target is, of all positions with that value, the one nearest to the demand.
+    """
+
+    def __init__(self, dictionary: Dictionary, feedback: FeedbackInput) -> None:
+        self.scaling = Scaling(dictionary)
+        self._feedback = feedback
+        self._loop = PositionLoop()
+        self._trajectory, self._interpolation = Trajectory(), Interpolation()
+        self._set_points = SetPoints()
+        self._at_target, self._too_far = Lasting(), Lasting()
+        entry = dictionary.entry
+        self._target, self._mode, self._display = entry(0x607A), entry(0x6060), entry(0x6061)
+        self._lowest, self._highest = entry(0x607D, 1), entry(0x607D, 2)
+        self._velocity, self._acceleration, self._deceleration = entry(0x6081), entry(0x6083), entry(0x6084)
+        self._gains = [entry(0x2100, sub) for sub in range(1, 7)]
+        self._demand_entry, self._torque_demand = entry(0x6062), entry(0x6074)
+        self._internal, self._actual, self._speed = entry(0x6063), entry(0x6064), entry(0x606C)
+        self._error_entry = entry(0x60F4)
+        self._window, self._window_time = entry(0x6067), entry(0x6068)
+        self._error_window, self._error_time = entry(0x6065), entry(0x6066)
+        self._target.on_written = self._target_written
+        self._mode.on_write = _check_mode
+        for gain in (*self._gains[:4], self._gains[5]):
+            gain.on_write = _check_gain
+        self.start()
+
+    @property
+    def mode(self) -> int:
+        """The mode of operation 6060h."""
+        return int(self._mode.value)
+
+    @property
+    def stands_still(self) -> bool:
+        """The ramp is over and the shaft does not turn any more."""
+        return self._trajectory.speed == 0.0 and abs(self._feedback.speed) < STANDSTILL_REV_S
+
+    @property
+    def ramp_is_over(self) -> bool:
+        """The demand has come to a standstill."""
+        return self._trajectory.speed == 0.0
+
+    def start(self) -> None:
+        """The power goes on: hold the position that there is, whatever 607Ah says."""
+        self._loop.reset()
+        self._place()
+        self.resume()
+
+    def resume(self) -> None:
+        """Go on from a ramp: targets from before it are forgotten."""
+        self._interpolation.reset()
+        self._set_points.reset()
+        self._goal: float | None = None
+        self._new_target = False
+        self._halted = False
+        self._ramp: Entry | None = None
+        self._too_far.reset()
+        self._at_target.reset()
+        self._demand = Demand(self._trajectory.position / self.scaling.units)
+        self._limited = False
+
+    def ramp_down(self, deceleration: Entry, *, from_actual: bool = False) -> None:
+        """Come to a standstill with the deceleration of this object, from the demand or the actual motion."""
+        if from_actual:
+            self._place(self._feedback.speed * self.scaling.units)
+        self._ramp = deceleration
+
+    def control_mode(self, controlword: int) -> None:
+        """Bits 4 to 6 and 8 of the controlword, those of the mode."""
+        self._halted = bool(controlword & Control.HALT)
+        if self.mode != PROFILE_POSITION:
+            return
+        relative = controlword & Control.RELATIVE
+        position = self._trajectory.position
+        value = self._target.value if relative else nearest(self._target.value, position)
+        if self._set_points.control(controlword, float(value), position):
+            self._goal = self._set_points.active
+            self._at_target.reset()
+
+    def advance(self, period_s: float) -> None:
+        """A SYNC: the position demand of this cycle, ``period_s`` seconds after the one before."""
+        before = self._trajectory.position
+        self._move(period_s)
+        units = self.scaling.units
+        speed = (self._trajectory.position - before) / units / period_s * 2.0 * math.pi
+        change = (speed - self._demand.speed_rad_s) / period_s
+        self._demand = Demand(self._trajectory.position / units, speed, change)
+        self._demand_entry.value = wrapped(round(self._trajectory.position))
+
+    def measure(self) -> None:
+        """A position of the feedback: 6063h, 6064h, 606Ch."""
+        feedback, units = self._feedback, self.scaling.units
+        self._internal.value = wrapped(feedback.position)
+        self._actual.value = wrapped(round(feedback.revolutions * units))
+        self._speed.value = saturated(feedback.speed * units, 32)
+
+    def control(self, period_s: float) -> float:
+        """The torque in Nm, from the demand and the position of this cycle."""
+        scaling, feedback = self.scaling, self._feedback
+        gains = chosen_gains(self._read_gains(), period_s)
+        torque_limit, speed_limit = scaling.largest_torque_nm, 2.0 * math.pi * scaling.largest_speed
+        demand = _possible(self._demand, speed_limit, torque_limit / gains.inertia_kg_m2)
+        torque = self._loop.step(
+            demand,
+            feedback.revolutions,
+            2.0 * math.pi * feedback.speed,
+            gains,
+            period_s=period_s,
+            torque_limit_nm=torque_limit,
+            speed_limit_rad_s=speed_limit,
+        )
+        self._error_entry.value = saturated(self._error_units(), 32)
+        self._torque_demand.value = scaling.per_mille(torque)
+        return torque
+
+    def follows_badly(self, now: float) -> bool:
+        """Whether the following error has been outside of 6065h for 6066h."""
+        window = self._error_window.value
+        outside = window != OFF and abs(self._error_units()) > window
+        return self._too_far.update(outside, self._error_time.value / 1000.0, now)
+
+    def power_off(self) -> None:
+        """Nothing is demanded any more."""
+        self._torque_demand.value = 0
+        self._error_entry.value = 0
+        self._loop.reset()
+
+    def show_mode(self) -> None:
+        """6061h."""
+        self._display.value = self.mode
+
+    def status(self, enabled: bool, now: float) -> int:
+        """Bits 10 to 13 of the statusword; ``enabled`` in Operation enabled."""
+        bits = 0
+        if not enabled:
+            return bits
+        if self._limited or self._loop.limited:
+            bits |= Status.INTERNAL_LIMIT
+        if self._error_window.value != OFF and abs(self._error_units()) > self._error_window.value:
+            bits |= Status.FOLLOWING_ERROR
+        if self.mode == PROFILE_POSITION:
+            bits |= Status.SET_POINT_ACKNOWLEDGE if self._set_points.acknowledged else 0
+            bits |= Status.TARGET_REACHED if self._target_reached(now) else 0
+        elif self.mode == CYCLIC_SYNCHRONOUS_POSITION and self._ramp is None:
+            bits |= Status.FOLLOWS_TARGET
+        return int(bits)
+
+    def _target_reached(self, now: float) -> bool:
+        if self._halted:
+            return self.stands_still
+        if self._goal is None:
+            return False
+        distance = abs(self._goal - self._feedback.revolutions * self.scaling.units)
+        within = self._set_points.active is None and (
+            self._window.value == OFF or distance <= self._window.value
+        )
+        return self._at_target.update(within, self._window_time.value / 1000.0, now)
+
+    def _move(self, period_s: float) -> None:
+        trajectory, mode = self._trajectory, self.mode
+        if self._ramp is not None:
+            trajectory.brake(float(self._ramp.value), period_s)
+        elif mode == PROFILE_POSITION:
+            self._move_profile(period_s)
+        elif mode == CYCLIC_SYNCHRONOUS_POSITION:
+            if self._new_target:
+                target = self._within_limits(float(nearest(self._target.value, trajectory.position)))
+                self._interpolation.set_target(target, max(1, round(self.scaling.interpolation_s / period_s)))
+            self._interpolation.advance(trajectory, period_s)
+        else:
+            trajectory.hold()
+        self._new_target = False
+
+    def _move_profile(self, period_s: float) -> None:
+        trajectory, active = self._trajectory, self._set_points.active
+        if self._halted:
+            trajectory.brake(float(self._deceleration.value), period_s)
+            return
+        if active is None:
+            trajectory.hold()
+            return
+        units = self.scaling.units
+        reached = trajectory.profile(
+            self._within_limits(active),
+            min(float(self._velocity.value), self.scaling.largest_speed * units),
+            float(self._acceleration.value),
+            float(self._deceleration.value),
+            period_s,
+        )
+        if reached and self._set_points.reached():
+            self._goal = self._set_points.active
+
+    def _within_limits(self, target: float) -> float:
+        """The target within 607Dh; the full range of INTEGER32 is no limit."""
+        low, high = self._lowest.value, self._highest.value
+        limited = target
+        if low > -(1 << 31):
+            limited = max(limited, float(low))
+        if high < (1 << 31) - 1:
+            limited = min(limited, float(high))
+        self._limited = limited != target
+        return limited
+
+    def _error_units(self) -> float:
+        return (self._demand.revolutions - self._feedback.revolutions) * self.scaling.units
+
+    def _place(self, speed: float = 0.0) -> None:
+        self._trajectory.place(self._feedback.revolutions * self.scaling.units, speed)
+        self._demand_entry.value = wrapped(round(self._trajectory.position))
+
+    def _read_gains(self) -> Gains:
+        position, velocity, integral_s, forward, inertia, acceleration = (gain.value for gain in self._gains)
+        return Gains(position, velocity, integral_s, forward, acceleration, inertia * KG_M2_PER_G_CM2)
+
+    def _target_written(self) -> None:
+        self._new_target = True
+
+
+def _possible(demand: Demand, speed_limit: float, acceleration_limit: float) -> Demand:
+    """A set-point that jumps is not fed forward."""
+    speed, acceleration = demand.speed_rad_s, demand.acceleration_rad_s2
+    return Demand(
+        demand.revolutions,
+        speed if abs(speed) <= speed_limit else 0.0,
+        acceleration if abs(acceleration) <= acceleration_limit else 0.0,
+    )
+
+
+def _check_mode(value: int) -> None:
+    if value not in MODES:
+        raise SdoAbort(AbortCode.INVALID_VALUE)
+
+
+def _check_gain(value: float) -> None:
+    if not 0.0 <= value <= 1e9:
+        raise SdoAbort(AbortCode.INVALID_VALUE)

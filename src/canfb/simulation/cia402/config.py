@@ -1,0 +1,25 @@
+"""The section ``drive`` of a configuration: what ``canfb simulate`` runs beside the encoder interface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from canfb.signal.chain import integer_in
+from canfb.simulation.checks import number
+from canfb.simulation.cia402.motor import MotorConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveConfig(MotorConfig):
+    """A drive on the shaft of the encoder: its ``node_id``, 1..127, and the motor.
+
+    start_revolutions   where the shaft stands at the start, -1e6..1e6 revolutions
+    """
+
+    node_id: int = 0x30
+    start_revolutions: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        integer_in("node_id", self.node_id, 1, 127)
+        number("start_revolutions", self.start_revolutions, -1e6, 1e6)

@@ -1,0 +1,411 @@
+"""A servo drive of CiA 402 on the bus: the state machine, the faults, and the node that carries them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from canfb.device.cob import is_valid
+from canfb.device.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
+from canfb.device.dictionary import Dictionary
+from canfb.device.frame import Frame
+from canfb.device.image import ParameterGroup
+from canfb.device.nmt import NmtState
+from canfb.device.node import Node
+from canfb.device.pdo import EVENT_DRIVEN
+from canfb.device.storage import Store
+from canfb.eds_files import eds_path
+from canfb.simulation.cia402.axis import Axis
+from canfb.simulation.cia402.errors import DriveError
+from canfb.simulation.cia402.feedback import FeedbackInput, Wrong
+from canfb.simulation.cia402.interval import SyncInterval
+from canfb.simulation.cia402.plant import Plant
+from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, State, StateMachine, Status
+
+EDS = "drive"
+POSITION = (0x60E4, 1)
+LIVE = ((0x6040, 0), (0x607A, 0), POSITION, (0x2110, 1), (0x2110, 4))
+"""Writable entries that are no parameters: `save` does not keep them."""
+QUICK_STOP_OPTIONS = frozenset({0, 1, 2, 5, 6})
+STOP_TIMEOUT_S = 0.5
+"""After a ramp the shaft has so long to come to rest; then the power goes off."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeedbackModuleLink:
+    """The feedback module that a drive listens to: its ``node_id``, 1..127, and its scale.
+
+    increments_per_revolution   6001h of the module
+    total_range                 6002h of the module, 0 for 2^32
+    synchronous                 take the position at the next SYNC (RPDO type 1) instead of at once (255)
+    """
+
+    node_id: int
+    increments_per_revolution: int = 20_480_000
+    total_range: int = 4_280_320_000
+    synchronous: bool = False
+
+
+class _Node(Node):
+    """A node that also tells its program of communication errors."""
+
+    on_communication_error: Callable[[float], None] | None = None
+
+    def communication_error(self, now: float) -> None:
+        """A lost heartbeat or guarding: the program first, then the NMT state."""
+        if self.on_communication_error is not None:
+            self.on_communication_error(now)
+        super().communication_error(now)
+
+
+class ServoDrive:
+    """A drive, sans-I/O, that turns the motor of ``plant`` by the positions of a feedback module.
+
+    Attach the plant to the bus before the drive. With ``feedback`` RPDO4, the EMCY it listens to and the
+    scale are set up for that module, as defaults: a master may change them. The motor's rated torque and
+    inertia become 6076h and 2100:05. ``autostart``, ``store`` and ``serial_number`` are those of the
+    encoder interface.
+    """
+
+    def __init__(
+        self,
+        node_id: int,
+        plant: Plant,
+        feedback: FeedbackModuleLink | None = None,
+        *,
+        autostart: bool = False,
+        store: Store | None = None,
+        serial_number: int = 0,
+    ) -> None:
+        if not 0 <= serial_number <= 0xFFFFFFFF:
+            raise ValueError(f"serial_number must be 0..4294967295, not {serial_number}")
+        self.dictionary = Dictionary.load(eds_path(EDS), node_id)
+        self._set_defaults(plant, feedback, serial_number)
+        self.plant = plant
+        self.node = _Node(self.dictionary, node_id, autostart=autostart, store=store)
+        self.feedback = FeedbackInput(self.dictionary)
+        self.axis = Axis(self.dictionary, self.feedback)
+        self._machine = StateMachine()
+        self._interval = SyncInterval()
+        self._now = 0.0
+        self._watched_from_s = 0.0
+        self._stop_by_s: float | None = None
+        self._shown_error = 0
+        self._rpdo: int | None = None
+        self._events: list[int] = []
+        entry = self.dictionary.entry
+        self._period, self._cycle, self._dead = entry(0x1006), entry(0x2101, 1), entry(0x2101, 2)
+        self._statusword, self._error = entry(0x6041), entry(0x603F)
+        self._torque = entry(0x6077)
+        self._abort_option, self._quick_option, self._fault_option = (
+            entry(0x6007),
+            entry(0x605A),
+            entry(0x605E),
+        )
+        self._deceleration, self._quick_deceleration = entry(0x6084), entry(0x6085)
+        self._emergency_id, self._sync_timeout = entry(0x2110, 7), entry(0x2110, 8)
+        self._controlword = entry(0x6040)
+        self._controlword.on_written = self._controlled
+        self._quick_option.on_write = _check_quick_stop_option
+        entry(0x6060).on_written = self._show
+        self._connect()
+
+    @property
+    def state(self) -> State:
+        """The state of the power drive system."""
+        return self._machine.state
+
+    @property
+    def error(self) -> int:
+        """603Fh, the last error."""
+        return int(self._error.value)
+
+    @property
+    def interval_s(self) -> float:
+        """Seconds from SYNC to SYNC: 1006h, else measured; 0.0 while it is not known."""
+        return float(self._period.value / 1e6) or self._interval.seconds
+
+    def start(self, now: float) -> list[Frame]:
+        """Power-on at ``now`` (seconds): the boot-up frame."""
+        self._now = now
+        return self.node.start(now)
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """Take a frame from the bus; the frames to send."""
+        self._now = now
+        if not frame.rtr:
+            self._overhear(frame, now)
+        return self.node.receive(frame, now)
+
+    def tick(self, now: float) -> list[Frame]:
+        """Do what is due at ``now``; the frames to send."""
+        self._now = now
+        due = self._sync_due()
+        if due is not None and now >= due:
+            self._fail(DriveError.SYNC_CONTROLLER, now)
+        return self.node.tick(now)
+
+    def deadline(self) -> float | None:
+        """When :meth:`tick` is wanted next, None for not at all."""
+        times = [time for time in (self.node.deadline(), self._sync_due()) if time is not None]
+        return min(times, default=None)
+
+    def _set_defaults(self, plant: Plant, feedback: FeedbackModuleLink | None, serial_number: int) -> None:
+        motor = plant.motor.config
+        defaults = {
+            (0x1018, 4): serial_number,
+            (0x6076, 0): max(1, min(0xFFFFFFFF, round(motor.rated_torque_nm * 1000))),
+            (0x2100, 5): max(1, min(0xFFFFFFFF, round(motor.inertia_kg_m2 * 1e7))),
+        }
+        if feedback is not None:
+            defaults |= {
+                (0x1403, 1): 0x180 + feedback.node_id,
+                (0x1403, 2): 1 if feedback.synchronous else 255,
+                (0x2110, 5): feedback.total_range,
+                (0x2110, 7): 0x080 + feedback.node_id,
+                (0x60E6, 1): feedback.increments_per_revolution,
+            }
+        for (index, subindex), value in defaults.items():
+            entry = self.dictionary.entry(index, subindex)
+            entry.default = entry.value = value
+            entry.follows_node_id = False
+
+    def _connect(self) -> None:
+        node = self.node
+        for index, subindex in LIVE:
+            node.storage.entries.leave_out(index, subindex)
+        node.on_rpdo = self._on_rpdo
+        node.on_sync = self._on_sync
+        node.on_state = self._on_state
+        node.on_reset = self._on_reset
+        node.on_configured = self._on_configured
+        node.on_communication_error = self._on_communication_error
+        node.on_parameter_faults = self._on_parameter_faults
+
+    def _overhear(self, frame: Frame, now: float) -> None:
+        """EMCY and boot-up of the feedback module, which no RPDO brings."""
+        cob_id = self._emergency_id.value
+        if not is_valid(cob_id) or self.node.state is NmtState.STOPPED:
+            return
+        if frame.can_id == cob_id & 0x7FF and len(frame.data) == 8:
+            self.feedback.emergency(int.from_bytes(frame.data[:2], "little"))
+        elif frame.can_id == 0x700 + (cob_id & 0x7F) and frame.data == b"\x00":
+            self.feedback.boot_up()
+        else:
+            return
+        self._supervise(now)
+
+    def _on_sync(self, counter: int | None, now: float) -> None:
+        self._interval.event(now)
+        self._watched_from_s = now
+        self.feedback.sync()
+        self._supervise(now)
+        period_s = self.interval_s
+        self._cycle.value = period_s
+        if period_s > 0.0 and self.state in POWERED:
+            self.axis.advance(period_s)
+            self._end_stop(now)
+        self._show()
+
+    def _on_rpdo(self, number: int, now: float) -> None:
+        if number != self._rpdo:
+            return
+        period_s = self.interval_s
+        used = self.feedback.take(
+            self.axis.scaling.largest_speed, period_s, supervised=self.state in SWITCHED_ON
+        )
+        self._supervise(now)
+        if used:
+            self.axis.measure()
+        if used and period_s > 0.0 and self.state in POWERED:
+            self.plant.drive(self.axis.control(period_s), True, now)
+            self._dead.value = min(0xFFFFFFFF, max(0, round((now - self._watched_from_s) * 1e6)))
+            if self.axis.follows_badly(now):
+                self._fail(DriveError.FOLLOWING_ERROR, now)
+        self._show()
+
+    def _supervise(self, now: float) -> None:
+        """What is wrong with the feedback is a fault of a drive that is switched on."""
+        wrong = self.feedback.wrong
+        if not wrong:
+            return
+        if self.state in SWITCHED_ON:
+            position = wrong & (Wrong.RANGE | Wrong.STEP)
+            self._fail(DriveError.POSITION_SENSOR if position else DriveError.INCREMENTAL_SENSOR, now)
+        elif self.state is State.FAULT_REACTION_ACTIVE:  # no ramp without a position
+            self._finish_reaction(now)
+
+    def _fail(self, error: DriveError, now: float, *, announced: bool = False) -> None:
+        """A fault: 603Fh, EMCY unless ``announced``, the reaction of 605Eh."""
+        ramp = self._fault_option.value if error is DriveError.FOLLOWING_ERROR else 0
+        powered = self.state in POWERED
+        if not self._machine.fail():
+            return
+        self._error.value = int(error)
+        if not announced:
+            self._announce(error, now)
+        self._show()
+        if ramp and powered:
+            deceleration = self._deceleration if ramp == 1 else self._quick_deceleration
+            self.axis.ramp_down(deceleration, from_actual=True)
+            self._stop_by_s = None
+        else:
+            self._finish_reaction(now)
+
+    def _announce(self, error: DriveError, now: float) -> None:
+        detail = int(self.feedback.wrong).to_bytes(2, "little") + self.feedback.status.to_bytes(2, "little")
+        register = ErrorRegister.DEVICE_PROFILE
+        if error in (DriveError.SYNC_CONTROLLER, DriveError.COMMUNICATION, DriveError.HEARTBEAT):
+            register |= ErrorRegister.COMMUNICATION
+        self.node.emergency(error, register, detail, now)
+
+    def _finish_reaction(self, now: float) -> None:
+        self._switch(self._machine.reaction_done, now)
+
+    def _end_stop(self, now: float) -> None:
+        """After the ramp of a quick stop or a fault the power goes off, or the position is held."""
+        if self.state is State.OPERATION_ENABLED or not self.axis.ramp_is_over:
+            return
+        if self._stop_by_s is None:
+            self._stop_by_s = now + STOP_TIMEOUT_S
+        if not self.axis.stands_still and now < self._stop_by_s:
+            return
+        if self.state is State.FAULT_REACTION_ACTIVE:
+            self._finish_reaction(now)
+        elif self._quick_option.value < 5:
+            self._switch(self._machine.quick_stop_done, now)
+
+    def _controlled(self) -> None:
+        """6040h was written."""
+        controlword, now = self._controlword.value, self._now
+        before = self.state
+        self._switch(
+            lambda: self._machine.control(
+                controlword, may_reset=not self.feedback.wrong, may_resume=self._quick_option.value >= 5
+            ),
+            now,
+        )
+        if before is State.FAULT and self.state is not State.FAULT:
+            self._clear_error(now)
+        self._supervise(now)
+        if self.state is State.OPERATION_ENABLED:
+            self.axis.control_mode(controlword)
+        self._show()
+
+    def _switch(self, change: Callable[[], bool], now: float) -> None:
+        """A change of the state, and what it does to the power."""
+        before = self.state
+        if not change():
+            return
+        after = self.state
+        if after in SWITCHED_ON and before not in SWITCHED_ON:
+            self._watched_from_s = now
+        if after is State.QUICK_STOP_ACTIVE:
+            self._begin_quick_stop(now)
+        elif after is State.OPERATION_ENABLED and before is State.QUICK_STOP_ACTIVE:
+            self.axis.resume()
+        elif after is State.OPERATION_ENABLED:
+            self.axis.start()
+            self.plant.drive(0.0, True, now)
+        elif after not in POWERED:
+            self._power_off(now)
+        self._show()
+
+    def _begin_quick_stop(self, now: float) -> None:
+        option = self._quick_option.value
+        self._stop_by_s = None
+        if option == 0:
+            self._switch(self._machine.quick_stop_done, now)
+        else:
+            self.axis.ramp_down(self._deceleration if option in (1, 5) else self._quick_deceleration)
+
+    def _power_off(self, now: float) -> None:
+        self.plant.drive(0.0, False, now)
+        self.axis.power_off()
+
+    def _clear_error(self, now: float) -> None:
+        for error in DriveError:
+            if error is not DriveError.NONE:
+                self.node.clear_emergency(error, now)
+        self._error.value = int(DriveError.NONE)
+
+    def _on_communication_error(self, now: float) -> None:
+        """The heartbeat of a node of 1016h is lost; its EMCY is out already."""
+        self._abort_connection(DriveError.HEARTBEAT, now)
+
+    def _on_state(self, old: NmtState, new: NmtState, now: float) -> None:
+        if new is NmtState.OPERATIONAL:
+            self.feedback.reset()
+            for number in self._events:
+                self.node.trigger_tpdo(number, now)
+        elif old is NmtState.OPERATIONAL:
+            self.feedback.reset()
+            self._abort_connection(DriveError.COMMUNICATION, now)
+            if self.state in POWERED:  # no SYNC, no position: nothing may turn
+                self._switch(self._machine.disable_voltage, now)
+
+    def _abort_connection(self, error: DriveError, now: float) -> None:
+        """What 6007h says, to a drive that is switched on."""
+        option = self._abort_option.value
+        if self.state not in SWITCHED_ON:
+            return
+        if option == 1:
+            self._fail(error, now, announced=error is DriveError.HEARTBEAT)
+        elif option == 2:
+            self._switch(self._machine.disable_voltage, now)
+        elif option == 3:
+            self._switch(self._machine.quick_stop, now)
+
+    def _on_reset(self, communication_only: bool, now: float) -> None:
+        self._interval = SyncInterval()
+        self.feedback.reset()
+        if not communication_only:
+            self._machine.power_on()
+            self._power_off(now)
+        elif self.state is State.FAULT:
+            self._announce(DriveError(self.error), now)
+        self._show()
+
+    def _on_configured(self) -> None:
+        self._rpdo = self.node.rpdo_with(POSITION)
+        self._events = [
+            number
+            for number in range(1, 5)
+            if is_valid(self.dictionary.entry(0x17FF + number, 1).value)
+            and self.dictionary.entry(0x17FF + number, 2).value in EVENT_DRIVEN | {0}
+        ]
+
+    def _on_parameter_faults(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
+        """Stored parameters were refused, or no longer are."""
+        if faults:
+            self.node.emergency(EmergencyCode.DATA_SET, ErrorRegister.GENERIC, bytes(sorted(faults))[:5], now)
+        else:
+            self.node.clear_emergency(EmergencyCode.DATA_SET, now)
+
+    def _sync_due(self) -> float | None:
+        """When a SYNC must have come, for a drive that is switched on."""
+        timeout_ms = self._sync_timeout.value
+        watched = self.state in SWITCHED_ON or self.state is State.FAULT_REACTION_ACTIVE
+        if not timeout_ms or not watched or self.node.state is not NmtState.OPERATIONAL:
+            return None
+        return self._watched_from_s + float(timeout_ms / 1000.0)
+
+    def _show(self) -> None:
+        """6041h, 6061h, 603Fh and 6077h; what has changed goes out."""
+        shown = self._statusword.value, self.dictionary.entry(0x6061).value, self._shown_error
+        self.axis.show_mode()
+        word = self.state.value | Status.VOLTAGE_ENABLED
+        if self.node.state is NmtState.OPERATIONAL:
+            word |= Status.REMOTE
+        word |= self.axis.status(self.state is State.OPERATION_ENABLED, self._now)
+        self._statusword.value = int(word)
+        self._torque.value = self.axis.scaling.per_mille(self.plant.motor.torque_nm)
+        self._shown_error = self.error
+        if shown != (self._statusword.value, self.axis.mode, self.error):
+            for number in self._events:
+                self.node.trigger_tpdo(number, self._now)
+
+
+def _check_quick_stop_option(value: int) -> None:
+    if value not in QUICK_STOP_OPTIONS:
+        raise SdoAbort(AbortCode.INVALID_VALUE)

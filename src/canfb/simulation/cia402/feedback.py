@@ -1,0 +1,150 @@
+"""The position from the feedback module, as the drive sees it: supervised, unwrapped, differentiated."""
+
+from __future__ import annotations
+
+from enum import IntFlag
+
+from canfb.device.dictionary import Dictionary
+
+U32_RANGE = 1 << 32
+SENSOR_CODES = 0x7300
+"""EMCY codes 73xxh are those of a sensor (CiA 301, table of error codes)."""
+
+
+class Wrong(IntFlag):
+    """What is wrong with the feedback now: 2111:01."""
+
+    STATUS = 0x01
+    MISSING = 0x02
+    EMERGENCY = 0x04
+    RANGE = 0x08
+    STEP = 0x10
+
+
+class FeedbackInput:
+    """Takes 60E4:01 with its status word 2110:01, once for each RPDO.
+
+    A position is used if the status word has the bits that 2110:02 and :03 want, if it is within its
+    range (2110:05, 0 = 2^32), and if the machine can have come there since the last one. It wraps at the
+    range: the difference to the last one is taken the short way round. The first one counts from
+    -range/2 to range/2, so that a machine a little below zero is not at the far end.
+
+    Before the first position, and again after :meth:`reset`, the feedback is missing.
+    """
+
+    def __init__(self, dictionary: Dictionary) -> None:
+        entry = dictionary.entry
+        self._value, self._status = entry(0x60E4, 1), entry(0x2110, 1)
+        self._mask, self._expected = entry(0x2110, 2), entry(0x2110, 3)
+        self._range, self._tolerated = entry(0x2110, 5), entry(0x2110, 6)
+        self._largest = entry(0x2110, 9)
+        self._increments, self._turns = entry(0x60E6, 1), entry(0x60EB, 1)
+        self._wrong_entry, self._used, self._missed = (entry(0x2111, sub) for sub in (1, 2, 3))
+        entry(0x2110, 4)  # the residual: there to be read
+        self.position = 0
+        """Increments of the feedback, unwrapped."""
+        self.speed = 0.0
+        """Revolutions per second, the mean over the last interval."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing is known of the feedback: it is missing until it comes."""
+        self.wrong = Wrong.MISSING
+        self._last: int | None = None
+        self._since_pdo = 0  # SYNCs since the last PDO
+        self._age = 0  # SYNCs since the last position that was used
+        self.speed = 0.0
+        self._publish()
+
+    @property
+    def increments_per_revolution(self) -> float:
+        """60E6h / 60EBh."""
+        return float(self._increments.value / max(1, self._turns.value))
+
+    @property
+    def revolutions(self) -> float:
+        """The position in revolutions."""
+        return self.position / self.increments_per_revolution
+
+    @property
+    def status(self) -> int:
+        """The last status word of the feedback."""
+        return int(self._status.value)
+
+    def sync(self) -> None:
+        """A SYNC: the position of the one before should have come."""
+        self._since_pdo += 1
+        self._age += 1
+        if self._since_pdo > 1:
+            self._missed.value = (self._missed.value + 1) & 0xFFFFFFFF
+        if self._since_pdo - 1 > self._tolerated.value:
+            self._set(Wrong.MISSING)
+
+    def emergency(self, code: int) -> None:
+        """An EMCY of the module: a sensor error, or 0000h, the end of one."""
+        if code == 0:
+            self._clear(Wrong.EMERGENCY)
+        elif code & 0xFF00 == SENSOR_CODES:
+            self._set(Wrong.EMERGENCY)
+
+    def boot_up(self) -> None:
+        """The module has started again: it has forgotten its errors, and where it was."""
+        self._clear(Wrong.EMERGENCY)
+        self._set(Wrong.MISSING)
+        self._last = None
+
+    def take(self, largest_speed: float, interval_s: float, *, supervised: bool) -> bool:
+        """A PDO stands in the dictionary; True if its position is used.
+
+        ``largest_speed`` of the motor in revolutions per second and ``interval_s`` between two SYNCs bound
+        the step. Without ``supervised`` a larger one is a new beginning, as after a preset, not an error.
+        """
+        self._since_pdo = 0
+        self._clear(Wrong.MISSING | Wrong.STATUS | Wrong.RANGE | Wrong.STEP)
+        if self._status.value & self._mask.value != self._expected.value & self._mask.value:
+            self._set(Wrong.STATUS)
+            return False
+        raw, full = self._value.value & 0xFFFFFFFF, self._range.value or U32_RANGE
+        if raw >= full:
+            self._set(Wrong.RANGE)
+            return False
+        return self._step(raw, full, largest_speed, interval_s, supervised)
+
+    def _step(self, raw: int, full: int, largest_speed: float, interval_s: float, supervised: bool) -> bool:
+        intervals = max(1, self._age)
+        known = self._last is not None
+        if self._last is None:
+            self.position = raw - full if raw >= (full + 1) // 2 else raw
+            step = 0
+        else:
+            step = (raw - self._last + full // 2) % full - full // 2
+        bound = self._bound(largest_speed, interval_s) * intervals
+        too_far = known and bound > 0 and abs(step) > bound
+        if too_far and supervised:
+            self._set(Wrong.STEP)
+            self._last = None  # from here on, when it is believed again
+            return False
+        self.position += step
+        usable = known and not too_far and interval_s > 0.0
+        self.speed = step / self.increments_per_revolution / (intervals * interval_s) if usable else 0.0
+        self._last, self._age = raw, 0
+        self._used.value = (self._used.value + 1) & 0xFFFFFFFF
+        return True
+
+    def _bound(self, largest_speed: float, interval_s: float) -> float:
+        """The largest believable step between two SYNCs, increments; 0 for no bound."""
+        if self._largest.value:
+            return float(self._largest.value)
+        return 2.0 * largest_speed * interval_s * self.increments_per_revolution
+
+    def _set(self, what: Wrong) -> None:
+        self.wrong |= what
+        self._publish()
+
+    def _clear(self, what: Wrong) -> None:
+        if self.wrong & what:
+            self.wrong &= ~what
+            self._publish()
+
+    def _publish(self) -> None:
+        self._wrong_entry.value = int(self.wrong)

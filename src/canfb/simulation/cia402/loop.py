@@ -1,0 +1,101 @@
+"""The position loop: proportional position controller, PI velocity controller, feed-forward, limits.
+
+It computes once for each position of the feedback. Positions are in revolutions, speeds in rad/s,
+torques in Nm.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+VELOCITY_BANDWIDTH = 0.2  # of 1 / period: what the delays of sampling, torque and difference leave
+POSITION_BANDWIDTH = 0.25  # of that of the velocity loop
+INTEGRAL_PERIODS = 40.0
+BRAKING_SHARE = 0.7  # of the torque, for coming down to a target that is far away
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gains of the loop: ``position`` in 1/s, ``velocity`` in Nm s/rad, ``integral_s``, feed-forward 0..1."""
+
+    position: float
+    velocity: float
+    integral_s: float
+    velocity_forward: float
+    acceleration_forward: float
+    inertia_kg_m2: float
+
+
+def chosen_gains(gains: Gains, period_s: float) -> Gains:
+    """The gains with those that are 0 chosen from the inertia and the time between two positions."""
+    bandwidth = VELOCITY_BANDWIDTH / period_s
+    return Gains(
+        gains.position or POSITION_BANDWIDTH * bandwidth,
+        gains.velocity or gains.inertia_kg_m2 * bandwidth,
+        gains.integral_s or INTEGRAL_PERIODS * period_s,
+        gains.velocity_forward,
+        gains.acceleration_forward,
+        gains.inertia_kg_m2,
+    )
+
+
+@dataclass(frozen=True)
+class Demand:
+    """Where the shaft is to be: revolutions, rad/s, rad/s^2."""
+
+    revolutions: float
+    speed_rad_s: float = 0.0
+    acceleration_rad_s2: float = 0.0
+
+
+class PositionLoop:
+    """From demand and position to the torque."""
+
+    def __init__(self) -> None:
+        self._integral_nm = 0.0
+        self.limited = False
+        """Whether the torque or the speed was limited in the last step."""
+
+    def reset(self) -> None:
+        """The power goes on: no torque is left from before."""
+        self._integral_nm = 0.0
+        self.limited = False
+
+    def step(
+        self,
+        demand: Demand,
+        revolutions: float,
+        speed_rad_s: float,
+        gains: Gains,
+        *,
+        period_s: float,
+        torque_limit_nm: float,
+        speed_limit_rad_s: float,
+    ) -> float:
+        """The torque in Nm, for one position. The gains are all chosen, the period is more than 0 s."""
+        error = 2.0 * math.pi * (demand.revolutions - revolutions)
+        braking = BRAKING_SHARE * torque_limit_nm / gains.inertia_kg_m2
+        wanted = gains.velocity_forward * demand.speed_rad_s + approach(error, gains.position, braking)
+        speed = max(-speed_limit_rad_s, min(speed_limit_rad_s, wanted))
+        deviation = speed - speed_rad_s
+        forward = gains.acceleration_forward * gains.inertia_kg_m2 * demand.acceleration_rad_s2
+        proportional = gains.velocity * deviation
+        unlimited = proportional + self._integral_nm + forward
+        torque = max(-torque_limit_nm, min(torque_limit_nm, unlimited))
+        self.limited = torque != unlimited or speed != wanted
+        if torque == unlimited or deviation * unlimited < 0.0:  # never further into the limit
+            self._integral_nm += proportional * period_s / gains.integral_s
+            self._integral_nm = max(-torque_limit_nm, min(torque_limit_nm, self._integral_nm))
+        return torque
+
+
+def approach(error: float, gain: float, braking: float) -> float:
+    """Speed at which an ``error`` (rad) is made good: ``gain`` times it, but no faster than the motor brakes.
+
+    Far away the square root keeps the deceleration at ``braking`` (rad/s^2); the two join smoothly.
+    """
+    near = braking / (gain * gain)
+    if abs(error) <= near:
+        return gain * error
+    return math.copysign(math.sqrt(2.0 * braking * (abs(error) - near / 2.0)), error)

@@ -1,0 +1,160 @@
+"""Encoder interface, feedback module and drive on an embedded bus, with python canopen's CiA 402 master."""
+
+from __future__ import annotations
+
+import functools
+import struct
+from collections.abc import Callable
+
+import canopen
+import numpy as np
+from canopen.pdo.base import PdoMap
+from canopen.profiles.p402 import BaseNode402
+
+from canfb.demo.plant import EmbeddedNetwork
+from canfb.device.frame import Frame
+from canfb.eds_files import eds_path
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.sample import Sample
+from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
+from canfb.simulation.cia402.motor import Motor, MotorConfig
+from canfb.simulation.cia402.plant import Plant, PlantSource
+from canfb.simulation.cia402.state_machine import State
+from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder_interface import EncoderInterface
+
+DRIVE_ID, MODULE_ID, INTERFACE_ID = 0x30, 0x20, 0x10
+UNITS = 1 << 20
+SYNC = Frame(0x80, b"")
+
+
+class Tampering:
+    """A source whose samples a test may spoil: None for a lost one."""
+
+    def __init__(self, source: PlantSource) -> None:
+        self.source = source
+        self.fault: Callable[[Sample], Sample | None] | None = None
+
+    def next(self) -> Sample | None:
+        sample = self.source.next()
+        return sample if self.fault is None else self.fault(sample)
+
+
+class DriveBench:
+    """All powered on and operational, the drive in Switch on disabled, after 20 SYNCs."""
+
+    def __init__(
+        self,
+        *,
+        period_s: float = 1e-3,
+        synchronous: bool = False,
+        cycles_per_revolution: int = 2500,
+        noise_lsb: float = 0.5,
+        start_revolutions: float = 0.0,
+        operational: bool = True,
+        **motor: float,
+    ) -> None:
+        self.period_s = period_s
+        self.bus = EmbeddedBus()
+        self.network = EmbeddedNetwork(self.bus)
+        self.heard: list[Frame] = []
+        self.bus.taps.append(lambda frame, now: self.heard.append(frame))
+        self.motor = Motor(MotorConfig(**motor), start_revolutions)
+        self.plant = Plant(self.motor)
+        encoder = Encoder(noise_lsb=noise_lsb)
+        self.source = Tampering(PlantSource(encoder, self.plant, cycles_per_revolution))
+        self.interface = EncoderInterface(INTERFACE_ID, self.source)
+        config = ModuleConfig(
+            node_id=MODULE_ID, encoder_interface=INTERFACE_ID, cycles_per_revolution=cycles_per_revolution
+        )
+        self.module = FeedbackModule(config)
+        resolution, total = (self.module.dictionary.entry(index).value for index in (0x6001, 0x6002))
+        self.drive = ServoDrive(
+            DRIVE_ID, self.plant, FeedbackModuleLink(
+                node_id=MODULE_ID,
+                increments_per_revolution=resolution,
+                total_range=total,
+                synchronous=synchronous,
+            ),
+        )  # fmt: skip
+        self.master = BaseNode402(DRIVE_ID, str(eds_path("drive")))
+        self.module_master = canopen.RemoteNode(MODULE_ID, str(eds_path("canfb-module")))
+        self.interface_master = canopen.RemoteNode(INTERFACE_ID, str(eds_path("encoder-interface")))
+        for node in (self.master, self.module_master, self.interface_master):
+            self.network.add_node(node)
+        for participant in (self.plant, self.interface, self.module, self.drive):
+            self.bus.attach(participant)
+        if operational:
+            self.operate()
+
+    def operate(self) -> None:
+        self.master.setup_402_state_machine()
+        for tpdo in self.master.tpdo.values():
+            tpdo.wait_for_reception = functools.partial(self._wait_for, tpdo)
+        self.network.nmt.state = "OPERATIONAL"
+        self.cycle(20)
+
+    def _wait_for(self, tpdo: PdoMap, timeout: float = 10.0) -> float | None:
+        """In place of canopen's, which waits for a thread: simulated time passes."""
+        tpdo.is_received = False
+        end = self.bus.now + timeout
+        while not tpdo.is_received and self.bus.now < end:
+            self.cycle()
+        return tpdo.timestamp if tpdo.is_received else None
+
+    def cycle(self, count: int = 1) -> None:
+        """So many SYNCs, each with all that it causes."""
+        for _ in range(count):
+            self.bus.run_until(self.bus.now + self.period_s)
+            self.bus.send(SYNC)
+
+    def enable(self, mode: str = "CYCLIC SYNCHRONOUS POSITION") -> None:
+        self.master.op_mode = mode
+        self.master.state = "OPERATION ENABLED"
+        assert self.state is State.OPERATION_ENABLED
+
+    def target(self, units: int) -> None:
+        """607Ah by RPDO2; it is taken at the next SYNC."""
+        self.bus.send(Frame(0x300 + DRIVE_ID, struct.pack("<i", units)))
+
+    def control(self, controlword: int) -> None:
+        """6040h by RPDO1, the mode as it is."""
+        mode = self.drive.dictionary.entry(0x6060).value
+        self.bus.send(Frame(0x200 + DRIVE_ID, struct.pack("<Hb", controlword, mode)))
+
+    def read(self, index: int, subindex: int = 0) -> int:
+        """An object of the drive by SDO."""
+        return self.master.sdo.upload(index, subindex) and self._raw(index, subindex)
+
+    def _raw(self, index: int, subindex: int) -> int:
+        thing = self.master.sdo[index]
+        return thing.raw if not subindex and not hasattr(thing, "values") else thing[subindex].raw
+
+    def write(self, index: int, value: float, subindex: int = 0) -> None:
+        thing = self.master.sdo[index]
+        (thing[subindex] if subindex else thing).raw = value
+
+    @property
+    def state(self) -> State:
+        return self.drive.state
+
+    @property
+    def shaft_units(self) -> float:
+        """Where the shaft truly is, in units of the drive."""
+        return self.motor.revolutions * UNITS
+
+    def emergencies(self, node_id: int = DRIVE_ID) -> list[int]:
+        return [
+            struct.unpack_from("<H", frame.data)[0] for frame in self.heard if frame.can_id == 0x80 + node_id
+        ]
+
+    def follow(self, targets: list[int] | np.ndarray) -> np.ndarray:
+        """A target for each SYNC; the true position of the shaft at each, in units."""
+        truth = []
+        for target in targets:
+            self.target(int(target))
+            self.cycle()
+            truth.append(self.shaft_units)
+        return np.array(truth)
