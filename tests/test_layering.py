@@ -26,7 +26,7 @@ ALLOWED: dict[str, set[str]] = {
     "simulation": {"signal", "device", "eds_files", "errors"},
     "configuration": {"signal", "module", "simulation", "errors"},
     "commissioning": {"signal", "calibration", "errors"},
-    "bus": {"module", "device", "simulation", "configuration", "errors"},
+    "bus": {"signal", "module", "device", "simulation", "configuration", "errors"},
     "demo": {"signal", "calibration", "device", "module", "simulation", "configuration", "eds_files",
              "errors"},
     "cli": {"signal", "calibration", "device", "module", "simulation", "configuration", "eds_files", "errors",
@@ -46,7 +46,7 @@ FOREIGN: dict[str, set[str]] = {
     "simulation": {"numpy"},
     "configuration": {"yaml"},
     "commissioning": {"numpy", "canopen", "can", "yaml"},
-    "bus": {"can", "canopen"},
+    "bus": {"can", "canopen", "iio"},
     "demo": {"numpy", "canopen", "matplotlib"},
     "cli": {"can"},
 }

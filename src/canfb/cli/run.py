@@ -12,6 +12,7 @@ from canfb.bus.realtime import apply_realtime
 from canfb.bus.runner import Runner, ending_on_signals
 from canfb.bus.state_files import StateFiles
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, report
+from canfb.cli.sources import open_source
 from canfb.configuration import load_config
 from canfb.device.datatypes import encode
 from canfb.device.image import ParameterGroup
@@ -19,6 +20,7 @@ from canfb.device.lss import UNCONFIGURED
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.parameters import configured_defaults
+from canfb.simulation.scenario import SimulationConfig
 
 
 def register(commands: Commands) -> None:
@@ -33,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
     config = load_config(options.config)
     words = bus_options(options, config.bus)
     with contextlib.ExitStack() as resources:
-        modules = [make_module(module, resources, words) for module in config.modules]
+        modules = [make_module(module, resources, words, config.simulation) for module in config.modules]
         bus = resources.enter_context(open_bus(words))
         runner = Runner(bus, list(modules), report)
         apply_realtime(config.realtime, report)
@@ -49,9 +51,12 @@ def run(options: argparse.Namespace) -> int:
 
 
 def make_module(
-    config: ModuleConfig, resources: contextlib.ExitStack, bus_words: Mapping[str, Any]
+    config: ModuleConfig,
+    resources: contextlib.ExitStack,
+    bus_words: Mapping[str, Any],
+    simulation: SimulationConfig | None = None,
 ) -> FeedbackModule:
-    """The module with its state_dir, if it has one, which is held until `resources` are closed.
+    """The module with its state_dir and its source, if it has them, held until `resources` are closed.
 
     The bit rate of the bus belongs to the system: LSS may choose the one that it has, and no other.
     """
@@ -60,7 +65,8 @@ def make_module(
         store = resources.enter_context(StateFiles(config.state_dir))
     bit_rate = bus_words.get("bitrate")
     bit_rates = [bit_rate // 1000] if isinstance(bit_rate, int) else []
-    module = FeedbackModule(config, store, bit_rates_kbit_s=bit_rates)
+    config, source = open_source(config, simulation or SimulationConfig(), resources)
+    module = FeedbackModule(config, store, source=source, bit_rates_kbit_s=bit_rates)
 
     def tell(faults: Mapping[ParameterGroup, str]) -> None:
         for group, why in faults.items():
@@ -71,6 +77,7 @@ def make_module(
             )
 
     module.on_parameter_faults = tell
+    module.on_source = lambda text: report(f"node {module.node.node_id}: {text}")
     return module
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.errors import CanfbError
+from canfb.signal.chain import TICK_S
 from canfb.signal.sample import Sample
 from canfb.signal.source import SourceEnded
 from canfb.simulation.encoder import Encoder
@@ -74,6 +75,7 @@ class RecordingLayout:
     time_column         name or number of a column with seconds, or None
     gap_s               a step of time longer than this is a gap: the last sample before it is
                         left out and ``gap_samples`` SYNCs get no answer
+    time_stamps         the samples bring the time of the time column along
     """
 
     columns: tuple[str, str]
@@ -81,6 +83,7 @@ class RecordingLayout:
     time_column: str | None = None
     gap_s: float = 0.1
     gap_samples: int = 20
+    time_stamps: bool = False
 
 
 class RecordingSource:
@@ -88,6 +91,7 @@ class RecordingSource:
 
     def __init__(self, path: str | Path, layout: RecordingLayout) -> None:
         self._rows = _read(Path(path), layout)
+        self._time_stamps = layout.time_stamps
         self._pauses = _pauses(self._rows, layout)
         self._waiting = 0
         self._next_row = 0
@@ -109,8 +113,24 @@ class RecordingSource:
             raise SourceEnded
         self.row = self._next_row
         self._next_row += 1
-        _, sine, cosine = self._rows[self.row]
-        return Sample(sine, cosine)
+        seconds, sine, cosine = self._rows[self.row]
+        time = round(seconds / TICK_S) & 0xFFFFFFFF if self._time_stamps else None
+        return Sample(sine, cosine, time_100ns=time)
+
+
+class ArraySource:
+    """Plays tracks, one sample for each SYNC; NaN in one of them is a SYNC without a sample."""
+
+    def __init__(self, sine: npt.NDArray[np.float64], cosine: npt.NDArray[np.float64]) -> None:
+        self._samples = zip(sine.tolist(), cosine.tolist(), strict=True)
+
+    def next(self) -> Sample | None:
+        """The next sample, None for a missed one. SourceEnded at the end."""
+        try:
+            sine, cosine = next(self._samples)
+        except StopIteration:
+            raise SourceEnded from None
+        return None if math.isnan(sine + cosine) else Sample(sine, cosine)
 
 
 def _pauses(rows: list[tuple[float, int, int]], layout: RecordingLayout) -> dict[int, int]:

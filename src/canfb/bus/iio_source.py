@@ -1,0 +1,123 @@
+"""A local ADC as the source of a module: a thread waits for its scans, a SYNC takes the newest."""
+
+from __future__ import annotations
+
+import threading
+from types import TracebackType
+from typing import Self
+
+from canfb.bus.iio_capture import IioCapture, Scan
+from canfb.bus.opening import reason
+from canfb.module.source_config import IioSourceConfig
+from canfb.signal.sample import Sample
+from canfb.signal.source import SourceError
+
+REOPEN_S = 1.0
+CLOSE_S = 5.0
+US = 1e-6
+
+
+class IioSource:
+    """Gives the newest scan of an ADC (:class:`canfb.signal.source.Source`).
+
+    The device is opened at once: ConfigError or BusError, see :class:`canfb.bus.iio_capture.IioCapture`.
+    One that fails later is opened again every second, by the thread. With a trigger that can be fired,
+    :meth:`next` fires it and waits for the scan, at most ``wait_us``; otherwise it never waits.
+    """
+
+    def __init__(self, config: IioSourceConfig, reopen_s: float = REOPEN_S) -> None:
+        self._config = config
+        self._reopen_s = reopen_s
+        self._changed = threading.Condition()
+        # All of these under the condition.
+        self._capture: IioCapture | None = IioCapture(config)
+        self._scan: Scan | None = None
+        self._trouble = ""
+        self.scans = 0
+        """Scans that have come, those included that no SYNC took."""
+        self.adc_bits = self._capture.adc_bits
+        """Bits of a count."""
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"iio {config.device}", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop capturing; the thread ends."""
+        self._stopping.set()
+        with self._changed:
+            if self._capture is not None:
+                self._capture.cancel()
+        self._thread.join(CLOSE_S)
+
+    def next(self) -> Sample | None:
+        """The newest scan that no SYNC has taken, or that of this SYNC; None where there is none.
+
+        SourceError while the device does not work.
+        """
+        with self._changed:
+            capture = self._capture
+            if capture is not None and capture.is_fired:
+                self._scan = None  # of an earlier SYNC, and late
+                self._fire(capture)
+                self._changed.wait_for(lambda: self._scan or self._trouble, self._config.wait_us * US)
+            scan, self._scan = self._scan, None
+            if scan is not None:
+                return Sample(scan.sine, scan.cosine, time_100ns=scan.time_100ns)
+            if self._trouble:
+                raise SourceError(self._trouble)
+            return None
+
+    @staticmethod
+    def _fire(capture: IioCapture) -> None:
+        try:
+            capture.fire()
+        except OSError as error:
+            raise SourceError(f"the trigger cannot be fired: {reason(error)}") from error
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            if self._capture is None:
+                if not self._stopping.wait(self._reopen_s):
+                    self._reopen()
+            else:
+                self._take(self._capture)
+        with self._changed:
+            self._capture = None  # which closes it
+
+    def _take(self, capture: IioCapture) -> None:
+        """Wait for a scan, and leave it for the next SYNC."""
+        try:
+            scan = capture.refill()
+        except Exception as error:  # a thread that dies would leave no trace
+            with self._changed:
+                self._capture = None
+                self._trouble = reason(error)
+                self._changed.notify()
+            return
+        if scan is not None:
+            with self._changed:
+                self._scan = scan
+                self.scans += 1
+                self._changed.notify()
+
+    def _reopen(self) -> None:
+        try:
+            capture = IioCapture(self._config)
+            if capture.adc_bits != self.adc_bits:
+                raise SourceError(f"the converter has {capture.adc_bits} bits now, not {self.adc_bits}")
+        except Exception as error:  # as above
+            with self._changed:
+                self._trouble = reason(error)
+            return
+        with self._changed:
+            self._capture, self._trouble = capture, ""
+            if self._stopping.is_set():
+                capture.cancel()
