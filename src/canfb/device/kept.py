@@ -81,6 +81,11 @@ class KeptEntries:
             if index in indices:
                 yield self._dictionary.lookup(index, subindex)
 
+    def settings(self) -> Iterator[Entry]:
+        """The parameters that SDO sets as it finds them, in ascending order: without those of `keep`."""
+        for index, subindex in sorted(self._places - self._check.keys()):
+            yield self._dictionary.lookup(index, subindex)
+
     def find(self, group: ParameterGroup, index: int, subindex: int) -> Entry | None:
         """The entry, None when it is no stored parameter of the group."""
         if (index, subindex) not in self._places or index not in RANGES[group]:

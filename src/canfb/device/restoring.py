@@ -4,18 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from canfb.device import cob
 from canfb.device.codes import SdoAbort
 from canfb.device.entry import Entry
 from canfb.device.image import ImageError, ParameterGroup, Record
 from canfb.device.kept import KeptEntries, restored_value
-
-_CYCLE_PERIOD, _SYNC, _TIME, _CONSUMERS = 0x1006, 0x1005, 0x1012, 0x1016
-_MAPPINGS = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
-_COMMUNICATIONS = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
-_SDO_CHANNELS = range(0x1200, 0x1300)
-_EMCY = 0x1014
-_TURNS = range(4)
+from canfb.device.writing_order import TURNS, switched_off, turn
 
 Value = tuple[Entry, Any]
 
@@ -31,8 +24,10 @@ def restore(entries: KeptEntries, group: ParameterGroup, records: list[Record], 
     before = [(entry, entry.value) for entry in entries.of(group)]
     try:
         values = _values(entries, group, records, node_id)
-        for entry, _ in values:
-            entry.value = _switched_off(entry)
+        for entry, value in values:
+            off = switched_off(entry, value)
+            if off is not None:
+                entry.value = off
         _write(entries, values)
     except ImageError:
         for entry, value in before:
@@ -56,8 +51,8 @@ def _values(entries: KeptEntries, group: ParameterGroup, records: list[Record], 
 
 def _write(entries: KeptEntries, values: list[Value]) -> None:
     """Write turn by turn; where one value waits for another, as a lower limit for the upper one, again."""
-    for turn in _TURNS:
-        waiting = [value for value in values if _turn(value[0]) == turn]
+    for this in TURNS:
+        waiting = [value for value in values if turn(value[0]) == this]
         while waiting:
             refused = [(value, reason) for value in waiting if (reason := _refusal(entries, *value))]
             if len(refused) == len(waiting):
@@ -73,35 +68,3 @@ def _refusal(entries: KeptEntries, entry: Entry, value: Any) -> str:
         return f"{entry.index:04X}h:{entry.subindex:02X}: {abort}"
     entry.value = value
     return ""
-
-
-def _turn(entry: Entry) -> int:
-    if _is_mapping_count(entry):
-        return 1
-    if entry.index == _CYCLE_PERIOD:
-        return 2
-    return 3 if _is_cob_id(entry) else 0
-
-
-def _switched_off(entry: Entry) -> Any:
-    """The value that lets all others be written: nothing is used, no rule is broken."""
-    if _is_mapping_count(entry) or entry.index in (_CYCLE_PERIOD, _CONSUMERS):
-        return 0
-    if not _is_cob_id(entry):
-        return entry.value
-    if entry.index == _SYNC:
-        return entry.value & ~cob.GENERATE
-    # Bit 31 of 1012h means that TIME is heard; that of all others, that the object does not exist.
-    return entry.value & cob.CAN_ID if entry.index == _TIME else cob.NOT_VALID
-
-
-def _is_mapping_count(entry: Entry) -> bool:
-    return entry.subindex == 0 and any(entry.index in indices for indices in _MAPPINGS)
-
-
-def _is_cob_id(entry: Entry) -> bool:
-    if entry.index in (_SYNC, _TIME, _EMCY):
-        return True
-    if entry.index in _SDO_CHANNELS:
-        return entry.subindex in (1, 2)
-    return entry.subindex == 1 and any(entry.index in indices for indices in _COMMUNICATIONS)
