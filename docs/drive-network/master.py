@@ -12,6 +12,8 @@ Needs python canopen and pyyaml; the files beside it come along.
 from __future__ import annotations
 
 import argparse
+import contextlib
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -26,13 +28,24 @@ from network_file import NetworkFile, NetworkFileError, load
 MODES = {"profile": PROFILE, "csp": CYCLIC}
 LOOK_S = 0.002
 SYNC, HEARTBEAT, OPERATIONAL = 0x80, 0x700, 5
+BRAKING_S = 1.0  # until the machine stands: the module begins at standstill, and nobody sees the machine now
 MISSED_HEARTBEATS = 5  # of a node, before the master calls it lost
+ERRORS = {
+    0x0000: "no error any more",
+    0x7300: "sensor",
+    0x7305: "feedback not valid or missing",
+    0x7320: "position that cannot be",
+    0x8100: "communication",
+    0x8130: "heartbeat of another node lost",
+    0x8611: "following error",
+    0x8700: "no SYNC",
+}  # what canopen has no words for
 
 
 class Master:
     """Starts the nodes, produces SYNC and heartbeat, watches everybody. Leaves all PRE-OPERATIONAL.
 
-    ``tell`` gets what is to be printed; ``clock`` and ``wait`` are those of the system, but for tests.
+    ``clock`` and ``wait`` are those of the system, but for tests.
     """
 
     def __init__(
@@ -40,12 +53,11 @@ class Master:
         network: canopen.Network,
         file: NetworkFile,
         remotes: dict[str, Any],
-        tell: Callable[[str], None] = print,
         clock: Callable[[], float] = time.monotonic,
         wait: Callable[[float], None] = time.sleep,
     ) -> None:
         self._network, self._file, self._remotes = network, file, remotes
-        self._tell, self._clock, self._wait = tell, clock, wait
+        self._clock, self.wait = clock, wait
         self._heard: dict[str, tuple[float, int]] = {}  # time and state of the last heartbeat
         self._emergencies: list[str] = []
         self._tasks: list[Any] = []
@@ -64,7 +76,7 @@ class Master:
         self._tasks.append(self._network.send_periodic(SYNC, b"", self._file.sync_period_us / 1e6))
         for name in self._file.nodes:
             self.start_node(name)
-        self._tell(f"started: {', '.join(self._file.nodes)}")
+        print(f"started: {', '.join(self._file.nodes)}")
 
     def start_node(self, name: str) -> None:
         """NMT start, and wait for the heartbeat that says so."""
@@ -81,8 +93,9 @@ class Master:
 
     def close(self) -> None:
         """All nodes PRE-OPERATIONAL, drives first; no SYNC, no heartbeat any more."""
-        for name in reversed(list(self._file.nodes)):
-            self.stop_node(name, "PRE-OPERATIONAL")
+        with contextlib.suppress(can.CanError, OSError):  # the bus may be what has failed
+            for name in reversed(list(self._file.nodes)):
+                self.stop_node(name, "PRE-OPERATIONAL")
         for task in self._tasks:
             task.stop()
         self._tasks.clear()
@@ -94,9 +107,10 @@ class Master:
         while not true():
             self._report_emergencies()
             self._check_nodes()
+            self._network.check()  # raises when the bus has failed
             if self._clock() > end:
                 raise FaultError(f"waited {seconds:g} s for {what}")
-            self._wait(LOOK_S)
+            self.wait(LOOK_S)
 
     def _check_nodes(self) -> None:
         for name in self.on_duty:
@@ -114,12 +128,12 @@ class Master:
         self._heard[name] = (self._clock(), state)
 
     def _note(self, name: str, error: Any) -> None:
-        what = f"{error.code:04X}h {error.get_desc()}, error register {error.register:02X}h"
-        self._emergencies.append(f"  EMCY of {self._file.nodes[name]}: {what}")
+        meaning = ERRORS.get(error.code) or error.get_desc() or "see its manual"
+        self._emergencies.append(f"  EMCY of {self._file.nodes[name]}: {error.code:04X}h, {meaning}")
 
     def _report_emergencies(self) -> None:
         while self._emergencies:
-            self._tell(self._emergencies.pop(0))
+            print(self._emergencies.pop(0))
 
     def _listen(self, name: str, remote: Any) -> None:
         """Give canopen the PDOs of the file, so that it need not read them from the nodes."""
@@ -182,6 +196,7 @@ class Story:
     def recover(self) -> None:
         """Bring the feedback back: it counts anew from here, so a real machine must be homed now."""
         master, axis = self._master, self._axis
+        master.wait(BRAKING_S)
         master.stop_node("module", "PRE-OPERATIONAL")
         master.start_node("interface")
         master.start_node("module")
@@ -190,7 +205,7 @@ class Story:
 
 def main(arguments: list[str] | None = None) -> int:
     """The command."""
-    options = _options(arguments)
+    options = parse(arguments)
     try:
         file = load(options.file)
     except NetworkFileError as error:
@@ -204,14 +219,20 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"master: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("master: ended by Ctrl-C; the nodes are PRE-OPERATIONAL", file=sys.stderr)
+        print("master: ended by a signal; the nodes are PRE-OPERATIONAL", file=sys.stderr)
         return 1
     finally:
         if network.bus is not None:
             network.disconnect()
 
 
-def run(network: canopen.Network, file: NetworkFile, options: argparse.Namespace) -> int:
+def run(
+    network: canopen.Network,
+    file: NetworkFile,
+    options: argparse.Namespace,
+    clock: Callable[[], float] = time.monotonic,
+    wait: Callable[[float], None] = time.sleep,
+) -> int:
     """On a connected network: configure, start, move, leave all nodes PRE-OPERATIONAL."""
     configuration = Configuration(network, file)
     configuration.check_identity()
@@ -221,7 +242,7 @@ def run(network: canopen.Network, file: NetworkFile, options: argparse.Namespace
         print("\n".join(differences) or "everything is as the file says")
         return 1 if differences else 0
     print(f"configured: {configuration.apply()} object(s) written, all read back")
-    master = Master(network, file, configuration.remotes)
+    master = Master(network, file, configuration.remotes, clock, wait)
     try:
         try:
             master.start()
@@ -246,14 +267,16 @@ def tell_story(
         if options.provoke_alarm:
             print(*story.provoke_alarm(options.revolutions), sep="\n")
             story.recover()
-            print("recovered: the fault is reset, the position counts anew; back again")
+            print("recovered: the position is valid and counts anew; the fault is reset, and back again")
             print(*story.move(-options.revolutions), sep="\n")
     finally:
-        axis.disable()
-        time.sleep(3 * file.sync_period_us / 1e6)  # the drive takes it at a SYNC
+        with contextlib.suppress(can.CanError, OSError):
+            axis.disable()
+        master.wait(3 * file.sync_period_us / 1e6)  # the drive takes it at a SYNC
 
 
-def _options(arguments: list[str] | None) -> argparse.Namespace:
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """The options of the command."""
     parser = argparse.ArgumentParser(prog="master", description="the master of the drive network")
     parser.add_argument("file", nargs="?", default="network.yaml")
     parser.add_argument("--mode", choices=MODES, default="profile")
@@ -264,4 +287,5 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: nothing goes on turning
     sys.exit(main())

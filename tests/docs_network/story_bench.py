@@ -1,0 +1,99 @@
+"""The drive network of docs/drive-network in simulated time, with the master of the example."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import master
+import network_file
+
+from canfb.demo.plant import EmbeddedNetwork
+from canfb.device.frame import Frame
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
+from canfb.simulation.cia402.motor import Motor, MotorConfig
+from canfb.simulation.cia402.plant import Plant, PlantSource
+from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder_interface import EncoderInterface
+
+FOLDER = Path(__file__).parents[2] / "docs" / "drive-network"
+CYCLES = 1024
+
+
+class Periodic:
+    """A frame sent again and again by the master; may be stopped."""
+
+    def __init__(self, frame: Frame, period_s: float) -> None:
+        self._frame, self._period_s = frame, period_s
+        self._next_s: float | None = None
+
+    def start(self, now: float) -> list[Frame]:
+        self._next_s = now
+        return []
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        return []
+
+    def deadline(self) -> float | None:
+        return self._next_s
+
+    def tick(self, now: float) -> list[Frame]:
+        if self._next_s is None or now < self._next_s:
+            return []
+        self._next_s += self._period_s
+        return [self._frame]
+
+    def stop(self) -> None:
+        self._next_s = None
+
+
+class StoryNetwork(EmbeddedNetwork):
+    """canopen's network with periodic frames in simulated time."""
+
+    def __init__(self, bus: EmbeddedBus) -> None:
+        super().__init__(bus)
+        self._bus = bus
+
+    def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> Periodic:
+        task = Periodic(Frame(can_id, bytes(data)), period)
+        self._bus.attach(task)
+        return task
+
+
+class DriveNetwork:
+    """All nodes, powered on."""
+
+    def __init__(self) -> None:
+        self.bus = EmbeddedBus()
+        self.plant = Plant(
+            Motor(MotorConfig(inertia_kg_m2=0.002, coulomb_friction_nm=0.003, brake_torque_nm=0.1))
+        )
+        encoder = Encoder(amplitude_counts=1536.0, sine_offset=0.002, phase_error_rad=0.004, noise_lsb=0.5)
+        self.interface = EncoderInterface(0x10, PlantSource(encoder, self.plant, CYCLES))
+        self.module = FeedbackModule(
+            ModuleConfig(node_id=0x20, encoder_interface=0x10, cycles_per_revolution=CYCLES)
+        )
+        self.drive = ServoDrive(0x30, self.plant, FeedbackModuleLink(node_id=0x20))
+        for device in (self.plant, self.interface, self.module, self.drive):
+            self.bus.attach(device)
+        self.network = StoryNetwork(self.bus)
+        self._steps = itertools.count()
+        self.at: dict[float, Callable[[], None]] = {}
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass, and do what is planned for it."""
+        self.bus.run_until(self.bus.now + seconds)
+        for time in [time for time in self.at if time <= self.bus.now]:
+            self.at.pop(time)()
+
+    def run(self, *arguments: str, file: Path | None = None) -> int:
+        """The master of the example."""
+        options: Any = master.parse([str(file or FOLDER / "network.yaml"), *arguments])
+        return master.run(
+            self.network, network_file.load(options.file), options, lambda: self.bus.now, self.wait
+        )

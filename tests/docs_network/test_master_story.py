@@ -1,0 +1,196 @@
+"""docs/drive-network/master.py on an embedded bus: its moves, its alarm, and how it leaves the bus."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from pathlib import Path
+from typing import Any
+
+import axis
+import configuring
+import master
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from story_bench import FOLDER, DriveNetwork
+
+from canfb.device.frame import Frame
+from canfb.device.nmt import NmtState
+from canfb.simulation.cia402.errors import DriveError
+from canfb.simulation.cia402.state_machine import State
+
+TEXT = (FOLDER / "network.yaml").read_text(encoding="utf-8")
+SYNC_S = 0.01
+
+
+def figure(said: str, what: str, move: int = 0) -> float:
+    """A number of the report, after these words, of the n-th move."""
+    return float(re.findall(rf"{what} (-?[0-9.]+)", said)[move])
+
+
+def assert_all_quiet(network: DriveNetwork) -> None:
+    """PRE-OPERATIONAL, no power, and no SYNC any more."""
+    assert network.module.state is NmtState.PRE_OPERATIONAL
+    assert network.interface.node.state is NmtState.PRE_OPERATIONAL
+    assert network.drive.node.state is NmtState.PRE_OPERATIONAL
+    assert network.drive.state in (State.SWITCH_ON_DISABLED, State.FAULT)
+    syncs = network.plant.syncs
+    network.wait(1.0)
+    assert network.plant.syncs == syncs
+    assert network.plant.motor.braked  # it stands still where time stands still: without a SYNC
+    assert network.plant.motor.command_nm == 0.0
+
+
+@pytest.mark.parametrize("mode", ["profile", "csp"])
+@pytest.mark.parametrize("revolutions", [1.0, -2.5])
+def test_a_move(mode: str, revolutions: float, capsys: pytest.CaptureFixture[str]) -> None:
+    network = DriveNetwork()
+    assert network.run("--mode", mode, "--revolutions", str(revolutions)) == 0
+    said = capsys.readouterr().out
+    assert 1e-5 < figure(said, "rms") < 1e-3
+    assert figure(said, "peak") < 3e-3
+    assert 0.0 <= figure(said, "settled          ") < 0.2
+    assert figure(said, "position          drive") == pytest.approx(revolutions, abs=2e-4)
+    assert figure(said, "module") == pytest.approx(revolutions, abs=2e-4)
+    assert figure(said, "at most") < 1e-4
+    assert network.plant.motor.revolutions == pytest.approx(revolutions, abs=3e-4)
+    assert "EMCY" not in said
+    assert_all_quiet(network)
+
+
+@pytest.mark.parametrize("mode", ["profile", "csp"])
+def test_the_alarm(mode: str, capsys: pytest.CaptureFixture[str]) -> None:
+    network = DriveNetwork()
+    assert network.run("--mode", mode, "--provoke-alarm") == 0
+    said = capsys.readouterr().out
+    assert "EMCY of module (20h): 7300h" in said
+    assert "EMCY of drive (30h): 7305h" in said
+    assert figure(said, "position not valid") <= 2
+    assert figure(said, "left OPERATION ENABLED") <= 3
+    assert figure(said, "position          drive", 1) == pytest.approx(-1.0, abs=2e-4)
+    assert network.drive.state is State.SWITCH_ON_DISABLED
+    assert_all_quiet(network)
+
+
+def test_a_second_run_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    network = DriveNetwork()
+    assert network.run("--check") == 1
+    assert "drive (30h) 6067:00 is 00000419h, not 00000080h" in capsys.readouterr().out
+    assert network.run() == network.run("--check") == 0
+    assert "everything is as the file says" in capsys.readouterr().out
+    assert network.run() == 0
+    assert "configured: 0 object(s) written" in capsys.readouterr().out
+
+
+def test_check_writes_nothing_and_moves_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    network = DriveNetwork()
+    sent: list[Frame] = []
+    network.bus.taps.append(lambda frame, now: sent.append(frame))
+    network.run("--check")
+    requests = [frame for frame in sent if 0x600 < frame.can_id < 0x680]
+    assert len(requests) > 30
+    assert all(frame.data[0] & 0xE0 == 0x40 for frame in requests)  # uploads
+    assert {frame.can_id & 0x780 for frame in sent} == {0x580, 0x600}
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (bytes([2, 0x10]), "drive is in FAULT|interface .*: no longer OPERATIONAL, NMT state 4"),
+        (bytes([2, 0x20]), "drive is in FAULT|module .*: no longer OPERATIONAL, NMT state 4"),
+        (bytes([0x81, 0x20]), "drive is in FAULT|module .*: no longer OPERATIONAL, NMT state 0"),
+        (bytes([2, 0x30]), "drive .*: no longer OPERATIONAL, NMT state 4|waited .* to answer the SYNC"),
+    ],
+)
+def test_a_node_that_fails_in_a_move_ends_it(
+    command: bytes, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    network = DriveNetwork()
+    network.at[1.5] = lambda: network.bus.send(Frame(0, command))
+    with pytest.raises(axis.FaultError, match=message):
+        network.run()
+    assert_all_quiet(network)
+
+
+def test_a_node_that_is_silent_is_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    network = DriveNetwork()
+
+    def fail() -> None:
+        monkeypatch.setattr(network.interface, "tick", lambda now: [])
+        monkeypatch.setattr(network.interface, "receive", lambda frame, now: [])
+        monkeypatch.setattr(network.interface, "deadline", lambda: None)
+
+    network.at[0.05] = fail
+    with pytest.raises(axis.FaultError, match=r"interface \(10h\): no heartbeat any more|drive is in FAULT"):
+        network.run()
+    assert network.module.state is NmtState.PRE_OPERATIONAL
+    assert network.drive.node.state is NmtState.PRE_OPERATIONAL
+
+
+def test_a_start_that_fails_undoes_the_configuration(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    network = DriveNetwork()
+    receive = network.drive.receive
+    lost = Frame(0, bytes([1, 0x30]))
+    monkeypatch.setattr(
+        network.drive, "receive", lambda frame, now: [] if frame == lost else receive(frame, now)
+    )
+    before = writable(network.module), writable(network.drive), writable(network.interface)
+    with pytest.raises(axis.FaultError, match="waited 5 s for drive to become OPERATIONAL"):
+        network.run()
+    assert (writable(network.module), writable(network.drive), writable(network.interface)) == before
+    assert_all_quiet(network)
+
+
+def writable(device: Any) -> dict[tuple[int, int], Any]:
+    return {(entry.index, entry.subindex): entry.value for entry in device.dictionary if entry.access == "rw"}
+
+
+def test_another_device_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    network = DriveNetwork()
+    before = writable(network.drive)
+    path = tmp_path / "network.yaml"
+    text = TEXT.replace("../../eds", str(FOLDER.parents[1] / "eds"))
+    path.write_text(text.replace("product_code: 3", "product_code: 4"), encoding="utf-8")
+    with pytest.raises(configuring.NetworkError, match=r"drive \(30h\) 1018:02: another device"):
+        network.run(file=path)
+    assert writable(network.drive) == before
+
+
+def test_a_wrong_file_and_a_bus_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "network.yaml"
+    path.write_text("nodes: 3\n", encoding="utf-8")
+    assert master.main([str(path)]) == 2
+    assert capsys.readouterr().err.startswith(f"master: {path}:1: the network: 'bus' is missing")
+    text = TEXT.replace("../../eds", str(FOLDER.parents[1] / "eds")).replace("channel: vcan0", "channel: no0")
+    path.write_text(text, encoding="utf-8")
+    assert master.main([str(path)]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("master: ")
+    assert said.count("\n") == 1
+
+
+def test_the_errors_of_the_drive_have_words() -> None:
+    assert {int(error) for error in DriveError} <= set(master.ERRORS)
+
+
+@given(
+    distance=st.floats(-100.0, 100.0),
+    speed=st.floats(0.01, 100.0),
+    acceleration=st.floats(0.01, 1000.0),
+)
+def test_a_trapezoid_keeps_its_limits(distance: float, speed: float, acceleration: float) -> None:
+    at = axis.trapezoid(distance, speed, acceleration)
+    total = (
+        2.0 * abs(distance) / speed + 2.0 * speed / acceleration + 4.0 * (abs(distance) / acceleration) ** 0.5
+    )
+    step = total / 500
+    places = [at(n * step) for n in range(502)]
+    assert places[0] == 0.0
+    assert places[-1] == pytest.approx(distance, abs=1e-9 + 1e-9 * abs(distance))
+    rates = [(b - a) / step for a, b in itertools.pairwise(places)] if step else []
+    assert all(abs(rate) <= speed * (1 + 1e-6) + 1e-9 for rate in rates)
+    changes = [(b - a) / step for a, b in itertools.pairwise(rates)]
+    assert all(abs(change) <= acceleration * (1 + 1e-4) + 1e-6 for change in changes)
