@@ -21,6 +21,7 @@ from canfb.module.config import UNCONFIGURED, ModuleConfig
 from canfb.module.source_config import SOURCE_KINDS, IioSourceConfig
 from canfb.signal.chain import integer_in
 from canfb.signal.conditioning import Conditioning
+from canfb.simulation.cia402.config import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
 
 
@@ -65,6 +66,7 @@ _NESTED: dict[str, type] = {
     "encoder": EncoderScenario,
     "motion": MotionConfig,
     "harmonics": HarmonicConfig,
+    "drive": DriveConfig,
 }
 _LISTS = frozenset({"modules", "harmonics"})
 _VALUE_LISTS = frozenset({"columns"})
@@ -281,6 +283,20 @@ class _Reader:
                     items[n],
                     f"encoder_interface {node} of modules[{n}] is the node_id of modules[{owner[node]}]",
                 )
+        self._check_drive(root, config)
+
+    def _check_drive(self, root: yaml.Node, config: Config) -> None:
+        """The simulated drive is a node of its own."""
+        drive = config.simulation.drive
+        if drive is None:
+            return
+        simulation = next(value for key, value in root.value if key.value == "simulation")
+        place = next(value for key, value in simulation.value if key.value == "drive")
+        place = next((key for key, _ in place.value if key.value == "node_id"), place)
+        for n, module in enumerate(config.modules):
+            for name in ("node_id", "encoder_interface"):
+                if getattr(module, name) == drive.node_id:
+                    raise self.fail(place, f"drive: node_id {drive.node_id} is the {name} of modules[{n}]")
 
     def _check_distinct_serial_numbers(self, items: Any, config: Config) -> None:
         """Modules without a node-ID are told apart by LSS, by their serial numbers."""

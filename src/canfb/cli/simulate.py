@@ -1,4 +1,4 @@
-"""``canfb simulate CONFIG.yaml``: the encoder interface on a real bus, with a motion or a recording."""
+"""``canfb simulate CONFIG.yaml``: the encoder interface on a bus, with a motion, a recording or a drive."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from canfb.bus.opening import describe, open_bus
 from canfb.bus.realtime import apply_realtime
 from canfb.bus.runner import Device, Runner, ending_on_signals
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, report
+from canfb.cli.simulate_drive import simulated_axis
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
 from canfb.signal.source import Source
@@ -25,7 +26,7 @@ def register(commands: Commands) -> None:
     parser = add_command(
         commands,
         "simulate",
-        "simulate the encoder interface, with a motion or a recording, on a bus",
+        "simulate the encoder interface, with a motion, a recording or a drive, on a bus",
         simulate,
     )
     parser.add_argument("config", metavar="CONFIG.yaml")
@@ -72,11 +73,13 @@ def simulate(options: argparse.Namespace) -> int:
     if options.rate is not None and not 0.1 <= options.rate <= 100_000:
         raise ConfigError(f"--rate {options.rate:g}: must be 0.1 to 100000 Hz")
     module = config.modules[options.module]
-    source = chosen_source(options, config)
+    axis = simulated_axis(options, config)
+    source = chosen_source(options, config) if axis is None else axis.source
     interface = EncoderInterface(
         module.encoder_interface, source, autostart=options.autostart or module.autostart
     )
-    devices: list[Device] = [interface]
+    # The machine first: it must have moved when the SYNC comes to the others.
+    devices: list[Device] = [interface] if axis is None else [axis.plant, interface, axis.drive]
     if options.rate is not None:
         devices.append(SyncProducer(1.0 / options.rate))
     with open_bus(words) as bus:
@@ -88,10 +91,14 @@ def simulate(options: argparse.Namespace) -> int:
                 f"encoder interface: node {node} ({node:02X}h) on {describe(words)}; end with Ctrl-C",
                 flush=True,
             )
+            if axis is not None:
+                print(axis.describe(), flush=True)
             runner.run(finished=lambda: interface.ended)
     print(
         f"{interface.samples} samples sent{'; the recording is over' if interface.ended else ''}", flush=True
     )
+    if axis is not None:
+        print(axis.summary(), flush=True)
     return 0
 
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from canfb.signal.chain import integer_in
+from canfb.simulation.checks import number
+from canfb.simulation.cia402.config import DriveConfig
 from canfb.simulation.encoder import Encoder, Harmonic
 from canfb.simulation.motion import Motion, Ramp, Ripple
-
-
-def _number(name: str, value: object, low: float, high: float) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-        raise ValueError(f"{name} must be a number {low:g}..{high:g}, not {value!r}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,8 +21,8 @@ class HarmonicConfig:
 
     def __post_init__(self) -> None:
         integer_in("order", self.order, 2, 50)
-        _number("sine", self.sine, -1.0, 1.0)
-        _number("cosine", self.cosine, -1.0, 1.0)
+        number("sine", self.sine, -1.0, 1.0)
+        number("cosine", self.cosine, -1.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,13 +39,13 @@ class EncoderScenario:
     harmonics: list[HarmonicConfig] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        _number("amplitude", self.amplitude, 0.0, 2.0)
+        number("amplitude", self.amplitude, 0.0, 2.0)
         for name in ("sine_offset", "cosine_offset"):
-            _number(name, getattr(self, name), -1.0, 1.0)
+            number(name, getattr(self, name), -1.0, 1.0)
         for name in ("sine_amplitude", "cosine_amplitude"):
-            _number(name, getattr(self, name), 0.0, 2.0)
-        _number("phase_error_rad", self.phase_error_rad, -1.0, 1.0)
-        _number("noise_lsb", self.noise_lsb, 0.0, 1000.0)
+            number(name, getattr(self, name), 0.0, 2.0)
+        number("phase_error_rad", self.phase_error_rad, -1.0, 1.0)
+        number("noise_lsb", self.noise_lsb, 0.0, 1000.0)
 
     def encoder(self, adc_bits: int) -> Encoder:
         """The encoder with an ADC of ``adc_bits``."""
@@ -76,11 +73,11 @@ class MotionConfig:
     ripple_hz: float = 1.0
 
     def __post_init__(self) -> None:
-        _number("rpm", self.rpm, -1e6, 1e6)
-        _number("standstill_s", self.standstill_s, 0.0, 1e6)
-        _number("ramp_s", self.ramp_s, 0.0, 1e6)
-        _number("ripple_rpm", self.ripple_rpm, -1e6, 1e6)
-        _number("ripple_hz", self.ripple_hz, 1e-6, 1e6)
+        number("rpm", self.rpm, -1e6, 1e6)
+        number("standstill_s", self.standstill_s, 0.0, 1e6)
+        number("ramp_s", self.ramp_s, 0.0, 1e6)
+        number("ripple_rpm", self.ripple_rpm, -1e6, 1e6)
+        number("ripple_hz", self.ripple_hz, 1e-6, 1e6)
 
     def motion(self) -> Motion:
         """The motion as a function of time."""
@@ -90,10 +87,11 @@ class MotionConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationConfig:
-    """Encoder, motion and seed of the noise for ``canfb simulate``."""
+    """Encoder, motion and seed of the noise for ``canfb simulate``; a ``drive`` makes the motion itself."""
 
     encoder: EncoderScenario = field(default_factory=EncoderScenario)
     motion: MotionConfig = field(default_factory=MotionConfig)
+    drive: DriveConfig | None = None
     seed: int = 1
 
     def __post_init__(self) -> None:

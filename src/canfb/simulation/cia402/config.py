@@ -13,13 +13,17 @@ from canfb.simulation.cia402.motor import MotorConfig
 class DriveConfig(MotorConfig):
     """A drive on the shaft of the encoder: its ``node_id``, 1..127, and the motor.
 
-    start_revolutions   where the shaft stands at the start, -1e6..1e6 revolutions
+    start_revolutions      where the shaft stands at the start, -1e6..1e6 revolutions
+    synchronous_feedback   true: the torque follows at the next SYNC (RPDO4 of type 1); false: at once (255)
     """
 
     node_id: int = 0x30
     start_revolutions: float = 0.0
+    synchronous_feedback: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
         integer_in("node_id", self.node_id, 1, 127)
         number("start_revolutions", self.start_revolutions, -1e6, 1e6)
+        if not isinstance(self.synchronous_feedback, bool):
+            raise ValueError(f"synchronous_feedback must be true or false, not {self.synchronous_feedback!r}")

@@ -1,0 +1,203 @@
+"""canfb simulate with a drive: the configuration, and the whole network on python-can's virtual bus."""
+
+from __future__ import annotations
+
+import argparse
+import struct
+from pathlib import Path
+
+import can
+import pytest
+
+from canfb.bus.runner import Device, Runner
+from canfb.cli.main import main
+from canfb.cli.simulate_drive import simulated_axis
+from canfb.configuration import Config, parse_config
+from canfb.device.frame import Frame
+from canfb.errors import ConfigError
+from canfb.module.feedback_module import FeedbackModule
+from canfb.simulation.cia402.config import DriveConfig
+from canfb.simulation.cia402.state_machine import State
+from canfb.simulation.encoder_interface import EncoderInterface
+
+MODULES = "modules: [{node_id: 0x20, encoder_interface: 0x10}]\n"
+
+
+def parsed(drive: str, modules: str = MODULES) -> Config:
+    return parse_config(f"{modules}simulation:\n  drive: {drive}\n", "drive.yaml")
+
+
+def options(**given: object) -> argparse.Namespace:
+    return argparse.Namespace(
+        **({"samples": None, "rpm": None, "rate": None, "module": 0, "autostart": False} | given)
+    )
+
+
+def test_without_the_section_there_is_no_drive() -> None:
+    assert parse_config(MODULES).simulation.drive is None
+    assert simulated_axis(options(), parse_config(MODULES)) is None
+
+
+def test_an_empty_section_is_the_drive_with_its_defaults() -> None:
+    assert parsed("{}").simulation.drive == DriveConfig()
+
+
+def test_each_key_is_read() -> None:
+    config = parsed(
+        "{node_id: 0x31, inertia_kg_m2: 2e-3, viscous_friction_nm_s: 0, coulomb_friction_nm: 0.02,\n"
+        "  rated_torque_nm: 1, torque_time_constant_s: 0, load_torque_nm: -0.1, load_at_s: 3,\n"
+        "  brake_torque_nm: 2, start_revolutions: -1.5, synchronous_feedback: true}"
+    )
+    assert config.simulation.drive == DriveConfig(
+        node_id=0x31,
+        inertia_kg_m2=2e-3,
+        viscous_friction_nm_s=0,
+        coulomb_friction_nm=0.02,
+        rated_torque_nm=1,
+        torque_time_constant_s=0,
+        load_torque_nm=-0.1,
+        load_at_s=3,
+        brake_torque_nm=2,
+        start_revolutions=-1.5,
+        synchronous_feedback=True,
+    )
+
+
+@pytest.mark.parametrize(
+    ("drive", "line", "words"),
+    [
+        ("{inertia_kg_m2: 0}", 3, "inertia_kg_m2 must be a number 1e-09..1e+06, not 0"),
+        ("\n    coulomb_friction_nm: -1", 4, "coulomb_friction_nm must be a number 0..1e+06, not -1"),
+        ("{rated_torque_nm: yes}", 3, "rated_torque_nm must be a number"),
+        ("{node_id: 128}", 3, "node_id must be"),
+        ("{synchronous_feedback: 1}", 3, "synchronous_feedback must be true or false"),
+        ("{inertia: 1}", 3, "unknown key 'inertia' in drive"),
+        ("{brake_torque_nm: .nan}", 3, "brake_torque_nm must be a number"),
+        ("{start_revolutions: 1e7}", 3, "start_revolutions must be a number"),
+        ("7", 3, "drive must be a mapping"),
+        ("\n    load_at_s: 1\n    node_id: 0x20", 5, "node_id 32 is the node_id of modules[0]"),
+        ("{node_id: 16}", 3, "node_id 16 is the encoder_interface of modules[0]"),
+    ],
+)
+def test_a_wrong_value_is_refused_with_its_line(drive: str, line: int, words: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        parsed(drive)
+    assert str(refused.value).startswith(f"drive.yaml:{line}: ")
+    assert words in str(refused.value)
+
+
+def test_the_node_of_the_default_is_looked_at_as_well() -> None:
+    with pytest.raises(ConfigError, match=r"drive\.yaml:3: drive: node_id 48 is the node_id of modules\[0\]"):
+        parsed("{}", "modules: [{node_id: 48}]\n")
+
+
+@pytest.mark.parametrize(("option", "value"), [("samples", "x.csv"), ("rpm", 5.0)])
+def test_what_else_would_move_the_encoder_is_refused(option: str, value: object) -> None:
+    with pytest.raises(ConfigError, match=f"--{option}: the drive"):
+        simulated_axis(options(**{option: value}), parsed("{}"))
+
+
+def test_a_module_without_a_node_id_has_no_position_to_take() -> None:
+    with pytest.raises(ConfigError, match="no node_id"):
+        simulated_axis(options(), parsed("{}", "modules: [{node_id: 255, encoder_interface: 0x10}]\n"))
+
+
+def test_the_drive_is_set_up_for_its_module() -> None:
+    modules = (
+        "modules: [{node_id: 0x20}, {node_id: 0x21, encoder_interface: 0x11, cycles_per_revolution: 512}]\n"
+    )
+    axis = simulated_axis(options(module=1, rate=500.0), parsed("{synchronous_feedback: true}", modules))
+    assert axis is not None
+    values = {
+        place: axis.drive.dictionary.entry(*place).value
+        for place in ((0x1403, 1), (0x1403, 2), (0x2110, 7), (0x60E6, 1), (0x2100, 5), (0x6076, 0))
+    }
+    assert values == {
+        (0x1403, 1): 0x1A1,
+        (0x1403, 2): 1,
+        (0x2110, 7): 0xA1,
+        (0x60E6, 1): 512 * 8192,
+        (0x2100, 5): 10_000,
+        (0x6076, 0): 500,
+    }
+    assert axis.plant.interval_s == 0.002
+    assert axis.describe() == "drive: node 48 (30h), position from node 33 (21h)"
+
+
+def test_the_command_refuses_a_recording_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "drive.yaml"
+    path.write_text(f"{MODULES}simulation:\n  drive: {{}}\n", encoding="utf-8")
+    arguments = ["simulate", str(path), "-i", "virtual", "--samples", "x.csv"]
+    assert main(arguments) == 2
+    assert capsys.readouterr().err.startswith("canfb: --samples: the drive of the configuration moves")
+
+
+class Clock:
+    """Simulated time: waiting for a frame lets it pass."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+
+class VirtualBus(can.BusABC):
+    """A bus on which nobody else is; what is sent to it is kept."""
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__("nobody")
+        self.clock = clock
+        self.sent: list[can.Message] = []
+        self.pending: list[can.Message] = []
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self.sent.append(msg)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self.pending:
+            return self.pending.pop(0), False
+        self.clock.now += timeout or 0.0
+        return None, False
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        return self._recv_internal(timeout)[0]
+
+    def shutdown(self) -> None:
+        self._is_shutdown = True
+
+
+def message(frame: Frame) -> can.Message:
+    return can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False)
+
+
+def test_all_in_one_process_on_a_runner_move_the_shaft() -> None:
+    """The order of the devices, and frames between them, are those of the command."""
+    config = parsed("{}")
+    axis = simulated_axis(options(autostart=True), config)
+    assert axis is not None
+    module = FeedbackModule(config.modules[0])
+    interface = EncoderInterface(0x10, axis.source, autostart=True)
+    clock = Clock()
+    bus = VirtualBus(clock)
+    devices: list[Device] = [axis.plant, interface, axis.drive, module]
+    runner = Runner(bus, devices, clock=lambda: clock.now, sleep=lambda seconds: None)
+    syncs = 0
+
+    def finished() -> bool:
+        nonlocal syncs
+        syncs += 1
+        clock.now += 1e-3
+        bus.pending.append(message(Frame(0x80, b"")))
+        if syncs == 2:
+            bus.pending.append(message(Frame(0x000, b"\x01\x20")))
+        for when, controlword in ((20, 0x06), (21, 0x07), (22, 0x0F)):
+            if syncs == when:
+                bus.pending.append(message(Frame(0x230, struct.pack("<Hb", controlword, 8))))
+        if syncs >= 30:
+            bus.pending.append(message(Frame(0x330, struct.pack("<i", 1000))))
+        return syncs > 600
+
+    runner.run(finished)
+    assert axis.drive.state is State.OPERATION_ENABLED, axis.summary()
+    assert axis.plant.motor.revolutions * 2**20 == pytest.approx(1000, abs=20)
+    assert axis.summary() == "drive: Operation enabled; the shaft is at 0.001 revolutions"
