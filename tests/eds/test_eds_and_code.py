@@ -13,13 +13,16 @@ from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
 from canfb.eds_files import eds_path
 from canfb.signal.sample import Sample
+from canfb.simulation.cia402.drive import ServoDrive
+from canfb.simulation.cia402.motor import Motor, MotorConfig
+from canfb.simulation.cia402.plant import Plant
 from canfb.simulation.encoder_interface import EncoderInterface
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 
 from eds_model import Eds, read
 
-MODULE, INTERFACE = "canfb-module.eds", "encoder-interface.eds"
+MODULE, INTERFACE, DRIVE = "canfb-module.eds", "encoder-interface.eds", "drive.eds"
 NODE_ID = 32
 SYNC, SAMPLE = Frame(0x080, b""), Frame(0x190, bytes(4))
 START, MASTER_LSS, SLAVE_LSS = Frame(0x000, b"\x01\x00"), 0x7E5, 0x7E4
@@ -55,7 +58,7 @@ NOT_OFFERED = {
 GENERIC = {"mapping.py"}
 """Modules that look up whatever a master names, and so serve nothing by that."""
 
-Device = FeedbackModule | EncoderInterface
+Device = FeedbackModule | EncoderInterface | ServoDrive
 
 
 class Still:
@@ -73,7 +76,15 @@ def make_interface() -> Device:
     return EncoderInterface(NODE_ID, Still(), autostart=True)
 
 
-DEVICES: dict[str, Callable[[], Device]] = {MODULE: make_module, INTERFACE: make_interface}
+def make_drive() -> Device:
+    return ServoDrive(NODE_ID, Plant(Motor(MotorConfig())), autostart=True)
+
+
+DEVICES: dict[str, Callable[[], Device]] = {
+    MODULE: make_module,
+    INTERFACE: make_interface,
+    DRIVE: make_drive,
+}
 
 
 class Spy:

@@ -16,7 +16,6 @@ from canfb.simulation.cia402.trajectory import Interpolation, Trajectory
 from canfb.simulation.cia402.windows import Lasting
 
 NO_MODE, PROFILE_POSITION, CYCLIC_SYNCHRONOUS_POSITION = 0, 1, 8
-MODES = frozenset({NO_MODE, PROFILE_POSITION, CYCLIC_SYNCHRONOUS_POSITION})
 OFF = 0xFFFFFFFF
 """6065h and 6067h: no window."""
 KG_M2_PER_G_CM2 = 1e-7
@@ -48,7 +47,8 @@ class Axis:
         self._window, self._window_time = entry(0x6067), entry(0x6068)
         self._error_window, self._error_time = entry(0x6065), entry(0x6066)
         self._target.on_written = self._target_written
-        self._mode.on_write = _check_mode
+        self._supported = entry(0x6502)
+        self._mode.on_write = self._check_mode
         for gain in (*self._gains[:4], self._gains[5]):
             gain.on_write = _check_gain
         self.start()
@@ -240,6 +240,11 @@ class Axis:
         position, velocity, integral_s, forward, inertia, acceleration = (gain.value for gain in self._gains)
         return Gains(position, velocity, integral_s, forward, acceleration, inertia * KG_M2_PER_G_CM2)
 
+    def _check_mode(self, value: int) -> None:
+        """Bit n - 1 of 6502h is mode n; 0 is none."""
+        if value != NO_MODE and not (0 < value <= 32 and self._supported.value >> (value - 1) & 1):
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+
     def _target_written(self) -> None:
         self._new_target = True
 
@@ -252,11 +257,6 @@ def _possible(demand: Demand, speed_limit: float, acceleration_limit: float) -> 
         speed if abs(speed) <= speed_limit else 0.0,
         acceleration if abs(acceleration) <= acceleration_limit else 0.0,
     )
-
-
-def _check_mode(value: int) -> None:
-    if value not in MODES:
-        raise SdoAbort(AbortCode.INVALID_VALUE)
 
 
 def _check_gain(value: float) -> None:
