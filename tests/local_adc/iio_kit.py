@@ -1,0 +1,36 @@
+"""What several of the tests with an emulated ADC need."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from emulated_iiod import EmulatedIiod
+
+from canfb.bus.iio_source import IioSource
+from canfb.signal.sample import Sample
+
+LIMIT_S = 20.0  # for what takes milliseconds
+
+
+def until(happened: Callable[[], bool], what: str) -> None:
+    """Wait for what another thread does."""
+    end = time.monotonic() + LIMIT_S
+    while not happened():
+        assert time.monotonic() < end, f"not {what} within {LIMIT_S:g} s"
+        time.sleep(0.001)
+
+
+def reading(sine: int, cosine: int, time_ns: int = 0) -> dict[str, int]:
+    return {"voltage0": sine, "voltage1": cosine, "voltage2": 77, "timestamp": time_ns}
+
+
+def deliver(server: EmulatedIiod, source: IioSource, *scans: dict[str, int]) -> None:
+    """Scans that have come before the next SYNC."""
+    wanted = source.scans + len(scans)
+    server.deliver(*scans)
+    until(lambda: source.scans == wanted, "delivered")
+
+
+def sample(sine: int, cosine: int, time_100ns: int | None) -> Sample:
+    return Sample(sine, cosine, time_100ns=time_100ns)
