@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection
 
 from canfb.device import pdo
 from canfb.device.agenda import Agenda
+from canfb.device.codes import EmergencyCode, ErrorRegister
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.frame import NEVER, Frame, Moment
@@ -21,6 +22,7 @@ from canfb.device.tpdo import Tpdo
 
 LAST_COMMUNICATION_INDEX = 0x1FFF
 _LONGEST_DATA = 8
+_BUS = "bus"
 
 
 class Node(Hooks):
@@ -235,6 +237,23 @@ class Node(Hooks):
         """
         self._moment.now = now
         self._nmt.enter(self._services.error_behaviour.reaction(self._nmt.state), now)
+
+    def bus_off(self, now: float) -> list[Frame]:
+        """The bus is gone: the CAN controller is bus-off, or its interface is down. See 1029h:01."""
+        self.communication_error(now)
+        return self._sent()
+
+    def bus_back(self, now: float) -> list[Frame]:
+        """The bus is back: EMCY 8140h, and 0000h, for the error is over. The NMT state stays.
+
+        Nothing without a node-ID.
+        """
+        self._moment.now = now
+        if self._nmt.state is not NmtState.INITIALISING:
+            code = EmergencyCode.BUS_OFF_RECOVERED
+            self._emergency.report(code, ErrorRegister.COMMUNICATION, b"", now, _BUS)
+            self._emergency.clear(code, now, _BUS)
+        return self._sent()
 
     def _time(self, now: float | None) -> float:
         if now is not None:

@@ -84,6 +84,14 @@ class EncoderInterface:
         """When :meth:`tick` is wanted next, None for not at all."""
         return self.node.deadline()
 
+    def bus_off(self, now: float) -> list[Frame]:
+        """The bus is gone at ``now``, as 1029h has it; the frames to send, if any."""
+        return self.node.bus_off(now)
+
+    def bus_back(self, now: float) -> list[Frame]:
+        """The bus is back at ``now``: EMCY 8140h."""
+        return self.node.bus_back(now)
+
     def _on_sync(self, counter: int | None, now: float) -> None:
         if self._continuous is not None:
             self._continuous.hear_sync(now)
