@@ -1,9 +1,10 @@
-"""``canfb config check|example``: help with the configuration."""
+"""``canfb config check|example|dcf``: help with the configuration."""
 
 from __future__ import annotations
 
 import argparse
 
+from canfb.cli import config_dcf
 from canfb.cli.options import Commands, add_command
 from canfb.configuration import load_config
 
@@ -33,10 +34,12 @@ simulation:                                     # what canfb simulate plays in p
 
 def register(commands: Commands) -> None:
     """Add the commands."""
-    parser = commands.add_parser("config", help="check a configuration, or print an example")
-    parts = parser.add_subparsers(dest="part", required=True, metavar="check|example")
+    parser = commands.add_parser("config", help="check a configuration, print an example, write a DCF")
+    parts = parser.add_subparsers(dest="part", required=True, metavar="check|example|dcf")
     add_command(parts, "check", "check a configuration", check).add_argument("config", metavar="CONFIG.yaml")
     add_command(parts, "example", "print an example", example)
+    summary = "write a device configuration file (CiA 306) for a CANopen master"
+    config_dcf.add_options(add_command(parts, "dcf", summary, config_dcf.write_dcf))
 
 
 def check(options: argparse.Namespace) -> int:

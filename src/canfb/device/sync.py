@@ -185,5 +185,5 @@ class Sync(Timed):
     def _check_overflow(self, value: int) -> None:
         if value == 1 or value > _LONGEST_COUNTER:
             raise SdoAbort(AbortCode.INVALID_VALUE)
-        if self._value(self._period):
+        if self._value(self._period) and value != self._value(self._overflow):
             raise SdoAbort(AbortCode.DEVICE_STATE)

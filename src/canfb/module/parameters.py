@@ -78,7 +78,9 @@ class Limits:
         """A known acceleration narrows the residual limit; it then depends on the sampling interval."""
         self.residual_limit_cycles = 0.0
         """The residual limit in force, narrowed or not."""
-        self._low.on_write = self._check(lambda low: low < self._high.value)
+        # After another full scale the lower limit may pass the old upper one: a master that writes in the
+        # order of the sub-indices writes that next. Until then no amplitude is accepted.
+        self._low.on_write = self._check(lambda low: low < max(self._high.value, self._full_scale.value))
         self._high.on_write = self._check(lambda high: high > self._low.value)
         self._acceleration.on_write = self._check(lambda value: 0.0 <= value <= 1e9)
         for changed in (

@@ -1,0 +1,11 @@
+"""The date and the time of day, for files."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+
+def file_date_and_time() -> tuple[str, str]:
+    """Now, as EDS and DCF have it (CiA 306): mm-dd-yyyy, and hh:mm with AM or PM."""
+    now = datetime.now()
+    return now.strftime("%m-%d-%Y"), now.strftime("%I:%M%p")
