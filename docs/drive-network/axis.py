@@ -34,14 +34,22 @@ class FaultError(Exception):
 
 @dataclass(frozen=True)
 class Row:
-    """One SYNC: what the drive and the module have sent, revolutions."""
+    """One SYNC: what the drive and the module have sent, revolutions.
+
+    The drive shows what it knew at the SYNC: the position of the module from the cycle before, which is the
+    last or the last but one that the master has heard.
+    """
 
     state: str
     position: float
     demand: float
     following_error: float
-    module_position: float
+    module_positions: tuple[float, float]
     module_valid: bool
+
+    def apart(self, offset: float) -> float:
+        """How far drive and module are apart; ``offset`` is that of their zero points."""
+        return min(abs(one - offset - self.position) for one in self.module_positions)
 
 
 @dataclass(frozen=True)
@@ -66,7 +74,7 @@ class Axis:
         self._drive, self._module, self._until = drive, module, until
         self._range = range_units
         self._last_units: int | None = None
-        self._module_units = 0
+        self._module_units = self._module_before = 0
         self.units = int(drive.sdo[0x608F][1].raw) / int(drive.sdo[0x608F][2].raw)
         self.module_units = int(drive.sdo[0x60E6][1].raw) / int(drive.sdo[0x60EB][1].raw)
         self.window = drive.sdo[0x6067].raw / self.units
@@ -162,14 +170,14 @@ class Axis:
         errors = [row.following_error for row in rows]
         ended = next(n for n, row in enumerate(rows) if abs(row.demand - target) <= 1.5 / self.units)
         outside = [n for n, row in enumerate(rows) if abs(row.position - target) > self.window]
-        offset = rows[0].module_position - rows[0].position
+        offset = rows[0].module_positions[1] - rows[0].position
         return Figures(
             math.sqrt(sum(error * error for error in errors) / len(errors)),
             max(abs(error) for error in errors),
             max(0, outside[-1] + 1 - ended) if outside else 0,
             rows[-1].position - start,
-            rows[-1].module_position - offset - start,
-            max(abs(row.module_position - offset - row.position) for row in rows),
+            rows[-1].module_positions[1] - offset - start,
+            max(row.apart(offset) for row in rows),
         )
 
     def wait_syncs(self, count: int) -> None:
@@ -194,6 +202,7 @@ class Axis:
     def _hear_module(self, pdo: Any) -> None:
         units, last = int(pdo[0x6004].raw), self._last_units
         step = 0 if last is None else (units - last + self._range // 2) % self._range - self._range // 2
+        self._module_before = self._module_units
         self._module_units += units if last is None else step
         self._last_units = units
 
@@ -205,7 +214,7 @@ class Axis:
                 state[0x6064].raw / self.units,
                 pdo[0x6062].raw / self.units,
                 pdo[0x60F4].raw / self.units,
-                self._module_units / self.module_units,
+                (self._module_before / self.module_units, self._module_units / self.module_units),
                 bool(self.module_status & VALID),
             )
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+import argparse
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,19 +10,15 @@ from typing import Any
 import master
 import network_file
 
+from canfb.cli.simulate_drive import simulated_axis
+from canfb.configuration import load_config
 from canfb.demo.plant import EmbeddedNetwork
 from canfb.device.frame import Frame
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
-from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
-from canfb.simulation.cia402.motor import Motor, MotorConfig
-from canfb.simulation.cia402.plant import Plant, PlantSource
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder import Encoder
 from canfb.simulation.encoder_interface import EncoderInterface
 
 FOLDER = Path(__file__).parents[2] / "docs" / "drive-network"
-CYCLES = 1024
 
 
 class Periodic:
@@ -70,19 +66,16 @@ class DriveNetwork:
 
     def __init__(self) -> None:
         self.bus = EmbeddedBus()
-        self.plant = Plant(
-            Motor(MotorConfig(inertia_kg_m2=0.002, coulomb_friction_nm=0.003, brake_torque_nm=0.1))
-        )
-        encoder = Encoder(amplitude_counts=1536.0, sine_offset=0.002, phase_error_rad=0.004, noise_lsb=0.5)
-        self.interface = EncoderInterface(0x10, PlantSource(encoder, self.plant, CYCLES))
-        self.module = FeedbackModule(
-            ModuleConfig(node_id=0x20, encoder_interface=0x10, cycles_per_revolution=CYCLES)
-        )
-        self.drive = ServoDrive(0x30, self.plant, FeedbackModuleLink(node_id=0x20))
+        config = load_config(FOLDER / "feedback.yaml")
+        options = argparse.Namespace(samples=None, rpm=None, rate=None, module=0, autostart=False)
+        simulated = simulated_axis(options, config)
+        assert simulated is not None
+        self.plant, self.drive = simulated.plant, simulated.drive
+        self.interface = EncoderInterface(config.modules[0].encoder_interface, simulated.source)
+        self.module = FeedbackModule(config.modules[0])
         for device in (self.plant, self.interface, self.module, self.drive):
             self.bus.attach(device)
         self.network = StoryNetwork(self.bus)
-        self._steps = itertools.count()
         self.at: dict[float, Callable[[], None]] = {}
 
     def wait(self, seconds: float) -> None:
