@@ -1,0 +1,78 @@
+"""docs/drive-network/README.md: its output, its keys and its figures are those of the program."""
+
+from __future__ import annotations
+
+import ast
+import re
+
+import network_file
+import pytest
+from story_bench import FOLDER, DriveNetwork
+
+import canfb
+from canfb.configuration import load_config
+
+PAGE = (FOLDER / "README.md").read_text(encoding="utf-8")
+NETWORK = network_file.load(FOLDER / "network.yaml")
+
+
+def without_numbers(text: str) -> list[str]:
+    return [re.sub(r"(?<![0-9A-Za-z])-?[0-9]+(\.[0-9]+)?\b", "#", line) for line in text.splitlines()]
+
+
+def test_the_output(capsys: pytest.CaptureFixture[str]) -> None:
+    (shown,) = re.findall(r"```text\n(.*?)```", PAGE, re.S)
+    assert DriveNetwork().run("--provoke-alarm") == 0
+    said = capsys.readouterr().out
+    assert without_numbers(shown) == without_numbers(said)
+    written = r"configured: (\d+) object"
+    assert re.findall(written, shown) == re.findall(written, said)
+    for what in ("rms", "peak", "drive", "module"):
+        figures = [re.findall(rf"{what} (-?[0-9.]+)", text) for text in (shown, said)]
+        assert [float(x) for x in figures[0]] == pytest.approx([float(x) for x in figures[1]], abs=2e-4)
+
+
+def test_every_key_of_the_file_is_explained() -> None:
+    source = (FOLDER / "network_file.py").read_text(encoding="utf-8")
+    keys: set[str] = set()
+    for call in ast.walk(ast.parse(source)):
+        if isinstance(call, ast.Call) and ast.unparse(call.func).endswith(".mapping"):
+            words = [node.value for node in ast.walk(call) if isinstance(node, ast.Constant)]
+            keys |= {word for text in words if isinstance(text, str) for word in text.split()}
+    keys = (keys | set(network_file.IDENTITY)) - {" "}
+    assert {"sync_period_us", "inhibit_100us", "watches", "serial_number"} <= keys
+    table = PAGE.partition("## The network file")[2].partition("\n## ")[0]
+    assert [key for key in sorted(keys) if f"`{key}`" not in table] == []
+
+
+def test_the_figures_on_acceleration() -> None:
+    drive, module = NETWORK.nodes["drive"], NETWORK.nodes["module"]
+    config = load_config(FOLDER / "feedback.yaml")
+    motor = config.simulation.drive
+    assert motor is not None
+    torque = motor.rated_torque_nm * int.from_bytes(drive.parameters[0x6072, 0], "little") / 1000
+    most = (torque + motor.coulomb_friction_nm) / motor.inertia_kg_m2
+    cycles = config.modules[0].cycles_per_revolution
+    limit = canfb.max_acceleration(cycles, 1e6 / NETWORK.sync_period_us, 1 / 3)
+    assert most == pytest.approx(16.5)
+    assert most < 18.0 < limit == pytest.approx(20.5, abs=0.1)
+    assert module.parameters[0x2001, 1] == cycles.to_bytes(4, "little")
+
+
+def test_the_files_agree() -> None:
+    drive, module = NETWORK.nodes["drive"].parameters, NETWORK.nodes["module"].parameters
+    assert module[0x6001, 0] == drive[0x60E6, 1] == drive[0x608F, 1]
+    assert module[0x6002, 0] == drive[0x2110, 5]
+    assert drive[0x60C2, 1][0] * 1000 == NETWORK.sync_period_us
+    config = load_config(FOLDER / "feedback.yaml")
+    assert config.bus == NETWORK.bus
+    assert config.simulation.drive is not None
+    assert config.modules[0].node_id == NETWORK.nodes["module"].node_id
+    assert config.modules[0].encoder_interface == NETWORK.nodes["interface"].node_id
+    assert config.simulation.drive.node_id == NETWORK.nodes["drive"].node_id
+    assert set(re.findall(r"\]\(([^)#]+)\)", PAGE)) <= {
+        "network.svg",
+        "../attach.md",
+        "../vcan.md",
+        "../calibration.md",
+    }
