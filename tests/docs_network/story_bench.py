@@ -44,6 +44,9 @@ class Periodic:
         self._next_s += self._period_s
         return [self._frame]
 
+    def update(self, data: bytes) -> None:
+        self._frame = Frame(self._frame.can_id, bytes(data))
+
     def stop(self) -> None:
         self._next_s = None
 

@@ -1,0 +1,83 @@
+"""docs/drive-network/configuring.py against nodes that are not ours: python canopen's own LocalNode."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import canopen
+import configuring
+import network_file
+import pytest
+from network_bench import EDS_FOLDER, TEXT, write
+from story_bench import StoryNetwork
+
+from canfb.demo.plant import EmbeddedNetwork
+from canfb.simulation.embedded_bus import EmbeddedBus
+
+
+class Nodes:
+    """Two canopen.LocalNode with our EDS files; ``written`` is what the module was told, in order."""
+
+    def __init__(self) -> None:
+        bus = EmbeddedBus()
+        self.network = EmbeddedNetwork(bus)
+        slaves = [StoryNetwork(bus), StoryNetwork(bus)]
+        self.interface = slaves[0].create_node(0x11, str(EDS_FOLDER / "encoder-interface.eds"))
+        self.module = slaves[1].create_node(0x21, str(EDS_FOLDER / "canfb-module.eds"))
+        self.written: list[tuple[int, int, int]] = []
+        self.module.add_write_callback(
+            lambda index, subindex, od, data: self.written.append(
+                (index, subindex, int.from_bytes(data, "little"))
+            )
+        )
+
+
+def made(nodes: Nodes, folder: Path, text: str = TEXT) -> configuring.Configuration:
+    return configuring.Configuration(nodes.network, network_file.load(write(folder, text)))
+
+
+def test_all_is_written_in_order_and_read_back(tmp_path: Path) -> None:
+    nodes = Nodes()
+    configuration = made(nodes, tmp_path)
+    configuration.check_identity()
+    configuration.apply()
+    assert nodes.module.sdo[0x2001][1].raw == 1024
+    assert nodes.module.sdo[0x1400][1].raw == 0x191
+    pdo = [one for one in nodes.written if one[0] in (0x1800, 0x1A00)]
+    assert pdo == [
+        (0x1800, 1, 0xC00001A1),
+        (0x1A00, 0, 0),
+        (0x1A00, 0, 2),
+        (0x1800, 3, 5),
+        (0x1800, 1, 0x400001A1),
+    ]
+    assert configuration.compare() == []
+    nodes.written.clear()
+    assert made(nodes, tmp_path).apply() == 0
+    assert nodes.written == []
+
+
+def test_a_failure_takes_it_all_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    nodes = Nodes()
+    configuration = made(nodes, tmp_path)
+    before = configuration.compare()
+    monkeypatch.setattr(configuration.remotes["module"].sdo, "upload", refusing(nodes, 0x1017))
+    with pytest.raises(
+        configuring.NetworkError, match="1017:00: abort 08000021h, Data can not be transferred"
+    ):
+        configuration.apply()
+    monkeypatch.undo()
+    assert made(nodes, tmp_path).compare() == before
+
+
+def refusing(nodes: Nodes, refused: int) -> object:
+    """An upload that fails for one object once anything was written."""
+    upload = canopen.sdo.SdoClient.upload
+
+    def read(index: int, subindex: int) -> bytes:
+        if index == refused and nodes.written:
+            raise canopen.SdoAbortedError(0x08000021)
+        data: bytes = upload(nodes.network[0x21].sdo, index, subindex)
+        return data
+
+    return read
