@@ -9,8 +9,15 @@ import can
 import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 
-from canfb.bus.opening import brings_own_frames_back, describe, open_bus, reason
-from canfb.errors import BusError, CanfbError
+from canfb.bus.opening import (
+    brings_own_frames_back,
+    describe,
+    marks_own_frames,
+    open_bus,
+    open_device_bus,
+    reason,
+)
+from canfb.errors import BusError, CanfbError, ConfigError
 
 
 @pytest.fixture(autouse=True)
@@ -101,3 +108,11 @@ def test_the_reason_in_one_line(error: Exception, text: str) -> None:
 
 def test_udp_multicast_brings_own_frames_back() -> None:
     assert brings_own_frames_back(UdpMulticastBus.__new__(UdpMulticastBus))
+
+
+def test_a_device_may_not_hear_itself() -> None:
+    words = {"interface": "virtual", "channel": "canfb devices"}
+    with pytest.raises(ConfigError, match="receive_own_messages: leave it out"):
+        open_device_bus({**words, "receive_own_messages": True})
+    with open_device_bus({**words, "receive_own_messages": False}) as bus:
+        assert marks_own_frames(bus), "should it get them all the same"

@@ -10,7 +10,8 @@ import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 from fake_bus import FakeBus, FakeClock, FakeDevice, message
 
-from canfb.bus.runner import LONGEST_WAIT_S, RETRY_S, SETTLED_S, Device, Runner
+from canfb.bus.bus_state import RETRY_S, SETTLED_S
+from canfb.bus.runner import LONGEST_WAIT_S, Device, DeviceFailure, Runner
 from canfb.device.frame import Frame
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
@@ -270,6 +271,32 @@ def test_on_a_bus_that_brings_own_frames_back_they_are_left_out() -> None:
     assert len(bench.bus.sent) == 5
 
 
+class GsUsbBus(FakeBus):
+    """As python-can's gs_usb: what was sent comes back, marked."""
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        super().send(msg)
+        self.plan.append((self.at, message(msg.arbitration_id, is_rx=False)))
+
+
+def test_on_a_bus_that_marks_own_frames_they_are_left_out() -> None:
+    bench = Bench()
+    bench.bus = GsUsbBus(bench.clock, [(0.2, message(0x181))])
+    one, other = bench.device(period_s=0.1), bench.device()
+    runner = bench.run([one, other], 0.55)
+    assert one.heard_ids() == [0x181]
+    assert other.heard_ids() == [0x80, 0x181, 0x80, 0x80, 0x80, 0x80]
+    assert runner.counters.received == 1
+
+
+def test_on_socketcan_the_mark_is_one_of_this_computer() -> None:
+    """There it is set for the frames of every process on the same computer."""
+    bench = Bench((0.1, message(0x181, is_rx=False)))
+    device = bench.device()
+    bench.run([device], 0.2)
+    assert device.heard_ids() == [0x181]
+
+
 def test_frames_of_another_process_are_heard_there_as_well() -> None:
     bench = Bench()
     bench.bus = EchoingBus(bench.clock, [(0.1, message(0x80, channel="of another process"))])
@@ -282,6 +309,40 @@ def test_on_every_other_bus_the_channel_of_a_message_is_left_alone() -> None:
     bench = Bench()
     bench.run([bench.device(period_s=0.1)], 0.15)
     assert [sent.channel for _, sent in bench.bus.sent] == [None]
+
+
+def breaks(*arguments: object) -> list[Frame]:
+    raise ZeroDivisionError("by\nzero")
+
+
+@pytest.mark.parametrize("method", ["start", "receive", "tick", "bus_off", "bus_back"])
+def test_a_device_that_raises_ends_it_for_all(method: str) -> None:
+    bus_off, restarted = (message(error, is_error_frame=True) for error in (0x40, 0x100))
+    bench = Bench((0.1, message(0x181)), (0.2, bus_off), (0.3, restarted))
+    good, bad = bench.device(period_s=0.25), bench.device(period_s=0.25)
+    silent: Any = lambda now: []  # noqa: E731
+    vars(bad).update({"bus_off": silent, "bus_back": silent, method: breaks})
+    with pytest.raises(
+        DeviceFailure, match=r"^program error: ZeroDivisionError: by zero \(test_runner"
+    ) as failure:
+        bench.run([good, bad], 5.0)
+    assert failure.value.device is bad
+    assert isinstance(failure.value.__cause__, ZeroDivisionError)
+    assert bench.reported in (
+        [],
+        ["the CAN controller is bus-off"],
+        ["the CAN controller is bus-off", "the CAN controller is on the bus again"],
+    )
+
+
+def test_a_device_that_raises_at_a_frame_of_another_device() -> None:
+    bench = Bench()
+    good, bad = bench.device(period_s=0.25), bench.device()
+    bad.receive = breaks  # type: ignore[method-assign]
+    with pytest.raises(DeviceFailure) as failure:
+        bench.run([good, bad], 5.0)
+    assert failure.value.device is bad
+    assert bench.bus.sent_ids() == [0x80]
 
 
 def test_module_interface_and_sync_in_one_process() -> None:

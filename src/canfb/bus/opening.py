@@ -7,7 +7,11 @@ from typing import Any
 import can
 from can.interfaces.udp_multicast import UdpMulticastBus
 
-from canfb.errors import BusError
+from canfb.errors import BusError, ConfigError
+
+# Buses of python-can that hand out what was sent through them, and say so (`is_rx` is false). SocketCAN and
+# Kvaser say it of frames of other processes on the same computer, which are to be heard.
+_ECHOING = frozenset({"GsUsbBus", "CantactBus", "VirtualBus"})
 
 
 def open_bus(options: dict[str, Any]) -> can.BusABC:
@@ -20,6 +24,21 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
         return can.Bus(**options)
     except Exception as error:  # what the drivers raise has no common root
         raise BusError(f"cannot open the bus {describe(options)}: {reason(error)}") from error
+
+
+def open_device_bus(options: dict[str, Any]) -> can.BusABC:
+    """:func:`open_bus` for devices, which must not hear themselves: they would take it for a second node.
+
+    ConfigError with ``receive_own_messages``.
+    """
+    if options.get("receive_own_messages"):
+        raise ConfigError("receive_own_messages: leave it out of the bus; a device must not hear itself")
+    return open_bus(options)
+
+
+def marks_own_frames(bus: can.BusABC) -> bool:
+    """True where a message with ``is_rx`` false was sent through this very bus: gs_usb and the like."""
+    return type(bus).__name__ in _ECHOING
 
 
 def brings_own_frames_back(bus: can.BusABC) -> bool:

@@ -8,19 +8,20 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
 from typing import Protocol
 from uuid import uuid4
 
 import can
 
+from canfb.bus.bus_state import RETRY_S, BusState, BusWatching, Direction
 from canfb.bus.computing import Computation, Computing
-from canfb.bus.opening import brings_own_frames_back, reason
-from canfb.device.frame import Frame
+from canfb.bus.opening import brings_own_frames_back, marks_own_frames
+from canfb.device.frame import NEVER, Frame
+from canfb.errors import CanfbError
 
 LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
-RETRY_S = 0.2  # between attempts on a bus that is down
-SETTLED_S = 1.0  # without a failure, before a bus is said to work again
 
 
 class Device(Protocol):
@@ -39,6 +40,14 @@ class Device(Protocol):
         """When tick is wanted."""
 
 
+class DeviceFailure(CanfbError):
+    """A program error in ``device``; what it raised is the cause."""
+
+    def __init__(self, device: object, error: Exception) -> None:
+        self.device = device
+        super().__init__(f"program error: {_in_one_line(error)}")
+
+
 @dataclass
 class BusCounters:
     """What went over the bus, and what went wrong there."""
@@ -50,34 +59,13 @@ class BusCounters:
     bus_failures: int = 0
 
 
-class _Direction:
-    """Sending or receiving: reports a failure once, and that it is over once that has lasted."""
-
-    def __init__(self, report: Callable[[str], None], trouble: str, recovered: str) -> None:
-        self._report = report
-        self._trouble = trouble
-        self._recovered = recovered
-        self._failed_s: float | None = None
-
-    def failed(self, error: Exception, now: float) -> bool:
-        """Note a failure; True if the one before was only just now."""
-        before, self._failed_s = self._failed_s, now
-        if before is None:
-            self._report(f"{self._trouble}: {reason(error)}")
-        return before is not None and now - before < RETRY_S
-
-    def worked(self, now: float) -> None:
-        """Note that it worked."""
-        if self._failed_s is not None and now - self._failed_s >= SETTLED_S:
-            self._failed_s = None
-            self._report(self._recovered)
-
-
 class Runner:
     """Runs devices on one bus in the calling thread until :meth:`stop`.
 
     Devices of one process hear each other as well. A bus that fails is tried again; what
-    happened is counted and told to ``report``, one line each time it changes. ``clock`` and
+    happened is counted and told to ``report``, one line each time it changes, and the devices
+    that want to know hear when the bus goes and comes back. A device that raises ends
+    :meth:`run` for all, with DeviceFailure: nobody knows what state it is in. ``clock`` and
     ``sleep`` are those of the system, but for tests.
     """
 
@@ -95,13 +83,15 @@ class Runner:
         self._clock = clock
         self._sleep = sleep
         self._stopped = False
-        self._receiving = _Direction(report, "the bus fails", "the bus works again")
-        self._sending = _Direction(report, "a frame could not be sent", "frames can be sent again")
+        self._receiving = Direction(report, "the bus fails", "the bus works again")
+        self._sending = Direction(report, "a frame could not be sent", "frames can be sent again")
+        self._bus_state = BusState(report)
         self._computations = [
             (device, Computation(device, report)) for device in devices if isinstance(device, Computing)
         ]
         # Such a bus carries the channel of a message along: it shows which frames are ours.
         self._mark = uuid4().hex if brings_own_frames_back(bus) else None
+        self._echoes = marks_own_frames(bus)
 
     def stop(self) -> None:
         """End :meth:`run`; may be called from a signal handler or another thread."""
@@ -109,31 +99,45 @@ class Runner:
 
     def run(self, finished: Callable[[], bool] = lambda: False) -> None:
         """Power the devices on and serve them until :meth:`stop`, or until ``finished()``."""
-        for device in self._devices:
-            self._spread(device, device.start(self._clock()))
         try:
+            for device in self._devices:
+                self._spread(device, self._asked(device, device.start, self._clock()))
+            due = self._due()
             while not self._stopped and not finished():
-                message = self._next_message()
+                message = self._next_message(due)
                 if message is not None:
                     self._take(message)
-                self._tick()
+                if self._bus_state.gone:
+                    self._tell_bus_state()
                 self._compute()
+                due = self._due()
+                if due <= self._clock():
+                    self._tick()
+                    due = self._due()
         finally:
             for _, computation in self._computations:
                 computation.close()
 
-    def _next_message(self) -> can.Message | None:
+    def _due(self) -> float:
+        """The earliest deadline of all devices, NEVER for none."""
         deadlines = [deadline for device in self._devices if (deadline := device.deadline()) is not None]
-        wait = LONGEST_WAIT_S
-        if deadlines:
-            wait = min(wait, max(0.0, min(deadlines) - self._clock()))
+        return min(deadlines, default=NEVER)
+
+    def _next_message(self, due: float) -> can.Message | None:
+        """Wait for a message until `due`, and not longer than a signal may wait."""
+        wait = min(LONGEST_WAIT_S, max(0.0, due - self._clock()))
         try:
             message = self._bus.recv(wait)
         except (can.CanError, OSError) as error:
             self.counters.bus_failures += 1
-            if self._receiving.failed(error, self._clock()):
+            now = self._clock()
+            self._bus_state.reading_failed(error, now)
+            if self._receiving.failed(error, now):
                 self._sleep(RETRY_S)
             return None
+        if self._bus_state.troubled:
+            is_frame = message is not None and not message.is_error_frame
+            self._bus_state.reading_worked(self._clock(), frame=is_frame)
         if message is not None:
             self._receiving.worked(self._clock())
         return message
@@ -141,30 +145,56 @@ class Runner:
     def _take(self, message: can.Message) -> None:
         if self._mark is not None and message.channel == self._mark:
             return
+        if self._echoes and not message.is_rx:
+            return
+        now = self._clock()
         if message.is_error_frame:
             self.counters.error_frames += 1
+            self._bus_state.error_frame(message.arbitration_id, now)
             return
         if message.is_extended_id or message.is_fd:
             return  # CANopen uses 11-bit identifiers; others may share the bus
         self.counters.received += 1
         frame = Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame, message.timestamp)
-        now = self._clock()
         for device in self._devices:
-            self._spread(device, device.receive(frame, now))
+            try:
+                answers = device.receive(frame, now)
+            except Exception as error:
+                raise DeviceFailure(device, error) from error
+            if answers:
+                self._spread(device, answers)
 
     def _tick(self) -> None:
         now = self._clock()
         for device in self._devices:
             deadline = device.deadline()
             if deadline is not None and deadline <= now:
-                self._spread(device, device.tick(now))
+                self._spread(device, self._asked(device, device.tick, now))
+
+    def _tell_bus_state(self) -> None:
+        """Tell the devices when the bus has gone, and when it is back."""
+        now = self._clock()
+        lost, returned = self._bus_state.lost(), self._bus_state.returned(now)
+        for device in self._devices:
+            if isinstance(device, BusWatching):
+                if lost:
+                    self._spread(device, self._asked(device, device.bus_off, now))
+                if returned:
+                    self._spread(device, self._asked(device, device.bus_back, now))
 
     def _compute(self) -> None:
         """Give what a device wants computed to another process, without waiting for it."""
         for device, computation in self._computations:
-            frames = computation.poll(self._clock())
+            frames = self._asked(device, computation.poll, self._clock())
             if frames:
                 self._spread(device, frames)
+
+    def _asked(self, device: Device, method: Callable[[float], list[Frame]], now: float) -> list[Frame]:
+        """What a method of the device gives; DeviceFailure for what it raises."""
+        try:
+            return method(now)
+        except Exception as error:
+            raise DeviceFailure(device, error) from error
 
     def _spread(self, sender: Device, frames: list[Frame]) -> None:
         """Send frames, and give them to the other devices of this process as well."""
@@ -172,9 +202,15 @@ class Runner:
         while queue:
             origin, frame = queue.popleft()
             self._send(frame)
+            now = self._clock()
             for device in self._devices:
                 if device is not origin:
-                    queue.extend((device, answer) for answer in device.receive(frame, self._clock()))
+                    try:
+                        answers = device.receive(frame, now)
+                    except Exception as error:
+                        raise DeviceFailure(device, error) from error
+                    if answers:
+                        queue.extend((device, answer) for answer in answers)
 
     def _send(self, frame: Frame) -> None:
         message = can.Message(
@@ -188,10 +224,24 @@ class Runner:
             self._bus.send(message)
         except (can.CanError, OSError) as error:
             self.counters.send_failures += 1
-            self._sending.failed(error, self._clock())
+            now = self._clock()
+            self._bus_state.sending_failed(error, now)
+            self._sending.failed(error, now)
         else:
             self.counters.sent += 1
+            if self._bus_state.troubled:
+                self._bus_state.sending_worked(self._clock())
             self._sending.worked(self._clock())
+
+
+def _in_one_line(error: Exception) -> str:
+    """What was raised, and where."""
+    text = " ".join(str(error).split())
+    last = error.__traceback__
+    while last is not None and last.tb_next is not None:
+        last = last.tb_next
+    where = "" if last is None else f" ({Path(last.tb_frame.f_code.co_filename).name}:{last.tb_lineno})"
+    return f"{type(error).__name__}{': ' if text else ''}{text}{where}"
 
 
 @contextlib.contextmanager

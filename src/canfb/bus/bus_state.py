@@ -1,0 +1,147 @@
+"""Whether the bus is there: what its failures and error frames say, told to the devices."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable
+from typing import Protocol, runtime_checkable
+
+from canfb.bus.opening import reason
+from canfb.device.frame import Frame
+
+RETRY_S = 0.2  # between attempts on a bus that is down
+LASTING_S = 2 * RETRY_S  # reading fails for so long without a break: the bus is gone, not one datagram bad
+SETTLED_S = 1.0  # without a failure, before a bus is said to work again
+
+# Classes of SocketCAN's error frames (linux/can/error.h).
+ERROR_BUS_OFF = 0x040
+ERROR_RESTARTED = 0x100
+
+INTERFACE_DOWN = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO})
+
+
+@runtime_checkable
+class BusWatching(Protocol):
+    """A device that wants to know when the bus goes and comes back, as FeedbackModule does."""
+
+    def bus_off(self, now: float) -> list[Frame]:
+        """The bus is gone."""
+
+    def bus_back(self, now: float) -> list[Frame]:
+        """The bus is back."""
+
+
+class Direction:
+    """Sending or receiving: reports a failure once, and that it is over once that has lasted."""
+
+    def __init__(self, report: Callable[[str], None], trouble: str, recovered: str) -> None:
+        self._report = report
+        self._trouble = trouble
+        self._recovered = recovered
+        self._failed_s: float | None = None
+
+    def failed(self, error: Exception, now: float) -> bool:
+        """Note a failure; True if the one before was only just now."""
+        before, self._failed_s = self._failed_s, now
+        if before is None:
+            self._report(f"{self._trouble}: {reason(error)}")
+        return before is not None and now - before < RETRY_S
+
+    def worked(self, now: float) -> None:
+        """Note that it worked."""
+        if self._failed_s is not None and now - self._failed_s >= SETTLED_S:
+            self._failed_s = None
+            self._report(self._recovered)
+
+
+class BusState:
+    """Gone or there. The runner notes what it sees; `lost` and `returned` say, once each, what that means.
+
+    Gone: an error frame of SocketCAN says bus-off, a failure says that the interface is down, or
+    reading fails for LASTING_S. A full queue and a single bad datagram are neither. There again:
+    nothing of the kind for SETTLED_S after a first sign of life. That is a frame, an error frame
+    that says "restarted", and, unless the controller was bus-off, a frame that could be sent: a
+    driver takes some into its queue while it is bus-off.
+    """
+
+    def __init__(self, report: Callable[[str], None]) -> None:
+        self._report = report
+        self.gone = False
+        self.troubled = False
+        """Whether `reading_worked` and `sending_worked` want to be called."""
+        self._told = True
+        self._bus_off = False
+        self._reported = False
+        self._alive_s: float | None = None
+        self._failing_since_s: float | None = None
+
+    def error_frame(self, error_class: int, now: float) -> None:
+        """An error frame of SocketCAN; `error_class` is its CAN-ID."""
+        if error_class & ERROR_BUS_OFF:
+            if not self._reported:
+                self._reported = True
+                self._report("the CAN controller is bus-off")
+            self._bus_off = True
+            self._lose()
+        elif error_class & ERROR_RESTARTED:
+            self._show_life(now)
+
+    def reading_failed(self, error: Exception, now: float) -> None:
+        """The bus could not be read."""
+        self.troubled = True
+        if self._failing_since_s is None:
+            self._failing_since_s = now
+        if _is_down(error) or now - self._failing_since_s >= LASTING_S:
+            self._bus_off = False
+            self._lose()
+
+    def reading_worked(self, now: float, *, frame: bool) -> None:
+        """The bus could be read; `frame`: and there was a frame."""
+        self._failing_since_s = None
+        self.troubled = self.gone
+        if frame:
+            self._show_life(now)
+
+    def sending_failed(self, error: Exception, now: float) -> None:
+        """A frame could not be sent."""
+        if _is_down(error):
+            self._bus_off = False
+            self._lose()
+
+    def sending_worked(self, now: float) -> None:
+        """A frame could be sent, or was taken into a queue."""
+        if not self._bus_off:
+            self._show_life(now)
+
+    def lost(self) -> bool:
+        """Whether the bus has gone, or has gone again before it was said to be back; asked once each time."""
+        if self._told:
+            return False
+        self._told = True
+        return True
+
+    def returned(self, now: float) -> bool:
+        """Whether the bus is back; true once."""
+        if not self.gone or self._alive_s is None or now - self._alive_s < SETTLED_S:
+            return False
+        self.gone = self.troubled = self._bus_off = False
+        self._alive_s = None
+        if self._reported:
+            self._reported = False
+            self._report("the CAN controller is on the bus again")
+        return True
+
+    def _lose(self) -> None:
+        if not self.gone or self._alive_s is not None:
+            self._told = False
+        self.gone = self.troubled = True
+        self._alive_s = None
+
+    def _show_life(self, now: float) -> None:
+        if self.gone and self._alive_s is None:
+            self._alive_s = now
+
+
+def _is_down(error: Exception) -> bool:
+    code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
+    return code in INTERFACE_DOWN
