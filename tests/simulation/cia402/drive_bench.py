@@ -70,12 +70,12 @@ class DriveBench:
             node_id=MODULE_ID, encoder_interface=INTERFACE_ID, cycles_per_revolution=cycles_per_revolution
         )
         self.module = FeedbackModule(config)
-        resolution, total = (self.module.dictionary.entry(index).value for index in (0x6001, 0x6002))
+        resolution, turns = (self.module.dictionary.entry(index).value for index in (0x6501, 0x6502))
         self.drive = ServoDrive(
             DRIVE_ID, self.plant, FeedbackModuleLink(
                 node_id=MODULE_ID,
                 increments_per_revolution=resolution,
-                total_range=total,
+                total_range=resolution * turns % (1 << 32),
                 synchronous=synchronous,
             ),
         )  # fmt: skip
@@ -117,20 +117,17 @@ class DriveBench:
 
     def target(self, units: int) -> None:
         """607Ah by RPDO2; it is taken at the next SYNC."""
-        self.bus.send(Frame(0x300 + DRIVE_ID, struct.pack("<i", units)))
+        self.network.send_message(0x300 + DRIVE_ID, struct.pack("<i", units))
 
     def control(self, controlword: int) -> None:
         """6040h by RPDO1, the mode as it is."""
         mode = self.drive.dictionary.entry(0x6060).value
-        self.bus.send(Frame(0x200 + DRIVE_ID, struct.pack("<Hb", controlword, mode)))
+        self.network.send_message(0x200 + DRIVE_ID, struct.pack("<Hb", controlword, mode))
 
     def read(self, index: int, subindex: int = 0) -> int:
         """An object of the drive by SDO."""
-        return self.master.sdo.upload(index, subindex) and self._raw(index, subindex)
-
-    def _raw(self, index: int, subindex: int) -> int:
         thing = self.master.sdo[index]
-        return thing.raw if not subindex and not hasattr(thing, "values") else thing[subindex].raw
+        return (thing[subindex] if subindex else thing).raw
 
     def write(self, index: int, value: float, subindex: int = 0) -> None:
         thing = self.master.sdo[index]

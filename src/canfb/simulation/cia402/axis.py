@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from canfb.device.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
@@ -33,6 +34,8 @@ class Axis:
         self.scaling = Scaling(dictionary)
         self._feedback = feedback
         self._loop = PositionLoop()
+        self.on_mode: Callable[[], None] | None = None
+        """Called when 6060h was written."""
         self._trajectory, self._interpolation = Trajectory(), Interpolation()
         self._set_points = SetPoints()
         self._at_target, self._too_far = Lasting(), Lasting()
@@ -49,6 +52,7 @@ class Axis:
         self._target.on_written = self._target_written
         self._supported = entry(0x6502)
         self._mode.on_write = self._check_mode
+        self._mode.on_written = self._mode_written
         for gain in (*self._gains[:4], self._gains[5]):
             gain.on_write = _check_gain
         self.start()
@@ -111,8 +115,7 @@ class Axis:
         self._move(period_s)
         units = self.scaling.units
         speed = (self._trajectory.position - before) / units / period_s * 2.0 * math.pi
-        change = (speed - self._demand.speed_rad_s) / period_s
-        self._demand = Demand(self._trajectory.position / units, speed, change)
+        self._demand = self._forward(self._trajectory.position / units, speed, period_s)
         self._demand_entry.value = wrapped(round(self._trajectory.position))
 
     def measure(self) -> None:
@@ -126,16 +129,14 @@ class Axis:
         """The torque in Nm, from the demand and the position of this cycle."""
         scaling, feedback = self.scaling, self._feedback
         gains = chosen_gains(self._read_gains(), period_s)
-        torque_limit, speed_limit = scaling.largest_torque_nm, 2.0 * math.pi * scaling.largest_speed
-        demand = _possible(self._demand, speed_limit, torque_limit / gains.inertia_kg_m2)
         torque = self._loop.step(
-            demand,
+            self._demand,
             feedback.revolutions,
             2.0 * math.pi * feedback.speed,
             gains,
             period_s=period_s,
-            torque_limit_nm=torque_limit,
-            speed_limit_rad_s=speed_limit,
+            torque_limit_nm=scaling.largest_torque_nm,
+            speed_limit_rad_s=2.0 * math.pi * scaling.largest_speed,
         )
         self._error_entry.value = saturated(self._error_units(), 32)
         self._torque_demand.value = scaling.per_mille(torque)
@@ -153,9 +154,11 @@ class Axis:
         self._error_entry.value = 0
         self._loop.reset()
 
-    def show_mode(self) -> None:
-        """6061h."""
+    def show_mode(self) -> bool:
+        """6061h; True if it has changed."""
+        changed = self._display.value != self.mode
         self._display.value = self.mode
+        return bool(changed)
 
     def status(self, enabled: bool, now: float) -> int:
         """Bits 10 to 13 of the statusword; ``enabled`` in Operation enabled."""
@@ -218,6 +221,18 @@ class Axis:
         if reached and self._set_points.reached():
             self._goal = self._set_points.active
 
+    def _forward(self, revolutions: float, speed_rad_s: float, period_s: float) -> Demand:
+        """What is fed forward: no faster change of speed than the motor can make.
+
+        A target that jumps, or that misses a SYNC and comes twice with the next, is not a motion.
+        """
+        limit = self.scaling.largest_torque_nm / (self._gains[4].value * KG_M2_PER_G_CM2)
+        before = self._demand.speed_rad_s
+        acceleration = (speed_rad_s - before) / period_s
+        if abs(acceleration) <= limit:
+            return Demand(revolutions, speed_rad_s, acceleration)
+        return Demand(revolutions, before + math.copysign(limit * period_s, acceleration), 0.0)
+
     def _within_limits(self, target: float) -> float:
         """The target within 607Dh; the full range of INTEGER32 is no limit."""
         low, high = self._lowest.value, self._highest.value
@@ -245,18 +260,17 @@ class Axis:
         if value != NO_MODE and not (0 < value <= 32 and self._supported.value >> (value - 1) & 1):
             raise SdoAbort(AbortCode.INVALID_VALUE)
 
+    def _mode_written(self) -> None:
+        """In another mode the targets of the one before mean nothing."""
+        if self.mode != self._display.value:
+            self._interpolation.reset()
+            self._set_points.reset()
+            self._goal, self._new_target = None, False
+        if self.on_mode is not None:
+            self.on_mode()
+
     def _target_written(self) -> None:
         self._new_target = True
-
-
-def _possible(demand: Demand, speed_limit: float, acceleration_limit: float) -> Demand:
-    """A set-point that jumps is not fed forward."""
-    speed, acceleration = demand.speed_rad_s, demand.acceleration_rad_s2
-    return Demand(
-        demand.revolutions,
-        speed if abs(speed) <= speed_limit else 0.0,
-        acceleration if abs(acceleration) <= acceleration_limit else 0.0,
-    )
 
 
 def _check_gain(value: float) -> None:

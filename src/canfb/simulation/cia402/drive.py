@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 from canfb.device.cob import is_valid
 from canfb.device.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
@@ -19,8 +18,12 @@ from canfb.simulation.cia402.axis import Axis
 from canfb.simulation.cia402.errors import DriveError
 from canfb.simulation.cia402.feedback import FeedbackInput, Wrong
 from canfb.simulation.cia402.interval import SyncInterval
+from canfb.simulation.cia402.link import FeedbackModuleLink, apply_defaults
 from canfb.simulation.cia402.plant import Plant
+from canfb.simulation.cia402.scaling import saturated
 from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, State, StateMachine, Status
+
+__all__ = ["FeedbackModuleLink", "ServoDrive"]
 
 EDS = "drive"
 POSITION = (0x60E4, 1)
@@ -29,21 +32,6 @@ LIVE = ((0x6040, 0), (0x607A, 0), POSITION, (0x2110, 1), (0x2110, 4))
 QUICK_STOP_OPTIONS = frozenset({0, 1, 2, 5, 6})
 STOP_TIMEOUT_S = 0.5
 """After a ramp the shaft has so long to come to rest; then the power goes off."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FeedbackModuleLink:
-    """The feedback module that a drive listens to: its ``node_id``, 1..127, and its scale.
-
-    increments_per_revolution   6001h of the module
-    total_range                 6002h of the module, 0 for 2^32
-    synchronous                 take the position at the next SYNC (RPDO type 1) instead of at once (255)
-    """
-
-    node_id: int
-    increments_per_revolution: int = 20_480_000
-    total_range: int = 4_280_320_000
-    synchronous: bool = False
 
 
 class _Node(Node):
@@ -80,7 +68,7 @@ class ServoDrive:
         if not 0 <= serial_number <= 0xFFFFFFFF:
             raise ValueError(f"serial_number must be 0..4294967295, not {serial_number}")
         self.dictionary = Dictionary.load(eds_path(EDS), node_id)
-        self._set_defaults(plant, feedback, serial_number)
+        apply_defaults(self.dictionary, plant.motor.config, feedback, serial_number)
         self.plant = plant
         self.node = _Node(self.dictionary, node_id, autostart=autostart, store=store)
         self.feedback = FeedbackInput(self.dictionary)
@@ -107,7 +95,7 @@ class ServoDrive:
         self._controlword = entry(0x6040)
         self._controlword.on_written = self._controlled
         self._quick_option.on_write = _check_quick_stop_option
-        entry(0x6060).on_written = self._show
+        self.axis.on_mode = self._show
         self._connect()
 
     @property
@@ -143,32 +131,13 @@ class ServoDrive:
         due = self._sync_due()
         if due is not None and now >= due:
             self._fail(DriveError.SYNC_CONTROLLER, now)
+            self._finish_reaction(now)  # a ramp needs the SYNC as well
         return self.node.tick(now)
 
     def deadline(self) -> float | None:
         """When :meth:`tick` is wanted next, None for not at all."""
         times = [time for time in (self.node.deadline(), self._sync_due()) if time is not None]
         return min(times, default=None)
-
-    def _set_defaults(self, plant: Plant, feedback: FeedbackModuleLink | None, serial_number: int) -> None:
-        motor = plant.motor.config
-        defaults = {
-            (0x1018, 4): serial_number,
-            (0x6076, 0): max(1, min(0xFFFFFFFF, round(motor.rated_torque_nm * 1000))),
-            (0x2100, 5): max(1, min(0xFFFFFFFF, round(motor.inertia_kg_m2 * 1e7))),
-        }
-        if feedback is not None:
-            defaults |= {
-                (0x1403, 1): 0x180 + feedback.node_id,
-                (0x1403, 2): 1 if feedback.synchronous else 255,
-                (0x2110, 5): feedback.total_range,
-                (0x2110, 7): 0x080 + feedback.node_id,
-                (0x60E6, 1): feedback.increments_per_revolution,
-            }
-        for (index, subindex), value in defaults.items():
-            entry = self.dictionary.entry(index, subindex)
-            entry.default = entry.value = value
-            entry.follows_node_id = False
 
     def _connect(self) -> None:
         node = self.node
@@ -212,14 +181,15 @@ class ServoDrive:
             return
         period_s = self.interval_s
         used = self.feedback.take(
-            self.axis.scaling.largest_speed, period_s, supervised=self.state in SWITCHED_ON
+            self.axis.scaling.largest_speed, period_s, supervised=self.state in SWITCHED_ON | POWERED
         )
         self._supervise(now)
         if used:
             self.axis.measure()
         if used and period_s > 0.0 and self.state in POWERED:
             self.plant.drive(self.axis.control(period_s), True, now)
-            self._dead.value = min(0xFFFFFFFF, max(0, round((now - self._watched_from_s) * 1e6)))
+            since_sync_s = now - (self._interval.last_s or now)
+            self._dead.value = saturated(since_sync_s * 1e6, 32)
             if self.axis.follows_badly(now):
                 self._fail(DriveError.FOLLOWING_ERROR, now)
         self._show()
@@ -335,11 +305,11 @@ class ServoDrive:
 
     def _on_state(self, old: NmtState, new: NmtState, now: float) -> None:
         if new is NmtState.OPERATIONAL:
-            self.feedback.reset()
+            self.feedback.lose()
             for number in self._events:
                 self.node.trigger_tpdo(number, now)
         elif old is NmtState.OPERATIONAL:
-            self.feedback.reset()
+            self.feedback.lose()
             self._abort_connection(DriveError.COMMUNICATION, now)
             if self.state in POWERED:  # no SYNC, no position: nothing may turn
                 self._switch(self._machine.disable_voltage, now)
@@ -392,8 +362,8 @@ class ServoDrive:
 
     def _show(self) -> None:
         """6041h, 6061h, 603Fh and 6077h; what has changed goes out."""
-        shown = self._statusword.value, self.dictionary.entry(0x6061).value, self._shown_error
-        self.axis.show_mode()
+        before = self._statusword.value, self._shown_error
+        mode_changed = self.axis.show_mode()
         word = self.state.value | Status.VOLTAGE_ENABLED
         if self.node.state is NmtState.OPERATIONAL:
             word |= Status.REMOTE
@@ -401,7 +371,7 @@ class ServoDrive:
         self._statusword.value = int(word)
         self._torque.value = self.axis.scaling.per_mille(self.plant.motor.torque_nm)
         self._shown_error = self.error
-        if shown != (self._statusword.value, self.axis.mode, self.error):
+        if mode_changed or before != (self._statusword.value, self.error):
             for number in self._events:
                 self.node.trigger_tpdo(number, self._now)
 

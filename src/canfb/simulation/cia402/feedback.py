@@ -50,6 +50,11 @@ class FeedbackInput:
     def reset(self) -> None:
         """Nothing is known of the feedback: it is missing until it comes."""
         self.wrong = Wrong.MISSING
+        self.lose()
+
+    def lose(self) -> None:
+        """No position can come any more, or none could so far; what an EMCY has said stays."""
+        self.wrong = self.wrong & Wrong.EMERGENCY | Wrong.MISSING
         self._last: int | None = None
         self._since_pdo = 0  # SYNCs since the last PDO
         self._age = 0  # SYNCs since the last position that was used
@@ -113,6 +118,8 @@ class FeedbackInput:
     def _step(self, raw: int, full: int, largest_speed: float, interval_s: float, supervised: bool) -> bool:
         intervals = max(1, self._age)
         known = self._last is not None
+        if known and self._age == 0:
+            return False  # a second one in the same cycle tells nothing of the speed
         if self._last is None:
             self.position = raw - full if raw >= (full + 1) // 2 else raw
             step = 0

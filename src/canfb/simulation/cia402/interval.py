@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 SMOOTHING = 1.0 / 32.0
-SAME_RATE = 1.5  # a time longer than this multiple is a gap, not a new rate
-GAPS = 8  # so many in a row are a slower SYNC
+SAME_RATE = 1.5  # a time longer or shorter by more than this factor is an exception, or a new rate
+EXCEPTIONS = 8  # so many in a row are a new rate
 
 
 class SyncInterval:
-    """The mean time between two SYNCs, in seconds: 0.0 before the second one. Gaps are left out."""
+    """The mean time between two SYNCs, ``seconds``: 0.0 before the second one.
+
+    Pauses, and SYNCs that are heard late, are left out. ``last_s`` is when the last one was heard.
+    """
 
     def __init__(self) -> None:
         self.seconds = 0.0
         self.last_s: float | None = None
-        self._gaps = 0
+        self._exceptions: list[float] = []
 
     def event(self, now: float) -> None:
         """A SYNC at ``now``, seconds."""
@@ -23,10 +26,11 @@ class SyncInterval:
         interval = now - last
         if self.seconds == 0.0:
             self.seconds = interval
-        elif interval < SAME_RATE * self.seconds:
+        elif self.seconds / SAME_RATE < interval < SAME_RATE * self.seconds:
             self.seconds += (interval - self.seconds) * SMOOTHING
-            self._gaps = 0
+            self._exceptions.clear()
         else:
-            self._gaps += 1
-            if self._gaps >= GAPS:
-                self.seconds, self._gaps = interval, 0
+            self._exceptions.append(interval)
+            if len(self._exceptions) == EXCEPTIONS:
+                self.seconds = sum(self._exceptions) / EXCEPTIONS
+                self._exceptions.clear()
