@@ -25,7 +25,7 @@ def turn(entry: Entry) -> int:
         return 2
     if entry.index == _VERIFY:
         return 4
-    return 3 if is_cob_id(entry) else 0
+    return 3 if _is_cob_id(entry) else 0
 
 
 def switched_off(entry: Entry, value: Any) -> Any:
@@ -36,7 +36,7 @@ def switched_off(entry: Entry, value: Any) -> Any:
     """
     if _is_mapping_count(entry) or entry.index in (_CYCLE_PERIOD, _CONSUMERS):
         return 0
-    if not is_cob_id(entry):
+    if not _is_cob_id(entry):
         return None
     if entry.index == _SYNC:
         return value & ~cob.GENERATE
@@ -44,8 +44,7 @@ def switched_off(entry: Entry, value: Any) -> Any:
     return value & cob.CAN_ID if entry.index == _TIME else cob.NOT_VALID
 
 
-def is_cob_id(entry: Entry) -> bool:
-    """Whether the entry is a COB-ID, whose CAN-ID stays while it is in use."""
+def _is_cob_id(entry: Entry) -> bool:
     if entry.index in (_SYNC, _TIME, _EMCY):
         return True
     if entry.index in _SDO_CHANNELS:

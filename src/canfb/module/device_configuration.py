@@ -12,7 +12,7 @@ from canfb.device.codes import SdoAbort
 from canfb.device.concise import Write
 from canfb.device.dcf import Place
 from canfb.device.entry import Entry
-from canfb.device.writing_order import TURNS, is_cob_id, switched_off, turn
+from canfb.device.writing_order import TURNS, switched_off, turn
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.parameters import ENCODER
@@ -68,14 +68,13 @@ class DeviceConfiguration:
     def writes(self) -> list[Write]:
         """SDO writes that a module in Pre-operational takes one after the other, whatever it held before.
 
-        First everything is switched off; then come the parameters, the table with the conditioning, the
+        First everything is switched off, PDOs before their mappings; then come the parameters, the table with the conditioning, the
         mappings, 1006h, the COB-IDs, and at last 1020h, which any other write would clear.
         """
         off = {setting.place: value for setting in self.settings if (value := _off(setting)) is not None}
         first = [
             Setting(setting.entry, off[setting.place]) for setting in self.settings if setting.place in off
         ]
-        first.sort(key=lambda setting: not is_cob_id(setting.entry))
         rest = [setting for setting in self.settings if off.get(setting.place) != setting.value]
         rest.sort(key=lambda setting: setting.place in OPENING)
         turns = [[_write(setting) for setting in rest if turn(setting.entry) == this] for this in TURNS]
