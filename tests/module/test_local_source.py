@@ -228,6 +228,26 @@ def test_sample_times_bridge_a_sync_that_came_late() -> None:
     assert local.value(0x2000, 5) == round(times[-1] * 1e7)
 
 
+def test_the_interval_is_that_of_the_sample_times_however_late_a_sync_is_heard() -> None:
+    """The first SYNCs came late and then close together, as in a process that was just started."""
+    times = [3.0 + n * PERIOD_S for n in range(50)]
+    local = Local(Played(*[at(0.2 * n, time) for n, time in enumerate(times)]))
+    local.start()
+    for n in range(50):
+        _, status, _ = local.position(local.sync(2e-4 if 0 < n < 5 else 1.2e-3))
+        assert status & VALID
+        assert not status & MISSED
+    assert local.value(0x2011, 7) == pytest.approx(2 * math.pi / 2500 * 0.2 / PERIOD_S, rel=0.05)
+
+
+def test_without_sample_times_the_interval_is_that_of_the_syncs() -> None:
+    local = Local(Played(*[at(0.2 * n) for n in range(50)]))
+    local.start()
+    for _ in range(50):
+        local.sync(2e-3)
+    assert local.value(0x2011, 7) == pytest.approx(2 * math.pi / 2500 * 0.2 / 2e-3, rel=0.05)
+
+
 def test_a_scan_that_comes_twice_is_counted_and_no_new_sample() -> None:
     local = Local(Played(at(0.1, 0.0), at(0.1, 0.001), at(0.1, 0.001)))
     local.start()

@@ -214,11 +214,12 @@ class FeedbackModule:
                 self._taps.take(sample, feedback)
 
     def _on_sync(self, counter: int | None, now: float) -> None:
-        self._interval.event(now)
         if self._source is not None:
             self._sample_source(self._source, now)
-        elif self._input.give_up():
-            self._count_bad_frame()
+        else:
+            self._interval.event(now)
+            if self._input.give_up():
+                self._count_bad_frame()
         if self._synced and self._sampled and not self._sample_came:
             known_as_lost = self.chain.lost
             self._publish(self.chain.miss(), now, send=not known_as_lost)
@@ -230,8 +231,12 @@ class FeedbackModule:
         """The sample of this very SYNC; without one it is missed, from the first SYNC on."""
         self._sampled = self._synced = True
         sample = source.next(now)
+        if source.timed_s is None:
+            self._interval.event(now)
         if sample is not None:
             self._sample_came = True
+            if source.timed_s is not None:  # far more regular than the time at which a SYNC is heard
+                self._interval.event(source.timed_s)
             self._process(sample, now)
 
     def _tell_of_source(self, text: str) -> None:

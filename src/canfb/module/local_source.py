@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from canfb.device.dictionary import Dictionary
 from canfb.module.sample_input import INPUT, PLACES, SAMPLE_INVALID, ZERO_PULSE, SampleInput
+from canfb.signal.chain import TICK_S, TICKS
 from canfb.signal.sample import Sample
 from canfb.signal.source import Source, SourceEnded
 
@@ -32,6 +33,8 @@ class LocalSource:
         self._failed_s: float | None = None
         self.ended = False
         """The source has no sample left."""
+        self.timed_s: float | None = None
+        """Time of the last sample by its time stamps, seconds since the first one; None without them."""
 
     def next(self, now: float) -> Sample | None:
         """The sample of the SYNC at ``now`` (seconds), None for a missed one; its counts go into 2000h."""
@@ -66,11 +69,16 @@ class LocalSource:
             self._place.value = max(0, min(int(sample.zero_pulse * PLACES), 0xFFFF))
         self._flags.value = flags
         if sample.time_100ns is not None:
-            self._time.value = sample.time_100ns & 0xFFFFFFFF
+            self._keep_time(sample.time_100ns)
         if sample.coarse_sine is not None and sample.coarse_cosine is not None:
             self._coarse_sine.value = _counts("coarse_sine", sample.coarse_sine)
             self._coarse_cosine.value = _counts("coarse_cosine", sample.coarse_cosine)
         return sample._replace(sine=sine, cosine=cosine)
+
+    def _keep_time(self, time_100ns: int) -> None:
+        ticks = (time_100ns - self._time.value) % TICKS
+        self.timed_s = 0.0 if self.timed_s is None else self.timed_s + ticks * TICK_S
+        self._time.value = time_100ns % TICKS
 
 
 def _counts(name: str, value: float) -> int:

@@ -1,0 +1,206 @@
+"""`canfb run` with a source of its own: positions against the truth, and what it says of a source."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from emulated_iiod import EmulatedAdc, EmulatedIiod
+from iio_kit import reading
+
+from canfb.bus.opening import open_bus
+from canfb.errors import BusError
+from canfb.signal.supervision import VALID
+from canfb.simulation.encoder import Encoder
+from canfb.simulation.motion import Motion, Ramp
+
+Iiod = Callable[..., EmulatedIiod]
+LIMIT_S = 60.0  # for what takes a second
+UNITS_PER_CYCLE = 8192
+PERIOD_S = 1e-3
+SYNC = can.Message(arbitration_id=0x80, is_extended_id=False)
+
+
+class Machine:
+    """An encoder on a machine; the ADC samples it when it is fired, 1 ms after the last time."""
+
+    def __init__(self, server: EmulatedIiod) -> None:
+        self._server = server
+        self._encoder = Encoder(noise_lsb=0.5)
+        # A quarter of a cycle for each sample, at most: the time stamps are regular, the SYNC is not.
+        self._motion = Motion((Ramp(0.05, 0.0), Ramp(0.3, 6.0)))
+        self._rng = np.random.default_rng(5)
+        self.truth_cycles: list[float] = []
+        server.adc.on_fire = self._sample
+
+    def _sample(self) -> None:
+        time_s = len(self.truth_cycles) * PERIOD_S
+        position = self._motion.revolutions(time_s) * 2500
+        self.truth_cycles.append(position)
+        sine, cosine = self._encoder.sample(position, self._rng)
+        self._server.deliver(reading(int(sine) + 2048, int(cosine) + 2048, round(time_s * 1e9)))
+
+
+@pytest.fixture
+def port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("", 0))
+        return int(free.getsockname()[1])
+
+
+@pytest.fixture
+def bus(port: int) -> Iterator[can.BusABC]:
+    """The bus of the master; skips where multicast does not work."""
+    words = {"interface": "udp_multicast", "channel": "239.74.163.2", "port": port, "hop_limit": 0}
+    with contextlib.ExitStack() as stack:
+        try:
+            bus, probe = (stack.enter_context(open_bus(words)) for _ in range(2))
+            probe.send(can.Message(arbitration_id=0x7F0, is_extended_id=False))
+            heard = bus.recv(2.0)
+        except (BusError, can.CanError) as error:
+            pytest.skip(f"no multicast on this machine: {error}")
+        if heard is None:
+            pytest.skip("no multicast on this machine: a datagram did not arrive")
+        probe.shutdown()
+        yield bus
+
+
+@pytest.fixture
+def run(port: int, tmp_path: Path) -> Iterator[Callable[[str], subprocess.Popen[str]]]:
+    """Starts `canfb run` with a module that has this source."""
+    with contextlib.ExitStack() as stack:
+
+        def start(source: str) -> subprocess.Popen[str]:
+            config = tmp_path / "feedback.yaml"
+            config.write_text(
+                f"bus: {{interface: udp_multicast, channel: 239.74.163.2, port: {port}, hop_limit: 0}}\n"
+                f"modules:\n- {{node_id: 32, autostart: true, source: {source}}}\n"
+            )
+            process = subprocess.Popen(
+                [sys.executable, "-W", "error", "-m", "canfb", "run", str(config)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+            stack.enter_context(process)
+            stack.callback(process.kill)
+            return process
+
+        yield start
+
+
+def fired_by_sync(server: EmulatedIiod) -> str:
+    place = f"uri: 'ip:127.0.0.1:{server.port}', device: ads7950"
+    return f"{{kind: iio, {place}, trigger: sysfstrig7, wait_us: 100000}}"
+
+
+def heard(bus: can.BusABC, can_id: int, process: subprocess.Popen[str]) -> bytes:
+    """The next frame with this id."""
+    end = time.monotonic() + LIMIT_S
+    while time.monotonic() < end:
+        message = bus.recv(0.2)
+        if message is not None and message.arbitration_id == can_id:
+            return bytes(message.data)
+        if process.poll() is not None:
+            pytest.fail(f"ended: {process.communicate()}")
+    pytest.fail(f"no {can_id:03X}h within {LIMIT_S:g} s")
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    process.send_signal(signal.SIGTERM)
+    output, errors = process.communicate(timeout=LIMIT_S)
+    return process.returncode, output, errors
+
+
+def test_positions_of_a_fired_adc_are_right(
+    bus: can.BusABC, run: Callable[[str], subprocess.Popen[str]], iiod: Iiod
+) -> None:
+    server = iiod(EmulatedAdc())
+    machine = Machine(server)
+    process = run(fired_by_sync(server))
+    heard(bus, 0x720, process)
+    still = 0
+    for n in range(600):
+        bus.send(SYNC)
+        units, status, _ = struct.unpack("<IHH", heard(bus, 0x1A0, process))
+        assert len(machine.truth_cycles) == n + 1, "one sample for each SYNC"
+        assert status & VALID
+        still += not units
+        error = units / UNITS_PER_CYCLE - machine.truth_cycles[-1]
+        assert abs((error + 261250) % 522500 - 261250) < 0.02
+    assert machine.truth_cycles[-1] > 80
+    assert still < 200
+    returncode, output, errors = ended(process)
+    assert returncode == 0
+    assert re.search(r"node 32: 600 samples; missed 0,", output)
+    assert "canfb: " not in errors
+
+
+def test_an_adc_that_is_lost_is_told_and_found_again(
+    bus: can.BusABC, run: Callable[[str], subprocess.Popen[str]], iiod: Iiod
+) -> None:
+    server = iiod(EmulatedAdc())
+    Machine(server)
+    process = run(fired_by_sync(server))
+    heard(bus, 0x720, process)
+    for _ in range(10):
+        bus.send(SYNC)
+        assert struct.unpack_from("<H", heard(bus, 0x1A0, process), 4)[0] & VALID
+    server.close()
+    status = VALID
+    while status & VALID:  # it coasts for three samples
+        bus.send(SYNC)
+        status = struct.unpack_from("<H", heard(bus, 0x1A0, process), 4)[0]
+    again = iiod(EmulatedAdc(), server.port)
+    Machine(again)
+    assert again.opened.wait(LIMIT_S)
+    returncode, _, errors = ended(process)
+    assert returncode == 0
+    assert len(re.findall(r"^canfb: node 32: the source fails: ", errors, re.MULTILINE)) == 1
+
+
+def test_the_end_of_a_recording_is_told_and_the_node_stays(
+    bus: can.BusABC, run: Callable[[str], subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    tracks = tmp_path / "tracks.csv"
+    tracks.write_text("a,b\n" + "2048,3500\n" * 20)
+    process = run(f"{{kind: recording, file: {tracks}, columns: [a, b], mid_scale: 2048}}")
+    heard(bus, 0x720, process)
+    status = VALID
+    syncs = 0
+    while status & VALID:
+        bus.send(SYNC)
+        status = struct.unpack_from("<H", heard(bus, 0x1A0, process), 4)[0]
+        syncs += 1
+    assert 20 < syncs <= 25
+    returncode, _, errors = ended(process)
+    assert (returncode, errors) == (0, "canfb: node 32: the source has ended: no more samples\n")
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("{kind: iio, uri: 'ip:127.0.0.1:9', device: x}", "canfb: IIO context 'ip:127.0.0.1:9': "),
+        ("{kind: recording, file: /nowhere.csv}", "canfb: /nowhere.csv: cannot be read: "),
+    ],
+)
+def test_a_source_that_is_not_there_ends_the_command(
+    source: str, words: str, run: Callable[[str], subprocess.Popen[str]]
+) -> None:
+    process = run(source)
+    _, errors = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 1
+    assert [line for line in errors.splitlines() if line.startswith(words)]
+    assert "Traceback" not in errors
