@@ -68,8 +68,9 @@ class DeviceConfiguration:
     def writes(self) -> list[Write]:
         """SDO writes that a module in Pre-operational takes one after the other, whatever it held before.
 
-        First everything is switched off, PDOs before their mappings; then come the parameters, the table with the conditioning, the
-        mappings, 1006h, the COB-IDs, and at last 1020h, which any other write would clear.
+        First everything is switched off, PDOs before their mappings. Then come the parameters, the table
+        with the conditioning, the numbers of mapped objects, 1006h, the COB-IDs, and at last 1020h, which
+        any other write would clear.
         """
         off = {setting.place: value for setting in self.settings if (value := _off(setting)) is not None}
         first = [
