@@ -7,9 +7,9 @@ import contextlib
 from collections.abc import Mapping
 from typing import Any
 
-from canfb.bus.opening import describe, open_bus
+from canfb.bus.opening import describe, open_device_bus
 from canfb.bus.realtime import apply_realtime
-from canfb.bus.runner import Runner, ending_on_signals
+from canfb.bus.runner import DeviceFailure, Runner, ending_on_signals
 from canfb.bus.state_files import StateFiles
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, report
 from canfb.cli.sources import open_source
@@ -17,6 +17,7 @@ from canfb.configuration import load_config
 from canfb.device.datatypes import encode
 from canfb.device.image import ParameterGroup
 from canfb.device.lss import UNCONFIGURED
+from canfb.errors import CanfbError
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.parameters import configured_defaults
@@ -31,12 +32,15 @@ def register(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Serve the modules until Ctrl-C or SIGTERM."""
+    """Serve the modules until Ctrl-C or SIGTERM.
+
+    A program error in one of them ends the process for all, with exit code 1.
+    """
     config = load_config(options.config)
     words = bus_options(options, config.bus)
     with contextlib.ExitStack() as resources:
         modules = [make_module(module, resources, words, config.simulation) for module in config.modules]
-        bus = resources.enter_context(open_bus(words))
+        bus = resources.enter_context(open_device_bus(words))
         runner = Runner(bus, list(modules), report)
         apply_realtime(config.realtime, report)
         with ending_on_signals(runner.stop):
@@ -44,9 +48,14 @@ def run(options: argparse.Namespace) -> int:
             print(f"running node {nodes} on {describe(words)}; end with Ctrl-C", flush=True)
             for module in modules:
                 _tell_what_is_saved(module)
-            runner.run()
-    for module in modules:
-        print(_summary(module), flush=True)
+            try:
+                runner.run()
+            except DeviceFailure as failure:
+                (failed,) = (module for module in modules if module is failure.device)
+                raise CanfbError(f"{_title(failed)}: {failure}; all modules of the process end") from failure
+            finally:
+                for module in modules:
+                    print(_summary(module), flush=True)
     return 0
 
 
@@ -76,7 +85,11 @@ def make_module(
                 "the defaults are in force"
             )
 
+    def tell_duplicate(can_id: int, now: float) -> None:
+        report(f"{_title(module)}: another node sends with this node-ID ({can_id:03X}h)")
+
     module.on_parameter_faults = tell
+    module.node.on_duplicate = tell_duplicate
     module.on_source = lambda text: report(f"node {module.node.node_id}: {text}")
     return module
 
@@ -89,6 +102,14 @@ def _name(module: FeedbackModule) -> str:
     if node_id == UNCONFIGURED:
         return f"without a node-ID yet (LSS, serial number {module.config.serial_number})"
     return f"{node_id} ({node_id:02X}h)"
+
+
+def _title(module: FeedbackModule) -> str:
+    """The node, by the node-ID that it has now."""
+    node_id = module.node.node_id
+    if node_id == UNCONFIGURED:
+        return f"node without a node-ID (serial number {module.config.serial_number})"
+    return f"node {node_id} ({node_id:02X}h)"
 
 
 def _tell_what_is_saved(module: FeedbackModule) -> None:
@@ -110,4 +131,8 @@ def _summary(module: FeedbackModule) -> str:
         f"{name} {module.dictionary.entry(0x2012, n).value}" for n, name in enumerate(names, 1)
     )
     samples = module.dictionary.entry(0x2011, 8).value
-    return f"node {module.node.node_id}: {samples} samples; {counts}"
+    node_id = module.node.node_id
+    node = _title(module) if node_id == UNCONFIGURED else f"node {node_id}"
+    duplicates = module.node.counters.duplicate_frames
+    others = f"; {duplicates} frames of another node with this node-ID" if duplicates else ""
+    return f"{node}: {samples} samples; {counts}{others}"
