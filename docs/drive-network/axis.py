@@ -82,10 +82,10 @@ class Axis:
         self._acceleration = drive.sdo[0x6083].raw / self.units
         self.rows: list[Row] = []
         self.follow: Callable[[], float] | None = None  # the set-point for the next SYNC
-        self._module_pdo = next(pdo for pdo in module.tpdo.values() if _holds(pdo, 0x6004))
-        self._state_pdo = next(pdo for pdo in drive.tpdo.values() if _holds(pdo, 0x6041))
-        self._loop_pdo = next(pdo for pdo in drive.tpdo.values() if _holds(pdo, 0x60F4))
-        self._command_pdo = next(pdo for pdo in drive.rpdo.values() if _holds(pdo, 0x6040))
+        self._module_pdo = _pdo_with(module.tpdo, 0x6004, 0x2011)
+        self._state_pdo = _pdo_with(drive.tpdo, 0x6041, 0x6061, 0x6064)
+        self._loop_pdo = _pdo_with(drive.tpdo, 0x60F4, 0x6062)
+        self._command_pdo = _pdo_with(drive.rpdo, 0x6040, 0x6060, 0x607A)
         self._module_pdo.add_callback(self._hear_module)
         self._loop_pdo.add_callback(self._hear_drive)  # the last one that the drive sends at a SYNC
 
@@ -101,8 +101,12 @@ class Axis:
 
     @property
     def module_status(self) -> int:
-        """2011:01 of the last position PDO."""
+        """2011:01 of the last position PDO; the first of 2011h in its map."""
         return int(self._module_pdo[0x2011].raw)
+
+    def feedback_is_steady(self) -> bool:
+        """The position of the module was valid at the last 20 SYNCs."""
+        return len(self.rows) >= 20 and all(row.module_valid for row in self.rows[-20:])
 
     def enable(self, mode: int) -> None:
         """Through the states to OPERATION ENABLED, where the target is the present position."""
@@ -242,8 +246,13 @@ def trapezoid(distance: float, speed: float, acceleration: float) -> Callable[[f
     return at
 
 
-def _holds(pdo: Any, index: int) -> bool:
-    return bool(pdo.enabled) and any(variable.index == index for variable in pdo.map)
+def _pdo_with(pdos: Any, *indices: int) -> Any:
+    """The PDO in use that carries all these objects."""
+    for pdo in pdos.values():
+        if pdo.enabled and set(indices) <= {variable.index for variable in pdo.map}:
+            return pdo
+    wanted = ", ".join(f"{index:04X}h" for index in indices)
+    raise FaultError(f"no link of the network file carries {wanted} together")
 
 
 def _state(statusword: int) -> str:

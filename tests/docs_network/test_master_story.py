@@ -10,6 +10,7 @@ from typing import Any
 import axis
 import configuring
 import master
+import nodes
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -128,6 +129,23 @@ def test_a_node_that_is_silent_is_missed(monkeypatch: pytest.MonkeyPatch) -> Non
     assert network.drive.node.state is NmtState.PRE_OPERATIONAL
 
 
+def test_a_machine_that_still_turns_is_waited_for(capsys: pytest.CaptureFixture[str]) -> None:
+    """The master before has ended in the middle of a move: the module begins while the machine brakes."""
+    network = DriveNetwork()
+
+    def fail() -> None:
+        raise axis.FaultError("pulled out")
+
+    network.at[1.5] = fail
+    with pytest.raises(axis.FaultError, match="pulled out"):
+        network.run()
+    assert abs(network.plant.motor.speed_rad_s) > 0.5
+    assert network.run() == 0
+    said = capsys.readouterr().out
+    assert figure(said, "position          drive") == pytest.approx(1.0, abs=2e-4)
+    assert_all_quiet(network)
+
+
 def test_a_start_that_fails_undoes_the_configuration(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -159,6 +177,25 @@ def test_another_device_is_refused_before_anything_is_written(tmp_path: Path) ->
     assert writable(network.drive) == before
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("map: [607A, 6060, 6040]", "map: [6060, 6040]", "no link .* carries 6040h, 6060h, 607Ah together"),
+        ("name: drive\n", "name: motor\n", "needs nodes with the names drive"),
+    ],
+)
+def test_a_network_without_what_the_story_needs(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = tmp_path / "network.yaml"
+    text = TEXT.replace("../../eds", str(FOLDER.parents[1] / "eds")).replace(old, new)
+    if "motor" in new:
+        text = text.replace("node: drive", "node: motor").replace("module, drive]", "module, motor]")
+    path.write_text(text, encoding="utf-8")
+    network = DriveNetwork()
+    with pytest.raises(axis.FaultError, match=message):
+        network.run(file=path)
+    assert_all_quiet(network)
+
+
 def test_a_wrong_file_and_a_bus_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "network.yaml"
     path.write_text("nodes: 3\n", encoding="utf-8")
@@ -173,7 +210,7 @@ def test_a_wrong_file_and_a_bus_that_is_not_there(tmp_path: Path, capsys: pytest
 
 
 def test_the_errors_of_the_drive_have_words() -> None:
-    assert {int(error) for error in DriveError} <= set(master.ERRORS)
+    assert {int(error) for error in DriveError} <= set(nodes.ERRORS)
 
 
 @given(
