@@ -1,0 +1,241 @@
+"""`canfb config dcf`: from a configuration, from what is saved, from a node; and what cannot be."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import canopen
+import numpy as np
+import pytest
+
+from canfb.bus.state_files import StateFiles
+from canfb.cli.config_dcf import configured, read_node
+from canfb.cli.main import main
+from canfb.configuration import load_config
+from canfb.demo.plant import EmbeddedNetwork
+from canfb.device.concise import decode_concise
+from canfb.device.storage import Store
+from canfb.eds_files import eds_path
+from canfb.errors import CanfbError
+from canfb.module.config import ModuleConfig
+from canfb.module.device_configuration import configuration_of
+from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import CorrectionTable
+from canfb.simulation.embedded_bus import EmbeddedBus
+
+PHASES = np.arange(64) / 64
+TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
+ONE = "modules: [{node_id: 0x21, cycles_per_revolution: 1024, adc_bits: 16, encoder_interface: 0x11}]\n"
+TWO = "modules: [{node_id: 0x20}, {node_id: 0x21, coast_samples: 9}]\n"
+
+
+class Peer:
+    """A module on an embedded bus, and the master of the command."""
+
+    def __init__(self, config: ModuleConfig, store: Store | None = None, dictionary: Any = None) -> None:
+        bus = EmbeddedBus()
+        self.network = EmbeddedNetwork(bus)
+        self.module = FeedbackModule(config, store)
+        eds = str(eds_path("canfb-module")) if dictionary is None else dictionary
+        self.remote = canopen.RemoteNode(config.node_id, eds)
+        self.network.add_node(self.remote)
+        bus.attach(self.module)
+
+    def sdo(self, node_id: int) -> Any:
+        return self.remote.sdo
+
+    def wait(self, duration_s: float) -> None:
+        """Nothing happens meanwhile."""
+
+    def activate(self, table: CorrectionTable) -> None:
+        self.remote.sdo.download(0x2020, 1, table.to_bytes())
+        self.remote.sdo.download(0x2020, 3, table.crc32.to_bytes(4, "little"))
+
+
+@pytest.fixture
+def yaml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A configuration in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "feedback.yaml"
+    path.write_text("bus: {channel: can3, bitrate: 250000}\n" + ONE)
+    return path
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> tuple[str, str]:
+    """Both outputs of the command."""
+    assert main(["config", "dcf", *arguments]) == code
+    heard = capsys.readouterr()
+    return heard.out, heard.err
+
+
+def test_a_dcf_that_makes_a_module_as_delivered_the_one_of_the_configuration(
+    yaml: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, err = said(capsys, str(yaml), "--concise", "module.bin")
+    assert err == ""
+    assert out.splitlines()[0].startswith("module-21h.dcf: node 33 (21h), ")
+    assert "not as delivered: 1400:01, 2001:01, 2001:02, 2001:03, 2001:04, 6001:00, 6002:00" in out
+    dictionary = canopen.import_od("module-21h.dcf")
+    assert (dictionary.node_id, dictionary.bitrate) == (0x21, 250_000)
+    peer = Peer(ModuleConfig(node_id=0x21), dictionary=dictionary)
+    peer.remote.load_configuration()
+    wanted = configured(load_config(yaml).modules[0])
+    assert configuration_of(peer.module).values() == wanted.values()
+    assert decode_concise(Path("module.bin").read_bytes()) == wanted.writes()
+    text = Path("module-21h.dcf").read_text()
+    assert "NetworkName=can3\n" in text
+    assert "FileName=module-21h.dcf\n" in text
+
+
+def test_bus_options_of_the_command_come_first(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said(capsys, str(yaml), "-b", "500000", "--out", "a.dcf", "--name", "left_drive")
+    text = Path("a.dcf").read_text()
+    assert "Baudrate=500\n" in text
+    assert "NodeName=left_drive\n" in text
+
+
+def test_table_and_parameters_that_were_saved(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = ModuleConfig(node_id=0x20, conditioning=Conditioning(sine_gain=1.25))
+    with StateFiles("state") as store:
+        peer = Peer(config, store)
+        peer.remote.sdo.download(0x2010, 3, b"\x07")
+        peer.activate(TABLE)
+        peer.remote.sdo.download(0x1010, 1, b"save")
+        yaml.write_text("modules: [{node_id: 0x20, state_dir: state, coast_samples: 5}]\n")
+        out, err = said(capsys, str(yaml), "--out", "m.dcf")  # while the module is running
+    assert err == ""
+    assert f"m.table.bin: correction table, 64 entries, {TABLE.crc32:08X}" in out
+    assert Path("m.table.bin").read_bytes() == TABLE.to_bytes()
+    fresh = Peer(ModuleConfig(node_id=0x20), dictionary=canopen.import_od("m.dcf"))
+    fresh.remote.load_configuration()
+    assert fresh.module.chain.table == TABLE
+    assert fresh.module.chain.conditioning == Conditioning(sine_gain=1.25)
+    assert fresh.module.dictionary.entry(0x2010, 3).value == 7
+
+
+def test_the_table_in_a_file_alone(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No line is longer than the 255 characters of CiA 306; a master that does not know the file says so."""
+    with StateFiles("state") as store:
+        peer = Peer(ModuleConfig(node_id=0x20), store)
+        peer.activate(TABLE)
+        peer.remote.sdo.download(0x1010, 1, b"save")
+    yaml.write_text("modules: [{node_id: 0x20, state_dir: state}]\n")
+    said(capsys, str(yaml), "--out", "m.dcf", "--table", "file")
+    text = Path("m.dcf").read_text()
+    assert max(len(line) for line in text.splitlines()) <= 255
+    assert "DownloadFile=m.table.bin\n" in text
+    fresh = Peer(ModuleConfig(node_id=0x20), dictionary=canopen.import_od("m.dcf"))
+    with pytest.raises(canopen.SdoAbortedError):
+        fresh.remote.load_configuration()
+
+
+def test_what_is_saved_and_damaged_makes_no_dcf(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("state").mkdir()
+    Path("state/manufacturer.bin").write_bytes(b"nonsense")
+    yaml.write_text("modules: [{node_id: 0x20, state_dir: state}]\n")
+    out, err = said(capsys, str(yaml), code=1)
+    assert out == ""
+    assert err == "canfb: stored manufacturer parameters in state refused: no stored parameters, or cut off\n"
+    assert list(Path().glob("*.dcf")) == []
+
+
+def test_a_module_that_samples_itself(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its source is not opened, and its RPDO1 is off."""
+    yaml.write_text("modules: [{node_id: 0x20, source: {kind: recording, file: not-there.csv}}]\n")
+    said(capsys, str(yaml))
+    assert canopen.import_od("module-20h.dcf")[0x1400][1].value == 0x80000190  # type: ignore[index, union-attr]
+
+
+def test_for_programs(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, err = said(capsys, str(yaml), "--json")
+    assert err == ""
+    summary = json.loads(out)
+    assert summary["dcf"] == "module-21h.dcf"
+    assert summary["node_id"] == 0x21
+    assert summary["changed"]["2001:01"] == 1024
+    assert summary["table"] is None
+    assert summary["table_crc32"] == "00000000"
+    assert summary["refused_in_index_order"] == []
+
+
+def test_one_of_several(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    yaml.write_text(TWO)
+    _, err = said(capsys, str(yaml), code=2)
+    assert err.startswith(f"canfb: {yaml}: --module N is wanted, as there are several: 32 (20h), 33 (21h)")
+    for name in ("0x21", "1"):
+        out, _ = said(capsys, str(yaml), "--module", name)
+        assert "node 33 (21h)" in out
+        assert "2010:03" in out
+    _, err = said(capsys, str(yaml), "--module", "2", code=2)
+    assert err == f"canfb: {yaml}: --module 2 is none of 32 (20h), 33 (21h)\n"
+
+
+WRONG_USE = {
+    "nothing": ([], "CONFIG.yaml or --node ID is wanted"),
+    "node and module": (["--node", "3", "--module", "1"], "--module: only without --node"),
+    "node": (["--node", "0"], "--node 0: must be 1 to 127"),
+    "time": (["--node", "3", "--answer-within", "0"], "--answer-within 0: must be"),
+    "name": (["x.yaml", "--name", "a\nb"], "--name 'a\\nb': letters"),
+    "one file": (["x.yaml", "--out", "a", "--concise", "a"], "--concise a: must be another file"),
+    "no file": (["nothing.yaml"], "nothing.yaml: cannot be read"),
+    "number": (["x.yaml", "--module", "one"], "'one' is no whole number"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_USE)
+def test_wrong_use_is_one_line_and_exit_code_2(case: str, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments, words = WRONG_USE[case]
+    out, err = said(capsys, *arguments, code=2)
+    assert out == ""
+    assert words in err
+    assert err.count("\n") == 1
+
+
+def test_no_node_id_yet(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    yaml.write_text("modules: [{node_id: 255, serial_number: 7}]\n")
+    _, err = said(capsys, str(yaml), code=2)
+    assert err.startswith("canfb: the module with serial number 7 has no node-ID yet")
+
+
+def test_a_folder_that_is_not_there(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, err = said(capsys, str(yaml), "--out", "nowhere/a.dcf", code=1)
+    assert err == "canfb: cannot write nowhere/a.dcf: No such file or directory\n"
+
+
+def test_what_a_master_in_the_order_of_the_indices_cannot_write_is_told(
+    yaml: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with StateFiles("state") as store:
+        peer = Peer(ModuleConfig(node_id=0x20), store)
+        for value in (1 << 31, 0x90):
+            peer.remote.sdo.download(0x1014, 0, value.to_bytes(4, "little"))
+        peer.remote.sdo.download(0x1010, 1, b"save")
+    yaml.write_text("modules: [{node_id: 0x20, state_dir: state}]\n")
+    _, err = said(capsys, str(yaml))
+    assert "in the order of the indices, is refused at 1014:00; give it the concise form" in err
+
+
+def test_a_live_module_is_read_by_sdo() -> None:
+    peer = Peer(ModuleConfig(node_id=5, adc_bits=14, serial_number=4711, conditioning=Conditioning(1.5)))
+    peer.activate(TABLE)
+    read = read_node(peer, 5)  # type: ignore[arg-type]
+    assert read.values() == configuration_of(peer.module).values()
+    assert read.writes() == configuration_of(peer.module).writes()
+    assert (read.node_id, read.serial_number, read.table) == (5, 4711, TABLE.to_bytes())
+
+
+def test_a_node_that_is_none_of_ours() -> None:
+    peer = Peer(ModuleConfig(node_id=5))
+    peer.module.dictionary.entry(0x1000).value = 0x00040191
+    with pytest.raises(CanfbError, match=r"node 5 \(05h\) is no feedback module of canfb: 1000:00 is 40191h"):
+        read_node(peer, 5)  # type: ignore[arg-type]
+
+
+def test_a_module_of_another_version() -> None:
+    peer = Peer(ModuleConfig(node_id=5))
+    del peer.module.dictionary._entries[0x2010, 4]
+    with pytest.raises(CanfbError, match=r"2010:04 is refused: .* another version of canfb"):
+        read_node(peer, 5)  # type: ignore[arg-type]

@@ -1,0 +1,138 @@
+"""A DCF from an EDS: where the values stand, how they are written, what is new in it."""
+
+from __future__ import annotations
+
+from configparser import RawConfigParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+import sample_eds
+
+from canfb.device import eds
+from canfb.device.dcf import Commissioning, FileInfo, Place, dcf_text
+from canfb.device.dictionary import Dictionary
+
+INFO = FileInfo(file_name="node.dcf", description="A node", date="11-21-2026", time="08:15PM")
+PLACE = Commissioning(
+    node_id=5, node_name="node", bit_rate_kbit_s=250, network_name="can0", serial_number=4711
+)
+COMPACT = """
+[2A00]
+ParameterName=List
+ObjectType=0x8
+DataType=0x0003
+AccessType=rw
+DefaultValue=0x0010
+CompactSubObj=3
+[2A01]
+ParameterName=Command
+ObjectType=0x7
+DataType=0x0005
+AccessType=wo
+ObjFlags=0x3
+[2A02]
+ParameterName=Content
+ObjectType=0x2
+ObjFlags=0x1
+[2A03]
+ParameterName=Name
+ObjectType=0x7
+DataType=0x0009
+AccessType=rw
+[2A04]
+ParameterName=Switch
+ObjectType=0x7
+DataType=0x0001
+AccessType=rw
+"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = sample_eds.write(tmp_path / "sample.eds", sample_eds.ROWS)
+    path.write_text(path.read_text() + COMPACT)
+    return path
+
+
+def written(path: Path, values: dict[Place, Any], **more: Any) -> RawConfigParser:
+    """The DCF, read again as an EDS is."""
+    dcf = path.with_suffix(".dcf")
+    dcf.write_bytes(dcf_text(path, INFO, PLACE, values, **more).encode("ascii"))
+    return eds.read(dcf)
+
+
+def test_file_info_and_commissioning(path: Path) -> None:
+    dcf = written(path, {})
+    assert dict(dcf.items("DeviceComissioning")) == {
+        "NodeID": "0x05",
+        "NodeName": "node",
+        "Baudrate": "250",
+        "NetNumber": "0",
+        "NetworkName": "can0",
+        "CANopenManager": "0",
+        "LSS_SerialNumber": "4711",
+    }
+    info = dict(dcf.items("FileInfo"))
+    assert info["FileName"] == "node.dcf"
+    assert info["LastEDS"] == "sample.eds"
+    assert (info["CreationDate"], info["CreationTime"]) == ("11-21-2026", "08:15PM")
+    assert (info["ModificationDate"], info["ModificationTime"]) == ("11-21-2026", "08:15PM")
+    assert dcf.sections().index("DeviceComissioning") == dcf.sections().index("DeviceInfo") + 1
+
+
+def test_a_bit_rate_that_is_not_known_is_left_out(path: Path) -> None:
+    unknown = Commissioning(
+        node_id=127, node_name="n", bit_rate_kbit_s=None, network_name="", serial_number=0
+    )
+    assert "Baudrate" not in dcf_text(path, INFO, unknown, {})
+
+
+def test_values_are_written_as_the_eds_writes_its_defaults(path: Path) -> None:
+    dcf = written(path, {(0x1005, 0): 0x90, (0x2A00, 2): -2, (0x2A00, 3): 255, (0x2A01, 0): 7})
+    assert dcf.get("1005", "ParameterValue") == "0x00000090"
+    assert dcf.get("2A00sub2", "ParameterValue") == "-2"
+    assert dcf.get("2A00sub3", "ParameterValue") == "0x00FF"
+    assert dcf.get("2A01", "ParameterValue") == "7"
+    assert not dcf.has_option("2A00sub1", "ParameterValue")
+    assert dcf.get("2A00sub2", "DefaultValue") == "0x0010"
+
+
+def test_bytes_texts_and_flags(path: Path) -> None:
+    dcf = written(path, {(0x2A02, 0): b"\x01\xab", (0x2A03, 0): "left", (0x2A04, 0): True})
+    assert dcf.get("2A02", "ParameterValue") == "01AB"
+    assert dcf.get("2A03", "ParameterValue") == "left"
+    assert dcf.get("2A04", "ParameterValue") == "1"
+
+
+def test_what_has_a_value_or_a_file_may_be_loaded(path: Path) -> None:
+    dcf = written(path, {(0x2A01, 0): 1}, files={(0x2A02, 0): "content.bin"})
+    assert dcf.get("2A01", "ObjFlags") == "0x2"
+    assert dcf.get("2A02", "ObjFlags") == "0x0"
+    assert dcf.get("2A02", "DownloadFile") == "content.bin"
+    assert not dcf.has_option("2A02", "ParameterValue")
+    assert written(path, {}).get("2A01", "ObjFlags") == "0x3"
+
+
+def test_the_rest_is_the_eds(path: Path) -> None:
+    """And so it can be loaded as one."""
+    before, after = eds.read(path), written(path, {(0x1005, 0): 0x90})
+    kept = [name for name in before.sections() if name not in ("FileInfo", "1005")]
+    assert {name: dict(before.items(name)) for name in kept} == {
+        name: dict(after.items(name)) for name in kept
+    }
+    loaded = Dictionary.load(path.with_suffix(".dcf"), 5)
+    assert [(one.index, one.subindex) for one in loaded] == [
+        (one.index, one.subindex) for one in Dictionary.load(path, 5)
+    ]
+
+
+def test_lines_end_as_on_the_systems_of_the_masters(path: Path) -> None:
+    text = dcf_text(path, INFO, PLACE, {})
+    assert text.count("\n") == text.count("\r\n") > 100
+    assert text.isascii()
+
+
+def test_a_value_for_what_the_eds_does_not_have(path: Path) -> None:
+    with pytest.raises(ValueError, match="2A00h:04 is not in the EDS"):
+        dcf_text(path, INFO, PLACE, {(0x2A00, 4): 1})
