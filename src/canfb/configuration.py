@@ -226,7 +226,9 @@ class _Reader:
         }
 
     def _source(self, node: yaml.Node) -> Any:
-        """One of several classes, by its ``kind``."""
+        """One of several classes, by its ``kind``; null is none."""
+        if node.tag == "tag:yaml.org,2002:null":
+            return None
         if not isinstance(node, yaml.MappingNode):
             raise self.fail(
                 node, "'source' must be a mapping with a kind, such as {kind: iio, device: ads7950}"

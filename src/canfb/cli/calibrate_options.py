@@ -174,7 +174,7 @@ def chosen_nodes(options: argparse.Namespace, config: Config) -> tuple[int, int 
     known = [one for one in config.modules if module in (None, one.node_id)]
     if module is None:
         module = known[0].node_id if known else DEFAULT_MODULE
-    if interface is None and known:
+    if interface is None and known and known[0].source is None:
         interface = known[0].encoder_interface
     if module == interface:
         raise ConfigError(f"--encoder-interface {interface}: must be another node than the module")

@@ -50,16 +50,17 @@ def agreed_layout(module: NodeAccess | None, interface: NodeAccess) -> PdoLayout
     An interface that does not answer is taken to send as the module expects it, or by default.
     """
     taken = module_layout(module) if module is not None else None
+    if module is not None and taken is None:
+        raise CommissioningError(
+            f"{module.name} has no valid RPDO with both tracks (2000:01, 2000:02): map and enable one; for a "
+            "module that samples itself: --source recording --recorder module"
+        )
     if not interface.answers():
         return taken or PdoLayout(0x180 + interface.node_id)
     sent = interface_layout(interface)
     if sent is None:
         raise CommissioningError(
             f"{interface.name} has no valid TPDO with both tracks (6401:01, 6401:02): map and enable one"
-        )
-    if module is not None and taken is None:
-        raise CommissioningError(
-            f"{module.name} has no valid RPDO with both tracks (2000:01, 2000:02): map and enable one"
         )
     if module is not None and taken is not None and taken.can_id != sent.can_id:
         raise CommissioningError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from canfb.commissioning.access import CommissioningError, Master, NodeAccess
+from canfb.commissioning.access import Master, NodeAccess
 from canfb.commissioning.active import ActiveSet, read_active
 from canfb.commissioning.listening import listen
 from canfb.commissioning.pdo_layout import PdoLayout, agreed_layout, module_layout
@@ -65,7 +65,7 @@ class Session:
 def _interface_of(module: NodeAccess) -> int:
     """The node from which the module takes its samples, as the COB-ID of its RPDO tells it."""
     layout = module_layout(module)
-    if layout is None:
-        raise CommissioningError(f"{module.name} has no valid RPDO with both tracks (2000:01, 2000:02)")
+    if layout is None:  # it may sample itself, and record that
+        return DEFAULT_INTERFACE
     node_id = layout.can_id & 0x7F
     return node_id if layout.can_id & 0x780 in (0x180, 0x280, 0x380, 0x480) and node_id else DEFAULT_INTERFACE
