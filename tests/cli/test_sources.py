@@ -61,7 +61,8 @@ def test_a_recording_in_columns(tracks: Path) -> None:
 
 
 def test_a_recording_with_gaps_and_times(tracks: Path) -> None:
-    source = f"{{kind: recording, file: {tracks}, columns: [a, b], mid_scale: 2048, time_column: t, gap_samples: 2}}"
+    layout = "columns: [a, b], mid_scale: 2048, time_column: t, gap_samples: 2"
+    source = f"{{kind: recording, file: {tracks}, {layout}}}"
     assert played(opened(source)) == [Sample(0, 1), None, None, None, None, Sample(6, 7)]
     timed = source.replace("}", ", gap_s: 1000, time_stamps: true}")
     times = [sample and sample.time_100ns for sample in played(opened(timed))]
