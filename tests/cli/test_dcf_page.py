@@ -1,0 +1,108 @@
+"""docs/dcf.md: its commands and its examples run, one after the other."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import canopen
+import pytest
+
+from canfb.cli import config_dcf
+from canfb.cli.main import main
+from canfb.configuration import load_config
+from canfb.demo.plant import EmbeddedNetwork
+from canfb.device.storage import MemoryStore
+from canfb.module.config import ModuleConfig
+from canfb.module.device_configuration import configuration_of
+from canfb.module.feedback_module import FeedbackModule
+from canfb.simulation.embedded_bus import EmbeddedBus
+
+PAGE = (Path(__file__).parents[2] / "docs" / "dcf.md").read_text(encoding="utf-8")
+COMMANDS = [
+    shlex.split(line, comments=True)
+    for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+    for line in block.splitlines()
+]
+EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+YAML = "bus: {bitrate: 500000}\nmodules: [{node_id: 0x20, adc_bits: 16, conditioning: {sine_gain: 1.07}}]\n"
+
+
+class Network(EmbeddedNetwork):
+    """In place of the bus of the examples: a module that can save is on it."""
+
+    def __init__(self) -> None:
+        bus = EmbeddedBus()
+        super().__init__(bus)
+        self.module = FeedbackModule(ModuleConfig(node_id=0x20), MemoryStore())
+        bus.attach(self.module)
+
+    def connect(self, *args: Any, **words: Any) -> Any:
+        assert words == {"interface": "socketcan", "channel": "can0"}
+        return self
+
+    def wait(self, duration_s: float) -> None:
+        """Nothing happens meanwhile."""
+
+    def __enter__(self) -> Any:
+        return self
+
+    def __exit__(self, *ending: Any) -> None:
+        """There is nothing to close."""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "feedback.yaml").write_text(YAML)
+    return tmp_path
+
+
+def test_commands_and_examples_make_the_module_of_the_configuration(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert [words[:3] for words in COMMANDS] == [["canfb", "config", "dcf"]] * 3
+    for words in COMMANDS[:2]:
+        assert main(words[1:]) == 0
+    network = Network()
+    monkeypatch.setattr(canopen, "Network", lambda: network)
+    names: dict[str, Any] = {}
+    exec(compile(EXAMPLES[0], "docs/dcf.md", "exec"), names)
+    wanted = config_dcf.configured(load_config("feedback.yaml").modules[0])
+    assert configuration_of(network.module).values() == wanted.values()
+
+    # The third command reads the module; the second example writes what it has read.
+    monkeypatch.setattr(config_dcf, "open_bus", lambda words: words)
+    monkeypatch.setattr(config_dcf, "BusMaster", lambda bus, answer_within_s: _Reading(network))
+    assert main(COMMANDS[2][1:]) == 0
+    fresh = Network()
+    names["node"] = fresh.add_node(0x20, canopen.import_od("module-20h.dcf"))
+    exec(compile(EXAMPLES[1], "docs/dcf.md", "exec"), names)
+    assert configuration_of(fresh.module).values() == wanted.values()
+
+
+class _Reading:
+    """The master of the command on the network of the examples."""
+
+    def __init__(self, network: Network) -> None:
+        self._network = network
+
+    def __enter__(self) -> Any:
+        return self
+
+    def __exit__(self, *ending: Any) -> None:
+        """There is nothing to close."""
+
+    def sdo(self, node_id: int) -> Any:
+        return self._network[node_id].sdo
+
+
+def test_the_page_names_every_option() -> None:
+    parser = argparse.ArgumentParser()
+    config_dcf.add_options(parser)
+    bus = {"--fd", "--data-bitrate", "--timing", "--bus-kwargs", "--channel", "--interface", "--bitrate"}
+    options = {word for action in parser._actions for word in action.option_strings if word.startswith("--")}
+    assert {word for word in options - bus - {"--help"} if word not in PAGE} == set()
