@@ -6,7 +6,7 @@ import argparse
 import math
 from dataclasses import replace
 
-from canfb.bus.opening import describe, open_bus
+from canfb.bus.opening import describe, open_device_bus
 from canfb.bus.realtime import apply_realtime
 from canfb.bus.runner import Device, Runner, ending_on_signals
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, report
@@ -78,19 +78,19 @@ def simulate(options: argparse.Namespace) -> int:
     interface = EncoderInterface(
         module.encoder_interface, source, autostart=options.autostart or module.autostart
     )
+    node = f"{module.encoder_interface} ({module.encoder_interface:02X}h)"
+    interface.node.on_duplicate = lambda can_id, now: report(
+        f"encoder interface {node}: another node sends with this node-ID ({can_id:03X}h)"
+    )
     # The machine first: it must have moved when the SYNC comes to the others.
     devices: list[Device] = [interface] if axis is None else [axis.plant, interface, axis.drive]
     if options.rate is not None:
         devices.append(SyncProducer(1.0 / options.rate))
-    with open_bus(words) as bus:
+    with open_device_bus(words) as bus:
         runner = Runner(bus, devices, report)
         apply_realtime(config.realtime, report)
         with ending_on_signals(runner.stop):
-            node = module.encoder_interface
-            print(
-                f"encoder interface: node {node} ({node:02X}h) on {describe(words)}; end with Ctrl-C",
-                flush=True,
-            )
+            print(f"encoder interface: node {node} on {describe(words)}; end with Ctrl-C", flush=True)
             if axis is not None:
                 print(axis.describe(), flush=True)
             runner.run(finished=lambda: interface.ended)
