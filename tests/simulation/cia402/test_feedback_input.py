@@ -1,0 +1,200 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.device.dictionary import Dictionary
+from canfb.eds_files import eds_path
+from canfb.simulation.cia402.feedback import FeedbackInput, Wrong
+
+DICTIONARY = Dictionary.load(eds_path("drive"), 48)
+FULL = 4_280_320_000
+
+
+class Input:
+    """A feedback of 20480000 increments, 3000 rpm at 1 kHz: steps up to 2048000 are believed."""
+
+    def __init__(self, full: int = FULL) -> None:
+        DICTIONARY.reset()
+        DICTIONARY.entry(0x2110, 5).value = full
+        self.feedback = FeedbackInput(DICTIONARY)
+
+    def take(self, raw: int, status: int = 1, *, supervised: bool = True, syncs: int = 1) -> bool:
+        for _ in range(syncs):
+            self.feedback.sync()
+        DICTIONARY.entry(0x60E4, 1).value = (raw + (1 << 31)) % (1 << 32) - (1 << 31)
+        DICTIONARY.entry(0x2110, 1).value = status
+        return self.feedback.take(50.0, 1e-3, supervised=supervised)
+
+    @property
+    def wrong(self) -> Wrong:
+        assert DICTIONARY.entry(0x2111, 1).value == self.feedback.wrong
+        return self.feedback.wrong
+
+
+def test_before_the_first_position_it_is_missing() -> None:
+    one = Input()
+    assert one.wrong == Wrong.MISSING
+    assert one.take(100)
+    assert one.wrong == Wrong(0)
+    assert (one.feedback.position, one.feedback.speed) == (100, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("full", "raw", "position"),
+    [
+        (FULL, FULL - 1, -1),
+        (FULL, FULL // 2 - 1, FULL // 2 - 1),
+        (FULL, FULL // 2, -FULL // 2),
+        (0, 0xFFFFFFFF, -1),
+        (0, 0x7FFFFFFF, 0x7FFFFFFF),
+        (0, 0x80000000, -0x80000000),
+        (101, 50, 50),
+        (101, 51, -50),
+    ],
+)
+def test_the_first_one_is_on_the_side_of_zero_where_it_is_near(full: int, raw: int, position: int) -> None:
+    one = Input(full)
+    assert one.take(raw)
+    assert one.feedback.position == position
+
+
+@pytest.mark.parametrize("full", [FULL, 0])
+def test_it_goes_on_where_the_range_wraps(full: int) -> None:
+    one, position = Input(full), -3_000_000
+    for _ in range(4300):
+        assert one.take(position % (full or 1 << 32))
+        assert one.feedback.position == position
+        position += 1_000_000
+    assert position > (full or 1 << 32)
+    for _ in range(8600):
+        position -= 1_000_000
+        assert one.take(position % (full or 1 << 32))
+    assert one.feedback.position == position
+
+
+def test_the_speed_is_the_mean_over_the_intervals() -> None:
+    one = Input()
+    one.take(0)
+    one.take(1_024_000)
+    assert one.feedback.speed == pytest.approx(50.0)
+    one.take(1_024_000 + 2 * 204_800, syncs=2)
+    assert one.feedback.speed == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize("step", [2_048_001, -2_048_001, 2_000_000_000])
+def test_a_step_that_the_machine_cannot_make_is_wrong_once(step: int) -> None:
+    one = Input()
+    one.take(0)
+    assert not one.take(step % FULL)
+    assert one.wrong == Wrong.STEP
+    assert one.feedback.position == 0
+    assert one.take((step + 100) % FULL)
+    assert one.wrong == Wrong(0)
+
+
+@pytest.mark.parametrize("step", [2_048_000, -2_048_000])
+def test_a_step_at_the_limit_is_believed(step: int) -> None:
+    one = Input()
+    one.take(0)
+    assert one.take(step % FULL)
+    assert one.take(3 * step % FULL, syncs=2)
+
+
+def test_the_limit_may_be_given() -> None:
+    one = Input()
+    DICTIONARY.entry(0x2110, 9).value = 10
+    one.take(0)
+    assert one.take(10)
+    assert not one.take(21)
+
+
+def test_without_supervision_a_jump_is_a_new_beginning() -> None:
+    one = Input()
+    one.take(0)
+    assert one.take(1_000_000_000, supervised=False)
+    assert (one.wrong, one.feedback.position, one.feedback.speed) == (Wrong(0), 1_000_000_000, 0.0)
+
+
+@pytest.mark.parametrize("status", [0x0000, 0x0002, 0xFFFE])
+def test_a_position_that_is_not_valid_is_not_used(status: int) -> None:
+    one = Input()
+    one.take(0)
+    assert not one.take(50, status)
+    assert (one.wrong, one.feedback.position) == (Wrong.STATUS, 0)
+    assert one.take(90)
+    assert one.feedback.speed == pytest.approx(90 / 20_480_000 / 2e-3)
+
+
+@given(st.integers(0, 0xFFFF), st.integers(0, 0xFFFF), st.integers(0, 0xFFFF))
+def test_mask_and_expected_value_decide(status: int, mask: int, expected: int) -> None:
+    one = Input()
+    DICTIONARY.entry(0x2110, 2).value = mask
+    DICTIONARY.entry(0x2110, 3).value = expected
+    good = all((status ^ expected) >> bit & 1 == 0 for bit in range(16) if mask >> bit & 1)
+    assert one.take(0, status) == good
+
+
+def test_beyond_the_range_is_wrong() -> None:
+    one = Input()
+    assert not one.take(FULL)
+    assert one.wrong == Wrong.RANGE
+    assert Input(0).take(FULL)
+
+
+@pytest.mark.parametrize("tolerated", [0, 2, 255])
+def test_missing_after_as_many_syncs_as_are_tolerated(tolerated: int) -> None:
+    one = Input()
+    DICTIONARY.entry(0x2110, 6).value = tolerated
+    one.take(0)
+    for _ in range(tolerated + 1):
+        one.feedback.sync()
+    assert one.wrong == Wrong(0)
+    one.feedback.sync()
+    assert one.wrong == Wrong.MISSING
+    assert DICTIONARY.entry(0x2111, 3).value == tolerated + 1
+    assert one.take(0)
+    assert one.wrong == Wrong(0)
+
+
+def test_a_second_one_in_the_same_cycle_is_not_used() -> None:
+    one = Input()
+    one.take(0)
+    one.take(1000)
+    speed = one.feedback.speed
+    assert not one.take(1000, syncs=0)
+    assert (one.wrong, one.feedback.speed) == (Wrong(0), speed)
+    assert not one.take(1000, 0, syncs=0)
+    assert one.wrong == Wrong.STATUS
+
+
+@pytest.mark.parametrize("code", [0x7300, 0x7305, 0x73FF])
+def test_a_sensor_emergency_lasts_until_0000h(code: int) -> None:
+    one = Input()
+    one.take(0)
+    one.feedback.emergency(code)
+    assert one.take(10)
+    assert one.wrong == Wrong.EMERGENCY
+    one.feedback.lose()
+    assert one.wrong == Wrong.EMERGENCY | Wrong.MISSING
+    one.feedback.emergency(0)
+    assert one.wrong == Wrong.MISSING
+
+
+@pytest.mark.parametrize("code", [0x1000, 0x7200, 0x7400, 0x8130, 0xFF00])
+def test_another_emergency_is_none_of_its_business(code: int) -> None:
+    one = Input()
+    one.take(0)
+    one.feedback.emergency(code)
+    assert one.wrong == Wrong(0)
+
+
+def test_a_boot_up_ends_the_emergency_and_the_position() -> None:
+    one = Input()
+    one.take(5_000_000)
+    one.feedback.emergency(0x7300)
+    one.feedback.boot_up()
+    assert one.wrong == Wrong.MISSING
+    assert one.take(100)
+    assert one.feedback.position == 100

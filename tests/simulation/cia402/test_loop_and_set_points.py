@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.simulation.cia402.loop import Demand, Gains, PositionLoop, approach, chosen_gains
+from canfb.simulation.cia402.scaling import nearest, saturated, wrapped
+from canfb.simulation.cia402.set_points import SetPoints
+from canfb.simulation.cia402.windows import Lasting
+
+NEW, AT_ONCE, RELATIVE = 0x1F, 0x3F, 0x5F
+GAINS = Gains(50.0, 0.2, 0.04, 1.0, 1.0, 1e-3)
+
+
+def step(loop: PositionLoop, demand: Demand, position: float = 0.0, speed: float = 0.0) -> float:
+    return loop.step(
+        demand, position, speed, GAINS, period_s=1e-3, torque_limit_nm=0.5, speed_limit_rad_s=300.0
+    )
+
+
+def test_gains_that_are_0_are_chosen_and_others_are_kept() -> None:
+    chosen = chosen_gains(Gains(0.0, 0.0, 0.0, 1.0, 0.5, 1e-3), 1e-3)
+    assert (chosen.position, chosen.velocity, chosen.integral_s) == pytest.approx((50.0, 0.2, 0.04))
+    assert chosen_gains(GAINS, 5e-3) == GAINS
+
+
+def test_on_target_at_rest_there_is_no_torque() -> None:
+    assert step(PositionLoop(), Demand(3.0), 3.0) == 0.0
+
+
+def test_the_torque_is_the_sum_of_its_parts() -> None:
+    demand = Demand(1e-5, 0.1, 10.0)
+    loop = PositionLoop()
+    assert step(loop, demand, 0.0, 0.1) == pytest.approx(0.2 * 50 * 6.283185e-5 + 1e-3 * 10.0, rel=1e-6)
+    assert not loop.limited
+
+
+def test_a_deviation_that_stays_is_integrated_up_to_the_limit() -> None:
+    loop = PositionLoop()
+    torques = [step(loop, Demand(0.0, 0.5), 0.0, 0.0) for _ in range(500)]
+    assert torques[:3] == pytest.approx([0.1, 0.1025, 0.105])
+    assert torques[-1] == 0.5
+    assert loop.limited
+    assert step(loop, Demand(0.0), 0.0, 0.5) < 0.5, "it leaves the limit at once"
+    loop.reset()
+    assert step(loop, Demand(0.0), 0.0, 0.0) == 0.0
+
+
+@given(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.floats(-1e4, 1e4), st.floats(-1e3, 1e3))
+def test_the_torque_is_within_its_limit(demand: float, speed: float, change: float, position: float) -> None:
+    loop = PositionLoop()
+    for _ in range(3):
+        assert abs(step(loop, Demand(demand, speed, change), position, speed / 2)) <= 0.5
+
+
+@given(st.floats(-1e4, 1e4))
+def test_the_approach_is_no_faster_than_the_motor_brakes(error: float) -> None:
+    speed = approach(error, 50.0, 350.0)
+    assert speed * error >= 0.0
+    assert abs(speed) <= 50.0 * abs(error)
+    assert speed * speed / (2 * 350.0) <= abs(error) + 1e-9
+    near = approach(error * (1 + 1e-9), 50.0, 350.0)
+    assert near == pytest.approx(speed, rel=1e-6, abs=1e-12)
+
+
+def test_a_set_point_is_taken_and_acknowledged_until_bit_4_falls() -> None:
+    points = SetPoints()
+    assert points.control(NEW, 100.0, 0.0)
+    assert (points.active, points.acknowledged) == (100.0, True)
+    assert not points.control(NEW, 200.0, 0.0), "no rising edge"
+    assert not points.control(0x0F, 200.0, 0.0)
+    assert not points.acknowledged
+    assert points.active == 100.0
+
+
+def test_a_second_one_waits_and_holds_the_acknowledgement() -> None:
+    points = SetPoints()
+    points.control(NEW, 100.0, 0.0)
+    points.control(0x0F, 0.0, 0.0)
+    assert not points.control(NEW, 200.0, 0.0)
+    points.control(0x0F, 0.0, 0.0)
+    assert points.acknowledged, "no room for another"
+    assert not points.control(NEW, 300.0, 0.0)
+    points.control(0x0F, 0.0, 0.0)
+    assert points.reached()
+    assert (points.active, points.acknowledged) == (200.0, False)
+    assert not points.reached()
+    assert points.active is None
+
+
+def test_one_at_once_takes_the_place_of_all() -> None:
+    points = SetPoints()
+    points.control(NEW, 100.0, 0.0)
+    points.control(0x0F, 0.0, 0.0)
+    assert points.control(AT_ONCE, -5.0, 0.0)
+    assert points.active == -5.0
+
+
+def test_a_relative_one_counts_from_the_last_target_else_from_here() -> None:
+    points = SetPoints()
+    points.control(RELATIVE, 10.0, 500.0)
+    assert points.active == 510.0
+    points.control(0x0F, 0.0, 0.0)
+    points.control(RELATIVE | AT_ONCE, 10.0, 503.0)
+    assert points.active == 520.0
+
+
+@given(st.integers(-(10**12), 10**12))
+def test_what_wraps_is_an_integer32_of_the_same_count(value: int) -> None:
+    shown = wrapped(value)
+    assert -(1 << 31) <= shown < 1 << 31
+    assert (shown - value) % (1 << 32) == 0
+
+
+@given(st.integers(-(1 << 31), (1 << 31) - 1), st.integers(-(10**12), 10**12))
+def test_the_nearest_of_all_positions_that_show_alike(target: int, reference: int) -> None:
+    place = nearest(target, reference)
+    assert wrapped(place) == target
+    assert abs(place - reference) <= 1 << 31
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [(1.4, 1), (-1.6, -2), (40000.0, 32767), (-1e99, -32768), (float("inf"), 32767), (float("nan"), 0)],
+)
+def test_what_does_not_fit_is_saturated(value: float, shown: int) -> None:
+    assert saturated(value, 16) == shown
+
+
+def test_what_must_last_begins_anew_after_each_break() -> None:
+    lasting = Lasting()
+    said = [lasting.update(so, 0.002, 0.001 * n) for n, so in enumerate([1, 1, 1, 0, 1, 1, 1, 1])]
+    assert said == [False, False, True, False, False, False, True, True]
+    assert Lasting().update(True, 0.0, 5.0)
