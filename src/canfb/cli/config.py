@@ -21,6 +21,8 @@ modules:                                        # one process serves several nod
     coast_samples: 3                            # bad samples to bridge before the position is lost
     autostart: false                            # true: operational without a master
     # state_dir: /var/lib/canfb/x               # keeps what `save` (1010h) saves; without it, nothing is kept
+    # source: {kind: iio, device: ads7950}      # the module's own ADC (Linux IIO) in place of the ADC PDO, or
+    #                                           # {kind: recording, file: tracks.csv}, or {kind: motion}
     # conditioning:                             # offset, gain and phase error of the tracks; default: none
     #   {sine_offset_counts: 0, cosine_offset_counts: 0, sine_gain: 1, cosine_gain: 1, phase_error_rad: 0}
 
