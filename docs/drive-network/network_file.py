@@ -178,6 +178,13 @@ class _Loader(yaml.SafeLoader):
 
     yaml_implicit_resolvers = {}  # noqa: RUF012 (as in the base class)
 
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """As in the base class, but no alias: one may stand for a part that holds itself."""
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            raise yaml.composer.ComposerError(None, None, "write it out instead of an alias", mark)
+        return super().compose_node(parent, index)
+
 
 for _tag, _pattern, _first in (
     ("bool", r"true|false", "tf"),
@@ -198,13 +205,18 @@ def load(path: str | Path) -> NetworkFile:
 
 
 def _parse(text: str, name: str) -> Item:
-    loader = _Loader(text)
+    try:
+        loader = _Loader(text)
+    except yaml.reader.ReaderError as error:
+        raise Item(None, name, 1, "no YAML").error(str(error.reason)) from None
     try:
         root = loader.get_single_node()
         return _item(loader, root, name, "the network") if root else Item({}, name, 1, "the network")
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise Item(None, name, mark.line + 1 if mark else 1, "no YAML").error(str(error.problem)) from None
+    except RecursionError:
+        raise Item(None, name, 1, "no network").error("nested too deeply") from None
     finally:
         loader.dispose()
 
@@ -213,12 +225,17 @@ def _item(loader: Any, node: Any, name: str, where: str) -> Item:
     inside = "" if where == "the network" else f"{where}."
     line = node.start_mark.line + 1
     if isinstance(node, yaml.ScalarNode):
-        return Item(loader.construct_object(node), name, line, where, node.value)
+        try:
+            return Item(loader.construct_object(node), name, line, where, node.value)
+        except (ValueError, yaml.YAMLError) as error:
+            raise Item(None, name, line, where).error(f"cannot be read: {error}") from None
     if isinstance(node, yaml.SequenceNode):
         children = [_item(loader, child, name, f"{where}[{n}]") for n, child in enumerate(node.value)]
         return Item(children, name, line, where)
     items: dict[str, Item] = {}
     for key, child in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            raise Item(None, name, key.start_mark.line + 1, where).error("a key must be one word")
         item = _item(loader, child, name, f"{inside}{key.value}")
         if key.value in items:
             raise item.error("this key appears twice")

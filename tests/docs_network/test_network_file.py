@@ -111,9 +111,27 @@ def test_dummies_fill_an_rpdo(tmp_path: Path) -> None:
     assert module.pdos[0x1400].mapping == (0x20000110, 0x00060010)
 
 
-@pytest.mark.parametrize("text", ["", "3", "[]", "a: *b", "nodes: {", "\t", "bus: {interface: x}"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "3",
+        "[]",
+        "a: *b",
+        "a: &b [*b]",
+        "nodes: {",
+        "\t",
+        "bus: {interface: x}",
+        "? [a]\n: 3",
+        "a: !!int x",
+        "[" * 3000,
+        "\x07",
+        "!!python/object:os.system x",
+        "a: 1\na: 2",
+    ],
+)
 def test_no_network_at_all(tmp_path: Path, text: str) -> None:
-    with pytest.raises(network_file.NetworkFileError):
+    with pytest.raises(network_file.NetworkFileError, match=r"network\.yaml:1:|network\.yaml:2:"):
         network_file.load(write(tmp_path, text))
 
 
