@@ -25,6 +25,7 @@ from canfb.module.config import ModuleConfig
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of, configuration_read
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.conditioning import Conditioning
+from canfb.signal.supervision import StatusBit
 
 SIXTEEN_BITS = [write(0x2001, 2, 2, 32768), write(0x2001, 4, 2, 40960), write(0x2001, 3, 2, 6554)]
 NARROW = [write(0x2001, 3, 2, 1), write(0x2001, 4, 2, 2)]
@@ -175,17 +176,31 @@ def test_what_a_master_cannot_write_in_the_order_of_the_indices(
     assert configuration.refused_in_index_order() == refused
 
 
-def test_the_lower_amplitude_waits_for_the_upper_one_only_below_the_full_scale(
+def test_the_lower_amplitude_may_pass_the_upper_one_of_another_full_scale(
     modules: tuple[FeedbackModule, FeedbackModule],
 ) -> None:
+    """In the order of the sub-indices; until the upper one is written no amplitude is accepted."""
     module = modules[0]
     reset(module)
     assert put(module, write(0x2001, 3, 2, 2560)) == 0x06090030
     assert put(module, write(0x2001, 2, 2, 32768)) == 0
-    assert put(module, write(0x2001, 3, 2, 32768)) == 0x06090030
     assert put(module, write(0x2001, 3, 2, 6554)) == 0
     assert put(module, write(0x2001, 4, 2, 6554)) == 0x06090030
     assert put(module, write(0x2001, 4, 2, 40960)) == 0
+    assert put(module, write(0x2001, 3, 2, 40960)) == 0x06090030
+
+
+def test_amplitudes_in_disorder_accept_nothing_and_are_loaded_as_they_are() -> None:
+    bench = Bench()
+    bench.start()
+    assert bench.at(0.0)[1] & StatusBit.VALID
+    for one in (write(0x2001, 2, 2, 32768), write(0x2001, 3, 2, 6554), write(0x2001, 2, 2, 2048)):
+        assert put(bench.module, one) == 0
+    assert bench.at(0.0)[1] & StatusBit.AMPLITUDE
+    target = FeedbackModule(ModuleConfig(node_id=NODE_ID))
+    target.start(0.0)
+    assert not any(put(target, one) for one in configuration_of(bench.module).writes())
+    assert state(target) == state(bench.module)
 
 
 def test_the_counter_overflow_takes_its_own_value_while_a_period_is_set(

@@ -21,6 +21,9 @@ from canfb.module.table_store import ACTIVATE, STAGED, TABLE
 OPENING: dict[Place, int] = {(ENCODER, 3): 0}
 """Values that are always accepted and let others be written: the lower one of two amplitudes."""
 
+LAST_PARAMETERS: tuple[Place, ...] = ((ENCODER, 2), (ENCODER, 3))
+"""What follows the other parameters: any lower amplitude is accepted after the full scale."""
+
 _PDOS = range(0x1400, 0x1C00)
 
 
@@ -77,7 +80,7 @@ class DeviceConfiguration:
             Setting(setting.entry, off[setting.place]) for setting in self.settings if setting.place in off
         ]
         rest = [setting for setting in self.settings if off.get(setting.place) != setting.value]
-        rest.sort(key=lambda setting: setting.place in OPENING)
+        rest.sort(key=lambda setting: _rank(setting.place))
         turns = [[_write(setting) for setting in rest if turn(setting.entry) == this] for this in TURNS]
         parameters, *later = turns
         return [
@@ -161,6 +164,10 @@ def _is_within_limits(setting: Setting) -> bool:
 def _off(setting: Setting) -> Any:
     opening = OPENING.get(setting.place)
     return switched_off(setting.entry, setting.value) if opening is None else opening
+
+
+def _rank(place: Place) -> int:
+    return LAST_PARAMETERS.index(place) + 1 if place in LAST_PARAMETERS else 0
 
 
 def _write(setting: Setting) -> Write:

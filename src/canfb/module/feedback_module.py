@@ -284,7 +284,7 @@ class FeedbackModule:
             return
         self.chain.restart()
         self._feedback = None
-        self._limits.apply()
+        self._limits.reset()
         self._tables.reset()
         self._profile.reset()
         self._publication.reset()

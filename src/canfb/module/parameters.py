@@ -78,9 +78,8 @@ class Limits:
         """A known acceleration narrows the residual limit; it then depends on the sampling interval."""
         self.residual_limit_cycles = 0.0
         """The residual limit in force, narrowed or not."""
-        # After another full scale the lower limit may pass the old upper one: a master that writes in the
-        # order of the sub-indices writes that next. Until then no amplitude is accepted.
-        self._low.on_write = self._check(lambda low: low < max(self._high.value, self._full_scale.value))
+        self._upper_is_old = False
+        self._low.on_write = self._check(lambda low: low < self._high.value or self._upper_is_old)
         self._high.on_write = self._check(lambda high: high > self._low.value)
         self._acceleration.on_write = self._check(lambda value: 0.0 <= value <= 1e9)
         for changed in (
@@ -94,6 +93,13 @@ class Limits:
             self._coarse,
         ):
             changed.on_written = self.apply
+        self._full_scale.on_written = self._full_scale_written
+        self._high.on_written = self._upper_written
+
+    def reset(self) -> None:
+        """After a reset of the node: the values of the dictionary belong together."""
+        self._upper_is_old = False
+        self.apply()
 
     def follow(self) -> None:
         """Before a sample, if it is :attr:`narrowed`: take the residual limit along with the interval."""
@@ -112,6 +118,18 @@ class Limits:
         coarse_limit = self._coarse.value / LIMIT_UNITS
         self._chain.set_limits(limits, limit, self._coast.value, self._frozen.value, coarse_limit)
         self._chain.set_cycles_per_revolution(cycles)
+
+    def _full_scale_written(self) -> None:
+        """The upper amplitude is that of another converter until it is written: a lower one may pass it.
+
+        So a master can write the sub-indices in their order. Meanwhile no amplitude is accepted.
+        """
+        self._upper_is_old = True
+        self.apply()
+
+    def _upper_written(self) -> None:
+        self._upper_is_old = False
+        self.apply()
 
     @staticmethod
     def _check(good: Callable[[Any], bool]) -> Callable[[Any], None]:
