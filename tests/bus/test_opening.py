@@ -11,10 +11,10 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 
 from canfb.bus.opening import (
     brings_own_frames_back,
+    check_device_bus,
     describe,
     marks_own_frames,
     open_bus,
-    open_device_bus,
     reason,
 )
 from canfb.errors import BusError, CanfbError, ConfigError
@@ -113,6 +113,7 @@ def test_udp_multicast_brings_own_frames_back() -> None:
 def test_a_device_may_not_hear_itself() -> None:
     words = {"interface": "virtual", "channel": "canfb devices"}
     with pytest.raises(ConfigError, match="receive_own_messages: leave it out"):
-        open_device_bus({**words, "receive_own_messages": True})
-    with open_device_bus({**words, "receive_own_messages": False}) as bus:
+        check_device_bus({**words, "receive_own_messages": True})
+    check_device_bus({**words, "receive_own_messages": False})
+    with open_bus(words) as bus:
         assert marks_own_frames(bus), "should it get them all the same"

@@ -113,7 +113,7 @@ def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
             bus.runner = Runner(bus, devices, report, clock, clock.sleep)
             return bus.runner
 
-        monkeypatch.setattr(command, "open_device_bus", lambda words: contextlib.nullcontext(bus))
+        monkeypatch.setattr(command, "open_bus", lambda words: contextlib.nullcontext(bus))
         monkeypatch.setattr(command, "Runner", make_runner)
         story = Story(main(["run", str(config), "-i", "socketcan", "-c", "can7"]))
         for _, sent in bus.sent:

@@ -26,14 +26,13 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
         raise BusError(f"cannot open the bus {describe(options)}: {reason(error)}") from error
 
 
-def open_device_bus(options: dict[str, Any]) -> can.BusABC:
-    """:func:`open_bus` for devices, which must not hear themselves: they would take it for a second node.
+def check_device_bus(options: dict[str, Any]) -> None:
+    """Refuse a bus on which a device would hear itself, and take that for a second node.
 
-    ConfigError with ``receive_own_messages``.
+    ConfigError for ``receive_own_messages``.
     """
     if options.get("receive_own_messages"):
         raise ConfigError("receive_own_messages: leave it out of the bus; a device must not hear itself")
-    return open_bus(options)
 
 
 def marks_own_frames(bus: can.BusABC) -> bool:

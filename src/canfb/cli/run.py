@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Mapping
 from typing import Any
 
-from canfb.bus.opening import describe, open_device_bus
+from canfb.bus.opening import check_device_bus, describe, open_bus
 from canfb.bus.realtime import apply_realtime
 from canfb.bus.runner import DeviceFailure, Runner, ending_on_signals
 from canfb.bus.state_files import StateFiles
@@ -38,9 +38,10 @@ def run(options: argparse.Namespace) -> int:
     """
     config = load_config(options.config)
     words = bus_options(options, config.bus)
+    check_device_bus(words)
     with contextlib.ExitStack() as resources:
         modules = [make_module(module, resources, words, config.simulation) for module in config.modules]
-        bus = resources.enter_context(open_device_bus(words))
+        bus = resources.enter_context(open_bus(words))
         runner = Runner(bus, list(modules), report)
         apply_realtime(config.realtime, report)
         with ending_on_signals(runner.stop):

@@ -6,7 +6,7 @@ import argparse
 import math
 from dataclasses import replace
 
-from canfb.bus.opening import describe, open_device_bus
+from canfb.bus.opening import check_device_bus, describe, open_bus
 from canfb.bus.realtime import apply_realtime
 from canfb.bus.runner import Device, Runner, ending_on_signals
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, report
@@ -68,6 +68,7 @@ def simulate(options: argparse.Namespace) -> int:
     """Serve the encoder interface until Ctrl-C, SIGTERM or the end of the recording."""
     config = load_config(options.config)
     words = bus_options(options, config.bus)
+    check_device_bus(words)
     if not 0 <= options.module < len(config.modules):
         raise ConfigError(f"--module {options.module}: the configuration has {len(config.modules)} modules")
     if options.rate is not None and not 0.1 <= options.rate <= 100_000:
@@ -86,7 +87,7 @@ def simulate(options: argparse.Namespace) -> int:
     devices: list[Device] = [interface] if axis is None else [axis.plant, interface, axis.drive]
     if options.rate is not None:
         devices.append(SyncProducer(1.0 / options.rate))
-    with open_device_bus(words) as bus:
+    with open_bus(words) as bus:
         runner = Runner(bus, devices, report)
         apply_realtime(config.realtime, report)
         with ending_on_signals(runner.stop):
