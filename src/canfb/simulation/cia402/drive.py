@@ -313,6 +313,7 @@ class ServoDrive:
             self._abort_connection(DriveError.COMMUNICATION, now)
             if self.state in POWERED:  # no SYNC, no position: nothing may turn
                 self._switch(self._machine.disable_voltage, now)
+        self._show()
 
     def _abort_connection(self, error: DriveError, now: float) -> None:
         """What 6007h says, to a drive that is switched on."""
@@ -331,6 +332,7 @@ class ServoDrive:
         self.feedback.reset()
         if not communication_only:
             self._machine.power_on()
+            self._error.value = int(DriveError.NONE)
             self._power_off(now)
         elif self.state is State.FAULT:
             self._announce(DriveError(self.error), now)
