@@ -5,6 +5,7 @@ Needs python canopen. Positions are revolutions of the machine.
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -80,7 +81,8 @@ class Axis:
         self.window = drive.sdo[0x6067].raw / self.units
         self._speed = drive.sdo[0x6081].raw / self.units
         self._acceleration = drive.sdo[0x6083].raw / self.units
-        self.rows: list[Row] = []
+        self.rows: list[Row] = []  # since the move has begun
+        self.all_rows: list[Row] = []
         self.follow: Callable[[], float] | None = None  # the set-point for the next SYNC
         self._module_pdo = _pdo_with(module.tpdo, 0x6004, 0x2011)
         self._state_pdo = _pdo_with(drive.tpdo, 0x6041, 0x6061, 0x6064)
@@ -200,6 +202,18 @@ class Axis:
 
         self._until(done, seconds, what)
 
+    def write_trace(self, path: str) -> None:
+        """Everything as a table, a line for each SYNC; OSError if the file cannot be written."""
+        with open(path, "w", newline="", encoding="utf-8") as file:
+            table = csv.writer(file)
+            table.writerow(
+                ("sync", "state", "demand", "position", "following_error", "module", "module_valid")
+            )
+            for number, row in enumerate(self.all_rows):
+                figures = (row.demand, row.position, row.following_error, row.module_positions[1])
+                numbers = [f"{figure:.7f}" for figure in figures]
+                table.writerow((number, row.state, *numbers, int(row.module_valid)))
+
     def _demands(self, target: float) -> bool:
         return bool(self.rows) and abs(self.rows[-1].demand - target) <= 1.5 / self.units
 
@@ -211,17 +225,16 @@ class Axis:
         self._last_units = units
 
     def _hear_drive(self, pdo: Any) -> None:
-        state = self._state_pdo
-        self.rows.append(
-            Row(
-                self.state,
-                state[0x6064].raw / self.units,
-                pdo[0x6062].raw / self.units,
-                pdo[0x60F4].raw / self.units,
-                (self._module_before / self.module_units, self._module_units / self.module_units),
-                bool(self.module_status & VALID),
-            )
+        row = Row(
+            self.state,
+            self.position,
+            pdo[0x6062].raw / self.units,
+            pdo[0x60F4].raw / self.units,
+            (self._module_before / self.module_units, self._module_units / self.module_units),
+            bool(self.module_status & VALID),
         )
+        self.rows.append(row)
+        self.all_rows.append(row)
         if self.follow is not None:
             self.command(ENABLE, self.follow())
 

@@ -165,6 +165,8 @@ def tell_story(nodes: Nodes, file: NetworkFile, remotes: dict[str, Any], options
         with contextlib.suppress(can.CanError, OSError):
             axis.disable()
         nodes.wait(3 * file.sync_period_us / 1e6)  # the drive takes it at a SYNC
+        if options.trace:
+            axis.write_trace(options.trace)
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -174,6 +176,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--mode", choices=MODES, default="profile")
     parser.add_argument("--revolutions", type=float, default=1.0, metavar="N")
     parser.add_argument("--provoke-alarm", action="store_true", help="the feedback fails in a move")
+    parser.add_argument("--trace", metavar="FILE.csv", help="what came at each SYNC, in revolutions")
     parser.add_argument("--check", action="store_true", help="only compare")
     return parser.parse_args(arguments)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import itertools
 import re
 from pathlib import Path
@@ -72,6 +73,24 @@ def test_the_alarm(mode: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert figure(said, "position          drive", 1) == pytest.approx(-1.0, abs=2e-4)
     assert network.drive.state is State.SWITCH_ON_DISABLED
     assert_all_quiet(network)
+
+
+def test_the_trace_has_a_line_for_each_sync(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    network, path = DriveNetwork(), tmp_path / "moves.csv"
+    network.at[2.0] = lambda: network.bus.send(Frame(0, bytes([2, 0x10])))  # a trace of a fault, above all
+    with pytest.raises(axis.FaultError):
+        network.run("--trace", str(path))
+    with path.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["sync"]) for row in rows] == list(range(len(rows)))
+    assert 180 < len(rows) <= network.plant.syncs
+    moving = [row for row in rows if row["state"] == "OPERATION ENABLED"]
+    for row in moving:
+        error = float(row["demand"]) - float(row["position"])
+        assert error == pytest.approx(float(row["following_error"]), abs=0.02)
+        assert float(row["position"]) == pytest.approx(float(row["module"]), abs=0.02)
+    assert max(float(row["position"]) for row in moving) > 0.5
+    assert {row["module_valid"] for row in rows[30:180]} == {"1"}
 
 
 def test_a_second_run_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
