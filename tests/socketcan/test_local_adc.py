@@ -1,0 +1,61 @@
+"""A module that samples itself, through libiio's local backend: sysfs tree, character device, trigger."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from ctypes.util import find_library
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+from emulated_iio_tree import position_cycles
+from network import POSITION_COB_ID, SYNC, next_frame, position_fields, write_config
+
+from canfb.signal.supervision import StatusBit
+from conftest import Process, skip_unless_required
+
+TREE = Path(__file__).with_name("emulated_iio_tree.py")
+SOURCE = """\
+    autostart: true
+    source: {kind: iio, device: ads7950, trigger: sysfstrig0, wait_us: 100000, buffer_scans: 8}
+"""
+UNITS_PER_CYCLE, RANGE_CYCLES = 8192, 209 * 2500
+
+
+def with_adc() -> list[str]:
+    """In a mount namespace of its own, with the rights that it takes."""
+    namespace = ["unshare", "--mount"] if os.geteuid() == 0 else ["unshare", "--map-root-user", "--mount"]
+    return [*namespace, sys.executable, str(TREE)]
+
+
+@pytest.fixture(autouse=True)
+def libiio() -> None:
+    if find_library("iio") is None:
+        skip_unless_required("no libiio; run: apt-get install libiio0")
+
+
+def test_each_sync_fires_the_trigger_and_its_position_is_right(
+    tmp_path: Path, can_bus: can.BusABC, command: Callable[..., Process]
+) -> None:
+    config = write_config(tmp_path, SOURCE)
+    run = command(*with_adc(), sys.executable, "-m", "canfb", "run", config)
+    run.wait_for("running node 32")
+    assert next_frame(can_bus, 0x720, 20.0) == b"\0"
+    for number in range(400):
+        can_bus.send(SYNC)
+        units, status, _ = position_fields(received(can_bus))
+        assert status & StatusBit.VALID
+        error = units / UNITS_PER_CYCLE - position_cycles(number)
+        assert abs((error + RANGE_CYCLES / 2) % RANGE_CYCLES - RANGE_CYCLES / 2) < 0.02, number
+    assert position_cycles(400) > 50
+    assert run.stop() == 0
+    run.wait_for("node 32: 400 samples; missed 0, ")
+
+
+def received(bus: can.BusABC) -> Any:
+    data = next_frame(bus, POSITION_COB_ID, 20.0)
+    assert data is not None
+    return data
