@@ -1,0 +1,356 @@
+"""What goes wrong with the feedback, the bus and the load, and what the drive makes of it."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+import pytest
+from drive_bench import DRIVE_ID, MODULE_ID, SYNC, UNITS, DriveBench
+
+from canfb.device.frame import Frame
+from canfb.signal.sample import Sample
+from canfb.simulation.cia402.state_machine import State
+
+HEARTBEAT_MS = 20
+
+
+def cruising(speed_rev_s: float = 5.0, **fields: object) -> DriveBench:
+    """At a constant speed, by targets at each SYNC."""
+    bench = DriveBench(**fields)
+    bench.enable()
+    bench.speed_rev_s = speed_rev_s
+    bench.place = float(bench.read(0x6064))
+    speed = 0.0
+    while speed < speed_rev_s:
+        speed += 50 * bench.period_s
+        onward(bench, min(speed, speed_rev_s))
+    for _ in range(50):
+        onward(bench)
+    assert bench.state is State.OPERATION_ENABLED
+    assert bench.motor.speed_rad_s / 6.283185 == pytest.approx(speed_rev_s, rel=0.02)
+    return bench
+
+
+def onward(bench: DriveBench, speed_rev_s: float | None = None) -> None:
+    """One SYNC, and the target for the next."""
+    bench.place += (bench.speed_rev_s if speed_rev_s is None else speed_rev_s) * UNITS * bench.period_s
+    bench.target(round(bench.place))
+    bench.cycle()
+
+
+def assert_fault(bench: DriveBench, error: int) -> None:
+    assert bench.state is State.FAULT
+    assert bench.read(0x603F) == error
+    assert bench.read(0x6041) & 0x4F == 0x08
+    assert (bench.motor.command_nm, bench.motor.torque_nm) == (0.0, 0.0)
+    assert (bench.read(0x6074), bench.read(0x6077)) == (0, 0)
+    assert bench.motor.braked
+
+
+def restart_module(bench: DriveBench) -> None:
+    """What brings a lost position back: the machine stands still, and the module starts again."""
+    bench.cycle(4000)
+    assert bench.motor.speed_rad_s == 0.0
+    bench.module_master.nmt.send_command(0x81)
+    bench.cycle(2)
+    bench.module_master.nmt.state = "OPERATIONAL"
+    bench.cycle(10)
+
+
+@pytest.mark.parametrize(
+    ("what", "spoil"),
+    [
+        ("no amplitude", lambda sample: Sample(0, 0)),
+        ("clipped", lambda sample: Sample(2047, 2047)),
+        ("half a cycle away", lambda sample: Sample(-sample.sine, -sample.cosine)),
+    ],
+)
+@pytest.mark.parametrize("synchronous", [False, True])
+def test_wrong_feedback_takes_the_torque_away_in_the_same_cycle(
+    what: str, spoil: Callable[[Sample], Sample], synchronous: bool
+) -> None:
+    bench = cruising(synchronous=synchronous)
+    bench.source.fault = spoil
+    onward(bench)
+    assert_fault(bench, 0x7305)
+    assert bench.emergencies(MODULE_ID)[-1] == 0x7300
+    assert bench.emergencies() == [0x7305]
+
+
+def test_the_fault_stays_until_it_is_reset_and_the_feedback_is_good() -> None:
+    bench = cruising()
+    bench.source.fault = lambda sample: Sample(0, 0)
+    for _ in range(10):
+        onward(bench)
+    bench.source.fault = None
+    place = bench.motor.revolutions
+    for controlword in (0x06, 0x07, 0x0F, 0x00, 0x80, 0x0F):  # a reset among them: the position is lost
+        bench.control(controlword)
+        onward(bench)
+        assert_fault(bench, 0x7305)
+    restart_module(bench)
+    assert bench.motor.revolutions > place, "it coasted"
+    assert_fault(bench, 0x7305)
+    bench.control(0x00)
+    bench.control(0x80)
+    assert bench.state is State.SWITCH_ON_DISABLED
+    assert bench.read(0x603F) == 0
+    assert bench.emergencies() == [0x7305, 0x0000]
+    place = bench.motor.revolutions
+    bench.enable()
+    bench.cycle(100)
+    assert bench.motor.revolutions == pytest.approx(place, abs=1e-4), "where it stood, not where it was to go"
+
+
+def test_the_emergency_of_the_module_is_enough() -> None:
+    bench = cruising()
+    bench.bus.send(Frame(0x80 + MODULE_ID, struct.pack("<HB5x", 0x7300, 0x21)))
+    assert_fault(bench, 0x7305)
+
+
+def test_another_emergency_of_the_module_is_no_fault() -> None:
+    bench = cruising()
+    bench.bus.send(Frame(0x80 + MODULE_ID, struct.pack("<HB5x", 0x8210, 0x11)))
+    onward(bench)
+    assert bench.state is State.OPERATION_ENABLED
+
+
+def test_who_wants_to_ride_through_a_coasted_sample_says_so() -> None:
+    """Mask bit 2, position lost, and no EMCY: the module bridges three samples."""
+    bench = DriveBench()
+    bench.write(0x2110, 0x0004, 2)
+    bench.write(0x2110, 0x0000, 3)
+    bench.write(0x2110, 0x80000000, 7)
+    bench.enable()
+    bench.source.fault = lambda sample: None
+    bench.cycle(2)
+    bench.source.fault = None
+    bench.cycle(50)
+    assert bench.state is State.OPERATION_ENABLED
+    bench.source.fault = lambda sample: None
+    bench.cycle(8)
+    assert_fault(bench, 0x7305)
+
+
+@pytest.mark.parametrize("tolerated", [0, 2, 5])
+def test_feedback_that_stops_coming_is_a_fault_after_n_syncs(tolerated: int) -> None:
+    bench = cruising(1.0)
+    bench.write(0x2110, tolerated, 6)
+    missed = bench.read(0x2111, 3)
+    bench.module_master.nmt.state = "STOPPED"
+    for _ in range(tolerated + 1):
+        onward(bench)
+        assert bench.state is State.OPERATION_ENABLED
+    onward(bench)
+    assert_fault(bench, 0x7305)
+    assert bench.read(0x2111, 1) == 0x02
+    assert bench.read(0x2111, 3) == missed + tolerated + 1
+
+
+def test_a_module_that_restarts_is_a_fault_at_once() -> None:
+    bench = cruising()
+    bench.module_master.nmt.send_command(0x81)
+    assert_fault(bench, 0x7305)
+
+
+def test_a_lost_heartbeat_of_the_module_is_a_fault() -> None:
+    bench = cruising(1.0)
+    bench.module_master.sdo[0x1017].raw = HEARTBEAT_MS // 2
+    bench.write(0x1016, MODULE_ID << 16 | HEARTBEAT_MS, 1)
+    bench.write(0x2110, 255, 6)
+    for _ in range(100):
+        onward(bench)
+    assert bench.state is State.OPERATION_ENABLED
+    bench.module_master.sdo[0x1017].raw = 0
+    for _ in range(HEARTBEAT_MS + 5):
+        onward(bench)
+    assert_fault(bench, 0x8130)
+    assert bench.emergencies() == [0x8130], "the node has told it; once is enough"
+
+
+@pytest.mark.parametrize(
+    ("option", "state"),
+    [
+        (0, State.OPERATION_ENABLED),
+        (1, State.FAULT),
+        (2, State.SWITCH_ON_DISABLED),
+        (3, State.QUICK_STOP_ACTIVE),
+    ],
+)
+def test_6007h_says_what_a_lost_heartbeat_does(option: int, state: State) -> None:
+    bench = cruising()
+    bench.write(0x6007, option)
+    bench.write(0x1029, 1, 1)  # stay in Operational
+    bench.write(0x1016, MODULE_ID << 16 | HEARTBEAT_MS, 1)
+    bench.bus.send(Frame(0x700 + MODULE_ID, b"\x05"))
+    for _ in range(HEARTBEAT_MS + 1):
+        onward(bench)
+    assert bench.state is state
+    for _ in range(300):
+        onward(bench)
+    ends = {State.QUICK_STOP_ACTIVE: State.SWITCH_ON_DISABLED}
+    assert bench.state is ends.get(state, state)
+
+
+@pytest.mark.parametrize("option", [0, 1, 2, 3])
+@pytest.mark.parametrize("command", ["PRE-OPERATIONAL", "STOPPED"])
+def test_outside_of_operational_there_is_no_torque(option: int, command: str) -> None:
+    bench = cruising()
+    bench.write(0x6007, option)
+    bench.master.nmt.state = command
+    assert bench.state is (State.FAULT if option == 1 else State.SWITCH_ON_DISABLED)
+    assert (bench.motor.command_nm, bench.motor.braked) == (0.0, True)
+    bench.master.nmt.state = "OPERATIONAL"
+    bench.cycle(5)
+    assert bench.drive.error == (0x8100 if option == 1 else 0)
+    assert bench.motor.command_nm == 0.0
+
+
+def test_a_reset_of_the_communication_keeps_the_fault_and_tells_it_again() -> None:
+    bench = cruising()
+    bench.master.nmt.send_command(0x82)
+    assert_fault(bench, 0x8100)
+    assert bench.emergencies() == [0x8100]
+
+
+@pytest.mark.parametrize("timeout_ms", [10, 100])
+def test_without_sync_the_torque_goes_off_in_time(timeout_ms: int) -> None:
+    bench = cruising()
+    bench.write(0x2110, timeout_ms, 8)
+    bench.bus.run_until(bench.bus.now + timeout_ms / 1000 - 1e-6)
+    assert bench.state is State.OPERATION_ENABLED
+    bench.bus.run_until(bench.bus.now + 2e-6)
+    assert_fault(bench, 0x8700)
+
+
+def test_the_supervision_of_the_sync_can_be_switched_off() -> None:
+    bench = cruising()
+    bench.write(0x2110, 0, 8)
+    bench.bus.run_until(bench.bus.now + 10.0)
+    assert bench.state is State.OPERATION_ENABLED
+
+
+def test_a_drive_that_is_off_misses_neither_sync_nor_feedback() -> None:
+    bench = DriveBench()
+    bench.module_master.nmt.state = "STOPPED"
+    bench.cycle(50)
+    bench.bus.run_until(bench.bus.now + 10.0)
+    bench.control(0x06)
+    bench.cycle(5)
+    assert bench.state is State.READY_TO_SWITCH_ON
+    assert bench.emergencies() == []
+    bench.control(0x07)
+    assert_fault(bench, 0x7305)
+
+
+def test_a_preset_under_power_is_a_position_that_cannot_be() -> None:
+    bench = cruising(0.0)
+    bench.bus.send(Frame(0x1A0, struct.pack("<IHH", 1_000_000_000, 1, 0)))
+    assert bench.state is State.OPERATION_ENABLED, "a second position in the same cycle is not looked at"
+    bench.interface_master.nmt.state = "STOPPED"
+    bench.bus.run_until(bench.bus.now + 1e-3)
+    bench.bus.send(SYNC)
+    bench.bus.send(Frame(0x1A0, struct.pack("<IHH", 1_000_000_000, 1, 0)))
+    assert_fault(bench, 0x7320)
+    assert bench.drive.feedback.position < 1000
+
+
+def test_a_preset_while_it_is_off_moves_6064h() -> None:
+    bench = DriveBench()
+    bench.module_master.sdo[0x6003].raw = 10 * 20_480_000
+    bench.cycle(3)
+    assert bench.read(0x6064) == pytest.approx(10 * UNITS, abs=2)
+    bench.enable()
+    bench.cycle(50)
+    assert bench.state is State.OPERATION_ENABLED
+    assert bench.motor.revolutions == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_position_beyond_the_range_is_a_fault() -> None:
+    bench = DriveBench()
+    bench.enable()
+    bench.write(0x2110, 1000, 5)
+    bench.module_master.sdo[0x6003].raw = 0
+    bench.interface_master.nmt.state = "STOPPED"
+    bench.bus.send(SYNC)
+    bench.bus.send(Frame(0x1A0, struct.pack("<IHH", 1000, 1, 0)))
+    assert_fault(bench, 0x7320)
+
+
+@pytest.mark.parametrize(("option", "ramp"), [(0, False), (1, True), (2, True)])
+def test_a_following_error_is_a_fault_with_the_reaction_of_605eh(option: int, ramp: bool) -> None:
+    bench = cruising()
+    bench.write(0x605E, option)
+    before = bench.motor.revolutions
+    bench.write(0x6072, 20)  # less torque than friction needs
+    count = 0
+    while bench.state is State.OPERATION_ENABLED:
+        onward(bench)
+        count += 1
+        assert count < 2000
+        bench.speed_rev_s += 0.05
+    assert bench.read(0x603F) == 0x8611
+    assert bench.emergencies() == [0x8611]
+    if not ramp:
+        assert_fault(bench, 0x8611)
+        return
+    assert bench.state is State.FAULT_REACTION_ACTIVE
+    bench.write(0x6072, 1000)
+    bench.cycle(400)
+    assert_fault(bench, 0x8611)
+    assert abs(bench.motor.speed_rad_s) < 0.1
+    assert bench.motor.revolutions > before
+
+
+def test_the_time_of_6066h_passes_before_the_fault() -> None:
+    bench = DriveBench()
+    bench.enable()
+    bench.write(0x6065, 10)
+    bench.write(0x6066, 7)
+    bench.write(0x6072, 0)
+    place = bench.read(0x6064)
+    for _ in range(7):
+        bench.target(place + 1000)
+        bench.cycle()
+        assert bench.read(0x6041) & 0x2000
+        assert bench.state is State.OPERATION_ENABLED
+        assert abs(bench.read(0x60F4) - 1000) < 10
+    bench.cycle()
+    assert bench.read(0x603F) == 0x8611
+
+
+def test_feedback_lost_during_a_reaction_ends_the_ramp() -> None:
+    bench = cruising()
+    bench.write(0x6065, 10)
+    bench.write(0x6066, 0)
+    bench.place += 1000
+    onward(bench)
+    assert bench.state is State.FAULT_REACTION_ACTIVE
+    bench.source.fault = lambda sample: Sample(0, 0)
+    bench.cycle()
+    assert_fault(bench, 0x8611)
+
+
+def test_the_sync_lost_during_a_reaction_ends_it_too() -> None:
+    bench = cruising()
+    bench.write(0x6065, 10)
+    bench.write(0x6066, 0)
+    bench.place += 1000
+    onward(bench)
+    assert bench.state is State.FAULT_REACTION_ACTIVE
+    bench.bus.run_until(bench.bus.now + 0.2)
+    assert_fault(bench, 0x8611)
+
+
+def test_the_emergency_tells_what_is_wrong_and_the_status_word_of_the_feedback() -> None:
+    bench = cruising()
+    bench.source.fault = lambda sample: Sample(0, 0)
+    onward(bench)
+    (frame,) = [frame for frame in bench.heard if frame.can_id == 0x80 + DRIVE_ID]
+    code, register, wrong, status = struct.unpack("<HBHHx", frame.data)
+    assert (code, register) == (0x7305, 0x21)
+    assert wrong & 0x04, "the EMCY of the module came first"
+    assert status == 1, "its last PDO was good"
+    assert bench.read(0x1001) == 0x21
+    assert bench.read(0x1003, 1) & 0xFFFF == 0x7305
