@@ -57,10 +57,23 @@ class StoryNetwork(EmbeddedNetwork):
     def __init__(self, bus: EmbeddedBus) -> None:
         super().__init__(bus)
         self._bus = bus
+        self._tasks: list[Periodic] = []
+        self._dead = False
+
+    def die(self) -> None:
+        """The computer of the master is off: nothing comes from it any more."""
+        self._dead = True
+        for task in self._tasks:
+            task.stop()
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        if not self._dead:
+            super().send_message(can_id, data, remote)
 
     def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> Periodic:
         task = Periodic(Frame(can_id, bytes(data)), period)
         self._bus.attach(task)
+        self._tasks.append(task)
         return task
 
 

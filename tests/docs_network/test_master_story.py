@@ -165,6 +165,18 @@ def test_a_machine_that_still_turns_is_waited_for(capsys: pytest.CaptureFixture[
     assert_all_quiet(network)
 
 
+def test_a_master_that_dies_stops_the_drive() -> None:
+    network = DriveNetwork()
+    network.at[1.5] = network.network.die
+    with pytest.raises(axis.FaultError):
+        network.run()
+    assert network.drive.state is State.FAULT
+    assert network.drive.error == DriveError.SYNC_CONTROLLER
+    assert network.plant.motor.braked
+    assert network.drive.node.state is NmtState.PRE_OPERATIONAL  # the heartbeat is missed, too
+    assert network.module.state is NmtState.OPERATIONAL  # it does not watch the master
+
+
 def test_a_start_that_fails_undoes_the_configuration(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
