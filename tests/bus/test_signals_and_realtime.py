@@ -6,11 +6,12 @@ import ctypes
 import errno
 import os
 import signal
+import threading
 from typing import Any
 
 import pytest
 
-from canfb.bus.realtime import MCL_CURRENT, MCL_FUTURE, apply_realtime
+from canfb.bus.realtime import MCL_CURRENT, MCL_FUTURE, RealtimeThread, apply_realtime
 from canfb.bus.runner import ending_on_signals
 from canfb.configuration import RealtimeConfig
 
@@ -106,6 +107,24 @@ def test_what_is_not_asked_for_is_left_alone(monkeypatch: pytest.MonkeyPatch) ->
     assert lines == []
     apply_realtime(RealtimeConfig(cpu=0), lines.append)
     assert system.calls == [("affinity", 0, {0})]
+
+
+def test_a_thread_of_the_sync_cycle_gets_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    system, over = System(monkeypatch), threading.Event()
+    threads = [RealtimeThread(target=over.wait), threading.Thread(target=over.wait)]
+    for thread in threads:
+        thread.start()
+    try:
+        apply_realtime(ALL, lambda line: None)
+        native_id = threads[0].native_id
+        first, locked, affinity = ALL_CALLS
+        assert system.calls == [
+            first, ("scheduler", native_id, *first[2:]), locked, affinity, ("affinity", native_id, {3})
+        ]  # fmt: skip
+    finally:
+        over.set()
+        for thread in threads:
+            thread.join()
 
 
 def test_a_system_without_such_calls_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ from typing import Self
 
 from canfb.bus.iio_capture import IioCapture, Scan
 from canfb.bus.opening import reason
+from canfb.bus.realtime import RealtimeThread
 from canfb.module.source_config import IioSourceConfig
 from canfb.signal.sample import Sample
 from canfb.signal.source import SourceError
@@ -38,7 +39,7 @@ class IioSource:
         self.adc_bits = self._capture.adc_bits
         """Bits of a count."""
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=f"iio {config.device}", daemon=True)
+        self._thread = RealtimeThread(target=self._run, name=f"iio {config.device}", daemon=True)
         self._thread.start()
 
     def __enter__(self) -> Self:

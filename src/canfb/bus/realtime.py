@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import ctypes
 import os
+import threading
 from collections.abc import Callable
 
 from canfb.configuration import RealtimeConfig
 
 MCL_CURRENT, MCL_FUTURE = 1, 2
+
+
+class RealtimeThread(threading.Thread):
+    """A thread that the SYNC cycle waits for: priority and processor are its own, too."""
 
 
 def apply_realtime(config: RealtimeConfig, report: Callable[[str], None]) -> None:
@@ -19,7 +24,7 @@ def apply_realtime(config: RealtimeConfig, report: Callable[[str], None]) -> Non
         _try("lock_memory", report, _lock_memory)
     if config.cpu is not None:
         cpu = config.cpu
-        _try("cpu", report, lambda: os.sched_setaffinity(0, {cpu}))
+        _try("cpu", report, lambda: _set_cpu(cpu))
 
 
 def _try(name: str, report: Callable[[str], None], action: Callable[[], None]) -> None:
@@ -32,7 +37,19 @@ def _try(name: str, report: Callable[[str], None], action: Callable[[], None]) -
 
 def _set_fifo(priority: int) -> None:
     # Not for processes that we start: a computation must not take the time of the SYNC cycle.
-    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    for thread in _threads():
+        os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+
+
+def _set_cpu(cpu: int) -> None:
+    for thread in _threads():
+        os.sched_setaffinity(thread, {cpu})
+
+
+def _threads() -> list[int]:
+    """The calling thread, and those that share its cycle; the system knows threads like processes."""
+    others = [thread.native_id for thread in threading.enumerate() if isinstance(thread, RealtimeThread)]
+    return [0, *(number for number in others if number is not None)]
 
 
 def _lock_memory() -> None:
