@@ -92,7 +92,7 @@ WRONG = {
     "{kind: iio, device: x, rate_hz: 0}": "source: rate_hz must be a whole number 1..10000000, not 0",
     "{kind: iio, device: x, time_stamps: 1}": "source: time_stamps must be true or false, not 1",
     "{kind: iio, device: x, buffer_scans: 1}": "source: buffer_scans must be a whole number 2..65536",
-    "{kind: iio, device: x, wait_us: 5}": "source: wait_us must be a whole number 10..100000",
+    "{kind: iio, device: x, wait_us: 5}": "source: wait_us must be a whole number 10..1000000",
     "{kind: motion, rate_hz: 0}": "source: rate_hz must be a number 0.1..100000, not 0",
     "{kind: motion, file: x}": "unknown key 'file' in source; known are kind, rate_hz",
     "{kind: recording, file: x, columns: a}": "source: columns must be two, [sine, cosine], not 'a'",

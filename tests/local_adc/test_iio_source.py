@@ -200,7 +200,7 @@ def fired(iiod: Iiod, scans: list[dict[str, int]]) -> EmulatedIiod:
 
 def test_a_trigger_is_fired_at_the_sync_and_its_scan_is_the_sample(iiod: Iiod, opened: Opened) -> None:
     server = fired(iiod, [reading(2048 + n, 0, n * 1000) for n in range(5)])
-    source = opened(server, trigger="sysfstrig7", wait_us=100_000)
+    source = opened(server, trigger="sysfstrig7", wait_us=1_000_000)
     assert server.adc.trigger == "sysfstrig7"
     assert source.scans == 0, "nothing is sampled before the first SYNC"
     for n in range(5):
@@ -209,7 +209,7 @@ def test_a_trigger_is_fired_at_the_sync_and_its_scan_is_the_sample(iiod: Iiod, o
 
 def test_a_scan_that_comes_too_late_is_missed_and_not_taken_for_the_next(iiod: Iiod, opened: Opened) -> None:
     server = iiod()
-    source = opened(server, trigger="sysfstrig7", wait_us=100_000)
+    source = opened(server, trigger="sysfstrig7", wait_us=200_000)
     assert source.next() is None
     deliver(server, source, reading(1, 1, 0))
     server.adc.on_fire = lambda: server.deliver(reading(2049, 2050, 100))

@@ -103,7 +103,7 @@ def run(port: int, tmp_path: Path) -> Iterator[Callable[[str], subprocess.Popen[
 
 def fired_by_sync(server: EmulatedIiod) -> str:
     place = f"uri: 'ip:127.0.0.1:{server.port}', device: ads7950"
-    return f"{{kind: iio, {place}, trigger: sysfstrig7, wait_us: 100000}}"
+    return f"{{kind: iio, {place}, trigger: sysfstrig7, wait_us: 1000000}}"
 
 
 def heard(bus: can.BusABC, can_id: int, process: subprocess.Popen[str]) -> bytes:

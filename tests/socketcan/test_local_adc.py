@@ -20,7 +20,7 @@ from conftest import Process, skip_unless_required
 TREE = Path(__file__).with_name("emulated_iio_tree.py")
 SOURCE = """\
     autostart: true
-    source: {kind: iio, device: ads7950, trigger: sysfstrig0, wait_us: 100000, buffer_scans: 8}
+    source: {kind: iio, device: ads7950, trigger: sysfstrig0, wait_us: 1000000, buffer_scans: 8}
 """
 UNITS_PER_CYCLE, RANGE_CYCLES = 8192, 209 * 2500
 

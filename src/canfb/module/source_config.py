@@ -78,7 +78,7 @@ class IioSourceConfig:
                    None: leave it
     time_stamps    True: the kernel's time of a scan is the sample time (2000:05)
     buffer_scans   length of the kernel's buffer, 2..65536 scans
-    wait_us        with a trigger that is fired: how long a SYNC waits for its scan, 10..100000 µs
+    wait_us        with a trigger that is fired: how long a SYNC waits for its scan, 10..1000000 µs
     adc_bits       bits of the converter as the configuration states them, 4..16; None: those of the
                    channels. In the YAML this is ``adc_bits`` of the module
     """
@@ -110,7 +110,7 @@ class IioSourceConfig:
             integer_in("rate_hz", self.rate_hz, 1, 10_000_000)
         _flag("time_stamps", self.time_stamps)
         integer_in("buffer_scans", self.buffer_scans, 2, 65536)
-        integer_in("wait_us", self.wait_us, 10, 100_000)
+        integer_in("wait_us", self.wait_us, 10, 1_000_000)
         if self.adc_bits is not None:
             integer_in("adc_bits", self.adc_bits, 4, 16)
 
