@@ -89,6 +89,7 @@ class Axis:
         self._too_far.reset()
         self._at_target.reset()
         self._demand = Demand(self._trajectory.position / self.scaling.units)
+        self._wanted_rad_s = 0.0  # speed of the demand as it comes, before it is limited
         self._limited = False
 
     def ramp_down(self, deceleration: Entry, *, from_actual: bool = False) -> None:
@@ -227,11 +228,13 @@ class Axis:
         A target that jumps, or that misses a SYNC and comes twice with the next, is not a motion.
         """
         limit = self.scaling.largest_torque_nm / (self._gains[4].value * KG_M2_PER_G_CM2)
-        before = self._demand.speed_rad_s
-        acceleration = (speed_rad_s - before) / period_s
-        if abs(acceleration) <= limit:
-            return Demand(revolutions, speed_rad_s, acceleration)
-        return Demand(revolutions, before + math.copysign(limit * period_s, acceleration), 0.0)
+        acceleration = (speed_rad_s - self._wanted_rad_s) / period_s
+        self._wanted_rad_s = speed_rad_s
+        change = speed_rad_s - self._demand.speed_rad_s
+        if abs(change) > limit * period_s:
+            change = math.copysign(limit * period_s, change)
+        forward = acceleration if abs(acceleration) <= limit else 0.0
+        return Demand(revolutions, self._demand.speed_rad_s + change, forward)
 
     def _within_limits(self, target: float) -> float:
         """The target within 607Dh; the full range of INTEGER32 is no limit."""
