@@ -20,6 +20,7 @@ class Hooks:
     the day, while 1012h says that it is consumed.
     on_sync(counter, now): a SYNC in OPERATIONAL, after synchronous RPDOs were taken over, before
     synchronous TPDOs are sampled; `counter` is None without 1019h.
+    on_synchronised(): the synchronous TPDOs of a SYNC are sampled.
     on_state(old, new, now): after a change of the NMT state.
     on_reset(communication_only, now): the dictionary is back at its defaults (at `start`: is as it
     is), stored parameters are restored, and all errors are forgotten, before boot-up; report again
@@ -37,6 +38,7 @@ class Hooks:
     def __init__(self) -> None:
         self.on_time: Callable[[int, int, float], None] | None = None
         self.on_sync: Callable[[int | None, float], None] | None = None
+        self.on_synchronised: Callable[[], None] | None = None
         self.on_state: Callable[[NmtState, NmtState, float], None] | None = None
         self.on_reset: Callable[[bool, float], None] | None = None
         self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str], float], None] | None = None

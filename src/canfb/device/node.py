@@ -390,3 +390,5 @@ class Node(Hooks):
             self.on_sync(counter, now)
         for tpdo in self._sync_tpdos:
             tpdo.synchronise(counter, now)
+        if self.on_synchronised is not None:
+            self.on_synchronised()

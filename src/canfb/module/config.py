@@ -20,6 +20,8 @@ class ModuleConfig(ChainConfig):
                              with a source
     source                   where the samples come from in place of the ADC PDO; None: from the PDO
     max_acceleration_rad_s2  largest acceleration of the machine (2010:02); 0 = not known
+    predict                  what synchronous TPDOs send (2013:01): False the measured position, True (or 1)
+                             that at their SYNC if the speed stays, 2 if the acceleration stays
     state_dir                folder for what `save` (1010h) keeps, made if it is missing; None: nothing
                              is saved. `canfb run` uses it; each module has its own
     autostart                True: operational without a master
@@ -30,6 +32,7 @@ class ModuleConfig(ChainConfig):
     encoder_interface: int = 16
     source: SourceConfig | None = None
     max_acceleration_rad_s2: float = 0.0
+    predict: bool | int = False
     state_dir: str | None = None
     autostart: bool = False
 
@@ -48,6 +51,8 @@ class ModuleConfig(ChainConfig):
             or not 0.0 <= self.max_acceleration_rad_s2 <= 1e9
         ):
             raise ValueError("max_acceleration_rad_s2 must be 0 (not known) or positive, at most 1e9")
+        if not isinstance(self.predict, int) or not 0 <= self.predict <= 2:
+            raise ValueError(f"predict must be false, true, or 0, 1 or 2, not {self.predict!r}")
         if not isinstance(self.autostart, bool):
             raise ValueError(f"autostart must be true or false, not {self.autostart!r}")
         if self.state_dir is not None and not _is_folder_name(self.state_dir):

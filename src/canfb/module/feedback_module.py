@@ -21,12 +21,14 @@ from canfb.module.cyclic_timer import CyclicTimer
 from canfb.module.interval import IntervalEstimate
 from canfb.module.local_source import LocalSource
 from canfb.module.parameters import Limits, apply_defaults, configured_defaults, without_adc_pdo
+from canfb.module.prediction import Prediction
 from canfb.module.profile import EncoderProfile
 from canfb.module.publication import Publication
 from canfb.module.recorder import Recorder
 from canfb.module.sample_input import SampleInput
 from canfb.module.table_store import TableStore
 from canfb.module.tap import Taps
+from canfb.module.warnings_ import Warnings
 from canfb.signal.chain import Feedback, SignalChain
 from canfb.signal.sample import Sample
 from canfb.signal.source import Source
@@ -88,13 +90,17 @@ class FeedbackModule:
         self._source: LocalSource | None = None
         if source is not None:
             self._source = LocalSource(source, self.dictionary, self._input, self._tell_of_source)
-        self._profile = EncoderProfile(
+        self._profile = EncoderProfile(self.dictionary, self._interval)
+        self._warnings = Warnings(
             self.dictionary,
-            self._interval,
+            self.node,
+            lambda: self._feedback,
             lambda: self._input.expects_pulse,
             lambda: self._limits.residual_limit_cycles,
         )
+        self._limits.on_applied = self._warnings.limits_changed
         CyclicTimer(self.dictionary, self.node.storage)
+        self._prediction = Prediction(self.dictionary, self._profile, self._choose_prediction)
         self._publication = Publication(self.dictionary, self._interval, self.chain, self._input)
         self._taps = Taps()
         self._recorder = Recorder(self.dictionary, self._interval, self._taps)
@@ -107,7 +113,7 @@ class FeedbackModule:
         self._alarmed = False
         self._listen()
         self.node.on_rpdo = self._on_rpdo if self._source is None else None
-        self.node.on_sync = self._on_sync
+        self._choose_prediction()
         self.node.on_state = self._on_state
         self.node.on_reset = self._on_reset
         self.node.on_bad_rpdo = self._on_bad_rpdo
@@ -227,6 +233,18 @@ class FeedbackModule:
         self._sample_came = False
         self._synced = True
 
+    def _on_sync_predicting(self, counter: int | None, now: float) -> None:
+        self._on_sync(counter, now)
+        if self._feedback is not None:
+            self._prediction.extrapolate(self._feedback)
+
+    def _choose_prediction(self) -> None:
+        """With or without it (2013h). The sample of a source belongs to this very SYNC."""
+        wanted = self._prediction.wanted and self._source is None
+        self._prediction.forget()
+        self.node.on_sync = self._on_sync_predicting if wanted else self._on_sync
+        self.node.on_synchronised = self._prediction.withdraw if wanted else None
+
     def _sample_source(self, source: LocalSource, now: float) -> None:
         """The sample of this very SYNC; without one it is missed, from the first SYNC on."""
         self._sampled = self._synced = True
@@ -248,12 +266,19 @@ class FeedbackModule:
         self._feedback = feedback
         self._publication.publish(feedback)
         self._profile.publish(feedback)
-        alarm = not feedback.status & VALID
+        status, warnings = feedback.status, self._warnings
+        alarm = not status & VALID
         if alarm != self._alarmed:
-            self._report_alarm(alarm, feedback.status, now)
+            self._report_alarm(alarm, status, now)
         if send:
             for number in self._event_tpdos:
                 self.node.trigger_tpdo(number, now)
+        if (
+            status != warnings.status
+            or feedback.residual > warnings.near_cycles
+            or feedback.amplitude < warnings.reserve_counts
+        ):
+            warnings.follow(feedback, now)
 
     def _report_alarm(self, alarm: bool, status: int, now: float) -> None:
         self._alarmed = alarm
@@ -268,6 +293,7 @@ class FeedbackModule:
             self._listen()
             self._interval.pause()
             self.chain.resume()
+            self._prediction.pause(self._feedback)
         elif old is NmtState.OPERATIONAL:
             self._recorder.stop()
             self._calibrating.interrupted()
@@ -279,11 +305,13 @@ class FeedbackModule:
 
     def _on_reset(self, communication_only: bool, now: float) -> None:
         self._alarmed = False
+        self._warnings.reset()
         self._interval.reset()
         if communication_only:
             return
         self.chain.restart()
         self._feedback = None
+        self._choose_prediction()
         self._limits.reset()
         self._tables.reset()
         self._profile.reset()
@@ -303,6 +331,7 @@ class FeedbackModule:
     def _on_configured(self) -> None:
         """A sample comes in whichever RPDOs carry its parts; some TPDOs go out with it."""
         self._input.configure()
+        self._warnings.look_again()
         self._event_tpdos = [number for number in TPDOS if self._is_event_tpdo(number)]
 
     def _is_event_tpdo(self, number: int) -> bool:

@@ -42,6 +42,7 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         (SUPERVISION, 3): config.coast_samples,
         (SUPERVISION, 4): config.frozen_samples,
         (SUPERVISION, 5): max(1, round(config.coarse_limit_revolutions * LIMIT_UNITS)),
+        (0x2013, 1): int(config.predict),
         (0x6001, 0): resolution,
         (0x6002, 0): min(resolution * revolutions, U32 // resolution * resolution),
         (0x6501, 0): resolution,
@@ -78,6 +79,7 @@ class Limits:
         """A known acceleration narrows the residual limit; it then depends on the sampling interval."""
         self.residual_limit_cycles = 0.0
         """The residual limit in force, narrowed or not."""
+        self.on_applied: Callable[[], None] | None = None
         self._upper_is_old = False
         self._low.on_write = self._check(lambda low: low < self._high.value or self._upper_is_old)
         self._high.on_write = self._check(lambda high: high > self._low.value)
@@ -118,6 +120,8 @@ class Limits:
         coarse_limit = self._coarse.value / LIMIT_UNITS
         self._chain.set_limits(limits, limit, self._coast.value, self._frozen.value, coarse_limit)
         self._chain.set_cycles_per_revolution(cycles)
+        if self.on_applied is not None:
+            self.on_applied()
 
     def _full_scale_written(self) -> None:
         """The upper amplitude is that of another converter until it is written: a lower one may pass it.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from canfb.device.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.module.cams import Cams
@@ -18,40 +16,27 @@ from canfb.module.position import (
 from canfb.module.speed import Motion
 from canfb.module.work_area import WorkArea
 from canfb.signal.chain import Feedback
-from canfb.signal.supervision import REFERENCED, VALID
+from canfb.signal.supervision import VALID
 
 ALARM_POSITION, ALARM_PARAMETERS = 1 << 0, 1 << 12  # 6503h
-WARNING_FREQUENCY, WARNING_AMPLITUDE, WARNING_REFERENCE = 1 << 0, 1 << 1, 1 << 5  # 6505h
 STANDSTILL_CYCLES = 0.05  # per sample: what counts as standstill for a preset
-NEAR_LIMIT = 0.75  # residual over this part of the limit: warning
-AMPLITUDE_RESERVE = 1.15  # amplitude below this multiple of the lowest accepted one: warning
 
 
 class EncoderProfile:
     """Objects 6000h to 650Bh over the feedback of a signal chain.
 
     What the default PDOs do not hold is computed when it is read, because few samples are asked for
-    it. Cams, work area, speed and acceleration hold the last valid position.
-
-    ``expects_pulse()`` tells whether a zero pulse is wired. ``residual_limit()`` is the one in force,
-    in cycles.
+    it. Cams, work area, speed and acceleration hold the last valid position. The warnings 6505h are
+    those of :class:`canfb.module.warnings_.Warnings`.
     """
 
-    def __init__(
-        self,
-        dictionary: Dictionary,
-        interval: IntervalEstimate,
-        expects_pulse: Callable[[], bool],
-        residual_limit: Callable[[], float],
-    ) -> None:
-        self._expects_pulse, self._residual_limit = expects_pulse, residual_limit
+    def __init__(self, dictionary: Dictionary, interval: IntervalEstimate) -> None:
         entry = dictionary.entry
         self._operating, self._units_per_rev, self._range = entry(0x6000), entry(0x6001), entry(0x6002)
         self._position, self._fine = entry(0x6004), entry(0x6008)
         self._status, self._alarms = entry(0x6500), entry(0x6503)
         self._resolution, self._revolutions, self._offset = entry(0x6501), entry(0x6502), entry(0x6509)
         self._cycles_per_revolution = entry(0x2001, 1)
-        self._low = entry(0x2001, 3)
         self._last: Feedback | None = None
         self._last_valid: Feedback | None = None
         self._standing_alarms = 0
@@ -60,7 +45,6 @@ class EncoderProfile:
         for preset in self._presets:
             preset.on_write = self._preset
         entry(0x600C).on_read = self._raw_position
-        entry(0x6505).on_read = self._warnings
         self._operating.on_write = self._check_operating
         for changed in (self._operating, self._units_per_rev, self._range):
             changed.on_written = self.rescale
@@ -121,6 +105,10 @@ class EncoderProfile:
         self._standing_alarms = ALARM_PARAMETERS if refused else 0
         self._alarms.value = self._alarms.value & ~ALARM_PARAMETERS | self._standing_alarms
 
+    def position_at(self, cycles: int, phase: float) -> int:
+        """What 6004h is at this place: cycle count and phase, 0 <= phase < 1."""
+        return self._scale.position(cycles, phase)
+
     def _valid_position(self) -> int | None:
         last = self._last_valid
         return None if last is None else self._scale.position(last.cycles, last.phase)
@@ -130,17 +118,6 @@ class EncoderProfile:
         if last is None:
             return 0
         return scale.units(last.cycles, last.phase) % scale.total_range
-
-    def _warnings(self) -> int:
-        last, warnings = self._last, 0
-        if last is not None and last.valid:
-            if last.residual > NEAR_LIMIT * self._residual_limit():
-                warnings = WARNING_FREQUENCY
-            if last.amplitude < AMPLITUDE_RESERVE * self._low.value:
-                warnings |= WARNING_AMPLITUDE
-        if self._expects_pulse() and not (last is not None and last.status & REFERENCED):
-            warnings |= WARNING_REFERENCE
-        return warnings
 
     def _check_operating(self, value: int) -> None:
         if value & ~(CODE_SEQUENCE | SCALING):
@@ -153,8 +130,7 @@ class EncoderProfile:
         if last is None or not last.valid or abs(last.speed_cycles) > STANDSTILL_CYCLES:
             raise SdoAbort(AbortCode.DEVICE_STATE)
         units = self._scale.units(last.cycles, last.phase)
-        offset = self._scale.offset_for(units, value)
-        self._offset.value = self._scale.offset = max(-0x80000000, min(offset, 0x7FFFFFFF))
+        self._offset.value = self._scale.offset = self._scale.offset_for(units, value)
         for preset in self._presets:  # one value, in 32 and in 64 bits
             preset.value = value
         self._moved()

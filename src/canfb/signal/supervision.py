@@ -22,6 +22,7 @@ class StatusBit(IntFlag):
     COARSE = 1 << 9
     CALIBRATING = 1 << 10
     FROZEN = 1 << 11
+    EXTRAPOLATED = 1 << 12
 
 
 # Plain integers for the hot path: an operation on an IntFlag costs ten times as much.
@@ -37,6 +38,7 @@ REFERENCED: Final = int(StatusBit.REFERENCED)
 COARSE: Final = int(StatusBit.COARSE)
 CALIBRATING: Final = int(StatusBit.CALIBRATING)
 FROZEN: Final = int(StatusBit.FROZEN)
+EXTRAPOLATED: Final = int(StatusBit.EXTRAPOLATED)
 
 # After a fault the limits are so much narrower until a sample keeps them.
 AMPLITUDE_HYSTERESIS = 1.0 / 32.0

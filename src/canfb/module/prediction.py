@@ -1,0 +1,99 @@
+"""Object 2013h: the position at the SYNC that sends it, in place of that of the sample before."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from canfb.device.dictionary import Dictionary
+from canfb.module.profile import EncoderProfile
+from canfb.signal.chain import Feedback
+from canfb.signal.supervision import COASTING, EXTRAPOLATED, VALID
+
+PREDICTION = 0x2013
+OFF, CONSTANT_SPEED, CONSTANT_ACCELERATION = 0, 1, 2
+"""What 2013:01 may be."""
+KNOWN_ACCELERATION = 3  # valid samples in a row that tell one
+
+
+class Prediction:
+    """Extrapolates 6004h and 6008h by one sampling interval, for synchronous TPDOs only.
+
+    At SYNC k+1 the newest sample is that of SYNC k, whatever the types of the PDOs. With x the
+    position, v = x(k) - x(k-1) and a = v(k) - v(k-1), all in cycles and intervals:
+
+        1  constant speed         x(k) + v       error at most |acceleration| T^2,   noise times sqrt(5)
+        2  constant acceleration  x(k) + v + a   error at most |jerk| T^3,           noise times sqrt(19)
+
+    v is the speed of half an interval ago, so a counts whole, not half. docs/latency.md has more.
+
+    :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled, :meth:`withdraw` after it: whoever
+    else reads the objects finds the measured position. Bit 12 of the status word stands for as long as
+    the extrapolated position does. Bit 0 is never set by it. While coasting the position goes on at the
+    last valid speed; a lost one stays as eq. 9 counts it. ``chosen()`` is called when 2013:01 is written.
+    """
+
+    def __init__(self, dictionary: Dictionary, profile: EncoderProfile, chosen: Callable[[], None]) -> None:
+        self._kind = dictionary.entry(PREDICTION, 1)
+        self._kind.on_written = chosen
+        self._position, self._fine = dictionary.entry(0x6004), dictionary.entry(0x6008)
+        self._status = dictionary.entry(0x2011, 1)
+        self._profile = profile
+        self._measured: tuple[int, int, int] | None = None
+        self.pause(None)
+
+    @property
+    def wanted(self) -> bool:
+        """2013:01 is not 0."""
+        return bool(self._kind.value != OFF)
+
+    def pause(self, last: Feedback | None) -> None:
+        """OPERATIONAL begins after ``last``: what was before tells nothing of the speed now."""
+        self._before = 0 if last is None else last.samples  # samples before OPERATIONAL
+        self.forget()
+
+    def forget(self) -> None:
+        """No SYNC was seen: it is switched on, or OPERATIONAL begins."""
+        self._at_sync: int | None = None  # samples up to the last SYNC
+        self._speed_cycles = 0.0  # of the last valid sample
+        self._valid_samples = 0  # in a row
+
+    def extrapolate(self, last: Feedback) -> None:
+        """A SYNC, after what it brings was processed: ``last`` belongs to the SYNC before."""
+        since = None if self._at_sync is None else last.samples - self._at_sync
+        self._at_sync = last.samples
+        way = self._way(last)
+        # Of several samples since one SYNC nobody knows when the last one was taken.
+        if way is None or last.samples == self._before or (since is not None and since > 1):
+            return
+        cycles, phase = ahead(last.cycles, last.phase, way)
+        self._measured = self._position.value, self._fine.value, self._status.value
+        self._position.value = self._fine.value = self._profile.position_at(cycles, phase)
+        self._status.value |= EXTRAPOLATED
+
+    def withdraw(self) -> None:
+        """The TPDOs of the SYNC are sampled: the measured position again."""
+        if self._measured is not None:
+            self._position.value, self._fine.value, self._status.value = self._measured
+            self._measured = None
+
+    def _way(self, last: Feedback) -> float | None:
+        """Cycles from the last sample to this SYNC; None without a position to go on from."""
+        status = last.status
+        if not status & VALID:
+            self._valid_samples = 0
+            return self._speed_cycles if status & COASTING else None
+        self._valid_samples += 1
+        self._speed_cycles = way = last.speed_cycles
+        if self._kind.value == CONSTANT_ACCELERATION and self._valid_samples >= KNOWN_ACCELERATION:
+            way += last.acceleration_cycles
+        return way
+
+
+def ahead(cycles: int, phase: float, way_cycles: float) -> tuple[int, float]:
+    """Cycle count and phase (0 <= phase < 1) ``way_cycles`` further on; the count stays an integer."""
+    whole = math.floor(way_cycles)
+    position = phase + (way_cycles - whole)
+    if position >= 1.0:
+        whole, position = whole + 1, position - 1.0
+    return cycles + whole, position
