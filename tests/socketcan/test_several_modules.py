@@ -25,8 +25,8 @@ CYCLES = 10
 LIMIT_S = 30.0
 
 
-def message(can_id: int, data: bytes = b"") -> can.Message:
-    return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
+def message(can_id: int, data: bytes = b"", *, rtr: bool = False) -> can.Message:
+    return can.Message(arbitration_id=can_id, data=data, is_extended_id=False, is_remote_frame=rtr)
 
 
 def lss(text: str) -> can.Message:
@@ -99,6 +99,19 @@ def test_each_gives_its_own_positions_and_a_twin_is_noticed(eight: Any, can_bus:
     assert refused[0].startswith(f"canfb: node {BAD_TABLE}: stored manufacturer parameters")
     summaries = [line for line in eight.lines if re.match(r"node \d+: 10 samples; ", line)]
     assert [line.split(":")[0] for line in summaries] == [f"node {node}" for node in INTERFACES]
+
+
+def test_error_frames_tell_of_bus_off(eight: Any, can_bus: can.BusABC) -> None:
+    for error_class, line in ((0x040, "the CAN controller is bus-off"), (0x100, "is on the bus again")):
+        can_bus.send(
+            can.Message(arbitration_id=error_class, data=bytes(8), is_extended_id=False, is_error_frame=True)
+        )
+        eight.wait_for(line)
+    for data in wait_for(can_bus, *(0x080 + node for node in NODES)).values():
+        assert data[:2] == b"\x40\x81"
+    can_bus.send(message(0x700 + NODES[0], rtr=True))
+    assert wait_for(can_bus, 0x700 + NODES[0])[0x700 + NODES[0]] == b"\x7f", "guarding: Pre-operational"
+    assert eight.stop() == 0
 
 
 def test_the_interface_goes_down_and_comes_back(
