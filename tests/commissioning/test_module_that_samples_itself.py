@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench
@@ -31,11 +33,12 @@ class OwnConverter(Bench):
         self.bus.attach(SyncProducer(1.0 / RATE_HZ))
 
 
-def test_its_own_recording_calibrates_it() -> None:
+def test_its_own_recording_calibrates_it(capsys: pytest.CaptureFixture[str]) -> None:
     bench = OwnConverter()
     bench.bus.run_until(0.5)
     before = position_errors(bench, 1000)
-    assert calibrate(bench, "--source", "recording", "--recorder", "module") == 0
+    assert calibrate(bench, "--source", "recording", "--recorder", "module", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["encoder_interface"] is None
     after = position_errors(bench, 1000)
     assert bench.value(0x2020, 4) != 0
     assert np.abs(after).max() < 0.2 * np.abs(before).max()

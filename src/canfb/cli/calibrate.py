@@ -107,7 +107,7 @@ def over_bus(
     job.where = Circumstances(
         date,
         session.module.node_id,
-        session.interface.node_id,
+        None if session.samples_itself else session.interface.node_id,
         options.encoder,
         session.cycles_per_revolution,
     )

@@ -27,6 +27,7 @@ class Session:
     active                  what is in force in the module
     cycles_per_revolution   2001:01
     limits                  2001:02..04
+    samples_itself          the module takes no ADC PDO, and no interface was named
     """
 
     master: Master
@@ -35,6 +36,7 @@ class Session:
     active: ActiveSet
     cycles_per_revolution: int
     limits: TrackLimits
+    samples_itself: bool = False
 
     @classmethod
     def open(cls, master: Master, module_id: int, interface_id: int | None) -> Session:
@@ -44,10 +46,10 @@ class Session:
         cycles, full_scale, low, high = (
             module.integer(ENCODER, subindex, layout) for subindex, layout in enumerate("IHHH", start=1)
         )
-        if interface_id is None:
-            interface_id = _interface_of(module)
-        interface = NodeAccess(master, interface_id, "encoder interface")
-        return cls(master, module, interface, active, cycles, TrackLimits(full_scale, low, high))
+        named = interface_id if interface_id is not None else _interface_of(module)
+        interface = NodeAccess(master, named or DEFAULT_INTERFACE, "encoder interface")
+        limits = TrackLimits(full_scale, low, high)
+        return cls(master, module, interface, active, cycles, limits, samples_itself=named is None)
 
     def source(self, kind: str, recorder: str, rate_hz: float | None) -> Source:
         """Where samples come from: "pdo", or the "recording" of "interface" or "module"."""
@@ -62,10 +64,10 @@ class Session:
         return agreed_layout(self.module, self.interface)
 
 
-def _interface_of(module: NodeAccess) -> int:
-    """The node from which the module takes its samples, as the COB-ID of its RPDO tells it."""
+def _interface_of(module: NodeAccess) -> int | None:
+    """The node from which the module takes its samples, as the COB-ID of its RPDO tells it; None without."""
     layout = module_layout(module)
-    if layout is None:  # it may sample itself, and record that
-        return DEFAULT_INTERFACE
+    if layout is None:
+        return None
     node_id = layout.can_id & 0x7F
     return node_id if layout.can_id & 0x780 in (0x180, 0x280, 0x380, 0x480) and node_id else DEFAULT_INTERFACE
