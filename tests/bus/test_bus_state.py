@@ -72,6 +72,12 @@ def test_bus_off_and_an_automatic_restart() -> None:
     assert scene.lines == [OFF_LINE, ON_LINE]
 
 
+def test_the_second_time_is_like_the_first() -> None:
+    scene = Scene((1.0, BUS_OFF), (1.1, RESTARTED), (5.0, BUS_OFF), (5.1, RESTARTED)).run(9.0)
+    assert scene.words == ["off", "back"] * 2
+    assert scene.lines == [OFF_LINE, ON_LINE] * 2
+
+
 def test_bus_off_and_nobody_restarts_it() -> None:
     scene = Scene((1.0, BUS_OFF)).run(60.0)
     assert scene.words == ["off"]

@@ -10,7 +10,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 
-import bench_modules  # noqa: E402
+import bench_modules
 
 
 def test_one_line_for_each_number_of_modules(capsys: pytest.CaptureFixture[str]) -> None:
