@@ -234,6 +234,7 @@ def _missing(key: str, wanted: str, where: str, there: list[str]) -> CanfbError:
 
 def _hint(error: OSError) -> str:
     hints = {
+        errno.ENOENT: "; is the driver of a converter loaded?",
         errno.EINVAL: "; is a trigger missing?",
         errno.EBUSY: "; another program captures it",
         errno.EACCES: "; see the permissions of /dev/iio:device*",
