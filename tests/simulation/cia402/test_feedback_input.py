@@ -79,8 +79,21 @@ def test_the_speed_is_the_mean_over_the_intervals() -> None:
     one.take(0)
     one.take(1_024_000)
     assert one.feedback.speed == pytest.approx(50.0)
-    one.take(1_024_000 + 2 * 204_800, syncs=2)
-    assert one.feedback.speed == pytest.approx(10.0)
+    one.take(1_024_000 + 2 * 1_000_000, syncs=2)
+    assert one.feedback.speed == pytest.approx(1_000_000 / 20_480)
+
+
+def test_late_positions_give_the_speed_of_their_own_intervals() -> None:
+    """Three SYNCs are heard before the positions of the first two."""
+    one, position = Input(), 0
+    for _ in range(5):
+        position += 100_000
+        one.take(position)
+    for syncs in (2, 1, 0, 1, 1, 2, 0, 1):
+        position += 100_000
+        assert one.take(position, syncs=syncs)
+        assert one.feedback.speed == pytest.approx(100_000 / 20_480)
+    assert not one.take(position, syncs=0), "one more than there were SYNCs"
 
 
 @pytest.mark.parametrize("step", [2_048_001, -2_048_001, 2_000_000_000])

@@ -57,7 +57,7 @@ class FeedbackInput:
         self.wrong = self.wrong & Wrong.EMERGENCY | Wrong.MISSING
         self._last: int | None = None
         self._since_pdo = 0  # SYNCs since the last PDO
-        self._age = 0  # SYNCs since the last position that was used
+        self._open = 0  # SYNCs whose positions have not come, since the last one that was used
         self.speed = 0.0
         self._publish()
 
@@ -79,7 +79,7 @@ class FeedbackInput:
     def sync(self) -> None:
         """A SYNC: the position of the one before should have come."""
         self._since_pdo += 1
-        self._age += 1
+        self._open += 1
         if self._since_pdo > 1:
             self._missed.value = (self._missed.value + 1) & 0xFFFFFFFF
         if self._since_pdo - 1 > self._tolerated.value:
@@ -116,27 +116,39 @@ class FeedbackInput:
         return self._step(raw, full, largest_speed, interval_s, supervised)
 
     def _step(self, raw: int, full: int, largest_speed: float, interval_s: float, supervised: bool) -> bool:
-        intervals = max(1, self._age)
         known = self._last is not None
-        if known and self._age == 0:
-            return False  # a second one in the same cycle tells nothing of the speed
+        if known and self._open == 0:
+            return False  # one more than there were SYNCs
         if self._last is None:
             self.position = raw - full if raw >= (full + 1) // 2 else raw
             step = 0
         else:
             step = (raw - self._last + full // 2) % full - full // 2
-        bound = self._bound(largest_speed, interval_s) * intervals
+        bound = self._bound(largest_speed, interval_s) * max(1, self._open)
         too_far = known and bound > 0 and abs(step) > bound
         if too_far and supervised:
             self._set(Wrong.STEP)
             self._last = None  # from here on, when it is believed again
             return False
         self.position += step
-        usable = known and not too_far and interval_s > 0.0
-        self.speed = step / self.increments_per_revolution / (intervals * interval_s) if usable else 0.0
-        self._last, self._age = raw, 0
+        self._last = raw
+        if known and not too_far and interval_s > 0.0:
+            self._differentiate(step / self.increments_per_revolution / interval_s)
+        else:
+            self.speed, self._open = 0.0, 0
         self._used.value = (self._used.value + 1) & 0xFFFFFFFF
         return True
+
+    def _differentiate(self, step: float) -> None:
+        """Speed from a step, in revolutions per second if it was made in one interval.
+
+        Where more SYNCs are open, positions are late, or were lost on the bus: the number of intervals is
+        the one that changes the speed least.
+        """
+        most = min(self._open, 256)
+        intervals = min(range(most, 0, -1), key=lambda count: abs(step / count - self.speed))
+        self.speed = step / intervals
+        self._open -= intervals
 
     def _bound(self, largest_speed: float, interval_s: float) -> float:
         """The largest believable step between two SYNCs, increments; 0 for no bound."""
