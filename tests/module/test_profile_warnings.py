@@ -1,0 +1,170 @@
+"""Objects 6503h to 6506h and 2004h: alarms and warnings, and the EMCY of each."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from module_bench import Bench
+
+from canfb.device.frame import Frame
+from canfb.module.warnings_ import CODES
+
+FREQUENCY, AMPLITUDE, REFERENCE = 0xFF10, 0xFF11, 0xFF15
+LOW, GOOD, BAD = 430.0, 1500.0, 10.0  # amplitudes; 400 is the lowest accepted one
+
+
+def told(bench: Bench) -> list[tuple[int, int]]:
+    """Code and error register of each EMCY."""
+    return [struct.unpack_from("<HB", frame.data) for frame in bench.heard if frame.can_id == 0xA0]
+
+
+def test_low_amplitude_is_told_once_and_over_after_the_hold_time(bench: Bench) -> None:
+    for _ in range(50):
+        bench.at(0.0, LOW)
+    assert (bench.sdo[0x6505].raw, bench.sdo[0x6503].raw) == (2, 0)
+    assert told(bench) == [(AMPLITUDE, 0x21)]
+    assert bench.sdo[0x1001].raw == 0x21
+    assert bench.sdo[0x1003][1].raw == 2 << 16 | AMPLITUDE
+    for _ in range(999):
+        bench.at(0.0, GOOD)
+    assert bench.sdo[0x6505].raw == 0
+    assert told(bench) == [(AMPLITUDE, 0x21)]
+    bench.at(0.0, LOW)  # once more, before it was over
+    for _ in range(1002):
+        bench.at(0.0, GOOD)
+    assert told(bench) == [(AMPLITUDE, 0x21), (0, 0)]
+    assert bench.sdo[0x1001].raw == 0
+
+
+def test_a_residual_near_the_limit(bench: Bench) -> None:
+    for _ in range(3):
+        bench.at(0.0)
+    bench.at(0.26)  # 80 % of a third is 0.267
+    assert bench.sdo[0x6505].raw == 0
+    for _ in range(3):
+        bench.at(0.26)
+    bench.sdo[0x2010][1].raw = 20000
+    bench.at(0.01)  # the same step, and another limit
+    assert bench.sdo[0x6505].raw == 1
+    assert told(bench) == [(FREQUENCY, 0x21)]
+    assert bench.sdo[0x2011][1].raw & 1
+
+
+def test_a_limit_that_a_known_acceleration_narrows(bench: Bench) -> None:
+    for _ in range(10):
+        bench.at(0.0)
+    bench.sdo[0x2010][2].raw = 100.0
+    limit = bench.module._limits.residual_limit_cycles
+    assert limit < 0.1
+    bench.at(0.0)
+    bench.at(0.95 * limit)
+    assert bench.sdo[0x6505].raw == 1
+    assert told(bench) == [(FREQUENCY, 0x21)]
+
+
+def zero_pulse(bench: Bench) -> None:
+    """RPDO2 with the flags of a sample."""
+    sdo = bench.sdo
+    sdo[0x1401][1].raw = 0x80000290
+    sdo[0x1601][0].raw = 0
+    sdo[0x1601][1].raw = 0x20000608
+    sdo[0x1601][0].raw = 1
+    sdo[0x1401][1].raw = 0x290
+
+
+def flagged(bench: Bench, flags: int) -> None:
+    bench.sync()
+    bench.counts(0, 1500)
+    bench.sent(Frame(0x290, bytes([flags])))
+
+
+def test_no_zero_pulse_yet(bench: Bench) -> None:
+    bench.at(0.0)
+    assert bench.sdo[0x6505].raw == 0  # none is wired
+    zero_pulse(bench)
+    assert bench.sdo[0x6505].raw == 0x20
+    assert told(bench) == []
+    for _ in range(3):
+        flagged(bench, 0)
+    assert told(bench) == [(REFERENCE, 0x21)]
+    flagged(bench, 1)
+    flagged(bench, 0)
+    assert bench.sdo[0x6505].raw == 0
+    assert told(bench) == [(REFERENCE, 0x21), (0, 0)]
+
+
+@pytest.mark.parametrize("mask", [0, 1, 0x20])
+def test_only_chosen_warnings_are_told(bench: Bench, mask: int) -> None:
+    bench.sdo[0x2004][1].raw = mask
+    for _ in range(3):
+        bench.at(0.0, LOW)
+    assert bench.sdo[0x6505].raw == 2
+    assert told(bench) == []
+    bench.sdo[0x2004][1].raw = mask | 2
+    bench.at(0.0, LOW)
+    assert told(bench) == [(AMPLITUDE, 0x21)]
+    bench.sdo[0x2004][1].raw = mask
+    bench.at(0.0, LOW)
+    assert told(bench) == [(AMPLITUDE, 0x21), (0, 0)]
+
+
+def test_without_a_hold_time_it_ends_with_the_sample(bench: Bench) -> None:
+    bench.sdo[0x2004][2].raw = 0
+    for amplitude in (LOW, GOOD, LOW, GOOD):
+        bench.at(0.0, amplitude)
+    assert told(bench) == [(AMPLITUDE, 0x21), (0, 0)] * 2
+
+
+def test_the_alarm_comes_beside_the_warning_and_a_reset_forgets_both(bench: Bench) -> None:
+    for amplitude in (LOW, BAD, BAD):
+        bench.at(0.0, amplitude)
+    assert (bench.sdo[0x6503].raw, bench.sdo[0x6505].raw) == (1, 0)  # no warning without a valid position
+    assert told(bench) == [(AMPLITUDE, 0x21), (0x7300, 0x21)]
+    bench.at(0.0, LOW)
+    while bench.at(0.0, LOW)[1] & 1 == 0:
+        pass
+    assert told(bench)[2:] == [(0, 0x21)]  # what is left is the warning
+    assert (bench.sdo[0x6503].raw, bench.sdo[0x6505].raw) == (0, 2)
+    bench.remote.nmt.state = "RESET"
+    bench.start()
+    assert bench.sdo[0x1001].raw == 0
+    bench.at(0.0, LOW)
+    assert told(bench)[3:] == [(AMPLITUDE, 0x21)]
+
+
+def test_supported_warnings_are_those_that_can_be_told(bench: Bench) -> None:
+    assert bench.sdo[0x6506].raw == sum(CODES) == bench.sdo[0x2004][1].raw
+    assert all(code == 0xFF10 + bit.bit_length() - 1 for bit, code in CODES.items())
+    assert bench.sdo[0x6504].raw == 0x1001
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.tuples(st.sampled_from([LOW, GOOD, BAD]), st.integers(1, 12)), max_size=12),
+    st.sampled_from([0, 1, 5, 20]),
+)
+def test_each_warning_begins_and_ends_in_turn(runs: list[tuple[float, int]], hold_ms: int) -> None:
+    bench = Bench()
+    bench.start()
+    bench.sdo[0x2004][2].raw = hold_ms
+    for amplitude, samples in runs:
+        for _ in range(samples):
+            valid = bench.at(0.0, amplitude)[1] & 1
+            assert bench.sdo[0x6505].raw == (2 if valid and amplitude == LOW else 0)
+    active: set[int] = set()
+    codes = [code for code, _ in told(bench)]
+    for code, register in told(bench):
+        if code:
+            assert code not in active
+            active.add(code)
+        else:
+            assert active  # something ends
+            if not register:
+                active.clear()
+            else:
+                active = {AMPLITUDE}  # it was the alarm that has ended
+    assert len(codes) <= 1 + 2 * len(runs)
+    assert bench.sdo[0x1001].raw == (0x21 if active else 0)
