@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import re
 import struct
 from pathlib import Path
 
@@ -36,6 +38,21 @@ def options(**given: object) -> argparse.Namespace:
 def test_without_the_section_there_is_no_drive() -> None:
     assert parse_config(MODULES).simulation.drive is None
     assert simulated_axis(options(), parse_config(MODULES)) is None
+
+
+def test_the_yaml_of_the_page_is_a_drive() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "simulation.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    (drive,) = [config for config in map(parse_config, blocks) if config.simulation.drive is not None]
+    axis = simulated_axis(options(rate=1000.0), drive)
+    assert axis is not None
+    assert axis.hint is None
+
+
+def test_the_page_names_every_key_and_its_default() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "simulation.md").read_text(encoding="utf-8")
+    told = set(re.findall(r"`(\w+)`", page.partition("| key of `drive` |")[2].partition("\n\n")[0]))
+    assert told == {field.name for field in dataclasses.fields(DriveConfig)}
 
 
 def test_an_empty_section_is_the_drive_with_its_defaults() -> None:
@@ -122,6 +139,21 @@ def test_the_drive_is_set_up_for_its_module() -> None:
     }
     assert axis.plant.interval_s == 0.002
     assert axis.describe() == "drive: node 48 (30h), position from node 33 (21h)"
+
+
+@pytest.mark.parametrize(
+    ("rate", "words"),
+    [
+        (None, None),
+        (1000.0, None),
+        (500.0, "accelerate by 510 rad/s^2, the module follows 209 at 500 Hz: write 398 or less to 6072h"),
+        (100.0, "no torque limit will do"),
+    ],
+)
+def test_a_motor_that_the_module_cannot_follow_is_told(rate: float | None, words: str | None) -> None:
+    axis = simulated_axis(options(rate=rate), parsed("{}"))
+    assert axis is not None
+    assert axis.hint is None if words is None else words in (axis.hint or "")
 
 
 def test_the_command_refuses_a_recording_in_one_line(

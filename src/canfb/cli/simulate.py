@@ -94,6 +94,8 @@ def simulate(options: argparse.Namespace) -> int:
             print(f"encoder interface: node {node} on {describe(words)}; end with Ctrl-C", flush=True)
             if axis is not None:
                 print(axis.describe(), flush=True)
+                if axis.hint is not None:
+                    report(axis.hint)
             runner.run(finished=lambda: interface.ended)
     print(
         f"{interface.samples} samples sent{'; the recording is over' if interface.ended else ''}", flush=True
