@@ -110,6 +110,65 @@ def test_the_counts_stand_in_2000h() -> None:
     assert local.value(0x2000, 6) == 2
 
 
+def test_all_of_integer16_fits_and_no_more() -> None:
+    local = Local(Played(Sample(32767, -32768), Sample(32767.4, -32768.4), Sample(32768, 0)))
+    local.start()
+    for told in (0, 0, 1):
+        local.sync()
+        assert [local.value(0x2000, n) for n in (1, 2)] == [32767, -32768]
+        assert len(local.told) == told
+
+
+@pytest.mark.parametrize(
+    ("sample", "words"),
+    [
+        (Sample(0, 0, elapsed=math.inf), "elapsed inf is no number of intervals"),
+        (Sample(0, 0, elapsed=0.0), "elapsed 0.0 is no number of intervals"),
+        (Sample(0, 0, elapsed=math.nan), "elapsed nan is no number of intervals"),
+        (Sample(0, 0, zero_pulse=1.01), "zero_pulse 1.01 is no part of the interval"),
+        (Sample(0, 0, zero_pulse=-0.01), "zero_pulse -0.01 is no part of the interval"),
+        (Sample(0, 0, coarse_sine=0, coarse_cosine=32768), "coarse_cosine 32768 does not fit INTEGER16"),
+    ],
+)
+def test_a_sample_that_cannot_be_is_a_failure(sample: Sample, words: str) -> None:
+    local = Local(Played(sample))
+    local.start()
+    local.sync()
+    assert local.told == [f"the source fails: {words}"]
+    assert local.value(0x2012, 1) == 1
+
+
+def test_half_a_coarse_track_is_none() -> None:
+    local = Local(Played(Sample(1, 2, coarse_sine=7), Sample(1, 2, coarse_cosine=7)))
+    local.start()
+    for _ in range(2):
+        local.sync()
+        assert [local.value(0x2000, n) for n in (3, 4)] == [0, 0]
+    assert local.told == []
+
+
+@pytest.mark.parametrize(("pulse", "place"), [(0.0, 0), (0.5, 32768), (1.0, 65535)])
+def test_the_place_of_a_zero_pulse(pulse: float, place: int) -> None:
+    local = Local(Played(at(0.1)._replace(zero_pulse=pulse), at(0.1)))
+    local.start()
+    local.sync()
+    assert [local.value(0x2000, n) for n in (6, 7)] == [1, place]
+    local.sync()
+    assert local.value(0x2000, 6) == 0
+
+
+def test_the_interval_goes_on_over_the_wrap_of_the_sample_time() -> None:
+    first = (1 << 32) - 25_000
+    times = [(first + n * 10_000) % (1 << 32) for n in range(40)]
+    local = Local(Played(*[at(0.2 * n)._replace(time_100ns=time) for n, time in enumerate(times)]))
+    local.start()
+    for _ in range(40):
+        _, status, _ = local.position(local.sync(5e-3))
+        assert status & VALID
+        assert not status & MISSED
+    assert local.value(0x2011, 7) == pytest.approx(2 * math.pi / 2500 * 0.2 / PERIOD_S, rel=0.05)
+
+
 def test_outside_of_operational_no_sample_is_taken() -> None:
     source = Played(at(0.1))
     local = Local(source)
@@ -282,7 +341,18 @@ def test_a_configured_source_must_be_given() -> None:
 
 numbers = st.floats(allow_nan=True, allow_infinity=True) | st.integers(-(10**9), 10**9)
 times = st.none() | st.integers(-(10**12), 10**12)
-steps = st.none() | st.builds(Sample, numbers, numbers, time_100ns=times) | st.just(SourceError("broken"))
+samples = st.builds(
+    Sample,
+    numbers,
+    numbers,
+    elapsed=st.just(1.0) | numbers,
+    invalid=st.booleans(),
+    coarse_sine=st.none() | numbers,
+    coarse_cosine=st.none() | numbers,
+    zero_pulse=st.none() | st.floats(),
+    time_100ns=times,
+)
+steps = st.none() | samples | st.just(SourceError("broken"))
 
 
 @given(st.lists(steps, min_size=1, max_size=30))

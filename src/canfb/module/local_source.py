@@ -62,18 +62,23 @@ class LocalSource:
         """Whole counts, as object 2000h holds them."""
         sine, cosine = _counts("sine", sample.sine), _counts("cosine", sample.cosine)
         self._sine.value, self._cosine.value = sine, cosine
+        if not 0.0 < sample.elapsed <= TICKS:
+            raise ValueError(f"elapsed {sample.elapsed} is no number of intervals")
         flags = SAMPLE_INVALID if sample.invalid else 0
         if sample.zero_pulse is not None:
+            if not 0.0 <= sample.zero_pulse <= 1.0:
+                raise ValueError(f"zero_pulse {sample.zero_pulse} is no part of the interval")
             self._input.pulses += 1
             flags |= ZERO_PULSE
-            self._place.value = max(0, min(int(sample.zero_pulse * PLACES), 0xFFFF))
+            self._place.value = min(int(sample.zero_pulse * PLACES), 0xFFFF)
         self._flags.value = flags
         if sample.time_100ns is not None:
             self._keep_time(sample.time_100ns)
+        coarse_sine = coarse_cosine = None
         if sample.coarse_sine is not None and sample.coarse_cosine is not None:
-            self._coarse_sine.value = _counts("coarse_sine", sample.coarse_sine)
-            self._coarse_cosine.value = _counts("coarse_cosine", sample.coarse_cosine)
-        return sample._replace(sine=sine, cosine=cosine)
+            self._coarse_sine.value = coarse_sine = _counts("coarse_sine", sample.coarse_sine)
+            self._coarse_cosine.value = coarse_cosine = _counts("coarse_cosine", sample.coarse_cosine)
+        return sample._replace(sine=sine, cosine=cosine, coarse_sine=coarse_sine, coarse_cosine=coarse_cosine)
 
     def _keep_time(self, time_100ns: int) -> None:
         ticks = (time_100ns - self._time.value) % TICKS
