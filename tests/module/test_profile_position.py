@@ -225,3 +225,21 @@ def test_the_offset_stays_a_number_of_units_under_another_scaling() -> None:
     pair.set(0x6000, 4, 2)
     pair.check()
     assert (pair.read(0x6509), pair.read(0x6004)) == (5000, 1000)
+
+
+@given(
+    st.integers(-(2**45), 2**45),
+    st.floats(0, 1, exclude_max=True),
+    st.integers(1, 1048576),
+    st.integers(0, 32),
+    st.booleans(),
+)
+def test_the_short_way_gives_the_units_of_the_long_one(
+    cycles: int, phase: float, per_revolution: int, bits: int, reverse: bool
+) -> None:
+    units_per_revolution = per_revolution << bits
+    scale = PositionScale(per_revolution, units_per_revolution, U32, reverse, 0)
+    assert scale.binary == (0 if reverse else 1 << bits)
+    if scale.binary:
+        assert cycles * scale.binary + int(phase * scale.binary_factor) == scale.units(cycles, phase)
+    assert PositionScale(per_revolution, units_per_revolution * 3, U32, False, 0).binary == 0

@@ -31,11 +31,16 @@ class PositionScale:
     ``units_per_revolution`` and ``total_range`` are the 6001h and 6002h in force;
     ``reverse`` is the code sequence of 6000h; ``offset`` comes from the preset (6509h).
     The position value 6004h is (units + offset) modulo ``total_range``.
+
+    ``binary`` are the units per cycle where they are a power of two, as without scaling, else 0. Then
+    ``cycles * binary + int(phase * binary_factor)`` is :meth:`units`, without long integers.
     """
 
     __slots__ = (
         "_denominator",
         "_numerator",
+        "binary",
+        "binary_factor",
         "cycles_per_revolution",
         "offset",
         "total_range",
@@ -57,6 +62,10 @@ class PositionScale:
         # In lowest terms, which are small for usual resolutions: long integers take longer to divide.
         common = math.gcd(numerator, denominator)
         self._numerator, self._denominator = numerator // common, denominator // common
+        per_cycle, rest = divmod(numerator, cycles_per_revolution)
+        is_power = rest == 0 and 0 < per_cycle <= PHASE_UNITS and per_cycle & (per_cycle - 1) == 0
+        self.binary = per_cycle if is_power else 0
+        self.binary_factor = float(self.binary)
         self.total_range = total_range
         self.offset = offset
 

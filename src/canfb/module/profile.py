@@ -90,8 +90,11 @@ class EncoderProfile:
         """Write the position objects and the alarm."""
         self._last = feedback
         scale = self._scale
-        units = scale.units(feedback.cycles, feedback.phase) + scale.offset
-        self._position.value = self._fine.value = position = units % scale.total_range
+        if scale.binary:
+            units = feedback.cycles * scale.binary + int(feedback.phase * scale.binary_factor)
+        else:
+            units = scale.units(feedback.cycles, feedback.phase)
+        self._position.value = self._fine.value = position = (units + scale.offset) % scale.total_range
         if feedback.status & VALID:
             self._last_valid = feedback
             self._alarms.value = self._standing_alarms
