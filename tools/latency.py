@@ -143,9 +143,10 @@ def measure(bus: Bus, variant: tuple[int, int, int], rate_hz: float, cycles: int
     for number in range(cycles + WARM_UP):
         for _ in bus.receive(next_s):  # until the period begins; what is late is not counted twice
             pass
+        # Held up: a full period from now on, and no burst of SYNCs that nobody would send.
+        next_s = max(next_s, time.monotonic()) + 1.0 / rate_hz
         bus.send(SYNC)
         bus.send(ADC_PDO, counts(number))
-        next_s += 1.0 / rate_hz
         answered = False
         for can_id, _, at in bus.receive(next_s - 0.05 / rate_hz):
             if can_id == SYNC:
