@@ -93,7 +93,6 @@ class Prediction:
 def ahead(cycles: int, phase: float, way_cycles: float) -> tuple[int, float]:
     """Cycle count and phase (0 <= phase < 1) ``way_cycles`` further on; the count stays an integer."""
     whole = math.floor(way_cycles)
-    position = phase + (way_cycles - whole)
-    if position >= 1.0:
-        whole, position = whole + 1, position - 1.0
-    return cycles + whole, position
+    position = phase + (way_cycles - whole)  # 0 to 2, and 2 where it is rounded
+    turns = math.floor(position)
+    return cycles + whole + turns, position - turns
