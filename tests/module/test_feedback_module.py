@@ -171,6 +171,22 @@ def test_linking_to_another_interface(make_bench: type[Bench]) -> None:
     assert bench.position(bench.sent(Frame(0x185, struct.pack("<hh", 0, 1500))))[1] == StatusBit.VALID
 
 
+def test_after_a_pause_no_position_is_valid_before_a_sample_came(bench: Bench) -> None:
+    """A synchronous TPDO would send the old one, for ever where the encoder interface has gone."""
+    bench.sdo[0x1800][1].raw = 0x800001A0
+    bench.sdo[0x1800][2].raw = 1
+    bench.sdo[0x1800][1].raw = 0x400001A0
+    bench.sync()
+    bench.counts(0, 1500)
+    assert bench.position(bench.sync())[1] == StatusBit.VALID
+    bench.remote.nmt.state = "PRE-OPERATIONAL"
+    bench.start()
+    for _ in range(3):
+        assert bench.position(bench.sync())[1] == 0
+    bench.counts(0, 1500)
+    assert bench.position(bench.sync())[1] == StatusBit.VALID
+
+
 def test_the_position_goes_on_after_a_pause_and_starts_anew_after_a_reset(bench: Bench) -> None:
     for n in range(20):
         bench.at(n * 0.25)

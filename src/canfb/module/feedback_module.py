@@ -294,6 +294,7 @@ class FeedbackModule:
             self._interval.pause()
             self.chain.resume()
             self._prediction.pause(self._feedback)
+            self._publication.pause()
         elif old is NmtState.OPERATIONAL:
             self._recorder.stop()
             self._calibrating.interrupted()

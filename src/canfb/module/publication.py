@@ -19,6 +19,7 @@ from canfb.signal.supervision import (
     LOST,
     MISSED,
     RESIDUAL,
+    VALID,
 )
 
 FEEDBACK, COUNTERS = 0x2011, 0x2012
@@ -75,6 +76,10 @@ class Publication:
         self._last = NOTHING
         self._last_raw = 0.0
         self._lost = False
+
+    def pause(self) -> None:
+        """No sample for a while: what stands there is not valid any more, until the next one."""
+        self._status.value &= ~VALID
 
     def publish(self, feedback: Feedback) -> None:
         """Put it into 2011h, count in 2012h."""
