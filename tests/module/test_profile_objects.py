@@ -152,13 +152,14 @@ def test_the_serial_number_is_that_of_1018h(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(("cycles", "resolution", "revolutions"), [
-    (1, 8192, 65535), (8, 65536, 65535), (16, 131072, 32768), (2500, 20480000, 209), (524288, 2**31, 2),
-    (1048576, 2**31, 2), (1048575, 1048575 * 4096, 1),
+    (1, 8192, 65535), (8, 65536, 65535), (16, 131072, 32767), (2500, 20480000, 209), (524288, 2**31, 1),
+    (1048576, 2**31, 1), (1048575, 1048575 * 4096, 1),
 ])  # fmt: skip
 def test_resolution_and_revolutions(cycles: int, resolution: int, revolutions: int) -> None:
     bench = Bench(cycles_per_revolution=cycles)
     assert bench.sdo[0x6501].raw == resolution
     assert bench.sdo[0x6502].raw == revolutions
+    assert bench.sdo[0x6002].raw == resolution * revolutions  # where it wraps without scaling, too
 
 
 @pytest.mark.parametrize(

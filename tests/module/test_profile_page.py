@@ -15,7 +15,7 @@ from canfb.device.datatypes import DataType
 from canfb.device.dictionary import Dictionary
 from canfb.device.storage import MemoryStore
 from canfb.eds_files import eds_path
-from canfb.module import warnings_
+from canfb.module import profile_warnings
 from canfb.module.profile import ALARM_PARAMETERS, ALARM_POSITION
 
 PAGE = (Path(__file__).parents[2] / "docs" / "encoder-profile.md").read_text(encoding="utf-8")
@@ -84,12 +84,12 @@ def test_the_alarms_and_warnings_are_those_that_are_supported() -> None:
         r"^\| (650[35])h \| (\d+) \| [^|]* \| ([0-9A-F]{4})h", section("Alarms and warnings"), re.M
     ):
         told[index][1 << int(bit)] = int(code, 16)
-    assert told["6505"] == {bit: int(code) for bit, code in warnings_.CODES.items()}
+    assert told["6505"] == {bit: int(code) for bit, code in profile_warnings.CODES.items()}
     assert told["6503"] == {ALARM_POSITION: EmergencyCode.SENSOR, ALARM_PARAMETERS: EmergencyCode.DATA_SET}
     assert sum(told["6503"]) == DICTIONARY.entry(0x6504).default
     assert sum(told["6505"]) == DICTIONARY.entry(0x6506).default
-    assert f"above {warnings_.NEAR_LIMIT:.0%} of".replace("%", " %") in PAGE
-    assert f"below {warnings_.AMPLITUDE_RESERVE:.0%} of".replace("%", " %") in PAGE
+    assert f"above {profile_warnings.NEAR_LIMIT:.0%} of".replace("%", " %") in PAGE
+    assert f"below {profile_warnings.AMPLITUDE_RESERVE:.0%} of".replace("%", " %") in PAGE
 
 
 def test_the_aborts_are_those_of_the_program() -> None:

@@ -38,7 +38,7 @@ class Model:
     def __post_init__(self) -> None:
         n = self.cycles_per_revolution
         self.resolution = 8192 * n
-        self.physical_range = self.resolution * min(2**32 // self.resolution, 65535)
+        self.physical_range = self.resolution * min((2**32 - 1) // self.resolution, 65535)
         most = min(self.physical_range, U32 // self.resolution * self.resolution)
         self.objects = dict(zip(KEPT, (0, self.resolution, most, 0), strict=True))
         self.saved = dict(self.objects)
@@ -209,9 +209,9 @@ def test_resolution_and_revolutions_fit_32_bits(cycles: int) -> None:
     assert resolution % cycles == 0
     assert 1 <= revolutions <= 0xFFFF
     assert resolution <= U32
-    assert resolution * revolutions <= 2**32
+    assert resolution * revolutions < 2**32
     if revolutions < 0xFFFF:  # else it is the object that is full
-        assert resolution * (revolutions + 1) > 2**32
+        assert resolution * (revolutions + 1) >= 2**32
 
 
 def test_the_offset_stays_a_number_of_units_under_another_scaling() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from module_bench import Bench
 
 from canfb.device.frame import Frame
-from canfb.module.warnings_ import CODES
+from canfb.module.profile_warnings import CODES
 
 FREQUENCY, AMPLITUDE, REFERENCE = 0xFF10, 0xFF11, 0xFF15
 LOW, GOOD, BAD = 430.0, 1500.0, 10.0  # amplitudes; 400 is the lowest accepted one

@@ -23,12 +23,12 @@ from canfb.module.local_source import LocalSource
 from canfb.module.parameters import Limits, apply_defaults, configured_defaults, without_adc_pdo
 from canfb.module.prediction import Prediction
 from canfb.module.profile import EncoderProfile
+from canfb.module.profile_warnings import Warnings
 from canfb.module.publication import Publication
 from canfb.module.recorder import Recorder
 from canfb.module.sample_input import SampleInput
 from canfb.module.table_store import TableStore
 from canfb.module.tap import Taps
-from canfb.module.warnings_ import Warnings
 from canfb.signal.chain import Feedback, SignalChain
 from canfb.signal.sample import Sample
 from canfb.signal.source import Source

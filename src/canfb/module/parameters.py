@@ -10,7 +10,7 @@ from canfb.device.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.module.config import ModuleConfig
 from canfb.module.interval import IntervalEstimate
-from canfb.module.position import U32, distinguishable_revolutions, single_turn_resolution
+from canfb.module.position import distinguishable_revolutions, single_turn_resolution
 from canfb.signal.chain import SignalChain
 from canfb.signal.limits import narrowed_residual_limit
 from canfb.signal.supervision import SampleLimits
@@ -44,7 +44,7 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         (SUPERVISION, 5): max(1, round(config.coarse_limit_revolutions * LIMIT_UNITS)),
         (0x2013, 1): int(config.predict),
         (0x6001, 0): resolution,
-        (0x6002, 0): min(resolution * revolutions, U32 // resolution * resolution),
+        (0x6002, 0): resolution * revolutions,
         (0x6501, 0): resolution,
         (0x6502, 0): revolutions,
     }

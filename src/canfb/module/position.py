@@ -21,8 +21,8 @@ def single_turn_resolution(cycles_per_revolution: int) -> int:
 
 
 def distinguishable_revolutions(resolution: int) -> int:
-    """Whole revolutions that a 32-bit position tells apart (6502h, UNSIGNED16)."""
-    return min((U32 + 1) // resolution, 0xFFFF) or 1
+    """Whole revolutions of a range that 6002h can hold (6502h, UNSIGNED16)."""
+    return min(U32 // resolution, 0xFFFF)
 
 
 class PositionScale:

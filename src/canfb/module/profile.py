@@ -27,7 +27,7 @@ class EncoderProfile:
 
     What the default PDOs do not hold is computed when it is read, because few samples are asked for
     it. Cams, work area, speed and acceleration hold the last valid position. The warnings 6505h are
-    those of :class:`canfb.module.warnings_.Warnings`.
+    those of :class:`canfb.module.profile_warnings.Warnings`.
     """
 
     def __init__(self, dictionary: Dictionary, interval: IntervalEstimate) -> None:
