@@ -100,10 +100,12 @@ def play(bench: Bench, script: list[tuple[Frame, float]]) -> None:
     node.on_rpdo = on_rpdo
     for frame, pause in script:
         before = node.state
-        check_sent(before, node.state, node.receive(frame, bench.now))
+        sent = node.receive(frame, bench.now)
+        check_sent(before, node.state, sent)
         bench.now += pause
         before = node.state
-        check_sent(before, node.state, node.tick(bench.now))
+        sent = node.tick(bench.now)
+        check_sent(before, node.state, sent)
         due = node.deadline()
         assert due is None or due > bench.now
         check_pdos(bench)

@@ -37,7 +37,6 @@ CONSTANTS = {
     0x6504: "alarms that there are",
     0x6506: "warnings that there are",
     0x6507: "versions",
-    0x6508: "operating time, not counted",
 }
 """Objects whose default in the EDS is all there is to them: no code reads or writes them."""
 CONSTANT_ENTRIES = {(0x650A, 1): "offset of the manufacturer: none"}

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 from uuid import uuid4
 
 import can
@@ -38,6 +38,14 @@ class Device(Protocol):
 
     def deadline(self) -> float | None:
         """When tick is wanted."""
+
+
+@runtime_checkable
+class Ending(Protocol):
+    """A device that has something to do when the program ends, as FeedbackModule has."""
+
+    def end(self, now: float) -> None:
+        """The program ends."""
 
 
 class DeviceFailure(CanfbError):
@@ -117,6 +125,9 @@ class Runner:
         finally:
             for _, computation in self._computations:
                 computation.close()
+            for device in self._devices:
+                if isinstance(device, Ending):
+                    device.end(self._clock())
 
     def _due(self) -> float:
         """The earliest deadline of all devices, NEVER for none."""

@@ -22,13 +22,15 @@ _RELATIVE = 0x01
 class ParameterGroup(IntEnum):
     """What is saved and restored on its own; the number is the sub-index of 1010h and 1011h.
 
-    LSS, node-ID and bit rate, is saved by LSS alone (CiA 305) and has no sub-index.
+    LSS, node-ID and bit rate, is saved by LSS alone (CiA 305), the operating time by the device itself;
+    they have no sub-index.
     """
 
     COMMUNICATION = 2
     APPLICATION = 3
     MANUFACTURER = 4
     LSS = 0x80
+    OPERATING_TIME = 0x81
 
 
 class Identity(NamedTuple):

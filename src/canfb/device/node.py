@@ -132,6 +132,11 @@ class Node(Hooks):
         return frozenset() if self.node_id == UNCONFIGURED else self._services.own_can_ids()
 
     @property
+    def now(self) -> float:
+        """The time of the running call, or of the last one, seconds."""
+        return self._moment.now
+
+    @property
     def autostart(self) -> bool:
         """Whether the next boot-up leads to OPERATIONAL without a master (1F80h)."""
         return self._startup.autostart

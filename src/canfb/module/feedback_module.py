@@ -20,6 +20,7 @@ from canfb.module.config import ModuleConfig
 from canfb.module.cyclic_timer import CyclicTimer
 from canfb.module.interval import IntervalEstimate
 from canfb.module.local_source import LocalSource
+from canfb.module.operating_time import OperatingTime
 from canfb.module.parameters import Limits, apply_defaults, configured_defaults, without_adc_pdo
 from canfb.module.prediction import Prediction
 from canfb.module.profile import EncoderProfile
@@ -87,6 +88,7 @@ class FeedbackModule:
         self._limits = Limits(self.dictionary, self.chain, self._interval)
         self._tables = TableStore(self.dictionary, self.chain, self.node.storage)
         self._input = SampleInput(self.dictionary, self.node)
+        self._operating_time = OperatingTime(self.dictionary, self.node.storage, lambda: self.node.now)
         self._source: LocalSource | None = None
         if source is not None:
             self._source = LocalSource(source, self.dictionary, self._input, self._tell_of_source)
@@ -148,6 +150,10 @@ class FeedbackModule:
     def deadline(self) -> float | None:
         """When :meth:`tick` is wanted next, None for not at all."""
         return self.node.deadline()
+
+    def end(self, now: float) -> None:
+        """The program ends at ``now``: the operating time is kept."""
+        self._operating_time.keep(now)
 
     def bus_off(self, now: float) -> list[Frame]:
         """The bus is gone at ``now``, as 1029h has it; the frames to send, if any."""
@@ -298,6 +304,7 @@ class FeedbackModule:
         elif old is NmtState.OPERATIONAL:
             self._recorder.stop()
             self._calibrating.interrupted()
+            self._operating_time.keep(now)
 
     def _encoder_changed(self) -> None:
         """2001:01 was written: every cycle is another part of a revolution."""
@@ -305,6 +312,7 @@ class FeedbackModule:
         self._limits.apply()
 
     def _on_reset(self, communication_only: bool, now: float) -> None:
+        self._operating_time.begin(now)
         self._alarmed = False
         self._warnings.reset()
         self._interval.reset()
