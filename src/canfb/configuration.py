@@ -297,7 +297,8 @@ class _Reader:
         place = next((key for key, _ in place.value if key.value == "node_id"), place)
         for n, module in enumerate(config.modules):
             for name in ("node_id", "encoder_interface"):
-                if getattr(module, name) == drive.node_id:
+                unused = name == "encoder_interface" and module.source is not None
+                if getattr(module, name) == drive.node_id and not unused:
                     raise self.fail(place, f"drive: node_id {drive.node_id} is the {name} of modules[{n}]")
 
     def _check_distinct_serial_numbers(self, items: Any, config: Config) -> None:

@@ -39,14 +39,21 @@ def test_what_the_example_has_in_comments_is_valid_too(example: str, tmp_path: P
     lines = []
     for line in example.splitlines():
         stripped = line.lstrip()
-        shown = stripped.startswith(("# conditioning:", "#   {", "# realtime:"))
+        shown = stripped.startswith(
+            ("# conditioning:", "#   {", "# realtime:", "# predict:", "# state_dir:", "# source:", "# drive:")
+        )
         words = stripped.removeprefix("# ").partition(" # ")[0].partition("   # offset")[0]
         indent = " " * (len(line) - len(stripped))
         lines.append(f"{indent}{words}" if shown else line)
     path.write_text("\n".join(lines))
     config = canfb.load_config(path)
     assert config.realtime.priority == 80
-    assert config.modules[0].conditioning == canfb.Conditioning()
+    module = config.modules[0]
+    assert module.conditioning == canfb.Conditioning()
+    assert (module.predict, module.state_dir) == (True, "/var/lib/canfb/x")
+    assert module.source is not None
+    assert module.source.kind == "iio"
+    assert config.simulation.drive is not None
 
 
 def test_several_modules_are_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -108,6 +108,11 @@ def test_the_node_of_the_default_is_looked_at_as_well() -> None:
         parsed("{}", "modules: [{node_id: 48}]\n")
 
 
+def test_a_module_that_samples_itself_has_no_encoder_interface() -> None:
+    module = "modules: [{node_id: 32, encoder_interface: 48, source: {kind: motion}}]\n"
+    assert parsed("{}", module).simulation.drive is not None
+
+
 @pytest.mark.parametrize(("option", "value"), [("samples", "x.csv"), ("rpm", 5.0)])
 def test_what_else_would_move_the_encoder_is_refused(option: str, value: object) -> None:
     with pytest.raises(ConfigError, match=f"--{option}: the drive"):

@@ -20,6 +20,7 @@ modules:                                        # one process serves several nod
     residual_limit: 0.3333                      # cycles; the paper's 1/3
     coast_samples: 3                            # bad samples to bridge before the position is lost
     autostart: false                            # true: operational without a master
+    # predict: true                             # synchronous PDOs carry the position of their SYNC (2013h)
     # state_dir: /var/lib/canfb/x               # keeps what `save` (1010h) saves; without it, nothing is kept
     # source: {kind: iio, device: ads7950}      # the module's own ADC (Linux IIO) in place of the ADC PDO, or
     #                                           # {kind: recording, file: tracks.csv}, or {kind: motion}
@@ -29,6 +30,7 @@ modules:                                        # one process serves several nod
 simulation:                                     # what canfb simulate plays in place of a machine
   encoder: {amplitude: 0.75, sine_offset: 0.03, cosine_amplitude: 0.97, noise_lsb: 0.5}
   motion: {standstill_s: 0.5, ramp_s: 2, rpm: 600}
+  # drive: {node_id: 0x30}                      # a CiA 402 drive moves the machine in place of `motion`
 
 # realtime: {priority: 80, lock_memory: true, cpu: 3}
 """
