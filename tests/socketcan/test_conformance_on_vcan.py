@@ -57,6 +57,8 @@ def check_states(node: canopen.RemoteNode, bus: can.BusABC) -> None:
         node.nmt.state = state
         node.nmt.wait_for_heartbeat(PATIENCE_S)
         assert node.nmt.wait_for_heartbeat(PATIENCE_S) == state
+    while bus.recv(0.0) is not None:  # nobody has read since the upload: no room would be left for a boot-up
+        pass
     node.nmt.state = "RESET"
     while (data := next_frame(bus, 0x700 + NODE_ID, PATIENCE_S)) != b"\x00":  # canopen's own wait may be late
         assert data is not None, "no boot-up"
