@@ -28,6 +28,7 @@ from canfb.module.profile_warnings import Warnings
 from canfb.module.publication import Publication
 from canfb.module.recorder import Recorder
 from canfb.module.sample_input import SampleInput
+from canfb.module.sync_gaps import SyncGaps
 from canfb.module.table_store import TableStore
 from canfb.module.tap import Taps
 from canfb.signal.chain import Feedback, SignalChain
@@ -111,6 +112,7 @@ class FeedbackModule:
         )
         self._bad_frames = self.dictionary.entry(0x2012, BAD_FRAMES)
         self._feedback: Feedback | None = None
+        self._sync_gaps = SyncGaps(self.dictionary)
         self._event_tpdos: list[int] = []
         self._alarmed = False
         self._listen()
@@ -156,8 +158,16 @@ class FeedbackModule:
         self._operating_time.keep(now)
 
     def bus_off(self, now: float) -> list[Frame]:
-        """The bus is gone at ``now``, as 1029h has it; the frames to send, if any."""
-        return self.node.bus_off(now)
+        """The bus is gone at ``now``, as 1029h has it; the frames to send, if any.
+
+        A module that stays in OPERATIONAL has lost its position: nobody counts the SYNCs meanwhile.
+        """
+        frames = self.node.bus_off(now)
+        if self.state is NmtState.OPERATIONAL and self._sampled:
+            while not self.chain.lost:
+                self._publish(self.chain.miss(), now, send=False)
+            self._listen()
+        return frames
 
     def bus_back(self, now: float) -> list[Frame]:
         """The bus is back at ``now``: EMCY 8140h."""
@@ -199,6 +209,7 @@ class FeedbackModule:
         self._sample_came = False  # since the last SYNC
         self._synced = False  # a SYNC came since OPERATIONAL
         self._sampled = False  # a sample came since OPERATIONAL
+        self._sync_gaps.forget()
 
     def _on_rpdo(self, number: int, now: float) -> None:
         if not self._input.take(number):
@@ -227,17 +238,26 @@ class FeedbackModule:
 
     def _on_sync(self, counter: int | None, now: float) -> None:
         if self._source is not None:
-            self._sample_source(self._source, now)
+            self._sample_source(self._source, counter, now)
         else:
             self._interval.event(now)
             if self._input.give_up():
                 self._count_bad_frame()
         if self._synced and self._sampled and not self._sample_came:
-            known_as_lost = self.chain.lost
-            self._publish(self.chain.miss(), now, send=not known_as_lost)
-            self._taps.miss()
+            self._miss(1, now)
+        if counter is not None and self._source is None:
+            self._miss(self._sync_gaps.lost(counter), now)
         self._sample_came = False
         self._synced = True
+
+    def _miss(self, samples: int, now: float) -> None:
+        """So many samples that did not come, told once. Before the first one there is nothing to miss."""
+        if not self._sampled:
+            return
+        known_as_lost = self.chain.lost
+        for left in range(samples - 1, -1, -1):
+            self._publish(self.chain.miss(), now, send=not left and not known_as_lost)
+            self._taps.miss()
 
     def _on_sync_predicting(self, counter: int | None, now: float) -> None:
         self._on_sync(counter, now)
@@ -251,8 +271,10 @@ class FeedbackModule:
         self.node.on_sync = self._on_sync_predicting if wanted else self._on_sync
         self.node.on_synchronised = self._prediction.withdraw if wanted else None
 
-    def _sample_source(self, source: LocalSource, now: float) -> None:
+    def _sample_source(self, source: LocalSource, counter: int | None, now: float) -> None:
         """The sample of this very SYNC; without one it is missed, from the first SYNC on."""
+        if counter is not None:
+            self._miss(self._sync_gaps.lost(counter), now)
         self._sampled = self._synced = True
         sample = source.next(now)
         if source.timed_s is None:

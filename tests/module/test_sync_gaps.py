@@ -1,0 +1,125 @@
+"""SYNCs that the module did not hear: their samples are missed, or the position is lost."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from module_bench import Bench
+
+from canfb.device.frame import Frame
+from canfb.signal.supervision import StatusBit
+
+SPEED = 0.3  # cycles per SYNC
+
+
+class Counted(Bench):
+    """A machine at constant speed whose SYNC has a counter, 1 to ``overflow``."""
+
+    def __init__(self, overflow: int = 20, **fields: object) -> None:
+        super().__init__(**fields)
+        self.overflow = overflow
+        self.sdo[0x1019].raw = overflow
+        self.number = 0
+        self.start()
+        for _ in range(8):
+            self.cycle()
+
+    def cycle(self, heard: bool = True) -> tuple[int, int] | None:
+        """The next SYNC and its sample, 6004h and status word; None where the module hears neither."""
+        self.number += 1
+        if not heard:
+            return None
+        self.bus.run_until(self.bus.now + self.interval_s)
+        self.sent(Frame(0x80, bytes([(self.number - 1) % self.overflow + 1])))
+        angle = 2 * math.pi * SPEED * self.number
+        sample = struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+        return self.position(self.sent(Frame(0x190, sample)))[:2]
+
+    def count(self) -> float:
+        return self.sdo[0x2011][4].raw + self.sdo[0x2011][3].raw / 2**32
+
+
+@pytest.mark.parametrize("lost", [1, 2, 3])
+def test_a_few_are_stepped_over(lost: int) -> None:
+    bench = Counted()
+    before = bench.count()
+    for _ in range(lost):
+        bench.cycle(heard=False)
+    for _ in range(16):
+        bench.cycle()
+    assert bench.sdo[0x2012][1].raw == lost
+    assert bench.sdo[0x2011][1].raw == StatusBit.VALID
+    assert bench.count() - before == pytest.approx(SPEED * (lost + 16), abs=0.03)  # no table
+
+
+@pytest.mark.parametrize("lost", [5, 13, 18])
+def test_many_lose_the_position_and_it_is_told(lost: int) -> None:
+    bench = Counted()
+    for _ in range(lost):
+        bench.cycle(heard=False)
+    for _ in range(40):
+        found = bench.cycle()
+        assert found is not None
+        assert not found[1] & StatusBit.VALID
+        assert found[1] & StatusBit.LOST
+    assert 0x7300 in bench.emergencies()
+    assert bench.sdo[0x6503].raw == 1
+
+
+def test_after_a_pause_in_pre_operational_the_counter_begins_anew() -> None:
+    bench = Counted()
+    bench.remote.nmt.state = "PRE-OPERATIONAL"
+    bench.number += 7  # while it does not listen, at standstill
+    bench.start()
+    bench.number -= 7
+    bench.number = bench.number // 20 * 20 + 3
+    for _ in range(30):
+        found = bench.cycle()
+        assert found is not None
+    assert bench.sdo[0x2012][1].raw == 0
+
+
+@given(st.lists(st.booleans(), max_size=30), st.integers(2, 40))
+def test_every_sync_that_was_not_heard_is_counted(heard: list[bool], overflow: int) -> None:
+    bench = Counted(overflow)
+    run = longest = 0
+    for one in heard:
+        run = 0 if one else run + 1
+        longest = max(longest, run)
+        bench.cycle(one)
+    bench.cycle()
+    if longest < overflow:
+        assert bench.sdo[0x2012][1].raw == heard.count(False)
+
+
+def test_without_a_counter_nothing_is_told() -> None:
+    bench = Counted()
+    bench.sdo[0x1019].raw = 0
+    bench.at(SPEED * bench.number)
+    assert bench.sdo[0x2012][1].raw == 0
+
+
+def test_a_module_that_stays_operational_without_a_bus_has_lost_its_position() -> None:
+    bench = Counted()
+    bench.sdo[0x1029][1].raw = 1
+    for frame in bench.module.bus_off(bench.bus.now):
+        bench.bus.send(frame)
+    assert bench.module.state == 5
+    bench.number += 500
+    bench.cycle()
+    bench.module.bus_back(bench.bus.now)
+    for _ in range(30):
+        found = bench.cycle()
+        assert found is not None
+        assert found[1] & StatusBit.LOST
+        assert not found[1] & StatusBit.VALID
+    bench.remote.nmt.state = "PRE-OPERATIONAL"
+    bench.start()
+    for _ in range(3):
+        found = bench.cycle()
+    assert found is not None
+    assert found[1] == StatusBit.VALID
