@@ -1,13 +1,48 @@
-"""Settings for all tests."""
+"""Settings for all tests, and a bus for those with several processes."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+import socket
+from collections.abc import Iterator
+from typing import Any
 
+import can
+import pytest
 from hypothesis import settings
+
+from canfb.bus.opening import open_bus
+from canfb.errors import BusError
 
 # No deadlines: a loaded machine is no finding. CI draws the same examples each time, so that a run can be
 # repeated; everywhere else they are drawn anew.
 settings.register_profile("default", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "default")
+
+
+@pytest.fixture
+def multicast_words() -> dict[str, Any]:
+    """A multicast bus on a port that nobody uses: tests side by side have buses of their own."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("", 0))
+        port = int(free.getsockname()[1])
+    # No hop: what the test sends stays on this machine.
+    return {"interface": "udp_multicast", "channel": "239.74.163.2", "port": port, "hop_limit": 0}
+
+
+@pytest.fixture
+def multicast_bus(multicast_words: dict[str, Any]) -> Iterator[can.BusABC]:
+    """The bus of the master; skips where multicast does not work."""
+    with contextlib.ExitStack() as stack:
+        try:
+            bus, probe = (stack.enter_context(open_bus(multicast_words)) for _ in range(2))
+            probe.send(can.Message(arbitration_id=0x7F0, is_extended_id=False))
+            heard = bus.recv(2.0)
+        except (BusError, can.CanError) as error:
+            pytest.skip(f"no multicast on this machine: {error}")
+        if heard is None or heard.arbitration_id != 0x7F0:
+            pytest.skip("no multicast on this machine: a datagram did not arrive")
+        probe.shutdown()
+        yield bus

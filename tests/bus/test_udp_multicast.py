@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import re
 import signal
-import socket
 import struct
 import subprocess
 import sys
@@ -17,8 +16,6 @@ from typing import Any
 import can
 import pytest
 
-from canfb.bus.opening import open_bus
-from canfb.errors import BusError
 from canfb.signal.supervision import StatusBit
 
 SYNC, ADC, POSITION = 0x080, 0x190, 0x1A0
@@ -33,33 +30,14 @@ simulation:
 """
 
 
-def words(port: int) -> dict[str, Any]:
-    # No hop: what the test sends stays on this machine.
-    return {"interface": "udp_multicast", "channel": "239.74.163.2", "port": port, "hop_limit": 0}
+@pytest.fixture
+def port(multicast_words: dict[str, Any]) -> int:
+    return int(multicast_words["port"])
 
 
 @pytest.fixture
-def port() -> int:
-    """A port that nobody uses, so that tests beside this one have buses of their own."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("", 0))
-        return int(free.getsockname()[1])
-
-
-@pytest.fixture
-def bus(port: int) -> Iterator[can.BusABC]:
-    """The bus of the master; skips where multicast does not work."""
-    with contextlib.ExitStack() as stack:
-        try:
-            bus, probe = (stack.enter_context(open_bus(words(port))) for _ in range(2))
-            probe.send(can.Message(arbitration_id=0x7F0, is_extended_id=False))
-            heard = bus.recv(2.0)
-        except (BusError, can.CanError) as error:
-            pytest.skip(f"no multicast on this machine: {error}")
-        if heard is None or heard.arbitration_id != 0x7F0:
-            pytest.skip("no multicast on this machine: a datagram did not arrive")
-        probe.shutdown()
-        yield bus
+def bus(multicast_bus: can.BusABC) -> can.BusABC:
+    return multicast_bus
 
 
 @pytest.fixture

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import can
 import canopen
 import pytest
 
-from canfb.bus.opening import open_bus
 from canfb.bus.state_files import StateDirError
 from canfb.cli.main import main
 from canfb.cli.run import make_module
 from canfb.device.frame import Frame
 from canfb.eds_files import eds_path
-from canfb.errors import BusError
 from canfb.module.config import ModuleConfig
 
 LIMIT_S = 30.0
@@ -131,21 +129,9 @@ class Process:
 
 
 @pytest.fixture
-def words() -> dict[str, object]:
-    """A multicast bus of this machine alone, on a port that nobody uses; skips where there is none."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("", 0))
-        port = int(free.getsockname()[1])
-    words = {"interface": "udp_multicast", "channel": "239.74.163.2", "port": port, "hop_limit": 0}
-    with contextlib.ExitStack() as stack:
-        try:
-            bus, probe = (stack.enter_context(open_bus(words)) for _ in range(2))
-            probe.send(can.Message(arbitration_id=0x7F0, is_extended_id=False))
-            if bus.recv(2.0) is None:
-                pytest.skip("no multicast on this machine: a datagram did not arrive")
-        except (BusError, can.CanError) as error:
-            pytest.skip(f"no multicast on this machine: {error}")
-    return words
+def words(multicast_words: dict[str, Any], multicast_bus: can.BusABC) -> dict[str, Any]:
+    """A multicast bus of this machine alone, which works."""
+    return multicast_words
 
 
 @pytest.fixture

@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import re
 import signal
-import socket
 import struct
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import can
 import numpy as np
@@ -19,8 +19,6 @@ import pytest
 from emulated_iiod import EmulatedAdc, EmulatedIiod
 from iio_kit import reading
 
-from canfb.bus.opening import open_bus
-from canfb.errors import BusError
 from canfb.signal.supervision import VALID
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp
@@ -53,27 +51,13 @@ class Machine:
 
 
 @pytest.fixture
-def port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("", 0))
-        return int(free.getsockname()[1])
+def port(multicast_words: dict[str, Any]) -> int:
+    return int(multicast_words["port"])
 
 
 @pytest.fixture
-def bus(port: int) -> Iterator[can.BusABC]:
-    """The bus of the master; skips where multicast does not work."""
-    words = {"interface": "udp_multicast", "channel": "239.74.163.2", "port": port, "hop_limit": 0}
-    with contextlib.ExitStack() as stack:
-        try:
-            bus, probe = (stack.enter_context(open_bus(words)) for _ in range(2))
-            probe.send(can.Message(arbitration_id=0x7F0, is_extended_id=False))
-            heard = bus.recv(2.0)
-        except (BusError, can.CanError) as error:
-            pytest.skip(f"no multicast on this machine: {error}")
-        if heard is None:
-            pytest.skip("no multicast on this machine: a datagram did not arrive")
-        probe.shutdown()
-        yield bus
+def bus(multicast_bus: can.BusABC) -> can.BusABC:
+    return multicast_bus
 
 
 @pytest.fixture
