@@ -59,7 +59,7 @@ def simulated_axis(options: argparse.Namespace, config: Config) -> SimulatedAxis
     link = FeedbackModuleLink(
         node_id=module.node_id,
         increments_per_revolution=scale[0x6001, 0],
-        total_range=scale[0x6501, 0] * scale[0x6502, 0] % (1 << 32),  # without scaling; 0 is 2^32
+        total_range=scale[0x6002, 0],  # without scaling, too
         synchronous=settings.synchronous_feedback,
     )
     drive = ServoDrive(settings.node_id, plant, link, autostart=options.autostart or module.autostart)
