@@ -3,43 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from configparser import RawConfigParser
-from dataclasses import dataclass
-from enum import IntEnum
 from pathlib import Path
-from typing import Any
 
-from canopen import import_od
-from canopen.objectdictionary import ODArray, ODRecord, ODVariable
-
-from canfb.device import eds
+from canfb.device import template
 from canfb.device.codes import AbortCode, SdoAbort
-from canfb.device.datatypes import DataType
 from canfb.device.entry import Entry
+from canfb.device.object_info import ObjectInfo, ObjectKind
 
 __all__ = ["Dictionary", "Entry", "ObjectInfo", "ObjectKind"]
-
-STORE_EDS = 0x1021
-"""The EDS of the device, in the format that 1022h names (CiA 301, 7.5.2.24)."""
-
-
-class ObjectKind(IntEnum):
-    """Object code (CiA 301, 7.4.3)."""
-
-    DOMAIN = 0x02
-    VAR = 0x07
-    ARRAY = 0x08
-    RECORD = 0x09
-
-
-@dataclass(frozen=True, slots=True)
-class ObjectInfo:
-    """What an index holds: its name, its kind and its sub-indices in ascending order."""
-
-    index: int
-    name: str
-    kind: ObjectKind
-    subindices: tuple[int, ...]
 
 
 class Dictionary:
@@ -68,34 +39,13 @@ class Dictionary:
 
         Raises OSError when the file cannot be read, and ValueError that names the section when it
         describes something impossible. ParameterValue of a DCF is not used. The value of 1021h, where
-        the file has it, is the file itself.
+        the file has it, is the file itself. A content is parsed once in a process; each dictionary has
+        entries of its own.
         """
         if not (1 <= node_id <= 127 or node_id == 255):
             raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127, or 255 for none yet")
-        path = Path(path)
-        parser = eds.read(path)
-        try:
-            imported = import_od(eds.as_file(parser), node_id)
-        except Exception as error:
-            raise ValueError(f"{path} is not a usable EDS: {error}") from error
-        sections = eds.sections(parser)
-        entries: list[Entry] = []
-        objects: list[ObjectInfo] = []
-        for index in sorted(imported.indices):
-            if index <= 0x1F:  # the dummies, which are no objects of the device
-                continue
-            thing = imported.indices[index]
-            variables = _variables(thing)
-            for variable in variables:
-                section = sections[variable.index, variable.subindex]
-                entries.append(_entry(parser, section, variable, node_id, path))
-            subindices = tuple(variable.subindex for variable in variables)
-            objects.append(ObjectInfo(index, str(thing.name), _kind(thing), subindices))
-        dictionary = cls(entries, objects, eds.dummy_types(parser))
-        stored = dictionary.find(STORE_EDS)
-        if stored is not None and stored.data_type == DataType.DOMAIN:
-            stored.default = stored.value = path.read_bytes()
-        return dictionary
+        described = template.load(Path(path), node_id)
+        return cls(described.fresh_entries(), described.objects, described.dummies)
 
     def entry(self, index: int, subindex: int = 0) -> Entry:
         """The entry, for code that knows its device. KeyError when there is none."""
@@ -147,50 +97,6 @@ class Dictionary:
         for entry in self._entries.values():
             if first <= entry.index <= last:
                 entry.reset()
-
-
-def _variables(thing: ODVariable | ODArray | ODRecord) -> list[ODVariable]:
-    if isinstance(thing, ODVariable):
-        return [thing]
-    return [thing.subindices[subindex] for subindex in sorted(thing.subindices)]
-
-
-def _kind(thing: ODVariable | ODArray | ODRecord) -> ObjectKind:
-    if isinstance(thing, ODArray):
-        return ObjectKind.ARRAY
-    if isinstance(thing, ODRecord):
-        return ObjectKind.RECORD
-    return ObjectKind.DOMAIN if thing.data_type == DataType.DOMAIN else ObjectKind.VAR
-
-
-def _entry(parser: RawConfigParser, section: str, variable: ODVariable, node_id: int, path: Path) -> Entry:
-    data_type = int(variable.data_type or 0)
-
-    def number(option: str) -> Any:
-        try:
-            return eds.number(parser.get(section, option, fallback=""), data_type, node_id)
-        except ValueError as error:
-            raise ValueError(f"{path} [{section}] {option}: {error}") from error
-
-    try:
-        entry = Entry(
-            variable.index,
-            variable.subindex,
-            data_type,
-            name=variable.name,
-            access=variable.access_type,
-            default=number("DefaultValue"),
-            low=number("LowLimit"),
-            high=number("HighLimit"),
-            pdo_mappable=variable.pdo_mappable,
-            follows_node_id="$NODEID" in parser.get(section, "DefaultValue", fallback="").upper(),
-        )
-        entry.encode()
-        if entry.default is not None:
-            entry.check_limits(entry.default)
-    except (ValueError, SdoAbort) as error:
-        raise ValueError(f"{path} [{section}]: {error}") from error
-    return entry
 
 
 def _guess_objects(entries: Iterable[tuple[int, int]]) -> list[ObjectInfo]:

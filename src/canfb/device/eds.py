@@ -35,12 +35,20 @@ class EdsText(io.StringIO):
 
 def read(path: Path) -> RawConfigParser:
     """The sections of the file, completed. ValueError when it is not an EDS."""
+    try:
+        return parse(path.read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def parse(content: bytes) -> RawConfigParser:
+    """The sections of a file with this content, completed. ValueError when it is not an EDS."""
     parser = RawConfigParser(inline_comment_prefixes=(";",))
     parser.optionxform = str  # type: ignore[assignment,method-assign]
     try:
-        parser.read_string(path.read_text(encoding="utf-8", errors="replace"), source=str(path))
+        parser.read_file(io.TextIOWrapper(io.BytesIO(content), encoding="utf-8", errors="replace"))
     except ParserError as error:
-        raise ValueError(f"{path} is not an EDS: {error}") from error
+        raise ValueError(f"not an EDS: {error}") from error
     for section in [name for name in parser.sections() if _INDEX.match(name)]:
         _expand_compact(parser, section)
     for section in parser.sections():

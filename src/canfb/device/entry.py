@@ -90,6 +90,23 @@ class Entry:
     def __repr__(self) -> str:
         return f"<Entry {self.index:04X}h:{self.subindex:02X} {self.name!r} = {self.value!r}>"
 
+    def fresh(self) -> Entry:
+        """The same entry of another dictionary: at its default, without hooks."""
+        copy = Entry.__new__(Entry)
+        copy.index = self.index
+        copy.subindex = self.subindex
+        copy.name = self.name
+        copy.data_type = self.data_type
+        copy.access = self.access
+        copy.default = self.default
+        copy.low = self.low
+        copy.high = self.high
+        copy.pdo_mappable = self.pdo_mappable
+        copy.follows_node_id = self.follows_node_id
+        copy.on_read = copy.on_write = copy.on_written = copy.on_download = None
+        copy.reset()
+        return copy
+
     def reset(self) -> None:
         """Back to the default, or to zero or empty where there is none. No hook runs."""
         self.value = datatypes.zero(self.data_type) if self.default is None else self.default
