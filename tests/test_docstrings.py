@@ -9,9 +9,8 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-import pytest
-
 import canfb
+from folding import each
 
 # A name in a docstring may leave out the unit, and write blanks for underscores.
 UNIT = re.compile(r"_(s|hz|counts|cycles|rad|rad_s|rad_s2)$")
@@ -84,14 +83,14 @@ def is_spoken_of(parameter: str, text: str) -> bool:
     )
 
 
-@pytest.mark.parametrize("name", PUBLIC)
+@each("name", PUBLIC)
 def test_every_name_has_a_docstring_of_its_own(name: str) -> None:
     text = PUBLIC[name].__doc__ or ""
     assert len(text.split()) >= 2
     assert not text.startswith(f"{name}("), "made by dataclass or NamedTuple, not written"
 
 
-@pytest.mark.parametrize("name", [name for name, thing in PUBLIC.items() if not isinstance(thing, property)])
+@each("name", [name for name, thing in PUBLIC.items() if not isinstance(thing, property)])
 def test_every_parameter_and_field_is_spoken_of(name: str) -> None:
     text = text_of(name)
     missing = {parameter for parameter in parameters_of(PUBLIC[name]) if not is_spoken_of(parameter, text)}

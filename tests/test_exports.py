@@ -10,6 +10,7 @@ from importlib.metadata import version
 import pytest
 
 import canfb
+from folding import each
 
 # Section 3 of the design: names that users rely on.
 CONTRACT = {
@@ -99,7 +100,7 @@ def test_the_exports_are_the_contract_and_what_is_stated_here() -> None:
     assert len(canfb.__all__) == len(set(canfb.__all__))
 
 
-@pytest.mark.parametrize("name", canfb.__all__)
+@each("name", canfb.__all__)
 def test_each_is_there_and_comes_from_the_package(name: str) -> None:
     thing = getattr(canfb, name)
     assert thing.__name__ == name

@@ -7,9 +7,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import pytest
-
 import canfb
+from folding import each
 
 PACKAGE = Path(canfb.__file__).parent
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -176,6 +175,6 @@ def test_other_packages_are_where_they_belong() -> None:
     }, "a rule that nothing needs any more"
 
 
-@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
+@each("file", FILES)
 def test_files_stay_small(file: Path) -> None:
     assert len(file.read_text(encoding="utf-8").splitlines()) <= LONGEST_FILE

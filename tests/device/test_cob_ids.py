@@ -9,6 +9,7 @@ from device_kit import ID, OK, Bench
 
 from canfb.device.codes import AbortCode
 from canfb.device.dictionary import Dictionary
+from folding import each
 
 SHIPPED = Path(__file__).parents[2] / "eds"
 RANGES = [(0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF)]
@@ -72,8 +73,8 @@ def test_sync_and_time(module: Bench, index: int, subindex: int) -> None:
     assert module.write(index, subindex, 0x201 | switch, 4) == OK
 
 
-@pytest.mark.parametrize(("index", "subindex"), SWITCHED_ON + SWITCHED_OFF)
-@pytest.mark.parametrize("bits", [BIT_29, 1 << 11, 1 << 28, 0x1FFFF800])
+@each("index, subindex", SWITCHED_ON + SWITCHED_OFF)
+@each("bits", [BIT_29, 1 << 11, 1 << 28, 0x1FFFF800])
 def test_frames_of_29_bits(module: Bench, index: int, subindex: int, bits: int) -> None:
     value = module.read(index, subindex)
     for switch in (0, BIT_31):

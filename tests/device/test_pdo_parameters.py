@@ -9,6 +9,7 @@ from device_kit import ID, OK, Bench
 from canfb.device.codes import AbortCode
 from canfb.device.dictionary import Dictionary
 from canfb.device.node import Node
+from folding import each
 
 UNSUPPORTED = AbortCode.UNSUPPORTED_ACCESS
 NOT_MAPPABLE = AbortCode.NOT_MAPPABLE
@@ -163,7 +164,7 @@ def test_another_can_id_is_listened_to(bench: Bench) -> None:
     assert bench.dictionary.entry(0x2000, 1).value == 1
 
 
-@pytest.mark.parametrize("value", range(0x100))
+@each("value", range(0x100))
 def test_transmission_types(bench: Bench, value: int) -> None:
     good = value <= 240 or value >= 254
     assert bench.write(0x1400, 2, value, 1) == (OK if good else INVALID)

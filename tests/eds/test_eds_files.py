@@ -11,6 +11,7 @@ import pytest
 from canfb import eds_files
 from canfb.eds_files import EdsNotFoundError, eds_path
 from canfb.errors import CanfbError
+from folding import each
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
@@ -215,7 +216,7 @@ CONTRACT = [
 ]
 
 
-@pytest.mark.parametrize(("name", "line"), CONTRACT)
+@each("name, line", CONTRACT)
 def test_the_contract_is_kept(name: str, line: str) -> None:
     place, data_type, access, *rest = line.split()
     index, sub = (int(part, 16) for part in place.split(":"))

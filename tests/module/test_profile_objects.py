@@ -13,6 +13,7 @@ from module_bench import Bench
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
 from canfb.eds_files import eds_path
+from folding import each
 
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 U8, U16, U32, U64, I16, I32 = 0x5, 0x6, 0x7, 0x1B, 0x3, 0x4
@@ -81,7 +82,7 @@ def test_the_table_is_complete() -> None:
     assert there == set(PROFILE) | {0x650A}
 
 
-@pytest.mark.parametrize(("index", "subindex"), PLACES, ids=lambda value: f"{value:X}")
+@each("index, subindex", PLACES)
 def test_it_is_that_of_the_profile(bench: Bench, index: int, subindex: int) -> None:
     row, entry = PROFILE[index], entry_at(bench, index, subindex)
     assert (entry.data_type, entry.access, entry.pdo_mappable) == row[:3]
@@ -117,7 +118,7 @@ def test_it_can_be_written_if_it_is_rw(bench: Bench, index: int, subindex: int) 
     bench.remote.sdo.download(index, subindex, entry.default.to_bytes(size, "little", signed=index == 0x6402))
 
 
-@pytest.mark.parametrize(("index", "subindex"), PLACES, ids=lambda value: f"{value:X}")
+@each("index, subindex", PLACES)
 def test_it_can_be_mapped_if_the_profile_says_so(bench: Bench, index: int, subindex: int) -> None:
     row, sdo = PROFILE[index], bench.sdo
     sdo[0x1802][1].raw = 0x800003A0

@@ -17,6 +17,7 @@ from canfb.device.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.module import profile_warnings
 from canfb.module.profile import ALARM_PARAMETERS, ALARM_POSITION
+from folding import each
 
 PAGE = (Path(__file__).parents[2] / "docs" / "encoder-profile.md").read_text(encoding="utf-8")
 TYPES = {"U8": DataType.UNSIGNED8, "U16": DataType.UNSIGNED16, "U32": DataType.UNSIGNED32,
@@ -58,7 +59,7 @@ def test_the_table_has_every_object_once() -> None:
     assert sorted(told) == sorted(there)
 
 
-@pytest.mark.parametrize(("places", "cells"), rows(), ids=lambda value: str(value[0]))
+@each("places, cells", rows())
 def test_a_row_is_that_of_the_eds(places: list[tuple[int, int]], cells: list[str]) -> None:
     _, data_type, access, _, default = cells
     for place in places:

@@ -18,6 +18,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.tracker import Track, Tracker, TrackResult, track
+from folding import each
 
 PLACES = np.arange(64) / 64
 TABLES = {
@@ -76,10 +77,8 @@ def test_track_does_not_depend_on_the_blocks(phases: list[float], samples: int) 
         assert bits(track(phases)) == bits(whole)
 
 
-@pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
-@pytest.mark.parametrize(
-    "kind", ["int8", "int16", ">i2", "int32", "int64", "uint16", "float32", "float64", "object"]
-)
+@each("table", TABLES.values())
+@each("kind", ["int8", "int16", ">i2", "int32", "int64", "uint16", "float32", "float64", "object"])
 def test_any_kind_of_number_gives_the_bits_of_its_float64(kind: str, table: CorrectionTable | None) -> None:
     low, high = (-128, 127) if kind == "int8" else (0, 32767) if kind == "uint16" else (-32768, 32767)
     numbers = np.random.default_rng(1).integers(low, high, (2, 500), endpoint=True)

@@ -22,6 +22,7 @@ from canfb.signal.bridge import (
     run_accelerations,
     speed,
 )
+from folding import each
 
 LIMIT = 1 / 3
 
@@ -85,9 +86,9 @@ def test_no_way_is_wrong_while_the_gap_is_like_what_is_seen(
     assert through(positions, 9, gap) in (None, truth(positions, 9, gap))
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("steps", [1, 2, 3, 4])
-@pytest.mark.parametrize("bend", [0.32, 0.325, 0.333])
+@each("sign", [1, -1])
+@each("steps", [1, 2, 3, 4])
+@each("bend", [0.32, 0.325, 0.333])
 def test_an_acceleration_at_the_limit_that_ends_in_the_gap_is_unclear(
     bend: float, steps: int, sign: int
 ) -> None:

@@ -11,6 +11,7 @@ from canfb.signal.chain import ChainConfig, Feedback, SignalChain
 from canfb.signal.coarse import CoarseTrack
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import StatusBit
+from folding import each
 
 N = 4096  # with powers of two the limits are exact
 FULL = 2048
@@ -117,8 +118,8 @@ def test_aligned_anew_it_starts_without_hysteresis() -> None:
     assert not track.disagrees(0.125, 0, 0.0)
 
 
-@pytest.mark.parametrize("count", [0, 100, -5000, 123456])
-@pytest.mark.parametrize("off", [0, 1, -1, 7, N // 2 - 1, 1 - N // 2])
+@each("count", [0, 100, -5000, 123456])
+@each("off", [0, 1, -1, 7, N // 2 - 1, 1 - N // 2])
 def test_the_nearest_count_at_an_angle(count: int, off: int) -> None:
     track = aligned(angle=0.125, cycles=100, phase=0.25)
     angle = (0.125 + (count + off - 100) / N) % 1.0
@@ -150,10 +151,10 @@ def search(
     return None
 
 
-@pytest.mark.parametrize("error", [0.0, 0.03, -0.03])
-@pytest.mark.parametrize("direction", [1, -1])
-@pytest.mark.parametrize("speed", [0.0, 0.01, 1.0, 3.3, 83.4, 125.0, 1000.0])
-@pytest.mark.parametrize("missing", [0, 1, -1, 2, -2, 83, -125])
+@each("error", [0.0, 0.03, -0.03])
+@each("direction", [1, -1])
+@each("speed", [0.0, 0.01, 1.0, 3.3, 83.4, 125.0, 1000.0])
+@each("missing", [0, 1, -1, 2, -2, 83, -125])
 def test_the_range_of_speed_is_found_and_never_a_wrong_one(
     missing: int, speed: float, direction: int, error: float
 ) -> None:
@@ -383,8 +384,8 @@ class Starting:
             self.valid.append(got.cycles + got.phase - self.position)
 
 
-@pytest.mark.parametrize("fault", ["none", "amplitude", "missed", "long gap"])
-@pytest.mark.parametrize("speed", [0.0, 0.4, *WRONG_SPEEDS])
+@each("fault", ["none", "amplitude", "missed", "long gap"])
+@each("speed", [0.0, 0.4, *WRONG_SPEEDS])
 def test_started_on_a_turning_machine(speed: float, fault: str) -> None:
     machine = Starting(speed + (0.13 if speed else 0.0))
     machine.run(4)

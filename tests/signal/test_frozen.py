@@ -12,6 +12,7 @@ from canfb.signal.chain import ChainConfig, SignalChain
 from canfb.signal.frozen import FrozenInput
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import StatusBit
+from folding import each
 
 NEVER = 600
 
@@ -26,9 +27,9 @@ def first_proof(frozen_samples: int, speed: float, limit: float = 1 / 3) -> int:
     return first
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("samples", [1, 2, 3, 16, 255])
-@pytest.mark.parametrize("limit", [1 / 3, 0.125, 0.5])
+@each("sign", [1, -1])
+@each("samples", [1, 2, 3, 16, 255])
+@each("limit", [1 / 3, 0.125, 0.5])
 def test_below_the_residual_limit_a_machine_may_have_stopped(limit: float, samples: int, sign: int) -> None:
     for speed in (0.0, 0.02, limit / 2, below(limit)):
         assert first_proof(samples, sign * speed, limit) == NEVER

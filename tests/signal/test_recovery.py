@@ -16,6 +16,7 @@ from canfb.signal.recovery import Recovery
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import StatusBit
 from canfb.signal.tracker import Track, Tracker
+from folding import each
 
 VALID, COASTING, LOST, RESIDUAL = 1, 2, 4, 8
 SPEEDS = [0.0, 0.3, -0.3, 5.0, 41.3, -83.37]
@@ -58,8 +59,8 @@ class Following:
         raise AssertionError("never valid")
 
 
-@pytest.mark.parametrize("coast", [0, 1, 3, 255])
-@pytest.mark.parametrize("speed", SPEEDS)
+@each("coast", [0, 1, 3, 255])
+@each("speed", SPEEDS)
 def test_it_coasts_over_so_many_samples_and_not_one_more(speed: float, coast: int) -> None:
     machine = Following(speed, coast)
     for _ in range(coast):
@@ -153,8 +154,8 @@ def test_samples_at_uneven_times_are_followed(elapsed: float) -> None:
         assert position(track) == pytest.approx(machine.position, abs=1e-6)
 
 
-@pytest.mark.parametrize("off", [0.34, -0.34, 0.45, 0.5])
-@pytest.mark.parametrize("speed", SPEEDS)
+@each("off", [0.34, -0.34, 0.45, 0.5])
+@each("speed", SPEEDS)
 def test_one_sample_over_the_residual_limit_is_told_and_costs_nothing(speed: float, off: float) -> None:
     machine = Following(speed)
     track, bits = machine.good(off)
@@ -163,9 +164,9 @@ def test_one_sample_over_the_residual_limit_is_told_and_costs_nothing(speed: flo
     assert machine.until_valid() == 4
 
 
-@pytest.mark.parametrize("off", [0.1, 0.2, 0.3, -0.3])
-@pytest.mark.parametrize("length", [1, 2, 3])
-@pytest.mark.parametrize("speed", [0.0, 5.25, -41.3])
+@each("off", [0.1, 0.2, 0.3, -0.3])
+@each("length", [1, 2, 3])
+@each("speed", [0.0, 5.25, -41.3])
 def test_a_glitch_below_the_limit_is_forgotten_too(speed: float, length: int, off: float) -> None:
     machine = Following(speed)
     for k in range(length):

@@ -14,6 +14,7 @@ from canfb.signal.sample import Sample
 from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
 from canfb.signal.tracker import Track
 from canfb.signal.zero_pulse import ZeroPulse
+from folding import each
 
 N = 2500
 
@@ -108,9 +109,9 @@ def pulse(made: Reference, speed: float, time: float, place: float, elapsed: flo
     return made.apply(Sample(1.0, 0.0, elapsed, zero_pulse=place), after, LOST, before, end, elapsed)
 
 
-@pytest.mark.parametrize("missing", [83, -17, 2])
-@pytest.mark.parametrize(
-    ("first", "second"),
+@each("missing", [83, -17, 2])
+@each(
+    "first, second",
     [
         ((0.2, 1.0), (0.7, 1.0)),
         ((0.95, 1.0), (0.05, 1.0)),
@@ -120,7 +121,7 @@ def pulse(made: Reference, speed: float, time: float, place: float, elapsed: flo
         ((1.0, 1.0), (1.0, 0.25)),
     ],
 )
-@pytest.mark.parametrize("speed", [83.4, -83.4, 481.3])
+@each("speed", [83.4, -83.4, 481.3])
 def test_a_pulse_belongs_to_its_place_between_two_samples(
     speed: float, missing: int, first: tuple[float, float], second: tuple[float, float]
 ) -> None:
@@ -353,9 +354,9 @@ def test_a_pulse_that_cannot_tell_the_speed_yet_changes_nothing() -> None:
     assert (recovery.told, recovery.vouched) == ([], 0)
 
 
-@pytest.mark.parametrize("way", [3.3, -3.3, 0.4, -83.75])
-@pytest.mark.parametrize("place", [0.0, 0.25, 0.9, 1.0])
-@pytest.mark.parametrize("begin", [70.6, -0.4, -2500.75])
+@each("way", [3.3, -3.3, 0.4, -83.75])
+@each("place", [0.0, 0.25, 0.9, 1.0])
+@each("begin", [70.6, -0.4, -2500.75])
 def test_the_place_of_a_pulse_is_on_the_way_between_two_samples(
     begin: float, place: float, way: float
 ) -> None:

@@ -18,6 +18,7 @@ from canfb.signal.correction import CorrectionTable
 from canfb.signal.sample import Sample
 from canfb.signal.stream import SHORTEST_BLOCK, ChainResult, process_stream
 from canfb.signal.supervision import StatusBit
+from folding import each
 
 Array = np.ndarray
 FIELDS = ("cycles", "phase", "residual", "amplitude", "raw_phase", "status")
@@ -217,9 +218,9 @@ def test_amplitudes_and_counts_at_their_limits() -> None:
             assert_same(in_blocks(sine, cosine, config), one_by_one(sine, cosine, config))
 
 
-@pytest.mark.parametrize("speed", [0.0, 0.0199, 0.0201, 0.3, 0.333, 0.334, 0.4, 1.0, 1.01, 2.0, 3.5])
-@pytest.mark.parametrize("frozen_samples", [0, 1, 2, 5])
-@pytest.mark.parametrize("lengths", [[400], [101, 16], [103, 17]])
+@each("speed", [0.0, 0.0199, 0.0201, 0.3, 0.333, 0.334, 0.4, 1.0, 1.01, 2.0, 3.5])
+@each("frozen_samples", [0, 1, 2, 5])
+@each("lengths", [[400], [101, 16], [103, 17]])
 def test_a_frozen_input_is_found_at_the_same_sample(
     speed: float, frozen_samples: int, lengths: list[int]
 ) -> None:

@@ -17,6 +17,7 @@ from canfb.signal import supervision
 from canfb.signal.chain import ChainConfig, SignalChain
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import SampleLimits, StatusBit, Supervision
+from folding import each
 
 LIMITS = SampleLimits(2048, 400, 2400)
 OK, AMPLITUDE_BIT, CLIPPED_BIT = 0, 1 << 4, 1 << 5
@@ -43,16 +44,16 @@ CLIPPING_AFTER_FAULT = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("track", [0, 1], ids=["sine", "cosine"])
-@pytest.mark.parametrize(("counts", "bits"), CLIPPING)
+@each("track", [0, 1])
+@each("counts, bits", CLIPPING)
 def test_either_end_of_the_converter_is_clipped(counts: float, bits: int, track: int) -> None:
     pair = (counts, 0.0) if track == 0 else (0.0, counts)
     assert Supervision(LIMITS).faults(*pair, 1000.0) == bits
 
 
-@pytest.mark.parametrize("track", [0, 1], ids=["sine", "cosine"])
-@pytest.mark.parametrize("fault", [(0.0, 2047.0, 1000.0), (-2048.0, 0.0, 1000.0), (0.0, 0.0, 0.0)])
-@pytest.mark.parametrize(("counts", "bits"), CLIPPING_AFTER_FAULT)
+@each("track", [0, 1])
+@each("fault", [(0.0, 2047.0, 1000.0), (-2048.0, 0.0, 1000.0), (0.0, 0.0, 0.0)])
+@each("counts, bits", CLIPPING_AFTER_FAULT)
 def test_after_a_fault_the_converter_ends_two_counts_earlier(
     counts: float, bits: int, fault: tuple[float, float, float], track: int
 ) -> None:
@@ -79,8 +80,8 @@ def test_the_limits_of_the_amplitude_are_themselves_good(amplitude: float, bits:
     assert Supervision(LIMITS).faults(100.0, -100.0, amplitude) == bits
 
 
-@pytest.mark.parametrize("fault", [(0.0, 0.0, 0.0), (0.0, 0.0, 9999.0), (2047.0, 0.0, 1000.0)])
-@pytest.mark.parametrize(("amplitude", "bits"), AMPLITUDES_AFTER_FAULT)
+@each("fault", [(0.0, 0.0, 0.0), (0.0, 0.0, 9999.0), (2047.0, 0.0, 1000.0)])
+@each("amplitude, bits", AMPLITUDES_AFTER_FAULT)
 def test_after_a_fault_the_amplitude_must_come_back_by_a_thirty_second(
     amplitude: float, bits: int, fault: tuple[float, float, float]
 ) -> None:

@@ -12,6 +12,7 @@ from canfb.signal.chain import ChainConfig, Feedback, SignalChain
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import StatusBit
 from canfb.signal.zero_pulse import ZeroPulse
+from folding import each
 
 
 def pulse_at(n: int, cycles: int, phase: float) -> ZeroPulse:
@@ -32,10 +33,9 @@ def test_before_the_first_pulse_nothing_is_wrong() -> None:
     assert zero.error_cycles(1, 0.0) == 0
 
 
-@pytest.mark.parametrize("place", [(0, 0.0), (0, 0.25), (7, 0.75), (2499, 0.75), (-1, 0.75), (-2501, 0.5)])
-@pytest.mark.parametrize("turns", [0, 1, -1, 1000, -1000, 2**40])
-@pytest.mark.parametrize(
-    ("away", "error"),
+@each("place", [(0, 0.0), (0, 0.25), (7, 0.75), (2499, 0.75), (-1, 0.75), (-2501, 0.5)])
+@each("turns", [0, 1, -1, 1000, -1000, 2**40])
+@each("away, error",
     [
         (0.0, 0), (0.25, 0), (0.499, 0), (0.501, 1), (0.75, 1), (1.0, 1), (1.25, 1), (1.501, 2), (7.0, 7),
         (1249.0, 1249), (1250.0, 1250), (1250.25, 1250), (1250.75, -1249), (1251.0, -1249), (2499.0, -1),
@@ -124,9 +124,9 @@ def turning(speed: float, n: int) -> Turning:
     return made
 
 
-@pytest.mark.parametrize("n", [7, 10, 2500])
-@pytest.mark.parametrize("speed", [0.37, -0.37, 1.3, -2.4])
-@pytest.mark.parametrize("error", [1, -1, 2, -3])
+@each("n", [7, 10, 2500])
+@each("speed", [0.37, -0.37, 1.3, -2.4])
+@each("error", [1, -1, 2, -3])
 def test_a_wrong_count_is_set_right_at_the_pulse_in_both_directions(n: int, speed: float, error: int) -> None:
     made = turning(speed, n) if n < 100 else turning(30 * speed, n)
     good = made.step()

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from canfb.simulation import faults
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.faults import Fault, Samples, Signal
+from folding import each
 
 LENGTH, START, STOP = 60, 20, 35
 SPAN = slice(START, STOP)
@@ -83,8 +84,8 @@ def test_counts_are_those_of_a_converter(fault: Fault, start: int, length: int) 
         assert track.max() <= 2047
 
 
-@pytest.mark.parametrize("fault", ALL, ids=str)
-@pytest.mark.parametrize(("start", "stop"), [(-1, 5), (5, 5), (6, 5), (50, LENGTH + 1)])
+@each("fault", ALL)
+@each("start, stop", [(-1, 5), (5, 5), (6, 5), (50, LENGTH + 1)])
 def test_a_span_outside_the_samples_is_refused(fault: Fault, start: int, stop: int) -> None:
     with pytest.raises(ValueError, match="must hold"):
         injected(fault, None, start, stop)

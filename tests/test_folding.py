@@ -1,0 +1,64 @@
+"""Folded cases: each is tried, and a failing one is named."""
+
+from __future__ import annotations
+
+import inspect
+
+import pytest
+
+from folding import each
+
+
+def test_every_combination_is_tried_and_fixtures_are_passed_on() -> None:
+    tried = []
+
+    @each("one", [1, 2])
+    @each("two, three", [("a", 3.0), ("b", 4.0)])
+    def checks(fixture: str, one: int, two: str, three: float) -> None:
+        tried.append((fixture, one, two, three))
+
+    assert list(inspect.signature(checks).parameters) == ["fixture"]
+    checks(fixture="f")
+    assert tried == [("f", 1, "a", 3.0), ("f", 1, "b", 4.0), ("f", 2, "a", 3.0), ("f", 2, "b", 4.0)]
+
+
+def test_failing_cases_are_named_and_the_others_tried() -> None:
+    tried = []
+
+    @each("number", range(100))
+    def checks(number: int) -> None:
+        tried.append(number)
+        assert number not in (7, 60), "no good"
+
+    with pytest.raises(
+        AssertionError, match=r"2 of 100 cases fail:\n  number=7: .*\n  number=60: "
+    ) as caught:
+        checks()
+    assert "no good" in str(caught.value)
+    assert isinstance(caught.value.__cause__, AssertionError)
+    assert tried == list(range(100))
+
+
+def test_of_many_failing_cases_some_are_named_and_all_are_counted() -> None:
+    @each("number", range(100))
+    def checks(number: int) -> None:
+        raise ValueError(f"all wrong, also {number}")
+
+    with pytest.raises(AssertionError, match=r"100 of 100 cases fail:(?s:.*)and 80 more$") as caught:
+        checks()
+    assert "number=19: ValueError: all wrong, also 19" in str(caught.value)
+
+
+def test_no_case_is_a_mistake() -> None:
+    with pytest.raises(ValueError, match="nothing would be tested"):
+        each("number", [])
+
+
+@pytest.fixture
+def ten() -> int:
+    return 10
+
+
+@each("number", range(3))
+def test_pytest_gives_fixtures_to_a_folded_test(ten: int, number: int) -> None:
+    assert ten + number in (10, 11, 12)
