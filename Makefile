@@ -24,17 +24,13 @@ help: ## Show the targets
 demo: $(INSTALLED) ## Run the whole story on an in-process bus; pictures and report in build/demo
 	$(VENV)/bin/canfb demo --out $(DEMO_OUT)
 
-# The first part that fails ends the run, so the last line of pytest is that of the whole. The tests on a
-# real SocketCAN come first: they are few. Where no vcan can be had, pytest lists them as skipped and why.
+# Each part has its own verdict, whatever becomes of the others; make fails if one of them does. The tests on
+# a real SocketCAN wait more than they compute, so the others run beside them.
 test: $(INSTALLED_TEST) ## Run all checks and all tests
-	@$(MAKE) --no-print-directory lint types
-	@if $(VCAN) check; then \
-		$(MAKE) --no-print-directory socketcan && $(MAKE) --no-print-directory unit; \
-	elif [ "$$CANFB_REQUIRE_VCAN" = 1 ]; then \
-		echo "CANFB_REQUIRE_VCAN=1, and there is no vcan" >&2; exit 1; \
-	else \
-		$(PYTEST) -n $(WORKERS) --dist worksteal; \
-	fi
+	@$(PYTHON) tools/parts.py --beside "unit tests=$(MAKE) --no-print-directory unit" \
+		"style=$(MAKE) --no-print-directory lint" \
+		"types=$(MAKE) --no-print-directory types" \
+		"SocketCAN tests=$(MAKE) --no-print-directory socketcan"
 
 lint: $(INSTALLED_TEST) ## Check style and format
 	$(PY) -m ruff check
@@ -46,8 +42,9 @@ types: $(INSTALLED_TEST) ## Check types
 unit: $(INSTALLED_TEST) ## Run the tests that need no CAN interface
 	$(PYTEST) -n $(WORKERS) --dist worksteal -m "not socketcan"
 
+# Where no vcan can be had, pytest lists these tests as skipped and why; with CANFB_REQUIRE_VCAN=1 they fail.
 socketcan: $(INSTALLED_TEST) ## Run the tests on a real SocketCAN: this kernel's vcan, or one in user-mode Linux
-	$(VCAN) run -- $(PYTEST) tests/socketcan
+	@if $(VCAN) check; then $(VCAN) run -- $(PYTEST) tests/socketcan; else $(PYTEST) tests/socketcan; fi
 
 bench: $(INSTALLED_TEST) ## Measure the time of one cycle, and of whole arrays
 	$(PY) tools/bench.py

@@ -24,7 +24,7 @@ MODULE_ROOT = Path("/usr/lib/uml/modules")
 MODULES = ("can", "can-raw", "can-bcm", "can-dev", "vcan")
 OPTIONAL_MODULES = ("vxcan",)
 MEMORY_MIB = 1024
-BOOT_LIMIT_S = 60.0
+BOOT_SILENCE_S = 60.0
 POLL_S = 0.02
 SYSTEM_PATH = "/usr/local/sbin:/usr/sbin:/sbin"
 
@@ -262,6 +262,20 @@ class Tail:
         self._source.close()
 
 
+class Booting:
+    """A kernel that boots, by its log: a slow machine takes long, but goes on writing."""
+
+    def __init__(self, console: Path, now: float) -> None:
+        self._console, self._size, self._grown = console, 0, now
+
+    def silence_s(self, now: float) -> float:
+        """For how long the log has not grown, seconds."""
+        size = self._console.stat().st_size if self._console.exists() else 0
+        if size != self._size:
+            self._size, self._grown = size, now
+        return now - self._grown
+
+
 @contextlib.contextmanager
 def run_folder() -> Iterator[Path]:
     """Private folder for one run, at the same path outside and inside (/dev, /proc and /sys differ there)."""
@@ -313,10 +327,10 @@ def kill_group(process: subprocess.Popen[bytes]) -> None:
     process.wait()
 
 
-def run(machine: Machine, command: Sequence[str], channel: str, timeout_s: float) -> int:
+def run(machine: Machine, command: Sequence[str], channel: str, timeout_s: float | None = None) -> int:
     """Run a command in a user-mode Linux and copy its output; returns its exit status.
 
-    Its standard input is empty. Raises TimedOutError after timeout_s seconds.
+    Its standard input is empty. Raises TimedOutError after timeout_s seconds; None waits for ever.
     """
     with run_folder() as folder:
         output = folder / "output"
@@ -345,17 +359,20 @@ def run(machine: Machine, command: Sequence[str], channel: str, timeout_s: float
         return _exit_status(folder)
 
 
-def _relay(process: subprocess.Popen[bytes], folder: Path, tails: Sequence[Tail], timeout_s: float) -> None:
-    """Copy the output until the command has ended."""
+def _relay(
+    process: subprocess.Popen[bytes], folder: Path, tails: Sequence[Tail], timeout_s: float | None
+) -> None:
+    """Copy the output until the command has ended, or the kernel stops before it has started."""
     start = time.monotonic()
+    booting = Booting(folder / "console", start)
     while True:
         over = _is_over(process, folder)  # asked first: what was written until then is copied
         for tail in tails:
             tail.pump()
-        elapsed = time.monotonic() - start
-        if over or (elapsed > BOOT_LIMIT_S and not (folder / "started").exists()):
+        now = time.monotonic()
+        if over or (not (folder / "started").exists() and booting.silence_s(now) > BOOT_SILENCE_S):
             return
-        if elapsed > timeout_s:
+        if timeout_s is not None and now - start > timeout_s:
             raise TimedOutError(f"ended after {timeout_s:g} s (--timeout)")
 
 

@@ -185,6 +185,15 @@ def beside_a_kernel(command: list[str], timeout_s: float = 60.0) -> int:
     return vcan.run_in_kernel(vcan.Kernel("test", ("env",)), command, timeout_s)
 
 
+def test_a_boot_takes_its_time_while_the_kernel_writes(tmp_path: Path) -> None:
+    console = tmp_path / "console"
+    booting = vcan_uml.Booting(console, 100.0)
+    assert booting.silence_s(130.0) == 30.0
+    console.write_text("Linux version\n")
+    assert booting.silence_s(150.0) == 0.0
+    assert booting.silence_s(170.0) == 20.0
+
+
 def test_exit_status_is_the_commands() -> None:
     assert beside_a_kernel(["sh", "-c", "exit 7"]) == 7
     assert beside_a_kernel(["sh", "-c", "kill -TERM $$"]) == 143
