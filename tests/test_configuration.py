@@ -25,6 +25,7 @@ modules:                                                          # one process 
     encoder_interface: 0x10          # the node whose TPDO1 carries the ADC counts
     cycles_per_revolution: 2500
     adc_bits: 12
+    times: true                      # the ADC PDO carries the interface's sample time (2000:05) behind them
     state_dir: /var/lib/canfb/x      # where `save` (1010h) keeps table and parameters
     autostart: false                 # true: operational without a master
 realtime: {priority: 80, lock_memory: true, cpu: 3}
@@ -53,6 +54,7 @@ def test_the_yaml_of_the_design_loads_as_it_stands(tmp_path: Path) -> None:
             encoder_interface=0x10,
             cycles_per_revolution=2500,
             adc_bits=12,
+            times=True,
             state_dir="/var/lib/canfb/x",
             autostart=False,
         )
@@ -195,7 +197,7 @@ values = st.recursive(
 KEYS = ("node_id", "encoder_interface", "cycles_per_revolution", "adc_bits", "amplitude_low_counts",
         "amplitude_high_counts", "residual_limit", "coast_samples", "conditioning", "max_acceleration_rad_s2",
         "state_dir", "serial_number", "autostart", "frozen_samples", "coarse_limit_revolutions",
-        "source", "predict")  # fmt: skip
+        "source", "predict", "times")  # fmt: skip
 
 
 @given(

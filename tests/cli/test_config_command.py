@@ -29,7 +29,7 @@ def test_the_example_is_itself_valid(
     assert said.err == ""
     config = canfb.load_config(path)
     assert config.bus["interface"] == "socketcan"
-    assert config.modules == [canfb.ModuleConfig(node_id=0x20, residual_limit=0.3333)]
+    assert config.modules == [canfb.ModuleConfig(node_id=0x20, times=True, residual_limit=0.3333)]
     assert config.simulation.motion.rpm == 600
 
 

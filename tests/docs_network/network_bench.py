@@ -11,6 +11,7 @@ from canfb.device.storage import Store
 from canfb.eds_files import eds_path
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder_interface import EncoderInterface
 
@@ -56,10 +57,8 @@ start: [interface, module]
 class Silence:
     """A source of equal samples."""
 
-    dt = 1e-2
-
-    def next(self) -> tuple[int, int]:
-        return 0, 1500
+    def next(self) -> Sample:
+        return Sample(0, 1500)
 
 
 class Network:

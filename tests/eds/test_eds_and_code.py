@@ -40,13 +40,8 @@ CONSTANTS = {
 }
 """Objects whose default in the EDS is all there is to them: no code reads or writes them."""
 CONSTANT_ENTRIES = {(0x650A, 1): "offset of the manufacturer: none"}
-NOT_SERVED = {
-    INTERFACE: {
-        **dict.fromkeys([(0x6401, 3), (0x6401, 4)], "the simulated encoder has no coarse track yet"),
-        **dict.fromkeys([(0x2000, 1), (0x2000, 2), (0x2000, 3)], "nor sample times, nor a zero pulse"),
-    }
-}
-"""Entries that always read as 0, by device, and why; it should become empty."""
+NOT_SERVED: dict[str, dict[tuple[int, int], str]] = {}
+"""Entries that always read as 0, by device, and why; it should stay empty."""
 NOT_OFFERED = {
     INTERFACE: {
         (0x1007, 0): "its PDO goes out with the SYNC: there is nothing that a window could hold back",

@@ -211,3 +211,11 @@ def test_the_counter_overflow_takes_its_own_value_while_a_period_is_set(
     run(module, [write(0x1019, 0, 1, 10), write(0x1006, 0, 4, 1000)])
     assert put(module, write(0x1019, 0, 1, 10)) == 0
     assert put(module, write(0x1019, 0, 1, 11)) == 0x08000022
+
+
+def test_with_sample_times_the_mapping_of_rpdo1_goes_with_it() -> None:
+    module = FeedbackModule(ModuleConfig(node_id=NODE_ID, times=True))
+    module.start(0.0)
+    timed = configuration_of(module)
+    assert timed.changed() == {(0x1600, 0): 3, (0x1600, 3): 0x20000520}
+    assert timed.refused_in_index_order() == []

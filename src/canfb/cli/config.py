@@ -17,6 +17,7 @@ modules:                                        # one process serves several nod
     encoder_interface: 0x10                     # the node whose TPDO1 carries the ADC counts
     cycles_per_revolution: 2500
     adc_bits: 12
+    times: true                                 # the ADC PDO carries the time of each sample
     residual_limit: 0.3333                      # cycles; the paper's 1/3
     coast_samples: 3                            # bad samples to bridge before the position is lost
     autostart: false                            # true: operational without a master

@@ -77,7 +77,10 @@ def simulate(options: argparse.Namespace) -> int:
     axis = simulated_axis(options, config)
     source = chosen_source(options, config) if axis is None else axis.source
     interface = EncoderInterface(
-        module.encoder_interface, source, autostart=options.autostart or module.autostart
+        module.encoder_interface,
+        source,
+        autostart=options.autostart or module.autostart,
+        times=module.times,
     )
     node = f"{module.encoder_interface} ({module.encoder_interface:02X}h)"
     interface.node.on_duplicate = lambda can_id, now: report(

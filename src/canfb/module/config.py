@@ -18,6 +18,8 @@ class ModuleConfig(ChainConfig):
     serial_number            0..4294967295 (1018:04): with it an LSS master tells equal modules apart
     encoder_interface        1..127: the node whose TPDO1 carries the ADC counts; not node_id. Not used
                              with a source
+    times                    True: the ADC PDO carries the interface's sample time behind sine and cosine
+                             (RPDO1: 2000:01, :02, :05), 8 bytes. Not used with a source
     source                   where the samples come from in place of the ADC PDO; None: from the PDO
     max_acceleration_rad_s2  largest acceleration of the machine (2010:02); 0 = not known
     predict                  what synchronous TPDOs send (2013:01): False the measured position, True (or 1)
@@ -30,6 +32,7 @@ class ModuleConfig(ChainConfig):
     node_id: int
     serial_number: int = 0
     encoder_interface: int = 16
+    times: bool = False
     source: SourceConfig | None = None
     max_acceleration_rad_s2: float = 0.0
     predict: bool | int = False
@@ -53,8 +56,9 @@ class ModuleConfig(ChainConfig):
             raise ValueError("max_acceleration_rad_s2 must be 0 (not known) or positive, at most 1e9")
         if not isinstance(self.predict, int) or not 0 <= self.predict <= 2:
             raise ValueError(f"predict must be false, true, or 0, 1 or 2, not {self.predict!r}")
-        if not isinstance(self.autostart, bool):
-            raise ValueError(f"autostart must be true or false, not {self.autostart!r}")
+        for name in ("times", "autostart"):
+            if not isinstance(getattr(self, name), bool):
+                raise ValueError(f"{name} must be true or false, not {getattr(self, name)!r}")
         if self.state_dir is not None and not _is_folder_name(self.state_dir):
             raise ValueError(f"state_dir must be the name of a folder, not {self.state_dir!r}")
 

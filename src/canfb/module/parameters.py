@@ -17,6 +17,7 @@ from canfb.signal.supervision import SampleLimits
 
 ENCODER, SUPERVISION = 0x2001, 0x2010
 LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
+TIMED = {(0x1600, 0): 3, (0x1600, 3): 0x20000520}  # RPDO1: sine, cosine, sample time
 
 
 def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
@@ -24,7 +25,7 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
     limits, conditioning = config.limits, config.conditioning
     resolution = single_turn_resolution(config.cycles_per_revolution)
     revolutions = distinguishable_revolutions(resolution)
-    return {
+    return (TIMED if config.times else {}) | {
         (0x1018, 4): config.serial_number,
         (0x1400, 1): 0x180 + config.encoder_interface,
         (0x650B, 0): config.serial_number,

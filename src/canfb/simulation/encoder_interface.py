@@ -13,19 +13,30 @@ from canfb.device.node import Node
 from canfb.device.pdo import COMMUNICATION, numbers
 from canfb.device.storage import Store
 from canfb.eds_files import eds_path
+from canfb.signal.sample import Sample
 from canfb.signal.source import Source, SourceEnded
 from canfb.simulation.fast_recording import COMMAND, RATE, RECORDING, Continuous, FastRecorder
+from canfb.simulation.hearing import heard_at
+from canfb.simulation.sample_clock import SampleClock
 
 EDS = "encoder-interface"
+SAMPLE, CHANNELS, MAPPING = 0x2000, 0x6401, 0x1A00
+ZERO_PULSE, INVALID = 1 << 0, 1 << 1  # 2000:02
+PLACES = 65536  # 2000:03 counts the sample interval in 1/65536
+TIMED = {(MAPPING, 0): 3, (MAPPING, 3): 0x20000120}  # sine, cosine, sample time
 
 
 class EncoderInterface:
-    """A CANopen node, sans-I/O, with two ADC channels in 6401h and TPDO1 at each SYNC.
+    """A CANopen node, sans-I/O, with the ADC channels in 6401h and TPDO1 at each SYNC.
 
-    ``source`` gives the samples; a SYNC for which it has none gets no TPDO1, as if the
-    sample were lost on the bus. ``ended`` becomes True when a recording is over. Each sample
-    is an event for the TPDOs of type 0; types FEh and FFh have their event timer. ``store``
-    keeps what 1010h and LSS save. A ``node_id`` of 255 is one that an LSS master gives it; it
+    ``source`` gives the samples; a SYNC for which it has none gets no TPDO, as if the sample were lost on
+    the bus. ``ended`` becomes True when a recording is over. Each sample is an event for the TPDOs of
+    type 0; types FEh and FFh have their event timer.
+
+    2000:01 is the time of the sample: that of ``clock`` when the SYNC is heard, unless the sample brings a
+    time of its own. With ``times`` TPDO1 carries it behind sine and cosine, by default.
+
+    ``store`` keeps what 1010h and LSS save. A ``node_id`` of 255 is one that an LSS master gives it; it
     knows the device by its ``serial_number``, 0..4294967295.
     """
 
@@ -37,12 +48,17 @@ class EncoderInterface:
         autostart: bool = False,
         store: Store | None = None,
         serial_number: int = 0,
+        times: bool = False,
+        clock: SampleClock | None = None,
     ) -> None:
         if not 0 <= serial_number <= 0xFFFFFFFF:
             raise ValueError(f"serial_number must be 0..4294967295, not {serial_number}")
         self.dictionary = Dictionary.load(eds_path(EDS), node_id)
         serial = self.dictionary.entry(0x1018, 4)
         serial.default = serial.value = serial_number
+        for place, value in (TIMED if times else {}).items():
+            mapping = self.dictionary.entry(*place)
+            mapping.default = mapping.value = value
         self.node = Node(self.dictionary, node_id, autostart=autostart, store=store)
         self.node.on_sync = self._on_sync
         self.node.on_parameter_faults = self._on_parameter_faults
@@ -50,18 +66,23 @@ class EncoderInterface:
         for subindex in (COMMAND, RATE):  # of one recording, nothing to keep
             self.node.storage.entries.leave_out(RECORDING, subindex)
         self._now = 0.0
+        self._heard_s = 0.0  # when the SYNC was
+        self._clock = SampleClock() if clock is None else clock
         self.recorder = FastRecorder(self.dictionary, source, lambda: self._now)
         self.source = source
         self._continuous = source if isinstance(source, Continuous) else None
         self.ended = False
         self.samples = 0
         self._silent = False
-        self._channels = [self.dictionary.entry(0x6401, n) for n in (1, 2)]
-        self._cob_id = self.dictionary.entry(0x1800, 1)
-        self._tpdos = {
-            number: self.dictionary.entry(COMMUNICATION[Direction.TRANSMIT] + number - 1, 2)
-            for number in numbers(self.dictionary, Direction.TRANSMIT)
-        }
+        entry = self.dictionary.entry
+        self._sine, self._cosine, self._coarse_sine, self._coarse_cosine = (
+            entry(CHANNELS, n) for n in (1, 2, 3, 4)
+        )
+        self._time, self._flags, self._place = (entry(SAMPLE, n) for n in (1, 2, 3))
+        tpdos = numbers(self.dictionary, Direction.TRANSMIT)
+        parameters = COMMUNICATION[Direction.TRANSMIT] - 1
+        self._cob_ids = [entry(parameters + number, 1) for number in tpdos]
+        self._types = {number: entry(parameters + number, 2) for number in tpdos}
 
     def start(self, now: float) -> list[Frame]:
         """Power-on at ``now`` (seconds): the boot-up frame."""
@@ -72,12 +93,13 @@ class EncoderInterface:
         """Take a frame from the bus; the frames to send."""
         self._silent = False
         self._now = now
+        self._heard_s = heard_at(frame, now)
         return self._audible(self.node.receive(frame, now))
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at ``now``, a SYNC of its own too (1005h bit 30); the frames to send."""
         self._silent = False
-        self._now = now
+        self._now = self._heard_s = now
         return self._audible(self.node.tick(now))
 
     def deadline(self) -> float | None:
@@ -103,11 +125,23 @@ class EncoderInterface:
             self._silent = True
             return
         self.samples += 1
-        for channel, value in zip(self._channels, sample[:2], strict=True):
-            channel.value = value
-        for number, kind in self._tpdos.items():
+        self._keep(sample)
+        for number, kind in self._types.items():
             if kind.value == 0:  # FEh and FFh have their event timer; a sample of each SYNC would be too much
                 self.node.trigger_tpdo(number, now)
+
+    def _keep(self, sample: Sample) -> None:
+        """Put the sample into 6401h and 2000h."""
+        sine, cosine, _, invalid, coarse_sine, coarse_cosine, pulse, time_100ns = sample
+        self._sine.value, self._cosine.value = sine, cosine
+        if coarse_sine is not None and coarse_cosine is not None:
+            self._coarse_sine.value, self._coarse_cosine.value = coarse_sine, coarse_cosine
+        self._time.value = self._clock.ticks(self._heard_s) if time_100ns is None else time_100ns
+        flags = INVALID if invalid else 0
+        if pulse is not None:
+            flags |= ZERO_PULSE
+            self._place.value = min(int(pulse * PLACES), PLACES - 1)
+        self._flags.value = flags
 
     def _on_reset(self, communication_only: bool, now: float) -> None:
         if not communication_only:
@@ -123,4 +157,5 @@ class EncoderInterface:
     def _audible(self, frames: list[Frame]) -> list[Frame]:
         if not self._silent:
             return frames
-        return [frame for frame in frames if frame.can_id != self._cob_id.value & 0x7FF]
+        samples = {cob_id.value & 0x7FF for cob_id in self._cob_ids}
+        return [frame for frame in frames if frame.can_id not in samples]
