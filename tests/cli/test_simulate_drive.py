@@ -142,7 +142,6 @@ def test_the_drive_is_set_up_for_its_module() -> None:
         (0x2100, 5): 10_000,
         (0x6076, 0): 500,
     }
-    assert axis.plant.interval_s == 0.002
     assert axis.describe() == "drive: node 48 (30h), position from node 33 (21h)"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterable
 
@@ -168,13 +169,18 @@ def test_as_its_own_sync_producer_it_is_silent_where_a_sample_is_lost() -> None:
     assert sent == [[SYNC, adc(1, 2)], [SYNC], [SYNC, adc(3, 4)]]
 
 
-def test_one_interval_of_the_motion_passes_with_every_sample() -> None:
+def test_the_machine_is_sampled_at_the_true_time_of_each_sync() -> None:
+    """Also after a pause: it has gone on turning."""
     source = MotionSource(Encoder(amplitude_counts=1000.0), Motion((), start_rpm=60.0), 100, 0.001)
     interface = operational(source)
-    sent = [interface.receive(SYNC, 0.0)[0] for _ in range(30)]
-    assert source.position_cycles == pytest.approx(2.9)
-    sine, cosine = struct.unpack("<hh", sent[-1].data)
-    assert (sine, cosine) == (-588, 809)  # 0.9 of a cycle
+    for now, cycles in ((5.0, 0.0), (5.0009, 0.09), (5.0021, 0.21), (5.5, 50.0), (5.5011, 50.11)):
+        (frame,) = interface.receive(SYNC._replace(timestamp=now), now + 0.0003)
+        assert source.position_cycles == pytest.approx(cycles)
+        angle = 2 * math.pi * cycles
+        assert struct.unpack("<hh", frame.data) == (
+            round(1000 * math.sin(angle)),
+            round(1000 * math.cos(angle)),
+        )
 
 
 def test_each_sample_is_an_event_for_a_pdo_of_type_0() -> None:

@@ -81,6 +81,7 @@ def simulate(options: argparse.Namespace) -> int:
         source,
         autostart=options.autostart or module.autostart,
         times=module.times,
+        clock=config.simulation.sample_clock(),
     )
     node = f"{module.encoder_interface} ({module.encoder_interface:02X}h)"
     interface.node.on_duplicate = lambda can_id, now: report(
@@ -89,7 +90,7 @@ def simulate(options: argparse.Namespace) -> int:
     # The machine first: it must have moved when the SYNC comes to the others.
     devices: list[Device] = [interface] if axis is None else [axis.plant, interface, axis.drive]
     if options.rate is not None:
-        devices.append(SyncProducer(1.0 / options.rate))
+        devices.append(SyncProducer(1.0 / options.rate, config.simulation, config.simulation.seed))
     with open_bus(words) as bus:
         runner = Runner(bus, devices, report)
         apply_realtime(config.realtime, report)
@@ -112,7 +113,7 @@ def chosen_source(options: argparse.Namespace, config: Config) -> Source:
     """The recording of ``--samples``, else the motion of the configuration. CanfbError for a bad one."""
     module = config.modules[options.module]
     if options.samples is not None:
-        return RecordingSource(options.samples, _layout(options))
+        return RecordingSource(options.samples, _layout(options, module.times))
     motion = config.simulation.motion
     if options.rpm is not None:
         try:
@@ -125,10 +126,11 @@ def chosen_source(options: argparse.Namespace, config: Config) -> Source:
         module.cycles_per_revolution,
         1.0 / (options.rate or DEFAULT_RATE_HZ),
         config.simulation.seed,
+        config.simulation.aperture_jitter_s,
     )
 
 
-def _layout(options: argparse.Namespace) -> RecordingLayout:
+def _layout(options: argparse.Namespace, times: bool) -> RecordingLayout:
     columns = [name.strip() for name in options.columns.split(",")]
     if len(columns) != 2:
         raise ConfigError(f"--columns {options.columns}: two columns, sine,cosine, are wanted")
@@ -138,6 +140,13 @@ def _layout(options: argparse.Namespace) -> RecordingLayout:
         raise ConfigError(f"--gap {options.gap:g}: must be more than 0 seconds")
     if options.gap_samples < 1:
         raise ConfigError(f"--gap-samples {options.gap_samples}: must be 1 or more")
+    # The samples of a recording are as regular as they were, however the SYNC jitters that asks for them.
     return RecordingLayout(
-        (columns[0], columns[1]), options.mid_scale, options.time_column, options.gap, options.gap_samples
+        (columns[0], columns[1]),
+        options.mid_scale,
+        options.time_column,
+        options.gap,
+        options.gap_samples,
+        time_stamps=times and (options.time_column is not None or options.rate is not None),
+        interval_s=1.0 / (options.rate or DEFAULT_RATE_HZ),
     )

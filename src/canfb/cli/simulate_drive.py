@@ -49,12 +49,12 @@ def simulated_axis(options: argparse.Namespace, config: Config) -> SimulatedAxis
     module = config.modules[options.module]
     if module.node_id == UNCONFIGURED:
         raise ConfigError("drive: the module has no node_id (255) whose position the drive could take")
-    # A measured interval follows the SYNC of the bus; our own is known.
-    plant = Plant(
-        Motor(settings, settings.start_revolutions), None if options.rate is None else 1.0 / options.rate
-    )
+    plant = Plant(Motor(settings, settings.start_revolutions))
     encoder = config.simulation.encoder.encoder(module.adc_bits)
-    source = PlantSource(encoder, plant, module.cycles_per_revolution, config.simulation.seed)
+    simulation = config.simulation
+    source = PlantSource(
+        encoder, plant, module.cycles_per_revolution, simulation.seed, simulation.aperture_jitter_s
+    )
     scale = configured_defaults(module)
     link = FeedbackModuleLink(
         node_id=module.node_id,

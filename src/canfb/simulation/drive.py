@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from canfb.device.frame import Frame
 from canfb.simulation.sync_producer import SYNC_COB_ID
+from canfb.simulation.sync_timing import REGULAR, SyncDeviation, SyncTiming
 
 POSITION_PDO = struct.Struct("<IHH")  # 6004h, 2011:01 status word, 2011:02 residual
 
@@ -25,16 +26,26 @@ class Drive:
     """SYNC producer and position consumer, sans-I/O.
 
     ``position_cob_id`` is the module's TPDO1; positions wrap at ``total_range`` measuring
-    units and are unwrapped here: the drive moves less than half of that between two PDOs.
+    units and are unwrapped here: the drive moves less than half of that between two PDOs. ``timing`` makes
+    the SYNC drift and jitter about its period.
     """
 
-    def __init__(self, sync_period_s: float, position_cob_id: int, total_range: int) -> None:
+    def __init__(
+        self,
+        sync_period_s: float,
+        position_cob_id: int,
+        total_range: int,
+        timing: SyncTiming = REGULAR,
+        seed: int = 1,
+    ) -> None:
         self.sync_period_s = sync_period_s
+        self._deviation = SyncDeviation(timing, sync_period_s, seed)
         self.total_range = total_range
         self.syncs = 0
         self.consumed = Consumed()
         self._position_cob_id = position_cob_id
-        self._start_s: float | None = None
+        self._start_s = 0.0
+        self._next_s: float | None = None
         self._last_units: int | None = None
 
     def start(self, now: float) -> list[Frame]:
@@ -43,19 +54,20 @@ class Drive:
 
     def start_sync(self, now: float) -> None:
         """Produce the SYNC from ``now`` (seconds) on."""
-        self._start_s = now
+        self._start_s = self._next_s = now
         self.syncs = 0
 
     def deadline(self) -> float | None:
         """The time of the next SYNC."""
-        return None if self._start_s is None else self._start_s + self.syncs * self.sync_period_s
+        return self._next_s
 
     def tick(self, now: float) -> list[Frame]:
         """The SYNC, when it is due."""
-        deadline = self.deadline()
-        if deadline is None or now < deadline:
+        if self._next_s is None or now < self._next_s:
             return []
         self.syncs += 1
+        nominal_s = self._start_s + self.syncs * self._deviation.period_s
+        self._next_s = max(now, nominal_s + self._deviation.next_s())
         return [Frame(SYNC_COB_ID, b"")]
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:

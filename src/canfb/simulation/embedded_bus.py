@@ -6,7 +6,12 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
-from canfb.device.frame import Frame
+from canfb.device.frame import NEVER, Frame
+from canfb.simulation.wire import Wire, frame_bits
+
+__all__ = ["EmbeddedBus", "Participant", "frame_bits"]
+
+LONGEST_WAIT_S = 1.0
 
 
 class Participant(Protocol):
@@ -36,20 +41,19 @@ class Computing(Protocol):
         """What came out."""
 
 
-def frame_bits(data_bytes: int) -> int:
-    """Bits of an 11-bit data frame on the wire, the most stuff bits and the interframe space included."""
-    return 47 + 8 * data_bytes + (34 + 8 * data_bytes - 1) // 4
-
-
 class EmbeddedBus:
-    """Delivers every frame to all other participants, in the order of sending, at once.
+    """Delivers every frame to all other participants, in the order of sending.
 
-    ``now`` is the simulated time in seconds; ``bits`` and ``frames`` count what went over
-    the bus, for its load. ``taps`` are called with every frame and its time. What a participant
-    wants computed is computed at once: no simulated time passes, unless ``computes`` is False.
+    Without a ``bit_rate`` at once. With one (10000..1000000 bit/s) a frame takes its time on the wire, and
+    waits for the one before it: see :class:`canfb.simulation.wire.Wire`. It is received at its end, which
+    is its time stamp, too.
+
+    ``now`` is the simulated time in seconds; ``bits`` and ``frames`` count what went over the bus, for its
+    load. ``taps`` are called with every frame and its time. What a participant wants computed is computed
+    at once: no simulated time passes, unless ``computes`` is False.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, bit_rate: int | None = None) -> None:
         self.now = 0.0
         self.bits = 0
         self.frames = 0
@@ -58,6 +62,8 @@ class EmbeddedBus:
         self._participants: list[Participant] = []
         self._computing: list[tuple[Participant, Computing]] = []
         self._queue: deque[tuple[Participant | None, Frame]] = deque()
+        self._wire = None if bit_rate is None else Wire(bit_rate)
+        self._running = False
 
     def attach(self, participant: Participant) -> None:
         """Attach a device and power it on."""
@@ -68,21 +74,47 @@ class EmbeddedBus:
         self._deliver()
 
     def send(self, frame: Frame) -> None:
-        """Send a frame from outside; everything it causes at this instant happens before the return."""
-        self._queue.append((None, frame))
+        """Send a frame from outside; everything it causes happens before the return.
+
+        Without a bit rate all of it is at this instant. With one, time passes until the bus is idle, at
+        most 1 s; from within a participant or a tap the frame is put behind those that wait.
+        """
+        self._put(None, [frame])
         self._deliver()
+        if self._wire is not None and not self._running:
+            self._run(self.now + LONGEST_WAIT_S, until_idle=True)
 
     def run_until(self, time_s: float) -> None:
         """Let simulated time pass."""
-        while True:
-            due = [(deadline, p) for p in self._participants if (deadline := p.deadline()) is not None]
-            at, first = min(due, key=lambda pair: pair[0], default=(time_s, None))
-            if first is None or at > time_s:
-                break
-            self.now = max(self.now, at)
-            self._put(first, first.tick(self.now))
-            self._deliver()
+        self._run(time_s)
         self.now = max(self.now, time_s)
+
+    def _run(self, time_s: float, *, until_idle: bool = False) -> None:
+        wire, self._running = self._wire, True
+        try:
+            while not (until_idle and wire is not None and wire.idle):
+                due = [(deadline, p) for p in self._participants if (deadline := p.deadline()) is not None]
+                at, first = min(due, key=lambda pair: pair[0], default=(NEVER, None))
+                at = max(self.now, at)
+                if wire is not None and (wire_at := max(self.now, wire.next_s)) < at:
+                    at, first = wire_at, None
+                if at > time_s:
+                    break
+                self.now = at
+                if first is not None:
+                    self._put(first, first.tick(at))
+                    self._deliver()
+                elif wire is not None:
+                    self._advance(wire)
+        finally:
+            self._running = False
+
+    def _advance(self, wire: Wire) -> None:
+        ended = wire.advance(self.now)
+        if ended is not None:
+            frame, sender = ended
+            self._hand_out(frame, sender)
+            self._compute()
 
     def _compute(self) -> None:
         for participant, computing in self._computing:
@@ -90,19 +122,27 @@ class EmbeddedBus:
             if job is not None and self.computes:
                 self._put(participant, computing.finish_job(job, job(), self.now))
 
-    def _put(self, sender: Participant, frames: list[Frame]) -> None:
-        self._queue.extend((sender, frame) for frame in frames)
+    def _put(self, sender: Participant | None, frames: list[Frame]) -> None:
+        if self._wire is None:
+            self._queue.extend((sender, frame) for frame in frames)
+        else:
+            for frame in frames:
+                self._wire.put(frame, sender)
 
     def _deliver(self) -> None:
+        """Hand out what is in the queue, at once: there is no wire."""
         queue = self._queue
         while queue:
             sender, frame = queue.popleft()
-            self.frames += 1
-            self.bits += frame_bits(len(frame.data))
-            for tap in self.taps:
-                tap(frame, self.now)
-            for participant in self._participants:
-                if participant is not sender:
-                    self._put(participant, participant.receive(frame, self.now))
+            self._hand_out(frame, sender)
             if not queue:
                 self._compute()
+
+    def _hand_out(self, frame: Frame, sender: Participant | None) -> None:
+        self.frames += 1
+        self.bits += frame_bits(len(frame.data))
+        for tap in self.taps:
+            tap(frame, self.now)
+        for participant in self._participants:
+            if participant is not sender:
+                self._put(participant, participant.receive(frame, self.now))

@@ -77,6 +77,18 @@ class Encoder:
             cosine = cosine + rng.normal(0.0, self.noise_lsb, np.shape(cosine))
         return self._convert(sine), self._convert(cosine)
 
+    def coarse(self, revolutions: float, rng: np.random.Generator | None = None) -> tuple[int, int]:
+        """ADC counts of the track with one cycle per revolution, with the nominal amplitude and no errors."""
+        x, full = 2.0 * math.pi * math.fmod(revolutions, 1.0), 1 << (self.adc_bits - 1)
+        noise = (0.0, 0.0)
+        if rng is not None and self.noise_lsb > 0.0:
+            noise = (rng.normal(0.0, self.noise_lsb), rng.normal(0.0, self.noise_lsb))
+        sine, cosine = (
+            max(-full, min(full - 1, round(self.amplitude_counts * track + off)))
+            for track, off in zip((math.sin(x), math.cos(x)), noise, strict=True)
+        )
+        return sine, cosine
+
     def _convert(self, track: FloatArray) -> npt.NDArray[np.int64]:
         full = 1 << (self.adc_bits - 1)
         return np.clip(np.rint(track), -full, full - 1).astype(np.int64)

@@ -15,9 +15,10 @@ from canfb.device.storage import Store
 from canfb.eds_files import eds_path
 from canfb.signal.sample import Sample
 from canfb.signal.source import Source, SourceEnded
-from canfb.simulation.fast_recording import COMMAND, RATE, RECORDING, Continuous, FastRecorder
+from canfb.simulation.fast_recording import COMMAND, RATE, RECORDING, FastRecorder
 from canfb.simulation.hearing import heard_at
 from canfb.simulation.sample_clock import SampleClock
+from canfb.simulation.shaft_encoder import Machine
 
 EDS = "encoder-interface"
 SAMPLE, CHANNELS, MAPPING = 0x2000, 0x6401, 0x1A00
@@ -29,12 +30,13 @@ TIMED = {(MAPPING, 0): 3, (MAPPING, 3): 0x20000120}  # sine, cosine, sample time
 class EncoderInterface:
     """A CANopen node, sans-I/O, with the ADC channels in 6401h and TPDO1 at each SYNC.
 
-    ``source`` gives the samples; a SYNC for which it has none gets no TPDO, as if the sample were lost on
-    the bus. ``ended`` becomes True when a recording is over. Each sample is an event for the TPDOs of
-    type 0; types FEh and FFh have their event timer.
+    ``source`` gives the samples: a :class:`Machine` at the true time at which the SYNC was received,
+    another source one sample for each SYNC. A SYNC for which it has none gets no TPDO, as if the sample
+    were lost on the bus. ``ended`` becomes True when a recording is over. Each sample is an event for the
+    TPDOs of type 0; types FEh and FFh have their event timer.
 
-    2000:01 is the time of the sample: that of ``clock`` when the SYNC is heard, unless the sample brings a
-    time of its own. With ``times`` TPDO1 carries it behind sine and cosine, by default.
+    2000:01 is the time of the sample: that of ``clock`` when the SYNC was received, unless the sample
+    brings a time of its own. With ``times`` TPDO1 carries it behind sine and cosine, by default.
 
     ``store`` keeps what 1010h and LSS save. A ``node_id`` of 255 is one that an LSS master gives it; it
     knows the device by its ``serial_number``, 0..4294967295.
@@ -66,11 +68,11 @@ class EncoderInterface:
         for subindex in (COMMAND, RATE):  # of one recording, nothing to keep
             self.node.storage.entries.leave_out(RECORDING, subindex)
         self._now = 0.0
-        self._heard_s = 0.0  # when the SYNC was
+        self._heard_s = 0.0  # when the frame was received
         self._clock = SampleClock() if clock is None else clock
         self.recorder = FastRecorder(self.dictionary, source, lambda: self._now)
         self.source = source
-        self._continuous = source if isinstance(source, Continuous) else None
+        self._machine = source if isinstance(source, Machine) else None
         self.ended = False
         self.samples = 0
         self._silent = False
@@ -115,10 +117,8 @@ class EncoderInterface:
         return self.node.bus_back(now)
 
     def _on_sync(self, counter: int | None, now: float) -> None:
-        if self._continuous is not None:
-            self._continuous.hear_sync(now)
         try:
-            sample = None if self.ended else self.source.next()
+            sample = None if self.ended else self._sample()
         except SourceEnded:
             self.ended, sample = True, None
         if sample is None:
@@ -129,6 +129,10 @@ class EncoderInterface:
         for number, kind in self._types.items():
             if kind.value == 0:  # FEh and FFh have their event timer; a sample of each SYNC would be too much
                 self.node.trigger_tpdo(number, now)
+
+    def _sample(self) -> Sample | None:
+        """A machine is sampled when the SYNC is heard; a recording has one sample for each SYNC."""
+        return self.source.next() if self._machine is None else self._machine.sample_at(self._heard_s)
 
     def _keep(self, sample: Sample) -> None:
         """Put the sample into 6401h and 2000h."""

@@ -24,9 +24,6 @@ Block = npt.NDArray[np.int16]
 class Continuous(Protocol):
     """A source that can be sampled at any time."""
 
-    def hear_sync(self, now: float) -> None:
-        """The next sample is taken at the time ``now`` of the node."""
-
     def machine_time(self, now: float) -> float:
         """The time of the machine, seconds, at the time ``now`` of the node."""
 

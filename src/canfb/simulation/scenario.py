@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from dataclasses import dataclass, field
 
 from canfb.signal.chain import integer_in
@@ -9,6 +10,8 @@ from canfb.simulation.checks import number
 from canfb.simulation.cia402.config import DriveConfig
 from canfb.simulation.encoder import Encoder, Harmonic
 from canfb.simulation.motion import Motion, Ramp, Ripple
+from canfb.simulation.sample_clock import LARGEST_DRIFT_PPM, SampleClock
+from canfb.simulation.sync_timing import SyncTiming
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,13 +89,34 @@ class MotionConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulationConfig:
-    """Encoder, motion and seed of the noise for ``canfb simulate``; a ``drive`` makes the motion itself."""
+class SimulationConfig(SyncTiming):
+    """What ``canfb simulate`` plays; a ``drive`` makes the motion itself.
+
+    The fields of SyncTiming     how regular the SYNC of ``--rate`` is
+    clock_drift_ppm              how much faster than true time the clock of the interface runs that stamps
+                                 its samples (2000:01), -10000..10000 ppm
+    aperture_jitter_ns           rms of the instant at which the tracks are held, 0..1e6 ns
+    seed                         of everything that is random, 0..2^63 - 1
+    """
 
     encoder: EncoderScenario = field(default_factory=EncoderScenario)
     motion: MotionConfig = field(default_factory=MotionConfig)
     drive: DriveConfig | None = None
+    clock_drift_ppm: float = 0.0
+    aperture_jitter_ns: float = 0.0
     seed: int = 1
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+        number("clock_drift_ppm", self.clock_drift_ppm, -LARGEST_DRIFT_PPM, LARGEST_DRIFT_PPM)
+        number("aperture_jitter_ns", self.aperture_jitter_ns, 0.0, 1e6)
         integer_in("seed", self.seed, 0, 2**63 - 1)
+
+    @property
+    def aperture_jitter_s(self) -> float:
+        """:attr:`aperture_jitter_ns` in seconds."""
+        return self.aperture_jitter_ns * 1e-9
+
+    def sample_clock(self) -> SampleClock:
+        """The clock of the interface; nobody knows what it shows at the start."""
+        return SampleClock(self.clock_drift_ppm, random.Random(self.seed).getrandbits(32))

@@ -17,53 +17,57 @@ from canfb.signal.sample import Sample
 from canfb.signal.source import SourceEnded
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion
+from canfb.simulation.shaft_encoder import ShaftEncoder
 
 
 class MotionSource:
-    """An encoder on a machine that moves; one interval passes with every sample."""
+    """An encoder on a machine that moves, whether it is sampled or not; its motion is a function of time.
+
+    :meth:`sample_at` samples at a true time; the motion begins with the first one, or with the first
+    recording. :meth:`next` is for a module that samples itself, at the rate of 1 / ``interval_s``: one
+    interval passes with every sample. Use one of the two.
+    """
 
     def __init__(
-        self, encoder: Encoder, motion: Motion, cycles_per_revolution: int, interval_s: float, seed: int = 1
+        self,
+        encoder: Encoder,
+        motion: Motion,
+        cycles_per_revolution: int,
+        interval_s: float,
+        seed: int = 1,
+        aperture_jitter_s: float = 0.0,
     ) -> None:
-        self._encoder = encoder
+        self._shaft = ShaftEncoder(encoder, cycles_per_revolution, seed, aperture_jitter_s)
         self._motion = motion
-        self._cycles_per_revolution = cycles_per_revolution
         self._interval_s = interval_s
-        self._rng = np.random.default_rng(seed)
-        self._seed = seed
         self._count = 0
-        self._last_now: float | None = None
-        self._last_s = 0.0
-        self.position_cycles = 0.0
+        self._start_s: float | None = None
+
+    @property
+    def position_cycles(self) -> float:
+        """True position of the last sample, cycles."""
+        return self._shaft.position_cycles
 
     def machine_time(self, now: float) -> float:
-        """The time of the motion, seconds, at the time ``now`` of the node: on from the last sample."""
-        if self._last_now is None:
-            self._last_now = now
-        return self._last_s + max(0.0, now - self._last_now)
+        """The time of the motion, seconds, at the time ``now`` of the node."""
+        if self._start_s is None:
+            self._start_s = now
+        return max(0.0, now - self._start_s)
 
     def fast_samples(self, times_s: npt.NDArray[np.float64], seed: tuple[int, int]) -> npt.NDArray[np.int16]:
         """Both tracks at these times of the motion, shape (n, 2), in ADC counts."""
-        position = self._motion.revolutions_at(times_s) * self._cycles_per_revolution
-        rng = np.random.default_rng((self._seed, *seed))
-        return np.stack(self._encoder.sample(position, rng), axis=-1).astype(np.int16)
+        return self._shaft.fast_samples(self._motion.revolutions_at(times_s), seed)
 
-    def hear_sync(self, now: float) -> None:
-        """The next sample is taken at the time ``now`` of the node.
-
-        Each sample is one interval after the one before, whenever its SYNC is heard: a real SYNC is far
-        more regular than the time at which a program hears it. A pause of SYNC is a pause of the motion,
-        so that a program that was held up loses no position; only a recording sees the time pass then.
-        """
-        self._last_now = now
+    def sample_at(self, now: float) -> Sample:
+        """The sample at the true time ``now`` of the node, seconds."""
+        return self._shaft.sample(self.machine_time(now), self._motion.revolutions)
 
     def next(self) -> Sample:
-        """The sample at this interval; ``position_cycles`` is then its true position."""
-        self._last_s = time_s = self._count * self._interval_s
+        """The sample one interval after the one before: both tracks alone."""
+        time_s = self._count * self._interval_s
         self._count += 1
-        self.position_cycles = self._motion.revolutions(time_s) * self._cycles_per_revolution
-        sine, cosine = self._encoder.sample(self.position_cycles, self._rng)
-        return Sample(int(sine), int(cosine))
+        sine, cosine, *_ = self._shaft.sample(time_s, self._motion.revolutions)
+        return Sample(sine, cosine)
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,9 @@ class RecordingLayout:
     time_column         name or number of a column with seconds, or None
     gap_s               a step of time longer than this is a gap: the last sample before it is
                         left out and ``gap_samples`` SYNCs get no answer
-    time_stamps         the samples bring the time of the time column along
+    time_stamps         the samples bring their time along: that of the time column, or without one a time
+                        ``interval_s`` after the sample before
+    interval_s          seconds from row to row where there is no time column
     """
 
     columns: tuple[str, str]
@@ -84,6 +90,7 @@ class RecordingLayout:
     gap_s: float = 0.1
     gap_samples: int = 20
     time_stamps: bool = False
+    interval_s: float = 1e-3
 
 
 class RecordingSource:
@@ -91,7 +98,7 @@ class RecordingSource:
 
     def __init__(self, path: str | Path, layout: RecordingLayout) -> None:
         self._rows = _read(Path(path), layout)
-        self._time_stamps = layout.time_stamps
+        self._layout = layout
         self._pauses = _pauses(self._rows, layout)
         self._waiting = 0
         self._next_row = 0
@@ -114,7 +121,9 @@ class RecordingSource:
         self.row = self._next_row
         self._next_row += 1
         seconds, sine, cosine = self._rows[self.row]
-        time = round(seconds / TICK_S) & 0xFFFFFFFF if self._time_stamps else None
+        if self._layout.time_column is None:
+            seconds = self.row * self._layout.interval_s
+        time = round(seconds / TICK_S) & 0xFFFFFFFF if self._layout.time_stamps else None
         return Sample(sine, cosine, time_100ns=time)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from canfb.device.frame import Frame
+from canfb.simulation.sync_timing import REGULAR, SyncDeviation, SyncTiming
 
 SYNC_COB_ID = 0x80
 
@@ -12,19 +13,22 @@ SYNC_COB_ID = 0x80
 class SyncProducer:
     """Sends a SYNC each ``period_s`` seconds from power-on; sans-I/O.
 
-    When the caller comes late, the SYNCs that are overdue are left out, so that the bus
-    never gets a burst of them. ValueError unless the period is positive.
+    ``timing`` makes them drift and jitter about these times. When the caller comes late, the SYNCs that are
+    overdue are left out, so that the bus never gets a burst of them. ValueError unless the period is
+    positive.
     """
 
-    def __init__(self, period_s: float) -> None:
+    def __init__(self, period_s: float, timing: SyncTiming = REGULAR, seed: int = 1) -> None:
         if not 0.0 < period_s < math.inf:
             raise ValueError(f"period_s must be positive, not {period_s!r}")
         self.period_s = period_s
+        self._deviation = SyncDeviation(timing, period_s, seed)
+        self._nominal_s = 0.0
         self._next_s: float | None = None
 
     def start(self, now: float) -> list[Frame]:
         """Power-on: the first SYNC comes one period later."""
-        self._next_s = now + self.period_s
+        self._plan(now + self._deviation.period_s, now)
         return []
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
@@ -39,7 +43,13 @@ class SyncProducer:
         """The SYNC when it is due."""
         if self._next_s is None or now < self._next_s:
             return []
-        late = int((now - self._next_s) / self.period_s)
-        following = self._next_s + (late + 1) * self.period_s
-        self._next_s = following if following > now else now + self.period_s  # the sum may round down to now
+        period_s = self._deviation.period_s
+        late = max(0, int((now - self._nominal_s) / period_s))
+        self._plan(self._nominal_s + (late + 1) * period_s, now)
         return [Frame(SYNC_COB_ID, b"")]
+
+    def _plan(self, nominal_s: float, now: float) -> None:
+        if nominal_s <= now:
+            nominal_s = now + self._deviation.period_s  # the sum may round down to now
+        self._nominal_s = nominal_s
+        self._next_s = max(now, nominal_s + self._deviation.next_s())

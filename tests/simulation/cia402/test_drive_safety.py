@@ -24,7 +24,7 @@ class Rig:
     """A drive with a feedback that is right unless the test spoils it."""
 
     def __post_init__(self) -> None:
-        self.plant = Plant(Motor(MotorConfig()), 1e-3)
+        self.plant = Plant(Motor(MotorConfig()))
         self.drive = ServoDrive(DRIVE_ID, self.plant, FeedbackModuleLink(node_id=MODULE_ID), autostart=True)
         self.now = 1.0
         self.drive.start(self.now)

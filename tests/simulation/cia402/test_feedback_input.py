@@ -19,10 +19,15 @@ class Input:
         DICTIONARY.reset()
         DICTIONARY.entry(0x2110, 5).value = full
         self.feedback = FeedbackInput(DICTIONARY)
+        self.now = 0.0
+
+    def sync(self, after_s: float = 1e-3) -> None:
+        self.now += after_s
+        self.feedback.sync(self.now)
 
     def take(self, raw: int, status: int = 1, *, supervised: bool = True, syncs: int = 1) -> bool:
         for _ in range(syncs):
-            self.feedback.sync()
+            self.sync()
         DICTIONARY.entry(0x60E4, 1).value = (raw + (1 << 31)) % (1 << 32) - (1 << 31)
         DICTIONARY.entry(0x2110, 1).value = status
         return self.feedback.take(50.0, 1e-3, supervised=supervised)
@@ -96,6 +101,36 @@ def test_late_positions_give_the_speed_of_their_own_intervals() -> None:
     assert not one.take(position, syncs=0), "one more than there were SYNCs"
 
 
+@given(st.lists(st.floats(-2e-4, 2e-4), min_size=3, max_size=30))
+def test_the_speed_is_that_of_true_time_however_the_syncs_jitter(jitter: list[float]) -> None:
+    one, last = Input(), 0.0
+    for n, late_s in enumerate(jitter):
+        at = n * 1e-3 + late_s
+        one.sync(at - last)
+        last = at
+        one.take(round(at * 30 * 20_480_000) % FULL, syncs=0)
+        if n > 0:
+            assert one.feedback.speed == pytest.approx(30.0, abs=2e-4)
+
+
+def test_two_syncs_of_one_time_are_an_interval_apart() -> None:
+    one = Input()
+    one.take(0)
+    one.sync(0.0)
+    assert one.take(20_480, syncs=0)
+    assert one.feedback.speed == pytest.approx(1.0)
+
+
+def test_after_very_many_syncs_without_a_position_it_goes_on() -> None:
+    one = Input()
+    one.take(0)
+    for _ in range(10_000):
+        one.sync()
+    assert one.take(2_048_000 * 5000, syncs=0), "within what the motor can do in that time"
+    assert one.take(2_048_000 * 5000 + 20_480)
+    assert one.feedback.speed == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize("step", [2_048_001, -2_048_001, 2_000_000_000])
 def test_a_step_that_the_machine_cannot_make_is_wrong_once(step: int) -> None:
     one = Input()
@@ -162,9 +197,9 @@ def test_missing_after_as_many_syncs_as_are_tolerated(tolerated: int) -> None:
     DICTIONARY.entry(0x2110, 6).value = tolerated
     one.take(0)
     for _ in range(tolerated + 1):
-        one.feedback.sync()
+        one.sync()
     assert one.wrong == Wrong(0)
-    one.feedback.sync()
+    one.sync()
     assert one.wrong == Wrong.MISSING
     assert DICTIONARY.entry(0x2111, 3).value == tolerated + 1
     assert one.take(0)

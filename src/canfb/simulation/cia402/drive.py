@@ -22,6 +22,7 @@ from canfb.simulation.cia402.link import FeedbackModuleLink, apply_defaults
 from canfb.simulation.cia402.plant import Plant
 from canfb.simulation.cia402.scaling import saturated
 from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, State, StateMachine, Status
+from canfb.simulation.hearing import heard_at
 
 __all__ = ["FeedbackModuleLink", "ServoDrive"]
 
@@ -76,6 +77,7 @@ class ServoDrive:
         self._machine = StateMachine()
         self._interval = SyncInterval()
         self._now = 0.0
+        self._heard_s = 0.0  # when the frame was received that is handled now
         self._watched_from_s = 0.0
         self._stop_by_s: float | None = None
         self._shown_error = 0
@@ -115,19 +117,20 @@ class ServoDrive:
 
     def start(self, now: float) -> list[Frame]:
         """Power-on at ``now`` (seconds): the boot-up frame."""
-        self._now = now
+        self._now = self._heard_s = now
         return self.node.start(now)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Take a frame from the bus; the frames to send."""
         self._now = now
+        self._heard_s = heard_at(frame, now)
         if not frame.rtr:
             self._overhear(frame, now)
         return self.node.receive(frame, now)
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at ``now``; the frames to send."""
-        self._now = now
+        self._now = self._heard_s = now
         due = self._sync_due()
         if due is not None and now >= due:
             self._fail(DriveError.SYNC_CONTROLLER, now)
@@ -165,9 +168,9 @@ class ServoDrive:
         self._supervise(now)
 
     def _on_sync(self, counter: int | None, now: float) -> None:
-        self._interval.event(now)
+        self._interval.event(self._heard_s)
         self._watched_from_s = now
-        self.feedback.sync()
+        self.feedback.sync(self._heard_s)
         self._supervise(now)
         period_s = self.interval_s
         self._cycle.value = period_s
@@ -187,8 +190,8 @@ class ServoDrive:
         if used:
             self.axis.measure()
         if used and period_s > 0.0 and self.state in POWERED:
-            self.plant.drive(self.axis.control(period_s), True, now)
-            since_sync_s = now - (self._interval.last_s or now)
+            self.plant.drive(self.axis.control(period_s), True, self._heard_s)
+            since_sync_s = self._heard_s - (self._interval.last_s or self._heard_s)
             self._dead.value = saturated(since_sync_s * 1e6, 32)
             if self.axis.follows_badly(now):
                 self._fail(DriveError.FOLLOWING_ERROR, now)
@@ -276,7 +279,7 @@ class ServoDrive:
             self.axis.resume()
         elif after is State.OPERATION_ENABLED:
             self.axis.start()
-            self.plant.drive(0.0, True, now)
+            self.plant.drive(0.0, True, self._heard_s)
         elif after not in POWERED:
             self._power_off(now)
         self._show()
@@ -290,7 +293,7 @@ class ServoDrive:
             self.axis.ramp_down(self._deceleration if option in (1, 5) else self._quick_deceleration)
 
     def _power_off(self, now: float) -> None:
-        self.plant.drive(0.0, False, now)
+        self.plant.drive(0.0, False, self._heard_s)
         self.axis.power_off()
 
     def _clear_error(self, now: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import IntFlag
 
 from canfb.device.dictionary import Dictionary
@@ -9,6 +10,7 @@ from canfb.device.dictionary import Dictionary
 U32_RANGE = 1 << 32
 SENSOR_CODES = 0x7300
 """EMCY codes 73xxh are those of a sensor (CiA 301, table of error codes)."""
+MOST_OPEN = 256
 
 
 class Wrong(IntFlag):
@@ -44,7 +46,7 @@ class FeedbackInput:
         self.position = 0
         """Increments of the feedback, unwrapped."""
         self.speed = 0.0
-        """Revolutions per second, the mean over the last interval."""
+        """Revolutions per second, the mean over the last interval, in true time."""
         self.reset()
 
     def reset(self) -> None:
@@ -58,6 +60,7 @@ class FeedbackInput:
         self._last: int | None = None
         self._since_pdo = 0  # SYNCs since the last PDO
         self._open = 0  # SYNCs whose positions have not come, since the last one that was used
+        self._syncs: list[float] = [math.nan]  # times of that one and of the open ones, the last 256
         self.speed = 0.0
         self._publish()
 
@@ -76,10 +79,13 @@ class FeedbackInput:
         """The last status word of the feedback."""
         return int(self._status.value)
 
-    def sync(self) -> None:
-        """A SYNC: the position of the one before should have come."""
+    def sync(self, heard_s: float) -> None:
+        """A SYNC, received at ``heard_s``: the position of the one before should have come."""
         self._since_pdo += 1
         self._open += 1
+        self._syncs.append(heard_s)
+        if len(self._syncs) > MOST_OPEN:
+            del self._syncs[1]
         if self._since_pdo > 1:
             self._missed.value = (self._missed.value + 1) & 0xFFFFFFFF
         if self._since_pdo - 1 > self._tolerated.value:
@@ -133,22 +139,30 @@ class FeedbackInput:
         self.position += step
         self._last = raw
         if known and not too_far and interval_s > 0.0:
-            self._differentiate(step / self.increments_per_revolution / interval_s)
+            self._differentiate(step / self.increments_per_revolution, interval_s)
         else:
-            self.speed, self._open = 0.0, 0
+            self.speed, self._open, self._syncs = 0.0, 0, self._syncs[-1:]
         self._used.value = (self._used.value + 1) & 0xFFFFFFFF
         return True
 
-    def _differentiate(self, step: float) -> None:
-        """Speed from a step, in revolutions per second if it was made in one interval.
+    def _differentiate(self, step: float, interval_s: float) -> None:
+        """Speed from a step in revolutions, over the true time between the two SYNCs.
 
         Where more SYNCs are open, positions are late, or were lost on the bus: the number of intervals is
-        the one that changes the speed least.
+        the one that changes the speed least. Two SYNCs that were heard at one time, or whose time is not
+        known, are ``interval_s`` apart.
         """
-        most = min(self._open, 256)
-        intervals = min(range(most, 0, -1), key=lambda count: abs(step / count - self.speed))
-        self.speed = step / intervals
-        self._open -= intervals
+        begin = self._syncs[0]
+
+        def speed_over(intervals: int) -> float:
+            passed = self._syncs[intervals] - begin
+            return step / (passed if passed > 0.0 else intervals * interval_s)
+
+        most = len(self._syncs) - 1
+        intervals = min(range(most, 0, -1), key=lambda count: abs(speed_over(count) - self.speed))
+        self.speed = speed_over(intervals)
+        self._open = most - intervals
+        del self._syncs[:intervals]
 
     def _bound(self, largest_speed: float, interval_s: float) -> float:
         """The largest believable step between two SYNCs, increments; 0 for no bound."""

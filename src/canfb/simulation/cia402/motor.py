@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from canfb.simulation.checks import number
 
 LONGEST_STEP_S = 1e-4
+LONG_S = 0.1
+SETTLED = 50.0  # time constants after which the torque is its command, to the last digit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,11 +69,21 @@ class Motor:
         """What pulls at the shaft now."""
         return self.config.load_torque_nm if self.time_s >= self.config.load_at_s else 0.0
 
+    def revolutions_before(self, seconds: float) -> float:
+        """Position so many seconds ago (or, negative, ahead), at the present speed: for a short time."""
+        return self.revolutions - self.speed_rad_s * seconds / (2.0 * math.pi)
+
     def run(self, duration_s: float) -> None:
         """Let so many seconds pass, 0 or more; ValueError for a time that goes back."""
         if not 0.0 <= duration_s < math.inf:
             raise ValueError(f"duration_s must be 0 or more seconds, not {duration_s!r}")
         if duration_s == 0.0:
+            return
+        left_s = duration_s - max(LONG_S, SETTLED * self.config.torque_time_constant_s)
+        if left_s > 0.0 and not self.time_s < self.config.load_at_s < self.time_s + duration_s:
+            # A long pause: once the torque has settled nothing changes, and one step is as exact as many.
+            self.run(duration_s - left_s)
+            self._step(left_s)
             return
         steps = math.ceil(duration_s / LONGEST_STEP_S * (1.0 - 1e-9))
         step_s, end_s = duration_s / steps, self.time_s + duration_s
