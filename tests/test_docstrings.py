@@ -20,8 +20,6 @@ EVIDENT = {"self", "cls", "args", "kwargs", "message"}
 KNOWN_GAPS: dict[str, set[str]] = {
     "CorrectionTable.from_bytes": {"data"},
     "Frame": {"can_id", "rtr"},
-    "SignalChain": {"config"},
-    "SignalChain.restart": {"cycles"},
     "Tracker.set_state": {"phase_before", "step"},
     "Tracker.skip": {"elapsed"},
 }

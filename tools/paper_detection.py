@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canfb import max_acceleration, process, track
+from canfb import max_acceleration, track
 from paper_claim import Claim, Effort, Verdict, grouped, percent, verdict
 from paper_plant import (
     CYCLES_PER_REVOLUTION,
     USUAL,
     FloatArray,
     Way,
+    bare,
     cycles_per_sample,
     exact_table,
     followed,
@@ -177,7 +178,7 @@ def never_forgets(effort: Effort) -> Iterator[Claim]:
     at += len(ramp)
     sine, cosine = sampled(USUAL, way, rng)
     sine[at], cosine[at] = USUAL.sample(way.phase[at] + glitch, rng)
-    result = process(sine, cosine, exact_table(USUAL))
+    result = bare(sine, cosine, exact_table(USUAL))
     error = way.error(result.cycles, result.phase)
     later = abs(float(error[at + 1001] - error[at + 1]))
     flagged = int(np.count_nonzero(~result.ok))
@@ -261,7 +262,7 @@ def _detected(fault: Fault, cases: int, top_speed: float, rng: np.random.Generat
         sine, cosine = sampled(USUAL, way, rng)
         at = len(way) - 40
         fault(sine, cosine, at)
-        result = process(sine, cosine, table)
+        result = bare(sine, cosine, table)
         assert result.ok[:at].all()
         found += not result.ok[at : at + 20].all()
     return found / cases

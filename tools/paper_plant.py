@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canfb import CorrectionTable, TrackResult, phase_in_cycle, process
+from canfb import CorrectionTable, TrackResult, phase_in_cycle, track
 from canfb.simulation.encoder import Encoder, Harmonic
 
 FloatArray = npt.NDArray[np.float64]
@@ -180,4 +180,11 @@ def followed(
     encoder: Encoder, way: Way, rng: np.random.Generator | None, limit: float = 1 / 3
 ) -> TrackResult:
     """The way through encoder, converter, individual table and tracker."""
-    return process(*sampled(encoder, way, rng), exact_table(encoder), limit)
+    return bare(*sampled(encoder, way, rng), exact_table(encoder), limit)
+
+
+def bare(
+    sine: npt.ArrayLike, cosine: npt.ArrayLike, table: CorrectionTable, limit: float = 1 / 3
+) -> TrackResult:
+    """The paper's method and no more: Table 1, table, eq. 9 and eq. 12, without recovery."""
+    return track(table(phase_in_cycle(sine, cosine)), limit)

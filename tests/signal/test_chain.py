@@ -195,7 +195,7 @@ def test_batch_refuses_tracks_of_different_length_and_takes_integers() -> None:
     result = process(np.array([0, 100], np.int16), np.array([100, 0], np.int16))
     assert result.phase.tolist() == [0.0, 0.25]
     assert process([], []).cycles.shape == (0,)
-    assert process([0, 0, 1], [1, 0, 1]).ok.tolist() == [True, False, True]
+    assert process([0] * 8, [1, 0, *[1] * 6]).ok.tolist() == [True, False, *[False] * 3, *[True] * 3]
 
 
 def test_batch_over_several_blocks_is_one_run() -> None:

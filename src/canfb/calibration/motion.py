@@ -32,7 +32,8 @@ def calibrate_from_motion(
 ) -> Calibration:
     """Correction table from samples of any motion, taken at any rate (also below Nyquist).
 
-    sine, cosine    ADC counts, shape (n,), NaN where a sample is missing, or -32768 in both, the
+    sine, cosine    ADC counts, zero at mid-scale but for an offset that ``conditioning`` takes
+                    away, shape (n,), NaN where a sample is missing, or -32768 in both, the
                     mark of a recording (2050:03)
     conditioning    None leaves all to the table, "fit" fits the ellipse of the tracks first, or
                     a :class:`canfb.signal.conditioning.Conditioning` to use
@@ -51,7 +52,7 @@ def calibrate_from_motion(
     if not (conditioning is None or conditioning == "fit" or isinstance(conditioning, Conditioning)):
         raise ValueError('conditioning must be None, "fit" or a Conditioning')
     report = progress or no_progress
-    record = recording(sine, cosine, time_s, valid, adc_bits)
+    record = recording(sine, cosine, time_s, valid, adc_bits, may_be_offset=conditioning is not None)
     ellipse = fit_ellipse(record.sine, record.cosine, record.valid)
     angle = angle_cycles(ellipse, record.sine, record.cosine)
     check_clipped(record, angle)

@@ -13,6 +13,7 @@ from canfb.calibration.following import positions
 from canfb.errors import CalibrationError
 from canfb.signal.phase import FloatArray
 from canfb.signal.recorder import BYTES_PER_SAMPLE, MISSED_COUNTS
+from canfb.signal.tracks import check_counts, pair_of_tracks
 
 MIN_SAMPLES = 200
 BINS = 64
@@ -57,12 +58,14 @@ def recording(
     time_s: npt.ArrayLike | None,
     valid: npt.ArrayLike | None,
     adc_bits: int | None,
+    *,
+    may_be_offset: bool = False,
 ) -> Recording:
     """Check the arguments of a reference measurement. ValueError for wrong ones, CalibrationError
-    ("samples") for too few usable samples. The mark of a missed sample (2050:03) is no sample."""
-    s, c = np.array(sine, np.float64), np.array(cosine, np.float64)
-    if s.ndim != 1 or s.shape != c.shape:
-        raise ValueError(f"sine and cosine must have one dimension and one length: {s.shape}, {c.shape}")
+    ("samples") for too few usable samples. The mark of a missed sample (2050:03) is no sample.
+    ``may_be_offset``: a conditioning will take the offset away."""
+    tracks = pair_of_tracks(sine, cosine, may_be_offset=may_be_offset)
+    s, c = (np.array(track, np.float64) for track in tracks)
     missed = (s == MISSED_COUNTS) & (c == MISSED_COUNTS)
     s[missed] = c[missed] = np.nan
     usable = np.isfinite(s) & np.isfinite(c)
@@ -71,6 +74,7 @@ def recording(
         if mask.shape != s.shape or mask.dtype != np.bool_:
             raise ValueError("valid must be booleans, one for each sample")
         usable &= mask
+    check_counts(s[usable], c[usable], may_be_offset=may_be_offset)
     clipped = usable & _clipped(s, c, usable, adc_bits)
     usable &= ~clipped
     if usable.sum() < MIN_SAMPLES:

@@ -58,7 +58,7 @@ def calibrate_from_zero_crossings(
     if not (conditioning is None or conditioning == "fit" or isinstance(conditioning, Conditioning)):
         raise ValueError('conditioning must be None, "fit" or a Conditioning')
     report = progress or no_progress
-    record = recording(sine, cosine, time_s, valid, adc_bits)
+    record = recording(sine, cosine, time_s, valid, adc_bits, may_be_offset=conditioning is not None)
     ellipse = fit_ellipse(record.sine, record.cosine, record.valid)
     check_clipped(record, angle_cycles(ellipse, record.sine, record.cosine))
     chosen = IDENTITY if conditioning is None else conditioning

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
 
 import numpy as np
 import numpy.typing as npt
 
-from canfb.signal.blocks import blocks
+from canfb.signal.blocks import BLOCK_SAMPLES, Scratch, blocks
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import CorrectionTable
+from canfb.signal.correction import CorrectionTable, check_table
 from canfb.signal.phase import raw_phase_block, wrap_block
-from canfb.signal.tracker import RESIDUAL_LIMIT, Tracker, TrackResult, track_block
+from canfb.signal.recovery import COAST_SAMPLES, Recovery
+from canfb.signal.supervision import VALID
+from canfb.signal.tracker import RESIDUAL_LIMIT, Tracker, TrackResult, continues
+from canfb.signal.tracks import check_counts, pair_of_tracks
+
+# After a fault the next one may be near, and what lies behind it is computed in vain.
+FIRST_RUN = 64
 
 
 def process(
@@ -20,19 +26,37 @@ def process(
     table: CorrectionTable | None = None,
     residual_limit: float = RESIDUAL_LIMIT,
     conditioning: Conditioning | None = None,
+    speed_cycles: float = 0.0,
 ) -> TrackResult:
     """Tracks to positions: conditioning, Table 1, correction table, eq. 9 and eq. 12.
 
-    ``sine`` and ``cosine`` have shape (n,), ADC counts, zero at mid-scale. The result is
-    bit for bit that of :func:`canfb.phase_in_cycle`, ``table`` and :class:`canfb.Tracker`
-    one sample after the other. A sample with both tracks zero has no phase: its position
-    is predicted and marked not ok. ValueError if the shapes differ.
+    ``sine`` and ``cosine`` have shape (n,), ADC counts, zero at mid-scale. ``table`` None
+    stands for the identity, ``conditioning`` None, too. ``speed_cycles`` is the speed at the
+    first sample, cycles per sample, right to less than half a cycle; default: standstill.
+
+    The result is bit for bit that of :class:`canfb.SignalChain` one sample after the other,
+    without limits on amplitude and converter, which belong to the single encoder
+    (:func:`canfb.process_stream` has them). ``ok`` is its status bit 0, position valid:
+
+    - a start at another speed than ``speed_cycles`` is lost from the second sample on, if the
+      residual of that is over the limit. If it is below, no method that sees only phases can
+      tell: speeds of 0.2 and 83.2 cycles per sample look alike. Tell the speed.
+    - after a sample over the residual limit, or without a phase (both tracks zero), positions are
+      not ok until the samples determine the count; it is set right with the first that is ok
+      again. If they do not, the position is lost: not ok to the end.
+
+    ValueError for arrays that are not such tracks (of another shape, complex, unsigned or never
+    centred, in -1..1) and for a bad limit or speed; TypeError for a table or a conditioning that
+    is of another type.
     """
-    sines, cosines = _numbers(sine), _numbers(cosine)
-    if sines.ndim != 1 or sines.shape != cosines.shape:
-        raise ValueError(f"sine and cosine must be of one length: {sines.shape} and {cosines.shape}")
+    check_table(table)
+    if conditioning is not None and not isinstance(conditioning, Conditioning):
+        raise TypeError(f"conditioning must be a Conditioning or None, not {type(conditioning).__name__}")
+    may_be_offset = conditioning is not None
+    sines, cosines = pair_of_tracks(sine, cosine, may_be_offset=may_be_offset)
+    check_counts(sines, cosines, may_be_offset=may_be_offset)
+    follower = _Follower(residual_limit, speed_cycles)
     result = TrackResult.empty(len(sines))
-    tracker = Tracker(residual_limit)
     for part, scratch in blocks(len(sines)):
         s, c, phase = sines[part], cosines[part], result.phase[part]
         if conditioning is not None:
@@ -42,11 +66,60 @@ def process(
             wrap_block(phase, scratch)
         else:
             table.correct_block(phase, phase, scratch)
-        track_block(tracker, result, part, scratch)
+        follower.take(result, part, scratch)
     return result
 
 
-def _numbers(track: npt.ArrayLike) -> npt.NDArray[Any]:
-    """The track as it is if its numbers are integers or floats, else as float64."""
-    numbers = np.asarray(track)
-    return numbers if numbers.dtype.kind in "iuf" else numbers.astype(np.float64)
+class _Follower:
+    """Eq. 9 over block after block, as far as nothing is in doubt; :class:`Recovery` for the rest."""
+
+    def __init__(self, residual_limit: float, speed_cycles: float) -> None:
+        self._tracker = Tracker(residual_limit)
+        self._recovery = Recovery(self._tracker, COAST_SAMPLES)
+        self._recovery.restart(0, speed_cycles)
+        self._run_samples = BLOCK_SAMPLES
+
+    def take(self, result: TrackResult, part: slice, scratch: Scratch) -> None:
+        """Fill ``result[part]`` from its phases, NaN where there is none."""
+        np.isnan(result.phase[part], out=scratch.bit[: part.stop - part.start])
+        gaps = np.flatnonzero(scratch.bit[: part.stop - part.start]) + part.start
+        at = part.start
+        for gap in [*gaps.tolist(), part.stop]:
+            while at < gap:
+                if self._may_run(result, at):
+                    at = self._run(result, at, min(gap, at + self._run_samples), scratch)
+                else:
+                    self._take_one(result, at)
+                    at += 1
+            if gap < part.stop:
+                self._take_one(result, gap)
+                at = gap + 1
+
+    def _may_run(self, result: TrackResult, at: int) -> bool:
+        return not self._recovery.in_doubt and continues(self._tracker, result, at)
+
+    def _run(self, result: TrackResult, start: int, stop: int, scratch: Scratch) -> int:
+        """Samples start..stop on arrays, up to the first that leaves the position in doubt, and that one."""
+        state = self._tracker.state()
+        end = self._recovery.follow_run(result, slice(start, stop), scratch)
+        if end > start:
+            self._recovery.take_run(result, start, end)
+        else:
+            self._tracker.set_state(*state)
+        if self._recovery.lost:
+            result.ok[start:end] = False
+        if end == stop:
+            self._run_samples = min(2 * self._run_samples, BLOCK_SAMPLES)
+            return stop
+        self._run_samples = FIRST_RUN
+        self._take_one(result, end)
+        return end + 1
+
+    def _take_one(self, result: TrackResult, at: int) -> None:
+        phase = float(result.phase[at])
+        if math.isnan(phase):
+            track, status = self._recovery.bad(1.0)
+        else:
+            track, status = self._recovery.good(phase, 1.0)
+        result.cycles[at], result.phase[at], result.residual[at], _ = track
+        result.ok[at] = bool(status & VALID)

@@ -12,10 +12,10 @@ import numpy.typing as npt
 from canfb.signal.blocks import Scratch
 from canfb.signal.coarse import CoarseTrack
 from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.correction import CorrectionTable
+from canfb.signal.correction import CorrectionTable, check_table
 from canfb.signal.frozen import FrozenInput
 from canfb.signal.phase import FloatArray, raw_phase
-from canfb.signal.recovery import REMEMBERED_SAMPLES, Recovery
+from canfb.signal.recovery import COAST_SAMPLES, Recovery
 from canfb.signal.reference import Reference
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import (
@@ -34,7 +34,6 @@ from canfb.signal.tracker import (
     Tracker,
     TrackResult,
     check_residual_limit,
-    track_block,
 )
 from canfb.signal.zero_pulse import ZeroPulse
 
@@ -71,7 +70,7 @@ class ChainConfig:
     amplitude_low_counts: int | None = None
     amplitude_high_counts: int | None = None
     residual_limit: float = RESIDUAL_LIMIT
-    coast_samples: int = 3
+    coast_samples: int = COAST_SAMPLES
     frozen_samples: int = 0
     coarse_limit_revolutions: float = 1.0 / 32.0
     conditioning: Conditioning = field(default=IDENTITY)
@@ -107,6 +106,12 @@ class ChainConfig:
             round(AMPLITUDE_LOW * full) if low is None else low,
             round(AMPLITUDE_HIGH * full) if high is None else high,
         )
+
+
+def check_config(config: object) -> None:
+    """TypeError unless ``config`` is a :class:`ChainConfig`."""
+    if not isinstance(config, ChainConfig):
+        raise TypeError(f"config must be a ChainConfig, not {type(config).__name__}")
 
 
 def integer_in(name: str, value: object, low: int, high: int) -> None:
@@ -157,9 +162,13 @@ class SignalChain:
 
     A sample that fails a check is flagged in its own :class:`Feedback` and never moves the
     cycle count; see :mod:`canfb.signal.recovery` for what happens then.
+
+    TypeError for a ``config`` that is no :class:`ChainConfig` and a ``table`` that is no
+    :class:`CorrectionTable` (None: the identity).
     """
 
     def __init__(self, config: ChainConfig, table: CorrectionTable | None = None) -> None:
+        check_config(config)
         self._tracker = Tracker(config.residual_limit)
         self._recovery = Recovery(self._tracker, config.coast_samples)
         self._supervision = Supervision(config.limits)
@@ -234,16 +243,24 @@ class SignalChain:
 
     def activate(self, table: CorrectionTable | None, conditioning: Conditioning) -> None:
         """Take a table (None: the identity) and a conditioning together, between two samples."""
+        check_table(table)
         self._table = table
         self._conditioning = conditioning
         self._coefficients = conditioning.coefficients()
         self._base_status = 0 if table is None else TABLE_ACTIVE
 
-    def restart(self, cycles: int = 0) -> None:
-        """Forget the position: the next good sample starts at standstill with this cycle count."""
-        self._recovery.restart(cycles)
+    def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
+        """Forget the position: the next good sample starts with this cycle count and speed.
+
+        ``cycles`` is the cycle count there, ``speed_cycles`` in cycles per sampling interval, default:
+        standstill. It must be right to less than half a cycle; the position is lost where the next
+        sample shows that it is not.
+        ValueError for a speed that is not finite or above 2**31 in size.
+        """
+        self._recovery.restart(cycles, speed_cycles)
         self._reference.restart()
         self._pause()
+        self._speed = float(speed_cycles)
 
     def resume(self) -> None:
         """Go on after a pause in which the machine stood still: less than half a cycle from here.
@@ -334,24 +351,18 @@ class SignalChain:
         after these, and the rest is for :meth:`step`.
         """
         start: int = run.start
-        stop: int = run.stop
-        cycles, phase, lost = tracked.cycles, tracked.phase, self._recovery.lost
+        cycles, phase = tracked.cycles, tracked.phase
         state = self._tracker.state()
         phase[start - 2], phase[start - 1], cycles[start - 1], step = state
         cycles[start - 2] = state[2] - step
-        track_block(self._tracker, tracked, run, scratch)
-        if not lost and not tracked.ok[run].all():
-            stop = start + int(tracked.ok[run].argmin())
+        stop = self._recovery.follow_run(tracked, run, scratch)
         sine[start - 1], cosine[start - 1] = self._sine, self._cosine
         stop = start + self._frozen.take_run(*self._repeats(sine, cosine, tracked, start, stop))
         if stop == start:
             self._tracker.set_state(*state)
             return 0
         last = Track(int(cycles[stop - 1]), float(phase[stop - 1]), float(tracked.residual[stop - 1]), True)
-        step = last.cycles - int(cycles[stop - 2])
-        self._tracker.set_state(float(phase[stop - 2]), last.phase, last.cycles, step)
-        remembered = slice(max(start, stop - REMEMBERED_SAMPLES), stop)
-        self._recovery.followed(cycles[remembered].tolist(), phase[remembered].tolist())
+        self._recovery.take_run(tracked, start, stop)
         self._sine, self._cosine = float(sine[stop - 1]), float(cosine[stop - 1])
         self._before, self._last = last, None
         self._speed = self._tracker.step_cycles

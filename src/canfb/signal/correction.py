@@ -140,6 +140,15 @@ class CorrectionTable:
             wrap_block(out, scratch)
 
 
+def check_table(table: object) -> None:
+    """TypeError unless ``table`` is a :class:`CorrectionTable` or None (the identity)."""
+    if table is not None and not isinstance(table, CorrectionTable):
+        raise TypeError(
+            f"table must be a CorrectionTable or None, not {type(table).__name__}: "
+            "make one of entries with canfb.CorrectionTable(entries)"
+        )
+
+
 def _check(entries: npt.NDArray[np.float32]) -> None:
     if entries.ndim != 1:
         raise ValueError(f"a correction table has one dimension, not {entries.ndim}")

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from canfb.signal.bridge import Place, Way, accelerations, bridge, roughness, run_accelerations, speed
-from canfb.signal.tracker import Track
+from canfb.signal.tracker import Track, split
 
 SHORTEST_RUN = 4
 LONGEST_RUN = 12  # one that is not joined by then never will be
@@ -64,10 +64,7 @@ class Doubt:
         self._contradicted = False
         self._run = []
         cycles, part = self._predict()
-        turns = math.floor(part)
-        phase = part - turns
-        if phase >= 1.0:
-            turns, phase = turns + 1, 0.0
+        turns, phase = split(part)
         return Track(cycles + turns, phase, 0.5, False)
 
     def meet(self, phase: float, elapsed: float) -> Track | None:

@@ -15,14 +15,16 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from canfb.signal.blocks import Scratch
 from canfb.signal.bridge import Place
 from canfb.signal.doubt import Doubt
 from canfb.signal.phase import FloatArray
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
-from canfb.signal.tracker import Track, Tracker
+from canfb.signal.tracker import Track, Tracker, TrackResult, steady_run
 
 # A glitch below the residual limit is seen one sample later, a row of three at most three later.
 DOUBTED_SAMPLES = 3
+COAST_SAMPLES = 3  # default of 2010:03
 REMEMBERED_SAMPLES = 16  # tell how smoothly the machine runs
 
 
@@ -42,9 +44,12 @@ class Recovery:
         self._places: deque[tuple[int, float, float]] = deque(maxlen=REMEMBERED_SAMPLES)
         self.restart()
 
-    def restart(self, cycles: int = 0) -> None:
-        """Start afresh at standstill with this cycle count; the position is not lost any more."""
-        self.tracker.restart(cycles)
+    def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
+        """Start afresh with this cycle count and speed; the position is not lost any more.
+
+        ``speed_cycles`` in cycles per interval, as in :meth:`Tracker.restart`.
+        """
+        self.tracker.restart(cycles, speed_cycles)
         self.lost = False
         self._doubt: Doubt | None = None
         self._places.clear()
@@ -85,6 +90,28 @@ class Recovery:
     def in_doubt(self) -> bool:
         """True while the next samples must decide where the position is; not when it is lost."""
         return self._doubt is not None
+
+    def follow_run(self, tracked: TrackResult, run: slice, scratch: Scratch) -> int:
+        """Follow a run of phases, ``tracked.phase[run]``, one interval apart, with eq. 9 on arrays.
+
+        Only where the tracker is steady and nothing is in doubt. The two phases that eq. 9 stands
+        on are in ``tracked`` before the run, and so is the cycle count of the last. Fills the rest
+        of ``tracked[run]``. The result is the place of the first sample that :meth:`good` must take,
+        or the end of the run. Call :meth:`take_run` with what is taken of it.
+        """
+        steady_run(self.tracker, tracked, run.start, run.stop, scratch)
+        if self.lost or tracked.ok[run].all():
+            return int(run.stop)
+        return int(run.start + tracked.ok[run].argmin())
+
+    def take_run(self, tracked: TrackResult, start: int, stop: int) -> None:
+        """Go on after the samples start..stop, at least one, of a run that :meth:`follow_run` began."""
+        cycles, phase = tracked.cycles, tracked.phase
+        last = int(cycles[stop - 1])
+        step = last - int(cycles[stop - 2])
+        self.tracker.set_state(float(phase[stop - 2]), float(phase[stop - 1]), last, step)
+        new = slice(max(start, stop - REMEMBERED_SAMPLES), stop)
+        self.followed(cycles[new].tolist(), phase[new].tolist())
 
     def followed(self, cycles: Sequence[int], phases: Sequence[float]) -> None:
         """The tracker has followed a run of samples to these places, the last ones of the run."""
@@ -134,10 +161,14 @@ class Recovery:
         if missed > 0 and self.tracker.started:
             self.bad(float(missed))
             return self.good(phase, elapsed - missed)
+        started = self.tracker.started
         track = self.tracker.look(phase, elapsed)
         self.tracker.accept(track, elapsed)
         if settled and track.ok:
-            self._places.append((track.cycles, phase, elapsed))
+            if started or self.tracker.step_cycles == 0.0:
+                self._places.append((track.cycles, phase, elapsed))
+            else:
+                self._remember_tracker()  # a known speed: there is a place before the first one
             return track, VALID
         track, bits = self._decide(track, elapsed)
         return track, bits | RESIDUAL if settled else bits

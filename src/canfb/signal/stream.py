@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,7 @@ from canfb.signal.phase import FloatArray, raw_phase_block, wrap_block
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import LOST, RESIDUAL, TABLE_ACTIVE, VALID
 from canfb.signal.tracker import TrackResult
+from canfb.signal.tracks import check_counts, pair_of_tracks
 
 # Eq. 9 needs the two samples before.
 BEFORE = 2
@@ -68,6 +70,7 @@ def process_stream(
     blocks: Iterable[tuple[npt.ArrayLike, npt.ArrayLike]],
     config: ChainConfig | None = None,
     table: CorrectionTable | None = None,
+    speed_cycles: float = 0.0,
 ) -> Iterator[ChainResult]:
     """The supervised chain over blocks of samples that follow each other: one result for each.
 
@@ -75,41 +78,46 @@ def process_stream(
     from block to block and may be 0. The samples are one sampling interval apart, also across
     blocks. The results are bit for bit those of :meth:`canfb.SignalChain.step`, sample by
     sample: a bad sample is flagged in its status, and a lost position stays lost. Memory is
-    bounded by the longest block. ValueError at a block that is no such pair; the stream ends there.
+    bounded by the longest block. At a block that is no such pair the stream ends, with the errors of
+    :func:`canfb.process`.
 
     ``config`` None stands for the defaults of :class:`canfb.ChainConfig`, ``table`` None for the identity.
+    ``speed_cycles`` is the speed at the first sample, cycles per sample, right to less than half a
+    cycle; default: standstill. At another speed the position is lost from the second sample on, where
+    its residual shows it. TypeError or ValueError at once for a bad one of these.
     """
-    stream = _Stream(ChainConfig() if config is None else config, table)
-    return (stream.take(*_pair(block)) for block in blocks)
-
-
-def _pair(block: tuple[npt.ArrayLike, npt.ArrayLike]) -> tuple[npt.NDArray[np.generic], ...]:
-    if len(block) != 2:
-        raise ValueError(f"a block must be a pair (sine, cosine), not {len(block)} of them")
-    sine, cosine = np.asarray(block[0]), np.asarray(block[1])
-    if sine.ndim != 1 or sine.shape != cosine.shape:
-        raise ValueError(f"sine and cosine must be of one length: {sine.shape} and {cosine.shape}")
-    for track in (sine, cosine):
-        if track.dtype.kind not in "biuf" and len(track):
-            raise ValueError(f"sine and cosine must be real numbers, not {track.dtype}")
-    return sine, cosine
+    stream = _Stream(ChainConfig() if config is None else config, table, speed_cycles)
+    return (stream.take(*stream.tracks(block)) for block in blocks)
 
 
 class _Stream:
     """A :class:`SignalChain`, which is all that is carried from block to block, and memory to compute in."""
 
-    def __init__(self, config: ChainConfig, table: CorrectionTable | None) -> None:
+    def __init__(self, config: ChainConfig, table: CorrectionTable | None, speed_cycles: float) -> None:
         self._chain = SignalChain(config, table)
+        self._chain.restart(0, speed_cycles)
         self._table = table
         self._conditioning = None if config.conditioning.is_identity else config.conditioning
         self._bounds = config.limits.bounds()
         self._base_status = 0 if table is None else TABLE_ACTIVE
         self._run_samples = FIRST_RUN
+        self._is_first = True
         # All with room for the samples before.
         self._sine, self._cosine = np.zeros(BEFORE + BLOCK_SAMPLES), np.zeros(BEFORE + BLOCK_SAMPLES)
         self._tracked = TrackResult.empty(BEFORE + BLOCK_SAMPLES)
         self._scratch = Scratch(BLOCK_SAMPLES)
         self._good = np.empty(BLOCK_SAMPLES, np.bool_)
+
+    def tracks(self, block: tuple[npt.ArrayLike, npt.ArrayLike]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        """The arrays of the next block; ValueError if it is no such pair."""
+        if len(block) != 2:
+            raise ValueError(f"a block must be a pair (sine, cosine), not {len(block)} of them")
+        may_be_offset = self._conditioning is not None
+        sine, cosine = pair_of_tracks(*block, may_be_offset=may_be_offset)
+        if self._is_first:  # a later one may be so because of a fault, which is flagged
+            check_counts(sine, cosine, may_be_offset=may_be_offset)
+        self._is_first = False
+        return sine, cosine
 
     def take(self, sine: npt.NDArray[np.generic], cosine: npt.NDArray[np.generic]) -> ChainResult:
         """One block, in parts that stay in the processor's cache."""

@@ -20,6 +20,7 @@ from canfb.signal.double_sum import cycle_counts
 from canfb.signal.phase import FloatArray
 
 RESIDUAL_LIMIT = 1.0 / 3.0
+MOST_SPEED_CYCLES = float(1 << 31)  # at a start: beyond it a float holds too little of the phase
 
 
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
@@ -43,12 +44,19 @@ class Track(NamedTuple):
 class Tracker:
     """The recursion of eq. 9, one sample at a time.
 
-    It starts at cycle count 0 with the first phase, and takes the machine to stand still
-    there: until the second sample it may move less than half a cycle. From then on the
-    speed has no limit, the change of speed has (eq. 10).
+    It starts at cycle count 0 with the first phase and ``speed_cycles``, the speed there in
+    cycles per sample (default: standstill). Until the second sample the machine must move by
+    that speed +- less than half a cycle. From then on the speed has no limit, the change of
+    speed has (eq. 10).
+
+    A start at any other speed counts whole cycles per sample too few or too many, and eq. 12
+    sees at most the second sample of it: if the speeds differ by s cycles per sample, its
+    residual is |s - round(s)|, and all that follow are ``ok``. :func:`canfb.process` and
+    :class:`canfb.SignalChain` call the position lost where that residual is over the limit;
+    below it no method that sees only phases can tell.
 
     ``residual_limit`` in cycles, 0 < limit <= 0.5: eq. 12, the paper's choice is 1/3.
-    ValueError otherwise.
+    ``speed_cycles`` at most 2**31 in size. ValueError otherwise.
     """
 
     __slots__ = (
@@ -57,17 +65,22 @@ class Tracker:
         "_gap",
         "_phase",
         "_phase_before",
+        "_start_speed",
         "_started",
         "_step",
         "residual_limit",
     )
 
-    def __init__(self, residual_limit: float = RESIDUAL_LIMIT) -> None:
+    def __init__(self, residual_limit: float = RESIDUAL_LIMIT, speed_cycles: float = 0.0) -> None:
         self.residual_limit = check_residual_limit(residual_limit)
-        self.restart()
+        self.restart(0, speed_cycles)
 
-    def restart(self, cycles: int = 0) -> None:
-        """Forget speed and phase; the next phase starts at standstill with this cycle count."""
+    def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
+        """Forget the phase; the next one starts with this cycle count and speed (cycles per sample).
+
+        ValueError for a speed that is not finite or above 2**31 in size, and nothing is changed then.
+        """
+        self._start_speed = check_speed(speed_cycles)
         self._cycles = cycles  # i(k-1)
         self._step = 0  # i(k-1) - i(k-2)
         self._phase = 0.0  # p(k-1)
@@ -191,7 +204,8 @@ class Tracker:
             self._elapsed = elapsed + self._gap
         else:
             self._started = True
-            self._phase_before = track.phase
+            whole, self._phase_before = split(track.phase - self._start_speed)
+            self._step = -whole
         self._cycles = track.cycles
         self._phase = track.phase
         self._gap = 0.0
@@ -206,11 +220,7 @@ class Tracker:
         if not self._started:
             return Track(self._cycles, 0.0, 0.5, False)
         whole, part = self._carry(elapsed + self._gap)
-        position = self._phase + part
-        turns = math.floor(position)
-        phase = position - turns
-        if phase >= 1.0:
-            turns, phase = turns + 1, 0.0
+        turns, phase = split(self._phase + part)
         return Track(self._cycles + whole + turns, phase, 0.5, False)
 
     def _carry(self, elapsed: float) -> tuple[int, float]:
@@ -241,12 +251,20 @@ class TrackResult:
         )
 
 
-def track(phase: npt.ArrayLike, residual_limit: float = RESIDUAL_LIMIT) -> TrackResult:
+def track(
+    phase: npt.ArrayLike, residual_limit: float = RESIDUAL_LIMIT, speed_cycles: float = 0.0
+) -> TrackResult:
     """:class:`Tracker` over an array of phases, vectorised; bit for bit the same result.
 
     ``phase`` has shape (n,), cycles, 0 <= phase < 1, NaN where a sample has no phase.
+    ``speed_cycles`` is the speed at the first phase, cycles per sample. As with
+    :class:`Tracker`, ``ok`` says no more than eq. 12: after a start at another speed, and
+    after an error, eq. 9 runs on with a wrong speed and small residuals.
+    :func:`canfb.process` and :func:`canfb.process_stream` say where the position is certain.
     ValueError for anything else.
     """
+    if np.iscomplexobj(phase):
+        raise ValueError("phase must be real numbers, in cycles")
     phases = np.asarray(phase, dtype=np.float64)
     if phases.ndim != 1:
         raise ValueError(f"phase must have one dimension, not {phases.ndim}")
@@ -255,7 +273,7 @@ def track(phase: npt.ArrayLike, residual_limit: float = RESIDUAL_LIMIT) -> Track
         raise ValueError(f"phase must be 0 <= phase < 1 cycle, not {phases[wrong[0]]!r} at {wrong[0]}")
     result = TrackResult.empty(len(phases))
     result.phase[:] = phases
-    tracker = Tracker(residual_limit)
+    tracker = Tracker(residual_limit, speed_cycles)
     for part, scratch in blocks(len(phases)):
         track_block(tracker, result, part, scratch)
     return result
@@ -270,9 +288,9 @@ def track_block(tracker: Tracker, result: TrackResult, part: slice, scratch: Scr
     np.isnan(result.phase[part], out=scratch.bit)
     for gap in (np.flatnonzero(scratch.bit) + start).tolist():
         if gap >= start:
-            _steady_run(tracker, result, start, gap, scratch)
+            steady_run(tracker, result, start, gap, scratch)
             start = _step_over(tracker, result, gap, part.stop)
-    _steady_run(tracker, result, start, part.stop, scratch)
+    steady_run(tracker, result, start, part.stop, scratch)
 
 
 def _step_over(tracker: Tracker, result: TrackResult, at: int, stop: int) -> int:
@@ -290,16 +308,19 @@ def _take_one(tracker: Tracker, result: TrackResult, at: int) -> None:
     result.cycles[at], result.phase[at], result.residual[at], result.ok[at] = one
 
 
-def _continues(tracker: Tracker, result: TrackResult, at: int) -> bool:
+def continues(tracker: Tracker, result: TrackResult, at: int) -> bool:
     """True if the two phases that eq. 9 needs stand in the result just before ``at``."""
     return (
         at >= 2 and tracker.is_steady and tracker.state()[:2] == (result.phase[at - 2], result.phase[at - 1])
     )
 
 
-def _steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, scratch: Scratch) -> None:
-    """Samples start..stop, all with a phase and one interval apart: an integer double cumulative sum."""
-    while start < stop and not _continues(tracker, result, start):
+def steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, scratch: Scratch) -> None:
+    """Samples start..stop, all with a phase and one interval apart: an integer double cumulative sum.
+
+    ``scratch`` is at least as long as the run.
+    """
+    while start < stop and not continues(tracker, result, start):
         _take_one(tracker, result, start)
         start += 1
     if start == stop:
@@ -317,6 +338,26 @@ def _steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, sc
     np.less(residual, tracker.residual_limit, out=result.ok[run])
     last_step = cycle_counts(turns, cycles, step, result.cycles[run], scratch)
     tracker.set_state(float(phase[stop - 2]), float(phase[stop - 1]), int(result.cycles[stop - 1]), last_step)
+
+
+def split(position: float) -> tuple[int, float]:
+    """A position in cycles as whole cycles and phase, 0 <= phase < 1."""
+    whole = math.floor(position)
+    phase = position - whole
+    return (whole, phase) if phase < 1.0 else (whole + 1, 0.0)
+
+
+def check_speed(speed_cycles: float) -> float:
+    """``speed_cycles`` as a float if it is a speed to start with, cycles per sample; else ValueError."""
+    if (
+        not isinstance(speed_cycles, (int, float, np.number))
+        or isinstance(speed_cycles, (bool, np.complexfloating))
+        or not abs(speed_cycles) <= MOST_SPEED_CYCLES
+    ):
+        raise ValueError(
+            f"speed_cycles must be a number of cycles per sample, at most 2**31 in size, not {speed_cycles!r}"
+        )
+    return float(speed_cycles)
 
 
 def check_residual_limit(limit: float) -> float:

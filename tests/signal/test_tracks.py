@@ -1,0 +1,119 @@
+"""What the library refuses as tracks, and what it must not refuse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
+from canfb.signal.batch import process
+from canfb.signal.chain import ChainConfig, SignalChain
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.stream import process_stream
+from canfb.signal.tracker import track
+
+ANGLE = np.linspace(0.0, 40 * np.pi, 1000)
+SINE, COSINE = 1500 * np.sin(ANGLE), 1500 * np.cos(ANGLE)
+MANY = tuple(track(np.arange(20_000) * 0.0411) * 1500 + 2048 for track in (np.sin, np.cos))
+TAKERS = {
+    "process": process,
+    "process_stream": lambda s, c: list(process_stream([(s, c)])),
+    "calibrate_from_motion": calibrate_from_motion,
+    "calibrate_from_zero_crossings": calibrate_from_zero_crossings,
+}
+WRONG = {
+    "complex": (SINE.astype(complex), COSINE.astype(complex), "real numbers"),
+    "2-D": (SINE.reshape(2, -1), COSINE.reshape(2, -1), "one dimension"),
+    "scalars": (1.0, 1.0, "one dimension"),
+    "ragged": ([[1.0], [1.0, 2.0]], [1.0, 2.0], "one dimension"),
+    "another length": (SINE, COSINE[:-1], "one length"),
+    "text": (["1"], ["2"], "real numbers"),
+    "nothing": (None, None, "real numbers|one dimension"),
+    "truth values": (SINE > 0, COSINE > 0, "real numbers"),
+    "unsigned": ((SINE + 2048).astype(np.uint16), (COSINE + 2048).astype(np.uint16), "mid-scale"),
+    "never centred": (np.rint(SINE + 2048).astype(int), np.rint(COSINE + 2048).astype(int), "mid-scale"),
+    "never centred, small": (100 * np.sin(ANGLE) + 128, 100 * np.cos(ANGLE) + 128, "mid-scale"),
+    "in -1..1": (np.sin(ANGLE), np.cos(ANGLE), "full scale"),
+    "volts": (np.float32(0.5 * np.sin(ANGLE)), np.float32(0.5 * np.cos(ANGLE)), "full scale"),
+}
+
+
+@pytest.mark.parametrize("take", TAKERS.values(), ids=TAKERS)
+@pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
+def test_what_are_no_tracks_is_refused_in_one_line(take, wrong) -> None:  # type: ignore[no-untyped-def]
+    sine, cosine, words = wrong
+    with pytest.raises(ValueError, match=words) as error:
+        take(sine, cosine)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("sine", "cosine"),
+    [
+        (np.full(500, 900), np.full(500, 700)),  # at standstill in the first quadrant
+        (np.sin(np.linspace(0.05, 1.5, 500)) * 1500, np.cos(np.linspace(0.05, 1.5, 500)) * 1500),  # slowly
+        (np.zeros(500), np.zeros(500)),  # dead
+        (np.random.default_rng(1).normal(0, 0.01, 500), np.random.default_rng(2).normal(0, 0.01, 500)),
+        (SINE.astype(np.int16), COSINE.astype(np.int16)),
+        (np.sin(ANGLE[:10]), np.cos(ANGLE[:10])),  # too few to judge
+        (np.full(500, np.nan), np.full(500, np.nan)),
+        (np.rint(900 + np.random.default_rng(3).normal(0, 3, 500)), np.full(500, 700.0)),
+    ],
+)
+def test_what_may_be_tracks_is_taken(sine: np.ndarray, cosine: np.ndarray) -> None:
+    assert len(process(sine, cosine).ok) == len(sine)
+    (result,) = process_stream([(sine, cosine)])
+    assert len(result.status) == len(sine)
+
+
+def test_a_later_block_is_flagged_and_never_refused() -> None:
+    results = list(
+        process_stream([(SINE, COSINE), (SINE / 1500, COSINE / 1500), (SINE + 2048, COSINE + 2048)])
+    )
+    assert results[0].valid.all()
+    assert not results[1].valid.any()
+    assert not results[2].valid.any()
+
+
+@pytest.mark.parametrize("table", [np.arange(256) / 256, [0.0] * 256, 3, "table"])
+def test_a_table_that_is_none_is_refused(table: object) -> None:
+    for run in (
+        lambda: process(SINE, COSINE, table),  # type: ignore[arg-type]
+        lambda: process_stream([], table=table),  # type: ignore[arg-type]
+        lambda: SignalChain(ChainConfig(), table),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(TypeError, match="CorrectionTable"):
+            run()
+
+
+@pytest.mark.parametrize("config", [None, {"adc_bits": 12}, 12, ChainConfig])
+def test_a_configuration_that_is_none_is_refused(config: object) -> None:
+    with pytest.raises(TypeError, match="must be a ChainConfig"):
+        SignalChain(config)  # type: ignore[arg-type]
+    if config is not None:
+        with pytest.raises(TypeError, match="must be a ChainConfig"):
+            process_stream([], config)  # type: ignore[arg-type]
+
+
+def test_a_conditioning_that_is_none_is_refused() -> None:
+    with pytest.raises(TypeError, match="Conditioning"):
+        process(SINE, COSINE, conditioning=(0, 0, 1, 1, 0))  # type: ignore[arg-type]
+
+
+def test_an_offset_may_be_what_the_conditioning_takes_away() -> None:
+    centred, offset = Conditioning(), Conditioning(2048.0, 2048.0)
+    want = process(SINE, COSINE, conditioning=centred)
+    assert want.ok.all()
+    sine, cosine = SINE + 2048, COSINE + 2048
+    assert process(sine, cosine, conditioning=offset).cycles.tolist() == want.cycles.tolist()
+    unsigned = np.rint(sine).astype(np.uint16), np.rint(cosine).astype(np.uint16)
+    assert process(*unsigned, conditioning=offset).ok.all()
+    (result,) = process_stream([unsigned], ChainConfig(conditioning=offset, adc_bits=13))
+    assert result.valid.all()
+    assert abs(calibrate_from_motion(*MANY, "fit").conditioning.sine_offset_counts - 2048) < 1
+
+
+def test_complex_phases_are_refused() -> None:
+    with pytest.raises(ValueError, match="real numbers"):
+        track(np.array([0.5 + 0j]))
