@@ -155,3 +155,9 @@ def test_import_is_clean_and_brings_in_no_bus_and_no_pictures() -> None:
 def test_python_m_canfb_tells_its_version() -> None:
     done = python("-m", "canfb", "--version")
     assert (done.returncode, done.stdout, done.stderr) == (0, f"canfb {version('canfb')}\n", "")
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    assert canfb.__version__ == version("canfb")
+    with pytest.raises(AttributeError, match="no attribute 'versions'"):
+        _ = canfb.versions

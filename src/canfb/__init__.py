@@ -59,3 +59,12 @@ __all__ = [
     "process_stream",
     "track",
 ]
+
+
+def __getattr__(name: str) -> str:
+    """``__version__``, that of the installed package: read when it is asked for."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("canfb")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

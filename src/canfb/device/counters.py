@@ -12,7 +12,7 @@ class Counters:
     unknown_cob_ids: int = 0
     """Frames that no service listens to in the present NMT state; frames for others included."""
     malformed_frames: int = 0
-    """More than 8 bytes, or a length or content that the service cannot mean."""
+    """More than 8 bytes, a CAN-ID above 7FFh, or a length or content that the service cannot mean."""
     remote_frames: int = 0
     """Remote frames where none is meant, or on a TPDO that allows none."""
     duplicate_frames: int = 0

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
+HIGHEST_ID = 0x7FF
+LONGEST_DATA = 8
 NEVER = float("inf")
 """The deadline of a service that waits for nothing, seconds."""
 
@@ -12,14 +14,36 @@ NEVER = float("inf")
 class Frame(NamedTuple):
     """One CAN frame with an 11-bit identifier.
 
-    `data` holds 0 to 8 bytes (more is dropped by the device). `timestamp` is the time of
-    reception in seconds where the bus gives one; the device does not use it.
+    `can_id` is 0 to 7FFh, `data` holds 0 to 8 bytes, `rtr` marks a remote frame. `timestamp` is the
+    time of reception in seconds where the bus gives one; the device does not use it. Nothing is
+    checked here, as a bus may deliver anything: the device drops and counts what is malformed.
+    :meth:`checked` makes the frames of a program.
     """
 
     can_id: int
     data: bytes
     rtr: bool = False
     timestamp: float | None = None
+
+    @classmethod
+    def checked(
+        cls, can_id: int, data: bytes = b"", rtr: bool = False, timestamp: float | None = None
+    ) -> Self:
+        """A frame that is one: `can_id` 0 to 7FFh, `data` 0 to 8 bytes, `rtr` true or false,
+        `timestamp` seconds or None. TypeError or ValueError otherwise."""
+        if not isinstance(can_id, int) or isinstance(can_id, bool):
+            raise TypeError(f"can_id must be a whole number, not {can_id!r}")
+        if not 0 <= can_id <= HIGHEST_ID:
+            raise ValueError(f"can_id must be 0 to 7FFh (11 bits), not {can_id:X}h")
+        if not isinstance(data, (bytes, bytearray, memoryview)):
+            raise TypeError(f"data must be bytes, not {type(data).__name__}")
+        if len(data) > LONGEST_DATA:
+            raise ValueError(f"data must be 0 to 8 bytes, not {len(data)}: CANopen has no CAN FD")
+        if not isinstance(rtr, bool):
+            raise TypeError(f"rtr must be true or false, not {rtr!r}")
+        if timestamp is not None and not isinstance(timestamp, (int, float)):
+            raise TypeError(f"timestamp must be seconds or None, not {timestamp!r}")
+        return cls(can_id, bytes(data), rtr, timestamp)
 
 
 Emit = Callable[[Frame], None]

@@ -9,7 +9,7 @@ from canfb.device.agenda import Agenda
 from canfb.device.codes import EmergencyCode, ErrorRegister
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
-from canfb.device.frame import NEVER, Frame, Moment
+from canfb.device.frame import HIGHEST_ID, LONGEST_DATA, NEVER, Frame, Moment
 from canfb.device.hooks import Hooks
 from canfb.device.lss import REQUEST_ID, UNCONFIGURED, LssSlave, is_node_id
 from canfb.device.nmt import NmtState, Startup
@@ -21,7 +21,6 @@ from canfb.device.storage import Storage, Store
 from canfb.device.tpdo import Tpdo
 
 LAST_COMMUNICATION_INDEX = 0x1FFF
-_LONGEST_DATA = 8
 _BUS = "bus"
 
 
@@ -170,14 +169,16 @@ class Node(Hooks):
         can_id, data, rtr, _ = frame
         if rtr:
             self._receive_remote(can_id, now)
-        elif len(data) > _LONGEST_DATA:
+        elif len(data) > LONGEST_DATA:
             self.counters.malformed_frames += 1
         else:
             handler = self._routes.get(can_id)
-            if handler is None:
+            if handler is not None:
+                handler(data, now)
+            elif 0 <= can_id <= HIGHEST_ID:
                 self.counters.unknown_cob_ids += 1
             else:
-                handler(data, now)
+                self.counters.malformed_frames += 1
         outbox = self._outbox
         if not outbox:
             return []

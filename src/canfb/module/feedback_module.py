@@ -57,7 +57,8 @@ class FeedbackModule:
 
     A ``source`` is asked at each SYNC in OPERATIONAL for the sample of that very SYNC; RPDO1 is off
     then. ``on_source`` is called with one line when it fails, works again or has ended. ValueError
-    where ``config.source`` speaks of a source and none is given.
+    where ``config.source`` speaks of a source and none is given; TypeError for a ``config`` that is
+    no :class:`canfb.ModuleConfig`.
     """
 
     def __init__(
@@ -68,6 +69,11 @@ class FeedbackModule:
         source: Source | None = None,
         bit_rates_kbit_s: Collection[int] = (),
     ) -> None:
+        if not isinstance(config, ModuleConfig):
+            raise TypeError(
+                f"config must be a ModuleConfig, not {type(config).__name__}: "
+                "take one of load_config(path).modules, or canfb.ModuleConfig(node_id=32)"
+            )
         if config.source is not None and source is None:
             raise ValueError(f"config.source is {config.source.kind!r}: open it, and give it as source=")
         self.config = config
