@@ -84,12 +84,14 @@ def test_frames_of_29_bits(module: Bench, index: int, subindex: int, bits: int) 
 
 @pytest.mark.parametrize("index", range(0x1800, 0x1804))
 @pytest.mark.parametrize("kind", [0xFC, 0xFD])
-def test_remote_only_needs_remote_frames(module: Bench, index: int, kind: int) -> None:
+def test_remote_only_needs_remote_frames_once_it_is_valid(module: Bench, index: int, kind: int) -> None:
     can_id = 0x200 + (index & 0xFF)
     cob_id = module.read(index, 1)
     assert module.write(index, 1, cob_id | BIT_31, 4) == OK
+    before = module.read(index, 2)
     assert module.write(index, 1, can_id | BIT_30, 4) == OK
     assert module.write(index, 2, kind, 1) is AbortCode.INVALID_VALUE
+    assert module.read(index, 2) == before
     assert module.write(index, 1, can_id, 4) == OK
     assert module.write(index, 2, kind, 1) == OK
     assert module.write(index, 1, can_id | BIT_30, 4) is AbortCode.INVALID_VALUE

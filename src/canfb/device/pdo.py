@@ -15,6 +15,7 @@ SYNCHRONOUS = range(241)
 SYNC_REMOTE = 0xFC
 EVENT_REMOTE = 0xFD
 EVENT_DRIVEN = frozenset({0xFE, 0xFF})
+REMOTE_ONLY = frozenset({SYNC_REMOTE, EVENT_REMOTE})
 
 COMMUNICATION = {Direction.RECEIVE: 0x1400, Direction.TRANSMIT: 0x1800}
 MAPPING = {Direction.RECEIVE: 0x1600, Direction.TRANSMIT: 0x1A00}
@@ -44,8 +45,10 @@ class PdoParameters:
     """14xxh and 16xxh, or 18xxh and 1Axxh, of one PDO (CiA 301, 7.5.2.35 to 7.5.2.38).
 
     Installs the checks of the procedure: mapping is changed only while the PDO is not valid
-    (COB-ID bit 31) and its number of mapped objects is 0; a valid PDO keeps its CAN-ID. `changed`
-    is called after each change that was accepted.
+    (COB-ID bit 31) and its number of mapped objects is 0; a valid PDO keeps its CAN-ID. While it is
+    not valid each communication parameter is checked alone, so that they can be written in any order;
+    whether they go together is checked when bit 31 is cleared, and on each change from then on.
+    `changed` is called after each change that was accepted.
     """
 
     def __init__(
@@ -111,15 +114,22 @@ class PdoParameters:
     def _check_cob_id(self, value: int) -> None:
         valid = cob.is_valid(value)
         cob.check(value, self.cob_id.value, uses_new=valid, uses_old=self.is_valid)
-        remote_only = self.type.value in (SYNC_REMOTE, EVENT_REMOTE)
-        if valid and remote_only and value & cob.NO_RTR:
-            raise SdoAbort(AbortCode.INVALID_VALUE)
+        if valid:
+            self._check_combination(value, self.type.value)
 
     def _check_type(self, value: int) -> None:
-        remote_only = value in (SYNC_REMOTE, EVENT_REMOTE)
-        if remote_only and self._direction is Direction.TRANSMIT and self.allows_remote:
-            return
         if value not in SYNCHRONOUS and value not in EVENT_DRIVEN:
+            if value not in REMOTE_ONLY or self._direction is Direction.RECEIVE:
+                raise SdoAbort(AbortCode.INVALID_VALUE)
+            if self.is_valid:
+                self._check_combination(self.cob_id.value, value)
+
+    def _check_combination(self, cob_id: int, kind: int) -> None:
+        """Refuse a valid PDO that nothing could ever ask for: on remote frames only, and none allowed.
+
+        CiA 301 refuses a type that is not supported (06090030h), at any time; it is silent on this pair.
+        """
+        if kind in REMOTE_ONLY and cob_id & cob.NO_RTR:
             raise SdoAbort(AbortCode.INVALID_VALUE)
 
     def _check_count(self, value: int) -> None:

@@ -1,0 +1,112 @@
+"""The communication parameters of a PDO that is not valid go in any order; bit 31 is where they must fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from device_kit import ID, OK, Bench
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.device import cob
+from canfb.device.codes import AbortCode
+from canfb.device.dictionary import Dictionary
+
+EDS = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
+DICTIONARY = Dictionary.load(EDS, ID)
+SIZES = {1: 4, 2: 1, 3: 2, 5: 2, 6: 1}
+RECEIVED, SENT = (0x1400, 0x1401), (0x1800, 0x1801, 0x1802, 0x1803)
+REMOTE_ONLY = (0xFC, 0xFD)
+NO_RTR, FREE = cob.NO_RTR, cob.NOT_VALID
+CAN_IDS = st.integers(0, 0x7FF).filter(lambda can_id: not cob.is_restricted(can_id))
+State = dict[int, int]
+
+
+def is_legal(state: State) -> bool:
+    """Whether a valid PDO may be as it is."""
+    return not (state[2] in REMOTE_ONLY and state[1] & NO_RTR)
+
+
+@st.composite
+def states(draw: st.DrawFn, index: int) -> State:
+    """Communication parameters, each good by itself; the COB-ID as that of a valid PDO."""
+    remote = REMOTE_ONLY if index in SENT else ()
+    kinds = st.one_of(st.integers(0, 240), st.sampled_from([254, 255, *remote, *remote]))
+    values = {
+        1: draw(CAN_IDS) | draw(st.sampled_from([0, NO_RTR])),
+        2: draw(kinds),
+        3: draw(st.integers(0, 0xFFFF)),
+        5: draw(st.integers(0, 0xFFFF)),
+        6: draw(st.integers(0, 240)),
+    }
+    return {sub: value for sub, value in values.items() if (index, sub) in DICTIONARY}
+
+
+@st.composite
+def programs(draw: st.DrawFn) -> tuple[int, State, list[tuple[int, int]]]:
+    """A PDO, its last state, and writes that lead there by way of any others while it is not valid."""
+    index = draw(st.sampled_from([*RECEIVED, *SENT]))
+    last = draw(states(index))
+    detours = [
+        (sub, value) for state in draw(st.lists(states(index), max_size=3)) for sub, value in state.items()
+    ]
+    before = draw(st.permutations(detours))
+    arrival = draw(st.permutations(list(last.items())))
+    return index, last, [(sub, value | FREE if sub == 1 else value) for sub, value in [*before, *arrival]]
+
+
+BENCH = Bench(DICTIONARY)
+BENCH.start()
+
+
+def as_delivered() -> Bench:
+    """One node for all examples, reset: to read an EDS takes longer than an example."""
+    BENCH.nmt(129)
+    return BENCH
+
+
+def state_of(bench: Bench, index: int) -> State:
+    return {sub: bench.read(index, sub) for sub in SIZES if (index, sub) in bench.dictionary}
+
+
+@given(programs())
+def test_any_order_leads_to_any_state(program: tuple[int, State, list[tuple[int, int]]]) -> None:
+    index, last, writes = program
+    bench = as_delivered()
+    assert bench.write(index, 1, bench.read(index, 1) | FREE, 4) == OK
+    assert {bench.write(index, sub, value, SIZES[sub]) for sub, value in writes} == {OK}
+    assert state_of(bench, index) == last | {1: last[1] | FREE}
+    answer = bench.write(index, 1, last[1], 4)
+    assert answer == (OK if is_legal(last) else AbortCode.INVALID_VALUE)
+    assert bench.read(index, 1) == (last[1] if is_legal(last) else last[1] | FREE)
+
+
+@given(states(0x1801), states(0x1801))
+def test_a_valid_pdo_is_never_what_it_may_not_be(first: State, second: State) -> None:
+    bench = as_delivered()
+    bench.write(0x1801, 1, bench.read(0x1801, 1) | FREE, 4)
+    for sub in (2, 1):
+        bench.write(0x1801, sub, first[sub], SIZES[sub])
+    for sub in (1, 2, 1):
+        value = second[sub] & ~0x7FF | first[1] & 0x7FF if sub == 1 else second[sub]
+        bench.write(0x1801, sub, value, SIZES[sub])
+        state = state_of(bench, 0x1801)
+        assert is_legal(state) or state[1] & FREE
+
+
+def test_both_orders_of_the_remote_only_type() -> None:
+    for order in ([1, 2], [2, 1]):
+        bench = as_delivered()
+        bench.write(0x1801, 1, FREE, 4)
+        values = {1: 0xC0000500, 2: 0xFC}
+        assert [bench.write(0x1801, sub, values[sub], SIZES[sub]) for sub in order] == [OK, OK]
+        assert bench.write(0x1801, 1, 0x40000500, 4) is AbortCode.INVALID_VALUE
+        assert bench.write(0x1801, 1, 0x500, 4) == OK
+
+
+@pytest.mark.parametrize("kind", [0xF1, 0xFB, 0xFC, 0xFD])
+def test_a_type_that_no_rpdo_has_is_refused_while_it_is_not_valid_too(kind: int) -> None:
+    bench = as_delivered()
+    bench.write(0x1400, 1, bench.read(0x1400, 1) | FREE, 4)
+    assert bench.write(0x1400, 2, kind, 1) is AbortCode.INVALID_VALUE
