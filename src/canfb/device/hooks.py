@@ -31,8 +31,8 @@ class Hooks:
     with the same node-ID. For the first such frame after each reset; `counters` counts them all.
     on_bad_rpdo(number, received, mapped, now): an RPDO too short, in bytes; its data was dropped.
     on_configured(): PDO parameters or the NMT state have changed; mappings may be others now.
-    on_bit_rate(kbit_s, delay_s, now): LSS wants another bit rate. Send nothing for `delay_s`, change
-    it, send nothing for `delay_s` again.
+    on_bit_rate(kbit_s, delay_s, now): LSS activates this bit rate. Change it at `now` + `delay_s`; the
+    node by itself sends nothing up to `now` + 2 `delay_s`. What waits in a driver's queue is yours.
     """
 
     def __init__(self) -> None:
@@ -46,3 +46,15 @@ class Hooks:
         self.on_bad_rpdo: Callable[[int, int, int, float], None] | None = None
         self.on_configured: Callable[[], None] | None = None
         self.on_bit_rate: Callable[[int, float, float], None] | None = None
+
+    def _time_heard(self, days: int, milliseconds: int, now: float) -> None:
+        if self.on_time is not None:
+            self.on_time(days, milliseconds, now)
+
+    def _rpdo_too_short(self, number: int, received: int, mapped: int, now: float) -> None:
+        if self.on_bad_rpdo is not None:
+            self.on_bad_rpdo(number, received, mapped, now)
+
+    def _duplicate(self, can_id: int, now: float) -> None:
+        if self.on_duplicate is not None:
+            self.on_duplicate(can_id, now)

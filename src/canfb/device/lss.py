@@ -64,8 +64,9 @@ class LssSlave:
     stored. `active_node_id()` is the present one. `bit_rates_kbit_s` are those that the bus can be
     set to. `activate(kbit_s, delay_s)` is called for "activate bit timing" with the bit rate
     configured before: the device is to be silent for `delay_s` seconds, then the bit rate changes,
-    then it is to be silent for `delay_s` again. `configured(now)` is called when the master leaves
-    the configuration state.
+    then it is to be silent for `delay_s` again. Without a bit rate that the bus can be set to the
+    service is refused; it has no answer, and nothing happens. `configured(now)` is called when the
+    master leaves the configuration state.
     """
 
     def __init__(
@@ -168,8 +169,8 @@ class LssSlave:
         self._answer(bytes([data[0], Error.NONE if good else Error.NOT_POSSIBLE]))
 
     def _activate_bit_timing(self, data: bytes) -> None:
-        """There is no answer. Nothing happens before a bit rate was configured."""
-        if self.bit_rate_kbit_s is not None:
+        """There is no answer. Nothing happens without a bit rate that was configured and is possible."""
+        if self.bit_rate_kbit_s is not None and self.bit_rate_kbit_s in self._bit_rates_kbit_s:
             self._activate(self.bit_rate_kbit_s, int.from_bytes(data[1:3], "little") / 1000)
 
     def _store(self, data: bytes) -> None:

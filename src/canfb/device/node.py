@@ -17,6 +17,7 @@ from canfb.device.routing import Handler, RemoteHandler
 from canfb.device.rpdo import Rpdo
 from canfb.device.sdo_server import TIMEOUT_S
 from canfb.device.services import Links, Services, nobody_listens
+from canfb.device.silence import Silence
 from canfb.device.storage import Storage, Store
 from canfb.device.tpdo import Tpdo
 
@@ -77,6 +78,7 @@ class Node(Hooks):
         self._sync_tpdos: list[Tpdo] = []
         self._startup = Startup(dictionary.find(0x1F80), autostart=autostart)
         self._sdo_timeout_s = sdo_timeout_s
+        self._silence = Silence(self._silence_ended)
         self.lss = LssSlave(
             dictionary,
             self.storage,
@@ -110,6 +112,7 @@ class Node(Hooks):
             links,
             moment=self._moment,
             counters=self.counters,
+            silence=self._silence,
             sdo_timeout_s=self._sdo_timeout_s,
         )
         self._nmt = self._services.nmt
@@ -182,7 +185,7 @@ class Node(Hooks):
         outbox = self._outbox
         if not outbox:
             return []
-        sent = outbox[:]
+        sent = [] if self._silence.active else outbox[:]
         outbox.clear()
         return sent
 
@@ -267,11 +270,8 @@ class Node(Hooks):
         return self._moment.now
 
     def _sent(self) -> list[Frame]:
-        outbox = self._outbox
-        if not outbox:
-            return []
-        sent = outbox[:]
-        outbox.clear()
+        sent = [] if self._silence.active else self._outbox[:]
+        self._outbox.clear()
         return sent
 
     def _receive_remote(self, can_id: int, now: float) -> None:
@@ -291,7 +291,7 @@ class Node(Hooks):
         self._begin(False, now)
 
     def _wait_for_node_id(self) -> None:
-        self._services.silence()
+        self._services.forget()
         self.lss.reset()
         self._route()
 
@@ -313,8 +313,17 @@ class Node(Hooks):
             self._power_up(now)
 
     def _bit_rate_wanted(self, kbit_s: int, delay_s: float) -> None:
+        now = self._moment.now
+        if delay_s:
+            self._silence.begin(now + 2 * delay_s)
+            self._services.silenced(now)
+            self._route()
         if self.on_bit_rate is not None:
-            self.on_bit_rate(kbit_s, delay_s, self._moment.now)
+            self.on_bit_rate(kbit_s, delay_s, now)
+
+    def _silence_ended(self, now: float) -> None:
+        self._services.heard_again(now)
+        self._route()
 
     def _reset(self, communication_only: bool, now: float) -> None:
         """NMT reset node or reset communication."""
@@ -358,10 +367,6 @@ class Node(Hooks):
             self._services.guarding.configure(self._moment.now)
         self._route()
 
-    def _time_heard(self, days: int, milliseconds: int, now: float) -> None:
-        if self.on_time is not None:
-            self.on_time(days, milliseconds, now)
-
     def _pdo_changed(self) -> None:
         self._route()
         if self.on_configured is not None:
@@ -378,14 +383,6 @@ class Node(Hooks):
     def rpdo_with(self, *objects: tuple[int, int]) -> int | None:
         """Number of the first valid RPDO whose mapping holds all these objects (index, sub-index)."""
         return pdo.rpdo_with(self.dictionary, objects)
-
-    def _rpdo_too_short(self, number: int, received: int, mapped: int, now: float) -> None:
-        if self.on_bad_rpdo is not None:
-            self.on_bad_rpdo(number, received, mapped, now)
-
-    def _duplicate(self, can_id: int, now: float) -> None:
-        if self.on_duplicate is not None:
-            self.on_duplicate(can_id, now)
 
     def _synchronise(self, counter: int | None, now: float) -> None:
         if not self._operational:

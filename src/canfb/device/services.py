@@ -19,6 +19,7 @@ from canfb.device.nmt import COMMUNICATING, ErrorBehaviour, Nmt, NmtState
 from canfb.device.routing import Routes
 from canfb.device.rpdo import Rpdo
 from canfb.device.sdo_channel import SdoChannel, channel_indices
+from canfb.device.silence import Silence
 from canfb.device.sync import Sync
 from canfb.device.time_stamp import TimeStamp
 from canfb.device.tpdo import Tpdo
@@ -59,8 +60,10 @@ class Services:
         *,
         moment: Moment,
         counters: Counters,
+        silence: Silence,
         sdo_timeout_s: float,
     ) -> None:
+        self._silence = silence
         emit, changed = links.emit, links.changed
         self._error_control_id = ERROR_CONTROL + node_id
         self.nmt = nmt = Nmt(node_id, counters, links.state_changed, links.reset)
@@ -109,6 +112,7 @@ class Services:
     def timed(self) -> list[Timed]:
         """Those with a timer, in the order in which they are called."""
         return [
+            self._silence,
             self.sync,
             *self.rpdos,
             *self.tpdos.values(),
@@ -121,14 +125,14 @@ class Services:
 
     def configure(self, now: float) -> None:
         """Begin anew with the values in the dictionary, after a reset: no error, no timer, no transfer."""
-        self.silence()
+        self.forget()
         self.guarding.configure(now)
         self.consumer.configure(now)
         self.sync.configure()
         for channel in self.channels:
             channel.configure()
 
-    def silence(self) -> None:
+    def forget(self) -> None:
         """No heartbeat until the next boot-up, and no error."""
         self.producer.stop()
         self.emergency.reset()
@@ -137,16 +141,35 @@ class Services:
     def enter(self, old: NmtState, new: NmtState, now: float) -> None:
         """What a change of the NMT state allows and forbids (CiA 301, 7.3.2.2.5)."""
         operational = new is NmtState.OPERATIONAL
+        if old is NmtState.INITIALISING:
+            self._silence.boot_up_owed = self._silence.active
         if operational or old is NmtState.OPERATIONAL:
             for rpdo in self.rpdos:
                 rpdo.enable(operational, now)
             for tpdo in self.tpdos.values():
                 tpdo.enable(operational, now)
         if new not in COMMUNICATING:
-            for channel in self.channels:
-                channel.server.drop()
+            self._drop_transfers()
         self.sync.enable(new in COMMUNICATING, now)
-        self.emergency.enable(new in COMMUNICATING, now)
+        self._allow_emergency(now)
+
+    def silenced(self, now: float) -> None:
+        """The silence has begun: SDO transfers are given up without a word, EMCY waits."""
+        self._drop_transfers()
+        self._allow_emergency(now)
+
+    def heard_again(self, now: float) -> None:
+        """The silence has ended: a boot-up that fell into it goes out, then EMCY."""
+        if self._silence.boot_up_owed:
+            self.producer.boot_up(now)
+        self._allow_emergency(now)
+
+    def _drop_transfers(self) -> None:
+        for channel in self.channels:
+            channel.server.drop()
+
+    def _allow_emergency(self, now: float) -> None:
+        self.emergency.enable(self.nmt.state in COMMUNICATING and not self._silence.active, now)
 
     def routes(self) -> Routes:
         """Who listens to which CAN-ID, in this NMT state and with these COB-IDs."""
@@ -161,7 +184,7 @@ class Services:
         if state in COMMUNICATING:
             routes.add(self.sync.can_id, self.sync.handle)
             routes.add(self.time_stamp.can_id, self.time_stamp.handle)
-            for channel in self.channels:
+            for channel in [] if self._silence.active else self.channels:  # no answer: nothing is written
                 routes.add(channel.request_id, channel.server.handle)
         if state is NmtState.OPERATIONAL:
             for rpdo in self.rpdos:

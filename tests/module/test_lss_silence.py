@@ -1,0 +1,191 @@
+"""A module while LSS changes the bit rate: silent before and after the switch; what an upload sees of it."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from canfb.device.frame import Frame
+from canfb.device.nmt import NmtState
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.correction import CorrectionTable
+
+NODE_ID, RATES = 0x20, (125, 500)
+BOOT_UP, EMCY, POSITION, SDO, HEARTBEAT = 0x720, 0xA0, 0x1A0, 0x5A0, 0x720
+DELAY_S = 0.05
+TABLE = CorrectionTable(np.arange(64) / 64 + 0.01 * np.sin(2 * np.pi * np.arange(64) / 64))
+
+
+class Line:
+    """The module with a heartbeat, and everything that it sends, with its time; SYNCs of 1 ms on demand."""
+
+    def __init__(self, rates: tuple[int, ...] = RATES) -> None:
+        self.module = FeedbackModule(ModuleConfig(node_id=NODE_ID), bit_rates_kbit_s=rates)
+        self.now = 0.0
+        self.heard: list[tuple[float, Frame]] = []
+        self.switched: list[tuple[int, float, float]] = []
+        self.module.node.on_bit_rate = lambda *what: self.switched.append(what)
+        self._keep(self.module.start(0.0))
+        self.sdo("2B17100019000000")  # a heartbeat each 25 ms
+        self.send(0, bytes([1, NODE_ID]))
+        self._angle = 0.0
+
+    def _keep(self, frames: list[Frame]) -> list[Frame]:
+        self.heard += [(self.now, frame) for frame in frames]
+        return frames
+
+    def send(self, can_id: int, data: bytes) -> list[Frame]:
+        return self._keep(self.module.receive(Frame(can_id, data), self.now))
+
+    def sdo(self, request: str) -> list[str]:
+        answers = self.send(0x600 + NODE_ID, bytes.fromhex(request).ljust(8, b"\x00"))
+        return [frame.data.hex().upper() for frame in answers if frame.can_id == SDO]
+
+    def lss(self, *data: int) -> list[Frame]:
+        return self.send(0x7E5, bytes(data).ljust(8, b"\x00"))
+
+    def activate(self, delay_s: float = DELAY_S, index: int | None = 2) -> None:
+        """All at once: configuration state, bit timing (2: 500 kbit/s), activate."""
+        self.lss(0x04, 1)
+        if index is not None:
+            self.lss(0x13, 0, index)
+        self.lss(0x15, *round(delay_s * 1000).to_bytes(2, "little"))
+
+    def run(self, duration_s: float, samples: bool = True) -> list[tuple[float, Frame]]:
+        """Let time pass, with SYNC and sample each millisecond; what was sent."""
+        before = len(self.heard)
+        for _ in range(round(duration_s * 1000)):
+            self.now = round(self.now + 1e-3, 6)
+            while (due := self.module.deadline()) is not None and due <= self.now:
+                self._keep(self.module.tick(self.now))
+            if samples:
+                self._angle += 0.05
+                counts = (round(1500 * f(self._angle)) for f in (math.sin, math.cos))
+                self.send(0x80, b"")
+                self.send(0x190, struct.pack("<hh", *counts))
+        return self.heard[before:]
+
+
+@pytest.fixture
+def line() -> Line:
+    return Line()
+
+
+def test_it_is_silent_for_the_delay_before_and_after_the_switch(line: Line) -> None:
+    before = line.run(0.1)
+    assert {frame.can_id for _, frame in before} >= {POSITION, HEARTBEAT}
+    line.activate()
+    began = line.now
+    assert line.switched == [(500, DELAY_S, began)]
+    after = line.run(0.2)
+    first = after[0][0]
+    assert 2 * DELAY_S <= first - began <= 2 * DELAY_S + 2e-3
+    assert {frame.can_id for _, frame in after} >= {POSITION, HEARTBEAT}
+
+
+def test_it_goes_on_counting_and_the_position_is_valid_at_the_end(line: Line) -> None:
+    line.run(0.1)
+    line.activate()
+    after = [frame for _, frame in line.run(0.2) if frame.can_id == POSITION]
+    samples = line.module.dictionary.entry(0x2011, 8).value
+    assert samples == 300
+    (status,) = struct.unpack_from("<H", after[0].data, 4)
+    assert status & 1
+    assert line.module.dictionary.entry(0x2012, 1).value == 0
+
+
+@pytest.mark.parametrize("index", [None, 0, 3], ids=["nothing configured", "not offered", "refused"])
+def test_a_refused_activation_makes_no_silence(line: Line, index: int | None) -> None:
+    line.run(0.02)
+    line.activate(index=index)
+    assert line.switched == []
+    assert line.sdo("4000100000000000") == ["4300100096010400"]
+    assert len([frame for _, frame in line.run(0.02) if frame.can_id == POSITION]) == 20
+
+
+def test_without_the_configuration_state_nothing_is_activated(line: Line) -> None:
+    line.lss(0x04, 1)
+    line.lss(0x13, 0, 2)
+    line.lss(0x04, 0)
+    line.lss(0x15, 50, 0)
+    assert line.switched == []
+    assert line.sdo("4000100000000000") != []
+
+
+def test_a_delay_of_zero_is_no_silence(line: Line) -> None:
+    line.activate(0.0)
+    assert line.switched == [(500, 0.0, 0.0)]
+    assert line.sdo("4000100000000000") != []
+
+
+def segments(data: bytes) -> Iterator[str]:
+    """A segmented download of the table: initiate, then 7 bytes in each segment."""
+    yield f"21202001{len(data).to_bytes(4, 'little').hex()}"
+    for n, start in enumerate(range(0, len(data), 7)):
+        piece = data[start : start + 7]
+        last = start + 7 >= len(data)
+        command = (n % 2) << 4 | (7 - len(piece)) << 1 | last
+        yield bytes([command, *piece]).hex()
+
+
+def test_a_table_upload_that_falls_into_it_is_given_up(line: Line) -> None:
+    requests = list(segments(TABLE.to_bytes()))
+    assert all(line.sdo(request) for request in requests[:10])
+    line.activate()
+    assert line.sdo(requests[10]) == []  # the client sees no answer ...
+    line.run(2 * DELAY_S + 1e-3, samples=False)
+    (abort,) = line.sdo(requests[10])
+    assert (abort[:2], abort[8:]) == ("80", "01000405")  # ... and a late segment 05040001h
+    assert line.module.dictionary.entry(0x2020, 2).value == 0
+    assert all(line.sdo(request) for request in requests)  # the next try works
+    assert line.module.dictionary.entry(0x2020, 2).value == TABLE.crc32
+
+
+def test_a_write_that_falls_into_it_is_not_done(line: Line) -> None:
+    line.activate()
+    assert line.sdo("2B17100064000000") == []
+    line.run(0.2, samples=False)
+    assert line.sdo("4017100000000000") == ["4B17100019000000"]
+
+
+def test_a_block_upload_does_not_go_on_after_it(line: Line) -> None:
+    assert line.sdo("A02020017F000000")
+    assert line.sdo("A30000000000000000"[:16])
+    line.activate()
+    after = line.run(0.3, samples=False)
+    assert not [frame for _, frame in after if frame.can_id == SDO]
+
+
+def test_a_boot_up_and_an_emergency_that_fall_into_it_follow(line: Line) -> None:
+    line.run(0.05)
+    line.activate()
+    assert line.send(0, bytes([130, NODE_ID])) == []
+    assert line.module.state is NmtState.PRE_OPERATIONAL
+    line.module.node.emergency(0x1000, 1, b"", line.now)
+    after = [frame for _, frame in line.run(0.2, samples=False)]
+    assert [(frame.can_id, frame.data[:2]) for frame in after[:2]] == [
+        (BOOT_UP, b"\x00"),
+        (EMCY, b"\x00\x10"),
+    ]
+    assert len([frame for frame in after if frame.data == b"\x00"]) == 1
+
+
+def test_a_second_activation_lengthens_it(line: Line) -> None:
+    line.activate(0.05)
+    line.run(0.04)
+    line.activate(0.05)
+    assert line.heard[-1][0] < 0.05
+    after = line.run(0.2)
+    assert after[0][0] >= 0.14
+
+
+def test_a_stored_bit_rate_that_the_bus_does_not_have_is_not_activated() -> None:
+    line = Line(rates=(500,))
+    line.module.node.lss.bit_rate_kbit_s = 125
+    line.activate(index=None)
+    assert line.switched == []
