@@ -15,6 +15,7 @@ from canfb.cli import config_dcf
 from canfb.cli.main import main
 from canfb.configuration import load_config
 from canfb.demo.plant import EmbeddedNetwork
+from canfb.device.frame import Frame
 from canfb.device.storage import MemoryStore
 from canfb.module.config import ModuleConfig
 from canfb.module.device_configuration import configuration_of
@@ -82,6 +83,21 @@ def test_commands_and_examples_make_the_module_of_the_configuration(
     names["node"] = fresh.add_node(0x20, canopen.import_od("module-20h.dcf"))
     exec(compile(EXAMPLES[1], "docs/dcf.md", "exec"), names)
     assert configuration_of(fresh.module).values() == wanted.values()
+
+
+def test_the_heartbeat_of_the_page_is_in_the_concise_form() -> None:
+    def heartbeats(module: FeedbackModule) -> list[int]:
+        return [
+            int.from_bytes(one.data, "little")
+            for one in configuration_of(module).writes()
+            if (one.index, one.subindex) == (0x1017, 0)
+        ]
+
+    module = Network().module
+    assert heartbeats(module) == [0]
+    (request,) = re.findall(r"`cansend can0 620#(\w+)`", PAGE)
+    module.receive(Frame(0x620, bytes.fromhex(request)), 0.0)
+    assert heartbeats(module) == [500]
 
 
 class _Reading:

@@ -48,6 +48,14 @@ class Ending(Protocol):
         """The program ends."""
 
 
+@runtime_checkable
+class Inhibited(Protocol):
+    """A device with inhibit times, as FeedbackModule is."""
+
+    def sent(self, can_id: int, now: float) -> None:
+        """A frame of its own with this CAN-ID has left."""
+
+
 class DeviceFailure(CanfbError):
     """A program error in ``device``; what it raised is the cause."""
 
@@ -97,6 +105,7 @@ class Runner:
         self._computations = [
             (device, Computation(device, report)) for device in devices if isinstance(device, Computing)
         ]
+        self._inhibited = {id(device): device.sent for device in devices if isinstance(device, Inhibited)}
         # Such a bus carries the channel of a message along: it shows which frames are ours.
         self._mark = uuid4().hex if brings_own_frames_back(bus) else None
         self._echoes = marks_own_frames(bus)
@@ -214,6 +223,9 @@ class Runner:
             origin, frame = queue.popleft()
             self._send(frame)
             now = self._clock()
+            has_left = self._inhibited.get(id(origin))
+            if has_left is not None:
+                has_left(frame.can_id, now)
             for device in self._devices:
                 if device is not origin:
                     try:

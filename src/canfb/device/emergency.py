@@ -110,6 +110,13 @@ class Emergency(Timed):
             self._not_before = now + inhibit if inhibit else -NEVER
         self.deadline = self._not_before if self._waiting and self._allowed else NEVER
 
+    def sent(self, now: float) -> None:
+        """An EMCY went onto the bus at `now`, later than it was given out: 1015h counts from here."""
+        inhibit = self._inhibit_s()
+        if inhibit:
+            self._not_before = now + inhibit
+            self.deadline = self._not_before if self._waiting and self._allowed else NEVER
+
     def _send(self, code: int, manufacturer: bytes, now: float) -> None:
         if len(self._waiting) == _WAITING:
             self._waiting.popleft()
@@ -173,3 +180,13 @@ def _check_clear(value: int) -> None:
     """Only 0, which clears the history, may be written to 1003h:00."""
     if value:
         raise SdoAbort(AbortCode.INVALID_VALUE)
+
+
+def check_error(code: int, register_bits: int, manufacturer: bytes) -> None:
+    """ValueError for what a program cannot report as an error."""
+    if not 0 <= register_bits <= 0xFF:
+        raise ValueError(f"register_bits {register_bits:#x} do not fit the 8 bits of 1001h")
+    if len(manufacturer) > 5:
+        raise ValueError(f"an EMCY has 5 manufacturer bytes, not {len(manufacturer)}")
+    if not 0 < code <= 0xFFFF:
+        raise ValueError(f"{code:#x} is no error code; use clear_emergency to end an error")

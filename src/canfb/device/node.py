@@ -9,6 +9,7 @@ from canfb.device.agenda import Agenda
 from canfb.device.codes import EmergencyCode, ErrorRegister
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
+from canfb.device.emergency import check_error
 from canfb.device.frame import HIGHEST_ID, LONGEST_DATA, NEVER, Frame, Moment
 from canfb.device.hooks import Hooks
 from canfb.device.lss import REQUEST_ID, UNCONFIGURED, LssSlave, is_node_id
@@ -74,6 +75,7 @@ class Node(Hooks):
         self._agenda = Agenda()
         self._routes: dict[int, Handler] = {}
         self._remote_routes: dict[int, RemoteHandler] = {}
+        self._inhibited: dict[int | None, Callable[[float], None]] = {}
         self._sync_rpdos: list[Rpdo] = []
         self._sync_tpdos: list[Tpdo] = []
         self._startup = Startup(dictionary.find(0x1F80), autostart=autostart)
@@ -202,6 +204,16 @@ class Node(Hooks):
         due = self._agenda.due()
         return None if due == NEVER else due
 
+    def sent(self, can_id: int, now: float) -> None:
+        """A frame that was given out with this CAN-ID went onto the bus at `now`, seconds.
+
+        Inhibit times count from there; a host that never says so counts them from the call that gave
+        the frame.
+        """
+        follow = self._inhibited.get(can_id)
+        if follow is not None:
+            follow(now)
+
     def trigger_tpdo(self, number: int, now: float) -> None:
         """An event for TPDO `number`. Outside of OPERATIONAL, or while it is not valid: nothing.
 
@@ -227,12 +239,7 @@ class Node(Hooks):
         up to 5 bytes. `now` is the time of the running call when it is not given. ValueError for
         values beyond these ranges.
         """
-        if not 0 <= register_bits <= 0xFF:
-            raise ValueError(f"register_bits {register_bits:#x} do not fit the 8 bits of 1001h")
-        if len(manufacturer) > 5:
-            raise ValueError(f"an EMCY has 5 manufacturer bytes, not {len(manufacturer)}")
-        if not 0 < code <= 0xFFFF:
-            raise ValueError(f"{code:#x} is no error code; use clear_emergency to end an error")
+        check_error(code, register_bits, manufacturer)
         self._emergency.report(code, register_bits, manufacturer, self._time(now))
 
     def clear_emergency(self, code: int, now: float | None = None) -> None:
@@ -379,6 +386,7 @@ class Node(Hooks):
         routes = self._services.routes()
         routes.add(REQUEST_ID, self.lss.handle)
         self._routes, self._remote_routes = routes.data, routes.remote
+        self._inhibited = self._services.inhibited()
 
     def rpdo_with(self, *objects: tuple[int, int]) -> int | None:
         """Number of the first valid RPDO whose mapping holds all these objects (index, sub-index)."""

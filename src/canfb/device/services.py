@@ -195,6 +195,11 @@ class Services:
             routes.add(can_id, self.duplicates.handler(can_id))
         return routes
 
+    def inhibited(self) -> dict[int | None, Callable[[float], None]]:
+        """Who wants to know when a frame has left, by CAN-ID: an inhibit time counts from there."""
+        tpdos = {tpdo.configured_can_id: tpdo.sent for tpdo in self.tpdos.values() if tpdo.is_inhibited}
+        return {self.emergency.can_id: self.emergency.sent, **tpdos}
+
     def own_can_ids(self) -> frozenset[int]:
         """The CAN-IDs that only this node may send, in any NMT state.
 

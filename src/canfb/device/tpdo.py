@@ -135,6 +135,17 @@ class Tpdo(Timed):
         else:
             self._send(now)
 
+    @property
+    def is_inhibited(self) -> bool:
+        """Whether an inhibit time holds it now."""
+        return self._event_driven and self._inhibit_s > 0
+
+    def sent(self, now: float) -> None:
+        """The TPDO went onto the bus at `now`, later than given out: the inhibit time counts from here."""
+        if self.is_inhibited:
+            self._not_before = now + self._inhibit_s
+            self._schedule()
+
     def tick(self, now: float) -> None:
         """Send what waited for the inhibit time, or what the event timer asks for."""
         timer_over = now >= self._timer_end

@@ -159,6 +159,10 @@ class FeedbackModule:
         """When :meth:`tick` is wanted next, None for not at all."""
         return self.node.deadline()
 
+    def sent(self, can_id: int, now: float) -> None:
+        """A frame with this CAN-ID has left at ``now``: inhibit times count from there."""
+        self.node.sent(can_id, now)
+
     def end(self, now: float) -> None:
         """The program ends at ``now``: the operating time is kept."""
         self._operating_time.keep(now)

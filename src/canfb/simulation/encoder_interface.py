@@ -108,6 +108,10 @@ class EncoderInterface:
         """When :meth:`tick` is wanted next, None for not at all."""
         return self.node.deadline()
 
+    def sent(self, can_id: int, now: float) -> None:
+        """A frame with this CAN-ID has left at ``now``: inhibit times count from there."""
+        self.node.sent(can_id, now)
+
     def bus_off(self, now: float) -> list[Frame]:
         """The bus is gone at ``now``, as 1029h has it; the frames to send, if any."""
         return self.node.bus_off(now)

@@ -137,6 +137,10 @@ class ServoDrive:
             self._finish_reaction(now)  # a ramp needs the SYNC as well
         return self.node.tick(now)
 
+    def sent(self, can_id: int, now: float) -> None:
+        """A frame with this CAN-ID has left at ``now``: inhibit times count from there."""
+        self.node.sent(can_id, now)
+
     def deadline(self) -> float | None:
         """When :meth:`tick` is wanted next, None for not at all."""
         times = [time for time in (self.node.deadline(), self._sync_due()) if time is not None]
