@@ -269,12 +269,19 @@ def _in_one_line(error: Exception) -> str:
 
 @contextlib.contextmanager
 def ending_on_signals(stop: Callable[[], None]) -> Iterator[None]:
-    """Call ``stop`` on Ctrl-C and SIGTERM; the handlers before are put back at the end."""
+    """Call ``stop`` on Ctrl-C, SIGTERM and SIGHUP; the handlers before are put back at the end.
+
+    SIGHUP comes when the terminal goes. Where it is ignored already (nohup) it stays so.
+    """
 
     def handle(number: int, frame: FrameType | None) -> None:
         stop()
 
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    endings = [signal.SIGINT, signal.SIGTERM]
+    hangup = getattr(signal, "SIGHUP", None)  # not on every system
+    if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
+        endings.append(hangup)
+    before = {number: signal.signal(number, handle) for number in endings}
     try:
         yield
     finally:
