@@ -95,14 +95,15 @@ def test_without_a_sync_or_without_the_module_it_says_so(
     assert command.lines[-1].startswith(said)
 
 
-def test_ctrl_c_while_the_new_table_is_being_proven_brings_the_old_one_back(
-    process: Callable[..., Any], tmp_path: Path, open_bus: Callable[..., can.BusABC]
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_a_signal_while_the_new_table_is_being_proven_brings_the_old_one_back(
+    process: Callable[..., Any], tmp_path: Path, open_bus: Callable[..., can.BusABC], number: signal.Signals
 ) -> None:
     machine(process, tmp_path, TURNING)
     command = process("calibrate", *BUS, "--seconds", "4", "--least-samples", "700", "--verify", "60")
     command.wait_for("verifying on fresh samples", 60.0)
     assert status(open_bus()) & StatusBit.TABLE_ACTIVE
-    command.send(signal.SIGINT)
+    command.send(number)
     assert command.wait(30.0) == 1
     assert command.lines[-2:] == [
         "... the table and the conditioning from before are active in module 32 (20h)",

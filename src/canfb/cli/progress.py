@@ -10,7 +10,10 @@ CLEAR = "\r\x1b[K"
 
 
 class Progress:
-    """One line a step; on a terminal it is a bar while the step lasts. Says nothing if ``quiet``."""
+    """One line a step; on a terminal it is a bar while the step lasts. Says nothing if ``quiet``.
+
+    It never fails: a terminal that has gone must not end the work, nor what puts things right.
+    """
 
     def __init__(self, quiet: bool = False, stream: TextIO | None = None) -> None:
         self._stream = stream or sys.stderr
@@ -25,7 +28,7 @@ class Progress:
             return
         self.clear()
         self._text = text
-        print(f"... {text}", file=self._stream, flush=True)
+        self._print(f"... {text}\n")
 
     def part(self, part: float) -> None:
         """So much of the step is done, 0..1."""
@@ -35,10 +38,16 @@ class Progress:
         self._shown = percent
         full = round(WIDTH * percent / 100)
         bar = f"{'#' * full}{'.' * (WIDTH - full)}"
-        print(f"{CLEAR}    [{bar}] {percent:3d} %", end="", file=self._stream, flush=True)
+        self._print(f"{CLEAR}    [{bar}] {percent:3d} %")
 
     def clear(self) -> None:
         """Take the bar away: somebody else has something to say."""
         if self._shown >= 0:
             self._shown = -1
-            print(CLEAR, end="", file=self._stream, flush=True)
+            self._print(CLEAR)
+
+    def _print(self, text: str) -> None:
+        try:
+            print(text, end="", file=self._stream, flush=True)
+        except OSError:
+            self._quiet = True

@@ -78,17 +78,19 @@ class Installation:
 
 
 class Guard:
-    """Keeps an interruption (Ctrl-C) away from what must not be left half done.
+    """Keeps an interruption (Ctrl-C, SIGTERM, SIGHUP) away from what must not be left half done.
 
-    Call :meth:`interrupt` from a signal handler: it raises KeyboardInterrupt, but not while held.
+    Call :meth:`interrupt` from a signal handler: it raises KeyboardInterrupt, but not while held, and
+    once only. A second signal, as a shell sends it to its jobs, must not stop what the first one began.
     """
 
     def __init__(self) -> None:
-        self._held = False
+        self._held = self._interrupted = False
 
     def interrupt(self) -> None:
         """Somebody wants it to end."""
-        if not self._held:
+        if not self._held and not self._interrupted:
+            self._interrupted = True
             raise KeyboardInterrupt
 
     @contextlib.contextmanager
@@ -173,11 +175,13 @@ def install(
             done.save_note = "not saved, as asked: the table is lost when the module is switched off"
     except BaseException as error:
         with guard.held():
-            step("putting the old table back")
+            with contextlib.suppress(OSError):  # a terminal that has gone
+                step("putting the old table back")
             undone, said = _undo(module, before, saving)
         if isinstance(error, CanfbError) or not undone:
             raise CommissioningError(f"{str(error) or 'interrupted'}; {said}") from error
-        step(said)
+        with contextlib.suppress(OSError):
+            step(said)
         raise
     return measured, done
 
