@@ -186,9 +186,28 @@ def test_a_pdo_that_is_off_is_told() -> None:
 
 def test_a_silent_interface_is_taken_as_the_module_expects_it() -> None:
     bench = Bench(sync=False)
-    silent = NodeAccess(bench.master, 0x11, "encoder interface")
-    assert agreed_layout(bench.access, silent) == LAYOUT
-    assert agreed_layout(None, silent) == PdoLayout(0x191)
+    bench.bus._participants.remove(bench.interface)
+    assert agreed_layout(bench.access, bench.interface_access) == LAYOUT
+    other = NodeAccess(bench.master, 0x11, "encoder interface")
+    assert agreed_layout(None, other) == PdoLayout(0x191)
+
+
+def test_a_silent_interface_is_not_taken_for_another_node() -> None:
+    bench = Bench(sync=False)
+    other = NodeAccess(bench.master, 0x11, "encoder interface")
+    with pytest.raises(
+        CommissioningError,
+        match=r"interface 17 \(11h\) does not answer, .* from node 16 \(10h, PDO 190h\): give the right",
+    ):
+        agreed_layout(bench.access, other)
+
+
+def test_with_a_cob_id_of_nobody_a_silent_interface_is_believed() -> None:
+    bench = Bench(sync=False)
+    for cob_id in (0x80000000 | 0x500, 0x500):
+        bench.access.write(0x1400, 1, "I", cob_id)
+    other = NodeAccess(bench.master, 0x11, "encoder interface")
+    assert agreed_layout(bench.access, other) == PdoLayout(0x500)
 
 
 def test_frames_of_others_change_nothing() -> None:

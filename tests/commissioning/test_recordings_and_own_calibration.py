@@ -16,6 +16,7 @@ from canfb.commissioning.access import CommissioningError, ObjectAbsentError
 from canfb.commissioning.active import NOTHING_ACTIVE, read_active
 from canfb.commissioning.procedure import ZERO_CROSSINGS, Settings, measure, verify
 from canfb.commissioning.recorder import record
+from canfb.device.frame import Frame
 from canfb.errors import CalibrationError
 from canfb.simulation.motion import Motion
 
@@ -155,6 +156,34 @@ def test_a_dry_run_of_it_drops_what_the_module_measured(capsys: pytest.CaptureFi
     assert "dry run" in capsys.readouterr().out
     assert read_active(bench.access) == NOTHING_ACTIVE
     assert bench.access.integer(0x2030, 2, "B") == 0
+
+
+@pytest.mark.parametrize("arguments", [
+    ["--source", "module"], ["--source", "module", "--check"],
+    ["--source", "recording", "--recorder", "module"],
+])  # fmt: skip
+def test_a_module_that_is_not_operational_is_told_within_three_seconds(arguments: list[str]) -> None:
+    bench = Bench()
+    bench.bus.run_until(0.5)
+    bench.bus.send(Frame(0, bytes([0x80, 0x20])))  # the interface stays OPERATIONAL
+    began = bench.bus.now
+    with pytest.raises(CommissioningError, match=r"module 32 \(20h\) has .* OPERATIONAL"):
+        calibrate(bench, "--seconds", "20", *arguments)
+    assert bench.bus.now - began < 3.0
+    assert bench.access.integer(0x2030, 2, "B") == 0
+    assert bench.access.integer(0x2050, 1, "B") == 0
+
+
+@pytest.mark.parametrize("arguments", [
+    [], ["--check"], ["--source", "module"], ["--source", "module", "--check"],
+    ["--source", "recording"], ["--source", "recording", "--recorder", "module"],
+])  # fmt: skip
+def test_an_encoder_interface_that_is_not_there_is_refused(arguments: list[str]) -> None:
+    bench = Bench()
+    bench.bus.run_until(0.5)
+    with pytest.raises(CommissioningError, match=r"encoder interface 17 \(11h\) does not answer"):
+        calibrate(bench, "--encoder-interface", "0x11", *arguments)
+    assert read_active(bench.access) == NOTHING_ACTIVE
 
 
 def test_what_the_module_refuses_is_refused() -> None:

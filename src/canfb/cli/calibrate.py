@@ -130,6 +130,7 @@ def _by_module(session: Session, job: _Job, source: Source, settings: Settings, 
     """The module measures; what it hears is measured here as well, for the figures and the pictures."""
     job.progress.step("the module measures")
     if job.options.check:
+        session.check_interface()
         drift = own_calibration.let_check(session.module, job.progress.part)
         return job.say(
             module_drift_json(drift, session.active, job.where),

@@ -21,6 +21,8 @@ COMMAND, STATE, PROGRESS, COVERAGE, RMS, PEAK, REASON, DRIFT_RMS, DRIFT_PEAK, WA
 START, STOP, ACCEPT, CHECK = range(1, 5)
 IDLE, RECORDING, COMPUTING, READY, REFUSED, ACCEPTED, CHECKED = range(7)
 LOOK_S = 0.2
+SAMPLES = (0x2011, 8)  # samples processed
+STANDING_S = 2.0  # no sample for so long: it waits for something that somebody has to do
 PATIENCE_S = 120.0  # without progress: a slow computer calculates for long
 
 
@@ -39,7 +41,7 @@ def let_measure(module: NodeAccess, layout: PdoLayout, heard: Callable[[float], 
     """Let the module measure until it is ready; the samples that were on the bus in the meantime.
 
     CalibrationError, with the module's reason, if it refuses them; CommissioningError if it cannot measure
-    or comes to nothing. Then, as after an interruption, the measurement is dropped.
+    or makes no progress. Then, as after an interruption, the measurement is dropped.
     """
     _start(module, START)
     try:
@@ -106,10 +108,31 @@ def _start(module: NodeAccess, command: int) -> None:
         raise CommissioningError(f"{module.name} cannot measure by itself: it has no object 2030h") from None
 
 
+class _Samples:
+    """Whether the module processes samples while it records."""
+
+    def __init__(self, module: NodeAccess) -> None:
+        self._module = module
+        self._count, self._moved_s = -1, module.master.now()
+
+    def look(self) -> None:
+        """CommissioningError, with what to do, when it has not for STANDING_S."""
+        count, now = self._module.integer(*SAMPLES, "I"), self._module.master.now()
+        if count != self._count:
+            self._count, self._moved_s = count, now
+        elif now - self._moved_s > STANDING_S:
+            node_id = self._module.node_id
+            raise CommissioningError(
+                f"{self._module.name} has processed no sample for {STANDING_S:g} s: it must be OPERATIONAL "
+                f"(NMT start, 000h 01 {node_id:02X}), and SYNC and samples must come"
+            )
+
+
 def _wait(module: NodeAccess, wanted: int, heard: Callable[[float], None], look: Callable[[], None]) -> None:
     """Until 2030:02 is ``wanted``."""
     master = module.master
     seen, moved = -1, master.now()
+    samples = _Samples(module)
     while True:
         master.wait(LOOK_S)
         look()
@@ -125,7 +148,9 @@ def _wait(module: NodeAccess, wanted: int, heard: Callable[[float], None], look:
             raise CalibrationError(f"{module.name} refuses its measurement: {REASONS[reason]}", reason)
         if state not in (RECORDING, COMPUTING):
             raise CommissioningError(f"{module.name} has ended its measurement (2030:02 is {state})")
+        if state == RECORDING:
+            samples.look()
         if progress != seen:
             seen, moved = progress, master.now()
         elif master.now() - moved > PATIENCE_S:
-            raise CommissioningError(f"{module.name} comes to nothing: {progress} % for {PATIENCE_S:g} s")
+            raise CommissioningError(f"{module.name} makes no progress: {progress} % for {PATIENCE_S:g} s")

@@ -11,6 +11,7 @@ EXTENDED = 1 << 29
 PDOS = 4
 TPDO, RPDO = 0x1800, 0x1400
 INTERFACE_TRACKS = (0x64010110, 0x64010210)  # 6401:01 and :02, 16 bits each
+PREDEFINED = (0x180, 0x280, 0x380, 0x480)  # COB-IDs of TPDO 1 to 4, less the node id
 MODULE_TRACKS = (0x20000110, 0x20000210)  # 2000:01 and :02
 
 
@@ -22,6 +23,11 @@ class PdoLayout:
     sine_byte: int = 0
     cosine_byte: int = 2
     sync_id: int = 0x80
+
+    @property
+    def sender(self) -> int | None:
+        """The node that sends it by the predefined connection set, None for another COB-ID."""
+        return (self.can_id & 0x7F or None) if self.can_id & 0x780 in PREDEFINED else None
 
     def unpack(self, data: bytes) -> tuple[int, int] | None:
         """Sine and cosine, counts; None for a PDO that is too short."""
@@ -47,7 +53,8 @@ def agreed_layout(module: NodeAccess | None, interface: NodeAccess) -> PdoLayout
     """The PDO that the interface sends and the module takes.
 
     CommissioningError if both are known and differ: the table would be that of another encoder.
-    An interface that does not answer is taken to send as the module expects it, or by default.
+    An interface that does not answer is taken to send as the module expects it, or by default, unless the
+    PDO that the module takes is that of another node.
     """
     taken = module_layout(module) if module is not None else None
     if module is not None and taken is None:
@@ -56,6 +63,12 @@ def agreed_layout(module: NodeAccess | None, interface: NodeAccess) -> PdoLayout
             "module that samples itself: --source recording --recorder module"
         )
     if not interface.answers():
+        if module is not None and taken is not None and taken.sender not in (None, interface.node_id):
+            raise CommissioningError(
+                f"{interface.name} does not answer, and {module.name} takes its samples from node "
+                f"{taken.sender} ({taken.sender:02X}h, PDO {taken.can_id:03X}h): give the right "
+                "--encoder-interface, or link the PDOs (1400:01)"
+            )
         return taken or PdoLayout(0x180 + interface.node_id)
     sent = interface_layout(interface)
     if sent is None:

@@ -11,7 +11,8 @@ RECORDING = 0x2050
 COMMAND, COUNT, DATA, RATE = 1, 2, 3, 4
 START, STOP = 1, 2
 LOOK_S = 0.2
-STANDING_S = 1.0  # no more samples for so long: the memory of the node is full, or nothing samples
+STANDING_S = 1.0  # no more samples for so long: the memory of the node is full
+EMPTY_S = 2.0  # none at all for so long: nothing samples
 UPLOAD_PART = 0.5  # of what is told as progress
 
 
@@ -48,8 +49,8 @@ def _wait(node: NodeAccess, duration_s: float, heard: Callable[[float], None]) -
         now_there = node.integer(RECORDING, COUNT, "I")
         if now_there != count:
             count, grown = now_there, master.now()
-        elif count and master.now() - grown > STANDING_S:
-            return  # the memory is full
+        elif master.now() - grown > (STANDING_S if count else EMPTY_S):
+            return  # the memory is full, or nothing samples
 
 
 def _rate(node: NodeAccess) -> float | None:

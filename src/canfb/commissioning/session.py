@@ -28,6 +28,7 @@ class Session:
     cycles_per_revolution   2001:01
     limits                  2001:02..04
     samples_itself          the module takes no ADC PDO, and no interface was named
+    named                   an interface was named
     """
 
     master: Master
@@ -37,6 +38,7 @@ class Session:
     cycles_per_revolution: int
     limits: TrackLimits
     samples_itself: bool = False
+    named: bool = False
 
     @classmethod
     def open(cls, master: Master, module_id: int, interface_id: int | None) -> Session:
@@ -49,15 +51,23 @@ class Session:
         named = interface_id if interface_id is not None else _interface_of(module)
         interface = NodeAccess(master, named or DEFAULT_INTERFACE, "encoder interface")
         limits = TrackLimits(full_scale, low, high)
-        return cls(master, module, interface, active, cycles, limits, samples_itself=named is None)
+        return cls(
+            master, module, interface, active, cycles, limits, named is None, named=interface_id is not None
+        )
 
     def source(self, kind: str, recorder: str, rate_hz: float | None) -> Source:
         """Where samples come from: "pdo", or the "recording" of "interface" or "module"."""
         if kind == "recording":
+            self.check_interface()
             node = self.module if recorder == "module" else self.interface
             return lambda seconds, least, heard: record(node, seconds, rate_hz, heard)
         layout = self.layout()
         return lambda seconds, least, heard: listen(self.master, layout, seconds, least, heard)
+
+    def check_interface(self) -> None:
+        """CommissioningError if the module takes its samples from another interface than the one named."""
+        if self.named and module_layout(self.module) is not None:
+            self.layout()
 
     def layout(self) -> PdoLayout:
         """The PDO with the samples; the errors of :func:`.pdo_layout.agreed_layout`."""
@@ -67,7 +77,4 @@ class Session:
 def _interface_of(module: NodeAccess) -> int | None:
     """The node from which the module takes its samples, as the COB-ID of its RPDO tells it; None without."""
     layout = module_layout(module)
-    if layout is None:
-        return None
-    node_id = layout.can_id & 0x7F
-    return node_id if layout.can_id & 0x780 in (0x180, 0x280, 0x380, 0x480) and node_id else DEFAULT_INTERFACE
+    return None if layout is None else layout.sender or DEFAULT_INTERFACE
