@@ -7,13 +7,15 @@ import struct
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import pytest
 
 from canfb.cli import demo
 from canfb.cli.main import main
-from canfb.demo.story import Story
+from canfb.demo.figures import fault_samples
+from canfb.demo.story import FAULTS, LOST_SAMPLE, Story
 
 PICTURES = ["tracks.png", "error-over-phase.png", "residual-over-time.png"]
 
@@ -135,3 +137,14 @@ def test_a_story_that_does_not_hold_is_exit_code_1(
     assert main(["demo", "--json"]) == 1
     said = json.loads(capsys.readouterr().out)
     assert said == {"held": False, "checks": {"it flies": False, "it floats": True}, "figures": []}
+
+
+def test_the_samples_that_are_labelled_are_those_of_the_faults() -> None:
+    numbers = list(range(1000))
+    numbers.remove(900 + LOST_SAMPLE)  # it is not in the log
+    plant: Any = SimpleNamespace(adc=SimpleNamespace(sine=numbers, cosine=[-n for n in numbers]))
+    found = fault_samples(plant, Story(fault_window=(900, 980)))
+    assert found == [
+        (name, 900 + place, -900 - place) for place, (name, _) in FAULTS.items() if place != LOST_SAMPLE
+    ]
+    assert len(found) == 3

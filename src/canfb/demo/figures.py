@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from canfb.demo.plant import Plant
-from canfb.demo.story import FAULTS, Story
+from canfb.demo.story import FAULTS, LOST_SAMPLE, Story
 from canfb.errors import CanfbError
 from canfb.signal.tracker import RESIDUAL_LIMIT
 
@@ -39,7 +39,7 @@ def write_figures(plant: Plant, story: Story, folder: Path) -> list[Path]:
 
     try:
         return [
-            _save(_tracks(Figure(figsize=(6, 6), layout="constrained"), plant), folder / "tracks.png"),
+            _save(_tracks(Figure(figsize=(6, 6), layout="constrained"), plant, story), folder / "tracks.png"),
             _save(
                 _error(Figure(figsize=(8, 5.5), layout="constrained"), story), folder / "error-over-phase.png"
             ),
@@ -64,20 +64,49 @@ def _axes(figure: Figure, *place: int) -> Any:
     return axes
 
 
-def _tracks(figure: Figure, plant: Plant) -> Figure:
+def _tracks(figure: Figure, plant: Plant, story: Story) -> Figure:
     axes = _axes(figure, 1, 1, 1)
     sine, cosine = (np.array(track[-SHOWN_SAMPLES:]) for track in (plant.adc.sine, plant.adc.cosine))
     angle = np.linspace(0.0, 2.0 * np.pi, 400)
     radius = plant.encoder.amplitude_counts
     axes.plot(radius * np.cos(angle), radius * np.sin(angle), color=LIMIT, linewidth=1, label="ideal tracks")
     axes.plot(cosine, sine, ".", markersize=1.5, color=AFTER, label="ADC samples")
+    _name_faults(axes, fault_samples(plant, story))
     full = 1 << (plant.encoder.adc_bits - 1)
     axes.set(
-        xlim=(-full, full), ylim=(-full, full), aspect="equal", title="Encoder tracks (Lissajous picture)",
+        xlim=(-1.1 * full, 1.1 * full), ylim=(-1.1 * full, 1.1 * full), aspect="equal",
+        title="Encoder tracks (Lissajous picture)",
         xlabel="cosine, ADC counts", ylabel="sine, ADC counts",
     )  # fmt: skip
-    axes.legend(loc="upper right", markerscale=6)
+    legend = axes.legend(loc="lower right")
+    for handle in legend.legend_handles:
+        if handle.get_marker() == ".":
+            handle.set_markersize(9)
     return figure
+
+
+def fault_samples(plant: Plant, story: Story) -> list[tuple[str, int, int]]:
+    """What each provoked fault made of its sample: name, sine and cosine, counts. A lost one is not there."""
+    first, found, lost = story.fault_window[0], [], 0
+    for place, (name, _) in sorted(FAULTS.items()):
+        if place == LOST_SAMPLE:
+            lost += 1
+        else:
+            number = first + place - lost
+            found.append((name, plant.adc.sine[number], plant.adc.cosine[number]))
+    return found
+
+
+def _name_faults(axes: Any, samples: list[tuple[str, int, int]]) -> None:
+    """A ring around each fault, and its name beside it: towards the middle, above and below in turn."""
+    for n, (name, sine, cosine) in enumerate(samples):
+        label = "provoked faults" if n == 0 else None
+        axes.plot([cosine], [sine], "o", markersize=7, fillstyle="none", color=BEFORE, label=label)
+        left = cosine > 0
+        axes.annotate(
+            name, (cosine, sine), (-9 if left else 9, -14 if n % 2 else 8), textcoords="offset points",
+            ha="right" if left else "left", color=BEFORE, fontsize=8,
+        )  # fmt: skip
 
 
 def _error(figure: Figure, story: Story) -> Figure:
@@ -95,9 +124,12 @@ def _error(figure: Figure, story: Story) -> Figure:
             AFTER,
         ),
     )
+    sizes = [float(np.abs(error).max()) for _, _, error, _ in panels]
     for row, (title, phase, error, colour) in enumerate(panels, start=1):
         axes = _axes(figure, 2, 1, row)
         axes.plot(phase, 100.0 * error, ".", markersize=1.5, color=colour)
+        if row == 2:
+            title += f"\n(scale {sizes[0] / sizes[1]:.0f} times finer than above)"
         axes.set(title=title, ylabel="error, % of a cycle", xlim=(0.0, 1.0))
     axes.set_xlabel("phase within the cycle")
     return figure
