@@ -65,6 +65,21 @@ def test_a_frame_reaches_every_device_with_the_time_and_answers_go_out() -> None
     assert bench.reported == []
 
 
+def test_ready_is_when_the_boot_up_is_out_and_frames_are_taken() -> None:
+    bench = Bench((0.1, message(0x181)))
+    bus: Any = bench.bus
+    module = FeedbackModule(ModuleConfig(node_id=32))
+    sent: list[list[int]] = []
+    runner = Runner(bus, [module], clock=bench.clock, sleep=bench.clock.sleep)
+    bench.bus.end_s = 0.2
+    runner.run(
+        finished=lambda: bench.bus.at >= 0.2,
+        ready=lambda: sent.append([one.arbitration_id for _, one in bench.bus.sent]),
+    )
+    assert sent == [[0x720]], "once, after the boot-up"
+    assert runner.counters.received == 1
+
+
 def test_a_remote_frame_is_one() -> None:
     bench = Bench((0.1, message(0x181, is_remote_frame=True)))
     device = bench.device()

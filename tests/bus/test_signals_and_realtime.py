@@ -15,7 +15,7 @@ from canfb.bus.realtime import MCL_CURRENT, MCL_FUTURE, RealtimeThread, apply_re
 from canfb.bus.runner import ending_on_signals
 from canfb.configuration import RealtimeConfig
 
-ENDINGS = (signal.SIGINT, signal.SIGTERM)
+ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @pytest.mark.parametrize("number", ENDINGS)
@@ -46,6 +46,17 @@ def test_handlers_come_back_after_an_error_too() -> None:
         assert signal.getsignal(signal.SIGTERM) is mine
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def test_a_hangup_that_is_ignored_already_stays_so() -> None:
+    """As nohup has it: the program outlives its terminal."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with ending_on_signals(lambda: pytest.fail("stopped")):
+            signal.raise_signal(signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 class System:

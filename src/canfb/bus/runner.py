@@ -114,11 +114,17 @@ class Runner:
         """End :meth:`run`; may be called from a signal handler or another thread."""
         self._stopped = True
 
-    def run(self, finished: Callable[[], bool] = lambda: False) -> None:
-        """Power the devices on and serve them until :meth:`stop`, or until ``finished()``."""
+    def run(
+        self, finished: Callable[[], bool] = lambda: False, ready: Callable[[], None] = lambda: None
+    ) -> None:
+        """Power the devices on and serve them until :meth:`stop`, or until ``finished()``.
+
+        ``ready`` is called once, when they have been powered on and serve what comes from then on.
+        """
         try:
             for device in self._devices:
                 self._spread(device, self._asked(device, device.start, self._clock()))
+            ready()
             due = self._due()
             while not self._stopped and not finished():
                 message = self._next_message(due)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import errno
+import os
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TextIO
 
 import can.cli
 
@@ -44,4 +46,28 @@ def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict
 
 def report(text: str) -> None:
     """One line on stderr."""
-    print(f"canfb: {text}", file=sys.stderr, flush=True)
+    _print(f"canfb: {text}", sys.stderr)
+
+
+def say(text: str) -> None:
+    """One line on stdout, of a program that goes on after it."""
+    _print(text, sys.stdout)
+
+
+def _print(text: str, stream: TextIO) -> None:
+    """Print at once. A reader or a terminal that has gone is no reason to end: say nothing more there."""
+    try:
+        print(text, file=stream, flush=True)
+    except OSError as error:
+        if error.errno not in (errno.EPIPE, errno.EIO):
+            raise
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
+
+
+def add_ready_file(parser: argparse.ArgumentParser) -> None:
+    """``--ready-file``, for :class:`canfb.bus.readiness.Readiness`."""
+    parser.add_argument(
+        "--ready-file", metavar="PATH", help="a file that is there while the program is on the bus"
+    )

@@ -8,10 +8,19 @@ from collections.abc import Mapping
 from typing import Any
 
 from canfb.bus.opening import check_device_bus, describe, open_bus
+from canfb.bus.readiness import Readiness
 from canfb.bus.realtime import apply_realtime
 from canfb.bus.runner import DeviceFailure, Runner, ending_on_signals
 from canfb.bus.state_files import StateFiles
-from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, report
+from canfb.cli.options import (
+    Commands,
+    add_bus_options,
+    add_command,
+    add_ready_file,
+    bus_options,
+    report,
+    say,
+)
 from canfb.cli.sources import open_source
 from canfb.configuration import load_config
 from canfb.device.datatypes import encode
@@ -28,11 +37,12 @@ def register(commands: Commands) -> None:
     """Add the command."""
     parser = add_command(commands, "run", "run the feedback modules of a configuration on a bus", run)
     parser.add_argument("config", metavar="CONFIG.yaml")
+    add_ready_file(parser)
     add_bus_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Serve the modules until Ctrl-C or SIGTERM.
+    """Serve the modules until Ctrl-C, SIGTERM or SIGHUP.
 
     A program error in one of them ends the process for all, with exit code 1.
     """
@@ -40,23 +50,28 @@ def run(options: argparse.Namespace) -> int:
     words = bus_options(options, config.bus)
     check_device_bus(words)
     with contextlib.ExitStack() as resources:
+        readiness = resources.enter_context(Readiness(options.ready_file, report))
         modules = [make_module(module, resources, words, config.simulation) for module in config.modules]
         bus = resources.enter_context(open_bus(words))
         runner = Runner(bus, list(modules), report)
         apply_realtime(config.realtime, report)
+        nodes = ", ".join(_name(module) for module in modules)
+        saved = [line for module in modules for line in _what_is_saved(module)]
+
+        def ready() -> None:
+            for line in (f"running node {nodes} on {describe(words)}; end with Ctrl-C", *saved):
+                say(line)
+            readiness.ready()
+
         with ending_on_signals(runner.stop):
-            nodes = ", ".join(_name(module) for module in modules)
-            print(f"running node {nodes} on {describe(words)}; end with Ctrl-C", flush=True)
-            for module in modules:
-                _tell_what_is_saved(module)
             try:
-                runner.run()
+                runner.run(ready=ready)
             except DeviceFailure as failure:
                 (failed,) = (module for module in modules if module is failure.device)
                 raise CanfbError(f"{_title(failed)}: {failure}; all modules of the process end") from failure
             finally:
                 for module in modules:
-                    print(_summary(module), flush=True)
+                    say(_summary(module))
     return 0
 
 
@@ -113,17 +128,16 @@ def _title(module: FeedbackModule) -> str:
     return f"node {node_id} ({node_id:02X}h)"
 
 
-def _tell_what_is_saved(module: FeedbackModule) -> None:
-    """Which values of the configuration are not in force, because others were saved."""
+def _what_is_saved(module: FeedbackModule) -> list[str]:
+    """Which values of the configuration are not in force, because others were saved: a line, or none."""
     module.node.storage.restore()  # the start does it again
     changed = []
     for index, subindex in configured_defaults(module.config):
         entry = module.dictionary.entry(index, subindex)
         if encode(entry.data_type, entry.value) != encode(entry.data_type, entry.default):
             changed.append(f"{index:04X}h:{subindex:02X}")
-    if changed:
-        objects = ", ".join(changed)
-        print(f"node {_name(module)}: saved values come before the configuration: {objects}", flush=True)
+    objects = ", ".join(changed)
+    return [f"node {_name(module)}: saved values come before the configuration: {objects}"] if changed else []
 
 
 def _summary(module: FeedbackModule) -> str:

@@ -1,0 +1,85 @@
+"""Telling those who wait that a program is on its bus: a file, and systemd's notification (sd_notify)."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+
+from canfb.errors import CanfbError, ConfigError
+
+OURS = re.compile(rb"[0-9]{1,10}\n")
+READY, STOPPING = b"READY=1", b"STOPPING=1"
+
+
+class Readiness:
+    """Use it as a context manager around the whole run, and call :meth:`ready` on the bus.
+
+    ``path`` is a file that is there while the program is on its bus, and holds the process id; None for
+    no file. One that a killed program has left is removed at the start. Where systemd has started the
+    program (``NOTIFY_SOCKET``, sd_notify(3)), it gets READY=1 and, at the end, STOPPING=1. ``report``
+    gets one line if that fails. ConfigError at the start if the file cannot be, or is not such a file.
+    """
+
+    def __init__(
+        self,
+        path: str | Path | None = None,
+        report: Callable[[str], None] = lambda text: None,
+        environment: Mapping[str, str] = os.environ,
+    ) -> None:
+        self._path = None if path is None else Path(path)
+        self._report = report
+        self._socket = environment.get("NOTIFY_SOCKET", "")
+
+    def __enter__(self) -> Readiness:
+        if self._path is not None:
+            _clear(self._path)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._notify(STOPPING)
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+
+    def ready(self) -> None:
+        """The program is on its bus. CanfbError if the file cannot be written: somebody waits for it."""
+        if self._path is not None:
+            unfinished = self._path.with_name(f"{self._path.name}.{os.getpid()}")
+            try:
+                unfinished.write_text(f"{os.getpid()}\n")
+                unfinished.replace(self._path)  # whole as soon as it is seen
+            except OSError as error:
+                unfinished.unlink(missing_ok=True)
+                raise CanfbError(f"--ready-file {self._path}: {error.strerror}") from error
+        self._notify(READY)
+
+    def _notify(self, state: bytes) -> None:
+        if not self._socket:
+            return
+        # A name that begins with @ is an abstract one.
+        address = "\0" + self._socket[1:] if self._socket.startswith("@") else self._socket
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notifying:
+                notifying.connect(address)
+                notifying.send(state)
+        except OSError as error:
+            self._report(f"NOTIFY_SOCKET {self._socket}: {error.strerror or error}")
+
+
+def _clear(path: Path) -> None:
+    """Remove what a killed program has left; nothing else, whatever was named by mistake."""
+    try:
+        if path.exists() or path.is_symlink():
+            if not (path.is_file() and OURS.fullmatch(path.read_bytes()[:16])):
+                raise ConfigError(f"--ready-file {path}: there is something else with this name")
+            path.unlink()
+        elif not os.access(path.parent, os.W_OK):
+            os.stat(path.parent)  # says so if it is not there
+            raise ConfigError(f"--ready-file {path}: Permission denied")
+    except OSError as error:
+        raise ConfigError(f"--ready-file {path}: {error.strerror}") from None
