@@ -30,7 +30,7 @@ def test_the_example_is_itself_valid(
     config = canfb.load_config(path)
     assert config.bus["interface"] == "socketcan"
     assert config.modules == [canfb.ModuleConfig(node_id=0x20, times=True, residual_limit=0.3333)]
-    assert config.simulation.motion.rpm == 600
+    assert config.simulation.motion.rpm == 61
 
 
 def test_what_the_example_has_in_comments_is_valid_too(example: str, tmp_path: Path) -> None:

@@ -171,6 +171,8 @@ def test_a_recording_is_played_onto_the_bus_and_ends_by_itself(
     assert said.err == ""
     assert said.out.splitlines() == [
         f"encoder interface: node 17 (11h) on virtual {CHANNEL}; end with Ctrl-C",
+        f"recording {samples}, with the errors of its tracks: up to 0 cycles per sample, acceleration up to "
+        "0 rad/s^2, the module follows 5.24e+03 at 500 Hz (eq. 10)",
         "4 samples sent; the recording is over",
     ]
     assert heard[0] == (0x711, "00")

@@ -46,7 +46,8 @@ def test_the_yaml_of_the_page_is_a_drive() -> None:
     (drive,) = [config for config in map(parse_config, blocks) if config.simulation.drive is not None]
     axis = simulated_axis(options(rate=1000.0), drive)
     assert axis is not None
-    assert axis.hint is None
+    assert axis.demand is not None
+    assert axis.demand.warning() is None
 
 
 def test_the_page_names_every_key_and_its_default() -> None:
@@ -148,16 +149,29 @@ def test_the_drive_is_set_up_for_its_module() -> None:
 @pytest.mark.parametrize(
     ("rate", "words"),
     [
-        (None, None),
         (1000.0, None),
-        (500.0, "accelerate by 510 rad/s^2, the module follows 209 at 500 Hz: write 398 or less to 6072h"),
-        (100.0, "no torque limit will do"),
+        (
+            500.0,
+            "510 rad/s^2, it follows 209 at 500 Hz: take --rate 850 or more, or write 336 or less to 6072h",
+        ),
+        (100.0, "it follows 8.38 at 100 Hz: take --rate 850 or more, or less friction and torque"),
     ],
 )
-def test_a_motor_that_the_module_cannot_follow_is_told(rate: float | None, words: str | None) -> None:
+def test_a_motor_that_the_module_cannot_follow_is_told(rate: float, words: str | None) -> None:
     axis = simulated_axis(options(rate=rate), parsed("{}"))
     assert axis is not None
-    assert axis.hint is None if words is None else words in (axis.hint or "")
+    assert axis.demand is not None
+    assert axis.demand.describe().startswith(
+        f"drive: up to {25000 / rate:.3g} cycles per sample, acceleration"
+    )
+    assert (axis.demand.warning() or "").endswith(words or "")
+    assert (axis.demand.warning() is None) is (words is None)
+
+
+def test_without_a_rate_of_its_own_nothing_is_known_of_what_the_module_follows() -> None:
+    axis = simulated_axis(options(), parsed("{}"))
+    assert axis is not None
+    assert axis.demand is None
 
 
 def test_the_command_refuses_a_recording_in_one_line(

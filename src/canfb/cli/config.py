@@ -30,7 +30,9 @@ modules:                                        # one process serves several nod
 
 simulation:                                     # what canfb simulate plays in place of a machine
   encoder: {amplitude: 0.75, sine_offset: 0.03, cosine_amplitude: 0.97, noise_lsb: 0.5}
-  motion: {standstill_s: 0.5, ramp_s: 2, rpm: 600}
+  # At 100 Hz eq. 10 allows 8.4 rad/s^2, and this takes 2.2. The ripple, as every machine has one, shows all
+  # phases of the cycle to canfb calibrate.
+  motion: {standstill_s: 0.5, ramp_s: 3, rpm: 61, ripple_rpm: 0.5, ripple_hz: 0.3}
   # drive: {node_id: 0x30}                      # a CiA 402 drive moves the machine in place of `motion`
 
 # realtime: {priority: 80, lock_memory: true, cpu: 3}

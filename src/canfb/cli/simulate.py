@@ -7,16 +7,31 @@ import math
 from dataclasses import replace
 
 from canfb.bus.opening import check_device_bus, describe, open_bus
+from canfb.bus.readiness import Readiness
 from canfb.bus.realtime import apply_realtime
 from canfb.bus.runner import Device, Runner, ending_on_signals
-from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, report
+from canfb.cli.options import (
+    Commands,
+    add_bus_options,
+    add_command,
+    add_ready_file,
+    bus_options,
+    report,
+    say,
+)
 from canfb.cli.simulate_drive import simulated_axis
+from canfb.cli.simulate_record import check_record, write_record
+from canfb.cli.sources import open_recording
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
 from canfb.signal.source import Source
+from canfb.simulation.demand import Demand, of_motion, of_recording
 from canfb.simulation.encoder_interface import EncoderInterface
-from canfb.simulation.sources import MotionSource, RecordingLayout, RecordingSource
+from canfb.simulation.sample_recorder import SampleRecorder
+from canfb.simulation.scenario import MotionConfig
+from canfb.simulation.sources import ArraySource, MotionSource, RecordingLayout, RecordingSource
 from canfb.simulation.sync_producer import SyncProducer
+from canfb.simulation.sync_rate import SyncRateWatch
 
 DEFAULT_RATE_HZ = 1000.0
 
@@ -41,8 +56,21 @@ def register(commands: Commands) -> None:
     )
     parser.add_argument("--rpm", type=float, help="speed after the ramp, in place of the configuration's")
     parser.add_argument("--autostart", action="store_true", help="operational without a master")
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="end when the machine has moved for so long"
+    )
+    parser.add_argument(
+        "--record",
+        metavar="FILE",
+        help="write what was sampled to a CSV or NPZ file, to play it (--samples) or to calibrate with it",
+    )
+    add_ready_file(parser)
     play = parser.add_argument_group("playing a recording")
-    play.add_argument("--samples", metavar="FILE", help="CSV file with a header line, one row for each SYNC")
+    play.add_argument(
+        "--samples",
+        metavar="FILE",
+        help="CSV file with a header line, one row for each SYNC, or an NPZ file of canfb",
+    )
     play.add_argument(
         "--columns",
         default="sine,cosine",
@@ -65,17 +93,16 @@ def register(commands: Commands) -> None:
 
 
 def simulate(options: argparse.Namespace) -> int:
-    """Serve the encoder interface until Ctrl-C, SIGTERM or the end of the recording."""
+    """Serve the encoder interface until Ctrl-C, SIGTERM, SIGHUP, --seconds or the end of the recording."""
     config = load_config(options.config)
     words = bus_options(options, config.bus)
     check_device_bus(words)
-    if not 0 <= options.module < len(config.modules):
-        raise ConfigError(f"--module {options.module}: the configuration has {len(config.modules)} modules")
-    if options.rate is not None and not 0.1 <= options.rate <= 100_000:
-        raise ConfigError(f"--rate {options.rate:g}: must be 0.1 to 100000 Hz")
+    _check(options, config)
+    record = None if options.record is None else check_record(options.record)
     module = config.modules[options.module]
     axis = simulated_axis(options, config)
     source = chosen_source(options, config) if axis is None else axis.source
+    demand = demanded(options, config, source) if axis is None else axis.demand
     interface = EncoderInterface(
         module.encoder_interface,
         source,
@@ -89,45 +116,89 @@ def simulate(options: argparse.Namespace) -> int:
     )
     # The machine first: it must have moved when the SYNC comes to the others.
     devices: list[Device] = [interface] if axis is None else [axis.plant, interface, axis.drive]
+    recorder, rate_hz = SampleRecorder(interface), options.rate or DEFAULT_RATE_HZ
+    if record is not None or options.seconds is not None:
+        devices.append(recorder)
     if options.rate is not None:
-        devices.append(SyncProducer(1.0 / options.rate, config.simulation, config.simulation.seed))
-    with open_bus(words) as bus:
+        producer = SyncProducer(1.0 / options.rate, config.simulation, config.simulation.seed)
+        devices += [SyncRateWatch(options.rate, report), producer]
+    intervals = math.inf if options.seconds is None else options.seconds * rate_hz
+    with Readiness(options.ready_file, report) as readiness, open_bus(words) as bus:
         runner = Runner(bus, devices, report)
         apply_realtime(config.realtime, report)
-        with ending_on_signals(runner.stop):
-            print(f"encoder interface: node {node} on {describe(words)}; end with Ctrl-C", flush=True)
+
+        def ready() -> None:
+            say(f"encoder interface: node {node} on {describe(words)}; end with Ctrl-C")
             if axis is not None:
-                print(axis.describe(), flush=True)
-                if axis.hint is not None:
-                    report(axis.hint)
-            runner.run(finished=lambda: interface.ended)
-    print(
-        f"{interface.samples} samples sent{'; the recording is over' if interface.ended else ''}", flush=True
-    )
+                say(axis.describe())
+            if demand is not None:
+                _say_demand(demand)
+            readiness.ready()
+
+        with ending_on_signals(runner.stop):
+            try:
+                runner.run(lambda: interface.ended or len(recorder) >= intervals, ready)
+            finally:
+                if record is not None:
+                    write_record(record, recorder, rate_hz)
+    say(f"{interface.samples} samples sent{'; the recording is over' if interface.ended else ''}")
+    if record is not None:
+        say(f"written  {record}")
     if axis is not None:
-        print(axis.summary(), flush=True)
+        say(axis.summary())
     return 0
+
+
+def _check(options: argparse.Namespace, config: Config) -> None:
+    """ConfigError for options that cannot be."""
+    if not 0 <= options.module < len(config.modules):
+        raise ConfigError(f"--module {options.module}: the configuration has {len(config.modules)} modules")
+    if options.rate is not None and not 0.1 <= options.rate <= 100_000:
+        raise ConfigError(f"--rate {options.rate:g}: must be 0.1 to 100000 Hz")
+    if options.seconds is not None and not 0.0 < options.seconds <= 1e6:
+        raise ConfigError(f"--seconds {options.seconds:g}: must be more than 0, at most 1e6")
+
+
+def _say_demand(demand: Demand) -> None:
+    """What the motion asks of the module, and that it is too much where it is."""
+    say(demand.describe())
+    warning = demand.warning()
+    if warning is not None:
+        report(warning)
+
+
+def chosen_motion(options: argparse.Namespace, config: Config) -> MotionConfig:
+    """The motion of the configuration, with the speed of ``--rpm``. ConfigError for a bad one."""
+    motion = config.simulation.motion
+    if options.rpm is None:
+        return motion
+    try:
+        return replace(motion, rpm=options.rpm)
+    except ValueError as error:
+        raise ConfigError(f"--rpm {options.rpm:g}: {error}") from None
 
 
 def chosen_source(options: argparse.Namespace, config: Config) -> Source:
     """The recording of ``--samples``, else the motion of the configuration. CanfbError for a bad one."""
     module = config.modules[options.module]
     if options.samples is not None:
-        return RecordingSource(options.samples, _layout(options, module.times))
-    motion = config.simulation.motion
-    if options.rpm is not None:
-        try:
-            motion = replace(motion, rpm=options.rpm)
-        except ValueError as error:
-            raise ConfigError(f"--rpm {options.rpm:g}: {error}") from None
+        return open_recording(options.samples, _layout(options, module.times))
     return MotionSource(
         config.simulation.encoder.encoder(module.adc_bits),
-        motion.motion(),
+        chosen_motion(options, config).motion(),
         module.cycles_per_revolution,
         1.0 / (options.rate or DEFAULT_RATE_HZ),
         config.simulation.seed,
         config.simulation.aperture_jitter_s,
     )
+
+
+def demanded(options: argparse.Namespace, config: Config, source: Source) -> Demand:
+    """What the motion, or the recording, asks of the module. Without ``--rate`` it is played as at 1 kHz."""
+    module, rate_hz = config.modules[options.module], options.rate or DEFAULT_RATE_HZ
+    if isinstance(source, (RecordingSource, ArraySource)):
+        return of_recording(*source.tracks(), module, rate_hz, options.samples)
+    return of_motion(chosen_motion(options, config), module, rate_hz)
 
 
 def _layout(options: argparse.Namespace, times: bool) -> RecordingLayout:

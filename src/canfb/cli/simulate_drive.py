@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 from canfb.configuration import Config
 from canfb.errors import ConfigError
-from canfb.module.config import UNCONFIGURED, ModuleConfig
+from canfb.module.config import UNCONFIGURED
 from canfb.module.parameters import configured_defaults
-from canfb.signal.limits import max_acceleration
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
-from canfb.simulation.cia402.motor import Motor, MotorConfig
+from canfb.simulation.cia402.motor import Motor
 from canfb.simulation.cia402.plant import Plant, PlantSource
+from canfb.simulation.demand import Demand, of_drive
+
+PROFILE_VELOCITY, INCREMENTS = (0x6081, 0), (0x608F, 1)  # increments per second, per revolution
 
 
 @dataclass(frozen=True)
@@ -23,8 +25,8 @@ class SimulatedAxis:
     source: PlantSource
     drive: ServoDrive
     module_id: int
-    hint: str | None = None
-    """What will go wrong as it is configured, None for nothing known."""
+    demand: Demand | None = None
+    """What it asks of the module, None without a known SYNC rate."""
 
     def describe(self) -> str:
         """One line on the drive."""
@@ -63,19 +65,8 @@ def simulated_axis(options: argparse.Namespace, config: Config) -> SimulatedAxis
         synchronous=settings.synchronous_feedback,
     )
     drive = ServoDrive(settings.node_id, plant, link, autostart=options.autostart or module.autostart)
-    hint = None if options.rate is None else _hint(settings, module, options.rate)
-    return SimulatedAxis(plant, source, drive, module.node_id, hint)
-
-
-def _hint(motor: MotorConfig, module: ModuleConfig, rate_hz: float) -> str | None:
-    """A motor that accelerates faster than the module can follow (eq. 10) loses its position."""
-    able = (motor.rated_torque_nm + motor.coulomb_friction_nm) / motor.inertia_kg_m2  # it may also brake
-    followed = max_acceleration(module.cycles_per_revolution, rate_hz, module.residual_limit)
-    if able <= followed:
-        return None
-    share = (followed * motor.inertia_kg_m2 - motor.coulomb_friction_nm) / motor.rated_torque_nm
-    advice = f"write {int(1000 * share)} or less to 6072h" if share > 0.001 else "no torque limit will do"
-    return (
-        f"drive: the motor can accelerate by {able:.0f} rad/s^2, the module follows {followed:.3g} at "
-        f"{rate_hz:g} Hz: {advice}, or take a higher --rate"
-    )
+    demand = None
+    if options.rate is not None:
+        speed = drive.dictionary.entry(*PROFILE_VELOCITY).value / drive.dictionary.entry(*INCREMENTS).value
+        demand = of_drive(settings, module, options.rate, speed)
+    return SimulatedAxis(plant, source, drive, module.node_id, demand)

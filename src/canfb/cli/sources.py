@@ -50,10 +50,6 @@ def _motion(config: ModuleConfig, source: MotionSourceConfig, simulation: Simula
 
 
 def _recording(source: RecordingSourceConfig) -> Source:
-    path = Path(source.file)
-    if path.suffix == ".npz":
-        samples = read_npz(path)
-        return ArraySource(samples.sine, samples.cosine)
     sine, cosine = (str(name) for name in source.columns)
     layout = RecordingLayout(
         (sine, cosine),
@@ -63,4 +59,13 @@ def _recording(source: RecordingSourceConfig) -> Source:
         source.gap_samples,
         source.time_stamps,
     )
+    return open_recording(source.file, layout)
+
+
+def open_recording(file: str, layout: RecordingLayout) -> RecordingSource | ArraySource:
+    """A recording: an NPZ file of ours by its name, which needs no layout, else CSV. CanfbError."""
+    path = Path(file)
+    if path.suffix == ".npz":
+        samples = read_npz(path)
+        return ArraySource(samples.sine, samples.cosine)
     return RecordingSource(path, layout)

@@ -1,7 +1,9 @@
-"""Samples as NPZ files: what numpy.load reads, and what `canfb calibrate --samples` takes again."""
+"""Samples as NPZ or CSV files: what numpy reads, and what `canfb calibrate --samples` takes again."""
 
 from __future__ import annotations
 
+import csv
+import math
 import zipfile
 from pathlib import Path
 
@@ -19,6 +21,21 @@ def write_npz(path: Path, samples: Samples) -> None:
     np.savez_compressed(
         path, sine=sine, cosine=cosine, rate_hz=samples.rate_hz or 0.0, origin=np.array(samples.origin)
     )
+
+
+def write_csv(path: Path, samples: Samples) -> None:
+    """Columns sine and cosine in counts, before them t_s in seconds where the rate is known.
+
+    A missed sample has no row; its time is left out.
+    """
+    names = ["t_s", "sine", "cosine"] if samples.rate_hz else ["sine", "cosine"]
+    with path.open("w", newline="", encoding="ascii") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(names)
+        for number, pair in enumerate(zip(samples.sine.tolist(), samples.cosine.tolist(), strict=True)):
+            if not math.isnan(pair[0]):
+                time = [f"{number / samples.rate_hz:.9g}"] if samples.rate_hz else []
+                rows.writerow([*time, *map(int, pair)])
 
 
 def read_npz(path: Path) -> Samples:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from canfb.errors import CanfbError
 from canfb.signal.chain import TICK_S
+from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
 from canfb.signal.source import SourceEnded
 from canfb.simulation.encoder import Encoder
@@ -107,6 +108,15 @@ class RecordingSource:
     def __len__(self) -> int:
         return len(self._rows)
 
+    def tracks(self) -> tuple[FloatArray, FloatArray]:
+        """Both tracks as they are played from the start, counts, NaN where a SYNC gets no answer."""
+        pairs: list[tuple[float, float]] = []
+        for number, (_, sine, cosine) in enumerate(self._rows):
+            lost = self._pauses.get(number, 0)
+            pairs += [(math.nan, math.nan)] * lost if lost else [(sine, cosine)]
+        sines, cosines = np.array(pairs, np.float64).reshape(-1, 2).T
+        return sines, cosines
+
     def next(self) -> Sample | None:
         """The next sample, None within a gap. SourceEnded at the end."""
         if self._waiting:
@@ -131,7 +141,12 @@ class ArraySource:
     """Plays tracks, one sample for each SYNC; NaN in one of them is a SYNC without a sample."""
 
     def __init__(self, sine: npt.NDArray[np.float64], cosine: npt.NDArray[np.float64]) -> None:
+        self._tracks = sine, cosine
         self._samples = zip(sine.tolist(), cosine.tolist(), strict=True)
+
+    def tracks(self) -> tuple[FloatArray, FloatArray]:
+        """Both tracks as they are played from the start, counts, NaN where a SYNC gets no answer."""
+        return self._tracks
 
     def next(self) -> Sample | None:
         """The next sample, None for a missed one. SourceEnded at the end."""
