@@ -14,11 +14,11 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import NoReturn
 
-from canfb.cli import calibrate, config, demo, run, simulate
+from canfb.cli import calibrate, config, demo, nmt, run, simulate
 from canfb.errors import CanfbError, ConfigError
 
 DONE, FAILED, WRONG_USE = 0, 1, 2
-COMMANDS = (demo, run, simulate, calibrate, config)
+COMMANDS = (demo, run, simulate, nmt, calibrate, config)
 
 
 class _Parser(argparse.ArgumentParser):
