@@ -168,7 +168,7 @@ def test_differences() -> None:
     places = [place(0.25), place(1.25), place(4.25, 2.0), place(6.75)]
     assert speed(places) == 2.5
     assert speed(places[:1]) == 0.0
-    assert accelerations(places) == [0.25, 1.0]
+    assert accelerations(places) == [1 / 3, 2 / 3], "between the middles of the intervals"
     assert accelerations(places[:2]) == []
     assert run_accelerations([0.0, 0.5, 0.25]) == [0.25]
     assert run_accelerations([0.0, 0.75, 0.25]) == [-0.25]

@@ -12,7 +12,7 @@ from canfb.module.config import ModuleConfig
 from canfb.module.interval import IntervalEstimate
 from canfb.module.position import distinguishable_revolutions, single_turn_resolution
 from canfb.signal.chain import SignalChain
-from canfb.signal.limits import narrowed_residual_limit
+from canfb.signal.limits import cycles_per_interval_squared, narrowed_residual_limit
 from canfb.signal.supervision import SampleLimits
 
 ENCODER, SUPERVISION = 0x2001, 0x2010
@@ -113,13 +113,17 @@ class Limits:
         """Put the values of the dictionary in force."""
         limit = self._residual.value / LIMIT_UNITS
         interval_s, cycles = self._interval.seconds, self._cycles_per_revolution.value
-        if interval_s > 0.0:
+        acceleration = None
+        if interval_s > 0.0 and self._acceleration.value > 0.0:
             limit = narrowed_residual_limit(limit, self._acceleration.value, cycles, interval_s)
+            acceleration = cycles_per_interval_squared(self._acceleration.value, cycles, interval_s)
         self.residual_limit_cycles = limit
         self._applied_s, self.narrowed = interval_s, self._acceleration.value > 0.0
         limits = SampleLimits(self._full_scale.value, self._low.value, self._high.value)
         coarse_limit = self._coarse.value / LIMIT_UNITS
-        self._chain.set_limits(limits, limit, self._coast.value, self._frozen.value, coarse_limit)
+        self._chain.set_limits(
+            limits, limit, self._coast.value, self._frozen.value, coarse_limit, acceleration
+        )
         self._chain.set_cycles_per_revolution(cycles)
         if self.on_applied is not None:
             self.on_applied()

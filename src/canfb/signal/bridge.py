@@ -154,8 +154,12 @@ def speed(places: Sequence[Place]) -> float:
 def accelerations(places: Sequence[Place]) -> list[float]:
     """Between the places, oldest first, cycles per interval squared."""
     speeds = _speeds(places)
+    times = [place.elapsed for place in places[1:]]
     return [
-        (new - old) / place.elapsed for old, new, place in zip(speeds, speeds[1:], places[2:], strict=False)
+        2.0 * (new - old) / (earlier + later)  # a speed belongs to the middle of its interval
+        for (old, new), (earlier, later) in zip(
+            itertools.pairwise(speeds), itertools.pairwise(times), strict=True
+        )
     ]
 
 

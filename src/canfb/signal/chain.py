@@ -25,6 +25,7 @@ from canfb.signal.supervision import (
     REFERENCED,
     RESIDUAL,
     TABLE_ACTIVE,
+    VALID,
     SampleLimits,
     Supervision,
 )
@@ -175,6 +176,7 @@ class SignalChain:
         self._frozen = FrozenInput(config.frozen_samples, self._tracker.residual_limit)
         self._samples = 0
         self._speed = 0.0
+        self._was_valid = 0  # the sample before
         self._sine = self._cosine = math.nan
         self._time_100ns: int | None = None
         self._last: Feedback | None = None
@@ -214,16 +216,20 @@ class SignalChain:
         coast_samples: int,
         frozen_samples: int,
         coarse_limit_revolutions: float,
+        acceleration_limit: float | None = None,
     ) -> None:
         """Take new limits, between two samples.
 
         ``limits`` are those of one sample; ``residual_limit``, ``coast_samples``,
         ``frozen_samples`` and ``coarse_limit_revolutions`` as in :class:`ChainConfig`.
+        ``acceleration_limit`` is the largest acceleration of the machine, cycles per interval
+        squared, if it is known (2010:02).
         ValueError for a bad ``residual_limit``, and nothing is changed then.
         """
         self._tracker.residual_limit = check_residual_limit(residual_limit)
         self._supervision.set_limits(limits)
         self._recovery.coast_samples = coast_samples
+        self._recovery.acceleration_limit = acceleration_limit
         self._frozen.frozen_samples = frozen_samples
         self._frozen.residual_limit_cycles = self._tracker.residual_limit
         self._reference.coarse.limit_revolutions = coarse_limit_revolutions
@@ -278,6 +284,7 @@ class SignalChain:
         self._before = None
         self._sine = self._cosine = math.nan
         self._speed = 0.0
+        self._was_valid = 0
 
     def step(self, sample: Sample) -> Feedback:
         """Take one sample through the whole chain. A bad sample is flagged, it never raises.
@@ -366,6 +373,7 @@ class SignalChain:
         self._sine, self._cosine = float(sine[stop - 1]), float(cosine[stop - 1])
         self._before, self._last = last, None
         self._speed = self._tracker.step_cycles
+        self._was_valid = 0 if self._recovery.lost else VALID
         if not tracked.ok[start:stop].all():
             self._reference.slipped()
         self._clock += stop - start
@@ -385,7 +393,7 @@ class SignalChain:
     def miss(self) -> Feedback:
         """One sampling interval without a sample: the position coasts, flagged."""
         self._waited += 1.0
-        track, bits = self._recovery.bad(1.0)
+        track, bits = self._recovery.bad(1.0, missed=True)
         self._clock += 1.0
         self._before = None
         self._reference.missed()
@@ -405,7 +413,11 @@ class SignalChain:
         self._samples = samples = self._samples + 1
         cycles, phase, residual, _ = track
         speed = self._tracker.step_cycles
-        acceleration, self._speed = speed - self._speed, speed
+        if self._was_valid or not bits & VALID:
+            acceleration = speed - self._speed
+        else:  # the speed of a sample that was not valid may be wrong by whole cycles
+            acceleration = self._recovery.acceleration()
+        self._speed, self._was_valid = speed, bits & VALID
         status = bits | self._base_status
         if self._referenced and not bits & LOST:
             status |= REFERENCED

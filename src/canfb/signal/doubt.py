@@ -1,8 +1,12 @@
 """The time from a bad sample until the position is certain again, or lost.
 
-The samples that come form runs: neighbouring ones whose accelerations agree. A run that is
+Where samples were missing and nothing else was wrong, all that came are good: the one trajectory
+through them is the position (:mod:`canfb.signal.gap`).
+
+Else the samples that come form runs: neighbouring ones whose accelerations agree. A run that is
 long enough not to be chance is joined to the places before the fault, if there is one way
-only to do that (:mod:`canfb.signal.bridge`).
+only to do that (:mod:`canfb.signal.bridge`), and if good samples all around the bad ones would not
+lead elsewhere.
 """
 
 from __future__ import annotations
@@ -11,10 +15,27 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from canfb.signal.bridge import Place, Way, accelerations, bridge, roughness, run_accelerations, speed
+from canfb.signal.bridge import (
+    LAST_PLACES,
+    Place,
+    Way,
+    accelerations,
+    bridge,
+    roughness,
+    run_accelerations,
+    speed,
+)
+from canfb.signal.gap import Unseen, alike, fitting, passed, within
 from canfb.signal.tracker import Track, split
 
 SHORTEST_RUN = 4
+# Where a known acceleration leaves more than one trajectory, the likeness to what was seen decides over a
+# gap of so many intervals, one missed sample: it takes a push of a third of a cycle per interval squared
+# that begins and ends within the gap to pass for another one. Longer gaps need less.
+SURE_INTERVALS = 2
+# A machine whose largest acceleration is not known uses so much of the residual limit; errors of the phase
+# have the rest.
+USED_PART = 0.85
 LONGEST_RUN = 12  # one that is not joined by then never will be
 LONGEST_DOUBT = 32  # intervals without a decision, beyond those that may be coasted
 RUN_WIDTH = 0.25  # of the accelerations in a run, cycles per interval squared, at most
@@ -51,6 +72,14 @@ class Doubt:
         self._most_width = ROUGHNESS_FACTOR * roughness(accelerations(before)) + RUN_WIDTH_CYCLES
         self._anchor, self._speed = before[-1], speed(before)
         self._anchored = 0.0
+        self._since_gap: list[_Sample] = []  # all samples since the last bad or missed one
+        self._only_missed = False
+        self._from_gap = False  # it began with a sample that failed its checks, or with none
+
+    @property
+    def only_missed(self) -> bool:
+        """Samples were missing, and nothing else was wrong."""
+        return self._only_missed
 
     def is_over(self, coast_samples: int) -> bool:
         """True if there was no good sample for longer than that, or no decision for very long."""
@@ -58,11 +87,14 @@ class Doubt:
         gap = self._now if alone or not self._run else self._run[0].time - 1.0
         return gap - self._last_good >= coast_samples + 0.5 or self._now > coast_samples + LONGEST_DOUBT
 
-    def wait(self, elapsed: float) -> Track:
-        """A bad sample, or none, after ``elapsed`` intervals: the predicted position."""
+    def wait(self, elapsed: float, missed: bool = False) -> Track:
+        """A bad sample, or none (``missed``), after ``elapsed`` intervals: the predicted position."""
+        if self._now == 0.0:
+            self._from_gap = self._only_missed = True
+        self._only_missed &= missed
         self._now += elapsed
         self._contradicted = False
-        self._run = []
+        self._run, self._since_gap = [], []
         cycles, part = self._predict()
         turns, phase = split(part)
         return Track(cycles + turns, phase, 0.5, False)
@@ -71,6 +103,7 @@ class Doubt:
         """A sample ``elapsed`` intervals after the one before: where it is if it is near the prediction."""
         self._now += elapsed
         self._run.append(_Sample(self._now, phase))
+        self._since_gap.append(self._run[-1])
         if not self._run_agrees():
             self._contradicted = True
             self._left_out += len(self._run) - 2
@@ -90,6 +123,58 @@ class Doubt:
         self._anchor, self._anchored = place, self._now
         return Track(place.cycles, phase, residual, True)
 
+    def settle(self, known: float | None) -> list[Place] | None:
+        """Where the position is if samples were missing and nothing else was wrong: see :meth:`decide`.
+
+        ``known``: the largest acceleration of the machine, cycles per interval squared; None: not
+        known. A single place is the first one after the gap; the speed is not certain yet then.
+        """
+        run = self._since_gap
+        even = self._even(run)
+        if max(map(abs, run_accelerations(even)), default=0.0) >= self._limit:
+            self._only_missed = False  # something else is wrong
+            return None
+        start, unseen = self._unseen(even, run)
+        most = USED_PART * self._limit if known is None else min(known, self._limit)
+        if len(run) == 1:
+            cycles = passed(unseen, most)
+            return [Place(start + cycles[0], run[0].phase, run[0].time)] if len(cycles) == 1 else None
+        found = fitting(unseen, within(most, unseen.intervals))
+        if not found and not fitting(unseen, within(self._limit, unseen.intervals)):
+            self._only_missed = False  # no machine within the limits can do that
+            return None
+        if len(found) != 1:
+            if known is not None and unseen.intervals > SURE_INTERVALS:
+                return []
+            if len(run) < SHORTEST_RUN:
+                return None
+            found = self._alike(even, unseen, self._limit if known is None else most)
+        if not found:
+            return []
+        cycles_passed, step = found[0]
+        places = self._places(run, even, Way(start + cycles_passed, step, 0.0))
+        return [places[0]._replace(elapsed=run[0].time), *places[1:]]
+
+    def _unseen(self, even: Sequence[float], run: Sequence[_Sample]) -> tuple[int, Unseen]:
+        """The gap between the last place and a run after it, and from where its way counts."""
+        last, old, since = self._before[-1], speed(self._before), run[0].time
+        intervals = max(1, round(since))
+        uneven = abs(since - intervals) + abs(last.elapsed - 1.0)
+        if len(run) > 1:
+            uneven += abs(run[1].time - since - 1.0)
+        start = math.floor(last.cycles + old * since)
+        way = (start - last.cycles) + (even[0] - last.phase) - old * since
+        change = even[1] - even[0] - old if len(even) > 1 else math.nan
+        return start, Unseen(intervals, way, change, uneven)
+
+    def _alike(self, even: Sequence[float], unseen: Unseen, limit: float) -> list[tuple[int, int]]:
+        """The one trajectory through the gap that is like what was seen around it; empty if it is unclear."""
+        # The longer the gap, the less it takes to pass for another motion: then only the last ones count.
+        near = self._before if unseen.intervals <= SURE_INTERVALS else self._before[-LAST_PLACES:]
+        before, after = accelerations(near) or [0.0], run_accelerations(even)
+        found = alike(unseen, before, after, limit)
+        return [] if found is None else [found]
+
     def decide(self, coast_samples: int) -> list[Place] | None:
         """The places after the gap; empty if no more samples can tell; None if more may.
 
@@ -108,9 +193,19 @@ class Doubt:
         way = bridge(self._before, even, run[0].time, self._doubted, self._limit)
         if way is None:
             return []
+        if self._leads_elsewhere(run, even, way):
+            return []
         if length >= _enough(way.width):
             return self._places(run, even, way)
         return None
+
+    def _leads_elsewhere(self, run: Sequence[_Sample], even: Sequence[float], way: Way) -> bool:
+        """True if good samples all around the bad ones would lead to another position."""
+        if not self._from_gap or len(run) != len(self._since_gap):
+            return False
+        start, unseen = self._unseen(even, run)
+        found = self._alike(even, unseen, self._limit)
+        return bool(found) and (start + found[0][0], found[0][1]) != way[:2]
 
     def _smooth(self, even: Sequence[float]) -> int:
         """How many of the last samples run as smoothly as those before the fault did.

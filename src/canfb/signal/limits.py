@@ -40,5 +40,12 @@ def narrowed_residual_limit(
     """
     if max_acceleration_rad_s2 <= 0.0:
         return residual_limit
-    expected = max_acceleration_rad_s2 * cycles_per_revolution / (2.0 * math.pi) * interval_s**2
+    expected = cycles_per_interval_squared(max_acceleration_rad_s2, cycles_per_revolution, interval_s)
     return min(residual_limit, expected + PHASE_ERROR_MARGIN_CYCLES)
+
+
+def cycles_per_interval_squared(
+    acceleration_rad_s2: float, cycles_per_revolution: float, interval_s: float
+) -> float:
+    """An acceleration in rad/s^2 as cycles per sampling interval squared."""
+    return acceleration_rad_s2 * cycles_per_revolution / (2.0 * math.pi) * interval_s**2

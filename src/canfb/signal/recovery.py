@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.blocks import Scratch
-from canfb.signal.bridge import Place
+from canfb.signal.bridge import Place, accelerations
 from canfb.signal.doubt import Doubt
 from canfb.signal.phase import FloatArray
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
@@ -36,11 +36,21 @@ class Recovery:
     :meth:`found`: eq. 9 then runs on with the samples, but nothing vouches for its count.
     """
 
-    __slots__ = ("_doubt", "_places", "coast_samples", "lost", "tracker")
+    __slots__ = (
+        "_doubt",
+        "_first_after",
+        "_places",
+        "acceleration_limit",
+        "coast_samples",
+        "lost",
+        "tracker",
+    )
 
     def __init__(self, tracker: Tracker, coast_samples: int) -> None:
         self.tracker = tracker
         self.coast_samples = coast_samples
+        self.acceleration_limit: float | None = None
+        """Largest acceleration of the machine, cycles per interval squared; None: not known."""
         self._places: deque[tuple[int, float, float]] = deque(maxlen=REMEMBERED_SAMPLES)
         self.restart()
 
@@ -52,6 +62,7 @@ class Recovery:
         self.tracker.restart(cycles, speed_cycles)
         self.lost = False
         self._doubt: Doubt | None = None
+        self._first_after: Place | None = None  # the first sample after a gap, its speed not certain yet
         self._places.clear()
 
     def resume(self) -> None:
@@ -67,7 +78,7 @@ class Recovery:
     def lose(self) -> None:
         """Call the position lost, from outside."""
         self.lost = True
-        self._doubt = None
+        self._doubt = self._first_after = None
         self._places.clear()
 
     def found(self, cycles: int, step_cycles: int) -> None:
@@ -78,7 +89,7 @@ class Recovery:
             self._places.clear()
             self._places.extend(places)
         else:
-            self._doubt = None
+            self._doubt = self._first_after = None
             self._remember_tracker()
 
     def vouch(self) -> None:
@@ -125,6 +136,13 @@ class Recovery:
         self._places.append((before.cycles, before.phase, 1.0))
         self._places.append((last.cycles, last.phase, elapsed))
 
+    def acceleration(self) -> float:
+        """Between the last three places, cycles per interval squared; 0 with fewer."""
+        places = [Place(*place) for place in self._places]
+        if self._first_after is not None:
+            places.append(self._first_after)
+        return accelerations(places[-3:])[-1] if len(places) > 2 else 0.0
+
     def least_speed(self) -> float:
         """The smallest speed of the last samples, cycles per interval: any of them may have been bad."""
         places = list(self._places)[-DOUBTED_SAMPLES - 2 :]
@@ -159,7 +177,7 @@ class Recovery:
             return track, LOST if track.ok else LOST | RESIDUAL
         missed = round(elapsed) - 1
         if missed > 0 and self.tracker.started:
-            self.bad(float(missed))
+            self.bad(float(missed), missed=True)
             return self.good(phase, elapsed - missed)
         started = self.tracker.started
         track = self.tracker.look(phase, elapsed)
@@ -173,16 +191,17 @@ class Recovery:
         track, bits = self._decide(track, elapsed)
         return track, bits | RESIDUAL if settled else bits
 
-    def bad(self, elapsed: float) -> tuple[Track, int]:
-        """A sample that failed its checks, or none at all: the predicted position and status bits."""
+    def bad(self, elapsed: float, missed: bool = False) -> tuple[Track, int]:
+        """A sample that failed its checks, or none at all (``missed``): predicted position, status bits."""
         predicted = self.tracker.predict(elapsed)
         if not self.tracker.started:  # no position yet: nothing to coast on, nothing to lose
             return predicted, LOST if self.lost else 0
         self.tracker.skip(elapsed)
+        self._first_after = None
         if self.lost:
             return predicted, LOST
         doubt = self._doubted()
-        coasted = doubt.wait(elapsed)
+        coasted = doubt.wait(elapsed, missed)
         if doubt.is_over(self.coast_samples):
             self.lose()
             return predicted, LOST
@@ -199,9 +218,14 @@ class Recovery:
         """A sample while the position is in doubt; ``followed`` is what eq. 9 makes of it."""
         doubt = self._doubted()
         coasted = doubt.meet(followed.phase, elapsed)
-        places = doubt.decide(self.coast_samples)
-        if places:
-            return self._adopt(places), VALID
+        if doubt.only_missed:
+            places = doubt.settle(self.acceleration_limit)
+            if places:
+                return self._go_on(places), VALID
+        else:
+            places = doubt.decide(self.coast_samples)
+            if places:
+                return self._adopt(places), VALID
         if places is not None or doubt.is_over(self.coast_samples):
             self.lose()
             return followed, LOST if followed.ok else LOST | RESIDUAL
@@ -210,10 +234,22 @@ class Recovery:
         # It is nowhere near. If the acceleration is beyond the limit, eq. 9 is right (paper, section 4).
         return followed, COASTING | RESIDUAL
 
+    def _go_on(self, places: Sequence[Place]) -> Track:
+        """The places after a gap; with a single one the next sample must confirm its speed."""
+        known = [Place(*place) for place in [*self._places, *places]]
+        before, last = (Track(place.cycles, place.phase, 0.0, True) for place in known[-2:])
+        self.tracker.set_places(before, last, places[-1].elapsed)
+        if len(places) == 1:
+            self._first_after = places[0]
+            return last
+        self._doubt = self._first_after = None
+        self._places.extend(places)
+        return last
+
     def _adopt(self, places: Sequence[Place]) -> Track:
         before, last = (Track(place.cycles, place.phase, 0.0, True) for place in places[-2:])
         self.tracker.set_places(before, last, places[-1].elapsed)
-        self._doubt = None
+        self._doubt = self._first_after = None
         self._places.clear()
         self._places.extend(places)
         return last
