@@ -87,6 +87,56 @@ def test_whatever_a_driver_raises_is_a_bus_that_does_not_open(
         open_bus({"channel": "x"})
 
 
+ADVICE = {
+    "no SocketCAN": (
+        {"interface": "socketcan", "channel": "vcan0"},
+        OSError(97, "Address family not supported by protocol"),
+        "this system has no SocketCAN (Address family not supported by protocol); see docs/vcan.md",
+    ),
+    "no interface": (
+        {"interface": "socketcan", "channel": "vcan7"},
+        OSError(19, "No such device"),
+        "No such device; `ip link` lists the interfaces, docs/vcan.md says how to make one",
+    ),
+    "no driver": (
+        {"interface": "kvaser", "channel": 0},
+        NameError("name 'canGetNumberOfChannels' is not defined"),
+        "the driver of kvaser is not there; install it, see python-can's page on kvaser",
+    ),
+    "no library": (
+        {"interface": "pcan"},
+        OSError("pcanbasic library not found."),
+        "the driver of pcan is not there (pcanbasic library not found.); install it, see python-can's page "
+        "on pcan",
+    ),
+    "no module": (
+        {"interface": "slcan"},
+        can.CanInterfaceNotImplementedError("The serial module is not installed"),
+        "the driver of slcan is not there (The serial module is not installed); install it, see python-can's "
+        "page on slcan",
+    ),
+    "a missing word": (
+        {"interface": "socketcand", "channel": "can0"},
+        TypeError("SocketCanDaemonBus.__init__() missing 2 required positional arguments: 'host' and 'port'"),
+        "the bus needs 'host' and 'port', too; see python-can's page on socketcand",
+    ),
+    "anything else": ({"interface": "slcan"}, OSError(13, "Permission denied"), "Permission denied"),
+}
+
+
+@pytest.mark.parametrize("case", ADVICE)
+def test_what_python_can_says_becomes_advice(monkeypatch: pytest.MonkeyPatch, case: str) -> None:
+    words, error, advice = ADVICE[case]
+
+    def failing(**options: object) -> None:
+        raise error
+
+    monkeypatch.setattr(can, "Bus", failing)
+    with pytest.raises(BusError) as caught:
+        open_bus(words)
+    assert str(caught.value) == f"cannot open the bus {describe(words)}: {advice}"
+
+
 def test_a_bus_in_a_few_words() -> None:
     assert describe({"interface": "socketcan", "channel": "can0", "bitrate": 1}) == "socketcan can0"
     assert describe({"channel": "can0"}) == "can0"

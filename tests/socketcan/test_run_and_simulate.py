@@ -162,4 +162,6 @@ def test_a_bus_that_does_not_exist_is_one_line(process: Callable[..., Any], tmp_
     config = write_config(tmp_path)
     failed = process("run", config, "-c", "vcan77")
     assert failed.wait() == 1
-    assert failed.lines == ["canfb: cannot open the bus socketcan vcan77: No such device"]
+    (line,) = failed.lines
+    assert line.startswith("canfb: cannot open the bus socketcan vcan77: No such device; ")
+    assert "docs/vcan.md" in line

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import re
 from typing import Any
 
 import can
@@ -13,6 +15,8 @@ from canfb.errors import BusError, ConfigError
 # Kvaser say it of frames of other processes on the same computer, which are to be heard.
 _ECHOING = frozenset({"GsUsbBus", "CantactBus", "VirtualBus"})
 
+_MISSING = re.compile(r"missing \d+ required [a-z -]+ arguments?: (.*)")
+
 
 def open_bus(options: dict[str, Any]) -> can.BusABC:
     """A python-can bus from its own words (interface, channel, bitrate, ...).
@@ -23,7 +27,7 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
     try:
         return can.Bus(**options)
     except Exception as error:  # what the drivers raise has no common root
-        raise BusError(f"cannot open the bus {describe(options)}: {reason(error)}") from error
+        raise BusError(f"cannot open the bus {describe(options)}: {_advice(options, error)}") from error
 
 
 def check_device_bus(options: dict[str, Any]) -> None:
@@ -49,6 +53,27 @@ def describe(options: dict[str, Any]) -> str:
     """The bus in a few words, for messages."""
     words = [str(options[key]) for key in ("interface", "channel") if options.get(key) is not None]
     return " ".join(words) or "of python-can's configuration"
+
+
+def _advice(options: dict[str, Any], error: Exception) -> str:
+    """The reason, and what to do about it where the text of python-can does not say so."""
+    interface, text = options.get("interface"), reason(error)
+    number = error.errno if isinstance(error, OSError) and interface == "socketcan" else None
+    if number == errno.EAFNOSUPPORT:
+        return f"this system has no SocketCAN ({text}); see docs/vcan.md"
+    if number in (errno.ENODEV, errno.ENXIO):
+        return f"{text}; `ip link` lists the interfaces, docs/vcan.md says how to make one"
+    if isinstance(error, TypeError) and (missing := _MISSING.search(text)):
+        return f"the bus needs {missing[1]}, too; see python-can's page on {interface}"
+    if not isinstance(interface, str) or interface not in can.VALID_INTERFACES:
+        return text
+    drivers = (NameError, ImportError, can.CanInterfaceNotImplementedError)
+    if isinstance(error, drivers) or (isinstance(error, OSError) and "library" in text):
+        why = "" if isinstance(error, NameError) else f" ({text})"
+        return (
+            f"the driver of {interface} is not there{why}; install it, see python-can's page on {interface}"
+        )
+    return text
 
 
 def reason(error: Exception) -> str:
