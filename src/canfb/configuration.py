@@ -115,6 +115,28 @@ def parse_config(text: str, name: str = "configuration") -> Config:
     return config
 
 
+def line_of(path: str | Path, *keys: str | int, said: str = "") -> int:
+    """The line of a key in a configuration that :func:`load_config` has read, ``"modules", 0, "source"``.
+
+    Of the last key that is there. If that is a mapping: the line of the key in it of which ``said`` speaks.
+    """
+    node = _compose(Path(path).read_text(encoding="utf-8"), str(path))
+    line = 1
+    for key in keys:
+        if isinstance(node, yaml.SequenceNode) and isinstance(key, int):
+            node = node.value[key]
+        elif isinstance(node, yaml.MappingNode):
+            found = [pair for pair in node.value if pair[0].value == key]
+            if not found:
+                return line
+            line, node = found[0][0].start_mark.line + 1, found[0][1]
+    if isinstance(node, yaml.MappingNode):
+        lines = {name.value: name.start_mark.line + 1 for name, _ in node.value}
+        words = re.findall(r"\w+", said)
+        return next((lines[word] for word in words if word in lines), line)
+    return line
+
+
 def _compose(text: str, name: str) -> yaml.Node | None:
     """The nodes of the text, each with its line; None for an empty text."""
     try:

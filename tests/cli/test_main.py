@@ -63,7 +63,7 @@ def test_every_command_has_a_help(command: list[str], capsys: pytest.CaptureFixt
 
 
 WRONG_USE = {
-    "nothing": ([], "canfb: the following arguments are required: COMMAND"),
+    "no command": (["--debug"], "canfb: the following arguments are required: COMMAND"),
     "no such command": (["fly"], "canfb: argument COMMAND: invalid choice: 'fly'"),
     "no such option": (["demo", "--fast"], "canfb: unrecognized arguments: --fast"),
     "no configuration": (["run"], "canfb run: the following arguments are required: CONFIG.yaml"),
@@ -122,16 +122,63 @@ def test_in_a_process_of_its_own_an_error_is_the_only_line(config: str) -> None:
     assert one_line(done.stderr).startswith("canfb: cannot open the bus udp_multicast 127.0.0.1: ")
 
 
-def test_debug_shows_the_traceback_wherever_it_stands(config: str) -> None:
+def test_debug_shows_the_traceback_wherever_it_stands_and_keeps_the_exit_code(
+    config: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     for arguments in (["--debug", "run", config], ["run", "--debug", config]):
-        with pytest.raises(BusError):
-            main([*arguments, "-i", "socketcan", "-c", "nothing77"])
-    with pytest.raises(ConfigError):
-        main(["config", "check", "nothing.yaml", "--debug"])
+        assert main([*arguments, "-i", "socketcan", "-c", "nothing77"]) == 1
+        assert "canfb.errors.BusError: cannot open the bus socketcan nothing77" in capsys.readouterr().err
     done = canfb("--debug", "config", "check", "nothing.yaml")
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert "Traceback (most recent call last):" in done.stderr
-    assert done.stderr.splitlines()[-1].startswith("canfb.errors.ConfigError: nothing.yaml: cannot be read")
+    *_, error, line = done.stderr.splitlines()
+    assert error.startswith("canfb.errors.ConfigError: nothing.yaml: cannot be read")
+    assert line.startswith("canfb: nothing.yaml: cannot be read")
+
+
+def test_without_a_command_it_prints_the_help(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([]) == 0
+    said = capsys.readouterr()
+    assert said.out.startswith("usage: canfb ")
+    assert said.err == ""
+    monkeypatch.setattr(sys, "argv", ["canfb"])
+    assert main() == 0
+    assert capsys.readouterr().out == said.out
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+@pytest.mark.parametrize(
+    "arguments",
+    [["config", "example"], ["--help"], ["--version"], ["config", "example", "--debug"]],
+    ids=" ".join,
+)
+def test_an_output_that_is_full_is_one_line(arguments: list[str]) -> None:
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            [sys.executable, "-W", "error", "-m", "canfb", *arguments],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    assert done.returncode == 1
+    want = "canfb: cannot write the output: No space left on device"
+    assert done.stderr.splitlines()[-1] == want
+    assert ("--debug" in arguments) or one_line(done.stderr) == want
+
+
+def test_an_interface_that_python_can_does_not_have_is_wrong_configuration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "feedback.yaml"
+    path.write_text("bus: {interface: socketcam, channel: can0}\nmodules: [{node_id: 32}]\n")
+    for command in (["run"], ["simulate"], ["calibrate"], ["config", "check"]):
+        assert main([*command, str(path)]) == 2
+        line = one_line(capsys.readouterr().err)
+        assert "unknown interface 'socketcam' in bus; did you mean 'socketcan'?" in line
 
 
 def test_the_bus_options_replace_the_words_of_the_configuration(

@@ -51,10 +51,13 @@ def test_a_rate_that_cannot_be(rate: str, config: str, capsys: pytest.CaptureFix
     assert (code, line) == (2, f"--rate {float(rate):g}: must be 0.1 to 100000 Hz")
 
 
-@pytest.mark.parametrize("module", ["2", "-1"])
+@pytest.mark.parametrize("module", ["0", "1", "0x22", "-1"])
 def test_a_module_that_is_not_there(module: str, config: str, capsys: pytest.CaptureFixture[str]) -> None:
     code, line = refused([config, "--module", module], capsys)
-    assert (code, line) == (2, f"--module {module}: the configuration has 2 modules")
+    assert (code, line) == (
+        2,
+        f"--module {int(module, 0)}: no module has this node-ID; there are 32 (20h), 33 (21h)",
+    )
 
 
 @pytest.mark.parametrize("rpm", ["1e9", "-1e9", "nan"])
@@ -137,7 +140,7 @@ def source_of(arguments: list[str]) -> MotionSource | RecordingSource:
         ([], 0.25),  # 6 rpm, 2500 cycles, 1 kHz
         (["--rpm", "60"], 2.5),
         (["--rate", "100"], 2.5),
-        (["--module", "1"], 0.01),
+        (["--module", "0x21"], 0.01),
     ],
 )
 def test_speed_rate_and_module_move_the_machine(options: list[str], cycles: float, config: str) -> None:
@@ -163,7 +166,7 @@ def test_a_recording_is_played_onto_the_bus_and_ends_by_itself(
 ) -> None:
     with can.Bus(interface="virtual", channel=CHANNEL) as bus:
         options = ["--samples", samples, "--columns", "a,b", "--mid-scale", "2048", "--rate", "500"]
-        assert main(["simulate", config, *options, "--autostart", "--module", "1"]) == 0
+        assert main(["simulate", config, *options, "--autostart", "--module", "33"]) == 0
         heard = []
         while (message := bus.recv(0.0)) is not None:
             heard.append((message.arbitration_id, bytes(message.data).hex()))

@@ -31,7 +31,7 @@ def parsed(drive: str, modules: str = MODULES) -> Config:
 
 def options(**given: object) -> argparse.Namespace:
     return argparse.Namespace(
-        **({"samples": None, "rpm": None, "rate": None, "module": 0, "autostart": False} | given)
+        **({"samples": None, "rpm": None, "rate": None, "module": None, "autostart": False} | given)
     )
 
 
@@ -129,7 +129,7 @@ def test_the_drive_is_set_up_for_its_module() -> None:
     modules = (
         "modules: [{node_id: 0x20}, {node_id: 0x21, encoder_interface: 0x11, cycles_per_revolution: 512}]\n"
     )
-    axis = simulated_axis(options(module=1, rate=500.0), parsed("{synchronous_feedback: true}", modules))
+    axis = simulated_axis(options(module=0x21, rate=500.0), parsed("{synchronous_feedback: true}", modules))
     assert axis is not None
     values = {
         place: axis.drive.dictionary.entry(*place).value

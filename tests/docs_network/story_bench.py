@@ -83,7 +83,7 @@ class DriveNetwork:
     def __init__(self) -> None:
         self.bus = EmbeddedBus()
         config = load_config(FOLDER / "feedback.yaml")
-        options = argparse.Namespace(samples=None, rpm=None, rate=None, module=0, autostart=False)
+        options = argparse.Namespace(samples=None, rpm=None, rate=None, module=None, autostart=False)
         simulated = simulated_axis(options, config)
         assert simulated is not None
         self.plant, self.drive = simulated.plant, simulated.drive

@@ -28,9 +28,7 @@ class Outcome(Enum):
     WRONG = "valid and wrong"
 
 
-def play(
-    accelerations: Accelerations, missed: int, limit: float, known: float | None, rng: Rng
-) -> Outcome:
+def play(accelerations: Accelerations, missed: int, limit: float, known: float | None, rng: Rng) -> Outcome:
     """A machine at rest accelerates so; after ``BEFORE`` samples so many are missed, and the rest comes.
 
     ``accelerations`` of each sample: the speed changes by it on arriving there.

@@ -6,7 +6,8 @@ import argparse
 import math
 from pathlib import Path
 
-from canfb.cli.options import add_bus_options
+from canfb.cli.calibrate_combinations import refuse_combinations
+from canfb.cli.options import add_bus_options, whole_number
 from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.pictures import TrackLimits
 from canfb.commissioning.procedure import MOTION, ZERO_CROSSINGS, Settings
@@ -23,14 +24,6 @@ LEAST_SAMPLES = 8000
 LARGEST_ARRAY = 50_000_000
 
 
-def _number(text: str) -> int:
-    """A whole number, decimal or as 0x20."""
-    try:
-        return int(text, 0)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
-
-
 def add_options(parser: argparse.ArgumentParser) -> None:
     """All options of the command."""
     parser.add_argument(
@@ -39,10 +32,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         help="takes the bus and the ids of the first module from it",
     )
-    parser.add_argument("--module", type=_number, metavar="ID", help="node id of the module (32)")
+    parser.add_argument("--module", type=whole_number, metavar="ID", help="node id of the module (32)")
     parser.add_argument(
         "--encoder-interface",
-        type=_number,
+        type=whole_number,
         metavar="ID",
         help="node id (that from which the module has its samples)",
     )
@@ -129,6 +122,7 @@ def _add_file(parser: argparse.ArgumentParser) -> None:
 
 def check_options(options: argparse.Namespace) -> None:
     """ConfigError for options that cannot be, alone or together; fills in what depends on others."""
+    refuse_combinations(options)
     if options.source is None:
         options.source = RECORDING if options.method == ZERO_CROSSINGS else PDO
     fast = options.source == RECORDING and options.recorder == "interface"

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from canfb.cli import config_dcf
+from canfb.cli.config_machine import check_machine
+from canfb.cli.examples import examples_of
 from canfb.cli.options import Commands, add_command
 from canfb.configuration import load_config
 
@@ -41,7 +44,12 @@ simulation:                                     # what canfb simulate plays in p
 
 def register(commands: Commands) -> None:
     """Add the commands."""
-    parser = commands.add_parser("config", help="check a configuration, print an example, write a DCF")
+    parser = commands.add_parser(
+        "config",
+        help="check a configuration, print an example, write a DCF",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.epilog = examples_of(parser.prog)
     parts = parser.add_subparsers(dest="part", required=True, metavar="check|example|dcf")
     add_command(parts, "check", "check a configuration", check).add_argument("config", metavar="CONFIG.yaml")
     add_command(parts, "example", "print an example", example)
@@ -50,8 +58,9 @@ def register(commands: Commands) -> None:
 
 
 def check(options: argparse.Namespace) -> int:
-    """Say what is in the configuration, or what is wrong with it."""
+    """Say what is in the configuration, or what is wrong with it, on this machine."""
     config = load_config(options.config)
+    check_machine(Path(options.config), config)
     nodes = ", ".join(f"{module.node_id:02X}h" for module in config.modules)
     print(f"{options.config}: good; modules: {nodes}")
     return 0

@@ -13,7 +13,14 @@ from canfb.bus.master import BusMaster
 from canfb.bus.opening import open_bus
 from canfb.bus.saved_parameters import SavedParameters
 from canfb.bus.wall_clock import file_date_and_time
-from canfb.cli.options import add_bus_options, bus_options, report
+from canfb.cli.options import (
+    add_bus_options,
+    bus_options,
+    chosen_module,
+    refuse_idle,
+    report,
+    whole_number,
+)
 from canfb.commissioning.access import Master, NodeAccess, ObjectAbsentError
 from canfb.configuration import Config, load_config
 from canfb.device import datatypes
@@ -40,11 +47,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--module",
-        type=_number,
-        metavar="N",
-        help="which one, where there are several: its node id, or its place in the list from 0",
+        type=whole_number,
+        metavar="ID",
+        help="node id of the module, where there are several",
     )
-    parser.add_argument("--node", type=_number, metavar="ID", help="read this node on the bus instead")
+    parser.add_argument("--node", type=whole_number, metavar="ID", help="read this node on the bus instead")
     parser.add_argument("--out", type=Path, metavar="FILE", help="the DCF (module-20h.dcf); replaced")
     parser.add_argument("--concise", type=Path, metavar="FILE", help="the concise form, for object 1F22h")
     parser.add_argument(
@@ -234,6 +241,8 @@ def _check(options: argparse.Namespace) -> None:
         raise ConfigError("--module: only without --node, which names the module")
     if options.node is not None and not 1 <= options.node <= 127:
         raise ConfigError(f"--node {options.node}: must be 1 to 127")
+    if options.node is None:
+        refuse_idle(options, ["answer_within"], "only with --node, which is asked over the bus")
     if not 0.01 <= options.answer_within <= 60.0:
         raise ConfigError(f"--answer-within {options.answer_within:g}: must be 0.01 to 60")
     if not options.name.isascii() or not options.name.isprintable() or ";" in options.name:
@@ -244,19 +253,13 @@ def _check(options: argparse.Namespace) -> None:
 
 def _chosen(config: Config, options: argparse.Namespace) -> ModuleConfig:
     """The module of the configuration. ConfigError when it is not clear which."""
-    modules: list[ModuleConfig] = config.modules
-    wanted: int | None = options.module
-    if wanted is None and len(modules) == 1:
-        return modules[0]
-    there = ", ".join(f"{module.node_id} ({module.node_id:02X}h)" for module in modules)
-    if wanted is None:
-        raise ConfigError(f"{options.config}: --module N is wanted, as there are several: {there}")
-    found = [module for module in modules if module.node_id == wanted]
-    if len(found) == 1:
-        return found[0]
-    if 0 <= wanted < len(modules):
-        return modules[wanted]
-    raise ConfigError(f"{options.config}: --module {wanted} is none of {there}")
+    if options.module is None and len(config.modules) > 1:
+        there = ", ".join(f"{module.node_id} ({module.node_id:02X}h)" for module in config.modules)
+        raise ConfigError(f"{options.config}: --module ID is required, as there are several: {there}")
+    try:
+        return chosen_module(options, config)
+    except ConfigError as error:
+        raise ConfigError(f"{options.config}: {error}") from None
 
 
 def _put(path: Path, data: bytes) -> None:
@@ -272,11 +275,3 @@ def _place(place: Place) -> str:
 
 def _places(places: list[Place]) -> str:
     return ", ".join(_place(place) for place in places)
-
-
-def _number(text: str) -> int:
-    """A whole number, decimal or as 0x20."""
-    try:
-        return int(text, 0)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None

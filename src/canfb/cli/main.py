@@ -1,23 +1,28 @@
 """The command line: ``canfb COMMAND``.
 
 Exit codes: 0 done, 1 the job failed, 2 wrong use or configuration. An error is one line
-on stderr; ``--debug`` shows the traceback.
+on stderr; ``--debug`` shows the traceback before it, with the same exit code.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import errno
 import logging
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from canfb.cli import calibrate, config, demo, nmt, run, simulate
+from canfb.cli.examples import examples_of
 from canfb.errors import CanfbError, ConfigError
 
 DONE, FAILED, WRONG_USE = 0, 1, 2
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 COMMANDS = (demo, run, simulate, nmt, calibrate, config)
 
 
@@ -28,10 +33,22 @@ class _Parser(argparse.ArgumentParser):
         """End with exit code 2."""
         self.exit(WRONG_USE, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
 
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """As argparse has it, but help and version that cannot be written are an error."""
+        if file is sys.stdout:
+            file.write(message)
+        else:
+            super()._print_message(message, file)
+
 
 def build_parser() -> argparse.ArgumentParser:
     """The parser with all commands."""
-    parser = _Parser(prog="canfb", description="CANopen drive feedback module for sine/cosine encoders.")
+    parser = _Parser(
+        prog="canfb",
+        description="CANopen drive feedback module for sine/cosine encoders.",
+        epilog=f"{examples_of('canfb')}\n\n'canfb COMMAND --help' has the options and examples of a command.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--version", action="version", version=f"canfb {version('canfb')}")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -41,7 +58,26 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; the exit code."""
+    """Run one command; the exit code. Without a command: the help."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        code = _run(arguments or ["--help"])
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader has gone, as in `canfb demo | head`
+        _drop_output()
+        return FAILED
+    except OSError as error:
+        if "--debug" in arguments:
+            traceback.print_exc()
+        is_output = error.filename is None and error.errno in FULL
+        where = "cannot write the output: " if is_output else f"{error.filename}: " * bool(error.filename)
+        print(f"canfb: {where}{error.strerror or error}", file=sys.stderr)
+        _drop_output()
+        return FAILED
+    return code
+
+
+def _run(arguments: Sequence[str]) -> int:
     parser = build_parser()
     try:
         options = parser.parse_args(arguments)
@@ -53,11 +89,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(options.action(options))
     except KeyboardInterrupt:
         return FAILED
-    except BrokenPipeError:  # the reader has gone, as in `canfb demo | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FAILED
     except CanfbError as error:
         if options.debug:
-            raise
+            traceback.print_exc()
         print(f"canfb: {error}", file=sys.stderr)
         return WRONG_USE if isinstance(error, ConfigError) else FAILED
+
+
+def _drop_output() -> None:
+    """What is still to be written goes nowhere, or Python would complain of it at its end."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

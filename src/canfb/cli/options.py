@@ -6,10 +6,16 @@ import argparse
 import errno
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, TextIO
 
 import can.cli
+
+from canfb.bus.bus_words import check_interface
+from canfb.cli.examples import examples_of
+from canfb.configuration import Config
+from canfb.errors import ConfigError
+from canfb.module.config import ModuleConfig
 
 Commands = Any  # argparse's sub-parser action has no public name
 
@@ -18,11 +24,14 @@ def add_command(
     commands: Commands, name: str, summary: str, action: Callable[[argparse.Namespace], int]
 ) -> argparse.ArgumentParser:
     """Add a command that calls ``action``; its parser, for its own options."""
-    parser: argparse.ArgumentParser = commands.add_parser(name, help=summary, description=summary)
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name, help=summary, description=summary, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.epilog = examples_of(parser.prog)
     parser.add_argument(
         "--debug", action="store_true", default=argparse.SUPPRESS, help="show the traceback of an error"
     )
-    parser.set_defaults(action=action)
+    parser.set_defaults(action=action, parser=parser)
     return parser
 
 
@@ -31,16 +40,58 @@ def add_bus_options(parser: argparse.ArgumentParser) -> None:
     can.cli.add_bus_arguments(parser)
 
 
+def whole_number(text: str) -> int:
+    """A whole number, decimal or as 0x20: a type for argparse."""
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
+
+
+def chosen_module(options: argparse.Namespace, config: Config) -> ModuleConfig:
+    """The module of the configuration with the node-ID ``--module``, or the first.
+
+    ConfigError where no module has this node-ID, or several have it: those that LSS is to give one.
+    """
+    node_id, modules = options.module, config.modules
+    found = [module for module in modules if node_id in (None, module.node_id)]
+    if len(found) == 1 or (found and node_id is None):
+        return found[0]
+    there = ", ".join(f"{module.node_id} ({module.node_id:02X}h)" for module in modules)
+    which = "several modules have" if found else "no module has"
+    raise ConfigError(f"--module {node_id}: {which} this node-ID; there are {there}")
+
+
+def given(options: argparse.Namespace, names: Iterable[str]) -> list[str]:
+    """Those options, of these names (``time_column``), that are not at their defaults."""
+    parser: argparse.ArgumentParser = options.parser
+    missing = object()
+    return [
+        name for name in names if getattr(options, name, missing) not in (missing, parser.get_default(name))
+    ]
+
+
+def refuse_idle(options: argparse.Namespace, names: Iterable[str], why: str) -> None:
+    """ConfigError if one of these options is given, which would do nothing: ``why`` says so."""
+    for name in given(options, names):
+        option = "CONFIG.yaml" if name == "config" else f"--{name.replace('_', '-')}"
+        raise ConfigError(f"{option}: {why}")
+
+
 BUS_WORDS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
 
 
 def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict[str, Any]:
-    """python-can's words: the configuration's, replaced by those of the command line."""
+    """python-can's words: the configuration's, replaced by those of the command line.
+
+    ConfigError for an interface that python-can does not have.
+    """
     merged = dict(configured)
     for word in BUS_WORDS:
         if hasattr(options, word):
             merged[word] = getattr(options, word)
     merged.update(getattr(options, "bus_kwargs", {}))
+    check_interface(merged)
     return merged
 
 

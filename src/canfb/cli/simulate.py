@@ -16,8 +16,11 @@ from canfb.cli.options import (
     add_command,
     add_ready_file,
     bus_options,
+    chosen_module,
+    refuse_idle,
     report,
     say,
+    whole_number,
 )
 from canfb.cli.simulate_drive import simulated_axis
 from canfb.cli.simulate_record import check_record, write_record
@@ -34,6 +37,7 @@ from canfb.simulation.sync_producer import SyncProducer
 from canfb.simulation.sync_rate import SyncRateWatch
 
 DEFAULT_RATE_HZ = 1000.0
+TIMES = ("time_column", "gap", "gap_samples")
 
 
 def register(commands: Commands) -> None:
@@ -52,7 +56,7 @@ def register(commands: Commands) -> None:
         help="produce the SYNC at this rate; without it, follow the SYNC of the bus",
     )
     parser.add_argument(
-        "--module", type=int, default=0, metavar="N", help="the module it feeds (default: 0, the first)"
+        "--module", type=whole_number, metavar="ID", help="node id of the module it feeds (the first)"
     )
     parser.add_argument("--rpm", type=float, help="speed after the ramp, in place of the configuration's")
     parser.add_argument("--autostart", action="store_true", help="operational without a master")
@@ -97,9 +101,10 @@ def simulate(options: argparse.Namespace) -> int:
     config = load_config(options.config)
     words = bus_options(options, config.bus)
     check_device_bus(words)
-    _check(options, config)
+    module = chosen_module(options, config)
+    _refuse_idle(options)
+    _check(options)
     record = None if options.record is None else check_record(options.record)
-    module = config.modules[options.module]
     axis = simulated_axis(options, config)
     source = chosen_source(options, config) if axis is None else axis.source
     demand = demanded(options, config, source) if axis is None else axis.demand
@@ -149,10 +154,8 @@ def simulate(options: argparse.Namespace) -> int:
     return 0
 
 
-def _check(options: argparse.Namespace, config: Config) -> None:
+def _check(options: argparse.Namespace) -> None:
     """ConfigError for options that cannot be."""
-    if not 0 <= options.module < len(config.modules):
-        raise ConfigError(f"--module {options.module}: the configuration has {len(config.modules)} modules")
     if options.rate is not None and not 0.1 <= options.rate <= 100_000:
         raise ConfigError(f"--rate {options.rate:g}: must be 0.1 to 100000 Hz")
     if options.seconds is not None and not 0.0 < options.seconds <= 1e6:
@@ -180,7 +183,7 @@ def chosen_motion(options: argparse.Namespace, config: Config) -> MotionConfig:
 
 def chosen_source(options: argparse.Namespace, config: Config) -> Source:
     """The recording of ``--samples``, else the motion of the configuration. CanfbError for a bad one."""
-    module = config.modules[options.module]
+    module = chosen_module(options, config)
     if options.samples is not None:
         return open_recording(options.samples, _layout(options, module.times))
     return MotionSource(
@@ -193,9 +196,16 @@ def chosen_source(options: argparse.Namespace, config: Config) -> Source:
     )
 
 
+def _refuse_idle(options: argparse.Namespace) -> None:
+    if options.samples is None:
+        refuse_idle(options, ("columns", "mid_scale", *TIMES), "only with --samples, which it describes")
+    else:
+        refuse_idle(options, ("rpm",), "not with --samples: a recording has its own motion")
+
+
 def demanded(options: argparse.Namespace, config: Config, source: Source) -> Demand:
     """What the motion, or the recording, asks of the module. Without ``--rate`` it is played as at 1 kHz."""
-    module, rate_hz = config.modules[options.module], options.rate or DEFAULT_RATE_HZ
+    module, rate_hz = chosen_module(options, config), options.rate or DEFAULT_RATE_HZ
     if isinstance(source, (RecordingSource, ArraySource)):
         return of_recording(*source.tracks(), module, rate_hz, options.samples)
     return of_motion(chosen_motion(options, config), module, rate_hz)
@@ -211,6 +221,8 @@ def _layout(options: argparse.Namespace, times: bool) -> RecordingLayout:
         raise ConfigError(f"--gap {options.gap:g}: must be more than 0 seconds")
     if options.gap_samples < 1:
         raise ConfigError(f"--gap-samples {options.gap_samples}: must be 1 or more")
+    if options.time_column is None:
+        refuse_idle(options, TIMES, "only with --time-column, in which the gaps are")
     # The samples of a recording are as regular as they were, however the SYNC jitters that asks for them.
     return RecordingLayout(
         (columns[0], columns[1]),

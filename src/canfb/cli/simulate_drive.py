@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 
+from canfb.cli.options import chosen_module
 from canfb.configuration import Config
 from canfb.errors import ConfigError
 from canfb.module.config import UNCONFIGURED
@@ -48,7 +49,7 @@ def simulated_axis(options: argparse.Namespace, config: Config) -> SimulatedAxis
     for option in ("samples", "rpm"):
         if getattr(options, option) is not None:
             raise ConfigError(f"--{option}: the drive of the configuration moves the encoder; leave out one")
-    module = config.modules[options.module]
+    module = chosen_module(options, config)
     if module.node_id == UNCONFIGURED:
         raise ConfigError("drive: the module has no node_id (255) whose position the drive could take")
     plant = Plant(Motor(settings, settings.start_revolutions))

@@ -1,0 +1,49 @@
+"""The examples at the end of each ``--help``."""
+
+from __future__ import annotations
+
+_EXAMPLES = {
+    "canfb": """
+  canfb demo                                   the whole story, without a bus
+  canfb config example > feedback.yaml         a configuration to begin with
+  canfb run feedback.yaml                      its module on its bus
+  canfb simulate feedback.yaml --rate 100      an encoder interface with a machine, and the SYNC""",
+    "canfb demo": """
+  canfb demo
+  canfb demo --json
+  canfb demo --out pictures""",
+    "canfb run": """
+  canfb run feedback.yaml
+  canfb run feedback.yaml -i socketcan -c can0
+  canfb run feedback.yaml -i udp_multicast -c 239.74.163.2""",
+    "canfb simulate": """
+  canfb simulate feedback.yaml --rate 100
+  canfb simulate feedback.yaml --rate 500 --rpm 300 --module 0x20
+  canfb simulate feedback.yaml --rate 500 --samples tracks.csv --columns b,a --mid-scale 8192""",
+    "canfb nmt": """
+  canfb nmt start all -i socketcan -c vcan0
+  canfb nmt start 0x10 0x20 --config feedback.yaml
+  canfb nmt reset 0x20 --config feedback.yaml""",
+    "canfb calibrate": """
+  canfb calibrate -i socketcan -c can0 --module 0x20 --out measured
+  canfb calibrate feedback.yaml --dry-run --json
+  canfb calibrate feedback.yaml --check
+  canfb calibrate --samples measured/samples.npz --out again""",
+    "canfb config": """
+  canfb config example > feedback.yaml
+  canfb config check feedback.yaml
+  canfb config dcf feedback.yaml""",
+    "canfb config check": """
+  canfb config check feedback.yaml""",
+    "canfb config example": """
+  canfb config example > feedback.yaml""",
+    "canfb config dcf": """
+  canfb config dcf feedback.yaml --module 0x20 --out left.dcf --concise left.bin
+  canfb config dcf --node 0x20 -i socketcan -c can0""",
+}
+
+
+def examples_of(command: str) -> str | None:
+    """The examples of a command, ``canfb run``; None where there are none."""
+    lines = _EXAMPLES.get(command)
+    return None if lines is None else f"examples:{lines}"

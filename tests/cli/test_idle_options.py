@@ -1,0 +1,49 @@
+"""Options that would do nothing are refused, and not ignored."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from canfb.cli.main import main
+
+CONFIG = "bus: {interface: virtual, channel: idle}\nmodules: [{node_id: 32}]\n"
+IDLE = {
+    "columns": ("simulate CONFIG --columns a,b", "--columns: only with --samples"),
+    "mid-scale": ("simulate CONFIG --mid-scale 5", "--mid-scale: only with --samples"),
+    "time column": ("simulate CONFIG --time-column t", "--time-column: only with --samples"),
+    "gap": ("simulate CONFIG --samples x.csv --gap 5", "--gap: only with --time-column"),
+    "gap samples": ("simulate CONFIG --samples x.csv --gap-samples 5", "--gap-samples: only with --time-col"),
+    "rpm": ("simulate CONFIG --samples x.csv --rpm 5", "--rpm: not with --samples"),
+    "file, bus": ("calibrate --samples x.npz -c can0", "--channel: not with --samples"),
+    "file, module": ("calibrate --samples x.npz --module 3", "--module: not with --samples"),
+    "file, dry": ("calibrate --samples x.npz --dry-run", "--dry-run: not with --samples"),
+    "file, time": ("calibrate --samples x.npz --seconds 3", "--seconds: not with --samples"),
+    "file, config": ("calibrate CONFIG --samples x.npz", "CONFIG.yaml: not with --samples"),
+    "file, columns": ("calibrate --samples x.npz --columns a,b", "--columns: only for CSV"),
+    "bus, columns": ("calibrate --columns a,b", "--columns: only with --samples"),
+    "bus, cycles": ("calibrate --cycles-per-revolution 5", "--cycles-per-revolution: only with --samples"),
+    "check, no save": ("calibrate --check --no-save", "--no-save: not with --check"),
+    "check, dry": ("calibrate --check --dry-run", "--dry-run: not with --check"),
+    "check, verify": ("calibrate --check --verify 9", "--verify: not with --check"),
+    "dry, no save": ("calibrate --dry-run --no-save", "--no-save: not with --dry-run"),
+    "dry, verify": ("calibrate --dry-run --verify 9", "--verify: not with --dry-run"),
+    "recorder": ("calibrate --recorder module", "--recorder: only with --source recording"),
+    "own time": ("calibrate --source module --seconds 9", "--seconds: not with --source module"),
+    "dcf": ("config dcf CONFIG --answer-within 9", "--answer-within: only with --node"),
+}
+
+
+@pytest.mark.parametrize("case", IDLE)
+def test_an_option_that_would_do_nothing(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command, words = IDLE[case]
+    path = tmp_path / "feedback.yaml"
+    path.write_text(CONFIG)
+    assert main([str(path) if word == "CONFIG" else word for word in command.split()]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    (line,) = said.err.splitlines()
+    assert line.startswith(f"canfb: {words}")
