@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from canfb.calibration.drift import drift
 from canfb.calibration.motion import calibrate_from_motion
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.signal.batch import process
 from canfb.signal.chain import ChainConfig, SignalChain
 from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import CorrectionTable
+from canfb.signal.phase import phase_in_cycle
 from canfb.signal.stream import process_stream
 from canfb.signal.tracker import track
 
@@ -114,6 +117,29 @@ def test_an_offset_may_be_what_the_conditioning_takes_away() -> None:
     assert abs(calibrate_from_motion(*MANY, "fit").conditioning.sine_offset_counts - 2048) < 1
 
 
-def test_complex_phases_are_refused() -> None:
+@pytest.mark.parametrize(
+    "run",
+    [
+        lambda: track(np.array([0.5 + 0j])),  # type: ignore[arg-type]
+        lambda: phase_in_cycle(SINE.astype(complex), COSINE),
+        lambda: phase_in_cycle(np.complex128(1j), 1.0),
+        lambda: CorrectionTable(np.arange(64) / 64 + 0j),
+        lambda: CorrectionTable.identity()(np.array([0.5 + 0j])),
+        lambda: CorrectionTable.identity()(np.complex64(0.5)),
+    ],
+)
+def test_complex_numbers_are_refused(run) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(ValueError, match="real numbers"):
-        track(np.array([0.5 + 0j]))
+        run()
+
+
+def test_a_drift_takes_a_calibration() -> None:
+    with pytest.raises(TypeError, match="CorrectionTable"):
+        drift(calibrate_from_motion(*(track - 2048 for track in MANY)), np.arange(64))  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="takes a Calibration"):
+        drift(SINE, None)  # type: ignore[arg-type]
+
+
+def test_a_block_that_is_a_number_is_refused() -> None:
+    with pytest.raises(ValueError, match="pair"):
+        list(process_stream([3]))  # type: ignore[list-item]

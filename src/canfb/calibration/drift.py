@@ -13,7 +13,7 @@ import numpy as np
 
 from canfb.calibration.result import Calibration
 from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.correction import CorrectionTable
+from canfb.signal.correction import CorrectionTable, check_table
 from canfb.signal.phase import FloatArray, raw_phases
 
 
@@ -36,8 +36,15 @@ def drift(fresh: Calibration, table: CorrectionTable | None, conditioning: Condi
     ``table`` and ``conditioning`` are those in force; None is the identity. The constant part of
     the difference is taken off, because where phase 0 lies is a convention. Conditionings that
     differ are taken into account: both ways from tracks to phase are compared on the tracks
-    themselves. ValueError where ``fresh`` has another conditioning and no ``tracks``.
+    themselves. ValueError where ``fresh`` has another conditioning and no ``tracks``, TypeError
+    for arguments of another type.
     """
+    check_table(table)
+    if not isinstance(fresh, Calibration) or not isinstance(conditioning, Conditioning):
+        raise TypeError(
+            "drift takes a Calibration, a CorrectionTable and a Conditioning, not "
+            f"{type(fresh).__name__}, {type(table).__name__} and {type(conditioning).__name__}"
+        )
     active = CorrectionTable.identity() if table is None else table
     if conditioning == fresh.conditioning:
         knots = [np.arange(len(one) + 1) / len(one) for one in (active, fresh.table)]

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.blocks import Scratch, blocks
-from canfb.signal.phase import FloatArray, wrap_block
+from canfb.signal.phase import SCALARS, FloatArray, real_array, wrap_block
 
 MIN_ENTRIES = 16
 MAX_ENTRIES = 4096
@@ -33,7 +33,7 @@ class CorrectionTable:
 
     def __init__(self, entries: npt.ArrayLike) -> None:
         try:
-            single = np.array(entries, dtype="<f4", ndmin=1)
+            single = np.array(real_array("entries", entries), dtype="<f4", ndmin=1)
         except (TypeError, ValueError) as error:
             raise ValueError(f"a correction table is a sequence of numbers: {error}") from None
         _check(single)
@@ -95,10 +95,10 @@ class CorrectionTable:
 
         A float for scalars, an ndarray for arrays; both give the same bits.
         """
-        if isinstance(raw_phase, (int, float, np.generic)):
+        if isinstance(raw_phase, SCALARS):
             raw = float(raw_phase)
             return self.correct(raw % 1.0 % 1.0) if math.isfinite(raw) else math.nan
-        raws = np.asarray(raw_phase, dtype=np.float64)
+        raws = real_array("raw_phase", raw_phase)
         with np.errstate(invalid="ignore"):
             return self.correct_array(raws % 1.0 % 1.0)
 

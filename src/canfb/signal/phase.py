@@ -21,6 +21,7 @@ from canfb.signal.blocks import Scratch, blocks
 FloatArray = npt.NDArray[np.float64]
 
 NO_PHASE = math.nan
+SCALARS = (int, float, np.floating, np.integer, np.bool_)
 
 
 @overload
@@ -34,11 +35,19 @@ def phase_in_cycle(sine: Any, cosine: Any) -> Any:
     against each other. Phase 0 is the positive zero crossing of the sine track.
     The result is NaN where there is no phase: both tracks zero, or not a number.
     A float for scalars, an ndarray of float64 for arrays; both give the same bits.
+    ValueError for complex numbers.
     """
-    if isinstance(sine, (int, float, np.generic)) and isinstance(cosine, (int, float, np.generic)):
+    if isinstance(sine, SCALARS) and isinstance(cosine, SCALARS):
         return raw_phase(float(sine), float(cosine))
-    s, c = np.broadcast_arrays(np.asarray(sine, dtype=np.float64), np.asarray(cosine, dtype=np.float64))
+    s, c = np.broadcast_arrays(real_array("sine", sine), real_array("cosine", cosine))
     return raw_phases(s, c)
+
+
+def real_array(name: str, values: npt.ArrayLike) -> FloatArray:
+    """``values`` as an array of float64; ValueError, with this name, for complex numbers."""
+    if np.iscomplexobj(values):
+        raise ValueError(f"{name} must be real numbers, not complex ones")
+    return np.asarray(values, dtype=np.float64)
 
 
 def raw_phase(s: float, c: float) -> float:

@@ -110,6 +110,8 @@ class _Stream:
 
     def tracks(self, block: tuple[npt.ArrayLike, npt.ArrayLike]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         """The arrays of the next block; ValueError if it is no such pair."""
+        if not hasattr(block, "__len__"):
+            raise ValueError(f"a block must be a pair (sine, cosine), not {type(block).__name__}")
         if len(block) != 2:
             raise ValueError(f"a block must be a pair (sine, cosine), not {len(block)} of them")
         may_be_offset = self._conditioning is not None

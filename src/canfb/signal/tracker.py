@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from canfb.signal.blocks import Scratch, blocks
 from canfb.signal.double_sum import cycle_counts
-from canfb.signal.phase import FloatArray
+from canfb.signal.phase import FloatArray, real_array
 
 RESIDUAL_LIMIT = 1.0 / 3.0
 MOST_SPEED_CYCLES = float(1 << 31)  # at a start: beyond it a float holds too little of the phase
@@ -263,9 +263,7 @@ def track(
     :func:`canfb.process` and :func:`canfb.process_stream` say where the position is certain.
     ValueError for anything else.
     """
-    if np.iscomplexobj(phase):
-        raise ValueError("phase must be real numbers, in cycles")
-    phases = np.asarray(phase, dtype=np.float64)
+    phases = real_array("phase", phase)
     if phases.ndim != 1:
         raise ValueError(f"phase must have one dimension, not {phases.ndim}")
     wrong = np.flatnonzero((phases < 0.0) | (phases >= 1.0))
