@@ -26,11 +26,8 @@ IDLE = {
     "bus, cycles": ("calibrate --cycles-per-revolution 5", "--cycles-per-revolution: only with --samples"),
     "check, no save": ("calibrate --check --no-save", "--no-save: not with --check"),
     "check, dry": ("calibrate --check --dry-run", "--dry-run: not with --check"),
-    "check, verify": ("calibrate --check --verify 9", "--verify: not with --check"),
     "dry, no save": ("calibrate --dry-run --no-save", "--no-save: not with --dry-run"),
-    "dry, verify": ("calibrate --dry-run --verify 9", "--verify: not with --dry-run"),
     "recorder": ("calibrate --recorder module", "--recorder: only with --source recording"),
-    "own time": ("calibrate --source module --seconds 9", "--seconds: not with --source module"),
     "dcf": ("config dcf CONFIG --answer-within 9", "--answer-within: only with --node"),
 }
 

@@ -1,4 +1,7 @@
-"""Options of ``canfb calibrate`` that do nothing beside others: refused, not ignored."""
+"""Options of ``canfb calibrate`` that do nothing beside others: refused, not ignored.
+
+Times are not: a script may give the same ones to a dry run and to the measurement after it.
+"""
 
 from __future__ import annotations
 
@@ -36,11 +39,9 @@ def refuse_combinations(options: argparse.Namespace) -> None:
         refuse_idle(options, ["table"], "only with --samples; over the bus the module tells its table")
         refuse_idle(options, _OF_THE_FILE, "only with --samples, which it describes")
     if options.check:
-        refuse_idle(options, ("dry_run", "no_save", "verify"), "not with --check, which writes nothing")
+        refuse_idle(options, ("dry_run", "no_save"), "not with --check, which writes nothing")
     elif options.dry_run:
-        refuse_idle(options, ("no_save", "verify"), "not with --dry-run, which writes nothing")
+        refuse_idle(options, ["no_save"], "not with --dry-run, which writes nothing")
     recording = options.source == "recording" or (options.source is None and options.method != "motion")
     if not recording:
         refuse_idle(options, ["recorder"], "only with --source recording")
-    if options.source == "module":
-        refuse_idle(options, ("seconds", "least_samples"), "not with --source module, which decides it")
