@@ -35,6 +35,7 @@ from canfb.commissioning.drift_check import (
     module_drift_json,
     module_drift_lines,
 )
+from canfb.commissioning.lock import LockWatch
 from canfb.commissioning.pictures import TrackLimits
 from canfb.commissioning.procedure import Guard, Installation, Measurement, Settings, install, measure
 from canfb.commissioning.samples import Samples
@@ -117,7 +118,11 @@ def over_bus(
     if options.source == MODULE:
         return _by_module(session, job, source, settings, guard)
     progress.step(f"collecting samples for {options.seconds:g} s")
-    samples = source(options.seconds, options.least_samples, progress.part)
+    watch = LockWatch(session.cycles_per_revolution, session.speed_rad_s)
+    first = session.source(options.source, options.recorder, options.rate, watch)
+    samples = first(options.seconds, options.least_samples, progress.part)
+    if watch.found is not None:
+        job.judged(samples, watch.raise_found)
     if options.check:
         return job.report_drift(samples, session.active, settings)
     measured, done = job.measured(samples, session.active, settings), Installation()
@@ -177,7 +182,7 @@ class _Job:
 
     def measured(self, samples: Samples, before: ActiveSet, settings: Settings) -> Measurement:
         """Calibrate; what is refused leaves its samples and a report that shows why."""
-        found: Measurement = self._judged(
+        found: Measurement = self.judged(
             samples, lambda: measure(samples, settings, before, self.progress.part)
         )
         return found
@@ -210,7 +215,7 @@ class _Job:
 
     def report_drift(self, samples: Samples, active: ActiveSet, settings: Settings) -> int:
         """How far the encoder has moved away from its table."""
-        found = self._judged(samples, lambda: check(samples, active, settings, self.progress.part))
+        found = self.judged(samples, lambda: check(samples, active, settings, self.progress.part))
         if self.options.out:
             keep_samples(self.options.out, samples)
         return self.say(drift_json(found, self.where), drift_lines(found, self.where))
@@ -228,7 +233,8 @@ class _Job:
         print(json.dumps(figures, indent=2) if self.options.json else "\n".join(lines))
         return 0
 
-    def _judged(self, samples: Samples, act: Callable[[], Any]) -> Any:
+    def judged(self, samples: Samples, act: Callable[[], Any]) -> Any:
+        """What ``act`` makes of the samples; what it refuses leaves its samples and a report."""
         self.progress.step(f"calculating from {len(samples)} samples")
         try:
             result = act()

@@ -141,11 +141,12 @@ def listen(
     duration_s: float,
     least_samples: int = 0,
     heard: Heard = lambda part: None,
+    enough: Callable[[Listener], bool] = lambda listener: False,
 ) -> Samples:
     """Samples of ``duration_s`` seconds from the first SYNC on, and of more for ``least_samples`` intervals.
 
-    ``heard`` gets 0..1 as time goes. It takes no longer than six times ``duration_s``. CommissioningError,
-    with what to do, when SYNC or samples do not come.
+    ``heard`` gets 0..1 as time goes. It takes no longer than six times ``duration_s``, and ends as soon as
+    ``enough`` is true of what came. CommissioningError, with what to do, when SYNC or samples do not come.
     """
     with Listener(master, layout) as listener:
         while True:
@@ -154,6 +155,6 @@ def listen(
             passed = listener.elapsed_s / duration_s
             part = min(passed, listener.intervals / least_samples if least_samples else passed)
             heard(min(1.0, max(part, passed / LONGEST)))
-            if part >= 1.0 or passed >= LONGEST:
+            if part >= 1.0 or passed >= LONGEST or enough(listener):
                 break
     return listener.result()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from canfb.commissioning.access import Master, NodeAccess
+from canfb.commissioning.access import CommissioningError, Master, NodeAccess
 from canfb.commissioning.active import ActiveSet, read_active
-from canfb.commissioning.listening import listen
+from canfb.commissioning.listening import Listener, listen
 from canfb.commissioning.pdo_layout import PdoLayout, agreed_layout, module_layout
 from canfb.commissioning.pictures import TrackLimits
 from canfb.commissioning.recorder import record
@@ -17,6 +18,7 @@ Heard = Callable[[float], None]
 Source = Callable[[float, int, Heard], Samples]
 """Collects samples: seconds, least number of samples, and who hears 0..1 as it goes on."""
 ENCODER = 0x2001
+VELOCITY = (0x2011, 7)
 DEFAULT_INTERFACE = 0x10
 
 
@@ -55,14 +57,31 @@ class Session:
             master, module, interface, active, cycles, limits, named is None, named=interface_id is not None
         )
 
-    def source(self, kind: str, recorder: str, rate_hz: float | None) -> Source:
-        """Where samples come from: "pdo", or the "recording" of "interface" or "module"."""
+    def source(
+        self,
+        kind: str,
+        recorder: str,
+        rate_hz: float | None,
+        enough: Callable[[Listener], bool] = lambda listener: False,
+    ) -> Source:
+        """Where samples come from: "pdo", or the "recording" of "interface" or "module".
+
+        Samples of the PDO end as soon as ``enough`` is true of them.
+        """
         if kind == "recording":
             self.check_interface()
             node = self.module if recorder == "module" else self.interface
             return lambda seconds, least, heard: record(node, seconds, rate_hz, heard)
         layout = self.layout()
-        return lambda seconds, least, heard: listen(self.master, layout, seconds, least, heard)
+        return lambda seconds, least, heard: listen(self.master, layout, seconds, least, heard, enough)
+
+    def speed_rad_s(self) -> float:
+        """What the module says of its speed (2011:07), 0.0 where it says nothing."""
+        try:
+            speed = float(self.module.read(*VELOCITY, "f"))
+        except CommissioningError:
+            return 0.0
+        return speed if math.isfinite(speed) else 0.0
 
     def check_interface(self) -> None:
         """CommissioningError if the module takes its samples from another interface than the one named."""
