@@ -1,0 +1,172 @@
+"""What the README has to paste, without a vcan: its Python, its commands as processes, its recording."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+from first_session import Session
+
+import canfb
+from canfb.cli.main import build_parser, main
+from canfb.signal.supervision import StatusBit
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+RECORDING = "docs/recording/tracks.csv"
+LIMIT_S = 240.0  # for everything that has to happen in one test; it takes about 15 s
+POSITION = 0x1A0
+
+
+def python_blocks() -> list[str]:
+    return re.findall(r"```python\n(.*?)```", README, flags=re.S)
+
+
+def command_lines() -> list[list[str]]:
+    """The canfb commands of the README, each in words."""
+    blocks = re.findall(r"```sh\n(.*?)```", README, flags=re.S)
+    lines = [line.partition("#")[0].strip(" &") for block in blocks for line in block.splitlines()]
+    return [line.split()[1:] for line in lines if line.startswith("canfb ") and ">" not in line]
+
+
+def test_every_python_snippet_is_one_that_a_test_runs() -> None:
+    assert [("canopen" in block, RECORDING in block) for block in python_blocks()] == [
+        (True, False),
+        (False, True),
+    ]
+
+
+def test_the_library_snippet_runs_as_pasted_from_the_repository() -> None:
+    (snippet,) = [block for block in python_blocks() if RECORDING in block]
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", snippet],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    verdict, *parts = done.stdout.splitlines()
+    assert verdict.startswith("accepted"), verdict
+    cycles, valid = np.array([line.split() for line in parts], float).T
+    assert len(parts) == 100
+    assert cycles[-1] == pytest.approx(25_417, abs=100), "61 rpm for ten of the 12 s"
+    assert np.all(np.diff(cycles[10:]) > 0)
+    assert np.all(valid == 1.0)
+
+
+def test_the_commands_have_options_that_there_are() -> None:
+    commands = command_lines()
+    assert {words[0] for words in commands} >= {"run", "simulate", "nmt", "calibrate"}
+    for words in commands:
+        options = build_parser().parse_args(words)
+        if getattr(options, "samples", None):
+            assert (ROOT / str(options.samples)).is_file(), words
+
+
+def test_the_recording_is_small_and_plays_for_ten_seconds_without_a_fault() -> None:
+    assert (ROOT / RECORDING).stat().st_size < 300_000
+    (words,) = [words for words in command_lines() if words[0] == "simulate" and "--samples" in words]
+    options = build_parser().parse_args(words)
+    play = [str(ROOT / word) if word == RECORDING else word for word in words[2:]]
+    session = Session(options.rate, play)
+    session.run(10.0)
+    assert len(session.valid) >= 10.0 * options.rate - 2
+    assert all(session.valid)
+
+
+def test_the_recording_calibrates_as_the_readme_has_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (words,) = [words for words in command_lines() if words[0] == "calibrate" and "--samples" in words]
+    monkeypatch.chdir(ROOT)
+    assert main(words) == 0
+    assert "Accepted. The error within a cycle falls from " in capsys.readouterr().out
+
+
+@pytest.fixture
+def start(multicast_words: dict[str, Any], tmp_path: Path) -> Iterator[Callable[..., Any]]:
+    """Starts a command on the bus of the test, its output into files; none is left running."""
+    words = multicast_words
+    with contextlib.ExitStack() as stack:
+
+        def start_one(*arguments: str) -> Any:
+            said = stack.enter_context((tmp_path / f"{arguments[0]}.txt").open("w"))
+            bus = ["-i", words["interface"], "-c", words["channel"]]
+            bus += ["--bus-kwargs", f"port={words['port']}", "hop_limit=0"]
+            process = subprocess.Popen(
+                [sys.executable, "-m", "canfb", *arguments, *bus],
+                cwd=tmp_path,
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=subprocess.STDOUT,
+            )
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+            return process
+
+        yield start_one
+
+
+def waited_for(condition: Callable[[], bool], *processes: Any) -> None:
+    deadline = time.monotonic() + LIMIT_S
+    while not condition():
+        assert time.monotonic() < deadline
+        assert all(process.poll() is None for process in processes), "one has ended"
+        time.sleep(0.05)
+
+
+def test_the_first_session_holds_for_ten_seconds_with_real_processes(
+    start: Callable[..., Any], multicast_bus: can.BusABC, multicast_words: dict[str, Any], tmp_path: Path
+) -> None:
+    """The lines of the README on a multicast bus; then its master in Python, on the same bus."""
+    example = subprocess.run(
+        [sys.executable, "-m", "canfb", "config", "example"], capture_output=True, check=True, timeout=LIMIT_S
+    )
+    (tmp_path / "feedback.yaml").write_bytes(example.stdout)
+    session = [words for words in command_lines() if words[0] in ("run", "simulate", "nmt")]
+    module, interface, nmt = (words for words in session if "--samples" not in words)
+    running = start(*module), start(*interface)
+    files = tmp_path / "module.ready", tmp_path / "interface.ready"
+    waited_for(lambda: all(file.exists() for file in files), *running)
+    assert start(*nmt[:3]).wait(LIMIT_S) == 0
+    positions: list[tuple[int, int]] = []
+    deadline = time.monotonic() + LIMIT_S
+    while len(positions) < 1000 and time.monotonic() < deadline:
+        message = multicast_bus.recv(1.0)
+        if message is not None and message.arbitration_id == POSITION:
+            position, status = struct.unpack_from("<IH", message.data)
+            positions.append((position, status))
+    assert len(positions) == 1000, (tmp_path / "run.txt").read_text()
+    assert all(status & StatusBit.VALID for _, status in positions)
+    assert positions[-1][0] > 7 * 2500 * 8192, "more than seven revolutions"
+    assert re.search("motion: 61 rpm: up to 25.6 cycles per sample", (tmp_path / "simulate.txt").read_text())
+
+    (snippet,) = [block for block in python_blocks() if "import canopen" in block]
+    here = ", ".join(f"{key}={value!r}" for key, value in multicast_words.items())
+    snippet = snippet.replace('interface="socketcan", channel="vcan0"', here)
+    done = subprocess.run(
+        [sys.executable, "-c", snippet], capture_output=True, text=True, timeout=LIMIT_S, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    cycles, unit = done.stdout.split()
+    assert unit == "cycles"
+    assert float(cycles) > 7 * 2500
+
+
+def test_the_example_is_what_the_library_loads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["config", "example"]) == 0
+    path = tmp_path / "feedback.yaml"
+    path.write_text(capsys.readouterr().out)
+    assert canfb.load_config(path).modules[0].node_id == 0x20
