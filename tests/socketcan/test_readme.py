@@ -44,6 +44,10 @@ def test_the_first_session_can_be_pasted(tmp_path: Path) -> None:
     said = done.stdout + done.stderr
     positions = re.findall(r"vcan0 +1A0 +\[8\] +(.. .. .. ..) (..) .. .. ..", done.stdout)
     assert len(positions) == 5, said
+    missed = re.search(r"^node 32: .* missed ([0-9]+),", done.stdout, re.M)
+    assert missed is not None, said
+    if int(missed[1]):  # the kernel has dropped frames that the module did not fetch in time
+        pytest.skip(f"this machine is too slow for 100 Hz now: the module has missed {missed[1]} samples")
     assert all(int(status, 16) & 1 for _, status in positions), said
     assert len({bytes.fromhex(position) for position, _ in positions}) == 5, "the machine turns"
     assert "running node 32 (20h)" in done.stdout
