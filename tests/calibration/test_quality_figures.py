@@ -146,3 +146,11 @@ def test_longer_recordings_are_better():
     assert errors[0] < 0.004 * PERCENT
     for more, less in itertools.pairwise(errors):
         assert 1.3 < more / less < 3.2
+
+
+def test_how_far_the_ratio_scatters_is_known(several):
+    """Logarithms of the ratios: their scatter is what is said of it, within what 12 of them can show."""
+    ratios = np.array([result.cramer_rao_ratio for _, result in several])
+    said = np.array([result.cramer_rao_scatter for _, result in several])
+    assert set(said) <= {0.15, 0.3}
+    assert 0.4 < np.sqrt(np.mean((np.log(ratios) / said) ** 2)) < 1.7

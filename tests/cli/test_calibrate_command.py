@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+from datetime import datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -131,6 +133,9 @@ def test_samples_of_a_file_give_table_and_report(
     assert figures["accepted"]
     assert not figures["active"]
     assert figures["module"] is None
+    assert figures["canfb"] == version("canfb")
+    assert figures["command"].startswith(f"canfb calibrate --samples {npz} ")
+    assert datetime.fromisoformat(f"{figures['date']} {figures['time']}").tzinfo is not None
     assert figures["sample_rate_hz"] == 1000.0
     assert figures["before_rms_cycles"] > 30 * figures["residual_rms_cycles"]
     table = CorrectionTable.from_bytes((out / "table.bin").read_bytes())

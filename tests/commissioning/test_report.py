@@ -16,7 +16,7 @@ from canfb.commissioning import pictures
 from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.active import NOTHING_ACTIVE, ActiveSet
 from canfb.commissioning.artefacts import prepare, write, write_refusal
-from canfb.commissioning.deviation import deviation
+from canfb.commissioning.deviation import Deviation, deviation
 from canfb.commissioning.pictures import TrackLimits
 from canfb.commissioning.plot import Plot, Scale
 from canfb.commissioning.procedure import Installation, Measurement, Settings, block_of
@@ -251,7 +251,7 @@ def test_pictures_of_nothing_and_of_perfection() -> None:
         pictures.harmonics(flat, flat, 0.0, 1),
         pictures.error_over_phase(flat, np.full(64, np.nan), "x"),
         pictures.remaining_error(flat, 0.0),
-        pictures.coverage(np.zeros(0)),
+        pictures.coverage(Deviation(0.0, 0.0, 0.0, 0.0, flat[:0], flat[:0], flat[:0], 0)),
     ):
         Page(svg)
         assert "nan" not in svg

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from datetime import date
 from types import TracebackType
 from typing import Any
 
@@ -21,11 +20,6 @@ Client = Any  # canopen.sdo.SdoClient, which has no types
 LOOK_S = 0.05  # how late a bus that has failed may be noticed
 SDO_ANSWER, SDO_REQUEST, SYNC = 0x580, 0x600, 0x80
 STOP_S = 1.0  # for the receiving thread to end
-
-
-def today() -> date:
-    """The date, for reports."""
-    return date.today()
 
 
 class BusMaster:

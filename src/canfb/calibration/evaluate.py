@@ -23,8 +23,9 @@ from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import FloatArray, raw_phases
 
 PEAK_SIGMAS = 4.0
-# The scatter of so many independent tables tells their error to some 15 %.
+# The scatter of so many independent tables gives their error to some 15 %, that of two to some 30 %.
 PARTS = 8
+SCATTER, SCATTER_OF_TWO = 0.15, 0.3
 MIN_BLOCKS_OF_PART = 24
 
 
@@ -76,6 +77,7 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
         noise_cycles=fit.noise_cycles,
         bound_rms=bound,
         cramer_rao_ratio=measured / bound,
+        cramer_rao_scatter=SCATTER if enough else SCATTER_OF_TWO,
         track_orders=fit.waveform.orders,
         harmonics=_harmonics(fit.waveform, conditioning, origin_of(curve), expected),
         curve=curve_of_errors,

@@ -89,7 +89,8 @@ class Calibration:
     bound_rms        Cramer-Rao bound of the table's rms error with noise_counts, cycles; None
                      where it is not computed
     cramer_rao_ratio measured error of the table (from the scatter of tables of independent parts
-                     of the data) over that bound; None where it is not computed
+                     of the data) over that bound; below 1 only by chance. None where it is not computed
+    cramer_rao_scatter  standard deviation of that ratio, as part of it: few tables tell it roughly
     track_orders     orders of the tracks' Fourier series that the data supports; empty where
                      the method has none
     harmonics        of the error of the conditioned arc tangent, largest first
@@ -117,6 +118,7 @@ class Calibration:
     noise_cycles: float
     bound_rms: float | None = None
     cramer_rao_ratio: float | None = None
+    cramer_rao_scatter: float | None = None
     track_orders: tuple[int, ...] = ()
     harmonics: tuple[Harmonic, ...] = ()
     curve: ErrorCurve

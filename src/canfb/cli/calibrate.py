@@ -6,14 +6,17 @@ import argparse
 import contextlib
 import json
 from collections.abc import Callable
+from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import can
 
-from canfb.bus.master import BusMaster, today
+from canfb.bus.master import BusMaster
 from canfb.bus.opening import open_bus
 from canfb.bus.runner import ending_on_signals
+from canfb.bus.wall_clock import date_and_time
 from canfb.cli.calibrate_options import (
     MODULE,
     add_options,
@@ -68,7 +71,7 @@ def calibrate(options: argparse.Namespace) -> int:
         prepare(options.out)
     try:
         if options.samples:
-            return _Job(options, progress, today().isoformat()).from_file()
+            return _Job(options, progress, date_and_time()).from_file()
         chosen_nodes(options, config)  # says what cannot be before there is a bus
         words = bus_options(options, config.bus)
         guard = Guard()
@@ -76,7 +79,7 @@ def calibrate(options: argparse.Namespace) -> int:
         with BusMaster(bus, options.answer_within) as master, ending_on_signals(guard.interrupt):
             if options.sync is not None:
                 master.produce_sync(options.sync)
-            return over_bus(master, options, config, progress, guard, today().isoformat())
+            return over_bus(master, options, config, progress, guard, date_and_time())
     except KeyboardInterrupt:
         progress.clear()
         report("interrupted; the module is as it was")
@@ -101,16 +104,17 @@ def over_bus(
     guard: Guard,
     date: str,
 ) -> int:
-    """The command on an open bus; the exit code."""
+    """The command on an open bus; the exit code. ``date`` is ISO 8601, the time of day behind a space."""
     progress.step("reading what is active")
     session = Session.open(master, *chosen_nodes(options, config))
     job = _Job(options, progress, date)
-    job.where = Circumstances(
-        date,
-        session.module.node_id,
-        None if session.samples_itself else session.interface.node_id,
-        options.encoder,
-        session.cycles_per_revolution,
+    job.where = replace(
+        job.where,
+        module=session.module.node_id,
+        encoder_interface=None if session.samples_itself else session.interface.node_id,
+        cycles_per_revolution=session.cycles_per_revolution,
+        identity=session.identity,
+        interface_identity=session.interface_identity,
     )
     job.limits = session.limits
     settings = settings_of(options, session.limits)
@@ -163,8 +167,14 @@ class _Job:
     """What does not depend on where the samples come from."""
 
     def __init__(self, options: argparse.Namespace, progress: Progress, date: str) -> None:
+        day, _, time = date.partition(" ")
         self.where = Circumstances(
-            date, encoder=options.encoder, cycles_per_revolution=options.cycles_per_revolution
+            day,
+            encoder=options.encoder,
+            cycles_per_revolution=options.cycles_per_revolution,
+            time=time,
+            version=version("canfb"),
+            command=getattr(options, "line", ""),
         )
         self.limits: TrackLimits | None = None
         self.options = options

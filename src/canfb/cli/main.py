@@ -11,6 +11,7 @@ import contextlib
 import errno
 import logging
 import os
+import shlex
 import sys
 import traceback
 from collections.abc import Sequence
@@ -83,6 +84,7 @@ def _run(arguments: Sequence[str]) -> int:
         options = parser.parse_args(arguments)
     except SystemExit as end:  # argparse has said what it has to say
         return int(end.code or 0)
+    options.line = shlex.join(["canfb", *(sys.argv[1:] if arguments is None else arguments)])  # for reports
     # python-can logs what it raises as well; an error is one line here.
     logging.basicConfig(level=logging.INFO if options.debug else logging.CRITICAL)
     try:

@@ -18,9 +18,13 @@ TABLE_YAML, TABLE_BIN, SAMPLES, REPORT = "table.yaml", "table.bin", "samples.npz
 # What is in the YAML beyond crc32, conditioning and entries.
 META = (
     "date",
+    "time",
+    "canfb",
     "encoder",
     "module",
+    "module_identity",
     "encoder_interface",
+    "encoder_interface_identity",
     "cycles_per_revolution",
     "method",
     "verdict",

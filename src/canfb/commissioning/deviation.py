@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from canfb.calibration.blocks import Blocks, cut
 from canfb.calibration.evaluate import peak, root_mean
@@ -23,6 +24,9 @@ FAULTY_PART = 0.01
 FAULTY_BLOCK = 4.0
 FAULTY_BLOCKS_PART = 0.1
 MIN_BLOCKS = 8
+# A bin of the phase with so many times the mean is a spike, if chance does not make it as well.
+SPIKE = 2.0
+SPIKE_SIGMAS = 5.0
 MIN_COVERAGE = 0.9
 LEAST_BLOCK, LONGEST_BLOCK = 12, 4096
 CYCLES_OF_BLOCK = 2.0  # a cubic through less than that takes errors of the encoder for motion
@@ -47,6 +51,19 @@ class Deviation:
     error: FloatArray
     before: FloatArray
     faulty: int
+
+    def samples_over_phase(self) -> NDArray[np.int64]:
+        """Samples in each of 64 bins of the phase."""
+        return np.bincount((self.phase % 1.0 * BINS).astype(np.int64) % BINS, minlength=BINS)
+
+    @property
+    def spike(self) -> tuple[float, float] | None:
+        """The fullest bin, if it stands out: how many times the mean it has, and its phase, cycles."""
+        count = self.samples_over_phase()
+        mean, place = float(count.mean()), int(count.argmax())
+        if count[place] <= max(SPIKE * mean, mean + SPIKE_SIGMAS * math.sqrt(mean)):
+            return None
+        return float(count[place]) / mean, (place + 0.5) / BINS
 
     def mean_over_phase(self, before: bool = False) -> FloatArray:
         """Mean error in each of 64 bins of the phase; NaN where there is no sample."""

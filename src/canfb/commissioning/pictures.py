@@ -5,17 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from canfb.calibration.evaluate import root_mean
 from canfb.calibration.recording import BINS
 from canfb.calibration.result import Calibration
 from canfb.commissioning.active import ActiveSet
 from canfb.commissioning.deviation import Deviation
-from canfb.commissioning.plot import Plot, nice_limit
+from canfb.commissioning.plot import Plot, Scale, nice_limit
 from canfb.commissioning.samples import Samples
 from canfb.signal.phase import FloatArray
 
-SHOWN_SAMPLES = 1500
+SHOWN_SAMPLES = 4000
+DENSITY_CELLS = (300, 150, 60)  # to the side of the picture; the first that makes no more dots than that
+SHADES, FAINTEST = 5, 0.3
 HIGHEST_ORDER = 20
 PERCENT = 100.0
 HISTOGRAM_BINS = 48
@@ -32,10 +35,12 @@ class TrackLimits:
 
 
 def lissajous(samples: Samples, used: ActiveSet, limits: TrackLimits | None) -> str:
-    """Raw and conditioned samples, the circles of the amplitude limits, the ends of the converter."""
-    seen = np.flatnonzero(np.isfinite(samples.sine))
-    chosen = seen[:: max(1, len(seen) // SHOWN_SAMPLES)]
-    sine, cosine = samples.sine[chosen], samples.cosine[chosen]
+    """Raw and conditioned samples, the circles of the amplitude limits, the ends of the converter.
+
+    Each sample is a dot; more than 4000 are shown by their density, so that none is left out.
+    """
+    seen = np.isfinite(samples.sine)
+    sine, cosine = samples.sine[seen], samples.cosine[seen]
     s, c = used.conditioning.apply(sine, cosine)
     extent = [nice_limit(values) for values in (sine, cosine, s, c)]
     if limits is not None:
@@ -53,11 +58,15 @@ def lissajous(samples: Samples, used: ActiveSet, limits: TrackLimits | None) -> 
         _circle(plot, limits.amplitude_low, "limit dashed", "amplitude limits")
         _circle(plot, limits.amplitude_high, "limit dashed", None)
     if not used.conditioning.is_identity:
-        plot.dots(cosine, sine, "before", "raw")
-    plot.dots(
-        np.asarray(c), np.asarray(s), "after", "raw" if used.conditioning.is_identity else "conditioned"
-    )
+        _cloud(plot, cosine, sine, "before", "raw")
+    name = "raw" if used.conditioning.is_identity else "conditioned"
+    _cloud(plot, np.asarray(c), np.asarray(s), "after", name)
     return plot.svg()
+
+
+def is_dense(samples: Samples) -> bool:
+    """Whether :func:`lissajous` shows their density in place of each sample."""
+    return len(samples) - samples.missed > SHOWN_SAMPLES
 
 
 def error_over_phase(before: FloatArray, after: FloatArray, title: str) -> str:
@@ -128,9 +137,9 @@ def histogram(found: Deviation, noise_cycles: float) -> str:
     return plot.svg()
 
 
-def coverage(phase: FloatArray) -> str:
+def coverage(found: Deviation) -> str:
     """Samples in each 1/64 of the cycle."""
-    count = np.bincount((phase % 1.0 * BINS).astype(np.int64) % BINS, minlength=BINS).astype(np.float64)
+    count = found.samples_over_phase().astype(np.float64)
     plot = Plot(
         "Samples over the phase",
         (0.0, 1.0),
@@ -138,7 +147,7 @@ def coverage(phase: FloatArray) -> str:
         ("phase, cycles", "samples in 1/64 cycle"),
     )
     plot.bars((np.arange(BINS) + 0.5) / BINS, count, 0.9 / BINS, "after", "used")
-    plot.level(len(phase) / BINS, "limit dashed", "even coverage")
+    plot.level(len(found.phase) / BINS, "limit dashed", "even coverage")
     return plot.svg()
 
 
@@ -181,6 +190,30 @@ def _amplitudes(curve: FloatArray) -> FloatArray:
 def _gauss(values: FloatArray, sigma: float) -> FloatArray:
     width = max(sigma, 1e-12)
     return np.asarray(np.exp(-0.5 * (values / width) ** 2) / (width * np.sqrt(2.0 * np.pi)), np.float64)
+
+
+def _cloud(plot: Plot, x: FloatArray, y: FloatArray, style: str, name: str) -> None:
+    """Each sample as a dot, or, of many, one for each small cell that has samples: darker for more."""
+    if len(x) <= SHOWN_SAMPLES:
+        plot.dots(x, y, style, name)
+        return
+    for cells in DENSITY_CELLS:
+        place = _cell(x, plot.x, cells) * cells + _cell(y, plot.y, cells)
+        _, place, count = np.unique(place, return_inverse=True, return_counts=True)
+        if len(count) <= SHOWN_SAMPLES:
+            break
+    x, y = np.bincount(place, x) / count, np.bincount(place, y) / count
+    level = np.ceil(SHADES * np.log1p(count) / np.log1p(count.max()))
+    for shade in range(1, SHADES + 1):
+        chosen = level == shade
+        opacity = FAINTEST + (1.0 - FAINTEST) * shade / SHADES
+        plot.dots(x[chosen], y[chosen], style, name if shade == SHADES else None, opacity)
+
+
+def _cell(values: FloatArray, scale: Scale, cells: int) -> NDArray[np.int64]:
+    """Number of the cell along one axis, 0..cells - 1."""
+    part = (values - scale.low) / (scale.high - scale.low)
+    return np.clip((part * cells).astype(np.int64), 0, cells - 1)
 
 
 def _circle(plot: Plot, radius: float, style: str, name: str | None) -> None:

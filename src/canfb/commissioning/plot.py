@@ -74,13 +74,21 @@ class Plot:
                 pen = "M"
         self._draw(f'<path class="line {style}" d="{"".join(path)}"/>', style, name, "line")
 
-    def dots(self, xs: FloatArray, ys: FloatArray, style: str, name: str | None = None) -> None:
+    def dots(
+        self,
+        xs: FloatArray,
+        ys: FloatArray,
+        style: str,
+        name: str | None = None,
+        opacity: float | None = None,
+    ) -> None:
         """Small dots: one path for all of them keeps the page small."""
         path = "".join(
             f"M{self.x(one):.1f} {self.y(other):.1f}h0"
             for one, other in zip(xs.tolist(), ys.tolist(), strict=True)
         )
-        self._draw(f'<path class="dots {style}" d="{path}"/>', style, name, "dot")
+        faint = "" if opacity is None else f' style="stroke-opacity:{opacity:.2f}"'
+        self._draw(f'<path class="dots {style}"{faint} d="{path}"/>', style, name, "dot")
 
     def bars(self, xs: FloatArray, ys: FloatArray, width: float, style: str, name: str | None = None) -> None:
         """Bars from the bottom of the picture, ``width`` in units of x."""

@@ -11,7 +11,15 @@ from canfb.commissioning.active import NOTHING_ACTIVE, ActiveSet
 from canfb.commissioning.pictures import TrackLimits
 from canfb.commissioning.procedure import Installation, Measurement
 from canfb.commissioning.samples import Samples
-from canfb.commissioning.summary import Circumstances, comparison, facts, outcome, verdict
+from canfb.commissioning.summary import (
+    Circumstances,
+    comparison,
+    coverage_warning,
+    facts,
+    origins,
+    outcome,
+    verdict,
+)
 from canfb.errors import CalibrationError
 
 STYLE = """
@@ -36,6 +44,7 @@ table { border-collapse: collapse; margin: 0 0 1em; }
 th, td { text-align: left; padding: .28em 1.4em .28em 0; border-bottom: 1px solid var(--rule);
   vertical-align: top; }
 td { font-variant-numeric: tabular-nums; }
+.origin td { overflow-wrap: anywhere; }
 .top table { width: 100%; } .top th, .top td { padding-right: .9em; }
 .top thead + tbody td:nth-child(2) { white-space: nowrap; }
 @media (max-width: 560px) { .top th, .top td, .top thead + tbody td:nth-child(2) { white-space: normal;
@@ -93,7 +102,7 @@ def report_html(
         said,
         f'<div class="top"><div>{_comparison(measured, done, where)}{_facts(measured, done, where)}</div>\n'
         f"{_lissajous(measured.samples, measured.found, limits)}</div>\n"
-        f'<h2>Pictures</h2>\n<div class="pictures">\n{_pictures(measured, done)}</div>\n',
+        f'<h2>Pictures</h2>\n<div class="pictures">\n{_pictures(measured, done)}</div>\n{_origins(where)}',
     )
 
 
@@ -106,7 +115,8 @@ def refusal_html(
     return _page(
         where,
         said,
-        f'<div class="top"><div>{_rows(rows)}</div>\n{_lissajous(samples, NOTHING_ACTIVE, limits)}</div>\n',
+        f'<div class="top"><div>{_rows(rows)}</div>\n{_lissajous(samples, NOTHING_ACTIVE, limits)}</div>\n'
+        f"{_origins(where)}",
         good=False,
     )
 
@@ -126,7 +136,7 @@ def _page(where: Circumstances, said: list[str], body: str, good: bool = True) -
 
 
 def _place(where: Circumstances) -> str:
-    words = [where.date]
+    words = [f"{where.date} {where.time}".strip()]
     if where.module is not None:
         words.append(f"module {where.module} ({where.module:02X}h)")
     if where.encoder_interface is not None:
@@ -155,14 +165,21 @@ def _facts(measured: Measurement, done: Installation, where: Circumstances) -> s
     return _rows(facts(measured, done, where))
 
 
-def _rows(listed: list[tuple[str, str]]) -> str:
+def _origins(where: Circumstances) -> str:
+    return _rows(origins(where), "Origin", "origin") if origins(where) else ""
+
+
+def _rows(listed: list[tuple[str, str]], title: str = "Measurement", style: str = "") -> str:
     rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>\n" for name, text in listed)
-    return f"<h2>Measurement</h2>\n<table><tbody>\n{rows}</tbody></table>\n"
+    table = f'<table class="{style}">' if style else "<table>"
+    return f"<h2>{title}</h2>\n{table}<tbody>\n{rows}</tbody></table>\n"
 
 
 def _lissajous(samples: Samples, used: ActiveSet, limits: TrackLimits | None) -> str:
     picture = pictures.lissajous(samples, used, limits)
-    return _figure("Lissajous picture", "a circle within the limits is wanted", picture)
+    seen = len(samples) - samples.missed
+    shown = f"all {seen} samples, darker where more fall" if pictures.is_dense(samples) else f"{seen} samples"
+    return _figure("Lissajous picture", f"should be a circle within the limits; {shown}", picture)
 
 
 def _pictures(measured: Measurement, done: Installation) -> str:
@@ -181,7 +198,11 @@ def _pictures(measured: Measurement, done: Installation) -> str:
             "phase less raw phase; Table 1 alone wants four waves of 1.1 %",
             pictures.table_curve(calibration, measured.before),
         ),
-        ("Coverage", "every phase must be met", pictures.coverage(on_samples.phase)),
+        (
+            "Coverage",
+            f"every phase must be met{coverage_warning(measured)}",
+            pictures.coverage(on_samples),
+        ),
         ("Error over the phase", "mean in each 1/64 cycle, before and after", curves),
         ("What is left of it", f"on a scale of its own; noise alone gives {noise:.2g} % rms", left),
         ("Harmonics of the error", "1: offset; 2: gain and phase error; 4, 8, 12: Table 1 itself", orders),

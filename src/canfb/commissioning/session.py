@@ -17,7 +17,7 @@ from canfb.commissioning.samples import Samples
 Heard = Callable[[float], None]
 Source = Callable[[float, int, Heard], Samples]
 """Collects samples: seconds, least number of samples, and who hears 0..1 as it goes on."""
-ENCODER = 0x2001
+ENCODER, IDENTITY = 0x2001, 0x1018
 VELOCITY = (0x2011, 7)
 DEFAULT_INTERFACE = 0x10
 
@@ -31,6 +31,8 @@ class Session:
     limits                  2001:02..04
     samples_itself          the module takes no ADC PDO, and no interface was named
     named                   an interface was named
+    identity                1018h of the module, as far as it has it
+    interface_identity      that of the encoder interface; None if it does not answer
     """
 
     master: Master
@@ -41,6 +43,8 @@ class Session:
     limits: TrackLimits
     samples_itself: bool = False
     named: bool = False
+    identity: tuple[int, ...] | None = None
+    interface_identity: tuple[int, ...] | None = None
 
     @classmethod
     def open(cls, master: Master, module_id: int, interface_id: int | None) -> Session:
@@ -54,7 +58,16 @@ class Session:
         interface = NodeAccess(master, named or DEFAULT_INTERFACE, "encoder interface")
         limits = TrackLimits(full_scale, low, high)
         return cls(
-            master, module, interface, active, cycles, limits, named is None, named=interface_id is not None
+            master,
+            module,
+            interface,
+            active,
+            cycles,
+            limits,
+            samples_itself=named is None,
+            named=interface_id is not None,
+            identity=_identity_of(module),
+            interface_identity=None if named is None else _identity_of(interface),
         )
 
     def source(
@@ -91,6 +104,17 @@ class Session:
     def layout(self) -> PdoLayout:
         """The PDO with the samples; the errors of :func:`.pdo_layout.agreed_layout`."""
         return agreed_layout(self.module, self.interface)
+
+
+def _identity_of(node: NodeAccess) -> tuple[int, ...] | None:
+    """Vendor-ID, product code, revision and serial number, as many as it has; None without an answer."""
+    found: list[int] = []
+    for subindex in range(1, 5):
+        try:
+            found.append(node.integer(IDENTITY, subindex, "I"))
+        except CommissioningError:
+            break
+    return tuple(found) or None
 
 
 def _interface_of(module: NodeAccess) -> int | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from canfb.calibration.result import Calibration
 from canfb.commissioning.active import ActiveSet
 from canfb.commissioning.procedure import Installation, Measurement
 from canfb.commissioning.table_file import conditioning_words
@@ -18,6 +19,11 @@ class Circumstances:
     """Where and when it was measured.
 
     date                   ISO 8601
+    time                   time of day with the offset to UTC, ISO 8601; "" if not known
+    version                of canfb; "" if not known
+    command                the command line; "" if there was none
+    identity               1018h of the module: vendor-ID, product code, revision, serial number
+    interface_identity     1018h of the encoder interface
     module                 node id, None without a bus
     encoder_interface      node id, None without a bus
     encoder                name or serial number of the encoder, as the user gave it
@@ -29,6 +35,11 @@ class Circumstances:
     encoder_interface: int | None = None
     encoder: str = ""
     cycles_per_revolution: int | None = None
+    time: str = ""
+    version: str = ""
+    command: str = ""
+    identity: tuple[int, ...] | None = None
+    interface_identity: tuple[int, ...] | None = None
 
     def arc_seconds(self, cycles: float) -> float | None:
         """A part of the cycle as an angle of the shaft."""
@@ -88,17 +99,55 @@ def facts(measured: Measurement, done: Installation, where: Circumstances) -> li
         ),
         (
             "coverage",
-            f"{PERCENT * calibration.coverage:.0f} % of the cycle, {calibration.cycles_used:.0f} cycles",
+            f"{PERCENT * calibration.coverage:.0f} % of the cycle, {calibration.cycles_used:.0f} cycles"
+            f"{coverage_warning(measured)}",
         ),
         ("method", f"{calibration.method}, {len(calibration.table)} entries"),
     ]
     if done.fresh is not None:
         listed.append(("fresh samples", f"{len(done.fresh.error)} used, {done.fresh.faulty} left out"))
     if calibration.cramer_rao_ratio is not None:
-        listed.append(
-            ("error over the bound", f"{calibration.cramer_rao_ratio:.2f} times that of Cramer and Rao")
-        )
+        listed.append(("error of the table", bound_words(calibration)))
     return listed
+
+
+def coverage_warning(measured: Measurement) -> str:
+    """Of samples that crowd at some phase: nothing, or words that begin with a semicolon."""
+    spike = measured.on_samples.spike
+    if spike is None:
+        return ""
+    return f"; spiky: {spike[0]:.1f} times the mean at phase {spike[1]:.2f}, another speed is better"
+
+
+def bound_words(calibration: Calibration) -> str:
+    """The measured error of the table against the Cramer-Rao bound, in words."""
+    ratio, scatter = calibration.cramer_rao_ratio or 0.0, calibration.cramer_rao_scatter or 0.0
+    measured = f"{ratio:.2f} ± {scatter * ratio:.2f} times the Cramér-Rao bound"
+    if ratio * (1.0 - 2.0 * scatter) <= 1.0:
+        return f"{measured}: as small as these samples allow"
+    return f"{measured}: more than the noise of the converter; motion or tracks change"
+
+
+def origins(where: Circumstances) -> list[tuple[str, str]]:
+    """With what it was measured: nodes by their identity, program, command."""
+    listed = []
+    if where.module is not None:
+        listed.append(("module", _node(where.module, where.identity)))
+    if where.encoder_interface is not None:
+        listed.append(("encoder interface", _node(where.encoder_interface, where.interface_identity)))
+    if where.version:
+        listed.append(("program", f"canfb {where.version}"))
+    if where.command:
+        listed.append(("command", where.command))
+    return listed
+
+
+def _node(node_id: int, identity: tuple[int, ...] | None) -> str:
+    words = f"{node_id} ({node_id:02X}h)"
+    if identity is None:
+        return words
+    named = zip(("vendor", "product", "revision", "serial number"), identity, strict=False)
+    return f"{words}; {', '.join(f'{name} {number}' for name, number in named)} (1018h)"
 
 
 def outcome(measured: Measurement, done: Installation, where: Circumstances) -> str:
@@ -129,6 +178,7 @@ def verdict(measured: Measurement) -> str:
 def as_json(measured: Measurement, done: Installation, where: Circumstances) -> dict[str, Any]:
     """The figures for programs; cycles, counts, seconds."""
     calibration, samples, fresh = measured.calibration, measured.samples, done.fresh
+    spike = measured.on_samples.spike
     return {
         "accepted": calibration.accepted,
         "reason": calibration.reason,
@@ -140,6 +190,7 @@ def as_json(measured: Measurement, done: Installation, where: Circumstances) -> 
         "samples_rejected": calibration.samples_rejected,
         "sample_rate_hz": samples.rate_hz,
         "coverage": calibration.coverage,
+        "coverage_spike": None if spike is None else spike[0],
         "cycles_used": calibration.cycles_used,
         "crc32_before": f"{measured.before.crc32:08X}",
         "crc32": f"{calibration.table.crc32:08X}",
@@ -163,11 +214,20 @@ def where_words(where: Circumstances) -> dict[str, Any]:
     """Circumstances as keys and values."""
     return {
         "date": where.date,
+        "time": where.time or None,
+        "canfb": where.version or None,
+        "command": where.command or None,
         "encoder": where.encoder or None,
         "module": where.module,
+        "module_identity": _listed(where.identity),
         "encoder_interface": where.encoder_interface,
+        "encoder_interface_identity": _listed(where.interface_identity),
         "cycles_per_revolution": where.cycles_per_revolution,
     }
+
+
+def _listed(identity: tuple[int, ...] | None) -> list[int] | None:
+    return None if identity is None else list(identity)
 
 
 def percent(cycles: float, where: Circumstances) -> str:
