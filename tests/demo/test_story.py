@@ -10,9 +10,25 @@ import numpy as np
 import pytest
 
 from canfb.demo import story as story_module
-from canfb.demo.plant import CYCLES_PER_REVOLUTION, SYNC_PERIOD_S, Plant
+from canfb.demo.plant import (
+    BIT_RATE,
+    CYCLES_PER_REVOLUTION,
+    OTHER_LOAD,
+    SYNC_PERIOD_S,
+    Plant,
+    demo_motion,
+)
 from canfb.demo.report import report
-from canfb.demo.story import FAULT_SAMPLES, FAULTS, LOST_SAMPLE, RUN_UP_SAMPLES, Story, as_json, tell
+from canfb.demo.story import (
+    FAULT_SAMPLES,
+    FAULTS,
+    LOST_SAMPLE,
+    REFERENCE_HZ,
+    RUN_UP_SAMPLES,
+    Story,
+    as_json,
+    tell,
+)
 from canfb.device.frame import Frame
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.supervision import StatusBit
@@ -30,6 +46,7 @@ WORSE = Encoder(
     noise_lsb=0.3,
 )
 BETTER = Encoder(amplitude_counts=1900.0, noise_lsb=0.3)
+TRUSTED_AGAIN = 9  # samples
 NOISY = Encoder(amplitude_counts=1500.0, noise_lsb=15.0)
 
 
@@ -72,8 +89,11 @@ def test_the_machine_turns_as_told(case: Told) -> None:
     rpm = story.cycles_per_sample / CYCLES_PER_REVOLUTION / SYNC_PERIOD_S * 60
     assert 1940 < rpm < 2060, "2000 rpm, give or take 3 %"
     assert 83 <= story.cycles_per_sample < 84
-    told_samples = RUN_UP_SAMPLES + 2 * case.track_samples + case.reference_samples + 20 + FAULT_SAMPLES
-    assert told_samples <= story.samples <= told_samples + 1
+    recorded = round(case.reference_samples / REFERENCE_HZ / SYNC_PERIOD_S)
+    told_samples = RUN_UP_SAMPLES + 2 * case.track_samples + recorded + 20 + FAULT_SAMPLES
+    # Two frames for each seven bytes of the recording and of the table that go by SDO, on a bus that is busy.
+    transferred = 2 * (4 * case.reference_samples + 4096) / 7 * frame_bits(8) / BIT_RATE / SYNC_PERIOD_S
+    assert told_samples + transferred < story.samples < told_samples + 2.5 * transferred
     assert len(story.error_before) == len(story.error_after) == case.track_samples
 
 
@@ -129,8 +149,9 @@ def test_counts_are_right_and_faults_are_flagged_at_once(case: Told) -> None:
     assert story.wrong_counts == 0
     assert (faults.provoked, faults.flagged_at_once) == (len(FAULTS), len(FAULTS))
     assert (faults.wrong_and_valid, faults.wrong_counts_after) == (0, 0)
-    # Each fault itself, and after it as many samples as it takes to trust the phase again.
-    assert len(FAULTS) < faults.flagged_samples <= 4 * len(FAULTS)
+    # Each fault itself, and after it as many samples as it takes to trust the phase again: more than on a
+    # bus without jitter, for a sample time of 100 ns is 0.008 of a cycle.
+    assert len(FAULTS) < faults.flagged_samples <= TRUSTED_AGAIN * len(FAULTS)
 
 
 def test_status_and_residual_tell_of_the_faults_and_of_nothing_else(case: Told) -> None:
@@ -142,7 +163,7 @@ def test_status_and_residual_tell_of_the_faults_and_of_nothing_else(case: Told) 
         for number, status in zip(numbers, consumed.status, strict=True)
     }
     told_wrong = {number - first for number, good in valid.items() if not good}
-    near = {place + n for place in FAULTS for n in range(4)}
+    near = {place + n for place in FAULTS for n in range(TRUSTED_AGAIN)}
     assert told_wrong <= near, "no false alarm in the whole run"
     assert {place for place in FAULTS if place != LOST_SAMPLE} <= told_wrong
     quiet = [n for n in case.story.residual_number.tolist() if n not in near]
@@ -153,10 +174,28 @@ def test_status_and_residual_tell_of_the_faults_and_of_nothing_else(case: Told) 
 
 
 def test_the_load_of_the_bus_is_that_of_its_frames(case: Told) -> None:
-    """Each millisecond a SYNC, four bytes of counts and eight of position; little else."""
-    regular = (frame_bits(0) + frame_bits(4) + frame_bits(8)) * 1000 / 1e6
-    assert regular <= case.story.bus_load / 0.99
-    assert case.story.bus_load < regular + 0.03
+    """Each millisecond a SYNC and eight bytes of counts and of position, frames of others; then the SDO."""
+    regular = (frame_bits(0) + 2 * frame_bits(8)) / SYNC_PERIOD_S / BIT_RATE + OTHER_LOAD
+    assert regular < case.story.bus_load < 0.75
+
+
+def test_time_is_that_of_a_real_bus() -> None:
+    """The SYNC is late by its producer, by the frame on the wire; the samples are taken when it is heard."""
+    plant, heard = Plant(seed=4), list[float]()
+    plant.bus.taps.append(lambda frame, now: heard.append(now) if frame.can_id == 0x80 else None)
+    for node in (plant.master, plant.interface_master):
+        node.nmt.state = "OPERATIONAL"
+    plant.drive.start_sync(plant.bus.now)
+    plant.run(3000)
+    times = np.array(heard)
+    off_us = 1e6 * (times - np.polyval(np.polyfit(np.arange(len(times)), times, 1), np.arange(len(times))))
+    assert 100 < np.abs(off_us).max() < 300
+    assert 50 < off_us.std() < 80
+    truth = np.array(plant.source.truth_cycles)
+    motion = demo_motion()
+    at = CYCLES_PER_REVOLUTION * np.array([motion.revolutions(time - times[0]) for time in times])
+    # 20 ns of aperture jitter at 83 cycles per ms, and no more.
+    assert 0.001 < np.abs(truth - at).max() < 0.01
 
 
 def test_the_figures_for_programs_are_plain_and_complete(case: Told) -> None:

@@ -15,9 +15,13 @@ from canfb.configuration import load_config
 from canfb.demo.plant import EmbeddedNetwork
 from canfb.device.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
+from canfb.simulation.background_traffic import BackgroundTraffic
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.sync_timing import REGULAR, SyncDeviation, SyncTiming
 
+BIT_RATE = 1_000_000
+SYNC_TIMING = SyncTiming(sync_jitter_us=100.0, sync_drift_ppm=-50.0)
 FOLDER = Path(__file__).parents[2] / "docs" / "drive-network"
 
 
@@ -25,11 +29,13 @@ class Periodic:
     """A frame sent again and again by the master; may be stopped."""
 
     def __init__(self, frame: Frame, period_s: float) -> None:
-        self._frame, self._period_s = frame, period_s
+        self._frame = frame
+        self._deviation = SyncDeviation(SYNC_TIMING if frame.can_id == 0x80 else REGULAR, period_s)
+        self._nominal_s = 0.0
         self._next_s: float | None = None
 
     def start(self, now: float) -> list[Frame]:
-        self._next_s = now
+        self._next_s = self._nominal_s = now
         return []
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
@@ -41,7 +47,8 @@ class Periodic:
     def tick(self, now: float) -> list[Frame]:
         if self._next_s is None or now < self._next_s:
             return []
-        self._next_s += self._period_s
+        self._nominal_s += self._deviation.period_s
+        self._next_s = self._nominal_s + self._deviation.next_s()
         return [self._frame]
 
     def update(self, data: bytes) -> None:
@@ -78,19 +85,24 @@ class StoryNetwork(EmbeddedNetwork):
 
 
 class DriveNetwork:
-    """All nodes, powered on."""
+    """All nodes, powered on; on a bus where frames take their time, and others send as well."""
 
     def __init__(self) -> None:
-        self.bus = EmbeddedBus()
+        self.bus = EmbeddedBus(BIT_RATE)
         config = load_config(FOLDER / "feedback.yaml")
         options = argparse.Namespace(samples=None, rpm=None, rate=None, module=None, autostart=False)
         simulated = simulated_axis(options, config)
         assert simulated is not None
         self.plant, self.drive = simulated.plant, simulated.drive
-        self.interface = EncoderInterface(config.modules[0].encoder_interface, simulated.source)
-        self.module = FeedbackModule(config.modules[0])
-        for device in (self.plant, self.interface, self.module, self.drive):
+        module, clock = config.modules[0], config.simulation.sample_clock()
+        self.interface = EncoderInterface(
+            module.encoder_interface, simulated.source, times=module.times, clock=clock
+        )
+        self.module = FeedbackModule(module)
+        others = BackgroundTraffic(0.2, BIT_RATE)
+        for device in (self.plant, self.interface, self.module, self.drive, others):
             self.bus.attach(device)
+        self.bus.run_until(0.01)  # all have said that they are there
         self.network = StoryNetwork(self.bus)
         self.at: dict[float, Callable[[], None]] = {}
 

@@ -73,6 +73,7 @@ def test_the_files_agree() -> None:
     assert set(re.findall(r"\]\(([^)#]+)\)", PAGE)) <= {
         "network.svg",
         "../attach.md",
+        "../encoder-interface.md",
         "../vcan.md",
         "../calibration.md",
     }

@@ -19,6 +19,7 @@ from story_bench import FOLDER, DriveNetwork
 
 from canfb.device.frame import Frame
 from canfb.device.nmt import NmtState
+from canfb.simulation import background_traffic
 from canfb.simulation.cia402.errors import DriveError
 from canfb.simulation.cia402.state_machine import State
 
@@ -40,8 +41,9 @@ def assert_all_quiet(network: DriveNetwork) -> None:
     syncs = network.plant.syncs
     network.wait(1.0)
     assert network.plant.syncs == syncs
-    assert network.plant.motor.braked  # it stands still where time stands still: without a SYNC
-    assert network.plant.motor.command_nm == 0.0
+    network.plant.go_on_to(network.bus.now)  # time passes without a SYNC, too
+    assert network.plant.motor.braked
+    assert (network.plant.motor.command_nm, network.plant.motor.speed_rad_s) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("mode", ["profile", "csp"])
@@ -111,7 +113,8 @@ def test_check_writes_nothing_and_moves_nothing(capsys: pytest.CaptureFixture[st
     requests = [frame for frame in sent if 0x600 < frame.can_id < 0x680]
     assert len(requests) > 30
     assert all(frame.data[0] & 0xE0 == 0x40 for frame in requests)  # uploads
-    assert {frame.can_id & 0x780 for frame in sent} == {0x580, 0x600}
+    own = [frame for frame in sent if frame.can_id != background_traffic.CAN_ID]
+    assert {frame.can_id & 0x780 for frame in own} == {0x580, 0x600}
 
 
 @pytest.mark.parametrize(
@@ -141,7 +144,7 @@ def test_a_node_that_is_silent_is_missed(monkeypatch: pytest.MonkeyPatch) -> Non
         monkeypatch.setattr(network.interface, "receive", lambda frame, now: [])
         monkeypatch.setattr(network.interface, "deadline", lambda: None)
 
-    network.at[0.05] = fail
+    network.at[0.5] = fail
     with pytest.raises(axis.FaultError, match=r"interface \(10h\): no heartbeat any more|drive is in FAULT"):
         network.run()
     assert network.module.state is NmtState.PRE_OPERATIONAL
@@ -184,7 +187,7 @@ def test_a_start_that_fails_undoes_the_configuration(
     receive = network.drive.receive
     lost = Frame(0, bytes([1, 0x30]))
     monkeypatch.setattr(
-        network.drive, "receive", lambda frame, now: [] if frame == lost else receive(frame, now)
+        network.drive, "receive", lambda frame, now: [] if frame[:2] == lost[:2] else receive(frame, now)
     )
     before = writable(network.module), writable(network.drive), writable(network.interface)
     with pytest.raises(axis.FaultError, match="waited 5 s for drive to become OPERATIONAL"):

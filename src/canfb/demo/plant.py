@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import canopen
 import numpy as np
+import numpy.typing as npt
 
 from canfb.device.frame import Frame
 from canfb.eds_files import eds_path
@@ -14,15 +16,23 @@ from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
+from canfb.simulation.background_traffic import BackgroundTraffic
 from canfb.simulation.drive import Drive
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, demo_encoder
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion, Ramp, Ripple
+from canfb.simulation.sample_clock import SampleClock
 from canfb.simulation.sources import MotionSource
+from canfb.simulation.sync_timing import SyncTiming
 
 SYNC_PERIOD_S = 1e-3
 BIT_RATE = 1_000_000
+TIMING = SyncTiming(sync_jitter_us=100.0, sync_drift_ppm=-50.0)
+CLOCK_DRIFT_PPM = 100.0
+CLOCK_START_100NS = 0xFFFFFFFF - 50_000_000  # it wraps 5 s after the start
+APERTURE_JITTER_S = 20e-9
+OTHER_LOAD = 0.1  # of nodes that have nothing to do with it
 CYCLES_PER_REVOLUTION = 2500
 UNITS_PER_CYCLE = 1_638_400  # fine enough to see 1e-6 of a cycle in a 32-bit position
 UNITS_PER_REVOLUTION = CYCLES_PER_REVOLUTION * UNITS_PER_CYCLE
@@ -30,6 +40,8 @@ DRIVE_RPM = 2000.0
 NODE_ID, INTERFACE_ID = 0x20, 0x10
 POSITION_COB_ID = 0x180 + NODE_ID
 ADC_COB_ID = 0x180 + INTERFACE_ID
+ADC_PDO = struct.Struct("<hhI")  # 6401:01, 6401:02, 2000:01
+BEFORE_SYNC_S = 50e-6
 
 
 class EmbeddedNetwork(canopen.Network):
@@ -38,16 +50,19 @@ class EmbeddedNetwork(canopen.Network):
     def __init__(self, bus: EmbeddedBus) -> None:
         super().__init__()
         self._embedded = bus
-        self._own: Frame | None = None
+        self._own: list[tuple[int, bytes, bool]] = []  # sent, and not yet heard
         bus.taps.append(self._hear)
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         """Put a frame on the embedded bus."""
-        self._own = Frame(can_id, bytes(data), remote)
-        self._embedded.send(self._own)
+        frame = Frame(can_id, bytes(data), remote)
+        self._own.append(frame[:3])
+        self._embedded.send(frame)
 
     def _hear(self, frame: Frame, now: float) -> None:
-        if not frame.rtr and frame is not self._own:  # a controller does not receive what it sends
+        if self._own and frame[:3] in self._own:  # a controller does not receive what it sends
+            self._own.remove(frame[:3])
+        elif not frame.rtr:
             self.notify(frame.can_id, bytearray(frame.data), now)
 
 
@@ -63,12 +78,24 @@ class FaultySource:
         self.truth_cycles: list[float] = []
 
     def next(self) -> Sample | None:
-        """The next sample; its true position is noted."""
-        sample = self.motion.next()
+        """Not asked: the interface knows when it samples."""
+        raise NotImplementedError
+
+    def sample_at(self, now: float) -> Sample | None:
+        """The sample at the true time ``now``; its true position is noted."""
+        sample = self.motion.sample_at(now)
         number = len(self.truth_cycles)
         self.truth_cycles.append(self.motion.position_cycles)
         fault = self.faults.get(number)
         return sample if fault is None else fault(sample)
+
+    def machine_time(self, now: float) -> float:
+        """The time of the motion, seconds."""
+        return self.motion.machine_time(now)
+
+    def fast_samples(self, times_s: npt.NDArray[np.float64], seed: tuple[int, int]) -> npt.NDArray[np.int16]:
+        """Both tracks at these times of the motion."""
+        return self.motion.fast_samples(times_s, seed)
 
 
 def demo_motion() -> Motion:
@@ -86,36 +113,50 @@ class AdcLog:
 
     def hear(self, frame: Frame, now: float) -> None:
         """Keep the counts of an ADC PDO."""
-        if frame.can_id == ADC_COB_ID and len(frame.data) == 4:
-            self.sine.append(int.from_bytes(frame.data[:2], "little", signed=True))
-            self.cosine.append(int.from_bytes(frame.data[2:], "little", signed=True))
+        if frame.can_id == ADC_COB_ID and len(frame.data) == ADC_PDO.size:
+            sine, cosine, _ = ADC_PDO.unpack(frame.data)
+            self.sine.append(sine)
+            self.cosine.append(cosine)
 
 
 class Plant:
-    """The network, powered on but not yet started."""
+    """The network, powered on but not yet started.
+
+    Its time is that of a real bus: frames take time and wait for each other and for those of other nodes,
+    the SYNC jitters, no two clocks agree, and the encoder is sampled when the interface hears the SYNC.
+    """
 
     def __init__(self, encoder: Encoder | None = None, seed: int = 1) -> None:
         self.encoder = encoder or demo_encoder()
-        self.bus = EmbeddedBus()
+        self.bus = EmbeddedBus(BIT_RATE)
         self.adc = AdcLog()
         self.bus.taps.append(self.adc.hear)
         self.network = EmbeddedNetwork(self.bus)
         self.source = FaultySource(
-            MotionSource(self.encoder, demo_motion(), CYCLES_PER_REVOLUTION, SYNC_PERIOD_S, seed)
+            MotionSource(
+                self.encoder, demo_motion(), CYCLES_PER_REVOLUTION, SYNC_PERIOD_S, seed, APERTURE_JITTER_S
+            )
         )
-        self.module = FeedbackModule(ModuleConfig(node_id=NODE_ID, encoder_interface=INTERFACE_ID))
-        self.interface = EncoderInterface(INTERFACE_ID, self.source)
-        self.drive = Drive(SYNC_PERIOD_S, POSITION_COB_ID, UNITS_PER_REVOLUTION)
+        self.module = FeedbackModule(
+            ModuleConfig(node_id=NODE_ID, encoder_interface=INTERFACE_ID, times=True)
+        )
+        clock = SampleClock(CLOCK_DRIFT_PPM, CLOCK_START_100NS)
+        self.interface = EncoderInterface(INTERFACE_ID, self.source, times=True, clock=clock)
+        self.drive = Drive(SYNC_PERIOD_S, POSITION_COB_ID, UNITS_PER_REVOLUTION, TIMING, seed)
+        others = BackgroundTraffic(OTHER_LOAD, BIT_RATE, seed)
         self.master = canopen.RemoteNode(NODE_ID, str(eds_path("canfb-module")))
         self.interface_master = canopen.RemoteNode(INTERFACE_ID, str(eds_path("encoder-interface")))
         self.network.add_node(self.master)
         self.network.add_node(self.interface_master)
-        for participant in (self.module, self.interface, self.drive):
+        for participant in (self.module, self.interface, self.drive, others):
             self.bus.attach(participant)
 
     def run(self, samples: int) -> None:
-        """Let so many SYNC periods pass."""
+        """Let so many SYNC periods pass, and then all PDOs of the last one."""
         self.bus.run_until(self.bus.now + samples * SYNC_PERIOD_S)
+        due = self.drive.deadline()
+        if due is not None:
+            self.bus.run_until(due - BEFORE_SYNC_S)
 
     def errors_cycles(self, first: int, last: int) -> FloatArray:
         """Position of the drive minus the truth, in cycles, for the samples first..last-1.

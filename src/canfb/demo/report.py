@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from canfb.demo.plant import SYNC_PERIOD_S
-from canfb.demo.story import FAULTS, REFERENCE_SAMPLES, Story
+from canfb.demo.plant import CLOCK_DRIFT_PPM, TIMING
+from canfb.demo.story import FAULTS, REFERENCE_HZ, REFERENCE_SAMPLES, Story
 from canfb.signal.phase import FloatArray
 
 
@@ -21,13 +21,19 @@ def report(story: Story) -> str:
         "",
         _line("network", "started by NMT, ADC PDO linked by SDO, SYNC 1 kHz"),
         _line(
+            "time",
+            f"SYNC +-{TIMING.sync_jitter_us:.0f} us, and behind the frame on the wire; sample times, by a "
+            f"clock {CLOCK_DRIFT_PPM:.0f} ppm off",
+        ),
+        _line(
             "machine",
             f"2000 rpm, {story.cycles_per_sample:.1f} encoder cycles per sample, speed wanders by 3 %",
         ),
         _line("samples", f"{story.samples}, wrong cycle counts {story.wrong_counts}"),
         _line(
             "reference",
-            f"{REFERENCE_SAMPLES * SYNC_PERIOD_S:.0f} s, coverage {100 * calibration.coverage:.0f} %, "
+            f"{REFERENCE_SAMPLES / REFERENCE_HZ:.1f} s at {REFERENCE_HZ // 1000} kHz, "
+            f"coverage {100 * calibration.coverage:.0f} %, "
             f"table good to {100 * calibration.uncertainty_peak:.2g} % of a cycle",
         ),
         _line("table", f"{len(calibration.table)} entries by SDO, CRC-32 {story.table_crc32:08X}h, active"),

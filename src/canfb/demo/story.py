@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 
 from canfb.calibration.motion import calibrate_from_motion
 from canfb.calibration.result import Calibration
-from canfb.demo.plant import BIT_RATE, SYNC_PERIOD_S, UNITS_PER_REVOLUTION, Fault, Plant
+from canfb.demo.plant import (
+    BIT_RATE,
+    CLOCK_DRIFT_PPM,
+    SYNC_PERIOD_S,
+    TIMING,
+    UNITS_PER_REVOLUTION,
+    Fault,
+    Plant,
+)
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import VALID
@@ -19,6 +27,8 @@ from canfb.signal.supervision import VALID
 RUN_UP_SAMPLES = 2500
 TRACK_SAMPLES = 3000
 REFERENCE_SAMPLES = 20_000
+REFERENCE_HZ = 50_000
+RECORD, STOP = 1, 2  # 2050:01
 FAULT_SAMPLES = 80
 LOST_SAMPLE = 60
 FAULTS: dict[int, tuple[str, Fault]] = {
@@ -114,10 +124,17 @@ def _track(plant: Plant, story: Story) -> None:
 
 
 def _calibrate(plant: Plant, story: Story) -> None:
-    """Reference measurement at speed, upload by segmented SDO, check of the CRC, activation."""
-    first = len(plant.adc.sine)
-    plant.run(REFERENCE_SAMPLES)
-    story.calibration = calibrate_from_motion(plant.adc.sine[first:], plant.adc.cosine[first:])
+    """Fast recording of the interface at speed, upload by segmented SDO, check of the CRC, activation.
+
+    The recording is triggered by a timer of the interface: the jitter of the SYNC does not concern it.
+    """
+    recording = plant.interface_master.sdo[0x2050]
+    recording[4].raw = REFERENCE_HZ
+    recording[1].raw = RECORD
+    plant.run(round(REFERENCE_SAMPLES / REFERENCE_HZ / SYNC_PERIOD_S))
+    recording[1].raw = STOP
+    counts = np.frombuffer(plant.interface_master.sdo.upload(0x2050, 3), "<i2").reshape(-1, 2)
+    story.calibration = calibrate_from_motion(counts[:, 0], counts[:, 1])
     table = story.calibration.table
     sdo = plant.master.sdo
     sdo.download(0x2020, 1, table.to_bytes())
@@ -205,6 +222,8 @@ def as_json(story: Story) -> dict[str, Any]:
         "faults_flagged_in_the_same_sample": story.faults.flagged_at_once,
         "wrong_positions_called_valid": story.faults.wrong_and_valid,
         "bus_load": story.bus_load,
+        "sync_jitter_us": TIMING.sync_jitter_us,
+        "clock_drift_ppm": CLOCK_DRIFT_PPM,
     }
 
 
