@@ -23,8 +23,10 @@ from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, Harmonic
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion, Ripple
+from canfb.simulation.sample_clock import SampleClock
 from canfb.simulation.sources import MotionSource
 from canfb.simulation.sync_producer import SyncProducer
+from canfb.simulation.sync_timing import REGULAR, SyncTiming
 
 MODULE_ID, INTERFACE_ID = 0x20, 0x10
 RATE_HZ = 1000.0
@@ -133,9 +135,11 @@ class Bench:
     motion: Motion | None = None
     config: dict[str, Any] = field(default_factory=dict)
     store: Store | None = None
+    timing: SyncTiming | None = None  # SYNCs that jitter, samples in true time, and their times in the PDO
 
     def __post_init__(self) -> None:
         self.bus = EmbeddedBus()
+        timed = self.timing is not None
         turning = Motion((), (Ripple(0.02 * self.rpm, 0.31), Ripple(0.01 * self.rpm, 1.7)), self.rpm)
         self.source = ChangingSource(self.encoder, self.motion or turning)
         self.module = FeedbackModule(
@@ -144,16 +148,23 @@ class Bench:
                 encoder_interface=INTERFACE_ID,
                 cycles_per_revolution=CYCLES,
                 autostart=self.operational,
+                times=timed,
                 **self.config,
             ),
             self.store,
         )
-        self.interface = EncoderInterface(INTERFACE_ID, self.source, autostart=self.operational)
+        self.interface = EncoderInterface(
+            INTERFACE_ID,
+            self.source.motion if timed else self.source,
+            autostart=self.operational,
+            times=timed,
+            clock=SampleClock(100.0, 0xFFFF0000),
+        )
         self.master = EmbeddedMaster(self.bus)
         for device in (self.module, self.interface):
             self.bus.attach(device)
         if self.sync:
-            self.bus.attach(SyncProducer(1.0 / RATE_HZ))
+            self.bus.attach(SyncProducer(1.0 / RATE_HZ, self.timing or REGULAR))
 
         self.access = NodeAccess(self.master, MODULE_ID, "module")
         self.interface_access = NodeAccess(self.master, INTERFACE_ID, "encoder interface")

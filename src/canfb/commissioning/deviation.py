@@ -93,7 +93,7 @@ def deviation(
     machine stands still or is locked to the samples say nothing and are left out. CalibrationError
     when too little is left.
     """
-    record = recording(samples.sine, samples.cosine, None, None, adc_bits)
+    record = recording(samples.sine, samples.cosine, samples.time_s, None, adc_bits)
     phase = _phases(record, used)
     check_clipped(record, np.where(np.isnan(phase), 0.0, phase))
     position = record.positions(np.where(record.valid, phase, np.nan))

@@ -29,6 +29,7 @@ class PdoRecorder:
         self._layout = layout
         self._pairs: list[tuple[int, int]] = []
         self._times: list[float] = []
+        self._stamps: list[int | None] = []  # sample times, 100 ns
         self.samples = 0
         self.surplus = 0
         """PDOs beyond one for each SYNC, or too short: not used."""
@@ -42,6 +43,7 @@ class PdoRecorder:
         """A SYNC: a new interval begins."""
         self._pairs.append((MISSED, MISSED))
         self._times.append(time_s)
+        self._stamps.append(None)
 
     def hear_pdo(self, can_id: int, data: bytes, time_s: float) -> None:
         """A PDO with a sample."""
@@ -52,12 +54,14 @@ class PdoRecorder:
             self.surplus += 1
             return
         self._pairs[-1] = counts
+        self._stamps[-1] = self._layout.sample_time(data)
         self.samples += 1
 
     def result(self, origin: str) -> Samples:
         """What came; the last interval may still be open and is left out."""
         pairs = np.array(self._pairs[:-1], np.float64).reshape(-1, 2)
-        return Samples.of(pairs[:, 0], pairs[:, 1], self._rate_hz(), origin)
+        samples = Samples.of(pairs[:, 0], pairs[:, 1], self._rate_hz(), origin)
+        return samples if self._layout.time_byte is None else samples.timed(self._stamps[:-1])
 
     def _rate_hz(self) -> float | None:
         steps = np.diff(self._times)

@@ -13,16 +13,21 @@ TPDO, RPDO = 0x1800, 0x1400
 INTERFACE_TRACKS = (0x64010110, 0x64010210)  # 6401:01 and :02, 16 bits each
 PREDEFINED = (0x180, 0x280, 0x380, 0x480)  # COB-IDs of TPDO 1 to 4, less the node id
 MODULE_TRACKS = (0x20000110, 0x20000210)  # 2000:01 and :02
+SAMPLE_TIMES = (0x20000120, 0x20000520)  # 2000:01 of the interface, 2000:05 of the module, 32 bits
 
 
 @dataclass(frozen=True)
 class PdoLayout:
-    """COB-ID of the PDO with the samples, the bytes of both tracks in it, and the COB-ID of the SYNC."""
+    """COB-ID of the PDO with the samples, the bytes of both tracks in it, and the COB-ID of the SYNC.
+
+    ``time_byte`` is where the sample time begins, None if it is not in that PDO.
+    """
 
     can_id: int
     sine_byte: int = 0
     cosine_byte: int = 2
     sync_id: int = 0x80
+    time_byte: int | None = None
 
     @property
     def sender(self) -> int | None:
@@ -37,6 +42,13 @@ class PdoLayout:
             int.from_bytes(data[self.sine_byte : self.sine_byte + 2], "little", signed=True),
             int.from_bytes(data[self.cosine_byte : self.cosine_byte + 2], "little", signed=True),
         )
+
+    def sample_time(self, data: bytes) -> int | None:
+        """Sample time, 100 ns, modulo 2^32; None for a PDO that has none."""
+        begin = self.time_byte
+        if begin is None or len(data) < begin + 4:
+            return None
+        return int.from_bytes(data[begin : begin + 4], "little")
 
 
 def module_layout(module: NodeAccess) -> PdoLayout | None:
@@ -95,7 +107,7 @@ def _find(node: NodeAccess, parameters: int, wanted: tuple[int, int]) -> PdoLayo
         entries = [node.integer(parameters + 0x200 + number, n, "I") for n in range(1, count + 1)]
         places = _places(entries, wanted)
         if places is not None:
-            return PdoLayout(cob_id & 0x7FF, *places, _sync_id(node))
+            return PdoLayout(cob_id & 0x7FF, *places, _sync_id(node), _time_place(entries))
     return None
 
 
@@ -108,11 +120,22 @@ def _sync_id(node: NodeAccess) -> int:
 
 def _places(entries: list[int], wanted: tuple[int, int]) -> tuple[int, int] | None:
     """Bytes of both objects in a PDO with these mapping entries."""
+    at = _bytes(entries)
+    return (at[wanted[0]], at[wanted[1]]) if all(one in at for one in wanted) else None
+
+
+def _time_place(entries: list[int]) -> int | None:
+    """Byte of the sample time in a PDO with these mapping entries."""
+    at = _bytes(entries)
+    return next((at[one] for one in SAMPLE_TIMES if one in at), None)
+
+
+def _bytes(entries: list[int]) -> dict[int, int]:
+    """The byte at which each mapping entry begins, of those that begin at one."""
     at: dict[int, int] = {}
     bit = 0
     for entry in entries:
-        at.setdefault(entry, bit)
+        if bit % 8 == 0:
+            at.setdefault(entry, bit // 8)
         bit += entry & 0xFF
-    if not all(one in at and at[one] % 8 == 0 for one in wanted):
-        return None
-    return at[wanted[0]] // 8, at[wanted[1]] // 8
+    return at

@@ -119,6 +119,7 @@ def measure(
             samples.sine,
             samples.cosine,
             settings.conditioning if conditioning is None else conditioning,
+            time_s=samples.time_s,
             adc_bits=settings.adc_bits,
             entries=settings.entries,
             progress=heard,

@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import math
 import zipfile
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,12 +16,18 @@ from canfb.commissioning.samples import MISSED, Samples
 
 
 def write_npz(path: Path, samples: Samples) -> None:
-    """Tracks as INTEGER16, -32768 in both for a missed sample, and the rate in Hz, 0 if not known."""
+    """Tracks as INTEGER16, -32768 in both for a missed sample, the rate in Hz, 0 if not known, and time_s."""
     sine, cosine = (
         np.nan_to_num(track, nan=MISSED).astype(np.int16) for track in (samples.sine, samples.cosine)
     )
+    times: dict[str, Any] = {} if samples.time_s is None else {"time_s": samples.time_s}
     np.savez_compressed(
-        path, sine=sine, cosine=cosine, rate_hz=samples.rate_hz or 0.0, origin=np.array(samples.origin)
+        path,
+        sine=sine,
+        cosine=cosine,
+        rate_hz=samples.rate_hz or 0.0,
+        origin=np.array(samples.origin),
+        **times,
     )
 
 
@@ -39,7 +47,7 @@ def write_csv(path: Path, samples: Samples) -> None:
 
 
 def read_npz(path: Path) -> Samples:
-    """An NPZ file with arrays sine and cosine, and rate_hz if it is known.
+    """An NPZ file with arrays sine and cosine, and rate_hz and time_s if they are known.
 
     CommissioningError, in one line, for anything else.
     """
@@ -51,7 +59,10 @@ def read_npz(path: Path) -> Samples:
                     f"{path}: there is no array '{missing[0]}', only {', '.join(content.files) or 'nothing'}"
                 )
             rate_hz = float(content["rate_hz"]) if "rate_hz" in content else 0.0
-            return Samples.of(content["sine"], content["cosine"], rate_hz or None, f"file {path.name}")
+            samples = Samples.of(content["sine"], content["cosine"], rate_hz or None, f"file {path.name}")
+            if "time_s" in content:
+                samples = replace(samples, time_s=np.asarray(content["time_s"], np.float64))
+            return samples
     except OSError as error:
         raise CommissioningError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:

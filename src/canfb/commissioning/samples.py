@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from canfb.signal.chain import TICK_S, TICKS
 from canfb.signal.phase import FloatArray
 
 MISSED = -32768
@@ -19,12 +21,15 @@ class Samples:
 
     rate_hz   samples per second, None if not known
     origin    where they come from, for people
+    time_s    sample times by the clock of the encoder interface, seconds, rising; at a missed sample one
+              between its neighbours. None: not known, the samples are equidistant
     """
 
     sine: FloatArray
     cosine: FloatArray
     rate_hz: float | None
     origin: str
+    time_s: FloatArray | None = None
 
     @classmethod
     def of(cls, sine: npt.ArrayLike, cosine: npt.ArrayLike, rate_hz: float | None, origin: str) -> Samples:
@@ -41,6 +46,19 @@ class Samples:
         """From object 2050:03: pairs of INTEGER16, sine and cosine, little-endian."""
         pairs = np.frombuffer(data[: len(data) // 4 * 4], "<i2").reshape(-1, 2)
         return cls.of(pairs[:, 0], pairs[:, 1], rate_hz, origin)
+
+    def timed(self, stamps: Sequence[int | None]) -> Samples:
+        """With sample times in 100 ns, modulo 2^32, None for a missed sample; as they are if none came."""
+        known = [n for n, stamp in enumerate(stamps) if stamp is not None]
+        if len(known) < 2:
+            return self
+        ticks = np.array([stamps[n] for n in known], np.int64)
+        passed = np.concatenate([[0], np.cumsum(np.diff(ticks) % TICKS)])
+        step = float(np.median(np.diff(passed) / np.diff(known)))
+        # Beyond the first and the last one that came, and between two, at a steady pace.
+        ends = [-1, *known, len(stamps)]
+        times = [-step * (known[0] + 1), *passed, passed[-1] + step * (len(stamps) - known[-1])]
+        return replace(self, time_s=np.interp(np.arange(len(stamps)), ends, times) * TICK_S)
 
     def __len__(self) -> int:
         return len(self.sine)

@@ -24,6 +24,8 @@ from canfb.simulation.cia402.state_machine import State
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.sample_clock import SampleClock
+from canfb.simulation.sync_timing import SyncDeviation, SyncTiming
 
 DRIVE_ID, MODULE_ID, INTERFACE_ID = 0x30, 0x20, 0x10
 UNITS = 1 << 20
@@ -54,9 +56,14 @@ class DriveBench:
         noise_lsb: float = 0.5,
         start_revolutions: float = 0.0,
         operational: bool = True,
+        timing: SyncTiming | None = None,
         **motor: float,
     ) -> None:
+        """With a ``timing`` the SYNCs jitter, and the ADC PDO carries the sample time."""
         self.period_s = period_s
+        self._deviation = None if timing is None else SyncDeviation(timing, period_s)
+        timed = timing is not None
+        self._nominal_s = 0.0
         self.bus = EmbeddedBus()
         self.network = EmbeddedNetwork(self.bus)
         self.heard: list[Frame] = []
@@ -65,9 +72,12 @@ class DriveBench:
         self.plant = Plant(self.motor)
         encoder = Encoder(noise_lsb=noise_lsb)
         self.source = Tampering(PlantSource(encoder, self.plant, cycles_per_revolution))
-        self.interface = EncoderInterface(INTERFACE_ID, self.source)
+        self.interface = EncoderInterface(INTERFACE_ID, self.source, times=timed, clock=SampleClock(100.0))
         config = ModuleConfig(
-            node_id=MODULE_ID, encoder_interface=INTERFACE_ID, cycles_per_revolution=cycles_per_revolution
+            node_id=MODULE_ID,
+            encoder_interface=INTERFACE_ID,
+            cycles_per_revolution=cycles_per_revolution,
+            times=timed,
         )
         self.module = FeedbackModule(config)
         resolution, turns = (self.module.dictionary.entry(index).value for index in (0x6501, 0x6502))
@@ -107,7 +117,11 @@ class DriveBench:
     def cycle(self, count: int = 1) -> None:
         """So many SYNCs, each with all that it causes."""
         for _ in range(count):
-            self.bus.run_until(self.bus.now + self.period_s)
+            if self._deviation is None:
+                self.bus.run_until(self.bus.now + self.period_s)
+            else:
+                self._nominal_s += self.period_s
+                self.bus.run_until(self._nominal_s + self._deviation.next_s())
             self.bus.send(SYNC)
 
     def enable(self, mode: str = "CYCLIC SYNCHRONOUS POSITION") -> None:
