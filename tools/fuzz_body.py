@@ -25,6 +25,7 @@ from canfb.device.nmt import COMMUNICATING, NmtState
 from canfb.device.storage import MemoryStore
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.sample import Sample
 from canfb.simulation.encoder_interface import EncoderInterface
 from fuzz_client import Follower
 from fuzz_input import LSS, NODE_ID, SERVER, Reader, Step, steps
@@ -51,9 +52,9 @@ class Turning:
     def __init__(self) -> None:
         self._count = itertools.count()
 
-    def next(self) -> tuple[int, int] | None:
+    def next(self) -> Sample | None:
         count = next(self._count)
-        return None if count % 7 == 6 else (count * 300 % 4096 - 2048, count * 500 % 4096 - 2048)
+        return None if count % 7 == 6 else Sample(count * 300 % 4096 - 2048, count * 500 % 4096 - 2048)
 
 
 _templates: dict[Path, Dictionary] = {}

@@ -17,7 +17,7 @@ from network import NODE_ID, next_frame, position_fields, write_config
 from canfb.signal.supervision import StatusBit
 
 RATE_HZ = 200
-AUTOSTART = "    autostart: true\n"
+AUTOSTART = "    autostart: true\n    times: true\n"
 TURNING = """\
 simulation:
   encoder: {amplitude: 0.7, sine_offset: 0.05, cosine_offset: -0.03, cosine_amplitude: 0.94,
@@ -116,7 +116,7 @@ def test_the_module_measures_by_itself(
     process: Callable[..., Any], tmp_path: Path, can_bus: can.BusABC
 ) -> None:
     machine(process, tmp_path, TURNING)
-    for message in sdo_write(0x2030, 0x0A, 900):
+    for message in (*sdo_write(0x1006, 0, 1_000_000 // RATE_HZ), *sdo_write(0x2030, 0x0A, 900)):
         can_bus.send(message)
     command = process(
         "calibrate", *BUS, "--source", "module", "--verify", "2", "--least-samples", "400", "--json"

@@ -28,7 +28,11 @@ from network import (
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.supervision import StatusBit
 
-MOVING = "simulation: {motion: {standstill_s: 0.1, ramp_s: 0.5, rpm: 60}}\n"
+# The SYNCs of these tests come when they come: only a machine at rest is where it was. The other one turns,
+# and says when it was sampled.
+STANDING = "simulation: {motion: {rpm: 0}}\n"
+TIMED = "    times: true\n"
+MOVING = "simulation: {motion: {standstill_s: 0.1, ramp_s: 0.5, rpm: 0.6}}\n"
 READY = "end with Ctrl-C"
 
 
@@ -42,7 +46,7 @@ def master(can_channel: str) -> Iterator[Master]:
 @pytest.fixture
 def both(process: Callable[..., Any], tmp_path: Path) -> tuple[Any, Any]:
     """The module and the encoder interface, running, in PRE-OPERATIONAL."""
-    config = write_config(tmp_path, simulation=MOVING)
+    config = write_config(tmp_path, simulation=STANDING)
     started = process("run", config), process("simulate", config)
     for one in started:
         one.wait_for(READY)
@@ -135,7 +139,7 @@ def test_a_clean_end_on_a_signal(both: tuple[Any, Any], can_bus: can.BusABC, num
 def test_the_simulator_can_produce_the_sync(
     process: Callable[..., Any], tmp_path: Path, can_bus: can.BusABC
 ) -> None:
-    config = write_config(tmp_path, "    autostart: true\n", MOVING)
+    config = write_config(tmp_path, "    autostart: true\n" + TIMED, MOVING)
     process("run", config).wait_for(READY)
     process("simulate", config, "--rate", "50").wait_for(READY)
     for _ in range(20):
@@ -146,7 +150,7 @@ def test_the_simulator_can_produce_the_sync(
 
 def test_two_modules_of_one_process(process: Callable[..., Any], tmp_path: Path, can_bus: can.BusABC) -> None:
     config = write_config(
-        tmp_path, "    autostart: true\n  - {node_id: 33, encoder_interface: 16, autostart: true}\n", MOVING
+        tmp_path, "    autostart: true\n  - {node_id: 33, encoder_interface: 16, autostart: true}\n", STANDING
     )
     process("run", config).wait_for(READY)
     process("simulate", config).wait_for(READY)
