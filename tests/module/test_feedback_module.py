@@ -385,15 +385,18 @@ def test_half_a_sample_is_a_missed_one_and_counted(bench: Bench) -> None:
     assert bench.sdo[0x2012][8].raw == 1
 
 
-def test_the_zero_pulse_references_the_position(bench: Bench) -> None:
+def test_two_zero_pulses_reference_the_position(bench: Bench) -> None:
     map_second_rpdo(bench, 0x20000608, 0x20000710)
-    for n in range(30):
+    bench.sdo[0x2001][1].raw = 10
+    for n in range(120):
+        angle = 2 * math.pi * 0.2 * n  # 50 samples in a revolution
         bench.sync()
-        bench.counts(0, 1500)
-        frames = bench.sent(Frame(0x290, struct.pack("<BH", n == 20, 32768)))
+        bench.counts(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+        frames = bench.sent(Frame(0x290, struct.pack("<BH", n % 50 == 20, 32768)))
         _, status, _ = bench.position(frames)
-        assert bool(status & StatusBit.REFERENCED) == (n >= 20)
-    assert bench.sdo[0x2012][7].raw == 1
+        assert bool(status & StatusBit.REFERENCED) == (n >= 70)
+        assert status & StatusBit.VALID
+    assert bench.sdo[0x2012][7].raw == 2
 
 
 def test_samples_with_their_times_bear_jitter_and_repetition(bench: Bench) -> None:

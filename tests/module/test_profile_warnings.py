@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 
 import pytest
@@ -75,9 +76,10 @@ def zero_pulse(bench: Bench) -> None:
     sdo[0x1401][1].raw = 0x290
 
 
-def flagged(bench: Bench, flags: int) -> None:
+def flagged(bench: Bench, flags: int, position: float = 0.0) -> None:
+    angle = 2 * math.pi * position
     bench.sync()
-    bench.counts(0, 1500)
+    bench.counts(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
     bench.sent(Frame(0x290, bytes([flags])))
 
 
@@ -90,8 +92,12 @@ def test_no_zero_pulse_yet(bench: Bench) -> None:
     for _ in range(3):
         flagged(bench, 0)
     assert told(bench) == [(REFERENCE, 0x21)]
-    flagged(bench, 1)
-    flagged(bench, 0)
+    bench.sdo[0x2001][1].raw = 10
+    for n in range(50):
+        flagged(bench, n == 0, 0.2 * n)
+    assert told(bench) == [(REFERENCE, 0x21)], "a single one may be false"
+    flagged(bench, 1, 10.0)
+    flagged(bench, 0, 10.2)
     assert bench.sdo[0x6505].raw == 0
     assert told(bench) == [(REFERENCE, 0x21), (0, 0)]
 

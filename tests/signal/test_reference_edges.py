@@ -301,19 +301,83 @@ def pulse_at(made: Reference, position: float, bits: int, **coarse: float) -> tu
     return made.apply(Sample(1.0, 0.0, zero_pulse=0.5, **coarse), after, bits, before, 1.0, 1.0)
 
 
-def test_a_pulse_says_where_it_is_and_the_next_one_what_is_wrong() -> None:
+def test_two_pulses_say_where_it_is_and_two_more_what_is_wrong() -> None:
     recovery = Noted(lost=False)
     made = reference(recovery)
     assert pulse_at(made, 70.5, COASTING) == (COASTING, 0)
-    assert not made.zero.referenced, "a position in doubt says nothing"
     assert pulse_at(made, 70.5, VALID) == (VALID, 0)
+    assert not made.zero.referenced, "one may be false"
+    assert pulse_at(made, 70.5, VALID) == (VALID, 0)
+    assert not made.zero.referenced, "a false one comes again while the machine rests"
+    assert pulse_at(made, 70.5 + N, VALID) == (VALID, 0)
     assert made.zero.referenced
     assert pulse_at(made, 70.5 - 3 * N + 0.3, VALID) == (VALID, 0)
     assert (made.set_right, recovery.told) == (0, [])
     assert pulse_at(made, 73.5, COASTING) == (COASTING, 0)
+    assert not made.in_doubt
+    assert pulse_at(made, 73.5, VALID) == (COASTING, 0)
+    assert pulse_at(made, 73.5, VALID) == (COASTING, 0), "the same one again settles nothing"
+    assert made.in_doubt
     assert (made.set_right, recovery.told) == (0, [])
-    assert pulse_at(made, 73.5, VALID) == (COASTING, -3)
-    assert (made.set_right, recovery.told) == (1, [(-3, 0)])
+    assert pulse_at(made, 73.5 + 2 * N, VALID) == (COASTING, -3)
+    assert (made.set_right, recovery.told, made.in_doubt) == (1, [(-3, 0)], False)
+
+
+def test_a_doubt_covers_every_sample_until_a_pulse_agrees() -> None:
+    made = reference(Noted(lost=False))
+    for turn in range(2):
+        pulse_at(made, 70.5 + turn * N, VALID)
+    assert pulse_at(made, 900.5, VALID) == (COASTING, 0)
+    here = track(1000.0)
+    assert made.apply(Sample(1.0, 0.0), here, VALID, here, 2.0, 1.0) == (COASTING, 0)
+    assert made.apply(Sample(1.0, 0.0), here, COASTING, None, 2.0, 1.0) == (COASTING, 0)
+    assert pulse_at(made, 70.5 + 2 * N, VALID) == (VALID, 0)
+    assert made.apply(Sample(1.0, 0.0), here, VALID, here, 2.0, 1.0) == (VALID, 0)
+
+
+def test_without_a_reference_two_that_differ_are_settled_by_the_third() -> None:
+    for first, second, third, bits in (
+        (70.5, 300.5, 70.5 + N, VALID),  # the second was false
+        (70.5, 300.5, 300.5 + N, LOST),  # the first was, or the count has slipped
+        (70.5, 300.5, 900.5, COASTING),
+    ):
+        made = reference(Noted(lost=False))
+        assert pulse_at(made, first, VALID) == (VALID, 0)
+        assert pulse_at(made, second, VALID) == (COASTING, 0)
+        assert pulse_at(made, third, VALID) == (bits, 0)
+        assert made.zero.referenced == (bits != COASTING)
+        assert made.in_doubt == (bits == COASTING)
+
+
+def test_what_is_not_remembered_any_more_was_not_the_first() -> None:
+    made = reference(Noted(lost=False))
+    for place in (70.5, 300.5, 500.5, 700.5, 900.5):
+        pulse_at(made, place, VALID)
+    assert pulse_at(made, 500.5 + N, VALID) == (LOST, 0)
+
+
+def test_a_loss_forgets_what_pulses_have_said() -> None:
+    made = reference(Noted(lost=False))
+    pulse_at(made, 70.5, VALID)
+    pulse_at(made, 300.5, VALID)
+    assert made.in_doubt
+    made.position_lost()
+    assert not made.in_doubt
+    assert pulse_at(made, 300.5 + N, VALID) == (VALID, 0)
+    assert not made.zero.referenced
+
+
+@pytest.mark.parametrize(("away", "refuted"), [(0.02, False), (0.2, True), (-0.4, True)])
+def test_a_pulse_far_from_where_the_coarse_track_is_was_false(away: float, refuted: bool) -> None:
+    made = reference(Noted(lost=False))
+    made._proven = True
+    made.zero.set_place(70, 0.5)
+    place = 70.5 + round(away * N)
+    angle = 2 * math.pi * (place + 0.1) / N
+    made.coarse.align((place + 0.1) / N % 1.0, *track(place + 0.1)[:2])
+    coarse = {"coarse_sine": 1500 * math.sin(angle), "coarse_cosine": 1500 * math.cos(angle)}
+    assert pulse_at(made, place, VALID, **coarse) == ((VALID if refuted else COASTING), 0)
+    assert made.in_doubt != refuted
 
 
 @pytest.mark.parametrize("off", [0, 5, -8])
@@ -344,6 +408,8 @@ def test_a_pulse_without_an_angle_does_not_align_the_coarse_track(coarse: dict[s
     assert pulse_at(made, 70.5, LOST, **coarse) == (LOST, 0)
     assert recovery.vouched == 1
     assert not made.coarse.aligned
+    assert not made.zero.referenced
+    assert pulse_at(made, 70.5 + N, VALID) == (VALID, 0)
     assert made.zero.error_cycles(70, 0.5) == 0
     assert made.zero.error_cycles(72, 0.5) == 2
 
@@ -362,7 +428,8 @@ def test_the_place_of_a_pulse_is_on_the_way_between_two_samples(
 ) -> None:
     made = reference(Noted(lost=False))
     sample = Sample(1.0, 0.0, zero_pulse=place)
-    made.apply(sample, track(begin + way), VALID, track(begin), 1.0, 1.0)
+    for turn in (0, N):
+        made.apply(sample, track(turn + begin + way), VALID, track(turn + begin), 1.0, 1.0)
     for off, wrong in ((0.49, 0), (-0.49, 0), (0.51, 1), (-0.51, -1)):
         cycles, phase = track(begin + place * way + off)[:2]
         assert made.zero.error_cycles(cycles, phase) == wrong

@@ -245,6 +245,7 @@ class SignalChain:
     def _make_reference(self, cycles_per_revolution: int, full_scale_counts: int) -> None:
         coarse = CoarseTrack(cycles_per_revolution, full_scale_counts, 0.25)
         self._reference = Reference(self._recovery, coarse, ZeroPulse(cycles_per_revolution))
+        self._recovery.on_lost = self._reference.position_lost
         self._referenced = 0
 
     def activate(self, table: CorrectionTable | None, conditioning: Conditioning) -> None:
@@ -328,7 +329,7 @@ class SignalChain:
             self._reference.slipped()
         jump = 0
         self._clock += elapsed
-        if coarse is not None or zero_pulse is not None:
+        if coarse is not None or zero_pulse is not None or self._reference.in_doubt:
             before = self._before if measured else None
             bits, jump = self._reference.apply(sample, track, bits, before, self._clock, elapsed)
             self._referenced = REFERENCED if self._reference.zero.referenced else 0
@@ -343,7 +344,9 @@ class SignalChain:
 
         A lost position is not in doubt: eq. 9 runs on with it.
         """
-        return self._tracker.is_steady and not (self._recovery.in_doubt or self._supervision.after_fault)
+        return self._tracker.is_steady and not (
+            self._recovery.in_doubt or self._supervision.after_fault or self._reference.in_doubt
+        )
 
     def follow_run(
         self, sine: FloatArray, cosine: FloatArray, tracked: TrackResult, run: slice, scratch: Scratch

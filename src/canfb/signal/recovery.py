@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -43,6 +43,7 @@ class Recovery:
         "acceleration_limit",
         "coast_samples",
         "lost",
+        "on_lost",
         "tracker",
     )
 
@@ -51,6 +52,8 @@ class Recovery:
         self.coast_samples = coast_samples
         self.acceleration_limit: float | None = None
         """Largest acceleration of the machine, cycles per interval squared; None: not known."""
+        self.on_lost: Callable[[], None] = _nothing
+        """Called when the position is lost."""
         self._places: deque[tuple[int, float, float]] = deque(maxlen=REMEMBERED_SAMPLES)
         self.restart()
 
@@ -80,6 +83,7 @@ class Recovery:
         self.lost = True
         self._doubt = self._first_after = None
         self._places.clear()
+        self.on_lost()
 
     def found(self, cycles: int, step_cycles: int) -> None:
         """Shift the cycle count by ``cycles`` and the speed by ``step_cycles`` per interval."""
@@ -253,3 +257,7 @@ class Recovery:
         self._places.clear()
         self._places.extend(places)
         return last
+
+
+def _nothing() -> None:
+    pass

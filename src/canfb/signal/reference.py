@@ -3,6 +3,9 @@
 Eq. 9 started on a turning machine, or after a fault, counts with a speed that lacks whole
 cycles per interval. The coarse track, or two zero pulses, tell how many; the next zero pulse
 sets the cycle count right. Every jump of the position is reported.
+
+A pulse that contradicts a valid position may be false. The position is not valid then until
+another pulse settles it: by agreeing with the position, or with the first one.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from canfb.signal.recovery import Recovery
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
 from canfb.signal.tracker import Track
-from canfb.signal.zero_pulse import ZeroPulse
+from canfb.signal.zero_pulse import Verdict, ZeroPulse
 
 DISAGREEING_SAMPLES = 3  # so many in a row, and the position is lost
 EXACT_CYCLES = 0.5  # a coarse track better than that needs no zero pulse
@@ -38,6 +41,8 @@ class Reference:
         if not keep:
             self.coarse.forget()
             self.zero.forget()
+            self.in_doubt = False
+            """Zero pulses contradict the position, or each other: :meth:`apply` is to see every sample."""
         self._proven = False  # the coarse track has confirmed the range of speed since the start
         self._range_known = False  # ... since the position was lost
         self._begin_search()
@@ -62,8 +67,16 @@ class Reference:
             cycles, phase = _between(before, track, place)
             bits, jump = self._pulse(cycles, phase, time - (1.0 - place) * elapsed, track, bits, angle)
         if self._recovery.lost and not was_lost:
-            self._begin_search()
+            self.position_lost()
+        if self.in_doubt and bits & VALID:
+            bits = bits & ~VALID | COASTING
         return bits, jump
+
+    def position_lost(self) -> None:
+        """The position has been lost: what pulses said of its count does not matter any more."""
+        self.in_doubt = False
+        self.zero.forget_doubts()
+        self._begin_search()
 
     def missed(self) -> None:
         """A sample did not come."""
@@ -74,7 +87,7 @@ class Reference:
         self._begin_search()
 
     def _begin_search(self) -> None:
-        self._range_known = False
+        self._range_known = self._range_from_zero = False
         self._disagreeing = 0
         self._first_pulse: tuple[float, int, float] | None = None
         self.coarse.restart_search()
@@ -118,7 +131,7 @@ class Reference:
     def _check(self, angle: float | None, track: Track, bits: int) -> int:
         if not bits & VALID:
             return bits
-        if angle is not None and not self.coarse.aligned:
+        if angle is not None and not self.coarse.aligned and not self.in_doubt:
             self.coarse.align(angle, track.cycles, track.phase)
         if not self.coarse.disagrees(angle, track.cycles, track.phase):
             self._disagreeing = 0
@@ -138,15 +151,20 @@ class Reference:
     ) -> tuple[int, int]:
         """A zero pulse at this position and time."""
         if bits & VALID:
-            return self._pulse_of_valid(cycles, phase, bits)
+            return self._pulse_of_valid(cycles, phase, track, bits, angle)
         if not self._recovery.lost:
             return bits, 0
         if not self._range_known:
             self._range_from_pulses(time, cycles, phase)
             return bits, 0
-        if not self.zero.referenced:
-            self.zero.set_place(cycles, phase)
         jump = -self.zero.error_cycles(cycles, phase)
+        if self._refutes(angle, track, jump):
+            return bits, 0
+        if not self.zero.referenced:
+            if self._range_from_zero:  # two pulses before were whole revolutions from this one
+                self.zero.set_place(cycles, phase)
+            else:
+                self.zero.weigh(cycles, phase)
         self.set_right += jump != 0
         self._recovery.found(jump, 0)
         self._recovery.vouch()
@@ -155,16 +173,33 @@ class Reference:
         self._proven = True
         return bits, jump
 
-    def _pulse_of_valid(self, cycles: int, phase: float, bits: int) -> tuple[int, int]:
-        if not self.zero.referenced:
-            self.zero.set_place(cycles, phase)
-            return bits, 0
+    def _pulse_of_valid(
+        self, cycles: int, phase: float, track: Track, bits: int, angle: float | None
+    ) -> tuple[int, int]:
         error = self.zero.error_cycles(cycles, phase)
-        if error == 0:
+        if self._refutes(angle, track, -error):
             return bits, 0
-        self.set_right += 1
-        self._recovery.found(-error, 0)
-        return bits & ~VALID | COASTING, -error
+        verdict = self.zero.weigh(cycles, phase)
+        self.in_doubt = verdict is Verdict.CONTRADICTS
+        if verdict is Verdict.WRONG:
+            self.set_right += 1
+            self._recovery.found(-error, 0)
+            return bits & ~VALID | COASTING, -error
+        if verdict is Verdict.SLIPPED:  # what was counted before is not certain, what is counted from here is
+            self._recovery.lose()
+            self._recovery.vouch()
+            if angle is not None:
+                self.coarse.align(angle, track.cycles, track.phase)
+            return bits & ~VALID | LOST, 0
+        return bits, 0
+
+    def _refutes(self, angle: float | None, track: Track, jump: int) -> bool:
+        """True if the coarse track shows that the pulse that asks for this jump is false."""
+        if not jump or angle is None or not self.coarse.aligned:
+            return False
+        cycles = track.cycles + jump
+        away = self.coarse.nearest_cycles(angle, cycles, track.phase) - cycles
+        return abs(away) > self.coarse.limit_revolutions * self.coarse.cycles_per_revolution
 
     def _range_from_pulses(self, time: float, cycles: int, phase: float) -> None:
         """Between two pulses lies a revolution, either way, or none; the samples counted what they saw."""
@@ -180,7 +215,7 @@ class Reference:
                 found.add(round(missing))
         if len(found) == 1:
             self._recovery.found(0, found.pop())
-            self._range_known = True
+            self._range_known = self._range_from_zero = True
 
 
 def _between(before: Track, track: Track, place: float) -> tuple[int, float]:
