@@ -135,20 +135,23 @@ class Doubt:
             self._only_missed = False  # something else is wrong
             return None
         start, unseen = self._unseen(even, run)
-        most = USED_PART * self._limit if known is None else min(known, self._limit)
+        most = self._limit if known is None else min(known, self._limit)
         if len(run) == 1:
             cycles = passed(unseen, most)
             return [Place(start + cycles[0], run[0].phase, run[0].time)] if len(cycles) == 1 else None
         found = fitting(unseen, within(most, unseen.intervals))
-        if not found and not fitting(unseen, within(self._limit, unseen.intervals)):
+        if not found:
             self._only_missed = False  # no machine within the limits can do that
             return None
-        if len(found) != 1:
+        if len(found) > 1:
             if known is not None and unseen.intervals > SURE_INTERVALS:
                 return []
             if len(run) < SHORTEST_RUN:
                 return None
-            found = self._alike(even, unseen, self._limit if known is None else most)
+            if known is None:
+                found = fitting(unseen, within(USED_PART * most, unseen.intervals))
+            if len(found) != 1:
+                found = self._alike(even, unseen, most)
         if not found:
             return []
         cycles_passed, step = found[0]
@@ -159,13 +162,13 @@ class Doubt:
         """The gap between the last place and a run after it, and from where its way counts."""
         last, old, since = self._before[-1], speed(self._before), run[0].time
         intervals = max(1, round(since))
-        uneven = abs(since - intervals) + abs(last.elapsed - 1.0)
+        uneven = abs(last.elapsed - 1.0)
         if len(run) > 1:
             uneven += abs(run[1].time - since - 1.0)
         start = math.floor(last.cycles + old * since)
         way = (start - last.cycles) + (even[0] - last.phase) - old * since
         change = even[1] - even[0] - old if len(even) > 1 else math.nan
-        return start, Unseen(intervals, way, change, uneven)
+        return start, Unseen(intervals, way, change, uneven, since - intervals)
 
     def _alike(self, even: Sequence[float], unseen: Unseen, limit: float) -> list[tuple[int, int]]:
         """The one trajectory through the gap that is like what was seen around it; empty if it is unclear."""

@@ -24,14 +24,15 @@ class Unseen(NamedTuple):
     intervals  sampling intervals from the last sample before it to the first one after it
     way        cycles from there to there beyond those at the speed before; whole ones unknown
     change     of the speed, cycles per interval; whole ones unknown. NaN with one sample after the gap
-    uneven     by how much the samples around it are not one interval apart, or a whole number of
-               them, intervals
+    uneven     by how much the samples around it are not one interval apart, intervals
+    off        by how much longer the gap is than ``intervals``; negative where it is shorter
     """
 
     intervals: int
     way: float
     change: float
     uneven: float = 0.0
+    off: float = 0.0
 
 
 class Bounds(NamedTuple):
@@ -108,7 +109,10 @@ def fitting(unseen: Unseen, bounds: Bounds) -> list[tuple[int, int]]:
     if any(least > most for least, most in zip(low, high, strict=True)):
         return []
     found: list[tuple[int, int]] = []
-    margin += max(*map(abs, low), *map(abs, high)) * (unseen.intervals + 1) * unseen.uneven
+    # In a shorter gap no acceleration at first makes up for the rest, where there may be none.
+    may_rest = max(low) <= 0.0 <= min(high)
+    uneven = unseen.uneven + (max(unseen.off, 0.0) if may_rest else abs(unseen.off))
+    margin += max(*map(abs, low), *map(abs, high)) * (unseen.intervals + 1) * uneven
     way_margin = margin * (unseen.intervals + 1) / 2.0
     for step in _whole(sum(low) - margin - unseen.change, sum(high) + margin - unseen.change):
         least, most = _ways(low, high, unseen.change + step)
@@ -151,7 +155,7 @@ def _greatest_change(seen: Sequence[float]) -> float:
 def passed(unseen: Unseen, limit: float) -> list[int]:
     """The whole cycles to add to the way, whatever the change of the speed; accelerations up to ``limit``."""
     n = unseen.intervals
-    margin = CHANGE_MARGIN + limit * (n + 1) * unseen.uneven
+    margin = CHANGE_MARGIN + limit * (n + 1) * (unseen.uneven + max(unseen.off, 0.0))
     most = (limit * n + margin) * (n + 1) / 2.0
     return list(_whole(-most - unseen.way, most - unseen.way))
 
