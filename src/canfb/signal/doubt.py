@@ -151,7 +151,7 @@ class Doubt:
             if known is None:
                 found = fitting(unseen, within(USED_PART * most, unseen.intervals))
             if len(found) != 1:
-                found = self._alike(even, unseen, most)
+                found = self._alike(even, unseen, most, known is not None)
         if not found:
             return []
         cycles_passed, step = found[0]
@@ -170,12 +170,14 @@ class Doubt:
         change = even[1] - even[0] - old if len(even) > 1 else math.nan
         return start, Unseen(intervals, way, change, uneven, since - intervals)
 
-    def _alike(self, even: Sequence[float], unseen: Unseen, limit: float) -> list[tuple[int, int]]:
+    def _alike(
+        self, even: Sequence[float], unseen: Unseen, limit: float, known: bool
+    ) -> list[tuple[int, int]]:
         """The one trajectory through the gap that is like what was seen around it; empty if it is unclear."""
         # The longer the gap, the less it takes to pass for another motion: then only the last ones count.
         near = self._before if unseen.intervals <= SURE_INTERVALS else self._before[-LAST_PLACES:]
         before, after = accelerations(near) or [0.0], run_accelerations(even)
-        found = alike(unseen, before, after, limit)
+        found = alike(unseen, before, after, limit, known)
         return [] if found is None else [found]
 
     def decide(self, coast_samples: int) -> list[Place] | None:
@@ -207,7 +209,7 @@ class Doubt:
         if not self._from_gap or len(run) != len(self._since_gap):
             return False
         start, unseen = self._unseen(even, run)
-        found = self._alike(even, unseen, self._limit)
+        found = self._alike(even, unseen, self._limit, False)
         return bool(found) and (start + found[0][0], found[0][1]) != way[:2]
 
     def _smooth(self, even: Sequence[float]) -> int:

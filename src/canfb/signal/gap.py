@@ -122,16 +122,17 @@ def fitting(unseen: Unseen, bounds: Bounds) -> list[tuple[int, int]]:
 
 
 def alike(
-    unseen: Unseen, before: Sequence[float], after: Sequence[float], limit: float
+    unseen: Unseen, before: Sequence[float], after: Sequence[float], limit: float, known: bool
 ) -> tuple[int, int] | None:
     """The one trajectory of :func:`fitting` that is like what was seen; None if it is unclear.
 
-    ``before`` and ``after`` the gap: accelerations, at least one each. ``limit``: none is greater.
+    ``before`` and ``after`` the gap: accelerations, at least one each. ``limit``: none is greater;
+    ``known``: the machine can do as much.
     """
     intervals, seen = unseen.intervals, [*before, *after]
     most, sure = max(map(abs, seen)), sure_acceleration(intervals)
     how = like(before, after, intervals, limit, REMOTELY)
-    if most > sure + SLIGHT and _greatest_change(seen) > SUDDEN:
+    if most > sure + (-3.0 if known else 1.0) * SLIGHT and _greatest_change(seen) > SUDDEN:
         # It pushes hard and suddenly: what it did it may do in the gap, either way, and as suddenly.
         if intervals == 2 and abs(after[0] - before[-1]) <= ALIKE.most_beyond:
             how = like(before, after, intervals, min(most + REMOTELY.beyond, limit), EITHER_WAY)
