@@ -1,0 +1,84 @@
+"""One episode: drawn, laid on the wire, played on the module, judged."""
+
+from __future__ import annotations
+
+import os
+from typing import NamedTuple
+
+import numpy as np
+
+from wire_classes import CLASSES
+from wire_draw import draw_plan, torque
+from wire_host import Sent, drive
+from wire_judge import Judge, Verdict
+from wire_line import Line, Plan, lay
+from wire_setups import SETUPS, Bench
+
+
+class Episode(NamedTuple):
+    """Which one; two of a name are the same in every run."""
+
+    wire_class: int
+    setup: int
+    seed: int
+
+    def __str__(self) -> str:
+        return f"{CLASSES[self.wire_class].name}:{SETUPS[self.setup].name}:{self.seed}"
+
+    @classmethod
+    def parse(cls, text: str) -> Episode:
+        """CLASS:SETUP:SEED; ValueError if there is no such class or set-up."""
+        name, setup, seed = text.rsplit(":", 2)
+        classes, setups = [one.name for one in CLASSES], [one.name for one in SETUPS]
+        return cls(classes.index(name), setups.index(setup), int(seed))
+
+
+class Played(NamedTuple):
+    """All of one episode."""
+
+    plan: Plan
+    line: Line
+    sent: list[Sent]
+    judge: Judge
+    verdict: Verdict
+
+
+_bench = Bench()
+
+
+def plan_of(episode: Episode) -> Plan:
+    """The plan that this class, set-up and seed give."""
+    wire_class, setup = CLASSES[episode.wire_class], SETUPS[episode.setup]
+    name = wire_class.name.encode() + setup.name.encode()
+    rng = np.random.default_rng(np.random.SeedSequence([episode.seed, *name]))
+    plan = draw_plan(setup, rng, wire_class.after)
+    pushed = rng.uniform() < wire_class.torque
+    wire_class.change(plan)
+    if pushed:
+        torque(plan)
+    return plan
+
+
+def play_plan(plan: Plan, fresh: bool = False, bench: Bench = _bench) -> Played:
+    """Play a plan on a module."""
+    module = bench.begin(plan.setup, plan.options, fresh or bool(os.environ.get("CANFB_FRESH")))
+    begin = bench.now + 0.01
+    module.receive(_START, bench.now + 0.005)
+    line = lay(plan)
+    sent, bench.now = drive(module, plan, line.events, begin)
+    judge = Judge(plan, line)
+    return Played(plan, line, sent, judge, judge.judge(sent))
+
+
+def play(episode: Episode, fresh: bool = False) -> Played:
+    """Draw and play one episode; a wrong position is confirmed on a module that is new."""
+    played = play_plan(plan_of(episode), fresh)
+    if played.verdict.wrong and not fresh:
+        return play(episode, fresh=True)
+    return played
+
+
+from canfb import Frame  # noqa: E402
+from wire_setups import NMT_ID, NODE  # noqa: E402
+
+_START = Frame(NMT_ID, bytes([1, NODE]))

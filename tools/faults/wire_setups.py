@@ -1,0 +1,131 @@
+"""How the module and the bus are set up: SYNC counter, sample times, 1006h, receive timestamps."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from canfb import FeedbackModule, Frame, ModuleConfig
+
+NODE, INTERFACE = 32, 16
+SYNC_ID, NMT_ID = 0x080, 0x000
+ADC_ID, EXTRA_ID = 0x180 + INTERFACE, 0x280 + INTERFACE
+TPDO1_ID, EMCY_ID, SDO_TX, SDO_RX = 0x180 + NODE, 0x080 + NODE, 0x580 + NODE, 0x600 + NODE
+CYCLES_PER_REVOLUTION = 2500
+UNITS_PER_CYCLE = 8192  # 6004h without scaling
+RANGE_CYCLES = 209 * CYCLES_PER_REVOLUTION  # where 6004h wraps
+TWO_PI = 6.283185307179586
+WRITE_REPLY = 0x60
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One column of the campaign.
+
+    counter: the SYNC has one; times: the ADC PDO holds the sample time; period: 1006h is written (None:
+    in half of the episodes); stamps: frames carry their receive time.
+    """
+
+    name: str
+    counter: bool = False
+    times: bool = False
+    period: bool | None = None
+    stamps: bool = False
+
+
+SETUPS = tuple(
+    Setup(name + ("/rx" if stamps else ""), counter, times, period, stamps)
+    for stamps in (False, True)
+    for name, counter, times, period in (
+        ("plain", False, False, None),
+        ("counter", True, False, None),
+        ("times", False, True, True),
+        ("times-free", False, True, False),
+        ("times+counter", True, True, None),
+    )
+)
+
+
+@dataclass
+class Options:
+    """What one episode sets in the module, beyond its :class:`Setup`."""
+
+    interval_s: float = 1e-3
+    limit: float | None = None  # 2010:02 in cycles/T^2; None: not known
+    overflow: int = 10
+    period: bool = False
+    rpdo_type: int = 255
+    tpdo_type: int = 254
+    event_timer_ms: int = 0
+    extra: bool = False  # RPDO2 with flags and place of the zero pulse
+    coarse: bool = False  # RPDO2 with the coarse track
+    acceleration: bool = False  # TPDO3 with status and 2011:09
+
+
+class Bench:
+    """One module, reset by NMT between episodes, or made new."""
+
+    def __init__(self) -> None:
+        self.module: FeedbackModule | None = None
+        self.now = 100.0
+
+    def begin(self, setup: Setup, options: Options, fresh: bool = False) -> FeedbackModule:
+        """A module in PRE-OPERATIONAL with this set-up; its time is :attr:`now`."""
+        if fresh or self.module is None:
+            self.module, self.now = FeedbackModule(ModuleConfig(node_id=NODE, encoder_interface=INTERFACE)), 100.0
+            self.module.start(self.now)
+        else:
+            self.now = float(int(self.now) + 2)
+            self.module.receive(Frame(NMT_ID, bytes([129, NODE])), self.now)
+        self._configure(self.module, setup, options)
+        return self.module
+
+    def _configure(self, module: FeedbackModule, setup: Setup, options: Options) -> None:
+        write = self._write
+        if setup.counter:
+            write(0x1019, 0, "B", options.overflow)
+        if options.period:
+            write(0x1006, 0, "I", round(options.interval_s * 1e6))
+        if options.limit is not None:
+            per_cycle = TWO_PI / CYCLES_PER_REVOLUTION
+            write(0x2010, 2, "f", options.limit * per_cycle / options.interval_s**2)
+        if setup.times:
+            self._map(0x1400, 0x1600, ADC_ID, (0x20000110, 0x20000210, 0x20000520), options.rpdo_type)
+        elif options.rpdo_type != 255:
+            write(0x1400, 2, "B", options.rpdo_type)
+        if options.extra:
+            self._map(0x1401, 0x1601, EXTRA_ID, (0x20000608, 0x20000710), options.rpdo_type)
+        elif options.coarse:
+            self._map(0x1401, 0x1601, EXTRA_ID, (0x20000310, 0x20000410), options.rpdo_type)
+        if options.tpdo_type != 254:
+            write(0x1800, 2, "B", options.tpdo_type)
+        if options.event_timer_ms:
+            write(0x6200, 0, "H", options.event_timer_ms)
+        if options.acceleration:
+            self._map(0x1802, 0x1A02, 0x380 + NODE, (0x20110110, 0x20110920), 254)
+
+    def _map(self, index: int, mapping: int, can_id: int, objects: tuple[int, ...], kind: int) -> None:
+        write = self._write
+        write(index, 1, "I", 0xC0000000 | can_id)
+        write(mapping, 0, "B", 0)
+        for n, one in enumerate(objects, 1):
+            write(mapping, n, "I", one)
+        write(mapping, 0, "B", len(objects))
+        write(index, 2, "B", kind)
+        write(index, 1, "I", 0x40000000 | can_id if index >= 0x1800 else can_id)
+
+    def _write(self, index: int, subindex: int, kind: str, value: float) -> None:
+        """An expedited SDO download; RuntimeError if the module refuses it."""
+        data = struct.pack("<" + kind, value)
+        head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, subindex)
+        assert self.module is not None
+        self.now += 1e-4
+        frames = self.module.receive(Frame(SDO_RX, head + data.ljust(4, b"\0")), self.now)
+        (reply,) = [frame.data for frame in frames if frame.can_id == SDO_TX]
+        if reply[0] != WRITE_REPLY:
+            raise RuntimeError(f"{index:04X}h:{subindex:02X} = {value}: {reply.hex()}")
+
+
+def sdo_read(index: int, subindex: int) -> Frame:
+    """The request of an SDO upload."""
+    return Frame(SDO_RX, struct.pack("<BHBI", 0x40, index, subindex, 0))
