@@ -17,10 +17,12 @@ from collections.abc import Iterator, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
 
+from wire_availability import CHUNK, LIMITS, MOTIONS, OneLost, endurance, one_lost
 from wire_classes import CLASSES
+from wire_judge import Verdict
 from wire_play import Episode, play
 from wire_setups import SETUPS
-from wire_table import HEAD, Tally, markdown, plain
+from wire_table import EXAMPLES, HEAD, Tally, markdown, plain
 from wire_trace import trace
 
 GROUP = 20
@@ -45,7 +47,9 @@ def run_group(group: tuple[int, int, int, int]) -> tuple[Key, Tally]:
     tally = Tally()
     for one in range(seed, seed + count):
         episode = Episode(number, place, one)
-        tally.add(episode, play(episode).verdict)
+        # Making a module takes longer than an episode: once examples are confirmed, the others count as they are.
+        confirm = len(tally.examples) < EXAMPLES
+        tally.add(episode, play(episode, confirm=confirm).verdict)
     return (number, place), tally
 
 
@@ -115,10 +119,53 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--setup", default="*", metavar="NAME", help="with * and ?")
     options.add_argument("--by-setup", action="store_true", help="a row for each class and set-up")
     options.add_argument("--markdown", type=Path, metavar="FILE", help="write the table as Markdown")
+    options.add_argument("--endurance", type=int, metavar="SAMPLES", help="a healthy machine at 3000 rpm only")
+    options.add_argument("--one-lost", action="store_true", help="one lost PDO at half the limit only")
     options.add_argument("--episode", metavar="CLASS:SETUP:SEED", help="one episode only")
     options.add_argument("--trace", action="store_true", help="with --episode: every frame")
     options.add_argument("--list", action="store_true", help="the names of classes and set-ups")
     return options
+
+
+def _endure(chunk: tuple[int, int, str]) -> Verdict:
+    return endurance(*chunk)
+
+
+def run_endurance(options: argparse.Namespace) -> int:
+    """Prints what a healthy machine lost, in each set-up with sample times."""
+    missed = 0
+    seeds = range(options.seed, options.seed + max(1, options.endurance // CHUNK))
+    chunks = [(seed, min(CHUNK, options.endurance)) for seed in seeds]
+    with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
+        for setup in (one.name for one in SETUPS if one.times and fnmatch(one.name, options.setup)):
+            verdicts = list(pool.imap(_endure, [(*chunk, setup) for chunk in chunks]))
+            shown, invalid = sum(v.shown for v in verdicts), sum(v.not_valid for v in verdicts)
+            wrong, lost = sum(v.wrong for v in verdicts), sum(v.outcome == "lost" for v in verdicts)
+            print(f"{setup}: {shown} positions, {invalid} not valid, {wrong} wrong; lost in {lost} of {len(chunks)}")
+            missed += invalid + wrong
+    return 1 if missed else 0
+
+
+def _lose_one(case: tuple[str, float, int, str]) -> OneLost:
+    return one_lost(*case)
+
+
+def run_one_lost(options: argparse.Namespace) -> int:
+    """Prints how many single losses are kept, where one motion only fits and where two do."""
+    table = [("motion", "limit", "unique", "kept", "two motions", "kept", "wrong")]
+    total = OneLost()
+    setups = [one.name for one in SETUPS if fnmatch(one.name, options.setup)]
+    with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
+        for motion in MOTIONS:
+            for limit in LIMITS:
+                count = OneLost()
+                seeds = range(options.seed, options.seed + options.episodes)
+                for one in pool.imap(_lose_one, [(motion, limit, n, name) for n in seeds for name in setups], 4):
+                    count.merge(one)
+                total.merge(count)
+                table.append((motion, f"{limit:.2f}", *map(str, vars(count).values())))
+    print(plain([*table, ("all", "", *map(str, vars(total).values()))]))
+    return 1 if total.wrong or total.kept < total.unique else 0
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -133,6 +180,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(f"{options.episode}: {error}; --list shows the names", file=sys.stderr)
             return 2
         return trace(episode, every=options.trace)
+    if options.endurance:
+        return run_endurance(options)
+    if options.one_lost:
+        return run_one_lost(options)
     tallies = campaign(options)
     table = rows(tallies, options.by_setup)
     print(plain(table))

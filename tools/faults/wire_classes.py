@@ -22,6 +22,10 @@ def with_times(setup: Setup) -> bool:
     return setup.times
 
 
+def with_stamps(setup: Setup) -> bool:
+    return setup.stamps
+
+
 def with_counter(setup: Setup) -> bool:
     return setup.counter
 
@@ -46,10 +50,11 @@ def lost_pdos(count: int) -> Change:
 
 
 def _pulse_and_one_lost(plan: Plan) -> None:
-    """0.2 cycle/T^2 for 5 samples, from one before to three after the sample that is lost."""
+    """Up to 0.25 cycle/T^2 for 3 to 9 samples around those that are lost."""
     plan.options.limit = (None, 0.25)[int(plan.rng.integers(2))]
     size = float(plan.rng.uniform(0.13, 0.25)) * float(plan.rng.choice((-1.0, 1.0)))
-    plan.motion.push(plan.fault + 1.0 - 2.0, 5.0, size)
+    begin = plan.fault + 1.0 + float(plan.rng.integers(-5, 2))
+    plan.motion.push(begin, float(plan.rng.choice((4.0, 5.0, 6.0, 8.0))), size)
     for slot in plan.slots[plan.fault : plan.fault + int(plan.rng.integers(1, 4))]:
         slot.pdo_lost = True
 
@@ -245,6 +250,15 @@ def _stall_with_loss(plan: Plan) -> None:
         plan.slots[at].to_module = False
 
 
+def _at_the_limit(plan: Plan) -> None:
+    """0.95 of the acceleration that 2010:02 allows, under SYNC jitter."""
+    limit = plan.options.limit = 0.15
+    plan.motion.pieces.clear()
+    for begin in range(20, len(plan.slots), 60):
+        plan.motion.push(begin, 25.0, 0.95 * limit)
+        plan.motion.push(begin + 30.0, 25.0, -0.95 * limit)
+
+
 def _late_host(plan: Plan) -> None:
     plan.host = "late"
 
@@ -263,8 +277,6 @@ def _late_host_and_deaf(plan: Plan) -> None:
     plan.host = "late"
     count = int(plan.rng.integers(1, 12))
     deaf(lambda _: count)(plan)
-    if plan.setup.name == "plain":
-        plan.note = "P1"
 
 
 def _pulses(plan: Plan) -> None:
@@ -295,10 +307,10 @@ def _extra_lost(plan: Plan) -> None:
 
 
 def _pause(plan: Plan) -> None:
-    """PRE-OPERATIONAL or STOPPED for a while; the interface and the SYNC go on."""
+    """PRE-OPERATIONAL, STOPPED or a communication reset; the interface and the SYNC go on."""
     begin = plan.fault + float(plan.rng.uniform())
     end = begin + float(plan.rng.choice((1.0, 3.0, 10.0, 40.0)))
-    plan.actions.append((begin, "nmt", bytes([int(plan.rng.choice((128, 2)))])))
+    plan.actions.append((begin, "nmt", bytes([int(plan.rng.choice((128, 2, 130)))])))
     plan.actions.append((end, "nmt", bytes([1])))
 
 
@@ -336,6 +348,66 @@ def _any_loss(plan: Plan) -> None:
         _pdo_late(plan)
 
 
+def _every_third(plan: Plan) -> None:
+    for slot in plan.slots[plan.fault :: 3]:
+        slot.pdo_lost = True
+
+
+def _second_producer(plan: Plan) -> None:
+    """Another SYNC producer is there for a while, half a period or so beside the first."""
+    beside = float(plan.rng.choice((0.5, 0.5, plan.rng.uniform(0.25, 0.75)))) / plan.us
+    for slot in plan.slots[plan.fault : plan.fault + int(plan.rng.choice((1, 5, 60)))]:
+        slot.again.append((beside, True, True))
+
+
+def _period_changes(plan: Plan) -> None:
+    """Every second, or every second and third, SYNC is left out from now on: another period."""
+    keep = int(plan.rng.choice((2, 3)))
+    for number, slot in enumerate(plan.slots[plan.fault :]):
+        slot.produced = number % keep == 0
+
+
+def _wrong_1006(plan: Plan) -> None:
+    """1006h is not the period of the bus."""
+    plan.fault, plan.options.period = 0, True
+    plan.options.period_factor = float(plan.rng.choice((0.5, 2.0, 0.25, 4.0, 1.5, 0.9)))
+
+
+def _late_for_good(plan: Plan) -> None:
+    """Each PDO comes one whole period late from now on."""
+    for slot in plan.slots[plan.fault :]:
+        slot.pdo_late_us = 1.0 / plan.us
+
+
+def _replayed(plan: Plan) -> None:
+    """The interface sends a PDO of some cycles ago again, between two others or in place of one."""
+    back = int(plan.rng.integers(1, 6))
+    plan.slots[plan.fault - back].pdo_again_us.append((back + float(plan.rng.uniform(0.0, 0.7))) / plan.us)
+    if plan.rng.integers(2):
+        plan.slots[plan.fault].pdo_lost = True
+
+
+def _slow_pdos(plan: Plan) -> None:
+    """PDOs that come around the next SYNC, before or after it."""
+    for slot in plan.slots[plan.fault : plan.fault + 40]:
+        slot.pdo_late_us = float(plan.rng.uniform(0.4, 0.9)) / plan.us
+
+
+def _rx_stamp_off(plan: Plan) -> None:
+    """Receive times are off now and then: 0.9 ms, or by seconds."""
+    plan.bad_rx = 0.1
+
+
+def _false_pulse_with_coarse(plan: Plan) -> None:
+    plan.options.coarse = True
+    _false_pulse(plan)
+
+
+def _coarse_and_loss(plan: Plan) -> None:
+    plan.options.coarse = True
+    _any_loss(plan)
+
+
 def healthy(plan: Plan) -> None:
     """Nothing."""
 
@@ -344,11 +416,13 @@ CLASSES: tuple[WireClass, ...] = (
     WireClass("healthy", healthy),
     WireClass("healthy, late host", _late_host),
     WireClass("healthy, zero pulses", _pulses),
+    WireClass("healthy, at the limit", _at_the_limit, torque=0.0, of=with_times),
     WireClass("stall", _stall, after=220),
     WireClass("stall, one lost", _stall_with_loss, after=220),
     WireClass("pulse, 1..3 lost", _pulse_and_one_lost, torque=0.0),
     *(WireClass(f"PDO lost, {n}", lost_pdos(n)) for n in (1, 2, 3, 5)),
     WireClass("PDOs lost, 15 %", _scattered_losses),
+    WireClass("PDO lost, every third", _every_third),
     WireClass("PDO lost, late host", _late_host_and_lost),
     WireClass("deaf, 1..30", deaf(lambda rng: int(rng.integers(1, 31))), after=100),
     WireClass("deaf, late host", _late_host_and_deaf, after=100),
@@ -365,7 +439,13 @@ CLASSES: tuple[WireClass, ...] = (
     WireClass("SYNC doubled", _sync_doubled),
     WireClass("SYNC doubled, later", _sync_doubled_later),
     WireClass("SYNC doubled, late host", _late_host_and_doubled),
+    WireClass("SYNC, second producer", _second_producer),
+    WireClass("SYNC period changes", _period_changes, after=150),
+    WireClass("1006h wrong", _wrong_1006),
     WireClass("PDO doubled", _pdo_doubled),
+    WireClass("PDO replayed", _replayed),
+    WireClass("PDOs slow", _slow_pdos),
+    WireClass("PDOs late for good", _late_for_good),
     WireClass("PDO late", _pdo_late),
     WireClass("PDOs late by 1 and 2", _pdos_swapped),
     WireClass("PDO late, next lost", _late_and_lost),
@@ -373,12 +453,15 @@ CLASSES: tuple[WireClass, ...] = (
     WireClass("stamps, 10 % bad", _many_bad_stamps, of=with_times),
     WireClass("stamp, clock steps", _clock_steps, of=with_times),
     WireClass("stamp, clock stands", _stamp_stands, of=with_times),
+    WireClass("receive times off", _rx_stamp_off, of=with_stamps),
+    WireClass("coarse track, any loss", _coarse_and_loss),
+    WireClass("zero pulse false, coarse", _false_pulse_with_coarse, after=260),
     WireClass("zero pulse false", _false_pulse, after=260),
     WireClass("zero pulse, first false", _first_pulse_false, after=200),
     WireClass("RPDO2 doubled", _extra_doubled),
     WireClass("RPDO2 lost", _extra_lost),
-    WireClass("NMT pause", _pause, after=110),
-    WireClass("bus-off", _bus_off, after=110),
+    WireClass("NMT pause", _pause, torque=0.0, after=110),
+    WireClass("bus-off", _bus_off, torque=0.0, after=110),
     WireClass("RPDO 1, TPDO 254", synchronous(1, 254, _any_loss)),
     WireClass("RPDO 255, TPDO 1", synchronous(255, 1, _any_loss)),
     WireClass("RPDO 1, TPDO 1", synchronous(1, 1, _any_loss)),

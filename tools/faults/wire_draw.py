@@ -14,22 +14,43 @@ UNKNOWN_LIMIT = 0.25  # cycles/T^2 that a machine does when 2010:02 is not set: 
 TOP_CYCLES = 125.0  # 3000 rpm at 1 kHz
 
 
-def draw_plan(setup: Setup, rng: np.random.Generator, after: int = AFTER) -> Plan:
-    """A healthy plan; a class of faults then changes it from slot ``fault`` on."""
+def draw_plan(setup: Setup, rng: np.random.Generator, after: int = AFTER, steady: bool = False) -> Plan:
+    """A healthy plan; a class of faults then changes it from slot ``fault`` on.
+
+    The machine is at its speed then, or, unless ``steady``, perhaps still accelerating, or reversing.
+    """
     options = Options(interval_s=float(rng.choice((1e-3, 1e-3, 1e-3, 2.5e-4, 2e-3, 1e-2))))
     options.limit = (None, None, 0.25, 0.25, 0.15, 0.05)[int(rng.integers(6))]
     options.overflow = int(rng.choice((10, 240)))
+    options.acceleration = bool(rng.integers(4) == 0)
     options.period = bool(rng.integers(2)) if setup.period is None else setup.period
     limit = options.limit or UNKNOWN_LIMIT
     speed = _speed(rng, limit)
     motion = Motion(start=float(rng.uniform(0.1, 0.9)) + float(rng.integers(-3, 3)))
-    acceleration = float(rng.uniform(0.5, 0.9)) * limit
-    ramp = abs(speed) / acceleration
-    motion.push(REST, ramp, float(np.copysign(acceleration, speed)))
+    # A jittering SYNC makes an interval up to 1.4 T: its acceleration takes up to 1.5 times the residual.
+    size = float(rng.uniform(0.5, 0.7 if setup.times else 0.9)) * limit
+    acceleration = float(np.copysign(size, speed))
+    ramp = abs(speed) / size
+    kind = 1.0 if steady else rng.uniform()
     fault = REST + int(ramp) + 2 + STEADY + int(rng.integers(0, 10))
+    if kind < 0.15:
+        motion.push(REST, 1e6, acceleration)
+        fault = max(REST + int(ramp), REST + STEADY)
+    else:
+        motion.push(REST, ramp, acceleration)
+        if kind < 0.3:  # through standstill around the fault
+            motion.push(REST + ramp + 10.0, 1e6, -acceleration)
+            fault = int(REST + ramp + 10.0 + max(ramp + float(rng.uniform(-5.0, 5.0)), STEADY))
     plan = Plan(setup, options, motion, rng, [Slot() for _ in range(fault + after)], fault)
-    _draw_wire(plan, speed, limit)
+    plan.accelerating = kind < 0.3
+    _draw_wire(plan, _fastest(plan), limit)
     return plan
+
+
+def _fastest(plan: Plan) -> float:
+    """Cycles/T."""
+    x = plan.motion.at(np.arange(plan.end))
+    return float(np.abs(np.diff(x)).max(initial=0.0))
 
 
 def _speed(rng: np.random.Generator, limit: float) -> float:
@@ -64,8 +85,10 @@ def _draw_wire(plan: Plan, speed: float, limit: float) -> None:
         plan.busy = plan.busy if most_us > 135.0 else 0.0
 
 
-def torque(plan: Plan, share: float = 0.8) -> None:
+def torque(plan: Plan, share: float = 0.7) -> None:
     """A torque pulse within the limit, placed around the fault."""
+    if plan.accelerating:
+        return
     rng, limit = plan.rng, plan.options.limit or UNKNOWN_LIMIT
     size = limit * share * float(rng.uniform(0.5, 1.0)) * float(rng.choice((-1.0, 1.0)))
     begin = plan.fault + float(rng.integers(-4, 4)) + (0.0 if rng.integers(2) else float(rng.uniform()))
@@ -79,4 +102,4 @@ def torque(plan: Plan, share: float = 0.8) -> None:
     else:
         hz = float(rng.uniform(10.0, 200.0))
         frequency = min(hz * plan.options.interval_s, 0.2)
-        plan.motion.vibrations.append((begin - 30.0, size, frequency, plan.end))
+        plan.motion.vibrations.append((begin - 20.0, size, frequency, plan.end))

@@ -50,17 +50,26 @@ def latencies(kind: str, rng: np.random.Generator) -> Callable[[], float]:
     return draw
 
 
+def _noise(plan: Plan, count: int) -> list[float]:
+    """What is wrong with each receive time, seconds."""
+    noise = plan.rng.uniform(0.0, STAMP_NOISE_S, count)
+    if plan.bad_rx:
+        bad = np.where(plan.rng.integers(2, size=count) == 0, 9e-4, plan.rng.normal(0.0, 1.0, count))
+        noise = np.where(plan.rng.uniform(size=count) < plan.bad_rx, bad, noise)
+    return noise.tolist()
+
+
 def drive(module: FeedbackModule, plan: Plan, events: list[Event], begin_s: float) -> tuple[list[Sent], float]:
     """Run the module over the events; what it sent, and the time of the end, seconds."""
     interval_s, rng, stamps = plan.options.interval_s, plan.rng, plan.setup.stamps
     latency = latencies(plan.host, rng)
-    noise = (rng.uniform(0.0, STAMP_NOISE_S, len(events))).tolist() if stamps else []
+    noise = _noise(plan, len(events)) if stamps else []
     stalls = [(begin_s + a * interval_s, begin_s + b * interval_s) for a, b in plan.stalls]
     end_s = begin_s + plan.end * interval_s
     sent: list[Sent] = []
     times = [begin_s + event.time * interval_s for event in events]
     at, count, now, stuck = 0, len(events), begin_s, 0
-    stamp_floor, newest = -1.0, -1
+    newest = -1
     while True:
         due = module.deadline()
         trigger = times[at] if at < count else end_s
@@ -80,8 +89,7 @@ def drive(module: FeedbackModule, plan: Plan, events: list[Event], begin_s: floa
             frame = event.frame
             if frame is not None:
                 if stamps:
-                    stamp_floor = max(stamp_floor, times[at] + noise[at])
-                    frame = frame._replace(timestamp=min(stamp_floor, now))
+                    frame = frame._replace(timestamp=min(times[at] + noise[at], now))
                 if event.what == "pdo" and event.number > newest:
                     newest = event.number
                 out = module.receive(frame, now)

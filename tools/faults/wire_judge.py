@@ -24,6 +24,7 @@ from wire_setups import CYCLES_PER_REVOLUTION, EMCY_ID, RANGE_CYCLES, SDO_TX, TP
 VALID, LOST, EXTRAPOLATED = 1 << 0, 1 << 2, 1 << 12
 FRESH = 3.0  # 2010:06 is 2 periods; one more for a late SYNC, the delay of the PDO and the host
 HALF = 0.5
+START = 12.0  # until then nothing has to be valid: a coarse track is found at rest
 ACCELERATION_MARGIN = 0.15  # cycles/T^2
 MEMORY = 8  # samples whose accelerations 2011:09 may hold
 ACCELERATION_ID = 0x380 + 32
@@ -125,6 +126,8 @@ class Judge:
         shown = Shown(one.now, what, position, status, residual, error, truth)
         self.shown.append(shown)
         verdict.shown += 1
+        if one.newest < 0 or one.now < START:
+            return
         if not valid:
             verdict.not_valid += 1
             if one.now < self._plan.fault + 1.0:
@@ -159,7 +162,7 @@ class Judge:
         if cause is not None and cause.what == "sync":
             first = bisect_left(line.sample_slots, cause.number - 1)
             last = bisect_right(line.sample_slots, cause.number)
-            return line.positions[first:last]
+            return line.positions[first:last] or [float(self._plan.motion.at([cause.time - 1.0])[0])]
         at = one.now if cause is None else cause.time
         if one.newest >= 0 and at - line.sample_times[one.newest] <= FRESH:
             return [line.positions[one.newest]]

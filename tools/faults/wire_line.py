@@ -31,7 +31,9 @@ from wire_setups import (
 TICK_S = 1e-7
 U32 = 0xFFFFFFFF
 SAMPLE_LATENCY_US = 20.0  # from the end of the SYNC to the hold of both tracks
+LATEST_PDO = 0.45  # T after its SYNC, on a healthy wire
 COARSE_COUNTS = 1500.0
+FIRST_PULSE = 40.0  # cycles
 
 
 @dataclass
@@ -83,8 +85,9 @@ class Plan:
     stalls: list[tuple[float, float]] = field(default_factory=list)
     actions: list[tuple[float, str, bytes]] = field(default_factory=list)  # time, what, data
     reads: list[float] = field(default_factory=list)
-    note: str = ""
-    contract: str = ""  # what a wrong position here breaks, if it is more than the position
+    accelerating: bool = False  # at the fault, by as much as its limit allows
+    bad_rx: float = 0.0  # part of the receive times that are off
+    note: str = ""  # P1, P2, ...: why a wrong position cannot be seen here (docs/faults.md)
 
     @property
     def us(self) -> float:
@@ -172,8 +175,12 @@ def _send_samples(
     rng, us = plan.rng, plan.us
     sine, cosine = counts(positions, rng)
     offset = int(rng.integers(1 << 32))
+    if rng.integers(3) == 0:  # the clock of the interface wraps during the episode
+        offset = (1 << 32) - int(rng.uniform(0.0, plan.end * plan.options.interval_s / TICK_S))
     busy = rng.uniform(size=len(samplings)) < plan.busy
-    waits = (100.0 + rng.uniform(40.0, 120.0, len(samplings)) + busy * rng.uniform(0.0, 135.0, len(samplings))) * us
+    # 95 us for the frame, some work, and perhaps a frame before it; a fast bus has less of all.
+    work, blocked = rng.uniform(140.0, 220.0, len(samplings)), rng.uniform(0.0, 135.0, len(samplings))
+    waits = np.minimum((work + busy * blocked) * us, LATEST_PDO * rng.uniform(0.8, 1.0, len(samplings)))
     free = 0.0  # when the interface can send again: its PDOs do not overtake each other
     before = 0.0
     for n, one in enumerate(samplings):
@@ -190,26 +197,29 @@ def _send_samples(
             for later in (0.0, *slot.pdo_again_us):
                 events.append(Event(sent + later * us, len(events), "pdo", Frame(ADC_ID, data), n))
         extra = _extra(plan, slot, before, positions[n])
-        if extra is not None and not slot.extra_lost:
+        if extra and not slot.extra_lost:
             for later in (0.0, *slot.extra_again_us):
                 at = sent + (70.0 + later) * us
                 events.append(Event(at, len(events), "extra", Frame(EXTRA_ID, extra), n))
         before = positions[n]
 
 
-def _extra(plan: Plan, slot: Slot, before: float, here: float) -> bytes | None:
-    """RPDO2: zero pulse, or coarse track."""
+def _extra(plan: Plan, slot: Slot, before: float, here: float) -> bytes:
+    """What RPDO2 carries: coarse track, zero pulse, both, or nothing."""
+    data = b""
     if plan.options.coarse:
         angle = 2.0 * math.pi * (here / CYCLES_PER_REVOLUTION % 1.0)
-        return struct.pack("<hh", round(COARSE_COUNTS * math.sin(angle)), round(COARSE_COUNTS * math.cos(angle)))
-    if not plan.options.extra:
+        data = struct.pack("<hh", round(COARSE_COUNTS * math.sin(angle)), round(COARSE_COUNTS * math.cos(angle)))
+    if plan.options.extra:
+        place = _zero_pulse(before, here) if slot.false_pulse is None else slot.false_pulse
+        data += struct.pack("<BH", 0, 0) if place is None else struct.pack("<BH", 1, int(place * 65536))
+    return data
+
+
+def _zero_pulse(before: float, here: float) -> float | None:
+    """Where in the interval the zero pulse was: 40 cycles from the start, then once a revolution."""
+    low, high = sorted((before - FIRST_PULSE, here - FIRST_PULSE))
+    turn = math.floor(high / CYCLES_PER_REVOLUTION) * CYCLES_PER_REVOLUTION
+    if not low < turn <= high:
         return None
-    if slot.false_pulse is not None:
-        return struct.pack("<BH", 1, int(slot.false_pulse * 65536))
-    # A pulse at 40 cycles from the start, then once a revolution.
-    low, high = sorted((before - 40.0, here - 40.0))
-    turn = math.floor(high / CYCLES_PER_REVOLUTION)
-    if low < turn * CYCLES_PER_REVOLUTION <= high:
-        place = (turn * CYCLES_PER_REVOLUTION + 40.0 - before) / (here - before)
-        return struct.pack("<BH", 1, min(int(place * 65536), 65535))
-    return struct.pack("<BH", 0, 0)
+    return min((turn + FIRST_PULSE - before) / (here - before), 65535 / 65536)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wire_classes import CLASSES
+from wire_physics import unseen
 from wire_draw import draw_plan, torque
 from wire_host import Sent, drive
 from wire_judge import Judge, Verdict
@@ -51,9 +52,11 @@ def plan_of(episode: Episode) -> Plan:
     wire_class, setup = CLASSES[episode.wire_class], SETUPS[episode.setup]
     name = wire_class.name.encode() + setup.name.encode()
     rng = np.random.default_rng(np.random.SeedSequence([episode.seed, *name]))
-    plan = draw_plan(setup, rng, wire_class.after)
+    plan = draw_plan(setup, rng, wire_class.after, steady=wire_class.torque == 0.0)
     pushed = rng.uniform() < wire_class.torque
     wire_class.change(plan)
+    if not plan.note:
+        plan.note = unseen(plan)
     if pushed:
         torque(plan)
     return plan
@@ -70,10 +73,10 @@ def play_plan(plan: Plan, fresh: bool = False, bench: Bench = _bench) -> Played:
     return Played(plan, line, sent, judge, judge.judge(sent))
 
 
-def play(episode: Episode, fresh: bool = False) -> Played:
-    """Draw and play one episode; a wrong position is confirmed on a module that is new."""
+def play(episode: Episode, fresh: bool = False, confirm: bool = True) -> Played:
+    """Draw and play one episode; to ``confirm``, a wrong position counts on a module that is new only."""
     played = play_plan(plan_of(episode), fresh)
-    if played.verdict.wrong and not fresh:
+    if played.verdict.wrong and confirm and not fresh:
         return play(episode, fresh=True)
     return played
 

@@ -53,7 +53,8 @@ class Options:
     interval_s: float = 1e-3
     limit: float | None = None  # 2010:02 in cycles/T^2; None: not known
     overflow: int = 10
-    period: bool = False
+    period: bool = False  # write 1006h
+    period_factor: float = 1.0  # what 1006h says, relative to the truth
     rpdo_type: int = 255
     tpdo_type: int = 254
     event_timer_ms: int = 0
@@ -85,7 +86,7 @@ class Bench:
         if setup.counter:
             write(0x1019, 0, "B", options.overflow)
         if options.period:
-            write(0x1006, 0, "I", round(options.interval_s * 1e6))
+            write(0x1006, 0, "I", round(options.interval_s * options.period_factor * 1e6))
         if options.limit is not None:
             per_cycle = TWO_PI / CYCLES_PER_REVOLUTION
             write(0x2010, 2, "f", options.limit * per_cycle / options.interval_s**2)
@@ -93,10 +94,9 @@ class Bench:
             self._map(0x1400, 0x1600, ADC_ID, (0x20000110, 0x20000210, 0x20000520), options.rpdo_type)
         elif options.rpdo_type != 255:
             write(0x1400, 2, "B", options.rpdo_type)
-        if options.extra:
-            self._map(0x1401, 0x1601, EXTRA_ID, (0x20000608, 0x20000710), options.rpdo_type)
-        elif options.coarse:
-            self._map(0x1401, 0x1601, EXTRA_ID, (0x20000310, 0x20000410), options.rpdo_type)
+        extra = (0x20000310, 0x20000410) * options.coarse + (0x20000608, 0x20000710) * options.extra
+        if extra:
+            self._map(0x1401, 0x1601, EXTRA_ID, extra, options.rpdo_type)
         if options.tpdo_type != 254:
             write(0x1800, 2, "B", options.tpdo_type)
         if options.event_timer_ms:
