@@ -83,7 +83,7 @@ def rows(tallies: dict[Key, Tally], by_setup: bool) -> list[tuple[str, ...]]:
         if of_class.episodes:
             lines.append(of_class.row(wire_class.name, "all"))
         total.merge(of_class)
-    if not by_setup:
+    if len({key[1] for key in tallies}) > 1:
         lines += [_sum_of_setup(tallies, place) for place in sorted({key[1] for key in tallies})]
     return [*lines, total.row("all", "all")]
 
@@ -119,7 +119,9 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--setup", default="*", metavar="NAME", help="with * and ?")
     options.add_argument("--by-setup", action="store_true", help="a row for each class and set-up")
     options.add_argument("--markdown", type=Path, metavar="FILE", help="write the table as Markdown")
-    options.add_argument("--endurance", type=int, metavar="SAMPLES", help="a healthy machine at 3000 rpm only")
+    options.add_argument(
+        "--endurance", type=int, metavar="SAMPLES", help="a healthy machine at 3000 rpm only"
+    )
     options.add_argument("--one-lost", action="store_true", help="one lost PDO at half the limit only")
     options.add_argument("--episode", metavar="CLASS:SETUP:SEED", help="one episode only")
     options.add_argument("--trace", action="store_true", help="with --episode: every frame")
@@ -141,7 +143,9 @@ def run_endurance(options: argparse.Namespace) -> int:
             verdicts = list(pool.imap(_endure, [(*chunk, setup) for chunk in chunks]))
             shown, invalid = sum(v.shown for v in verdicts), sum(v.not_valid for v in verdicts)
             wrong, lost = sum(v.wrong for v in verdicts), sum(v.outcome == "lost" for v in verdicts)
-            print(f"{setup}: {shown} positions, {invalid} not valid, {wrong} wrong; lost in {lost} of {len(chunks)}")
+            print(
+                f"{setup}: {shown} positions, {invalid} not valid, {wrong} wrong; lost in {lost} of {len(chunks)}"
+            )
             missed += invalid + wrong
     return 1 if missed else 0
 
@@ -160,7 +164,9 @@ def run_one_lost(options: argparse.Namespace) -> int:
             for limit in LIMITS:
                 count = OneLost()
                 seeds = range(options.seed, options.seed + options.episodes)
-                for one in pool.imap(_lose_one, [(motion, limit, n, name) for n in seeds for name in setups], 4):
+                for one in pool.imap(
+                    _lose_one, [(motion, limit, n, name) for n in seeds for name in setups], 4
+                ):
                     count.merge(one)
                 total.merge(count)
                 table.append((motion, f"{limit:.2f}", *map(str, vars(count).values())))

@@ -175,7 +175,11 @@ def _sync_doubled_later(plan: Plan) -> None:
 
 def _pdo_doubled(plan: Plan) -> None:
     for at in range(int(plan.rng.choice((1, 1, 2, 5)))):
-        later = float(plan.rng.uniform(60.0, 200.0)) if plan.rng.integers(2) else float(plan.rng.uniform(0.2, 1.6)) / plan.us
+        later = (
+            float(plan.rng.uniform(60.0, 200.0))
+            if plan.rng.integers(2)
+            else float(plan.rng.uniform(0.2, 1.6)) / plan.us
+        )
         plan.slots[plan.fault + 3 * at].pdo_again_us.append(later)
 
 
@@ -221,7 +225,9 @@ def _many_bad_stamps(plan: Plan) -> None:
 
 def _clock_steps(plan: Plan) -> None:
     """The interface's clock jumps and stays there: it was started again."""
-    step = int(plan.rng.integers(1 << 32)) if plan.rng.integers(2) else int(plan.rng.integers(-200_000, 200_000))
+    step = (
+        int(plan.rng.integers(1 << 32)) if plan.rng.integers(2) else int(plan.rng.integers(-200_000, 200_000))
+    )
     for slot in plan.slots[plan.fault :]:
         slot.stamp_add = step
 

@@ -59,7 +59,9 @@ def _noise(plan: Plan, count: int) -> list[float]:
     return noise.tolist()
 
 
-def drive(module: FeedbackModule, plan: Plan, events: list[Event], begin_s: float) -> tuple[list[Sent], float]:
+def drive(
+    module: FeedbackModule, plan: Plan, events: list[Event], begin_s: float
+) -> tuple[list[Sent], float]:
     """Run the module over the events; what it sent, and the time of the end, seconds."""
     interval_s, rng, stamps = plan.options.interval_s, plan.rng, plan.setup.stamps
     latency = latencies(plan.host, rng)

@@ -89,7 +89,9 @@ class Judge:
             elif can_id == EMCY_ID:
                 emergencies.append(one.now * plan.options.interval_s)
         for n, at in enumerate(emergencies):
-            verdict.emergencies = max(verdict.emergencies, n + 1 - bisect_left(emergencies, at - EMCY_WINDOW_S))
+            verdict.emergencies = max(
+                verdict.emergencies, n + 1 - bisect_left(emergencies, at - EMCY_WINDOW_S)
+            )
         self._conclude()
         return verdict
 
@@ -121,14 +123,19 @@ class Judge:
         position = units / UNITS_PER_CYCLE
         truth, error = self._nearest(one, position)
         valid = bool(status & VALID)
-        if valid and abs(error) > HALF and self._lost and (self._plan.options.extra or self._plan.options.coarse):
+        if (
+            valid
+            and abs(error) > HALF
+            and self._lost
+            and (self._plan.options.extra or self._plan.options.coarse)
+        ):
             error = self._after_loss(error)
         shown = Shown(one.now, what, position, status, residual, error, truth)
         self.shown.append(shown)
         verdict.shown += 1
-        if one.newest < 0 or one.now < START:
-            return
         if not valid:
+            if one.newest < 0 or one.now < START:
+                return
             verdict.not_valid += 1
             if one.now < self._plan.fault + 1.0:
                 verdict.early += 1

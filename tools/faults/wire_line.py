@@ -169,9 +169,7 @@ def _payload(plan: Plan, slot: Slot, number: int) -> bytes:
     return bytes([number % plan.options.overflow + 1]) if plan.setup.counter else b""
 
 
-def _send_samples(
-    plan: Plan, samplings: list[_Sampling], positions: np.ndarray, events: list[Event]
-) -> None:
+def _send_samples(plan: Plan, samplings: list[_Sampling], positions: np.ndarray, events: list[Event]) -> None:
     rng, us = plan.rng, plan.us
     sine, cosine = counts(positions, rng)
     offset = int(rng.integers(1 << 32))
@@ -180,7 +178,8 @@ def _send_samples(
     busy = rng.uniform(size=len(samplings)) < plan.busy
     # 95 us for the frame, some work, and perhaps a frame before it; a fast bus has less of all.
     work, blocked = rng.uniform(140.0, 220.0, len(samplings)), rng.uniform(0.0, 135.0, len(samplings))
-    waits = np.minimum((work + busy * blocked) * us, LATEST_PDO * rng.uniform(0.8, 1.0, len(samplings)))
+    latest = LATEST_PDO * rng.uniform(0.8, 1.0, len(samplings))
+    waits = np.minimum((work + busy * blocked) * us, latest).tolist()
     free = 0.0  # when the interface can send again: its PDOs do not overtake each other
     before = 0.0
     for n, one in enumerate(samplings):
@@ -209,7 +208,9 @@ def _extra(plan: Plan, slot: Slot, before: float, here: float) -> bytes:
     data = b""
     if plan.options.coarse:
         angle = 2.0 * math.pi * (here / CYCLES_PER_REVOLUTION % 1.0)
-        data = struct.pack("<hh", round(COARSE_COUNTS * math.sin(angle)), round(COARSE_COUNTS * math.cos(angle)))
+        data = struct.pack(
+            "<hh", round(COARSE_COUNTS * math.sin(angle)), round(COARSE_COUNTS * math.cos(angle))
+        )
     if plan.options.extra:
         place = _zero_pulse(before, here) if slot.false_pulse is None else slot.false_pulse
         data += struct.pack("<BH", 0, 0) if place is None else struct.pack("<BH", 1, int(place * 65536))

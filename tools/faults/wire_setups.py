@@ -73,7 +73,10 @@ class Bench:
     def begin(self, setup: Setup, options: Options, fresh: bool = False) -> FeedbackModule:
         """A module in PRE-OPERATIONAL with this set-up; its time is :attr:`now`."""
         if fresh or self.module is None:
-            self.module, self.now = FeedbackModule(ModuleConfig(node_id=NODE, encoder_interface=INTERFACE)), 100.0
+            self.module, self.now = (
+                FeedbackModule(ModuleConfig(node_id=NODE, encoder_interface=INTERFACE)),
+                100.0,
+            )
             self.module.start(self.now)
         else:
             self.now = float(int(self.now) + 2)

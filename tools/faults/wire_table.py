@@ -9,7 +9,19 @@ from wire_judge import EMCY_LIMIT, Verdict
 from wire_play import Episode
 
 OUTCOMES = ("wrong", "physics", "lost", "flagged", "kept")
-HEAD = ("class", "set-up", "episodes", "silent wrong", "physics", "lost", "flagged", "kept", "early", "accel.", "EMCY")
+HEAD = (
+    "class",
+    "set-up",
+    "episodes",
+    "silent wrong",
+    "physics",
+    "lost",
+    "flagged",
+    "kept",
+    "early",
+    "accel.",
+    "EMCY",
+)
 EXAMPLES = 3
 
 
@@ -54,7 +66,10 @@ def plain(rows: Iterable[tuple[str, ...]]) -> str:
     lines = list(rows)
     widths = [max(len(row[n]) for row in lines) for n in range(len(lines[0]))]
     return "".join(
-        "  ".join(cell.ljust(w) if n < 2 else cell.rjust(w) for n, (cell, w) in enumerate(zip(row, widths, strict=True)))
+        "  ".join(
+            cell.ljust(w) if n < 2 else cell.rjust(w)
+            for n, (cell, w) in enumerate(zip(row, widths, strict=True))
+        )
         + "\n"
         for row in lines
     )

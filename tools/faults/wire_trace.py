@@ -21,10 +21,14 @@ def trace(episode: Episode, every: bool) -> int:
     plan, verdict, motion = played.plan, played.verdict, played.plan.motion
     print(f"{episode}: {verdict.outcome}")
     print(f"  {plan.setup}\n  {plan.options}")
-    print(f"  speed {motion.speed(plan.fault):.3f} cycles/T at the fault in slot {plan.fault} (SYNC at T = {plan.fault + 1})")
+    print(
+        f"  speed {motion.speed(plan.fault):.3f} cycles/T at the fault in slot {plan.fault} (SYNC at T = {plan.fault + 1})"
+    )
     print(f"  pieces {[(round(a, 2), round(b, 4)) for a, b in motion.pieces]} vibrations {motion.vibrations}")
     kind = "sigma" if plan.gaussian else "+-"
-    print(f"  jitter {kind} {plan.jitter_us:.1f} us, locked {plan.locked}, drift {plan.drift * 1e6:.0f} ppm, host {plan.host}")
+    print(
+        f"  jitter {kind} {plan.jitter_us:.1f} us, locked {plan.locked}, drift {plan.drift * 1e6:.0f} ppm, host {plan.host}"
+    )
     print(f"  stalls {plan.stalls} actions {plan.actions} {plan.note}")
     for number, slot in enumerate(plan.slots):
         if slot != type(slot)():

@@ -1,0 +1,288 @@
+"""The wire campaign in a small variant: its judge sees what is planted, its wire is what it says."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "tools" / "faults"))
+
+import wire_campaign  # noqa: E402
+from wire_availability import endurance, is_unique, one_lost  # noqa: E402
+from wire_classes import CLASSES  # noqa: E402
+from wire_draw import draw_plan  # noqa: E402
+from wire_host import Sent, drive  # noqa: E402
+from wire_judge import LOST, VALID, Judge, Verdict  # noqa: E402
+from wire_line import Line, Plan, Slot, lay  # noqa: E402
+from wire_motion import Motion  # noqa: E402
+from wire_physics import unseen  # noqa: E402
+from wire_play import Episode, play, play_plan  # noqa: E402
+from wire_setups import RANGE_CYCLES, SDO_TX, SETUPS, TPDO1_ID, UNITS_PER_CYCLE, Options, Setup  # noqa: E402
+
+from canfb import Frame  # noqa: E402
+
+PLAIN = SETUPS[0]
+SPEED = 7.0  # cycles/T
+RANGE_UNITS = RANGE_CYCLES * UNITS_PER_CYCLE
+
+
+def plan_at(speed: float, slots: int = 60, setup: Setup = PLAIN, fault: int = 40) -> Plan:
+    """A machine at constant speed from the first slot on, for the judge only."""
+    motion = Motion(start=0.25)
+    motion.push(-speed - 1.0, 1.0, speed)  # it has its speed before the first slot
+    rng = np.random.default_rng(1)
+    return Plan(setup, Options(), motion, rng, [Slot() for _ in range(slots)], fault, locked=True)
+
+
+def honest(plan: Plan, line: Line) -> list[Sent]:
+    """What a module without fault sends: each sample's position, upon its PDO."""
+    base = line.positions[0] - line.positions[0] % 1.0
+    sent = []
+    for event in line.events:
+        if event.what == "pdo":
+            sent.append(
+                shown(event.time + 0.01, event, line.positions[event.number] - base, VALID, event.number)
+            )
+    return sent
+
+
+def shown(now: float, cause: object, position: float, status: int, newest: int) -> Sent:
+    units = round(position * UNITS_PER_CYCLE) % RANGE_UNITS
+    return Sent(now, cause, Frame(TPDO1_ID, struct.pack("<IHH", units, status, 0)), newest)  # type: ignore[arg-type]
+
+
+def sdo(now: float, position: float, status: int, newest: int) -> list[Sent]:
+    units = round(position * UNITS_PER_CYCLE)
+    replies = [(0x2011, 1, status), (0x6004, 0, units)]
+    data = [struct.pack("<BHBI", 0x43, *reply) for reply in replies]
+    return [Sent(now, None, Frame(SDO_TX, one), newest) for one in data]
+
+
+def moved(sent: Sent, cycles: float, status: int = VALID) -> Sent:
+    units, _, residual = struct.unpack("<IHH", sent.frame.data)
+    units = (units + round(cycles * UNITS_PER_CYCLE)) % RANGE_UNITS
+    return sent._replace(frame=Frame(TPDO1_ID, struct.pack("<IHH", units, status, residual)))
+
+
+@pytest.fixture
+def judged() -> tuple[Plan, Line, list[Sent]]:
+    plan = plan_at(SPEED)
+    line = lay(plan)
+    return plan, line, honest(plan, line)
+
+
+def verdict(plan: Plan, line: Line, sent: list[Sent]) -> Verdict:
+    return Judge(plan, line).judge(sent)
+
+
+def test_an_honest_module_is_kept(judged: tuple[Plan, Line, list[Sent]]) -> None:
+    plan, line, sent = judged
+    assert len(sent) == 60
+    result = verdict(plan, line, sent)
+    assert (result.outcome, result.wrong, result.not_valid, result.right_at_end) == ("kept", 0, 0, True)
+
+
+@pytest.mark.parametrize("cycles", [1.0, -1.0, 0.6, SPEED, 400.0])
+@pytest.mark.parametrize("at", [0, 41, 59])
+def test_one_wrong_position_is_found(judged: tuple[Plan, Line, list[Sent]], cycles: float, at: int) -> None:
+    plan, line, sent = judged
+    sent[at] = moved(sent[at], cycles)
+    result = verdict(plan, line, sent)
+    assert (result.outcome, result.wrong) == ("wrong", 1)
+    assert result.first_wrong is not None
+    assert result.first_wrong.error == pytest.approx(cycles, abs=0.01)
+
+
+def test_half_a_cycle_is_not_wrong(judged: tuple[Plan, Line, list[Sent]]) -> None:
+    plan, line, sent = judged
+    sent[45] = moved(sent[45], 0.49)
+    assert verdict(plan, line, sent).outcome == "kept"
+
+
+def test_a_flagged_frame_is_never_wrong(judged: tuple[Plan, Line, list[Sent]]) -> None:
+    plan, line, sent = judged
+    sent[45] = moved(sent[45], 33.0, status=1 << 1)
+    assert verdict(plan, line, sent).outcome == "flagged"
+    sent[46] = moved(sent[46], 33.0, status=LOST)
+    assert verdict(plan, line, sent).outcome == "lost"
+
+
+def test_the_range_of_6004h_wraps(judged: tuple[Plan, Line, list[Sent]]) -> None:
+    plan, line, sent = judged
+    line = replace(line, positions=[x - 300.0 for x in line.positions])
+    assert verdict(plan, line, honest(plan, line)).outcome == "kept"
+
+
+@pytest.mark.parametrize(
+    ("periods", "outcome"), [(1.5, "kept"), (2.9, "kept"), (3.2, "wrong"), (20.0, "wrong")]
+)
+def test_a_frozen_valid_position_is_wrong_after_the_deadline(periods: float, outcome: str) -> None:
+    plan = plan_at(SPEED, slots=80)
+    for slot in plan.slots[50:]:
+        slot.produced = False
+    line = lay(plan)
+    sent = honest(plan, line)
+    frozen = line.positions[49] - 0.25 + 0.25 - (line.positions[0] - line.positions[0] % 1.0)
+    sent += sdo(line.sample_times[49] + periods, frozen, VALID, 49)
+    assert verdict(plan, line, sent).outcome == outcome
+
+
+def test_a_synchronous_pdo_belongs_to_the_sync_before() -> None:
+    plan = plan_at(SPEED)
+    line = lay(plan)
+    base = line.positions[0] - line.positions[0] % 1.0
+    syncs = [event for event in line.events if event.what == "sync"][20:]
+    right = [shown(e.time, e, line.positions[e.number - 1] - base, VALID, e.number - 1) for e in syncs]
+    stale = [shown(e.time, e, line.positions[e.number - 2] - base, VALID, e.number - 1) for e in syncs]
+    assert verdict(plan, line, right).outcome == "kept"
+    assert verdict(plan, line, stale).wrong == len(syncs)
+
+
+def test_the_motion_is_the_integral_of_its_pieces() -> None:
+    motion = Motion(start=2.0)
+    motion.push(10.0, 20.0, 0.2)
+    motion.s_curve(50.0, 10.0, -0.1)
+    t = np.arange(0.0, 100.0, 1e-3)
+    x = motion.at(t)
+    acceleration = np.gradient(np.gradient(x, t), t)
+    assert x[0] == 2.0
+    assert motion.at([30.0])[0] == pytest.approx(2.0 + 0.5 * 0.2 * 20.0**2)
+    assert acceleration[20_000] == pytest.approx(0.2, abs=1e-6)
+    assert acceleration[40_000] == pytest.approx(0.0, abs=1e-6)
+    assert acceleration.min() == pytest.approx(-0.1, abs=0.01)
+    assert motion.speed(99.0) == pytest.approx(4.0 - 0.1 * 10.0 * 9 / 16, abs=1e-6)
+
+
+@pytest.mark.parametrize("setup", SETUPS, ids=lambda one: one.name)
+def test_a_machine_keeps_its_limits(setup: Setup) -> None:
+    for seed in range(12):
+        episode = Episode(0, SETUPS.index(setup), seed)
+        played = play(episode)
+        x = played.plan.motion.at(np.arange(played.plan.end))
+        limit = played.plan.options.limit or 0.25
+        assert np.abs(np.diff(x, 2)).max() <= 1.01 * limit, str(episode)
+        assert played.verdict.wrong == 0, str(episode)
+
+
+def test_frames_keep_their_order_and_no_time_goes_back() -> None:
+    plan = draw_plan(SETUPS[4], np.random.default_rng(3))
+    plan.host, plan.stalls = "late", [(50.0, 90.0)]
+    line = lay(plan)
+    calls: list[tuple[Frame, float]] = []
+
+    class Module:
+        def receive(self, frame: Frame, now: float) -> list[Frame]:
+            calls.append((frame, now))
+            return []
+
+        def deadline(self) -> float | None:
+            return None
+
+    drive(Module(), plan, line.events, 100.0)  # type: ignore[arg-type]
+    taken = line.events[: len(calls)]  # those after the end of the plan stay
+    assert [frame for frame, _ in calls] == [event.frame for event in taken]
+    assert len(line.events) - len(calls) <= 2
+    nows = [now for _, now in calls]
+    late = [
+        now - 100.0 - event.time * plan.options.interval_s
+        for (_, now), event in zip(calls, taken, strict=True)
+    ]
+    assert nows == sorted(nows)
+    assert min(late) >= 0.0
+    assert max(late) > 30.0 * plan.options.interval_s
+
+
+def test_physics_excuses_little() -> None:
+    plan = plan_at(SPEED)
+    assert unseen(plan) == ""
+    plan.slots[30].produced = False
+    assert unseen(plan) == "P1"
+    assert unseen(replace(plan, setup=SETUPS[1])) == ""  # counter
+    assert unseen(replace(plan, setup=SETUPS[2])) == ""  # times
+    assert unseen(replace(plan, setup=SETUPS[5])) == ""  # receive times
+    for slot in plan.slots[30:40]:
+        slot.produced = False
+    assert unseen(plan) == ""
+    late = plan_at(SPEED)
+    for slot in late.slots[30:]:
+        slot.pdo_late_us = 1000.0
+    assert unseen(late) == "P3"
+    late.slots[50].pdo_late_us = 0.0
+    assert unseen(late) == ""
+
+
+@pytest.mark.parametrize(
+    ("push", "limit", "unique"), [(0.0, 0.3, True), (0.2, 0.3, False), (0.05, 0.2, True)]
+)
+def test_when_one_motion_only_fits(push: float, limit: float, unique: bool) -> None:
+    x = [0.3 + 5.0 * k + 0.5 * push * max(k - 5, 0) ** 2 for k in range(20)]
+    assert is_unique(Line([], [], [], x), 10, limit) is unique
+
+
+def test_two_motions_where_they_are_said_to_be() -> None:
+    """The other motion, built by hand: the same phases but for the lost sample, within the limit."""
+    x = np.array([0.3 + 5.0 * k + 0.1 * max(k - 5, 0) ** 2 for k in range(20)])  # 0.2 cycle/T^2
+    other = x.copy()
+    other[10] -= 1 / 3
+    other[11:] -= 1.0 + np.arange(9.0)
+    assert np.allclose(np.delete(other - x, 10) % 1.0, 0.0)
+    assert np.abs(np.diff(other, 2)).max() < 0.25
+    assert not is_unique(Line([], [], [], x.tolist()), 10, 0.25)
+
+
+def test_an_episode_is_the_same_each_time_and_on_a_module_that_was_reset() -> None:
+    episode = Episode.parse("PDO lost, 2:times+counter/rx:11")
+    play(Episode.parse("NMT pause:counter:3"))
+    first, second, fresh = play(episode), play(episode), play(episode, fresh=True)
+    frames = [[one.frame for one in played.sent] for played in (first, second, fresh)]
+    assert frames[0] == frames[1] == frames[2]
+    assert str(episode) == "PDO lost, 2:times+counter/rx:11"
+
+
+SEEN = (
+    "healthy, zero pulses",
+    "PDO lost, 2",
+    "PDO lost, 5",
+    "PDO lost, every third",
+    "SYNC unheard by interface",
+)
+
+
+@pytest.mark.parametrize("name", SEEN)
+def test_nothing_is_silent(name: str) -> None:
+    number = [one.name for one in CLASSES].index(name)
+    for place in range(len(SETUPS)):
+        episode = Episode(number, place, 5)
+        assert play(episode).verdict.outcome != "wrong", str(episode)
+
+
+def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--episodes", "2", "--jobs", "1", "--class", "PDO lost, 2", "--setup", "counter*", "--by-setup"]
+    assert wire_campaign.main(words) == 0
+    assert "PDO lost, 2  counter/rx" in capsys.readouterr().out
+    assert wire_campaign.main(["--episode", "no class:plain:1"]) == 2
+    assert wire_campaign.main(["--episode", "PDO lost, 2:plain:4", "--trace"]) == 0
+    assert "residual" in capsys.readouterr().out
+
+
+def test_a_healthy_machine_at_3000_rpm() -> None:
+    result = endurance(1, 1800)
+    assert (result.shown, result.not_valid, result.wrong) == (1799, 0, 0)  # the last PDO is beyond the end
+
+
+def test_one_lost_at_half_the_limit_is_kept_at_constant_acceleration() -> None:
+    assert vars(one_lost("constant", 0.1, 1, "counter")) == vars(
+        one_lost("constant", 0.1, 1, "counter/rx")
+    ) | {"unique": 1, "kept": 1, "wrong": 0}
+
+
+def test_a_plan_can_be_played_by_hand() -> None:
+    plan = plan_at(0.0, setup=SETUPS[1])
+    plan.slots[40].pdo_lost = True
+    assert play_plan(plan).verdict.outcome == "flagged"
