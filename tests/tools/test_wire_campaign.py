@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tools" / "faults"))
 
 import wire_campaign  # noqa: E402
+from canfb import Frame  # noqa: E402
 from wire_availability import endurance, is_unique, one_lost  # noqa: E402
 from wire_classes import CLASSES  # noqa: E402
 from wire_draw import draw_plan  # noqa: E402
@@ -24,8 +25,6 @@ from wire_motion import Motion  # noqa: E402
 from wire_physics import unseen  # noqa: E402
 from wire_play import Episode, play, play_plan  # noqa: E402
 from wire_setups import RANGE_CYCLES, SDO_TX, SETUPS, TPDO1_ID, UNITS_PER_CYCLE, Options, Setup  # noqa: E402
-
-from canfb import Frame  # noqa: E402
 
 PLAIN = SETUPS[0]
 SPEED = 7.0  # cycles/T
@@ -43,13 +42,8 @@ def plan_at(speed: float, slots: int = 60, setup: Setup = PLAIN, fault: int = 40
 def honest(plan: Plan, line: Line) -> list[Sent]:
     """What a module without fault sends: each sample's position, upon its PDO."""
     base = line.positions[0] - line.positions[0] % 1.0
-    sent = []
-    for event in line.events:
-        if event.what == "pdo":
-            sent.append(
-                shown(event.time + 0.01, event, line.positions[event.number] - base, VALID, event.number)
-            )
-    return sent
+    pdos = [one for one in line.events if one.what == "pdo"]
+    return [shown(one.time + 0.01, one, line.positions[one.number] - base, VALID, one.number) for one in pdos]
 
 
 def shown(now: float, cause: object, position: float, status: int, newest: int) -> Sent:
@@ -114,7 +108,7 @@ def test_a_flagged_frame_is_never_wrong(judged: tuple[Plan, Line, list[Sent]]) -
 
 
 def test_the_range_of_6004h_wraps(judged: tuple[Plan, Line, list[Sent]]) -> None:
-    plan, line, sent = judged
+    plan, line, _ = judged
     line = replace(line, positions=[x - 300.0 for x in line.positions])
     assert verdict(plan, line, honest(plan, line)).outcome == "kept"
 

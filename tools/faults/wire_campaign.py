@@ -47,7 +47,7 @@ def run_group(group: tuple[int, int, int, int]) -> tuple[Key, Tally]:
     tally = Tally()
     for one in range(seed, seed + count):
         episode = Episode(number, place, one)
-        # Making a module takes longer than an episode: once examples are confirmed, the others count as they are.
+        # A new module takes longer than an episode: beyond the examples, results count as they are.
         confirm = len(tally.examples) < EXAMPLES
         tally.add(episode, play(episode, confirm=confirm).verdict)
     return (number, place), tally
@@ -144,7 +144,7 @@ def run_endurance(options: argparse.Namespace) -> int:
             shown, invalid = sum(v.shown for v in verdicts), sum(v.not_valid for v in verdicts)
             wrong, lost = sum(v.wrong for v in verdicts), sum(v.outcome == "lost" for v in verdicts)
             print(
-                f"{setup}: {shown} positions, {invalid} not valid, {wrong} wrong; lost in {lost} of {len(chunks)}"
+                f"{setup}: {shown} positions, {invalid} not valid, {wrong} wrong; {lost} of {len(chunks)} lost"
             )
             missed += invalid + wrong
     return 1 if missed else 0

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wire_draw import torque
 from wire_line import Plan
 from wire_setups import Setup
 

@@ -7,13 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from canfb import Frame
 from wire_classes import CLASSES
-from wire_physics import unseen
 from wire_draw import draw_plan, torque
 from wire_host import Sent, drive
 from wire_judge import Judge, Verdict
 from wire_line import Line, Plan, lay
-from wire_setups import SETUPS, Bench
+from wire_physics import unseen
+from wire_setups import NMT_ID, NODE, SETUPS, Bench
 
 
 class Episode(NamedTuple):
@@ -44,6 +45,7 @@ class Played(NamedTuple):
     verdict: Verdict
 
 
+_START = Frame(NMT_ID, bytes([1, NODE]))
 _bench = Bench()
 
 
@@ -79,9 +81,3 @@ def play(episode: Episode, fresh: bool = False, confirm: bool = True) -> Played:
     if played.verdict.wrong and confirm and not fresh:
         return play(episode, fresh=True)
     return played
-
-
-from canfb import Frame  # noqa: E402
-from wire_setups import NMT_ID, NODE  # noqa: E402
-
-_START = Frame(NMT_ID, bytes([1, NODE]))

@@ -6,7 +6,8 @@ from wire_judge import ACCELERATION_ID, HALF, VALID
 from wire_play import Episode, Played, play
 from wire_setups import EMCY_ID
 
-BITS = "valid coasting lost residual amplitude clipped missed table referenced coarse calib. frozen extrap.".split()
+BITS = ("valid", "coasting", "lost", "residual", "amplitude", "clipped", "missed", "table", "referenced", "coarse",
+        "calibrating", "frozen", "extrapolated", "other sensor")  # fmt: skip
 BEFORE = 6  # slots before the fault that are shown
 
 
@@ -22,13 +23,12 @@ def trace(episode: Episode, every: bool) -> int:
     print(f"{episode}: {verdict.outcome}")
     print(f"  {plan.setup}\n  {plan.options}")
     print(
-        f"  speed {motion.speed(plan.fault):.3f} cycles/T at the fault in slot {plan.fault} (SYNC at T = {plan.fault + 1})"
+        f"  {motion.speed(plan.fault):.3f} cycles/T at the fault, slot {plan.fault}: SYNC at {plan.fault + 1} T"
     )
     print(f"  pieces {[(round(a, 2), round(b, 4)) for a, b in motion.pieces]} vibrations {motion.vibrations}")
     kind = "sigma" if plan.gaussian else "+-"
-    print(
-        f"  jitter {kind} {plan.jitter_us:.1f} us, locked {plan.locked}, drift {plan.drift * 1e6:.0f} ppm, host {plan.host}"
-    )
+    wire = f"jitter {kind} {plan.jitter_us:.1f} us, locked {plan.locked}, drift {plan.drift * 1e6:.0f} ppm"
+    print(f"  {wire}, host {plan.host}")
     print(f"  stalls {plan.stalls} actions {plan.actions} {plan.note}")
     for number, slot in enumerate(plan.slots):
         if slot != type(slot)():
@@ -55,11 +55,10 @@ def _frames(played: Played) -> None:
         lines.append((event.time, 0, f"> {event.what} {event.number} {data}"))
     for one in shown:
         mark = "WRONG" if one.status & VALID and abs(one.error) > HALF else ""
-        text = f"    {one.what} {one.position:.3f} [{words(one.status)}] residual {one.residual:.3f} error {one.error:+.3f} {mark}"
-        lines.append((one.now, 1, text))
-    for sent in played.sent:
-        if sent.frame.can_id in (EMCY_ID, ACCELERATION_ID):
-            lines.append((sent.now, 1, f"    {sent.frame.can_id:03X} {sent.frame.data.hex()}"))
+        what = f"    {one.what} {one.position:.3f} [{words(one.status)}]"
+        lines.append((one.now, 1, f"{what} residual {one.residual:.3f} error {one.error:+.3f} {mark}"))
+    others = [sent for sent in played.sent if sent.frame.can_id in (EMCY_ID, ACCELERATION_ID)]
+    lines += [(one.now, 1, f"    {one.frame.can_id:03X} {one.frame.data.hex()}") for one in others]
     for at, _, text in sorted(lines, key=lambda line: line[:2]):
         if at >= begin:
             print(f"  {at:9.3f} {text}")
