@@ -144,7 +144,7 @@ def run_endurance(options: argparse.Namespace) -> int:
             shown, invalid = sum(v.shown for v in verdicts), sum(v.not_valid for v in verdicts)
             wrong, lost = sum(v.wrong for v in verdicts), sum(v.outcome == "lost" for v in verdicts)
             print(
-                f"{setup}: {shown} positions, {invalid} not valid, {wrong} wrong; {lost} of {len(chunks)} lost"
+                f"{setup}: {shown} positions, {invalid} not valid, {wrong} wrong, {lost}/{len(chunks)} lost"
             )
             missed += invalid + wrong
     return 1 if missed else 0

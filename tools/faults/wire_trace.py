@@ -6,8 +6,8 @@ from wire_judge import ACCELERATION_ID, HALF, VALID
 from wire_play import Episode, Played, play
 from wire_setups import EMCY_ID
 
-BITS = ("valid", "coasting", "lost", "residual", "amplitude", "clipped", "missed", "table", "referenced", "coarse",
-        "calibrating", "frozen", "extrapolated", "other sensor")  # fmt: skip
+BITS = ("valid", "coasting", "lost", "residual", "amplitude", "clipped", "missed", "table", "referenced",
+        "coarse", "calibrating", "frozen", "extrapolated", "other sensor")  # fmt: skip
 BEFORE = 6  # slots before the fault that are shown
 
 
@@ -22,9 +22,7 @@ def trace(episode: Episode, every: bool) -> int:
     plan, verdict, motion = played.plan, played.verdict, played.plan.motion
     print(f"{episode}: {verdict.outcome}")
     print(f"  {plan.setup}\n  {plan.options}")
-    print(
-        f"  {motion.speed(plan.fault):.3f} cycles/T at the fault, slot {plan.fault}: SYNC at {plan.fault + 1} T"
-    )
+    print(f"  {motion.speed(plan.fault):.3f} cycles/T in slot {plan.fault}, SYNC at {plan.fault + 1} T")
     print(f"  pieces {[(round(a, 2), round(b, 4)) for a, b in motion.pieces]} vibrations {motion.vibrations}")
     kind = "sigma" if plan.gaussian else "+-"
     wire = f"jitter {kind} {plan.jitter_us:.1f} us, locked {plan.locked}, drift {plan.drift * 1e6:.0f} ppm"
