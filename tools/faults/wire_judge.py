@@ -3,7 +3,8 @@
 The rules, by what made the module send (times in T, true receive times):
 
 J1  an ADC PDO: the position is that of the sample in it, or of the newest sample heard.
-J2  SYNC s (synchronous TPDOs and RPDOs): that of the sample of SYNC s-1, or of s itself.
+J2  SYNC s (synchronous TPDOs and RPDOs): that of the sample of SYNC s-1, or of s itself. Where a late host
+    and an unheard SYNC look alike (P2 in wire_physics), also that of the newest sample heard.
 J3  a timer, an SDO read, NMT: that of the newest sample heard, if it is no older than FRESH; else the true
     position at that very moment. So a frozen position is wrong once the machine has moved on.
 
@@ -19,6 +20,7 @@ from dataclasses import dataclass
 
 from wire_host import Sent
 from wire_line import Line, Plan
+from wire_physics import host_may_be_late
 from wire_setups import CYCLES_PER_REVOLUTION, EMCY_ID, RANGE_CYCLES, SDO_TX, TPDO1_ID, UNITS_PER_CYCLE
 
 VALID, LOST, EXTRAPOLATED = 1 << 0, 1 << 2, 1 << 12
@@ -169,7 +171,11 @@ class Judge:
         if cause is not None and cause.what == "sync":
             first = bisect_left(line.sample_slots, cause.number - 1)
             last = bisect_right(line.sample_slots, cause.number)
-            return line.positions[first:last] or [float(self._plan.motion.at([cause.time - 1.0])[0])]
+            true = line.positions[first:last] or [float(self._plan.motion.at([cause.time - 1.0])[0])]
+            plan = self._plan
+            if one.newest >= 0 and host_may_be_late(plan.setup, plan.options.interval_s):
+                true = [*true, line.positions[one.newest]]
+            return true
         at = one.now if cause is None else cause.time
         if one.newest >= 0 and at - line.sample_times[one.newest] <= FRESH:
             return [line.positions[one.newest]]

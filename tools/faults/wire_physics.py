@@ -1,36 +1,60 @@
 """What no module can see: the few wire faults whose frames are those of a healthy machine.
 
-P1  Neither SYNC counter, sample times nor receive times; module and interface hear nothing for n periods,
-    n T no longer than the host may be late (LATEST_HOST_S). Proof: the module has frames, and the moments
-    at which it was called. Take a healthy machine with the same frames, in the same order, n SYNCs fewer,
-    whose host is later by n T from there on. That host is still no later than it may be, so it is healthy;
-    its frames and moments are the same, its positions differ by n v. Whoever accepts one accepts both.
-P3  No sample times; each PDO is late by one whole period from some slot on. Proof: the sample of slot k comes
-    in interval k + 1, at its usual place in the interval. A machine of the same speed whose sample k was lost
-    gives the same frames at the same times when the speed is a whole number of cycles per T; the positions
+P1  No sample times, no receive times. Module and interface hear nothing for n periods, in all no longer
+    than the host may be late (n T <= LATEST_HOST_S), and no SYNC counter, or n is a number of its turns.
+    Proof: all that the module has are the frames, in their order, and the moments at which it is called.
+    Take the machine whose SYNCs were fewer by n: each of its frames was received n T earlier, and its
+    host was later by n T, from there on. That host is no later than it may be, so this machine is healthy.
+    Frames, order and moments are the same, the positions differ by n v. Who accepts one accepts the other.
+P2  The same, with sample times: the frames that a SYNC causes before the next ADC PDO has brought its
+    time. They may show the newest sample heard. (Rule J2 of the judge knows it.)
+P3  No sample times. Each PDO is late by one whole period from some slot on.
+    Proof: sample k comes in interval k + 1, at its usual place there. A machine whose sample k - 1 was lost
+    gives the same frames at the same times if the speed is a whole number of cycles per T; the positions
     differ by v. (At other speeds the residual tells them apart.)
 """
 
 from __future__ import annotations
 
-from wire_line import Plan
+from wire_line import Plan, Slot
+from wire_setups import Setup
 
 LATEST_HOST_S = 5e-3
 
 
+def host_may_be_late(setup: Setup, interval_s: float) -> bool:
+    """Whether a gap of one period may be the host's: nothing but the moment of the call has a time."""
+    return not (setup.counter or setup.stamps) and interval_s <= LATEST_HOST_S
+
+
 def unseen(plan: Plan) -> str:
     """P1, P3, or nothing."""
-    setup, slots = plan.setup, plan.slots
-    if setup.times:
+    if plan.setup.times:
         return ""
-    late = [n for n, slot in enumerate(slots) if slot.pdo_late_us * plan.us >= 1.0]
-    if late and late == list(range(late[0], len(slots))):
+    late = [n for n, slot in enumerate(plan.slots) if slot.pdo_late_us * plan.us >= 1.0]
+    if late and late == list(range(late[0], len(plan.slots))):
         return "P3"
-    if setup.counter or setup.stamps:
-        return ""
-    longest = run = 0
-    for slot in slots:
-        deaf = not slot.produced or (not slot.to_module and (slot.pdo_lost or not slot.to_interface))
-        run = run + 1 if deaf else 0
-        longest = max(longest, run)
-    return "P1" if 0 < longest * plan.options.interval_s <= LATEST_HOST_S else ""
+    return "P1" if not plan.setup.stamps and not plan.actions and _is_short(plan) else ""
+
+
+def _is_short(plan: Plan) -> bool:
+    runs = _runs([_is_unheard(slot) for slot in plan.slots])
+    turn = plan.options.overflow if plan.setup.counter else 1
+    whole = all(run % turn == 0 for run in runs)
+    return bool(runs) and whole and sum(runs) * plan.options.interval_s <= LATEST_HOST_S
+
+
+def _is_unheard(slot: Slot) -> bool:
+    return not slot.produced or (not slot.to_module and (slot.pdo_lost or not slot.to_interface))
+
+
+def _runs(bits: list[bool]) -> list[int]:
+    """Lengths of the runs of True."""
+    lengths, run = [], 0
+    for bit in [*bits, False]:
+        if bit:
+            run += 1
+        elif run:
+            lengths.append(run)
+            run = 0
+    return lengths
