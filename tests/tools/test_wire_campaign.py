@@ -192,6 +192,18 @@ def test_frames_keep_their_order_and_no_time_goes_back() -> None:
     assert max(late) > 30.0 * plan.options.interval_s
 
 
+@pytest.mark.parametrize(
+    ("ticks", "outcome"), [(500, "kept"), (4000, "kept"), (6000, "wrong"), (20_000, "wrong")]
+)
+def test_a_position_may_be_that_of_a_time_that_is_a_little_off(ticks: int, outcome: str) -> None:
+    plan = plan_at(SPEED, setup=SETUPS[2])
+    plan.slots[45].stamp_add = ticks
+    line = lay(plan)
+    sent = honest(plan, line)
+    sent[45] = moved(sent[45], SPEED * ticks / 10_000)
+    assert verdict(plan, line, sent).outcome == outcome
+
+
 def test_physics_excuses_little() -> None:
     plan = plan_at(SPEED)
     assert unseen(plan) == ""

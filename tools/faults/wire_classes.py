@@ -329,6 +329,28 @@ def _bus_off(plan: Plan) -> None:
         plan.slots[number].to_module, plan.slots[number].pdo_lost = False, True
 
 
+def _bus_off_stays(plan: Plan) -> None:
+    """Bus-off of a module that stays in OPERATIONAL (1029h:01)."""
+    plan.options.stays = True
+    _bus_off(plan)
+
+
+def _foreign_pdos(plan: Plan) -> None:
+    """Another node sends an ADC PDO now and then: its counts are no sample."""
+    for slot in plan.slots[plan.fault : plan.fault + int(plan.rng.choice((1, 1, 10)))]:
+        slot.foreign_us = float(plan.rng.uniform(0.05, 0.95)) / plan.us
+
+
+def _interface_restarts(plan: Plan) -> None:
+    """The interface is away for a while; its clock begins again."""
+    back = plan.fault + int(plan.rng.integers(1, 30))
+    add = int(plan.rng.integers(1 << 32))
+    for slot in plan.slots[plan.fault : back]:
+        slot.pdo_lost = True
+    for slot in plan.slots[back:]:
+        slot.stamp_add = add
+
+
 def synchronous(rpdo: int, tpdo: int, change: Change) -> Change:
     """A fault with these transmission types."""
 
@@ -374,7 +396,7 @@ def _period_changes(plan: Plan) -> None:
 
 def _wrong_1006(plan: Plan) -> None:
     """1006h is not the period of the bus."""
-    plan.fault, plan.options.period = 0, True
+    plan.options.period = True
     plan.options.period_factor = float(plan.rng.choice((0.5, 2.0, 0.25, 4.0, 1.5, 0.9)))
 
 
@@ -446,7 +468,7 @@ CLASSES: tuple[WireClass, ...] = (
     WireClass("SYNC doubled, late host", _late_host_and_doubled),
     WireClass("SYNC, second producer", _second_producer),
     WireClass("SYNC period changes", _period_changes, after=150),
-    WireClass("1006h wrong", _wrong_1006),
+    WireClass("1006h wrong", _wrong_1006, torque=0.0),
     WireClass("PDO doubled", _pdo_doubled),
     WireClass("PDO replayed", _replayed),
     WireClass("PDOs slow", _slow_pdos),
@@ -467,6 +489,9 @@ CLASSES: tuple[WireClass, ...] = (
     WireClass("RPDO2 lost", _extra_lost),
     WireClass("NMT pause", _pause, torque=0.0, after=110),
     WireClass("bus-off", _bus_off, torque=0.0, after=110),
+    WireClass("bus-off, 1029h = 1", _bus_off_stays, torque=0.0, after=110),
+    WireClass("foreign ADC PDO", _foreign_pdos),
+    WireClass("interface restarts", _interface_restarts),
     WireClass("RPDO 1, TPDO 254", synchronous(1, 254, _any_loss)),
     WireClass("RPDO 255, TPDO 1", synchronous(255, 1, _any_loss)),
     WireClass("RPDO 1, TPDO 1", synchronous(1, 1, _any_loss)),

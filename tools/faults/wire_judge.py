@@ -3,10 +3,11 @@
 The rules, by what made the module send (times in T, true receive times):
 
 J1  an ADC PDO: the position is that of the sample in it, or of the newest sample heard.
-J2  SYNC s (synchronous TPDOs and RPDOs): that of the sample of SYNC s-1, or of s itself. Where a late host
+J2  SYNC s (synchronous TPDOs and RPDOs), or a foreign PDO after it: that of the sample of SYNC s-1, or of s. Where a late host
     and an unheard SYNC look alike (P2 in wire_physics), also that of the newest sample heard.
 J3  a timer, an SDO read, NMT: that of the newest sample heard, if it is no older than FRESH; else the true
     position at that very moment. So a frozen position is wrong once the machine has moved on.
+J4  a sample time that is off by no more than the wire can be (P4): also the position at the time it names.
 
 "Is that of" means within half a cycle. A frame with bit 0 whose position is that of no instant that the rules
 admit is **valid and wrong**. No latency is allowed. Frames without bit 0 are never wrong.
@@ -16,11 +17,12 @@ from __future__ import annotations
 
 import struct
 from bisect import bisect_left, bisect_right
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from wire_host import Sent
 from wire_line import Line, Plan
-from wire_physics import host_may_be_late
+from wire_physics import host_may_be_late, stamp_tolerance
 from wire_setups import CYCLES_PER_REVOLUTION, EMCY_ID, RANGE_CYCLES, SDO_TX, TPDO1_ID, UNITS_PER_CYCLE
 
 VALID, LOST, EXTRAPOLATED = 1 << 0, 1 << 2, 1 << 12
@@ -71,6 +73,7 @@ class Judge:
         self._base = start - start % 1.0  # the module begins at cycle count 0
         self._rebased = 0.0
         self._lost = False
+        self._tolerance = stamp_tolerance(plan.setup, plan.options.interval_s) if plan.setup.times else 0.0
         self._status: int | None = None  # of an SDO read
         self.shown: list[Shown] = []
         self.verdict = Verdict()
@@ -164,22 +167,29 @@ class Judge:
         return best or (0.0, RANGE_CYCLES)
 
     def _admissible(self, one: Sent) -> list[float]:
-        """True positions at the instants of rules J1 to J3."""
+        """True positions at the instants of rules J1 to J4."""
         line, cause = self._line, one.cause
         if cause is not None and cause.what in ("pdo", "extra"):
-            return [line.positions[cause.number], line.positions[one.newest]]
-        if cause is not None and cause.what == "sync":
+            samples = {cause.number, one.newest}
+            return [line.positions[n] for n in samples] + self._named(samples)
+        if cause is not None and cause.what in ("sync", "foreign"):
             first = bisect_left(line.sample_slots, cause.number - 1)
             last = bisect_right(line.sample_slots, cause.number)
             true = line.positions[first:last] or [float(self._plan.motion.at([cause.time - 1.0])[0])]
             plan = self._plan
             if one.newest >= 0 and host_may_be_late(plan.setup, plan.options.interval_s):
                 true = [*true, line.positions[one.newest]]
-            return true
+            return true + self._named(range(first, last))
         at = one.now if cause is None else cause.time
         if one.newest >= 0 and at - line.sample_times[one.newest] <= FRESH:
-            return [line.positions[one.newest]]
+            return [line.positions[one.newest], *self._named([one.newest])]
         return [float(self._plan.motion.at([one.now])[0])]
+
+    def _named(self, samples: Iterable[int]) -> list[float]:
+        """Rule J4."""
+        line, tolerance = self._line, self._tolerance
+        off = [line.named[n] for n in samples if 0.0 < abs(line.named[n] - line.sample_times[n]) <= tolerance]
+        return self._plan.motion.at(off).tolist() if off else []
 
     def _see_acceleration(self, one: Sent, status: int, rad_s2: float) -> None:
         if not status & VALID or one.newest < MEMORY or one.cause is None or one.cause.what != "pdo":

@@ -54,6 +54,7 @@ class Slot:
     false_pulse: float | None = None  # place in the interval
     stamp: int | None = None  # in place of the sample time
     stamp_add: int = 0  # ticks
+    foreign_us: float | None = None  # a PDO of another node, with random counts, so long after the SYNC
 
 
 class Event(NamedTuple):
@@ -61,9 +62,9 @@ class Event(NamedTuple):
 
     time: float  # true receive time, T
     order: int
-    what: str  # sync, pdo, extra, sdo, nmt, bus_off, bus_back
+    what: str  # sync, pdo, extra, foreign, sdo, nmt, bus_off, bus_back
     frame: Frame | None
-    number: int  # of the slot for sync, of the sample for pdo and extra
+    number: int  # of the slot for sync and foreign, of the sample for pdo and extra
 
 
 @dataclass
@@ -108,6 +109,7 @@ class Line:
     sample_times: list[float]
     sample_slots: list[int]
     positions: list[float]
+    named: list[float] = field(default_factory=list)  # the moments that the sample times name
 
 
 class _Sampling(NamedTuple):
@@ -137,6 +139,7 @@ def lay(plan: Plan) -> Line:
                 samplings.append(_Sampling(number, max(heard, nominal), time, later_us == 0.0))
     positions = plan.motion.at([one.time for one in samplings])
     _send_samples(plan, samplings, positions, events)
+    _send_foreign(plan, events)
     for at in plan.reads:
         events.append(Event(at, len(events), "sdo", sdo_read(0x2011, 1), 0))
         events.append(Event(at, len(events), "sdo", sdo_read(0x6004, 0), 0))
@@ -145,7 +148,15 @@ def lay(plan: Plan) -> Line:
         events.append(Event(at, len(events), what, frame, 0))
     events.sort(key=lambda one: (one.time, one.order))
     times, slots = [one.time for one in samplings], [one.slot for one in samplings]
-    return Line(events, times, slots, positions.tolist())
+    named = [_named(plan, one) for one in samplings]
+    return Line(events, times, slots, positions.tolist(), named)
+
+
+def _named(plan: Plan, one: _Sampling) -> float:
+    slot = plan.slots[one.slot]
+    return (
+        one.time if slot.stamp is not None else one.time + slot.stamp_add * TICK_S / plan.options.interval_s
+    )
 
 
 def _sync_times(plan: Plan) -> list[float]:
@@ -201,6 +212,16 @@ def _send_samples(plan: Plan, samplings: list[_Sampling], positions: np.ndarray,
                 at = sent + (70.0 + later) * us
                 events.append(Event(at, len(events), "extra", Frame(EXTRA_ID, extra), n))
         before = positions[n]
+
+
+def _send_foreign(plan: Plan, events: list[Event]) -> None:
+    for number, slot in enumerate(plan.slots):
+        if slot.foreign_us is not None:
+            data = plan.rng.integers(-1500, 1500, 2).astype("<i2").tobytes()
+            if plan.setup.times:
+                data += plan.rng.bytes(4)
+            at = number + 1.0 + slot.foreign_us * plan.us
+            events.append(Event(at, len(events), "foreign", Frame(ADC_ID, data), number))
 
 
 def _extra(plan: Plan, slot: Slot, before: float, here: float) -> bytes:

@@ -12,6 +12,10 @@ P3  No sample times. Each PDO is late by one whole period from some slot on.
     Proof: sample k comes in interval k + 1, at its usual place there. A machine whose sample k - 1 was lost
     gives the same frames at the same times if the speed is a whole number of cycles per T; the positions
     differ by v. (At other speeds the residual tells them apart.)
+P4  A sample time is off by e, no more than SYNC and receive times can be (:func:`stamp_tolerance`).
+    Proof: a healthy machine whose SYNC came later by e, and whose sample was taken then, at v e cycles from
+    here: if that is a whole number, counts and time are the same. A position is right if it is that of the
+    moment that its sample time names.
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ from wire_line import Plan, Slot
 from wire_setups import Setup
 
 LATEST_HOST_S = 5e-3
+STAMP_NOISE_S = 1e-4
 
 
 def host_may_be_late(setup: Setup, interval_s: float) -> bool:
@@ -27,11 +32,16 @@ def host_may_be_late(setup: Setup, interval_s: float) -> bool:
     return not (setup.counter or setup.stamps) and interval_s <= LATEST_HOST_S
 
 
+def stamp_tolerance(setup: Setup, interval_s: float) -> float:
+    """How far a sample time may be off unseen, T: the noise of receive times, or the jitter of the SYNC."""
+    return min(0.45, (STAMP_NOISE_S if setup.stamps else LATEST_HOST_S) / interval_s)
+
+
 def unseen(plan: Plan) -> str:
     """P1, P3, or nothing."""
     if plan.setup.times:
         return ""
-    late = [n for n, slot in enumerate(plan.slots) if slot.pdo_late_us * plan.us >= 1.0]
+    late = [n for n, slot in enumerate(plan.slots) if slot.pdo_late_us * plan.us > 0.99]
     if late and late == list(range(late[0], len(plan.slots))):
         return "P3"
     return "P1" if not plan.setup.stamps and not plan.actions and _is_short(plan) else ""

@@ -60,6 +60,7 @@ class Options:
     event_timer_ms: int = 0
     extra: bool = False  # RPDO2 with flags and place of the zero pulse
     coarse: bool = False  # RPDO2 with the coarse track
+    stays: bool = False  # 1029h:01 is 1: OPERATIONAL also without a bus
     acceleration: bool = False  # TPDO3 with status and 2011:09
 
 
@@ -104,6 +105,8 @@ class Bench:
             write(0x1800, 2, "B", options.tpdo_type)
         if options.event_timer_ms:
             write(0x6200, 0, "H", options.event_timer_ms)
+        if options.stays:
+            write(0x1029, 1, "B", 1)
         if options.acceleration:
             self._map(0x1802, 0x1A02, 0x380 + NODE, (0x20110110, 0x20110920), 254)
 
