@@ -336,7 +336,11 @@ def _bus_off_stays(plan: Plan) -> None:
 
 
 def _foreign_pdos(plan: Plan) -> None:
-    """Another node sends an ADC PDO now and then: its counts are no sample."""
+    """Another node sends an ADC PDO now and then: its counts are no sample.
+
+    Where they pass for one they are a legal motion (docs/faults.md), off by less than the residual limit.
+    """
+    plan.tolerance = 0.9
     for slot in plan.slots[plan.fault : plan.fault + int(plan.rng.choice((1, 1, 10)))]:
         slot.foreign_us = float(plan.rng.uniform(0.05, 0.95)) / plan.us
 

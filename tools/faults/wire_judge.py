@@ -3,8 +3,8 @@
 The rules, by what made the module send (times in T, true receive times):
 
 J1  an ADC PDO: the position is that of the sample in it, or of the newest sample heard.
-J2  SYNC s (synchronous TPDOs and RPDOs), or a foreign PDO after it: that of the sample of SYNC s-1, or of s. Where a late host
-    and an unheard SYNC look alike (P2 in wire_physics), also that of the newest sample heard.
+J2  SYNC s (synchronous TPDOs and RPDOs), or a foreign PDO after it: that of the sample of SYNC s-1, or of s.
+    Where a late host and an unheard SYNC look alike (P2 in wire_physics), also that of the newest one heard.
 J3  a timer, an SDO read, NMT: that of the newest sample heard, if it is no older than FRESH; else the true
     position at that very moment. So a frozen position is wrong once the machine has moved on.
 J4  a sample time that is off by no more than the wire can be (P4): also the position at the time it names.
@@ -27,7 +27,6 @@ from wire_setups import CYCLES_PER_REVOLUTION, EMCY_ID, RANGE_CYCLES, SDO_TX, TP
 
 VALID, LOST, EXTRAPOLATED = 1 << 0, 1 << 2, 1 << 12
 FRESH = 3.0  # 2010:06 is 2 periods; one more for a late SYNC, the delay of the PDO and the host
-HALF = 0.5
 START = 12.0  # until then nothing has to be valid: a coarse track is found at rest
 ACCELERATION_MARGIN = 0.15  # cycles/T^2
 MEMORY = 8  # samples whose accelerations 2011:09 may hold
@@ -104,7 +103,7 @@ class Judge:
         verdict, shown = self.verdict, self.shown
         positions = [one for one in shown if one.what == "TPDO"] or shown
         ended_valid = bool(positions) and bool(positions[-1].status & VALID)
-        verdict.right_at_end = ended_valid and abs(positions[-1].error) <= HALF
+        verdict.right_at_end = ended_valid and abs(positions[-1].error) <= self._plan.tolerance
         if verdict.wrong:
             verdict.outcome = "physics" if self._plan.note.startswith("P") else "wrong"
         elif self._lost or not ended_valid:
@@ -130,7 +129,7 @@ class Judge:
         valid = bool(status & VALID)
         if (
             valid
-            and abs(error) > HALF
+            and abs(error) > self._plan.tolerance
             and self._lost
             and (self._plan.options.extra or self._plan.options.coarse)
         ):
@@ -144,7 +143,7 @@ class Judge:
             verdict.not_valid += 1
             if one.now < self._plan.fault + 1.0:
                 verdict.early += 1
-        elif abs(error) > HALF:
+        elif abs(error) > self._plan.tolerance:
             verdict.wrong += 1
             verdict.first_wrong = verdict.first_wrong or shown
             verdict.largest_error = max(verdict.largest_error, abs(error))
@@ -153,7 +152,7 @@ class Judge:
         """A zero pulse ends a loss within the revolution only; one that was not known, anywhere."""
         n = CYCLES_PER_REVOLUTION
         within = (error - self._rebased + n / 2) % n - n / 2
-        if abs(within) > HALF and self._plan.note == "unreferenced" and not self._rebased:
+        if abs(within) > self._plan.tolerance and self._plan.note == "unreferenced" and not self._rebased:
             self._rebased = error
             return 0.0
         return within

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wire_judge import ACCELERATION_ID, HALF, VALID
+from wire_judge import ACCELERATION_ID, VALID
 from wire_play import Episode, Played, play
 from wire_setups import EMCY_ID
 
@@ -44,7 +44,11 @@ def _changes(slot: object) -> str:
 
 def _frames(played: Played) -> None:
     begin = played.plan.fault - BEFORE
-    early = [one.now for one in played.judge.shown if not one.status & VALID or abs(one.error) > HALF]
+    early = [
+        one.now
+        for one in played.judge.shown
+        if not one.status & VALID or abs(one.error) > played.plan.tolerance
+    ]
     begin = min([begin, *(at - BEFORE for at in early[:1])])
     shown = list(played.judge.shown)
     lines: list[tuple[float, int, str]] = []
@@ -52,7 +56,7 @@ def _frames(played: Played) -> None:
         data = event.frame.data.hex() if event.frame else ""
         lines.append((event.time, 0, f"> {event.what} {event.number} {data}"))
     for one in shown:
-        mark = "WRONG" if one.status & VALID and abs(one.error) > HALF else ""
+        mark = "WRONG" if one.status & VALID and abs(one.error) > played.plan.tolerance else ""
         what = f"    {one.what} {one.position:.3f} [{words(one.status)}]"
         lines.append((one.now, 1, f"{what} residual {one.residual:.3f} error {one.error:+.3f} {mark}"))
     others = [sent for sent in played.sent if sent.frame.can_id in (EMCY_ID, ACCELERATION_ID)]
