@@ -58,6 +58,18 @@ def _pulse_and_one_lost(plan: Plan) -> None:
         slot.pdo_lost = True
 
 
+def _pulse_in_the_gap(plan: Plan) -> None:
+    """A short pulse near the limit, just where the samples are missing: another motion may look smoother."""
+    rng = plan.rng
+    limit = plan.options.limit = (0.3, 0.25, 0.15)[int(rng.integers(3))]
+    lost = int(rng.integers(1, 4))
+    size = float(rng.uniform(0.7, 0.98)) * limit * float(rng.choice((-1.0, 1.0)))
+    begin = plan.fault + float(rng.choice((-1.0, 0.0, 0.5)))
+    plan.motion.push(begin, float(rng.uniform(1.0, lost + 3.0)), size)
+    for slot in plan.slots[plan.fault : plan.fault + lost]:
+        slot.pdo_lost = True
+
+
 def _scattered_losses(plan: Plan) -> None:
     for slot in plan.slots[plan.fault : plan.fault + 40]:
         slot.pdo_lost = plan.rng.uniform() < 0.15
@@ -451,6 +463,7 @@ CLASSES: tuple[WireClass, ...] = (
     WireClass("stall", _stall, after=220),
     WireClass("stall, one lost", _stall_with_loss, after=220),
     WireClass("pulse, 1..3 lost", _pulse_and_one_lost, torque=0.0),
+    WireClass("pulse in the gap", _pulse_in_the_gap, torque=0.0),
     *(WireClass(f"PDO lost, {n}", lost_pdos(n)) for n in (1, 2, 3, 5)),
     WireClass("PDOs lost, 15 %", _scattered_losses),
     WireClass("PDO lost, every third", _every_third),

@@ -71,8 +71,8 @@ def _draw_wire(plan: Plan, speed: float, limit: float) -> None:
     plan.drift = float(rng.uniform(-1e-4, 1e-4))
     plan.gaussian = bool(rng.integers(2))
     plan.jitter_us = float(rng.uniform(0.0, 100.0))
-    if plan.options.interval_s < 1e-3:
-        plan.jitter_us *= 0.25
+    if plan.options.interval_s < 1e-3:  # such a bus has room for nothing else
+        plan.jitter_us, plan.gaussian, plan.busy = plan.jitter_us * 0.25, False, 0.0
     if setup.times:
         return
     # Without sample times the sampling instants must be regular (docs/faults.md): a locked timer, or
