@@ -255,7 +255,7 @@ SEEN = (
     "healthy, zero pulses",
     "PDO lost, 2",
     "PDO lost, 5",
-    "PDO lost, every third",
+    "PDO lost, every n-th",
     "SYNC unheard by interface",
 )
 

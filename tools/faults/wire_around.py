@@ -147,6 +147,14 @@ def any_loss(plan: Plan) -> None:
         pdo_late(plan)
 
 
+def predicting(plan: Plan) -> None:
+    """Synchronous PDOs with the position of their SYNC (2013h), which does not jitter here."""
+    plan.options.rpdo_type, plan.options.tpdo_type = int(plan.rng.choice((1, 255))), 1
+    plan.options.predict = int(plan.rng.choice((1, 2)))
+    plan.jitter_us, plan.busy, plan.tolerance = 0.0, 0.0, 1.3
+    any_loss(plan)
+
+
 def coarse_and_loss(plan: Plan) -> None:
     plan.options.coarse = True
     any_loss(plan)

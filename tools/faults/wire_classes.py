@@ -50,7 +50,7 @@ CLASSES: tuple[WireClass, ...] = (
     WireClass("pulse in the gap", unheard.pulse_in_the_gap, torque=0.0),
     *(WireClass(f"PDO lost, {n}", unheard.lost_pdos(n)) for n in (1, 2, 3, 5)),
     WireClass("PDOs lost, 15 %", unheard.scattered_losses),
-    WireClass("PDO lost, every third", unheard.every_third),
+    WireClass("PDO lost, every n-th", unheard.every_nth),
     WireClass("PDO lost, late host", around.late_host_and_lost),
     WireClass("deaf, 1..30", unheard.deaf(lambda rng: int(rng.integers(1, 31))), after=100),
     WireClass("deaf, late host", around.late_host_and_deaf, after=100),
@@ -96,4 +96,5 @@ CLASSES: tuple[WireClass, ...] = (
     WireClass("RPDO 1, TPDO 254", around.synchronous(1, 254, around.any_loss)),
     WireClass("RPDO 255, TPDO 1", around.synchronous(255, 1, around.any_loss)),
     WireClass("RPDO 1, TPDO 1", around.synchronous(1, 1, around.any_loss)),
+    WireClass("TPDO 1, predict", around.predicting),
 )  # fmt: skip

@@ -5,6 +5,7 @@ The rules, by what made the module send (times in T, true receive times):
 J1  an ADC PDO: the position is that of the sample in it, or of the newest sample heard.
 J2  SYNC s (synchronous TPDOs and RPDOs), or a foreign PDO after it: that of the sample of SYNC s-1, or of s.
     Where a late host and an unheard SYNC look alike (P2 in wire_physics), also that of the newest one heard.
+    With 2013h, that at the SYNC itself.
 J3  a timer, an SDO read, NMT: that of the newest sample heard, if it is no older than FRESH; else the true
     position at that very moment. So a frozen position is wrong once the machine has moved on.
 J4  a sample time that is off by no more than the wire can be (P4): also the position at the time it names.
@@ -177,7 +178,10 @@ class Judge:
             true = line.positions[first:last] or [float(self._plan.motion.at([cause.time - 1.0])[0])]
             plan = self._plan
             if one.newest >= 0 and host_may_be_late(plan.setup, plan.options.interval_s):
-                true = [*true, line.positions[one.newest]]
+                newest = line.sample_times[one.newest]
+                true += [line.positions[one.newest], float(plan.motion.at([newest + 1.0])[0])]
+            if plan.options.predict:
+                true.append(float(plan.motion.at([cause.time])[0]))
             return true + self._named(range(first, last))
         at = one.now if cause is None else cause.time
         if one.newest >= 0 and at - line.sample_times[one.newest] <= FRESH:

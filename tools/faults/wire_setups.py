@@ -58,6 +58,7 @@ class Options:
     rpdo_type: int = 255
     tpdo_type: int = 254
     event_timer_ms: int = 0
+    predict: int = 0  # 2013:01
     extra: bool = False  # RPDO2 with flags and place of the zero pulse
     coarse: bool = False  # RPDO2 with the coarse track
     stays: bool = False  # 1029h:01 is 1: OPERATIONAL also without a bus
@@ -103,6 +104,8 @@ class Bench:
             self._map(0x1401, 0x1601, EXTRA_ID, extra, options.rpdo_type)
         if options.tpdo_type != 254:
             write(0x1800, 2, "B", options.tpdo_type)
+        if options.predict:
+            write(0x2013, 1, "B", options.predict)
         if options.event_timer_ms:
             write(0x6200, 0, "H", options.event_timer_ms)
         if options.stays:

@@ -47,8 +47,9 @@ def scattered_losses(plan: Plan) -> None:
         slot.pdo_lost = plan.rng.uniform() < 0.15
 
 
-def every_third(plan: Plan) -> None:
-    for slot in plan.slots[plan.fault :: 3]:
+def every_nth(plan: Plan) -> None:
+    """A PDO is lost regularly: the position comes and goes, and each time there is something to report."""
+    for slot in plan.slots[plan.fault :: int(plan.rng.choice((3, 6, 8, 12)))]:
         slot.pdo_lost = True
 
 
