@@ -215,6 +215,12 @@ def test_physics_excuses_little() -> None:
     for slot in plan.slots[30:40]:
         slot.produced = False
     assert unseen(plan) == ""
+    extra = plan_at(SPEED)
+    extra.slots[30].again.append((500.0, True, False))
+    assert unseen(extra) == ""
+    extra.slots[30].again.append((500.0, True, True))
+    assert unseen(extra) == "P1"
+    assert unseen(replace(extra, setup=SETUPS[1])) == ""
     late = plan_at(SPEED)
     for slot in late.slots[30:]:
         slot.pdo_late_us = 1000.0

@@ -6,6 +6,7 @@ P1  No sample times, no receive times. Module and interface hear nothing for n p
     Take the machine whose SYNCs were fewer by n: each of its frames was received n T earlier, and its
     host was later by n T, from there on. That host is no later than it may be, so this machine is healthy.
     Frames, order and moments are the same, the positions differ by n v. Who accepts one accepts the other.
+    Likewise n SYNCs too many that both hear, without a counter: a machine whose host was later before.
 P2  The same, with sample times: the frames that a SYNC causes before the next ADC PDO has brought its
     time. They may show the newest sample heard. (Rule J2 of the judge knows it.)
 P3  No sample times. Each PDO is late by one whole period from some slot on.
@@ -50,8 +51,12 @@ def unseen(plan: Plan) -> str:
 def _is_short(plan: Plan) -> bool:
     runs = _runs([_is_unheard(slot) for slot in plan.slots])
     turn = plan.options.overflow if plan.setup.counter else 1
-    whole = all(run % turn == 0 for run in runs)
-    return bool(runs) and whole and sum(runs) * plan.options.interval_s <= LATEST_HOST_S
+    if any(run % turn for run in runs):
+        return False
+    extra = (
+        0 if plan.setup.counter else sum(again[1:] == (True, True) for s in plan.slots for again in s.again)
+    )
+    return 0.0 < (sum(runs) + extra) * plan.options.interval_s <= LATEST_HOST_S
 
 
 def _is_unheard(slot: Slot) -> bool:
