@@ -38,7 +38,8 @@ def endurance(seed: int, samples: int, setup: str = "times") -> Verdict:
     motion.vibrations.append((40.0 + TOP_CYCLES / RAMP, 0.02, 0.02, float(samples)))
     options = Options(period=setup_of(setup).period is not False)
     plan = Plan(setup_of(setup), options, motion, rng, [Slot() for _ in range(samples)], samples)
-    plan.jitter_us, plan.gaussian, plan.drift, plan.host = 100.0, True, 1e-4, "late"
+    plan.jitter_us, plan.gaussian, plan.busy = 100.0, True, 0.0
+    plan.drift, plan.host = 1e-4, "late"
     return play_plan(plan, fresh=True).verdict
 
 
