@@ -14,9 +14,10 @@ export OPENBLAS_NUM_THREADS ?= 1
 # What pip has installed, one stamp for each set of extras; a change of pyproject.toml installs again.
 INSTALLED := $(VENV)/.installed
 INSTALLED_TEST := $(VENV)/.installed-test
+LOWEST := $(VENV)-lowest
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types unit socketcan bench format clean
+.PHONY: help demo test lint types unit socketcan lowest bench format clean
 
 help: ## Show the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -46,6 +47,12 @@ unit: $(INSTALLED_TEST) ## Run the tests that need no CAN interface
 socketcan: $(INSTALLED_TEST) ## Run the tests on a real SocketCAN: this kernel's vcan, or one in user-mode Linux
 	@if $(VCAN) check; then $(VCAN) run -- $(PYTEST) tests/socketcan; else $(PYTEST) tests/socketcan; fi
 
+# A wheel of each for Python 3.11 and 3.12; newer Pythons need newer versions anyway.
+lowest: $(LOWEST)/.installed ## Run a part of the tests with the lowest versions that pyproject.toml allows
+	$(LOWEST)/bin/python -m pytest tests/bus/test_opening.py tests/bus/test_runner.py tests/cli/test_main.py \
+		tests/cli/test_config_command.py tests/cli/test_simulate_command.py tests/module/test_feedback_module.py \
+		tests/commissioning/test_report.py tests/test_exports.py
+
 bench: $(INSTALLED_TEST) ## Measure the time of one cycle, and of whole arrays
 	$(PY) tools/bench.py
 
@@ -54,7 +61,7 @@ format: $(INSTALLED_TEST) ## Write the code as the checks want it
 	$(PY) -m ruff format
 
 clean: ## Remove what was built, and the virtual environment
-	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(LOWEST) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find src tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(PY):
@@ -70,3 +77,11 @@ $(INSTALLED_TEST): pyproject.toml | $(PY)
 	@echo "installing canfb and what its tests need into $(VENV)"
 	@$(PIP) --editable '.[test]'
 	@touch $(INSTALLED) $@
+
+$(LOWEST)/.installed: pyproject.toml tools/lowest.py
+	@echo "installing canfb with the lowest versions into $(LOWEST)"
+	@$(PYTHON) -m venv --clear $(LOWEST)
+	@$(PYTHON) tools/lowest.py >$(LOWEST)/constraints.txt
+	@$(LOWEST)/bin/python -m pip install --quiet --quiet --disable-pip-version-check \
+		--constraint $(LOWEST)/constraints.txt --editable '.[plot]' pytest hypothesis
+	@touch $@
