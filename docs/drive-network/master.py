@@ -27,6 +27,7 @@ from canopen.sdo.exceptions import SdoError
 from configuring import Configuration, NetworkError
 from network_file import NetworkFile, NetworkFileError, load
 from nodes import Listener, Nodes
+from sync import produce
 
 MODES = {"profile": PROFILE, "csp": CYCLIC}
 BRAKING_S = 1.0  # until the machine stands: the module begins at standstill, and nobody sees the machine now
@@ -122,6 +123,7 @@ def run(
     options: argparse.Namespace,
     clock: Callable[[], float] = time.monotonic,
     wait: Callable[[float], None] = time.sleep,
+    sync: Callable[[canopen.Network, NetworkFile], Any] = produce,
 ) -> int:
     """On a connected network: configure, start, move, leave all nodes PRE-OPERATIONAL."""
     configuration = Configuration(network, file)
@@ -132,7 +134,7 @@ def run(
         print("\n".join(differences) or "everything is as the file says")
         return 1 if differences else 0
     print(f"configured: {configuration.apply()} object(s) written, all read back")
-    nodes = Nodes(network, file, configuration.remotes, clock, wait)
+    nodes = Nodes(network, file, configuration.remotes, clock, wait, sync)
     try:
         try:
             nodes.start()

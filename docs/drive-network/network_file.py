@@ -100,10 +100,14 @@ class Node:
 
 @dataclass
 class NetworkFile:
-    """A whole network. ``nodes`` stand in the order of ``start``."""
+    """A whole network. ``nodes`` stand in the order of ``start``.
+
+    ``sync_waits_s`` is for how long a SYNC waits for the answers to the last one; 0.0: it does not.
+    """
 
     bus: dict[str, Any]
     sync_period_us: int
+    sync_waits_s: float
     master_id: int
     master_heartbeat_ms: int
     nodes: dict[str, Node]
@@ -266,7 +270,7 @@ class _Reader:
         self._cob_ids: dict[int, str] = {}
 
     def network(self, root: Item) -> NetworkFile:
-        keys = root.mapping("bus sync_period_us nodes links start", "eds_folder master")
+        keys = root.mapping("bus sync_period_us nodes links start", "sync_waits_ms eds_folder master")
         master = keys["master"].mapping("node_id", "heartbeat_ms") if "master" in keys else {}
         folder = self._folder / (keys["eds_folder"].text() if "eds_folder" in keys else ".")
         for item in keys["nodes"].items():
@@ -285,6 +289,7 @@ class _Reader:
         return NetworkFile(
             keys["bus"].plain() if keys["bus"].keys() else {},
             keys["sync_period_us"].integer(100, 10_000_000),
+            keys["sync_waits_ms"].integer(0, 60_000) / 1000 if "sync_waits_ms" in keys else 0.0,
             master_id,
             master["heartbeat_ms"].integer(0, 65535) if "heartbeat_ms" in master else 0,
             {node.name: node for node in self._start(keys["start"])},

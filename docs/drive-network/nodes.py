@@ -15,10 +15,11 @@ import canopen
 from axis import FaultError
 from canopen.network import MessageListener
 from network_file import NetworkFile
+from sync import produce
 
 LOOK_S = 0.002
-SYNC, HEARTBEAT, OPERATIONAL = 0x80, 0x700, 5
-MISSED_HEARTBEATS = 5  # of a node, before the master calls it lost
+HEARTBEAT, OPERATIONAL = 0x700, 5
+MISSED_HEARTBEATS = 10  # of a node, before the master calls it lost
 ERRORS = {
     0x0000: "no error any more",
     0x7300: "sensor",
@@ -41,7 +42,7 @@ class Listener(MessageListener):
 class Nodes:
     """Starts the nodes, produces SYNC and heartbeat, watches everybody. Leaves all PRE-OPERATIONAL.
 
-    ``clock`` and ``wait`` are those of the system, but for tests.
+    ``clock``, ``wait`` and ``sync`` are those of the system, but for tests.
     """
 
     def __init__(
@@ -51,9 +52,10 @@ class Nodes:
         remotes: dict[str, Any],
         clock: Callable[[], float] = time.monotonic,
         wait: Callable[[float], None] = time.sleep,
+        sync: Callable[[canopen.Network, NetworkFile], Any] = produce,
     ) -> None:
         self._network, self._file, self._remotes = network, file, remotes
-        self._clock, self.wait = clock, wait
+        self._clock, self.wait, self._sync = clock, wait, sync
         self._heard: dict[str, tuple[float, int]] = {}  # time and state of the last heartbeat
         self._emergencies: list[str] = []
         self._tasks: list[Any] = []
@@ -69,7 +71,7 @@ class Nodes:
         if self._file.master_heartbeat_ms:
             beat = self._file.master_heartbeat_ms / 1000
             self._tasks.append(self._network.send_periodic(HEARTBEAT + master, bytes([OPERATIONAL]), beat))
-        self._tasks.append(self._network.send_periodic(SYNC, b"", self._file.sync_period_us / 1e6))
+        self._tasks.append(self._sync(self._network, self._file))
         for name in self._file.nodes:
             self.start_node(name)
         print(f"started: {', '.join(self._file.nodes)}")

@@ -116,5 +116,10 @@ class DriveNetwork:
         """The master of the example."""
         options: Any = master.parse([str(file or FOLDER / "network.yaml"), *arguments])
         return master.run(
-            self.network, network_file.load(options.file), options, lambda: self.bus.now, self.wait
+            self.network,
+            network_file.load(options.file),
+            options,
+            lambda: self.bus.now,
+            self.wait,
+            lambda network, file: network.send_periodic(0x80, b"", file.sync_period_us / 1e6),
         )
