@@ -1,19 +1,25 @@
-"""What the tests on a real bus share: a configuration, a SYNC, python canopen as master."""
+"""What the tests on a real bus share: a configuration, a SYNC, waiting for frames, a master."""
 
 from __future__ import annotations
 
 import struct
+import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Self
 
 import can
 import canopen
+import pytest
+from pace import Pace
 
 from canfb.eds_files import eds_path
 
 NODE_ID, INTERFACE_ID = 0x20, 0x10
 POSITION_COB_ID, ADC_COB_ID = 0x180 + NODE_ID, 0x180 + INTERFACE_ID
 SYNC = can.Message(arbitration_id=0x80, is_extended_id=False)
+LOOK_S = 0.2
 
 
 def write_config(folder: Path, text: str = "", simulation: str = "") -> str:
@@ -26,19 +32,55 @@ def write_config(folder: Path, text: str = "", simulation: str = "") -> str:
     return str(path)
 
 
+def frame(can_id: int, data: bytes = b"") -> can.Message:
+    """A data frame."""
+    return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
+
+
 def start_command(*nodes: int) -> list[can.Message]:
     """NMT start of each node."""
-    return [can.Message(arbitration_id=0, data=[1, node], is_extended_id=False) for node in nodes]
+    return [frame(0, bytes([1, node])) for node in nodes]
 
 
-def next_frame(bus: can.BusABC, can_id: int, within_s: float = 5.0) -> bytes | None:
-    """Data of the next frame with this CAN-ID, None if there is none in time."""
-    deadline = time.monotonic() + within_s
-    while (left := deadline - time.monotonic()) > 0:
-        message = bus.recv(left)
-        if message is not None and message.arbitration_id == can_id:
-            return bytes(message.data)
-    return None
+def frames(bus: can.BusABC, pace: Pace, what: str) -> Iterator[can.Message]:
+    """What comes; the test fails when nothing comes any more, and says what it has waited for."""
+    while (message := bus.recv(pace.patience_s)) is not None:
+        yield message
+    pytest.fail(f"waited for {what}, and nothing comes any more", pytrace=False)
+
+
+def wait_for(bus: can.BusABC, pace: Pace, *can_ids: int) -> dict[int, bytes]:
+    """Data of the next frame with each of these CAN-IDs."""
+    found: dict[int, bytes] = {}
+    for message in frames(bus, pace, " and ".join(f"{can_id:03X}h" for can_id in can_ids)):
+        if message.arbitration_id in can_ids:
+            found.setdefault(message.arbitration_id, bytes(message.data))
+        if len(found) == len(can_ids):
+            break
+    return found
+
+
+def next_frame(bus: can.BusABC, pace: Pace, can_id: int) -> bytes:
+    """Data of the next frame with this CAN-ID."""
+    return wait_for(bus, pace, can_id)[can_id]
+
+
+def wait_for_boot_up(bus: can.BusABC, pace: Pace, *nodes: int) -> None:
+    """Until each of the nodes has sent its boot-up: from then on it answers."""
+    missing = set(nodes)
+    for message in frames(bus, pace, f"the boot-up of {sorted(missing)}"):
+        if message.data == b"\0":
+            missing.discard(message.arbitration_id - 0x700)
+        if not missing:
+            break
+
+
+def reset(bus: can.BusABC, pace: Pace, node: int = NODE_ID) -> None:
+    """NMT reset node, until it is back with its defaults; frames from before are dropped."""
+    while bus.recv(0.0) is not None:
+        pass
+    bus.send(frame(0, bytes([0x81, node])))
+    wait_for_boot_up(bus, pace, node)
 
 
 def position_fields(data: bytes) -> tuple[int, int, int]:
@@ -47,17 +89,75 @@ def position_fields(data: bytes) -> tuple[int, int, int]:
     return position, status, residual
 
 
+class Syncs(threading.Thread):
+    """SYNC after SYNC while it is entered: each when the position of the one before has come.
+
+    After each it rests for as long as that took, so that others get the processor, too: the rate is that of
+    the machine, ``rate_hz``.
+    """
+
+    def __init__(self, channel: str, pace: Pace) -> None:
+        super().__init__(daemon=True)
+        self._bus = can.Bus(
+            interface="socketcan",
+            channel=channel,
+            can_filters=[{"can_id": POSITION_COB_ID, "can_mask": 0x7FF}],
+        )
+        self._patience_s = pace.patience_s
+        self._over = threading.Event()
+        self.count = 0
+        self.rate_hz = 0.0
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._over.set()
+        self.join()
+        self._bus.shutdown()
+
+    def run(self) -> None:
+        """Send them."""
+        began = time.monotonic()
+        while not self._over.is_set():
+            sent = time.monotonic()
+            self._bus.send(SYNC)
+            if not self._answered(sent + self._patience_s):
+                return  # who needs a SYNC says that there is none
+            self.count += 1
+            now = time.monotonic()
+            self.rate_hz = self.count / (now - began)
+            self._over.wait(now - sent)
+
+    def wait(self, count: int) -> None:
+        """Until so many more have been answered."""
+        end = self.count + count
+        while self.count < end:
+            if not self.is_alive():
+                pytest.fail(f"a SYNC was not answered by {POSITION_COB_ID:03X}h", pytrace=False)
+            self._over.wait(LOOK_S)
+
+    def _answered(self, deadline: float) -> bool:
+        while not self._over.is_set() and time.monotonic() < deadline:
+            if self._bus.recv(LOOK_S) is not None:
+                return True
+        return False
+
+
 class Master:
     """python canopen's master with a RemoteNode for each of the two nodes."""
 
-    def __init__(self, channel: str) -> None:
+    def __init__(self, channel: str, pace: Pace) -> None:
         self.network = canopen.Network()
         self.network.connect(interface="socketcan", channel=channel)
         self.module = self.network.add_node(NODE_ID, str(eds_path("canfb-module")))
         self.interface = self.network.add_node(INTERFACE_ID, str(eds_path("encoder-interface")))
         for node in (self.module, self.interface):
-            node.sdo.RESPONSE_TIMEOUT = 5.0
+            node.sdo.RESPONSE_TIMEOUT = pace.patience_s
 
-    def close(self) -> None:
-        """Disconnect from the bus."""
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
         self.network.disconnect()

@@ -6,9 +6,13 @@ import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
+import can
 import pytest
+from network import wait_for_boot_up
+from pace import Pace
+
+from processes import Process
 
 FOLDER = Path(__file__).parents[2] / "docs" / "drive-network"
 
@@ -19,16 +23,15 @@ def figure(lines: list[str], what: str, move: int) -> float:
 
 
 def test_two_moves_and_an_alarm_between_them(
-    process: Callable[..., Any], command: Callable[..., Any], can_channel: str, tmp_path: Path
+    process: Callable[..., Process], command: Callable[..., Process], can_bus: can.BusABC, pace: Pace
 ) -> None:
     config = str(FOLDER / "feedback.yaml")
     processes = process("run", config), process("simulate", config)
-    for one in processes:
-        one.wait_for("end with Ctrl-C")
+    wait_for_boot_up(can_bus, pace, 0x20, 0x10, 0x30)
     master = command(
         sys.executable, str(FOLDER / "master.py"), str(FOLDER / "network.yaml"), "--provoke-alarm"
     )
-    assert master.wait(90.0) == 0, str(master)
+    assert master.wait() == 0, str(master)
     lines = master.lines
     for move, revolutions in enumerate((1.0, -1.0)):
         assert 1e-5 < figure(lines, "rms", move) < 5e-3

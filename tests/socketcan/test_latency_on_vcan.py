@@ -5,10 +5,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import can
-import pytest
 from network import (
     ADC_COB_ID,
     NODE_ID,
@@ -17,11 +15,15 @@ from network import (
     Master,
     next_frame,
     position_fields,
+    reset,
     start_command,
+    wait_for_boot_up,
     write_config,
 )
+from pace import Pace
 
 from canfb.signal.supervision import StatusBit
+from processes import Process
 
 QUARTERS = ((0, 1500), (1500, 0), (0, -1500), (-1500, 0))
 QUARTER_UNITS = 2048
@@ -35,42 +37,39 @@ def sample(number: int) -> can.Message:
     )
 
 
-@pytest.mark.parametrize(
-    ("rpdo", "tpdo", "predict", "behind"),
-    [(255, 254, 0, 0), (255, 254, 1, 0), (255, 1, 0, 1), (255, 1, 1, 0), (1, 1, 0, 1), (1, 1, 2, 0)],
-)
+CASES = [(255, 254, 0, 0), (255, 254, 1, 0), (255, 1, 0, 1), (255, 1, 1, 0), (1, 1, 0, 1), (1, 1, 2, 0)]
+
+
 def test_the_sample_of_each_position_pdo(
-    process: Callable[..., Any],
-    tmp_path: Path,
-    can_channel: str,
-    can_bus: can.BusABC,
-    rpdo: int,
-    tpdo: int,
-    predict: int,
-    behind: int,
+    process: Callable[..., Process], tmp_path: Path, can_channel: str, can_bus: can.BusABC, pace: Pace
 ) -> None:
-    process("run", write_config(tmp_path)).wait_for("end with Ctrl-C")
-    master = Master(can_channel)
-    try:
-        sdo = master.module.sdo
-        sdo[0x1400][2].raw, sdo[0x1800][2].raw, sdo[0x2013][1].raw = rpdo, tpdo, predict
-    finally:
-        master.close()
+    process("run", write_config(tmp_path))
+    wait_for_boot_up(can_bus, pace, NODE_ID)
+    with Master(can_channel, pace) as master:
+        for case in CASES:
+            reset(can_bus, pace)
+            check(master, can_bus, pace, *case)
+
+
+def check(
+    master: Master, bus: can.BusABC, pace: Pace, rpdo: int, tpdo: int, predict: int, behind: int
+) -> None:
+    """Transmission types, 2013:01, and by how many samples the position is behind."""
+    case = f"RPDO type {rpdo}, TPDO type {tpdo}, 2013:01 = {predict}"
+    sdo = master.module.sdo
+    sdo[0x1400][2].raw, sdo[0x1800][2].raw, sdo[0x2013][1].raw = rpdo, tpdo, predict
     for message in start_command(NODE_ID):
-        can_bus.send(message)
+        bus.send(message)
     at_sync = tpdo == 1
     for number in range(PERIODS):
-        can_bus.send(SYNC)
-        data = None
+        bus.send(SYNC)
         if at_sync:  # before there is another sample
-            data = next_frame(can_bus, POSITION_COB_ID)
-            assert data is not None
-        can_bus.send(sample(number))
+            data = next_frame(bus, pace, POSITION_COB_ID)
+        bus.send(sample(number))
         if not at_sync:  # before there is another SYNC
-            data = next_frame(can_bus, POSITION_COB_ID)
-        assert data is not None
+            data = next_frame(bus, pace, POSITION_COB_ID)
         if number >= 4:
             position, status, _ = position_fields(data)
-            assert position == (number - behind) * QUARTER_UNITS
-            assert bool(status & StatusBit.EXTRAPOLATED) == bool(predict and at_sync)
-            assert status & StatusBit.VALID
+            assert position == (number - behind) * QUARTER_UNITS, case
+            assert bool(status & StatusBit.EXTRAPOLATED) == bool(predict and at_sync), case
+            assert status & StatusBit.VALID, case

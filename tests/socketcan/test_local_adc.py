@@ -7,15 +7,24 @@ import sys
 from collections.abc import Callable
 from ctypes.util import find_library
 from pathlib import Path
-from typing import Any
 
 import can
 import pytest
 from emulated_iio_tree import position_cycles
-from network import POSITION_COB_ID, SYNC, next_frame, position_fields, write_config
+from network import (
+    NODE_ID,
+    POSITION_COB_ID,
+    SYNC,
+    next_frame,
+    position_fields,
+    wait_for_boot_up,
+    write_config,
+)
+from pace import Pace
 
 from canfb.signal.supervision import StatusBit
-from conftest import Process, skip_unless_required
+from conftest import skip_unless_required
+from processes import Process
 
 TREE = Path(__file__).with_name("emulated_iio_tree.py")
 SOURCE = """\
@@ -38,24 +47,17 @@ def libiio() -> None:
 
 
 def test_each_sync_fires_the_trigger_and_its_position_is_right(
-    tmp_path: Path, can_bus: can.BusABC, command: Callable[..., Process]
+    tmp_path: Path, can_bus: can.BusABC, command: Callable[..., Process], pace: Pace
 ) -> None:
     config = write_config(tmp_path, SOURCE)
     run = command(*with_adc(), sys.executable, "-m", "canfb", "run", config)
-    run.wait_for("running node 32")
-    assert next_frame(can_bus, 0x720, 20.0) == b"\0"
+    wait_for_boot_up(can_bus, pace, NODE_ID)
     for number in range(400):
         can_bus.send(SYNC)
-        units, status, _ = position_fields(received(can_bus))
+        units, status, _ = position_fields(next_frame(can_bus, pace, POSITION_COB_ID))
         assert status & StatusBit.VALID
         error = units / UNITS_PER_CYCLE - position_cycles(number)
         assert abs((error + RANGE_CYCLES / 2) % RANGE_CYCLES - RANGE_CYCLES / 2) < 0.02, number
     assert position_cycles(400) > 50
     assert run.stop() == 0
     run.wait_for("node 32: 400 samples; missed 0, ")
-
-
-def received(bus: can.BusABC) -> Any:
-    data = next_frame(bus, POSITION_COB_ID, 20.0)
-    assert data is not None
-    return data

@@ -7,17 +7,26 @@ import struct
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
+import can
 import pytest
-from network import NODE_ID, POSITION_COB_ID, Master, position_fields, write_config
+from network import (
+    INTERFACE_ID,
+    NODE_ID,
+    POSITION_COB_ID,
+    Master,
+    position_fields,
+    wait_for_boot_up,
+    write_config,
+)
+from pace import Pace
 
 from canfb.signal.supervision import StatusBit
+from processes import Process
 
 SAMPLES = 1200
 IDLE, RECORDING, COMPUTING, READY, REFUSED, ACCEPTED = range(6)
 START, ACCEPT = 1, 3
-COMPUTED_S = 120.0  # an emulated machine, and a loaded one
 SIMULATION = (
     "simulation:\n"
     "  encoder: {sine_offset: 0.03, cosine_amplitude: 0.97, phase_error_rad: 0.05}\n"
@@ -26,18 +35,18 @@ SIMULATION = (
 
 
 @pytest.fixture
-def master(can_channel: str) -> Iterator[Master]:
-    made = Master(can_channel)
-    yield made
-    made.close()
+def master(can_channel: str, pace: Pace) -> Iterator[Master]:
+    with Master(can_channel, pace) as made:
+        yield made
 
 
 def test_measured_accepted_and_recorded_over_a_real_bus(
-    process: Callable[..., Any], master: Master, tmp_path: Path
+    process: Callable[..., Process], master: Master, can_bus: can.BusABC, tmp_path: Path, pace: Pace
 ) -> None:
     config = write_config(tmp_path, simulation=SIMULATION)
-    for one in (process("run", config), process("simulate", config)):
-        one.wait_for("end with Ctrl-C")
+    for command in ("run", "simulate"):
+        process(command, config)
+    wait_for_boot_up(can_bus, pace, NODE_ID, INTERFACE_ID)
     heard: queue.Queue[int] = queue.Queue()
     master.network.subscribe(
         POSITION_COB_ID, lambda can_id, data, timestamp: heard.put(position_fields(bytes(data))[1])
@@ -51,7 +60,7 @@ def test_measured_accepted_and_recorded_over_a_real_bus(
         words = []
         for _ in range(count):
             master.network.sync.transmit()
-            words.append(heard.get(timeout=10))
+            words.append(heard.get(timeout=pace.patience_s))
         return words
 
     sdo[0x2030][10].raw = SAMPLES
@@ -60,7 +69,7 @@ def test_measured_accepted_and_recorded_over_a_real_bus(
     words = synchronise(SAMPLES // 2)
     assert (sdo[0x2030][2].raw, sdo[0x2030][3].raw) == (RECORDING, 40)
     words += synchronise(SAMPLES - SAMPLES // 2)
-    give_up = time.monotonic() + COMPUTED_S
+    give_up = time.monotonic() + 5.0 * pace.patience_s
     while sdo[0x2030][2].raw in (RECORDING, COMPUTING):
         assert time.monotonic() < give_up
         words += synchronise(10)

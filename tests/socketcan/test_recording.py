@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import can
 import numpy as np
@@ -19,16 +19,21 @@ from network import (
     NODE_ID,
     POSITION_COB_ID,
     SYNC,
+    frame,
     position_fields,
     start_command,
+    wait_for_boot_up,
     write_config,
 )
+from pace import Pace
 
 from canfb.signal.supervision import StatusBit
+from processes import Process
 
 FOLDER = Path(os.environ.get("CANFB_RECORDINGS", Path(__file__).parents[3] / "shared" / "data"))
 RECORDING = FOLDER / "servoproject_optical_encoder.csv"
 GAP_S, INDEX_RANGE, UNITS_PER_CYCLE = 0.1, 2048, 8192
+MODULE_ANSWER, INTERFACE_ANSWER = 0x580 + NODE_ID, 0x580 + INTERFACE_ID
 MID_SCALE, RADIUS = 8192, 4000
 # The ellipse that the recording's description gives, track b as the sine.
 CONDITIONING = f"""\
@@ -59,18 +64,31 @@ def segments_of(rows: list[Row]) -> list[list[Row]]:
     return [part for part in parts if part]
 
 
-def wait_for_positions(bus: can.BusABC, within_s: float) -> Iterator[bytes]:
-    """Position PDOs until one answers the sample of this SYNC, or until nothing comes any more."""
-    sampled = False
-    while (message := bus.recv(within_s)) is not None:
+def positions_of_a_sync(bus: can.BusABC, pace: Pace) -> Iterator[bytes]:
+    """Position PDOs until one answers the sample of this SYNC, or until it is clear that none will come.
+
+    Whoever has answered a request has taken what came before it: the interface the SYNC, then the module the
+    sample that the interface may have sent.
+    """
+    sampled, asked = False, [MODULE_ANSWER, INTERFACE_ANSWER]
+    while True:
+        message = bus.recv(0.1 if len(asked) == 2 else pace.patience_s)
+        if message is None or message.arbitration_id == asked[-1]:
+            assert message is not None or len(asked) == 2, "a node does not answer any more"
+            if message is not None:
+                asked.pop()
+            if not asked:
+                return
+            bus.send(frame(asked[-1] + 0x80, bytes.fromhex("4000100000000000")))
+            continue
         sampled = sampled or message.arbitration_id == ADC_COB_ID
         if message.arbitration_id == POSITION_COB_ID:
             yield bytes(message.data)
-            if sampled and not position_fields(bytes(message.data))[1] & StatusBit.MISSED:
+            if sampled and len(asked) == 2 and not position_fields(bytes(message.data))[1] & StatusBit.MISSED:
                 return
 
 
-def play(bus: can.BusABC, simulator: Any, rows: int) -> list[list[tuple[int, int]]]:
+def play(bus: can.BusABC, pace: Pace, rows: int) -> list[list[tuple[int, int]]]:
     """SYNC by SYNC through the recording: position and status of every sample, by segment.
 
     As a master would, the module is started anew when it says that the position is lost.
@@ -79,7 +97,7 @@ def play(bus: can.BusABC, simulator: Any, rows: int) -> list[list[tuple[int, int
     count = 0
     while count < rows:
         bus.send(SYNC)
-        for data in wait_for_positions(bus, 0.2):
+        for data in positions_of_a_sync(bus, pace):
             position, status, _ = position_fields(data)
             if not status & StatusBit.MISSED:
                 played[-1].append((position, status))
@@ -93,19 +111,19 @@ def play(bus: can.BusABC, simulator: Any, rows: int) -> list[list[tuple[int, int
 
 @pytest.mark.skipif(not RECORDING.exists(), reason="no recording here; CANFB_RECORDINGS names its folder")
 def test_the_published_cycles_agree_with_the_index_over_every_segment(
-    process: Callable[..., Any], tmp_path: Path, can_bus: can.BusABC
+    process: Callable[..., Process], tmp_path: Path, can_bus: can.BusABC, pace: Pace
 ) -> None:
     config = write_config(tmp_path, CONDITIONING)
-    process("run", config).wait_for("end with Ctrl-C")
-    simulator = process(
+    process("run", config)
+    process(
         "simulate", config, "--samples", str(RECORDING), "--columns", "b,a", "--mid-scale", str(MID_SCALE),
         "--time-column", "t_s", "--gap-samples", "6",
     )  # fmt: skip
-    simulator.wait_for("end with Ctrl-C")
+    wait_for_boot_up(can_bus, pace, NODE_ID, INTERFACE_ID)
     for message in start_command(NODE_ID, INTERFACE_ID):
         can_bus.send(message)
     segments = segments_of(read_rows())
-    played = play(can_bus, simulator, sum(map(len, segments)))
+    played = play(can_bus, pace, sum(map(len, segments)))
     assert [len(part) for part in played] == [len(part) for part in segments]
     assert len(segments) == 25
     print("\nsegment  samples  cycles    index   largest deviation, cycles")
