@@ -17,6 +17,7 @@ PROFILE, CYCLIC = 1, 8  # 6060h: profile position; cyclic synchronous position
 ENABLE, NEW_SET_POINT, CHANGE_AT_ONCE, RESET_FAULT = 0x0F, 0x10, 0x20, 0x80
 TARGET_REACHED, SET_POINT_TAKEN = 1 << 10, 1 << 12
 VALID = 1 << 0  # 2011:01 of the module
+PATIENCE_S, MOVE_S = 20.0, 600.0  # for a step, for a whole move: a slow computer takes its time
 
 NEXT = {
     "SWITCH ON DISABLED": "READY TO SWITCH ON",
@@ -112,23 +113,27 @@ class Axis:
 
     def enable(self, mode: int) -> None:
         """Through the states to OPERATION ENABLED, where the target is the present position."""
-        self._until(lambda: len(self.rows) > 0, 5.0, "the drive to answer the SYNC")
+        self._until(lambda: len(self.rows) > 0, PATIENCE_S, "the drive to answer the SYNC")
         passing = ("NOT READY TO SWITCH ON", "FAULT REACTION ACTIVE")
-        self._until(lambda: self.state not in passing, 5.0, "a state that can be left by command")
+        self._until(lambda: self.state not in passing, PATIENCE_S, "a state that can be left by command")
         self._command_pdo[0x6060].raw = mode
         if self.state == "FAULT":
             self.command(0)
             answered = len(self.rows)
-            self._until(lambda: len(self.rows) > answered + 2, 5.0, "three SYNCs")  # the reset is an edge
+            self._until(
+                lambda: len(self.rows) > answered + 2, PATIENCE_S, "three SYNCs"
+            )  # the reset is an edge
             self.command(RESET_FAULT)
-            self._until(lambda: self.state != "FAULT", 5.0, "the end of the fault; is its cause still there?")
+            self._until(
+                lambda: self.state != "FAULT", PATIENCE_S, "the end of the fault; is its cause still there?"
+            )
         while (state := self.state) != "OPERATION ENABLED":
             aim = NEXT.get(state)
             if aim is None:
                 raise FaultError(f"the drive is in {state}, from where no command leads on")
             self.command(State402.TRANSITIONTABLE[state, aim], self.position)
-            self._running(lambda before=state: self.state != before, 5.0, aim)  # type: ignore[misc]
-        self._running(lambda: self._state_pdo[0x6061].raw == mode, 5.0, f"mode {mode} (6061h)")
+            self._running(lambda before=state: self.state != before, PATIENCE_S, aim)  # type: ignore[misc]
+        self._running(lambda: self._state_pdo[0x6061].raw == mode, PATIENCE_S, f"mode {mode} (6061h)")
 
     def disable(self) -> None:
         """Switch the power stage off; no wait."""
@@ -161,12 +166,14 @@ class Axis:
         """Wait until the target is reached, and see it stay there for half a second of SYNCs."""
         if mode == PROFILE:
             status = self._state_pdo[0x6041]
-            self._running(lambda: status.raw & SET_POINT_TAKEN != 0, 5.0, "the drive to take the set-point")
+            self._running(
+                lambda: status.raw & SET_POINT_TAKEN != 0, PATIENCE_S, "the drive to take the set-point"
+            )
             self.command(ENABLE, target)
             self._running(
-                lambda: self._demands(target) and status.raw & TARGET_REACHED != 0, 60.0, "the target"
+                lambda: self._demands(target) and status.raw & TARGET_REACHED != 0, MOVE_S, "the target"
             )
-        self._running(lambda: self._demands(target), 60.0, "the end of the set-points")
+        self._running(lambda: self._demands(target), MOVE_S, "the end of the set-points")
         self.wait_syncs(50)
         self.follow = None
 
@@ -189,7 +196,7 @@ class Axis:
     def wait_syncs(self, count: int) -> None:
         """Wait for so many SYNCs that the drive has answered."""
         end = len(self.rows) + count
-        self._running(lambda: len(self.rows) >= end, 1.0 + 0.2 * count, "the drive to answer the SYNC")
+        self._running(lambda: len(self.rows) >= end, PATIENCE_S + count, "the drive to answer the SYNC")
 
     def _running(self, true: Callable[[], bool], seconds: float, what: str) -> None:
         """Wait while the drive has no fault."""

@@ -13,8 +13,8 @@ import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 from network_file import OFF, NetworkFile, Node, Pdo
 
-ANSWER_S = 1.0  # for one SDO; saving may take longer
-SAVING_S = 5.0
+ANSWER_S = 5.0  # for one SDO; saving may take longer
+SAVING_S = 20.0
 SYNC_PERIOD, SAVE, HEARTBEATS, HEARTBEAT = 0x1006, 0x1010, 0x1016, 0x1017
 
 

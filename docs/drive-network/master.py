@@ -22,7 +22,7 @@ from typing import Any
 
 import can
 import canopen
-from axis import CYCLIC, PROFILE, Axis, FaultError
+from axis import CYCLIC, MOVE_S, PATIENCE_S, PROFILE, Axis, FaultError
 from canopen.sdo.exceptions import SdoError
 from configuring import Configuration, NetworkError
 from network_file import NetworkFile, NetworkFileError, load
@@ -43,7 +43,8 @@ class Story:
     def move(self, revolutions: float) -> list[str]:
         """Enable the drive and turn by so much; the report."""
         axis = self._axis
-        if not self._nodes.within(axis.feedback_is_steady, STEADY_S):
+        self._pass(STEADY_S, axis.feedback_is_steady)
+        if not axis.feedback_is_steady():
             self.recover()  # it began while the machine was still turning
         axis.enable(self._mode)
         start = axis.position
@@ -66,10 +67,10 @@ class Story:
         start = axis.position
         axis.begin(self._mode, revolutions)
         axis.wait_syncs(2)
-        nodes.until(lambda: abs(axis.position - start) > abs(revolutions) / 2, 60.0, "half of the way")
+        nodes.until(lambda: abs(axis.position - start) > abs(revolutions) / 2, MOVE_S, "half of the distance")
         stopped = len(axis.rows)
         nodes.stop_node("interface", "STOPPED")
-        nodes.until(lambda: axis.state == "FAULT", 5.0, "the drive to go to FAULT")
+        nodes.until(lambda: axis.state == "FAULT", PATIENCE_S, "the drive to go to FAULT")
         axis.follow = None
         rows = axis.rows[stopped:]
         unseen = sum(1 for row in rows if row.module_valid)
@@ -80,15 +81,22 @@ class Story:
             f"  drive             left OPERATION ENABLED {running} SYNC(s) later, is in FAULT",
         ]
 
+    def _pass(self, seconds: float, enough: Callable[[], bool] = lambda: False) -> None:
+        """Let so much time of the SYNC pass, or less when it is enough."""
+        end = len(self._axis.all_rows) + seconds / self._period_s
+        self._nodes.until(
+            lambda: enough() or len(self._axis.all_rows) >= end, MOVE_S, "the drive to answer the SYNC"
+        )
+
     def recover(self) -> None:
         """Begin with the feedback anew, at standstill. It counts from here: home a real machine now."""
         nodes, axis = self._nodes, self._axis
-        nodes.wait(BRAKING_S)
+        self._pass(BRAKING_S)
         nodes.stop_node("module", "PRE-OPERATIONAL")
         nodes.start_node("interface")
         nodes.start_node("module")
         axis.rows.clear()
-        nodes.until(axis.feedback_is_steady, 5.0, "a valid position")
+        nodes.until(axis.feedback_is_steady, PATIENCE_S, "a valid position")
 
 
 def main(arguments: list[str] | None = None) -> int:

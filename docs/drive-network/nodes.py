@@ -12,7 +12,7 @@ from typing import Any
 
 import can
 import canopen
-from axis import FaultError
+from axis import PATIENCE_S, FaultError
 from canopen.network import MessageListener
 from network_file import NetworkFile
 from sync import produce
@@ -80,7 +80,7 @@ class Nodes:
         """NMT start, and wait for the heartbeat that says so."""
         self._remotes[name].nmt.state = "OPERATIONAL"
         if self._file.nodes[name].heartbeat_ms:
-            self.until(lambda: self._state(name) == OPERATIONAL, 5.0, f"{name} to become OPERATIONAL")
+            self.until(lambda: self._state(name) == OPERATIONAL, PATIENCE_S, f"{name} to become OPERATIONAL")
             self.on_duty.add(name)
 
     def stop_node(self, name: str, state: str) -> None:
@@ -110,12 +110,6 @@ class Nodes:
             if self._clock() > end:
                 raise FaultError(f"waited {seconds:g} s for {what}")
             self.wait(LOOK_S)
-
-    def within(self, true: Callable[[], bool], seconds: float) -> bool:
-        """Whether it comes within this time."""
-        end = self._clock() + seconds
-        self.until(lambda: true() or self._clock() > end, 2.0 * seconds, "the clock")
-        return true()
 
     def _check_nodes(self) -> None:
         for name in self.on_duty:

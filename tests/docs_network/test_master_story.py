@@ -85,14 +85,14 @@ def test_the_trace_has_a_line_for_each_sync(tmp_path: Path, capsys: pytest.Captu
     with path.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["sync"]) for row in rows] == list(range(len(rows)))
-    assert 180 < len(rows) <= network.plant.syncs
+    assert 150 < len(rows) <= network.plant.syncs
     moving = [row for row in rows if row["state"] == "OPERATION ENABLED"]
     for row in moving:
         error = float(row["demand"]) - float(row["position"])
         assert error == pytest.approx(float(row["following_error"]), abs=0.02)
         assert float(row["position"]) == pytest.approx(float(row["module"]), abs=0.02)
     assert max(float(row["position"]) for row in moving) > 0.5
-    assert {row["module_valid"] for row in rows[30:180]} == {"1"}
+    assert {row["module_valid"] for row in rows[30:150]} == {"1"}
 
 
 def test_a_second_run_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
@@ -190,7 +190,7 @@ def test_a_start_that_fails_undoes_the_configuration(
         network.drive, "receive", lambda frame, now: [] if frame[:2] == lost[:2] else receive(frame, now)
     )
     before = writable(network.module), writable(network.drive), writable(network.interface)
-    with pytest.raises(axis.FaultError, match="waited 5 s for drive to become OPERATIONAL"):
+    with pytest.raises(axis.FaultError, match="waited 20 s for drive to become OPERATIONAL"):
         network.run()
     assert (writable(network.module), writable(network.drive), writable(network.interface)) == before
     assert_all_quiet(network)
@@ -248,7 +248,7 @@ def test_the_errors_of_the_drive_have_words() -> None:
 
 
 @given(
-    distance=st.floats(-100.0, 100.0),
+    distance=st.floats(-100.0, 100.0, allow_subnormal=False),
     speed=st.floats(0.01, 100.0),
     acceleration=st.floats(0.01, 1000.0),
 )

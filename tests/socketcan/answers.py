@@ -12,13 +12,14 @@ AGAIN_S = 0.5
 
 def main(channel: str, *nodes: str) -> None:
     """Ask each until it answers."""
-    with can.Bus(interface="socketcan", channel=channel) as bus:
-        for node in map(int, nodes):
-            heard = False
-            while not heard:
-                bus.send(can.Message(arbitration_id=0x600 + node, data=REQUEST, is_extended_id=False))
-                while not heard and (message := bus.recv(AGAIN_S)) is not None:
-                    heard = message.arbitration_id == 0x580 + node
+    for node in map(int, nodes):
+        request = can.Message(arbitration_id=0x600 + node, data=REQUEST, is_extended_id=False)
+        answers = [{"can_id": 0x580 + node, "can_mask": 0x7FF}]
+        with can.Bus(interface="socketcan", channel=channel, can_filters=answers) as bus:
+            heard = None
+            while heard is None:
+                bus.send(request)
+                heard = bus.recv(AGAIN_S)
 
 
 if __name__ == "__main__":
