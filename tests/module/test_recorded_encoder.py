@@ -1,0 +1,108 @@
+"""The tracks of a real encoder, played SYNC by SYNC, tracked by the module, compared with their own index."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import struct
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from canfb.device.frame import Frame
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.supervision import StatusBit
+from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.sources import RecordingLayout, RecordingSource
+
+FOLDER = Path(os.environ.get("CANFB_RECORDINGS", Path(__file__).parents[3] / "shared" / "data"))
+RECORDING = FOLDER / "servoproject_optical_encoder.csv"
+NODE_ID, INTERFACE_ID = 0x20, 0x10
+SYNC_PERIOD_S = 1e-3
+GAP_S, INDEX_RANGE, UNITS_PER_CYCLE = 0.1, 2048, 8192
+MID_SCALE, RADIUS = 8192, 4000
+LAYOUT = RecordingLayout(("b", "a"), MID_SCALE, "t_s", gap_samples=6)
+# The ellipse that the recording's description gives, track b as the sine.
+CONDITIONING = Conditioning(
+    sine_offset_counts=12910 - MID_SCALE,
+    cosine_offset_counts=9593 - MID_SCALE,
+    sine_gain=RADIUS / 3132,
+    cosine_gain=RADIUS / 5251,
+    phase_error_rad=math.radians(14.6),
+)
+
+
+class Row(NamedTuple):
+    time_s: float
+    index: int
+
+
+def read_rows() -> list[Row]:
+    with RECORDING.open(newline="") as file:
+        return [Row(float(row["t_s"]), int(row["fw_index"])) for row in csv.DictReader(file)]
+
+
+def segments_of(rows: list[Row]) -> list[list[Row]]:
+    """Stretches between the gaps, without the last sample before each gap."""
+    cuts = [0, *(n for n, (a, b) in enumerate(pairwise(rows), 1) if b.time_s - a.time_s > GAP_S), len(rows)]
+    parts = [rows[a : b - (b < len(rows))] for a, b in pairwise(cuts)]
+    return [part for part in parts if part]
+
+
+def play(rows: int) -> list[list[tuple[int, int]]]:
+    """SYNC by SYNC through the recording: position and status of every sample, by segment.
+
+    As a master would, the module is started again when it says that the position is lost.
+    """
+    bus = EmbeddedBus()
+    played: list[list[tuple[int, int]]] = [[]]
+    positions: list[Frame] = []
+    bus.taps.append(lambda frame, now: positions.append(frame) if frame.can_id == 0x180 + NODE_ID else None)
+    module = ModuleConfig(
+        node_id=NODE_ID, encoder_interface=INTERFACE_ID, adc_bits=14, conditioning=CONDITIONING
+    )
+    bus.attach(FeedbackModule(module))
+    bus.attach(EncoderInterface(INTERFACE_ID, RecordingSource(RECORDING, LAYOUT)))
+    for node in (NODE_ID, INTERFACE_ID):
+        bus.send(Frame(0, bytes([1, node])))
+    count = 0
+    while count < rows:
+        bus.run_until(bus.now + SYNC_PERIOD_S)
+        positions.clear()
+        bus.send(Frame(0x80, b""))
+        for frame in positions[:]:
+            position, status, _ = struct.unpack("<IHH", frame.data)
+            if not status & StatusBit.MISSED:
+                played[-1].append((position, status))
+                count += 1
+            elif status & StatusBit.LOST:
+                played.append([])
+                for command in (0x80, 1):
+                    bus.send(Frame(0, bytes([command, NODE_ID])))
+    return [part for part in played if part]
+
+
+@pytest.mark.skipif(not RECORDING.exists(), reason="no recording here; CANFB_RECORDINGS names its folder")
+def test_the_published_cycles_agree_with_the_index_over_every_segment() -> None:
+    segments = segments_of(read_rows())
+    played = play(sum(map(len, segments)))
+    assert [len(part) for part in played] == [len(part) for part in segments]
+    assert len(segments) == 25
+    print("\nsegment  samples  cycles    index   largest deviation, cycles")
+    for number, (part, rows) in enumerate(zip(played, segments, strict=True), 1):
+        position = np.unwrap([p for p, _ in part], period=2500 * UNITS_PER_CYCLE * 209) / UNITS_PER_CYCLE
+        index = np.unwrap([row.index for row in rows], period=INDEX_RANGE) / INDEX_RANGE
+        deviation = (position - position[0]) - (index - index[0])
+        worst = np.abs(deviation - np.median(deviation)).max()
+        moved, counted = position[-1] - position[0], index[-1] - index[0]
+        print(f"{number:7} {len(part):8} {moved:8.2f} {counted:8.2f} {worst:8.3f}")
+        assert all(status & StatusBit.VALID for _, status in part)
+        assert abs(deviation[-1]) < 0.25
+        assert 0.001 < worst < 0.25
