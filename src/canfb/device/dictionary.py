@@ -7,8 +7,12 @@ from pathlib import Path
 
 from canfb.device import template
 from canfb.device.codes import AbortCode, SdoAbort
+from canfb.device.datatypes import DataType
 from canfb.device.entry import Entry
 from canfb.device.object_info import ObjectInfo, ObjectKind
+
+STORE_EDS = 0x1021
+"""The EDS of the device, in the format that 1022h names (CiA 301, 7.5.2.24)."""
 
 __all__ = ["Dictionary", "Entry", "ObjectInfo", "ObjectKind"]
 
@@ -45,7 +49,11 @@ class Dictionary:
         if not (1 <= node_id <= 127 or node_id == 255):
             raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127, or 255 for none yet")
         described = template.load(Path(path), node_id)
-        return cls(described.fresh_entries(), described.objects, described.dummies)
+        dictionary = cls(described.fresh_entries(), described.objects, described.dummies)
+        stored = dictionary.find(STORE_EDS)
+        if stored is not None and stored.data_type == DataType.DOMAIN:
+            stored.default = stored.value = described.content
+        return dictionary
 
     def entry(self, index: int, subindex: int = 0) -> Entry:
         """The entry, for code that knows its device. KeyError when there is none."""

@@ -21,9 +21,6 @@ from canfb.device.datatypes import DataType
 from canfb.device.entry import Entry
 from canfb.device.object_info import ObjectInfo, ObjectKind
 
-STORE_EDS = 0x1021
-"""The EDS of the device, in the format that 1022h names (CiA 301, 7.5.2.24)."""
-
 
 @dataclass(frozen=True, slots=True)
 class Template:
@@ -32,6 +29,7 @@ class Template:
     entries: tuple[Entry, ...]
     objects: tuple[ObjectInfo, ...]
     dummies: frozenset[int]
+    content: bytes
 
     def fresh_entries(self) -> list[Entry]:
         """Entries at their defaults, without hooks, shared with nobody."""
@@ -85,10 +83,7 @@ def _template(content: bytes, node_id: int) -> Template:
             entries.append(_entry(file.parser, section, variable, node_id))
         subindices = tuple(variable.subindex for variable in variables)
         objects.append(ObjectInfo(index, str(thing.name), _kind(thing), subindices))
-    for entry in entries:
-        if (entry.index, entry.subindex, entry.data_type) == (STORE_EDS, 0, DataType.DOMAIN):
-            entry.default = entry.value = content
-    return Template(tuple(entries), tuple(objects), eds.dummy_types(file.parser))
+    return Template(tuple(entries), tuple(objects), eds.dummy_types(file.parser), content)
 
 
 def _variables(thing: ODVariable | ODArray | ODRecord) -> list[ODVariable]:
