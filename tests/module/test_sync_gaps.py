@@ -31,9 +31,9 @@ class Counted(Bench):
     def cycle(self, heard: bool = True) -> tuple[int, int] | None:
         """The next SYNC and its sample, 6004h and status word; None where the module hears neither."""
         self.number += 1
+        self.bus.run_until(self.bus.now + self.interval_s)
         if not heard:
             return None
-        self.bus.run_until(self.bus.now + self.interval_s)
         self.sent(Frame(0x80, bytes([(self.number - 1) % self.overflow + 1])))
         angle = 2 * math.pi * SPEED * self.number
         sample = struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))

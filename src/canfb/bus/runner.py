@@ -18,10 +18,13 @@ import can
 from canfb.bus.bus_state import RETRY_S, BusState, BusWatching, Direction
 from canfb.bus.computing import Computation, Computing
 from canfb.bus.opening import brings_own_frames_back, marks_own_frames
+from canfb.bus.receive_times import ReceiveTimes
 from canfb.device.frame import NEVER, Frame
 from canfb.errors import CanfbError
 
 LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
+LEAST_WAIT_S = 2e-4  # what is not faster than that was waited for
+LONGEST_DRAIN_S = 1.0  # how long frames that wait may put off a deadline
 
 
 class Device(Protocol):
@@ -81,8 +84,13 @@ class Runner:
     Devices of one process hear each other as well. A bus that fails is tried again; what
     happened is counted and told to ``report``, one line each time it changes, and the devices
     that want to know hear when the bus goes and comes back. A device that raises ends
-    :meth:`run` for all, with DeviceFailure: nobody knows what state it is in. ``clock`` and
-    ``sleep`` are those of the system, but for tests.
+    :meth:`run` for all, with DeviceFailure: nobody knows what state it is in.
+
+    Frames get the time at which the bus received them (:class:`ReceiveTimes`). A runner that comes
+    round late takes all frames that wait before it looks at a deadline: SYNC and samples may be among
+    them, and nothing was late then but the runner.
+
+    ``clock``, ``sleep`` and ``wall`` (the time of day) are those of the system, but for tests.
     """
 
     def __init__(
@@ -92,12 +100,16 @@ class Runner:
         report: Callable[[str], None] = lambda text: None,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
+        wall: Callable[[], float] = time.time,
     ) -> None:
         self.counters = BusCounters()
         self._bus = bus
         self._devices = devices
         self._clock = clock
         self._sleep = sleep
+        self._times = ReceiveTimes(clock, wall)
+        self._received_s: float | None = None  # when the last frame came, if frames may wait behind it
+        self._asked_s = self._drained_s = clock()  # when a frame was asked for, and when none waited last
         self._stopped = False
         self._receiving = Direction(report, "the bus fails", "the bus works again")
         self._sending = Direction(report, "a frame could not be sent", "frames can be sent again")
@@ -130,11 +142,13 @@ class Runner:
                 message = self._next_message(due)
                 if message is not None:
                     self._take(message)
+                else:
+                    self._emptied()
                 if self._bus_state.gone:
                     self._tell_bus_state()
                 self._compute()
                 due = self._due()
-                if due <= self._clock():
+                if due <= self._clock() and not self._waits_before(due):
                     self._tick()
                     due = self._due()
         finally:
@@ -144,6 +158,19 @@ class Runner:
                 if isinstance(device, Ending):
                     device.end(self._clock())
 
+    def _emptied(self) -> None:
+        """No frame waits."""
+        self._received_s = None
+        self._drained_s = self._clock()
+        self._times.emptied()
+
+    def _waits_before(self, due: float) -> bool:
+        """Frames that came before this deadline may still wait."""
+        received = self._received_s
+        if received is None or received >= due:
+            return False
+        return self._clock() - self._drained_s < LONGEST_DRAIN_S
+
     def _due(self) -> float:
         """The earliest deadline of all devices, NEVER for none."""
         deadlines = [deadline for device in self._devices if (deadline := device.deadline()) is not None]
@@ -151,7 +178,8 @@ class Runner:
 
     def _next_message(self, due: float) -> can.Message | None:
         """Wait for a message until `due`, and not longer than a signal may wait."""
-        wait = min(LONGEST_WAIT_S, max(0.0, due - self._clock()))
+        self._asked_s = asked = self._clock()
+        wait = min(LONGEST_WAIT_S, max(0.0, due - asked))
         try:
             message = self._bus.recv(wait)
         except (can.CanError, OSError) as error:
@@ -181,7 +209,16 @@ class Runner:
         if message.is_extended_id or message.is_fd:
             return  # CANopen uses 11-bit identifiers; others may share the bus
         self.counters.received += 1
-        frame = Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame, message.timestamp)
+        received = self._times.received(message.timestamp, now)
+        if received is None:
+            self._received_s = now - LONGEST_DRAIN_S
+            waited_for = now - self._asked_s >= LEAST_WAIT_S
+        else:
+            self._received_s = received
+            waited_for = received >= self._asked_s
+        if waited_for:
+            self._drained_s = now
+        frame = Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame, received)
         for device in self._devices:
             try:
                 answers = device.receive(frame, now)

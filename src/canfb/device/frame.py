@@ -15,8 +15,8 @@ class Frame(NamedTuple):
     """One CAN frame with an 11-bit identifier.
 
     `can_id` is 0 to 7FFh, `data` holds 0 to 8 bytes, `rtr` marks a remote frame. `timestamp` is the
-    time of reception in seconds where the bus gives one; the device does not use it. Nothing is
-    checked here, as a bus may deliver anything: the device drops and counts what is malformed.
+    time of reception in seconds, on the clock of `now`, where the bus gives one. Nothing is checked
+    here, as a bus may deliver anything: the device drops and counts what is malformed.
     :meth:`checked` makes the frames of a program.
     """
 
@@ -51,13 +51,18 @@ Emit = Callable[[Frame], None]
 
 
 class Moment:
-    """The `now` of the running call, seconds.
+    """The `now` of the running call, and the time at which its frame was received, seconds.
 
     The hooks of an SDO write carry no time, yet a timer that such a write starts needs one. The
-    node sets it at each call from its argument; nothing here reads a clock.
+    node sets it at each call from its arguments; nothing here reads a clock.
+
+    `received` is the time stamp of the frame if `proved`, else the latest time at which it may have
+    been received: that of the call. `stamp` is the last time stamp that was taken.
     """
 
-    __slots__ = ("now",)
+    __slots__ = ("now", "proved", "received", "stamp")
 
     def __init__(self) -> None:
-        self.now = 0.0
+        self.now = self.received = 0.0
+        self.stamp = -NEVER
+        self.proved = False

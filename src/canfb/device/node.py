@@ -71,7 +71,8 @@ class Node(Hooks):
 
         self._operational = False
         self._outbox: list[Frame] = []
-        self._moment = Moment()
+        self.moment = Moment()
+        """The times of the running call."""
         self._agenda = Agenda()
         self._routes: dict[int, Handler] = {}
         self._remote_routes: dict[int, RemoteHandler] = {}
@@ -112,7 +113,7 @@ class Node(Hooks):
             self.dictionary,
             self.node_id,
             links,
-            moment=self._moment,
+            moment=self.moment,
             counters=self.counters,
             silence=self._silence,
             sdo_timeout_s=self._sdo_timeout_s,
@@ -138,7 +139,7 @@ class Node(Hooks):
     @property
     def now(self) -> float:
         """The time of the running call, or of the last one, seconds."""
-        return self._moment.now
+        return self.moment.now
 
     @property
     def autostart(self) -> bool:
@@ -161,7 +162,7 @@ class Node(Hooks):
 
         Values stay as they are, but for those that the store keeps.
         """
-        self._moment.now = now
+        self.moment.now = now
         self.storage.power_on()
         self.lss.power_on()
         self._change_node_id(now)
@@ -170,8 +171,15 @@ class Node(Hooks):
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Take a frame from the bus, whatever it holds; gives what is to be sent."""
-        self._moment.now = now
-        can_id, data, rtr, _ = frame
+        moment = self.moment
+        moment.now = now
+        can_id, data, rtr, timestamp = frame
+        # Nothing is received later than now; a stamp before the last one is of a clock that was set.
+        if timestamp is not None and moment.stamp <= timestamp <= now:
+            moment.received = moment.stamp = timestamp
+            moment.proved = True
+        else:
+            moment.received, moment.proved = now, False
         if rtr:
             self._receive_remote(can_id, now)
         elif len(data) > LONGEST_DATA:
@@ -193,14 +201,14 @@ class Node(Hooks):
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at `now`; gives what is to be sent."""
-        self._moment.now = now
+        self.moment.now = now
         self._agenda.tick(now)
         return self._sent()
 
     def deadline(self) -> float | None:
         """When `tick` is wanted next, seconds; None when nothing is waiting."""
         if self._outbox:
-            return self._moment.now
+            return self.moment.now
         due = self._agenda.due()
         return None if due == NEVER else due
 
@@ -223,7 +231,7 @@ class Node(Hooks):
         tpdo = self._tpdos.get(number)
         if tpdo is None:
             raise ValueError(f"there is no TPDO {number}; the EDS has {sorted(self._tpdos)}")
-        self._moment.now = now
+        self.moment.now = now
         tpdo.trigger(now)
 
     def emergency(
@@ -251,7 +259,7 @@ class Node(Hooks):
 
         A lost heartbeat and a silent guarding master come here by themselves. EMCY is another matter.
         """
-        self._moment.now = now
+        self.moment.now = now
         self._nmt.enter(self._services.error_behaviour.reaction(self._nmt.state), now)
 
     def bus_off(self, now: float) -> list[Frame]:
@@ -264,7 +272,7 @@ class Node(Hooks):
 
         Nothing without a node-ID.
         """
-        self._moment.now = now
+        self.moment.now = now
         if self._nmt.state is not NmtState.INITIALISING:
             code = EmergencyCode.BUS_OFF_RECOVERED
             self._emergency.report(code, ErrorRegister.COMMUNICATION, b"", now, _BUS)
@@ -273,8 +281,8 @@ class Node(Hooks):
 
     def _time(self, now: float | None) -> float:
         if now is not None:
-            self._moment.now = now
-        return self._moment.now
+            self.moment.now = now
+        return self.moment.now
 
     def _sent(self) -> list[Frame]:
         sent = [] if self._silence.active else self._outbox[:]
@@ -320,7 +328,7 @@ class Node(Hooks):
             self._power_up(now)
 
     def _bit_rate_wanted(self, kbit_s: int, delay_s: float) -> None:
-        now = self._moment.now
+        now = self.moment.now
         if delay_s:
             self._silence.begin(now + 2 * delay_s)
             self._services.silenced(now)
@@ -366,12 +374,12 @@ class Node(Hooks):
 
     def _report_parameters(self) -> None:
         if self.on_parameter_faults is not None:
-            self.on_parameter_faults(dict(self.storage.faults), self._moment.now)
+            self.on_parameter_faults(dict(self.storage.faults), self.moment.now)
 
     def _heartbeat_changed(self) -> None:
         """1017h was written: a heartbeat takes the place of guarding."""
         if self._services.producer.is_active:
-            self._services.guarding.configure(self._moment.now)
+            self._services.guarding.configure(self.moment.now)
         self._route()
 
     def _pdo_changed(self) -> None:
@@ -392,8 +400,12 @@ class Node(Hooks):
         """Number of the first valid RPDO whose mapping holds all these objects (index, sub-index)."""
         return pdo.rpdo_with(self.dictionary, objects)
 
+    def rpdo_is_synchronous(self, number: int) -> bool:
+        """Whether RPDO ``number`` is taken over at the SYNC after it came (types 0 to F0h)."""
+        return any(rpdo.number == number and rpdo.is_synchronous for rpdo in self._services.rpdos)
+
     def _synchronise(self, counter: int | None, now: float) -> None:
-        if not self._operational:
+        if not self._operational or (self.accepts_sync is not None and not self.accepts_sync(counter, now)):
             return
         for rpdo in self._sync_rpdos:
             rpdo.synchronise(now)

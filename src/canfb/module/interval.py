@@ -1,22 +1,29 @@
-"""How long a sampling interval is: from 1006h, else from the SYNCs as they come."""
+"""How long a sampling interval is: from 1006h, and from the SYNCs as they come."""
 
 from __future__ import annotations
 
+import statistics
+
 from canfb.device.dictionary import Entry
 
-SMOOTHING = 1.0 / 32.0
-SAME_RATE = 1.5  # an interval longer than this multiple is a gap, not a new rate
 SECONDS_PER_US = 1e-6
+SMOOTHING = 1.0 / 32.0
+LARGEST_STEP = 0.1  # of the period: one interval never moves the estimate by more than SMOOTHING times that
+SHORTEST, LONGEST = 0.6, 1.5  # of the period: what lies outside is a gap, a duplicate or another rate
+FIRST_INTERVALS = 5  # their median is the first estimate
+AGREEMENT = 0.2  # of the median
+SLOWER_INTERVALS = 8  # so many long ones that agree are another rate, not gaps
 
 
 class IntervalEstimate:
-    """The sampling interval in seconds, 0.0 while nothing is known.
+    """The sampling interval, seconds.
 
-    The communication cycle period 1006h is taken where a master has written it. Else the
-    arrival times are averaged, and gaps are left out.
+    :attr:`seconds` is the communication cycle period 1006h where a master has written it, else the
+    estimate, 0.0 while nothing is known. :attr:`settled_s` is what times are judged by: the estimate
+    once several intervals agree, or 1006h as soon as one interval agrees with it; 0.0 before.
     """
 
-    __slots__ = ("_estimate_s", "_gaps", "_last_s", "_period_us")
+    __slots__ = ("_estimate_s", "_last_s", "_long", "_period_us", "_recent", "settled_s")
 
     def __init__(self, communication_cycle_period: Entry) -> None:
         self._period_us = communication_cycle_period
@@ -24,13 +31,14 @@ class IntervalEstimate:
 
     def reset(self) -> None:
         """Forget everything."""
-        self._estimate_s = 0.0
+        self._estimate_s = self.settled_s = 0.0
+        self._recent: list[float] = []
         self.pause()
 
     def pause(self) -> None:
         """Keep the estimate over a pause; the next event starts a new interval."""
         self._last_s: float | None = None
-        self._gaps = 0
+        self._long: list[float] = []
 
     @property
     def seconds(self) -> float:
@@ -40,15 +48,48 @@ class IntervalEstimate:
     def event(self, now: float) -> None:
         """A SYNC, or a sample where there is no SYNC, at ``now`` (seconds)."""
         last, self._last_s = self._last_s, now
-        if last is None or now <= last:
-            return
-        interval, estimate = now - last, self._estimate_s
-        if estimate == 0.0:
-            self._estimate_s = interval
-        elif interval < SAME_RATE * estimate:
-            self._estimate_s += (interval - estimate) * SMOOTHING
-            self._gaps = 0
+        if last is not None and now > last:
+            self.measured(now - last)
+
+    def measured(self, interval_s: float) -> None:
+        """One interval of this length, seconds, above 0."""
+        period = self.settled_s
+        if not period:
+            self._settle(interval_s)
+        elif interval_s < SHORTEST * period:
+            return  # a burst or a duplicate; another rate shows itself in Timeline
+        elif interval_s < LONGEST * period:
+            step = interval_s - period
+            largest = LARGEST_STEP * period
+            if not -largest < step < largest:
+                step = largest if step > 0.0 else -largest
+            self.settled_s = self._estimate_s = period + step * SMOOTHING
+            if self._long:
+                self._long.clear()
         else:
-            self._gaps += 1
-            if self._gaps >= 8:  # no gaps, but a slower bus
-                self._estimate_s, self._gaps = interval, 0
+            self._may_be_slower(interval_s)
+
+    def _settle(self, interval_s: float) -> None:
+        recent = self._recent
+        recent.append(interval_s)
+        del recent[:-FIRST_INTERVALS]
+        self._estimate_s = middle = statistics.median(recent)
+        nominal = self._period_us.value * SECONDS_PER_US
+        if nominal and abs(interval_s - nominal) < AGREEMENT * nominal:
+            self.settled_s = self._estimate_s = nominal
+        elif len(recent) == FIRST_INTERVALS and _agree(recent, middle) >= FIRST_INTERVALS - 1:
+            self.settled_s = middle
+
+    def _may_be_slower(self, interval_s: float) -> None:
+        long = self._long
+        long.append(interval_s)
+        if len(long) < SLOWER_INTERVALS:
+            return
+        middle = statistics.median(long)
+        if _agree(long, middle) >= SLOWER_INTERVALS - 2:
+            self.settled_s = self._estimate_s = middle
+        long.clear()
+
+
+def _agree(intervals: list[float], middle: float) -> int:
+    return sum(abs(interval - middle) <= AGREEMENT * middle for interval in intervals)

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 from canfb.device.dictionary import Dictionary
 from canfb.module.sample_input import INPUT, PLACES, SAMPLE_INVALID, ZERO_PULSE, SampleInput
-from canfb.signal.chain import TICK_S, TICKS
 from canfb.signal.sample import Sample
+from canfb.signal.sample_times import TICK_S, TICKS
 from canfb.signal.source import Source, SourceEnded
 
 SETTLED_S = 1.0  # without a failure, before a source is said to work again

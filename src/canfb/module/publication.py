@@ -77,8 +77,8 @@ class Publication:
         self._last_raw = 0.0
         self._lost = False
 
-    def pause(self) -> None:
-        """No sample for a while: what stands there is not valid any more, until the next one."""
+    def withhold(self) -> None:
+        """What stands there is not valid any more, until the next sample."""
         self._status.value &= ~VALID
 
     def publish(self, feedback: Feedback) -> None:

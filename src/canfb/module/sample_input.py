@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from canfb.device.dictionary import Dictionary
 from canfb.device.node import Node
+from canfb.signal.chain import SignalChain
 from canfb.signal.sample import Sample
 
 INPUT = 0x2000
@@ -25,6 +26,10 @@ class SampleInput:
         self._wanted = self._arrived = 0  # bit n: RPDO n
         self.timed = False
         """Each sample brings its time."""
+        self.judged: int | None = None
+        """The RPDO with the tracks, if only its own arrival says to which SYNC they belong."""
+        self.is_synchronous = False
+        """The tracks are taken over at the SYNC after they came."""
         self._with_flags = False
         self.pulses = 0
         """Zero pulses seen."""
@@ -48,6 +53,8 @@ class SampleInput:
         self._with_coarse, self.timed = coarse is not None, time is not None
         self._with_flags, self._with_place = flags is not None, place is not None
         self._arrived = 0
+        self.is_synchronous = tracks is not None and self._node.rpdo_is_synchronous(tracks)
+        self.judged = None if self.timed or self.is_synchronous else tracks
 
     def take(self, number: int) -> bool:
         """RPDO ``number`` has come; True if the sample is complete with it."""
@@ -63,6 +70,10 @@ class SampleInput:
         """The interval is over; True if parts of a sample came, but not all."""
         parts, self._arrived = self._arrived, 0
         return parts != 0
+
+    def repeats(self, chain: SignalChain) -> bool:
+        """The tracks that stand in the dictionary are those of the last sample."""
+        return chain.repeats(self._sine.value, self._cosine.value)
 
     def sample(self) -> Sample:
         """The sample of the parts that have come."""

@@ -18,6 +18,7 @@ from canfb.signal.phase import FloatArray, raw_phase
 from canfb.signal.recovery import COAST_SAMPLES, Recovery
 from canfb.signal.reference import Reference
 from canfb.signal.sample import Sample
+from canfb.signal.sample_times import REPEATED, SUSPECT, SampleTimes
 from canfb.signal.supervision import (
     FROZEN,
     LOST,
@@ -42,9 +43,10 @@ from canfb.signal.zero_pulse import ZeroPulse
 # with 40 % offset and 20 % amplitude error the raw amplitude still varies between 24 and 120 %.
 AMPLITUDE_LOW = 0.2
 AMPLITUDE_HIGH = 1.25
-TICK_S = 1e-7  # 2000:05
-TICKS = 1 << 32
 MISSED_INTERVALS = 1.5  # since the sample before: one was missed
+STANDSTILL_CYCLES = 0.001  # per interval, on average: what noise and a servo at rest may show
+FASTEST_STANDSTILL_CYCLES = 0.5  # per interval; from there on eq. 9 cannot start again from standstill
+LARGEST_SLIP_CYCLES = 0.15
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
 
@@ -178,13 +180,11 @@ class SignalChain:
         self._speed = 0.0
         self._was_valid = 0  # the sample before
         self._sine = self._cosine = math.nan
-        self._time_100ns: int | None = None
+        self._times = SampleTimes()
         self._last: Feedback | None = None
-        self._waited = 0.0  # intervals without a sample since the last time stamp
+        self._waited = 0.0  # intervals without a sample since the last one with a sample time
         self._clock = 0.0  # intervals since the start
         self._before: Track | None = None  # the sample before, if it was taken
-        self.interval_s = 0.0
-        """Nominal sampling interval, seconds; what sample times are held against. 0 = not known."""
         self._make_reference(config.cycles_per_revolution, config.full_scale_counts)
         self._reference.coarse.limit_revolutions = config.coarse_limit_revolutions
         self.activate(table, config.conditioning)
@@ -203,6 +203,24 @@ class SignalChain:
     def reference(self) -> Reference:
         """What coarse track and zero pulse have told."""
         return self._reference
+
+    @property
+    def interval_s(self) -> float:
+        """Nominal sampling interval, seconds, by which sample times are judged. 0.0: not known."""
+        return self._times.interval_s
+
+    @interval_s.setter
+    def interval_s(self, interval_s: float) -> None:
+        """Positions and speeds stay as they are; intervals in progress are counted in the new unit."""
+        old, self._times.interval_s = self._times.unit_s, interval_s
+        if old > 0.0 and interval_s > 0.0:
+            self._waited *= old / interval_s
+            self._recovery.rescale(old / interval_s)
+
+    @property
+    def begun(self) -> bool:
+        """There was a sample since the start."""
+        return self._tracker.started
 
     @property
     def lost(self) -> bool:
@@ -269,17 +287,51 @@ class SignalChain:
         self._pause()
         self._speed = float(speed_cycles)
 
-    def resume(self) -> None:
+    def resume(self, intervals: float = 0.0) -> None:
         """Go on after a pause in which the machine stood still: less than half a cycle from here.
 
-        A lost position is not picked up again: it starts anew at cycle count 0.
+        ``intervals`` is how long the pause was, in sampling intervals. If the machine was moving and
+        at that speed could have left the cycle meanwhile, the position is lost. One that was lost
+        before the pause starts again, at cycle count 0.
         """
-        self._reference.restart(keep=not self._recovery.lost)
+        was_lost, moved = self._recovery.lost, self._could_move(intervals, STANDSTILL_CYCLES)
+        self._reference.restart(keep=not was_lost and not moved)
         self._recovery.resume()
         self._pause()
+        if moved and not was_lost:
+            self._recovery.lose()
+            self._reference.slipped()
+
+    def _could_move(self, intervals: float, least_cycles: float) -> bool:
+        """At the last speeds the machine leaves its cycle in so many intervals."""
+        speed = self._recovery.steady_speed()
+        fast = abs(self._tracker.step_cycles) >= FASTEST_STANDSTILL_CYCLES
+        return fast or (abs(speed) >= least_cycles and abs(speed) * intervals > LARGEST_SLIP_CYCLES)
+
+    def uncertain(self, intervals: float) -> Feedback | None:
+        """Up to so many sampling intervals may have passed uncounted: lost, unless the machine stands still.
+
+        None where that makes no difference: each phase is then less than half a cycle from the last.
+        """
+        speed = max(abs(self._tracker.step_cycles), abs(self._recovery.steady_speed()))
+        if self._recovery.lost or not self._tracker.started or speed * intervals < LARGEST_SLIP_CYCLES:
+            return None
+        return self.lose()
+
+    def repeats(self, sine: float, cosine: float) -> bool:
+        """These are the counts of the last sample."""
+        return sine == self._sine and cosine == self._cosine
+
+    def lose(self) -> Feedback:
+        """The position is lost from now on: nobody has counted."""
+        self._recovery.lose()
+        self._reference.slipped()
+        track = self._tracker.predict(0.0)
+        return self._feedback(math.nan, math.nan, 0.0, math.nan, track, LOST, 0)
 
     def _pause(self) -> None:
-        self._time_100ns = self._last = None
+        self._last = None
+        self._times.forget()
         self._referenced = REFERENCED if self._reference.zero.referenced else 0
         self._waited = 0.0
         self._before = None
@@ -290,14 +342,22 @@ class SignalChain:
     def step(self, sample: Sample) -> Feedback:
         """Take one sample through the whole chain. A bad sample is flagged, it never raises.
 
-        A sample with the time of the one before is that one again: the same Feedback, the
-        same object, is returned, and nothing changes.
+        A sample with the time of the one before, or of an earlier one, comes too late: the same
+        Feedback, the same object, is returned, and nothing changes. One whose time fits nothing is
+        a bad sample; see :class:`canfb.signal.sample_times.SampleTimes`.
         """
         sine, cosine, elapsed, bad, coarse, _, zero_pulse, time_100ns = sample
         if time_100ns is not None:
-            if time_100ns == self._time_100ns and self._last is not None:
-                return self._last  # a repeated sample tells nothing new
-            elapsed = self._elapsed(time_100ns, elapsed)
+            passed = self._times.elapsed(time_100ns, elapsed + self._waited)
+            if passed <= 0.0:
+                if passed == REPEATED and self._last is not None:
+                    return self._last
+                bad = True
+                if passed != SUSPECT:
+                    return self._restarted(sample)
+                self._waited += elapsed
+            else:
+                elapsed, self._waited = passed - self._waited, 0.0  # what was waited for is counted already
         offset_s, gain_s, offset_c, factor_c, skew = self._coefficients
         s = (sine - offset_s) * gain_s
         c = (cosine - offset_c) * factor_c - s * skew
@@ -402,13 +462,11 @@ class SignalChain:
         self._reference.missed()
         return self._feedback(math.nan, math.nan, 0.0, math.nan, track, bits | MISSED, 0)
 
-    def _elapsed(self, time_100ns: int, nominal: float) -> float:
-        """Intervals since the sample before by the sample times, without those waited for."""
-        before, self._time_100ns = self._time_100ns, time_100ns
-        waited, self._waited = self._waited, 0.0
-        if before is None or self.interval_s <= 0.0:
-            return nominal
-        return max(0.0, (time_100ns - before) % TICKS * TICK_S / self.interval_s - waited)
+    def _restarted(self, sample: Sample) -> Feedback:
+        """The clock of the interface was started again: how long this interval was, nobody knows."""
+        lost = self.uncertain(1.0)
+        self._waited = 0.0
+        return self.step(sample._replace(time_100ns=None)) if lost is None else lost
 
     def _feedback(
         self, s: float, c: float, amplitude: float, raw: float, track: Track, bits: int, jump: int

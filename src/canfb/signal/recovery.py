@@ -147,6 +147,21 @@ class Recovery:
             places.append(self._first_after)
         return accelerations(places[-3:])[-1] if len(places) > 2 else 0.0
 
+    def rescale(self, factor: float) -> None:
+        """Sampling intervals are counted in another unit: all of them are so many times longer."""
+        self.tracker.rescale(factor)
+        places = [(cycles, phase, elapsed * factor) for cycles, phase, elapsed in self._places]
+        self._places.clear()
+        self._places.extend(places)
+
+    def steady_speed(self) -> float:
+        """Mean speed over the remembered places, cycles per interval; 0 with fewer than two."""
+        if len(self._places) < 2:
+            return 0.0
+        places = list(self._places)
+        (cycles, phase, _), (last_cycles, last_phase, _) = places[0], places[-1]
+        return ((last_cycles - cycles) + (last_phase - phase)) / sum(place[2] for place in places[1:])
+
     def least_speed(self) -> float:
         """The smallest speed of the last samples, cycles per interval: any of them may have been bad."""
         places = list(self._places)[-DOUBTED_SAMPLES - 2 :]

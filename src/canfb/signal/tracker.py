@@ -94,6 +94,11 @@ class Tracker:
         self._step, self._phase_before = 0, self._phase
         self._elapsed, self._gap = 1.0, 0.0
 
+    def rescale(self, factor: float) -> None:
+        """Count intervals in another unit: all are ``factor`` times as many of it. Nothing else changes."""
+        self._elapsed *= factor
+        self._gap *= factor
+
     @property
     def started(self) -> bool:
         """True once there was a phase."""

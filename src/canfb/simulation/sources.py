@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.errors import CanfbError
-from canfb.signal.chain import TICK_S
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
+from canfb.signal.sample_times import TICK_S
 from canfb.signal.source import SourceEnded
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion

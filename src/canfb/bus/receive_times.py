@@ -1,0 +1,53 @@
+"""Receive times of the bus, brought onto the clock of the runner."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+LARGEST_STEP_S = 0.0005  # between two looks at both clocks; more is a step of the wall clock
+LOOKS = 3
+LONGEST_DELAY_S = 60.0  # a time further back is not of the wall clock
+
+
+class ReceiveTimes:
+    """What python-can stamps is the time of day, as the kernel has it; a runner counts monotonic seconds.
+
+    ``clock`` and ``wall`` are the two clocks. A stamp says how long ago a frame came, by the wall clock:
+    that is taken off ``now``. When the wall clock is set, the frames that wait may have stamps of before
+    or after: they have none until the queue was empty once. Stamps of another clock are not used.
+    """
+
+    def __init__(self, clock: Callable[[], float], wall: Callable[[], float]) -> None:
+        self._clock = clock
+        self._wall = wall
+        self._stepped = False
+        self._difference_s = self._look()
+
+    def emptied(self) -> None:
+        """No frame waits: what comes now has stamps of the wall clock as it is."""
+        if self._stepped:
+            self._stepped = False
+            self._difference_s = self._look()
+
+    def received(self, stamp_s: float, now: float) -> float | None:
+        """When a frame with this stamp came, seconds on the clock of ``now``; None if that is not known."""
+        difference = self._wall() - now
+        if abs(difference - self._difference_s) > LARGEST_STEP_S:
+            difference = self._look()  # the processor may have been away between the two clocks
+            if abs(difference - self._difference_s) > LARGEST_STEP_S:
+                self._stepped = True
+        self._difference_s = difference
+        delay = difference + now - stamp_s
+        if self._stepped or not -LARGEST_STEP_S <= delay <= LONGEST_DELAY_S:
+            return None
+        return min(now, now - delay)
+
+    def _look(self) -> float:
+        """The wall clock minus the other, read as close together as a few attempts bring it."""
+        looks = []
+        for _ in range(LOOKS):
+            before = self._clock()
+            wall = self._wall()
+            after = self._clock()
+            looks.append((after - before, wall - (before + after) / 2.0))
+        return min(looks)[1]

@@ -1,0 +1,282 @@
+"""Which sampling interval a SYNC or a sample belongs to, by its receive time and the SYNC counter.
+
+A frame cannot come early, but it may be heard late. So a receive time that the bus gives proves both;
+without one, the time of the call is only the latest time at which the frame may have come: "too early"
+is proved, "too late" is not, and the position is withheld until later SYNCs show which it was.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from canfb.device.dictionary import Dictionary
+from canfb.device.frame import NEVER
+from canfb.module.interval import IntervalEstimate
+
+COUNTER_OVERFLOW = 0x1019
+PERIODS = (0x2010, 6)
+GAIN = 0.125  # of the lock on the SYNCs
+HALF = 0.5  # period: nearer to this SYNC, or to the one beside it
+RESPONSE_GAIN = 1.0 / 16.0
+RESPONSE_SPARE = 0.6  # period: an ADC PDO this much later than usual answers a SYNC that was not heard
+EARLY = 0.75  # period after a SYNC: an ADC PDO that came by then does not answer a later one
+CONFIRMING_SYNCS = 2  # on time in a row, after some that may have been late
+PATIENCE_SYNCS = 16  # that come on time, a whole period late: then SYNCs were lost
+FASTER_SYNCS = 8  # regular SYNCs that all come too early are another rate
+RATE_AGREEMENT = 0.25
+UNSETTLED_S = 0.5  # taken for a period where none is known
+
+
+class Verdict(NamedTuple):
+    """What is known of a SYNC or of a sample.
+
+    unheard    SYNCs before it that were sent, or due, and not heard
+    duplicate  it came before: not to be used
+    late       it may be late, or SYNCs before it were not heard: later ones decide
+    doubt      the number of intervals since the one before cannot be known any more
+    """
+
+    unheard: int = 0
+    duplicate: bool = False
+    late: bool = False
+    doubt: bool = False
+
+
+ON_TIME = Verdict()
+DUPLICATE = Verdict(duplicate=True)
+LATE = Verdict(late=True)
+DOUBT = Verdict(doubt=True)
+
+
+class Timeline:
+    """Locks on the SYNCs as a drive does, and judges each frame by that.
+
+    ``until`` is the time (seconds) after which the position is not valid without another SYNC or
+    sample (2010:06), NEVER while nothing is expected. ``withheld`` is above 0 while the position must
+    not be called valid. Times are receive times, seconds; ``proved`` says that the bus gave it.
+    """
+
+    def __init__(self, dictionary: Dictionary, interval: IntervalEstimate) -> None:
+        self._interval = interval
+        self._overflow = dictionary.entry(COUNTER_OVERFLOW)
+        self._periods = dictionary.entry(*PERIODS)
+        self._response_s = -1.0
+        self.pause()
+
+    def pause(self, withhold: int = 0) -> None:
+        """The next SYNC begins; the position is withheld for so many SYNCs."""
+        self.until = NEVER
+        self.withheld = withhold
+        self._grid_s: float | None = None  # when this SYNC was due, by the lock
+        self._sync_s = 0.0  # when it was heard
+        self._heard_s = 0.0  # when the last one was heard, duplicates too
+        self._apart_s = 0.0  # and how long after the one before
+        self._counter: int | None = None
+        self._behind = False
+        self._late_syncs = 0
+        self._early_syncs = 0
+
+    @property
+    def begun(self) -> bool:
+        """There was a SYNC since the pause."""
+        return self._grid_s is not None
+
+    @property
+    def synced_s(self) -> float:
+        """When the last SYNC was heard, seconds."""
+        return self._sync_s
+
+    def sync(self, time_s: float, proved: bool, counter: int | None) -> Verdict:
+        """A SYNC at ``time_s`` with its ``counter`` (None without 1019h)."""
+        grid, period = self._grid_s, self._interval.settled_s
+        if grid is not None and period and not self.withheld:
+            error = time_s - grid - period
+            half = HALF * period
+            if -half < error < half and (counter is None or self._is_next(counter)):
+                self._grid_s = grid + period + error * GAIN
+                self._apart_s = time_s - self._heard_s
+                self._heard_s = self._sync_s = time_s
+                self._counter = counter
+                self._early_syncs = 0
+                self.until = time_s + self._periods.value * period
+                return ON_TIME
+        return self._judged(time_s, proved, counter)
+
+    def _is_next(self, counter: int) -> bool:
+        last = self._counter
+        if last is None:
+            return True
+        return counter == last + 1 or (counter == 1 and last == self._overflow.value)
+
+    def _judged(self, time_s: float, proved: bool, counter: int | None) -> Verdict:
+        if self._grid_s is None:
+            self._take(time_s, time_s, counter)
+            return ON_TIME
+        period = self._interval.settled_s
+        counted = self._counted(counter)
+        if not period:
+            if counter is not None and counter == self._counter:
+                return DUPLICATE
+            self._take(time_s, time_s, counter)
+            return Verdict(unheard=counted) if counted else ON_TIME
+        lag = (time_s - self._grid_s) / period - 1.0  # 0 for the next SYNC, on time
+        turn = 1 if counter is None else max(1, self._overflow.value)
+        return self._decided(time_s, proved, counter, period, lag, counted, turn)
+
+    def _counted(self, counter: int | None) -> int:
+        """SYNCs that the counter says were not heard, but for whole turns of it."""
+        overflow = int(self._overflow.value)
+        if counter is None or self._counter is None or overflow < 2:
+            return 0
+        return (counter - self._counter - 1) % overflow
+
+    def _decided(
+        self,
+        time_s: float,
+        proved: bool,
+        counter: int | None,
+        period: float,
+        lag: float,
+        counted: int,
+        turn: int,
+    ) -> Verdict:
+        if lag < -HALF and (counter is None or counted == turn - 1):
+            return self._early(time_s, counter)
+        self._early_syncs = 0
+        if proved:
+            turns = round((lag - counted) / turn)
+        else:
+            turns = -1 if counted == turn - 1 and turn > 1 and lag < counted - HALF else 0
+        unheard = counted + turns * turn
+        if unheard < 0:
+            return self._early(time_s, counter)
+        error = lag - unheard
+        apart = (time_s - self._heard_s) / period
+        if error < -HALF or (proved and error > HALF):
+            # The counter says what the time forbids: another producer, or one that began again.
+            self._take(time_s, time_s, counter)
+            return Verdict(unheard=unheard, doubt=True)
+        if error >= turn - HALF:
+            return self._late(time_s, counter, period, unheard, apart)
+        self._take(time_s, self._grid_s_after(unheard, period, error), counter)
+        self._confirm(apart)
+        return Verdict(unheard=unheard) if unheard else ON_TIME
+
+    def _early(self, time_s: float, counter: int | None) -> Verdict:
+        """Too early to be another SYNC: a duplicate, or another rate if this goes on and on."""
+        if self._behind:
+            # More SYNCs came than time allows: some that may have been late were duplicates.
+            self._take(time_s, time_s, counter)
+            return DOUBT
+        apart = time_s - self._heard_s
+        regular = abs(apart - self._apart_s) <= RATE_AGREEMENT * self._apart_s
+        self._early_syncs = self._early_syncs + 1 if regular and apart > 0.0 else 0
+        self._apart_s, self._heard_s = apart, time_s
+        if self._early_syncs < FASTER_SYNCS:
+            return DUPLICATE
+        self._interval.reset()
+        self._take(time_s, time_s, counter)
+        return DOUBT
+
+    def _late(self, time_s: float, counter: int | None, period: float, unheard: int, apart: float) -> Verdict:
+        """Late, or some were not heard, and nobody knows: the lock stays where it was."""
+        self._behind = True
+        self.withheld = CONFIRMING_SYNCS
+        if apart > HALF:
+            self._late_syncs += 1
+        if self._late_syncs > PATIENCE_SYNCS:
+            self._take(time_s, time_s, counter)
+            return DOUBT
+        self._take(time_s, self._grid_s_after(unheard, period, 0.0), counter)
+        self._behind = True
+        return Verdict(unheard=unheard, late=True)
+
+    def _confirm(self, apart: float) -> None:
+        """On time. After some that may have been late this counts only at the pace of the bus."""
+        if self.withheld and (not self._behind or HALF < apart < 1.0 + HALF):
+            self.withheld -= 1
+        if not self.withheld:
+            self._behind = False
+            self._late_syncs = 0
+
+    def _grid_s_after(self, unheard: int, period: float, error: float) -> float:
+        grid = self._grid_s
+        assert grid is not None
+        return grid + (1 + unheard + max(-HALF, min(error, HALF)) * GAIN) * period
+
+    def _take(self, time_s: float, grid_s: float, counter: int | None) -> None:
+        self._grid_s = grid_s
+        self._apart_s = time_s - self._heard_s
+        self._heard_s = self._sync_s = time_s
+        self._counter = counter
+        self._expect(time_s)
+
+    def _expect(self, time_s: float) -> None:
+        self.until = time_s + self._periods.value * (self._interval.settled_s or UNSETTLED_S)
+
+    def first_sample(self, time_s: float, proved: bool) -> Verdict:
+        """The first ADC PDO since the last SYNC: does it answer that one?"""
+        period = self._interval.settled_s
+        if not period or self._grid_s is None:
+            return ON_TIME
+        delay = time_s - self._sync_s
+        usual = self._response_s
+        if usual < 0.0:
+            if delay < EARLY * period:
+                self._response_s = delay
+            return ON_TIME
+        error = delay - usual
+        if error < RESPONSE_SPARE * period:
+            if proved:
+                self._response_s = usual + error * RESPONSE_GAIN
+            return ON_TIME
+        return self._unheard(max(1, round(error / period)), proved)
+
+    def another_sample(self, time_s: float, proved: bool) -> Verdict:
+        """A further ADC PDO with no SYNC between: the same one, or the answer to a SYNC not heard."""
+        period = self._interval.settled_s
+        if not period or self._grid_s is None:
+            return DOUBT
+        delay = time_s - self._sync_s
+        if delay < EARLY * period:
+            return DUPLICATE
+        error = (delay - max(self._response_s, 0.0)) / period
+        if proved and error < RESPONSE_SPARE:
+            return DUPLICATE
+        return self._unheard(max(1, round(error)), proved)
+
+    def _unheard(self, syncs: int, proved: bool) -> Verdict:
+        if not proved:
+            self.withheld, self._behind = CONFIRMING_SYNCS, True
+            return LATE
+        self.advance(syncs)
+        return Verdict(unheard=syncs)
+
+    def advance(self, intervals: int) -> None:
+        """So many SYNCs were due since the last one, and were not heard."""
+        period = self._interval.settled_s
+        if self._grid_s is None or not period:
+            return
+        self._grid_s += intervals * period
+        self._sync_s += intervals * period
+        if self._counter is not None and (overflow := int(self._overflow.value)) > 1:
+            self._counter = (self._counter - 1 + intervals) % overflow + 1
+        self._expect(self._sync_s)
+
+    def free_running(self, time_s: float, proved: bool) -> Verdict:
+        """A sample where there is no SYNC: it is its own."""
+        return self.sync(time_s, proved, None)
+
+    def overdue(self, now: float) -> int:
+        """Intervals that have passed by ``now`` without a SYNC or a sample; the timeline goes on with them.
+
+        0 where the period is not known: then only the deadline has passed.
+        """
+        period = self._interval.settled_s
+        if not period or self._grid_s is None:
+            self.until = NEVER
+            return 0
+        passed = max(1, int((now - self._sync_s) / period + 1e-6) - 1)
+        self.advance(passed)
+        self.until = self._sync_s + 2.0 * period
+        return passed

@@ -1,0 +1,86 @@
+"""Sample times of the encoder interface (2000:05): how many sampling intervals lie between two samples.
+
+The interface's own clock says it exactly, so the jitter of SYNC and the delays of the bus cost nothing.
+Only the ratio of differences enters eq. 9: neither the drift of that clock nor the length of the
+interval matters. But a time may be wrong, of another sample, or of a clock that was started again: it is
+held against the number of intervals that were counted.
+"""
+
+from __future__ import annotations
+
+TICK_S = 1e-7  # 2000:05
+TICKS = 1 << 32
+HALF_TICKS = TICKS // 2
+OLDEST = 64.0  # intervals: a time that lies no further back is that of an earlier sample
+CLOSEST = 0.25  # intervals: samples nearer together would tell the speed too badly
+SPARE_BEFORE, SPARE_AFTER = 0.5, 0.95  # intervals, around the number that was counted
+REPEATED, SUSPECT, RESTARTED = -1.0, -2.0, -3.0
+
+
+class SampleTimes:
+    """Turns sample times into elapsed intervals, and judges them.
+
+    ``interval_s`` is the nominal sampling interval, seconds; while it is 0.0, the first interval that
+    is seen takes its place.
+    """
+
+    __slots__ = ("_first_s", "_last", "_suspect", "_suspected", "interval_s")
+
+    def __init__(self) -> None:
+        self.interval_s = 0.0
+        self.forget()
+
+    def forget(self) -> None:
+        """The next time is the first one."""
+        self._last: int | None = None
+        self._suspect: int | None = None
+        self._suspected = 0.0  # intervals counted up to it
+        self._first_s = 0.0
+
+    @property
+    def unit_s(self) -> float:
+        """The interval in which elapsed times are given, seconds; 0.0 before it is known."""
+        return self.interval_s or self._first_s
+
+    def elapsed(self, time_100ns: int, counted: float) -> float:
+        """Intervals since the last sample that was taken, above 0; or what is wrong with this time.
+
+        ``counted`` intervals have passed by the count of SYNCs. REPEATED: it is that of the last
+        sample or of one before. SUSPECT: it fits nothing, the next time must show whether it or the
+        clock is wrong; the sample is not to be used. RESTARTED: the clock was, and how long the
+        interval was cannot be known.
+        """
+        last = self._last
+        if last is None:
+            self._last = time_100ns
+            return counted
+        ticks = (time_100ns - last) % TICKS
+        if ticks >= HALF_TICKS:
+            ticks -= TICKS
+        unit = self.interval_s or self._first_s
+        if not unit:
+            if not 0 < ticks < HALF_TICKS:
+                return REPEATED
+            self._first_s = unit = ticks * TICK_S / counted
+        intervals = ticks * TICK_S / unit
+        least = CLOSEST if counted < 1.5 else counted - SPARE_BEFORE
+        if least <= intervals <= counted + SPARE_AFTER:
+            self._last, self._suspect = time_100ns, None
+            return intervals
+        if -OLDEST <= intervals < least:
+            return REPEATED
+        return self._doubted(time_100ns, counted, unit, intervals)
+
+    def _doubted(self, time_100ns: int, counted: float, unit: float, intervals: float) -> float:
+        suspect, self._suspect = self._suspect, time_100ns
+        since, self._suspected = counted - self._suspected, counted
+        if suspect is None or since <= 0.0:
+            return SUSPECT
+        ticks = (time_100ns - suspect) % TICKS
+        if abs(ticks * TICK_S / unit - since) > SPARE_AFTER:
+            return SUSPECT
+        # Two times in a row agree with each other and not with the last good one.
+        self._last, self._suspect = time_100ns, None
+        if 0.0 < intervals <= OLDEST:
+            return intervals  # intervals that nobody heard
+        return RESTARTED
