@@ -400,9 +400,9 @@ class Node(Hooks):
         """Number of the first valid RPDO whose mapping holds all these objects (index, sub-index)."""
         return pdo.rpdo_with(self.dictionary, objects)
 
-    def rpdo_is_synchronous(self, number: int) -> bool:
-        """Whether RPDO ``number`` is taken over at the SYNC after it came (types 0 to F0h)."""
-        return any(rpdo.number == number and rpdo.is_synchronous for rpdo in self._services.rpdos)
+    def synchronous_rpdo(self, number: int) -> Rpdo | None:
+        """RPDO `number` if it is taken over at the SYNC after it came (types 0 to F0h), else None."""
+        return next((rpdo for rpdo in self._sync_rpdos if rpdo.number == number), None)
 
     def _synchronise(self, counter: int | None, now: float) -> None:
         if not self._operational or (self.accepts_sync is not None and not self.accepts_sync(counter, now)):

@@ -60,6 +60,8 @@ class Rpdo(Timed):
         self._failed = False
         self._supervised = False
         self._pending: bytes | None = None
+        self.waiting = 0
+        """PDOs of a synchronous type that came since the last SYNC; the last one is taken over."""
         self._store: Callable[[bytes], None] | None = None
         self._length = 0
 
@@ -79,7 +81,7 @@ class Rpdo(Timed):
         self._layout = self._parameters.layout() if operational else None
         self.is_synchronous = self._parameters.type.value in SYNCHRONOUS
         self._timeout_s = 0.0 if self._timeout is None else self._timeout.value / 1000
-        self._pending = None
+        self._pending, self.waiting = None, 0
         self.deadline = NEVER
         self._supervise_if(self._failed or self._timeout_s > 0)
 
@@ -106,6 +108,7 @@ class Rpdo(Timed):
         if self.is_synchronous:
             if self._window_open(now):
                 self._pending = data
+                self.waiting += 1
             else:
                 self._counters.late_rpdos += 1
             return
@@ -114,6 +117,7 @@ class Rpdo(Timed):
     def synchronise(self, now: float) -> None:
         """Take over what came since the last SYNC."""
         data, layout = self._pending, self._layout
+        self.waiting = 0
         if data is not None and layout is not None:
             self._pending = None
             self._take(layout, data, now)

@@ -259,7 +259,7 @@ class FeedbackModule:
     def _belongs_here(self, now: float) -> bool:
         """One pair of tracks for each SYNC: does this one answer the last SYNC, or one not heard?"""
         moment, timeline = self.node.moment, self._timeline
-        came, self._tracks_came = self._tracks_came, True
+        came = self._tracks_came
         if not self._synced:
             self._interval.event(moment.received)
             verdict = timeline.free_running(moment.received, moment.proved)
@@ -267,6 +267,7 @@ class FeedbackModule:
             verdict = timeline.another_sample(moment.received, moment.proved)
         else:
             verdict = timeline.first_sample(moment.received, moment.proved)
+        self._tracks_came = True
         return verdict is ON_TIME or self._take_verdict(verdict, came, now)
 
     def _take_verdict(self, verdict: Verdict, came: bool, now: float) -> bool:
@@ -281,7 +282,10 @@ class FeedbackModule:
             self._sample_came = False
             return True
         if not came:
-            return not verdict.duplicate  # late: the next SYNC shows whether it is that of another
+            if verdict.duplicate:  # of an earlier SYNC: the answer to this one may still come
+                self._count(self._bad_frames)
+                self._tracks_came = False
+            return not verdict.duplicate
         self._count(self._bad_frames)
         explained = self._extra_syncs or (verdict.duplicate and self._input.repeats(self.chain))
         if not explained:
@@ -339,15 +343,18 @@ class FeedbackModule:
         """Before anything is done with a SYNC: is it one, and were there others that nobody heard?"""
         moment = self.node.moment
         verdict = self._timeline.sync(moment.received, moment.proved, counter)
-        if verdict is ON_TIME:
-            return True
         if verdict.duplicate:
             self._count(self._duplicate_syncs)
             self._extra_syncs = True
             return False
+        if self._input.is_ambiguous and not self._input.timed:
+            self._count(self._bad_frames)
+            self._stale = True
+        if verdict is ON_TIME:
+            return True
         self._unheard = verdict.unheard
         self._publication.withhold()
-        self._stale = self._input.is_synchronous
+        self._stale |= self._input.is_synchronous
         if verdict.doubt:
             if self._input.timed:
                 self._unheard = 0  # sample times know how long it was
@@ -382,6 +389,7 @@ class FeedbackModule:
         """So many samples that did not come, reported once. Before the first one there is nothing to miss."""
         if not self._sampled:
             return
+        self._timeline.after_gap = True
         known_as_lost = self.chain.lost
         # Of a position that is lost it makes no difference how long it has been.
         samples = min(samples, MOST_MISSED)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from canfb.device.dictionary import Dictionary
 from canfb.device.node import Node
+from canfb.device.rpdo import Rpdo
 from canfb.signal.chain import SignalChain
 from canfb.signal.sample import Sample
 
@@ -30,6 +31,7 @@ class SampleInput:
         """The RPDO with the tracks, if only its own arrival says to which SYNC they belong."""
         self.is_synchronous = False
         """The tracks are taken over at the SYNC after they came."""
+        self._waiting: Rpdo | None = None
         self._with_flags = False
         self.pulses = 0
         """Zero pulses seen."""
@@ -53,7 +55,8 @@ class SampleInput:
         self._with_coarse, self.timed = coarse is not None, time is not None
         self._with_flags, self._with_place = flags is not None, place is not None
         self._arrived = 0
-        self.is_synchronous = tracks is not None and self._node.rpdo_is_synchronous(tracks)
+        self._waiting = None if tracks is None else self._node.synchronous_rpdo(tracks)
+        self.is_synchronous = self._waiting is not None
         self.judged = None if self.timed or self.is_synchronous else tracks
 
     def take(self, number: int) -> bool:
@@ -70,6 +73,11 @@ class SampleInput:
         """The interval is over; True if parts of a sample came, but not all."""
         parts, self._arrived = self._arrived, 0
         return parts != 0
+
+    @property
+    def is_ambiguous(self) -> bool:
+        """Several synchronous PDOs with tracks came since the last SYNC: nobody knows which answers it."""
+        return self._waiting is not None and self._waiting.waiting > 1
 
     def repeats(self, chain: SignalChain) -> bool:
         """The tracks that stand in the dictionary are those of the last sample."""

@@ -12,13 +12,16 @@ from typing import NamedTuple
 from canfb.device.dictionary import Dictionary
 from canfb.device.frame import NEVER
 from canfb.module.interval import IntervalEstimate
+from canfb.module.response import Answer, Response
 
 COUNTER_OVERFLOW = 0x1019
 PERIODS = (0x2010, 6)
 GAIN = 0.125  # of the lock on the SYNCs
 HALF = 0.5  # period: nearer to this SYNC, or to the one beside it
-RESPONSE_GAIN = 1.0 / 16.0
-RESPONSE_SPARE = 0.6  # period: an ADC PDO this much later than usual answers a SYNC that was not heard
+JITTER_GAIN = 1.0 / 64.0
+FIRST_JITTER = 1.0 / 12.0  # period, mean deviation, before it is measured
+JITTERS = 6.0  # mean deviations: so early no SYNC comes
+LEAST_EARLY = 0.15  # period
 EARLY = 0.75  # period after a SYNC: an ADC PDO that came by then does not answer a later one
 CONFIRMING_SYNCS = 2  # on time in a row, after some that may have been late
 PATIENCE_SYNCS = 16  # that come on time, a whole period late: then SYNCs were lost
@@ -60,7 +63,7 @@ class Timeline:
         self._interval = interval
         self._overflow = dictionary.entry(COUNTER_OVERFLOW)
         self._periods = dictionary.entry(*PERIODS)
-        self._response_s = -1.0
+        self._response = Response()
         self.pause()
 
     def pause(self, withhold: int = 0) -> None:
@@ -75,6 +78,14 @@ class Timeline:
         self._behind = False
         self._late_syncs = 0
         self._early_syncs = 0
+        self._jitter = FIRST_JITTER  # mean deviation from the lock, periods
+        self.after_gap = False
+        """A sample was missed since the last one that came: the next may be that one, late."""
+
+    @property
+    def jitter_s(self) -> float:
+        """Mean deviation of the SYNCs from their lock, seconds."""
+        return self._jitter * self._interval.settled_s
 
     @property
     def begun(self) -> bool:
@@ -92,7 +103,8 @@ class Timeline:
         if grid is not None and period and not self.withheld:
             error = time_s - grid - period
             half = HALF * period
-            if -half < error < half and (counter is None or self._is_next(counter)):
+            if -self._early(period) < error < half and (counter is None or self._is_next(counter)):
+                self._jitter += (abs(error) / period - self._jitter) * JITTER_GAIN
                 self._grid_s = grid + period + error * GAIN
                 self._apart_s = time_s - self._heard_s
                 self._heard_s = self._sync_s = time_s
@@ -101,6 +113,10 @@ class Timeline:
                 self.until = time_s + self._periods.value * period
                 return ON_TIME
         return self._judged(time_s, proved, counter)
+
+    def _early(self, period: float) -> float:
+        """So much too early a SYNC is none, seconds."""
+        return min(HALF, max(LEAST_EARLY, JITTERS * self._jitter)) * period
 
     def _is_next(self, counter: int) -> bool:
         last = self._counter
@@ -140,8 +156,8 @@ class Timeline:
         counted: int,
         turn: int,
     ) -> Verdict:
-        if lag < -HALF and (counter is None or counted == turn - 1):
-            return self._early(time_s, counter)
+        if lag <= -self._early(1.0) and (counter is None or counted == turn - 1):
+            return self._too_early(time_s, counter)
         self._early_syncs = 0
         if proved:
             turns = round((lag - counted) / turn)
@@ -149,7 +165,7 @@ class Timeline:
             turns = -1 if counted == turn - 1 and turn > 1 and lag < counted - HALF else 0
         unheard = counted + turns * turn
         if unheard < 0:
-            return self._early(time_s, counter)
+            return self._too_early(time_s, counter)
         error = lag - unheard
         apart = (time_s - self._heard_s) / period
         if error < -HALF or (proved and error > HALF):
@@ -162,7 +178,7 @@ class Timeline:
         self._confirm(apart)
         return Verdict(unheard=unheard) if unheard else ON_TIME
 
-    def _early(self, time_s: float, counter: int | None) -> Verdict:
+    def _too_early(self, time_s: float, counter: int | None) -> Verdict:
         """Too early to be another SYNC: a duplicate, or another rate if this goes on and on."""
         if self._behind:
             # More SYNCs came than time allows: some that may have been late were duplicates.
@@ -215,22 +231,18 @@ class Timeline:
         self.until = time_s + self._periods.value * (self._interval.settled_s or UNSETTLED_S)
 
     def first_sample(self, time_s: float, proved: bool) -> Verdict:
-        """The first ADC PDO since the last SYNC: does it answer that one?"""
+        """The first ADC PDO since the last SYNC: does it answer that one, or one before or after it?"""
         period = self._interval.settled_s
         if not period or self._grid_s is None:
             return ON_TIME
         delay = time_s - self._sync_s
-        usual = self._response_s
-        if usual < 0.0:
-            if delay < EARLY * period:
-                self._response_s = delay
-            return ON_TIME
-        error = delay - usual
-        if error < RESPONSE_SPARE * period:
-            if proved:
-                self._response_s = usual + error * RESPONSE_GAIN
-            return ON_TIME
-        return self._unheard(max(1, round(error / period)), proved)
+        verdict = self._response.judge(delay, period, self.after_gap)
+        if verdict is Answer.LATE:
+            return self._unheard(max(1, round((delay - self._response.usual_s) / period)), proved)
+        if verdict is Answer.UNCLEAR:
+            return DUPLICATE
+        self.after_gap = False
+        return ON_TIME
 
     def another_sample(self, time_s: float, proved: bool) -> Verdict:
         """A further ADC PDO with no SYNC between: the same one, or the answer to a SYNC not heard."""
@@ -238,12 +250,9 @@ class Timeline:
         if not period or self._grid_s is None:
             return DOUBT
         delay = time_s - self._sync_s
-        if delay < EARLY * period:
+        if delay < EARLY * period or (proved and not self._response.is_late(delay, period)):
             return DUPLICATE
-        error = (delay - max(self._response_s, 0.0)) / period
-        if proved and error < RESPONSE_SPARE:
-            return DUPLICATE
-        return self._unheard(max(1, round(error)), proved)
+        return self._unheard(max(1, round((delay - self._response.usual_s) / period)), proved)
 
     def _unheard(self, syncs: int, proved: bool) -> Verdict:
         if not proved:

@@ -20,7 +20,7 @@ from canfb.signal.bridge import Place, accelerations
 from canfb.signal.doubt import Doubt
 from canfb.signal.phase import FloatArray
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
-from canfb.signal.tracker import Track, Tracker, TrackResult, steady_run
+from canfb.signal.tracker import RESIDUAL_LIMIT, Track, Tracker, TrackResult, steady_run
 
 # A glitch below the residual limit is seen one sample later, a row of three at most three later.
 DOUBTED_SAMPLES = 3
@@ -199,9 +199,10 @@ class Recovery:
             self.bad(float(missed), missed=True)
             return self.good(phase, elapsed - missed)
         started = self.tracker.started
+        limit = self._limit_over(elapsed)
         track = self.tracker.look(phase, elapsed)
         self.tracker.accept(track, elapsed)
-        if settled and track.ok:
+        if settled and (track.ok or track.residual < limit):
             if started or self.tracker.step_cycles == 0.0:
                 self._places.append((track.cycles, phase, elapsed))
             else:
@@ -209,6 +210,15 @@ class Recovery:
             return track, VALID
         track, bits = self._decide(track, elapsed)
         return track, bits | RESIDUAL if settled else bits
+
+    def _limit_over(self, elapsed: float) -> float:
+        """The residual limit for an interval of this length: an acceleration a leaves a e (e + e') / 2.
+
+        e' is the interval before. Only a limit below that of the paper grows, and not beyond that one.
+        """
+        limit = self.tracker.residual_limit
+        scale = elapsed * (elapsed + self.tracker.elapsed) / 2.0
+        return max(limit, min(limit * scale, RESIDUAL_LIMIT))
 
     def bad(self, elapsed: float, missed: bool = False) -> tuple[Track, int]:
         """A sample that failed its checks, or none at all (``missed``): predicted position, status bits."""

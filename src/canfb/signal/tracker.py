@@ -111,6 +111,11 @@ class Tracker:
         return before, Track(self._cycles, self._phase, 0.0, True), self._elapsed
 
     @property
+    def elapsed(self) -> float:
+        """Intervals between the last two samples."""
+        return self._elapsed
+
+    @property
     def step_cycles(self) -> float:
         """Speed between the last two samples, in cycles per sampling interval."""
         return (self._step + (self._phase - self._phase_before)) / self._elapsed

@@ -1,0 +1,83 @@
+"""How long the encoder interface takes to answer a SYNC, and what a PDO at another time is."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+GAIN = 1.0 / 16.0
+CREEP = 1.0 / 256.0  # of the shortest delay, towards those that come
+LEARNED_SAMPLES = 16
+LEAST_PART = 0.7  # of the shortest delay: no PDO answers faster
+SPREADS = 4.0  # mean deviations around the usual delay, for a PDO after a gap
+SPARE = 0.1  # period, at least
+LATEST = 0.9  # period: before that the next SYNC is not due
+NEXT_DUE = 1.1  # period: by then it was
+LATER = 0.6  # period, than usual
+RELEARN_SAMPLES = 8  # in a row that come too early
+
+
+class Answer(Enum):
+    """What a PDO is, by its delay after the last SYNC."""
+
+    ON_TIME = "the answer to that SYNC"
+    LATE = "the answer to a SYNC after it, which was not heard"
+    UNCLEAR = "it may answer another SYNC"
+
+
+class Response:
+    """Follows the delay from SYNC to ADC PDO.
+
+    The PDO carries no mark of the SYNC that it answers. One that comes sooner than the interface has
+    ever answered is late, and answers the SYNC before. Where the PDO of the SYNC before is still
+    missing, only one at the usual time is taken.
+    """
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Learn from the next samples."""
+        self._seen = 0
+        self._sooner = 0
+        self.usual_s = 0.0
+        """The usual delay, seconds."""
+        self._least_s = self._spread_s = 0.0
+
+    def judge(self, delay_s: float, period_s: float, after_gap: bool) -> Answer:
+        """The first PDO since a SYNC, ``delay_s`` after it; ``after_gap``: the one before is missing."""
+        if self._seen < LEARNED_SAMPLES:
+            if self.is_late(delay_s, period_s):
+                return Answer.LATE
+        elif delay_s < LEAST_PART * self._least_s:
+            self._sooner += 1
+            if self._sooner >= RELEARN_SAMPLES:
+                self.forget()
+            return Answer.UNCLEAR
+        elif self.is_late(delay_s, period_s):
+            return Answer.LATE
+        elif self._is_unclear(delay_s, period_s, after_gap):
+            return Answer.UNCLEAR
+        self._learn(delay_s)
+        return Answer.ON_TIME
+
+    def _is_unclear(self, delay_s: float, period_s: float, after_gap: bool) -> bool:
+        """About when the next SYNC is due, or not as usual where an earlier PDO is still missing."""
+        later = delay_s - self.usual_s
+        if after_gap and later > max(SPREADS * self._spread_s, SPARE * period_s):
+            return True
+        return delay_s > LATEST * period_s and later > LATER * period_s
+
+    def is_late(self, delay_s: float, period_s: float) -> bool:
+        """The next SYNC was due before, and the delay is as usual after that one."""
+        return delay_s > NEXT_DUE * period_s and delay_s - self.usual_s > LATER * period_s
+
+    def _learn(self, delay_s: float) -> None:
+        self._sooner = 0
+        if not self._seen:
+            self.usual_s = self._least_s = delay_s
+        self._seen += 1
+        error = delay_s - self.usual_s
+        gain = max(GAIN, 1.0 / self._seen)
+        self.usual_s += error * gain
+        self._spread_s += (abs(error) - self._spread_s) * gain
+        self._least_s = min(delay_s, self._least_s + (delay_s - self._least_s) * CREEP)
