@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from canfb.signal.chain import TICK_S, TICKS
 from canfb.signal.phase import FloatArray
+from canfb.signal.sample_times import TICK_S, TICKS
 
 MISSED = -32768
 """Both tracks at this value: no sample came (recordings of object 2050h)."""
