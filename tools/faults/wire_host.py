@@ -104,6 +104,8 @@ def drive(
             at += 1
             stuck = 0
         due = module.deadline()
+        if now >= end_s:
+            break  # nothing comes any more
         if due is not None and due <= now:
             elapsed = (now - begin_s) / interval_s
             sent += [Sent(elapsed, None, one, newest) for one in module.tick(now)]

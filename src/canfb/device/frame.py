@@ -46,6 +46,8 @@ class Frame(NamedTuple):
         return cls(can_id, bytes(data), rtr, timestamp)
 
 
+STAMP_NOISE_S = 1e-3
+
 Emit = Callable[[Frame], None]
 """How a service sends a frame."""
 
@@ -65,4 +67,16 @@ class Moment:
     def __init__(self) -> None:
         self.now = self.received = 0.0
         self.stamp = -NEVER
+
+    def stamped(self, stamp: float) -> None:
+        """The frame of the running call has a time stamp, seconds.
+
+        Frames come in order, so one that lies a little before the last is as late as that one. One
+        that lies far before it, or later than now, is of a clock that was set: not used.
+        """
+        last, self.stamp = self.stamp, stamp
+        self.proved = last - STAMP_NOISE_S <= stamp <= self.now
+        self.received = self.now
+        if self.proved:
+            self.received = self.stamp = max(last, stamp)
         self.proved = False

@@ -174,12 +174,10 @@ class Node(Hooks):
         moment = self.moment
         moment.now = now
         can_id, data, rtr, timestamp = frame
-        # Nothing is received later than now; a stamp before the last one is of a clock that was set.
-        if timestamp is not None and moment.stamp <= timestamp <= now:
-            moment.received = moment.stamp = timestamp
-            moment.proved = True
-        else:
+        if timestamp is None:
             moment.received, moment.proved = now, False
+        else:
+            moment.stamped(timestamp)
         if rtr:
             self._receive_remote(can_id, now)
         elif len(data) > LONGEST_DATA:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 
 from canfb.device.cob import is_valid
-from canfb.device.codes import EmergencyCode, ErrorRegister
-from canfb.device.dictionary import Dictionary, Entry
+from canfb.device.codes import EmergencyCode
+from canfb.device.dictionary import Dictionary
 from canfb.device.frame import NEVER, Frame
 from canfb.device.image import ParameterGroup
 from canfb.device.nmt import NmtState
@@ -21,7 +21,9 @@ from canfb.module.cyclic_timer import CyclicTimer
 from canfb.module.interval import IntervalEstimate
 from canfb.module.local_source import LocalSource
 from canfb.module.operating_time import OperatingTime
+from canfb.module.pairing import Findings, Pairing
 from canfb.module.parameters import Limits, apply_defaults, configured_defaults, without_adc_pdo
+from canfb.module.position_alarm import REGISTER, PositionAlarm
 from canfb.module.prediction import Prediction
 from canfb.module.profile import EncoderProfile
 from canfb.module.profile_warnings import Warnings
@@ -30,20 +32,15 @@ from canfb.module.recorder import Recorder
 from canfb.module.sample_input import SampleInput
 from canfb.module.table_store import TableStore
 from canfb.module.tap import Taps
-from canfb.module.timeline import ON_TIME, Timeline, Verdict
 from canfb.signal.chain import Feedback, SignalChain
 from canfb.signal.sample import Sample
-from canfb.signal.sample_times import TICK_S, TICKS
 from canfb.signal.source import Source
 from canfb.signal.supervision import COASTING, VALID
 
 EDS = "canfb-module"
-POSITION_REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE
-BAD_FRAMES, DUPLICATE_SYNCS, UNHEARD_SYNCS = 8, 13, 14  # 2012h
 MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge
 SAME_INTERVAL = 0.02
 CONFIRMING_SAMPLES = 4  # after a pause in which the machine may have begun to move
-SHORTEST_ALARMS_S = 0.1  # from one end of EMCY 7300h to the next: ten pairs a second at most
 COMMANDS = (0x2030, 0x2050)  # calibration and recording
 TPDOS = (1, 2, 3, 4)
 ON_EVENT = EVENT_DRIVEN | {0}  # transmission types; 0 goes out at the SYNC after the event
@@ -121,20 +118,24 @@ class FeedbackModule:
         self._calibrating = Calibrating(
             self.dictionary, self.chain, self._tables, self._taps, self._publication.calibrating
         )
-        self._bad_frames = self.dictionary.entry(0x2012, BAD_FRAMES)
         self._feedback: Feedback | None = None
-        self._timeline = Timeline(self.dictionary, self._interval)
-        self._duplicate_syncs = self.dictionary.entry(0x2012, DUPLICATE_SYNCS)
-        self._unheard_syncs = self.dictionary.entry(0x2012, UNHEARD_SYNCS)
+        self._pairing = Pairing(
+            self.dictionary,
+            self.node,
+            self._interval,
+            self._input,
+            self._source,
+            Findings(
+                self._take, self._miss, self._lose_count, self._publication.withhold, self.chain.repeats
+            ),
+        )
         self._event_tpdos: list[int] = []
-        self._alarmed = False
-        self._cleared_s = -NEVER
+        self._alarm = PositionAlarm(self.node)
         self._paused_s = 0.0
         self._unconfirmed = 0  # samples after a pause that are not called valid yet
-        self._listen()
-        self.node.on_rpdo = self._on_rpdo if self._source is None else None
+        self.node.on_rpdo = self._pairing.on_rpdo if self._source is None else None
         self._choose_prediction()
-        self.node.accepts_sync = self._accepts_sync
+        self.node.accepts_sync = self._pairing.accepts_sync
         self.node.on_state = self._on_state
         self.node.on_reset = self._on_reset
         self.node.on_bad_rpdo = self._on_bad_rpdo
@@ -164,19 +165,20 @@ class FeedbackModule:
         ``frame.timestamp`` is when it was received, if the bus says it, and ``now`` is no earlier. A
         late caller first gives all the frames that wait, in their order, and then calls :meth:`tick`.
         """
-        if now > self._timeline.until and (frame.timestamp is None or frame.timestamp > self._timeline.until):
+        until = self._pairing.timeline.until
+        if now > until and (frame.timestamp is None or frame.timestamp > until):
             self._publication.withhold()
         return self.node.receive(frame, now)
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at ``now``; the frames to send."""
-        if now >= self._timeline.until:
+        if now >= self._pairing.timeline.until:
             self._overdue(now)
         return self.node.tick(now)
 
     def deadline(self) -> float | None:
         """When :meth:`tick` is to be called next, None for not at all."""
-        due, until = self.node.deadline(), self._timeline.until
+        due, until = self.node.deadline(), self._pairing.timeline.until
         if until == NEVER:
             return due
         return until if due is None or until < due else due
@@ -195,9 +197,9 @@ class FeedbackModule:
         A module that stays in OPERATIONAL has lost its position: nobody counts the SYNCs meanwhile.
         """
         frames = self.node.bus_off(now)
-        if self.state is NmtState.OPERATIONAL and self._sampled:
+        if self.state is NmtState.OPERATIONAL and self._pairing.sampled:
             self._publish(self.chain.lose(), now, send=False)
-            self._listen()
+            self._pairing.begin()
         return frames
 
     def bus_back(self, now: float) -> list[Frame]:
@@ -235,89 +237,48 @@ class FeedbackModule:
             if entry.index in COMMANDS and entry.access == "rw":
                 entries.leave_out(entry.index, entry.subindex)
 
-    def _listen(self) -> None:
-        """Wait for the first sample, and for the first SYNC."""
-        self._sample_came = False  # since the last SYNC
-        self._tracks_came = False  # since the last SYNC, with the rest of the sample or without
-        self._synced = False  # a SYNC came since OPERATIONAL
-        self._sampled = False  # a sample came since OPERATIONAL
-        self._extra_syncs = False  # a duplicate came since the last SYNC: the interface may answer it
-        self._stale = False  # what synchronous RPDOs hold is of an interval that nobody knows
-        self._unheard = 0  # SYNCs before this one
-        self._last_time: int | None = None  # of the last valid sample, 2000:05
-        self._timeline.pause()
-
-    def _on_rpdo(self, number: int, now: float) -> None:
-        source = self._input
-        if self._stale or (number == source.judged and not self._belongs_here(now)):
-            return
-        if source.take(number):
-            self._sampled = True
-            if self._process(source.sample(), now):
-                self._sample_came = True
-
-    def _belongs_here(self, now: float) -> bool:
-        """One pair of tracks for each SYNC: does this one answer the last SYNC, or one not heard?"""
-        moment, timeline = self.node.moment, self._timeline
-        came = self._tracks_came
-        if not self._synced:
-            self._interval.event(moment.received)
-            verdict = timeline.free_running(moment.received, moment.proved)
-        elif came:
-            verdict = timeline.another_sample(moment.received, moment.proved)
-        else:
-            verdict = timeline.first_sample(moment.received, moment.proved)
-        self._tracks_came = True
-        return verdict is ON_TIME or self._take_verdict(verdict, came, now)
-
-    def _take_verdict(self, verdict: Verdict, came: bool, now: float) -> bool:
-        """For tracks that are not on time. False: they are not to be used."""
-        if verdict.unheard:
-            if self._input.give_up():
-                self._count(self._bad_frames)
-            self._count(self._unheard_syncs, verdict.unheard)
-            # SYNCs without a sample: these, but for the last, and the one before if it had none.
-            open_intervals = 0 if self._sample_came or not self._synced else 1
-            self._miss(verdict.unheard - 1 + open_intervals if self._synced else verdict.unheard, now)
-            self._sample_came = False
-            return True
-        if not came:
-            if verdict.duplicate:  # of an earlier SYNC: the answer to this one may still come
-                self._count(self._bad_frames)
-                self._tracks_came = False
-            return not verdict.duplicate
-        self._count(self._bad_frames)
-        explained = self._extra_syncs or (verdict.duplicate and self._input.repeats(self.chain))
-        if not explained:
-            self._lose_count(1.0, now)
-        return False
-
     def _lose_count(self, intervals: float, now: float) -> None:
         """So many intervals may or may not have passed: the position is lost if the machine moves."""
         feedback = self.chain.uncertain(intervals)
         if feedback is not None:
             self._publish(feedback, now)
 
-    def _process(self, sample: Sample, now: float) -> bool:
+    def _take(self, sample: Sample, between_s: float | None, now: float) -> bool:
         """A sample through the chain, and out; False if it is an earlier one, and nothing happened."""
         if self._limits.narrowed:
             self._limits.follow()
         timed = sample.time_100ns is not None
         if timed:
             self._follow_interval()
-        feedback = self.chain.step(sample)
+        feedback = self.chain.step(sample, between_s)
         if timed and self._feedback is not None and feedback.samples == self._feedback.samples:
-            self._count(self._bad_frames)
             return False
         if feedback.status & VALID:
             if timed:
-                self._clock_interval(sample)
-            if self._unconfirmed or (self._timeline.withheld and not timed):
+                self._pairing.valid(sample)
+            if self._unconfirmed or (self._pairing.timeline.withheld and not timed):
                 feedback = self._withheld(feedback)
         self._publish(feedback, now)
         if self._taps.open:
             self._taps.take(sample, feedback)
         return True
+
+    def _miss(self, samples: int, now: float) -> None:
+        """So many samples that did not come, reported once."""
+        known_as_lost = self.chain.lost
+        # Of a position that is lost it makes no difference how long it has been.
+        for left in range(min(samples, MOST_MISSED) - 1, -1, -1):
+            self._publish(self.chain.miss(), now, send=not left and not known_as_lost)
+            self._taps.miss()
+
+    def _overdue(self, now: float) -> None:
+        """No SYNC and no sample for 2010:06 periods: what stands there is not the position any more."""
+        if not self._pairing.overdue(now):
+            self._publication.withhold()
+            if self._feedback is not None and not self._alarm.active:
+                self._alarm.report(False, self._feedback.status & ~VALID, now)
+        if self.chain.lost:
+            self._pairing.timeline.until = NEVER
 
     def _withheld(self, feedback: Feedback) -> Feedback:
         """What may be right, but is not confirmed."""
@@ -331,91 +292,8 @@ class FeedbackModule:
         if abs(seconds - self.chain.interval_s) > SAME_INTERVAL * seconds:
             self.chain.interval_s = seconds
 
-    def _clock_interval(self, sample: Sample) -> None:
-        """The clock of the interface is far more regular than the times at which SYNCs are heard."""
-        last, self._last_time = self._last_time, sample.time_100ns
-        if last is not None and self._last_time is not None and self._source is None:
-            ticks = (self._last_time - last) % TICKS
-            if ticks:
-                self._interval.measured(ticks * TICK_S)
-
-    def _accepts_sync(self, counter: int | None, now: float) -> bool:
-        """Before anything is done with a SYNC: is it one, and were there others that nobody heard?"""
-        moment = self.node.moment
-        verdict = self._timeline.sync(moment.received, moment.proved, counter)
-        if verdict.duplicate:
-            self._count(self._duplicate_syncs)
-            self._extra_syncs = True
-            return False
-        if self._input.is_ambiguous and not self._input.timed:
-            self._count(self._bad_frames)
-            self._stale = True
-        if verdict is ON_TIME:
-            return True
-        self._unheard = verdict.unheard
-        self._publication.withhold()
-        self._stale |= self._input.is_synchronous
-        if verdict.doubt:
-            if self._input.timed:
-                self._unheard = 0  # sample times know how long it was
-            else:
-                self._lose_count(max(1.0, verdict.unheard), now)
-        return True
-
-    def _on_sync(self, counter: int | None, now: float) -> None:
-        if self._source is not None:
-            self._sample_source(self._source, counter, now)
-        else:
-            if not self._input.timed:
-                self._interval.event(self.node.moment.received)
-            if self._input.give_up():
-                self._count(self._bad_frames)
-        if self._synced and self._sampled and not self._sample_came:
-            self._miss(1, now)
-        if self._unheard:
-            self._miss_unheard(counter, self._input.timed, now)
-        self._sample_came = self._tracks_came = self._extra_syncs = self._stale = False
-        self._synced = True
-
-    def _miss_unheard(self, counter: int | None, timed: bool, now: float) -> None:
-        """SYNCs that were not heard. Sample times know better than receive times how long it was."""
-        unheard, self._unheard = self._unheard, 0
-        if self._sampled:
-            self._count(self._unheard_syncs, unheard)
-        if counter is not None or not timed:
-            self._miss(unheard, now)
-
-    def _miss(self, samples: int, now: float) -> None:
-        """So many samples that did not come, reported once. Before the first one there is nothing to miss."""
-        if not self._sampled:
-            return
-        self._timeline.after_gap = True
-        known_as_lost = self.chain.lost
-        # Of a position that is lost it makes no difference how long it has been.
-        samples = min(samples, MOST_MISSED)
-        for left in range(samples - 1, -1, -1):
-            self._publish(self.chain.miss(), now, send=not left and not known_as_lost)
-            self._taps.miss()
-
-    def _overdue(self, now: float) -> None:
-        """No SYNC and no sample for 2010:06 periods: what stands there is not the position any more."""
-        passed = self._timeline.overdue(now)
-        if not self._sampled or self.chain.lost:
-            self._timeline.until = NEVER
-        if not passed or not self._sampled:
-            self._publication.withhold()
-            if self._feedback is not None and not self._alarmed:
-                self._report_alarm(True, self._feedback.status & ~VALID, now)
-            return
-        came = self._sample_came or self._source is not None
-        self._miss(passed + (0 if came else 1), now)
-        self._sample_came = True
-        self._stale = self._input.is_synchronous
-        if self.chain.lost:
-            self._timeline.until = NEVER
-
     def _on_sync_predicting(self, counter: int | None, now: float) -> None:
-        self._on_sync(counter, now)
+        self._pairing.on_sync(counter, now)
         if self._feedback is not None:
             self._prediction.extrapolate(self._feedback)
 
@@ -423,22 +301,8 @@ class FeedbackModule:
         """With or without it (2013h). The sample of a source belongs to this very SYNC."""
         wanted = self._prediction.wanted and self._source is None
         self._prediction.forget()
-        self.node.on_sync = self._on_sync_predicting if wanted else self._on_sync
+        self.node.on_sync = self._on_sync_predicting if wanted else self._pairing.on_sync
         self.node.on_synchronised = self._prediction.withdraw if wanted else None
-
-    def _sample_source(self, source: LocalSource, counter: int | None, now: float) -> None:
-        """The sample of this very SYNC; without one it is missed, from the first SYNC on."""
-        if self._unheard:
-            self._miss_unheard(counter, source.timed_s is not None, now)
-        self._sampled = self._synced = True
-        sample = source.next(now)
-        if source.timed_s is None:
-            self._interval.event(self.node.moment.received)
-        if sample is not None:
-            self._sample_came = True
-            if source.timed_s is not None:  # far more regular than the time at which a SYNC is heard
-                self._interval.event(source.timed_s)
-            self._process(sample, now)
 
     def _tell_of_source(self, text: str) -> None:
         if self.on_source is not None:
@@ -450,8 +314,8 @@ class FeedbackModule:
         self._publication.publish(feedback)
         self._profile.publish(feedback)
         status, warnings = feedback.status, self._warnings
-        if self._alarmed or not status & VALID:
-            self._report_alarm(not status & VALID, status, now)
+        if self._alarm.active or not status & VALID:
+            self._alarm.report(bool(status & VALID), status, now)
         if send:
             for number in self._event_tpdos:
                 self.node.trigger_tpdo(number, now)
@@ -462,24 +326,14 @@ class FeedbackModule:
         ):
             warnings.follow(feedback, now)
 
-    def _report_alarm(self, alarm: bool, status: int, now: float) -> None:
-        """EMCY 7300h, and 0000h when the position is valid again, unless the last one was just before."""
-        if alarm:
-            self._alarmed = True
-            detail = status.to_bytes(2, "little")
-            self.node.emergency(EmergencyCode.SENSOR, POSITION_REGISTER, detail, now)
-        elif now - self._cleared_s >= SHORTEST_ALARMS_S:
-            self._alarmed = False
-            self._cleared_s = now
-            self.node.clear_emergency(EmergencyCode.SENSOR, now)
-
     def _on_state(self, old: NmtState, new: NmtState, now: float) -> None:
         if new is NmtState.OPERATIONAL:
-            self._listen()
+            self._pairing.begin()
             self._resume(now)
         elif old is NmtState.OPERATIONAL:
-            self._paused_s = self._timeline.synced_s if self._timeline.begun else now
-            self._timeline.pause()
+            timeline = self._pairing.timeline
+            self._paused_s = timeline.synced_s if timeline.begun else now
+            timeline.pause()
             self._recorder.stop()
             self._calibrating.interrupted()
             self._operating_time.keep(now)
@@ -500,8 +354,7 @@ class FeedbackModule:
 
     def _on_reset(self, communication_only: bool, now: float) -> None:
         self._operating_time.begin(now)
-        self._alarmed = False
-        self._cleared_s = -NEVER
+        self._alarm.reset()
         self._warnings.reset()
         self._interval.reset()
         if communication_only:
@@ -519,7 +372,7 @@ class FeedbackModule:
     def _on_parameter_faults(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
         self._profile.alarm_parameters(bool(faults))
         if faults:
-            self.node.emergency(EmergencyCode.DATA_SET, POSITION_REGISTER, bytes(sorted(faults))[:5], now)
+            self.node.emergency(EmergencyCode.DATA_SET, REGISTER, bytes(sorted(faults))[:5], now)
         else:
             self.node.clear_emergency(EmergencyCode.DATA_SET, now)
         if self.on_parameter_faults is not None:
@@ -536,8 +389,4 @@ class FeedbackModule:
         return is_valid(cob_id) and kind in ON_EVENT
 
     def _on_bad_rpdo(self, number: int, received: int, mapped: int, now: float) -> None:
-        self._count(self._bad_frames)
-
-    @staticmethod
-    def _count(counter: Entry, events: int = 1) -> None:
-        counter.value = (counter.value + events) & 0xFFFFFFFF
+        self._pairing.count_bad_frame()

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import statistics
+from collections import deque
 
 from canfb.device.dictionary import Entry
 
 SECONDS_PER_US = 1e-6
 SMOOTHING = 1.0 / 32.0
-LARGEST_STEP = 0.1  # of the period: one interval never moves the estimate by more than SMOOTHING times that
+LARGEST_STEP = 0.25  # of the period: what one interval says at most
+KNOWN_INTERVALS = 32
 SHORTEST, LONGEST = 0.6, 1.5  # of the period: what lies outside is a gap, a duplicate or another rate
 FIRST_INTERVALS = 5  # their median is the first estimate
 AGREEMENT = 0.2  # of the median
+LEAST_HEARD = 4  # to confirm 1006h
+HEARD_INTERVALS = 32  # where only the time is known at which somebody came round to a SYNC
 SLOWER_INTERVALS = 8  # so many long ones that agree are another rate, not gaps
 
 
@@ -23,7 +27,16 @@ class IntervalEstimate:
     once several intervals agree, or 1006h as soon as one interval agrees with it; 0.0 before.
     """
 
-    __slots__ = ("_estimate_s", "_last_s", "_long", "_period_us", "_recent", "settled_s")
+    __slots__ = (
+        "_estimate_s",
+        "_heard",
+        "_intervals",
+        "_last_s",
+        "_long",
+        "_period_us",
+        "_recent",
+        "settled_s",
+    )
 
     def __init__(self, communication_cycle_period: Entry) -> None:
         self._period_us = communication_cycle_period
@@ -32,6 +45,7 @@ class IntervalEstimate:
     def reset(self) -> None:
         """Forget everything."""
         self._estimate_s = self.settled_s = 0.0
+        self._intervals = KNOWN_INTERVALS  # that the estimate stands on
         self._recent: list[float] = []
         self.pause()
 
@@ -39,17 +53,46 @@ class IntervalEstimate:
         """Keep the estimate over a pause; the next event starts a new interval."""
         self._last_s: float | None = None
         self._long: list[float] = []
+        self._heard: deque[float] = deque(maxlen=HEARD_INTERVALS + 1)
+
+    @property
+    def known_s(self) -> float:
+        """The sampling interval where it is certain: settled, or 1006h; else 0.0."""
+        return self.settled_s or self._period_us.value * SECONDS_PER_US
 
     @property
     def seconds(self) -> float:
         """The sampling interval in force."""
         return self._period_us.value * SECONDS_PER_US or self._estimate_s
 
-    def event(self, now: float) -> None:
-        """A SYNC, or a sample where there is no SYNC, at ``now`` (seconds)."""
+    def event(self, now: float, proved: bool = True) -> None:
+        """A SYNC, or a sample where there is no SYNC, at ``now`` (seconds).
+
+        ``proved`` says that it came at that time. If it may have come before, only many intervals
+        together are measured.
+        """
         last, self._last_s = self._last_s, now
-        if last is not None and now > last:
+        if not proved:
+            self._event_heard(now)
+        elif last is not None and now > last:
             self.measured(now - last)
+
+    def _event_heard(self, now: float) -> None:
+        heard = self._heard
+        heard.append(now)
+        intervals = len(heard) - 1
+        if intervals < 1 or now <= heard[0]:
+            return
+        mean = (now - heard[0]) / intervals
+        if not self.settled_s:
+            self._estimate_s = mean
+            nominal = self._period_us.value * SECONDS_PER_US
+            if intervals == HEARD_INTERVALS:
+                self.settled_s = mean
+            elif intervals >= LEAST_HEARD and abs(mean - nominal) < AGREEMENT * nominal:
+                self.settled_s = self._estimate_s = nominal
+        elif intervals == HEARD_INTERVALS:
+            self._approach(mean)
 
     def measured(self, interval_s: float) -> None:
         """One interval of this length, seconds, above 0."""
@@ -59,15 +102,20 @@ class IntervalEstimate:
         elif interval_s < SHORTEST * period:
             return  # a burst or a duplicate; another rate shows itself in Timeline
         elif interval_s < LONGEST * period:
-            step = interval_s - period
-            largest = LARGEST_STEP * period
-            if not -largest < step < largest:
-                step = largest if step > 0.0 else -largest
-            self.settled_s = self._estimate_s = period + step * SMOOTHING
+            self._approach(interval_s)
             if self._long:
                 self._long.clear()
         else:
             self._may_be_slower(interval_s)
+
+    def _approach(self, interval_s: float) -> None:
+        period = self.settled_s
+        step = interval_s - period
+        largest = LARGEST_STEP * period
+        if not -largest < step < largest:
+            step = largest if step > 0.0 else -largest
+        self._intervals += 1
+        self.settled_s = self._estimate_s = period + step * max(SMOOTHING, 1.0 / self._intervals)
 
     def _settle(self, interval_s: float) -> None:
         recent = self._recent
@@ -77,8 +125,13 @@ class IntervalEstimate:
         nominal = self._period_us.value * SECONDS_PER_US
         if nominal and abs(interval_s - nominal) < AGREEMENT * nominal:
             self.settled_s = self._estimate_s = nominal
+            self._intervals = KNOWN_INTERVALS
         elif len(recent) == FIRST_INTERVALS and _agree(recent, middle) >= FIRST_INTERVALS - 1:
-            self.settled_s = middle
+            # Their mean: the deviations of SYNCs that follow each other cancel.
+            self.settled_s = self._estimate_s = statistics.mean(
+                interval for interval in recent if abs(interval - middle) <= AGREEMENT * middle
+            )
+            self._intervals = FIRST_INTERVALS
 
     def _may_be_slower(self, interval_s: float) -> None:
         long = self._long

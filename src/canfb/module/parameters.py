@@ -106,13 +106,13 @@ class Limits:
 
     def follow(self) -> None:
         """Before a sample, if it is :attr:`narrowed`: take the residual limit along with the interval."""
-        if abs(self._interval.seconds - self._applied_s) > 0.02 * self._applied_s:
+        if abs(self._interval.known_s - self._applied_s) > 0.02 * self._applied_s:
             self.apply()
 
     def apply(self) -> None:
         """Put the values of the dictionary in force."""
         limit = self._residual.value / LIMIT_UNITS
-        interval_s, cycles = self._interval.seconds, self._cycles_per_revolution.value
+        interval_s, cycles = self._interval.known_s, self._cycles_per_revolution.value
         acceleration = None
         if interval_s > 0.0 and self._acceleration.value > 0.0:
             limit = narrowed_residual_limit(limit, self._acceleration.value, cycles, interval_s)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from enum import Enum
 
 GAIN = 1.0 / 16.0
-CREEP = 1.0 / 256.0  # of the shortest delay, towards those that come
 LEARNED_SAMPLES = 16
+WINDOW_SAMPLES = 128  # the shortest delay is that of one or two of these
 LEAST_PART = 0.7  # of the shortest delay: no PDO answers faster
 SPREADS = 4.0  # mean deviations around the usual delay, for a PDO after a gap
 SPARE = 0.1  # period, at least
@@ -41,14 +42,18 @@ class Response:
         self._sooner = 0
         self.usual_s = 0.0
         """The usual delay, seconds."""
-        self._least_s = self._spread_s = 0.0
+        self._spread_s = 0.0
+        self._least_s = self._window_least_s = self._least_before_s = math.inf
 
-    def judge(self, delay_s: float, period_s: float, after_gap: bool) -> Answer:
-        """The first PDO since a SYNC, ``delay_s`` after it; ``after_gap``: the one before is missing."""
+    def judge(self, delay_s: float, longest_s: float, period_s: float, after_gap: bool) -> Answer:
+        """The first PDO since a SYNC, ``delay_s`` after it, by no means more than ``longest_s``.
+
+        ``after_gap``: the PDO of the SYNC before is missing.
+        """
         if self._seen < LEARNED_SAMPLES:
             if self.is_late(delay_s, period_s):
                 return Answer.LATE
-        elif delay_s < LEAST_PART * self._least_s:
+        elif longest_s < LEAST_PART * self._least_s:
             self._sooner += 1
             if self._sooner >= RELEARN_SAMPLES:
                 self.forget()
@@ -74,10 +79,13 @@ class Response:
     def _learn(self, delay_s: float) -> None:
         self._sooner = 0
         if not self._seen:
-            self.usual_s = self._least_s = delay_s
+            self.usual_s = delay_s
         self._seen += 1
         error = delay_s - self.usual_s
         gain = max(GAIN, 1.0 / self._seen)
         self.usual_s += error * gain
         self._spread_s += (abs(error) - self._spread_s) * gain
-        self._least_s = min(delay_s, self._least_s + (delay_s - self._least_s) * CREEP)
+        if self._seen % WINDOW_SAMPLES == 0:
+            self._least_before_s, self._window_least_s = self._window_least_s, math.inf
+        self._window_least_s = min(self._window_least_s, delay_s)
+        self._least_s = min(self._window_least_s, self._least_before_s)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from canfb.device.dictionary import Dictionary
 from canfb.device.node import Node
 from canfb.device.rpdo import Rpdo
-from canfb.signal.chain import SignalChain
 from canfb.signal.sample import Sample
 
 INPUT = 0x2000
@@ -79,9 +78,10 @@ class SampleInput:
         """Several synchronous PDOs with tracks came since the last SYNC: nobody knows which answers it."""
         return self._waiting is not None and self._waiting.waiting > 1
 
-    def repeats(self, chain: SignalChain) -> bool:
-        """The tracks that stand in the dictionary are those of the last sample."""
-        return chain.repeats(self._sine.value, self._cosine.value)
+    @property
+    def tracks(self) -> tuple[int, int]:
+        """Sine and cosine as they stand in the dictionary, counts."""
+        return self._sine.value, self._cosine.value
 
     def sample(self) -> Sample:
         """The sample of the parts that have come."""

@@ -16,7 +16,7 @@ from canfb.module.response import Answer, Response
 
 COUNTER_OVERFLOW = 0x1019
 PERIODS = (0x2010, 6)
-GAIN = 0.125  # of the lock on the SYNCs
+GAIN = 0.2  # of the lock on the SYNCs
 HALF = 0.5  # period: nearer to this SYNC, or to the one beside it
 JITTER_GAIN = 1.0 / 64.0
 FIRST_JITTER = 1.0 / 12.0  # period, mean deviation, before it is measured
@@ -24,7 +24,7 @@ JITTERS = 6.0  # mean deviations: so early no SYNC comes
 LEAST_EARLY = 0.15  # period
 EARLY = 0.75  # period after a SYNC: an ADC PDO that came by then does not answer a later one
 CONFIRMING_SYNCS = 2  # on time in a row, after some that may have been late
-PATIENCE_SYNCS = 16  # that come on time, a whole period late: then SYNCs were lost
+PATIENCE_SYNCS = 64  # that come on time, a whole period late: then SYNCs were lost
 FASTER_SYNCS = 8  # regular SYNCs that all come too early are another rate
 RATE_AGREEMENT = 0.25
 UNSETTLED_S = 0.5  # taken for a period where none is known
@@ -175,7 +175,7 @@ class Timeline:
         if error >= turn - HALF:
             return self._late(time_s, counter, period, unheard, apart)
         self._take(time_s, self._grid_s_after(unheard, period, error), counter)
-        self._confirm(apart)
+        self._confirm(apart, turn)
         return Verdict(unheard=unheard) if unheard else ON_TIME
 
     def _too_early(self, time_s: float, counter: int | None) -> Verdict:
@@ -207,9 +207,14 @@ class Timeline:
         self._behind = True
         return Verdict(unheard=unheard, late=True)
 
-    def _confirm(self, apart: float) -> None:
-        """On time. After some that may have been late this counts only at the pace of the bus."""
-        if self.withheld and (not self._behind or HALF < apart < 1.0 + HALF):
+    def _confirm(self, apart: float, turn: int) -> None:
+        """On time. After some that may have been late this counts only at the pace of the bus.
+
+        A SYNC counter of ``turn`` values says that none is missing.
+        """
+        if turn > 1:
+            self.withheld = 0
+        elif self.withheld and (not self._behind or HALF < apart < 1.0 + HALF):
             self.withheld -= 1
         if not self.withheld:
             self._behind = False
@@ -236,7 +241,9 @@ class Timeline:
         if not period or self._grid_s is None:
             return ON_TIME
         delay = time_s - self._sync_s
-        verdict = self._response.judge(delay, period, self.after_gap)
+        # A SYNC that was heard late may have come when it was due; not before that, or hardly.
+        early = 0.0 if proved else max(0.0, self._sync_s - self._grid_s + self._early(period))
+        verdict = self._response.judge(delay, delay + early, period, self.after_gap)
         if verdict is Answer.LATE:
             return self._unheard(max(1, round((delay - self._response.usual_s) / period)), proved)
         if verdict is Answer.UNCLEAR:

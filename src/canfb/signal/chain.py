@@ -339,16 +339,19 @@ class SignalChain:
         self._speed = 0.0
         self._was_valid = 0
 
-    def step(self, sample: Sample) -> Feedback:
+    def step(self, sample: Sample, between_s: float | None = None) -> Feedback:
         """Take one sample through the whole chain. A bad sample is flagged, it never raises.
 
         A sample with the time of the one before, or of an earlier one, comes too late: the same
-        Feedback, the same object, is returned, and nothing changes. One whose time fits nothing is
+        Feedback, the same object, is returned, and nothing changes. ``between_s``, seconds from the
+        reception of the last sample that was taken to that of this one, where that is known, is what
+        a sample time must agree with. One whose time fits nothing is
         a bad sample; see :class:`canfb.signal.sample_times.SampleTimes`.
         """
         sine, cosine, elapsed, bad, coarse, _, zero_pulse, time_100ns = sample
+        next_one = False
         if time_100ns is not None:
-            passed = self._times.elapsed(time_100ns, elapsed + self._waited)
+            passed = self._times.elapsed(time_100ns, elapsed + self._waited, between_s)
             if passed <= 0.0:
                 if passed == REPEATED and self._last is not None:
                     return self._last
@@ -357,6 +360,7 @@ class SignalChain:
                     return self._restarted(sample)
                 self._waited += elapsed
             else:
+                next_one = elapsed + self._waited < MISSED_INTERVALS
                 elapsed, self._waited = passed - self._waited, 0.0  # what was waited for is counted already
         offset_s, gain_s, offset_c, factor_c, skew = self._coefficients
         s = (sine - offset_s) * gain_s
@@ -382,7 +386,7 @@ class SignalChain:
         if measured:
             table = self._table
             phase = raw if table is None else table.correct(raw)
-            track, bits = self._recovery.good(phase, elapsed)
+            track, bits = self._recovery.good(phase, elapsed, next_one)
         else:
             track, bits = self._recovery.bad(elapsed)
         if bits & LOST and (not measured or bits & RESIDUAL):
@@ -394,7 +398,7 @@ class SignalChain:
             bits, jump = self._reference.apply(sample, track, bits, before, self._clock, elapsed)
             self._referenced = REFERENCED if self._reference.zero.referenced else 0
         self._before = track if measured and jump == 0 else None
-        if elapsed > MISSED_INTERVALS:
+        if elapsed > MISSED_INTERVALS and not (next_one and bits & VALID):
             bits |= MISSED
         return self._feedback(s, c, amplitude, raw, track, bits | faults, jump)
 

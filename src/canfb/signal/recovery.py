@@ -24,6 +24,9 @@ from canfb.signal.tracker import RESIDUAL_LIMIT, Track, Tracker, TrackResult, st
 
 # A glitch below the residual limit is seen one sample later, a row of three at most three later.
 DOUBTED_SAMPLES = 3
+LARGEST_CERTAIN_CYCLES = (
+    0.95  # of deviation from the prediction, in one direction and in the other: 1 less noise
+)
 COAST_SAMPLES = 3  # default of 2010:03
 REMEMBERED_SAMPLES = 16  # tell how smoothly the machine runs
 
@@ -184,8 +187,11 @@ class Recovery:
             least = np.minimum(least, padded[later : later + len(cycles)])
         return np.where(np.isfinite(least), least, 0.0)
 
-    def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
-        """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL."""
+    def good(self, phase: float, elapsed: float, next_one: bool = False) -> tuple[Track, int]:
+        """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL.
+
+        ``next_one``: no sample was missed since the one before, however long the interval was.
+        """
         settled = not (self.lost or self._doubt)
         if settled and elapsed == 1.0 and (followed := self.tracker.follow(phase)) is not None:
             self._places.append((followed.cycles, phase, 1.0))
@@ -195,7 +201,8 @@ class Recovery:
             self.tracker.accept(track, elapsed)
             return track, LOST if track.ok else LOST | RESIDUAL
         missed = round(elapsed) - 1
-        if missed > 0 and self.tracker.started:
+        long = next_one and settled and self._is_certain(phase, elapsed)
+        if missed > 0 and self.tracker.started and not long:
             self.bad(float(missed), missed=True)
             return self.good(phase, elapsed - missed)
         started = self.tracker.started
@@ -210,6 +217,13 @@ class Recovery:
             return track, VALID
         track, bits = self._decide(track, elapsed)
         return track, bits | RESIDUAL if settled else bits
+
+    def _is_certain(self, phase: float, elapsed: float) -> bool:
+        """After an interval of this length no acceleration leads to another cycle with this phase."""
+        limit = self.tracker.residual_limit if self.acceleration_limit is None else self.acceleration_limit
+        scale = elapsed * (elapsed + self.tracker.elapsed) / 2.0
+        residual = self.tracker.look(phase, elapsed).residual
+        return residual < self._limit_over(elapsed) and residual + limit * scale < LARGEST_CERTAIN_CYCLES
 
     def _limit_over(self, elapsed: float) -> float:
         """The residual limit for an interval of this length: an acceleration a leaves a e (e + e') / 2.

@@ -14,6 +14,7 @@ HALF_TICKS = TICKS // 2
 OLDEST = 64.0  # intervals: a time that lies no further back is that of an earlier sample
 CLOSEST = 0.25  # intervals: samples nearer together would tell the speed too badly
 SPARE_BEFORE, SPARE_AFTER = 0.5, 0.95  # intervals, around the number that was counted
+SPARE_S, SPARE_PART = 0.5e-3, 0.3  # seconds and intervals: a bus and a host delay a PDO so much
 REPEATED, SUSPECT, RESTARTED = -1.0, -2.0, -3.0
 
 
@@ -42,10 +43,11 @@ class SampleTimes:
         """The interval in which elapsed times are given, seconds; 0.0 before it is known."""
         return self.interval_s or self._first_s
 
-    def elapsed(self, time_100ns: int, counted: float) -> float:
+    def elapsed(self, time_100ns: int, counted: float, between_s: float | None = None) -> float:
         """Intervals since the last sample that was taken, above 0; or what is wrong with this time.
 
-        ``counted`` intervals have passed by the count of SYNCs. REPEATED: it is that of the last
+        ``counted`` intervals have passed by the count of SYNCs, ``between_s`` seconds between the two
+        receptions, None if that is not known. REPEATED: it is that of the last
         sample or of one before. SUSPECT: it fits nothing, the next time must show whether it or the
         clock is wrong; the sample is not to be used. RESTARTED: the clock was, and how long the
         interval was cannot be known.
@@ -64,14 +66,18 @@ class SampleTimes:
             self._first_s = unit = ticks * TICK_S / counted
         intervals = ticks * TICK_S / unit
         least = CLOSEST if counted < 1.5 else counted - SPARE_BEFORE
-        if least <= intervals <= counted + SPARE_AFTER:
+        received = between_s is not None and abs(ticks * TICK_S - between_s) <= SPARE_S + SPARE_PART * unit
+        if least <= intervals <= counted + SPARE_AFTER and (received or between_s is None):
             self._last, self._suspect = time_100ns, None
             return intervals
+        if received and intervals > counted:
+            self._last, self._suspect = time_100ns, None
+            return intervals  # SYNCs that nobody heard
         if -OLDEST <= intervals < least:
             return REPEATED
-        return self._doubted(time_100ns, counted, unit, intervals)
+        return self._doubted(time_100ns, counted, unit)
 
-    def _doubted(self, time_100ns: int, counted: float, unit: float, intervals: float) -> float:
+    def _doubted(self, time_100ns: int, counted: float, unit: float) -> float:
         suspect, self._suspect = self._suspect, time_100ns
         since, self._suspected = counted - self._suspected, counted
         if suspect is None or since <= 0.0:
@@ -81,6 +87,4 @@ class SampleTimes:
             return SUSPECT
         # Two times in a row agree with each other and not with the last good one.
         self._last, self._suspect = time_100ns, None
-        if 0.0 < intervals <= OLDEST:
-            return intervals  # intervals that nobody heard
         return RESTARTED

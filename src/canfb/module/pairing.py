@@ -1,0 +1,241 @@
+"""Which frames make a sample: one for each SYNC, and what came doubled, late or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from canfb.device.dictionary import Dictionary, Entry
+from canfb.device.frame import NEVER
+from canfb.device.node import Node
+from canfb.module.interval import IntervalEstimate
+from canfb.module.local_source import LocalSource
+from canfb.module.sample_input import SampleInput
+from canfb.module.timeline import ON_TIME, Timeline, Verdict
+from canfb.signal.sample import Sample
+from canfb.signal.sample_times import TICK_S, TICKS
+
+COUNTERS = 0x2012
+BAD_FRAMES, DUPLICATE_SYNCS, UNHEARD_SYNCS = 8, 13, 14
+
+
+class Findings(NamedTuple):
+    """What is done with what was found.
+
+    take(sample, between_s, now)  a sample, and the seconds since the reception of the last valid one,
+                                  None if they are not known; False if it was an earlier one again
+    miss(samples, now)            so many samples did not come
+    lose_count(intervals, now)    so many intervals may or may not have passed
+    withhold()                    what stands in the dictionary is not valid any more
+    repeats(sine, cosine)         whether these are the counts of the last sample
+    """
+
+    take: Callable[[Sample, float | None, float], bool]
+    miss: Callable[[int, float], None]
+    lose_count: Callable[[float, float], None]
+    withhold: Callable[[], None]
+    repeats: Callable[[float, float], bool]
+
+
+class Pairing:
+    """SYNCs and RPDOs in, samples out. All times are receive times where the bus gives them.
+
+    With a ``source`` each SYNC is answered by it, and RPDOs are not looked at.
+    """
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        node: Node,
+        interval: IntervalEstimate,
+        sample_input: SampleInput,
+        source: LocalSource | None,
+        findings: Findings,
+    ) -> None:
+        self.timeline = Timeline(dictionary, interval)
+        self._moment = node.moment
+        self._interval = interval
+        self._input = sample_input
+        self._source = source
+        self._findings = findings
+        self._bad_frames, self._duplicate_syncs, self._unheard_syncs = (
+            dictionary.entry(COUNTERS, n) for n in (BAD_FRAMES, DUPLICATE_SYNCS, UNHEARD_SYNCS)
+        )
+        self.begin()
+
+    def begin(self) -> None:
+        """Wait for the first sample, and for the first SYNC."""
+        self.sampled = False
+        """A sample came since OPERATIONAL."""
+        self._sample_came = False  # since the last SYNC
+        self._tracks_came = False  # since the last SYNC, with the rest of the sample or without
+        self._synced = False  # a SYNC came since OPERATIONAL
+        self._extra_syncs = False  # a duplicate came since the last SYNC: the interface may answer it
+        self._stale = False  # what synchronous RPDOs hold is of an interval that nobody knows
+        self._unheard = 0  # SYNCs before this one
+        self._last_time: int | None = None  # of the last valid sample, 2000:05
+        self._taken_s: float | None = None  # when that was received, if that is known
+        self.timeline.pause()
+
+    @property
+    def timed(self) -> bool:
+        """Each sample brings its time, which says better than any reception how long an interval was."""
+        return self._input.timed
+
+    def count_bad_frame(self) -> None:
+        """A frame that was not used (2012:08)."""
+        _count(self._bad_frames)
+
+    def on_rpdo(self, number: int, now: float) -> None:
+        """RPDO ``number`` has come, or is taken over at a SYNC."""
+        parts = self._input
+        if self._stale or (number == parts.judged and not self._belongs_here(now)):
+            return
+        if parts.take(number):
+            self.sampled = True
+            self._sample_came |= self._take(parts.sample(), now)
+
+    def accepts_sync(self, counter: int | None, now: float) -> bool:
+        """Before anything is done with a SYNC: is it one, and were there others that nobody heard?"""
+        moment = self._moment
+        verdict = self.timeline.sync(moment.received, moment.proved, counter)
+        if verdict.duplicate:
+            _count(self._duplicate_syncs)
+            self._extra_syncs = True
+            return False
+        if self._input.is_ambiguous and not self._input.timed:
+            self.count_bad_frame()
+            self._stale = True
+        if verdict is ON_TIME:
+            return True
+        self._unheard = verdict.unheard
+        self._findings.withhold()
+        self._stale |= self._input.is_synchronous
+        if verdict.doubt and not self._input.timed:
+            self._findings.lose_count(max(1.0, verdict.unheard), now)
+        elif verdict.doubt:
+            self._unheard = 0  # sample times know how long it was
+        return True
+
+    def on_sync(self, counter: int | None, now: float) -> None:
+        """A SYNC that was accepted: the interval before it is over."""
+        if self._source is not None:
+            self._sample_source(self._source, counter, now)
+        else:
+            if not self._input.timed:
+                self._interval.event(self._moment.received, self._moment.proved)
+            if self._input.give_up():
+                self.count_bad_frame()
+        if self._synced and self.sampled and not self._sample_came:
+            self._miss(1, now)
+        if self._unheard:
+            self._miss_unheard(counter, self._input.timed, now)
+        self._sample_came = self._tracks_came = self._extra_syncs = self._stale = False
+        self._synced = True
+
+    def overdue(self, now: float) -> bool:
+        """No SYNC and no sample for 2010:06 periods; False where the length of a period is not known."""
+        passed = self.timeline.overdue(now)
+        if not self.sampled:
+            self.timeline.until = NEVER
+        if not passed or not self.sampled:
+            return False
+        came = self._sample_came or self._source is not None
+        self._miss(passed + (0 if came else 1), now)
+        self._sample_came = True
+        self._stale = self._input.is_synchronous
+        return True
+
+    def _belongs_here(self, now: float) -> bool:
+        """One pair of tracks for each SYNC: does this one answer the last SYNC, or one not heard?"""
+        moment, timeline = self._moment, self.timeline
+        came, self._tracks_came = self._tracks_came, True
+        if not self._synced:
+            self._interval.event(moment.received, moment.proved)
+            verdict = timeline.free_running(moment.received, moment.proved)
+        elif came:
+            verdict = timeline.another_sample(moment.received, moment.proved)
+        else:
+            verdict = timeline.first_sample(moment.received, moment.proved)
+        return verdict is ON_TIME or self._take_verdict(verdict, came, now)
+
+    def _take_verdict(self, verdict: Verdict, came: bool, now: float) -> bool:
+        """For tracks that are not on time. False: they are not to be used."""
+        if verdict.unheard:
+            self._pass_unheard(verdict.unheard, now)
+            return True
+        if not came:
+            if verdict.duplicate:  # of an earlier SYNC: the answer to this one may still come
+                self.count_bad_frame()
+                self._tracks_came = False
+            return not verdict.duplicate
+        self.count_bad_frame()
+        explained = self._extra_syncs or (verdict.duplicate and self._findings.repeats(*self._input.tracks))
+        if not explained:
+            self._findings.lose_count(1.0, now)
+        return False
+
+    def _pass_unheard(self, syncs: int, now: float) -> None:
+        """So many SYNCs were not heard, and these tracks answer the last of them."""
+        if self._input.give_up():
+            self.count_bad_frame()
+        _count(self._unheard_syncs, syncs)
+        if self._synced:
+            syncs -= 1 if self._sample_came else 0
+        self._miss(syncs, now)
+        self._sample_came = False
+
+    def _miss_unheard(self, counter: int | None, timed: bool, now: float) -> None:
+        """SYNCs that were not heard. Sample times know better than receive times how long it was."""
+        unheard, self._unheard = self._unheard, 0
+        if self.sampled:
+            _count(self._unheard_syncs, unheard)
+        if counter is not None or not timed:
+            self._miss(unheard, now)
+
+    def _miss(self, samples: int, now: float) -> None:
+        """Before the first sample there is nothing to miss."""
+        if self.sampled and samples:
+            self.timeline.after_gap = True
+            self._findings.miss(samples, now)
+
+    def _sample_source(self, source: LocalSource, counter: int | None, now: float) -> None:
+        """The sample of this very SYNC; without one it is missed, from the first SYNC on."""
+        if self._unheard:
+            self._miss_unheard(counter, source.timed_s is not None, now)
+        self.sampled = self._synced = True
+        sample = source.next(now)
+        if source.timed_s is None:
+            self._interval.event(self._moment.received, self._moment.proved)
+        if sample is not None:
+            self._sample_came = True
+            if source.timed_s is not None:  # far more regular than the time at which a SYNC is heard
+                self._interval.event(source.timed_s)
+            self._take(sample, now)
+
+    def _take(self, sample: Sample, now: float) -> bool:
+        between_s = self._between_s() if sample.time_100ns is not None else None
+        if self._findings.take(sample, between_s, now):
+            return True
+        self.count_bad_frame()
+        return False
+
+    def _between_s(self) -> float | None:
+        """Seconds between the receptions of the last valid sample and of this one, if both are known."""
+        moment, taken_s = self._moment, self._taken_s
+        if taken_s is None or not moment.proved or self._input.is_synchronous or self._source is not None:
+            return None
+        return moment.received - taken_s
+
+    def valid(self, sample: Sample) -> None:
+        """This sample with a time was good: the clock of the interface measures the interval."""
+        self._taken_s = self._moment.received if self._moment.proved else None
+        last, self._last_time = self._last_time, sample.time_100ns
+        if last is not None and self._last_time is not None and self._source is None:
+            ticks = (self._last_time - last) % TICKS
+            if ticks:
+                self._interval.measured(ticks * TICK_S)
+
+
+def _count(counter: Entry, events: int = 1) -> None:
+    counter.value = (counter.value + events) & 0xFFFFFFFF
