@@ -17,9 +17,11 @@ from canfb.errors import BusError, CalibrationError, CanfbError, ConfigError
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.batch import process
-from canfb.signal.chain import ChainConfig, Feedback, SignalChain
+from canfb.signal.chain import SignalChain
 from canfb.signal.conditioning import Conditioning
+from canfb.signal.config import ChainConfig
 from canfb.signal.correction import CorrectionTable
+from canfb.signal.feedback import Feedback
 from canfb.signal.limits import max_acceleration
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.sample import Sample

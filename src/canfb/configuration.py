@@ -19,8 +19,8 @@ import yaml
 from canfb.errors import ConfigError
 from canfb.module.config import UNCONFIGURED, ModuleConfig
 from canfb.module.source_config import SOURCE_KINDS, IioSourceConfig
-from canfb.signal.chain import integer_in
 from canfb.signal.conditioning import Conditioning
+from canfb.signal.config import integer_in
 from canfb.simulation.cia402.config import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from canfb.signal.chain import ChainConfig, Feedback, SignalChain
+from canfb.signal.chain import SignalChain
+from canfb.signal.config import ChainConfig
+from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import StatusBit
 

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from canfb.signal import blocks
 from canfb.signal.batch import process
-from canfb.signal.chain import ChainConfig, SignalChain
+from canfb.signal.chain import SignalChain
 from canfb.signal.conditioning import Conditioning
+from canfb.signal.config import ChainConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.recovery import COAST_SAMPLES, Recovery

@@ -8,9 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canfb.signal.batch import process
-from canfb.signal.chain import ChainConfig, Feedback, SignalChain
+from canfb.signal.chain import SignalChain
 from canfb.signal.conditioning import Conditioning
+from canfb.signal.config import ChainConfig
 from canfb.signal.correction import CorrectionTable
+from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import StatusBit
 

@@ -8,7 +8,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from supervision_kit import DEAD, Drive, above, at, below, flags, has
 
-from canfb.signal.chain import ChainConfig, SignalChain
+from canfb.signal.chain import SignalChain
+from canfb.signal.config import ChainConfig
 from canfb.signal.frozen import FrozenInput
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import StatusBit

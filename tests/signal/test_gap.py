@@ -13,7 +13,8 @@ from gap_kit import BEFORE, NOISE_CYCLES, SMOOTH, VIOLENT, Motion, Outcome, play
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.signal.chain import ChainConfig, SignalChain
+from canfb.signal.chain import SignalChain
+from canfb.signal.config import ChainConfig
 from canfb.signal.gap import Unseen, fitting, sure_acceleration, within
 from canfb.signal.recovery import Recovery
 from canfb.signal.sample import Sample

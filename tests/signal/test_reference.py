@@ -7,7 +7,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from canfb.signal.chain import ChainConfig, Feedback, SignalChain
+from canfb.signal.chain import SignalChain
+from canfb.signal.config import ChainConfig
+from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import StatusBit
 

@@ -7,8 +7,10 @@ import math
 import pytest
 from supervision_kit import at, flags
 
-from canfb.signal.chain import ChainConfig, Feedback, SignalChain
+from canfb.signal.chain import SignalChain
 from canfb.signal.coarse import CoarseTrack
+from canfb.signal.config import ChainConfig
+from canfb.signal.feedback import Feedback
 from canfb.signal.reference import Reference
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import COARSE, COASTING, LOST, VALID

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 import canfb
 from canfb.signal.blocks import BLOCK_SAMPLES
-from canfb.signal.chain import ChainConfig, SignalChain
+from canfb.signal.chain import SignalChain
 from canfb.signal.conditioning import Conditioning
+from canfb.signal.config import ChainConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.sample import Sample
 from canfb.signal.stream import SHORTEST_BLOCK, ChainResult, process_stream

@@ -14,7 +14,8 @@ from canfb.device.frame import Frame
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal import supervision
-from canfb.signal.chain import ChainConfig, SignalChain
+from canfb.signal.chain import SignalChain
+from canfb.signal.config import ChainConfig
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import SampleLimits, StatusBit, Supervision
 from folding import each

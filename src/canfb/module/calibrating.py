@@ -16,7 +16,8 @@ from canfb.device.dictionary import Dictionary
 from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.table_store import TableStore
 from canfb.module.tap import Taps
-from canfb.signal.chain import Feedback, SignalChain
+from canfb.signal.chain import SignalChain
+from canfb.signal.feedback import Feedback
 from canfb.signal.recorder import SampleRecording
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL

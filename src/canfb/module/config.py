@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for who reads configurations
 from canfb.module.source_config import SourceConfig
-from canfb.signal.chain import ChainConfig, integer_in
+from canfb.signal.config import ChainConfig, integer_in
 
 
 @dataclass(frozen=True, kw_only=True)

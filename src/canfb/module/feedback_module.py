@@ -32,7 +32,8 @@ from canfb.module.recorder import Recorder
 from canfb.module.sample_input import SampleInput
 from canfb.module.table_store import TableStore
 from canfb.module.tap import Taps
-from canfb.signal.chain import Feedback, SignalChain
+from canfb.signal.chain import SignalChain
+from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.source import Source
 from canfb.signal.supervision import COASTING, VALID

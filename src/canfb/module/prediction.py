@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from canfb.device.dictionary import Dictionary
 from canfb.module.profile import EncoderProfile
-from canfb.signal.chain import Feedback
+from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import COASTING, EXTRAPOLATED, VALID
 
 PREDICTION = 0x2013

@@ -15,7 +15,7 @@ from canfb.module.position import (
 )
 from canfb.module.speed import Motion
 from canfb.module.work_area import WorkArea
-from canfb.signal.chain import Feedback
+from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import VALID
 
 ALARM_POSITION, ALARM_PARAMETERS = 1 << 0, 1 << 12  # 6503h

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from canfb.device.codes import EmergencyCode, ErrorRegister
 from canfb.device.dictionary import Dictionary
-from canfb.signal.chain import Feedback
+from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import REFERENCED, VALID
 
 FREQUENCY, AMPLITUDE_LOW, NOT_REFERENCED = 1 << 0, 1 << 1, 1 << 5  # 6505h

@@ -8,7 +8,8 @@ from canfb.device.dictionary import Dictionary
 from canfb.module.interval import IntervalEstimate
 from canfb.module.position import PHASE_UNITS
 from canfb.module.sample_input import SampleInput
-from canfb.signal.chain import Feedback, SignalChain
+from canfb.signal.chain import SignalChain
+from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import (
     AMPLITUDE,
     CALIBRATING,
@@ -45,7 +46,7 @@ NOTHING = Feedback(0.0, 0.0, 0.0, math.nan, 0, 0.0, 0.0, 0, 0.0, 0.0, 0, 0)
 
 
 class Publication:
-    """Puts a :class:`canfb.signal.chain.Feedback` into 2011h and counts faults in 2012h.
+    """Puts a :class:`canfb.signal.feedback.Feedback` into 2011h and counts faults in 2012h.
 
     What the default PDOs do not hold is computed when it is read, because few samples are asked for it.
     """

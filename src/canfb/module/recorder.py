@@ -6,7 +6,7 @@ from canfb.device.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.module.interval import IntervalEstimate
 from canfb.module.tap import Taps
-from canfb.signal.chain import Feedback
+from canfb.signal.feedback import Feedback
 from canfb.signal.recorder import SampleRecording
 from canfb.signal.sample import Sample
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from canfb.signal.chain import integer_in
+from canfb.signal.config import integer_in
 
 
 @dataclass(frozen=True, kw_only=True)

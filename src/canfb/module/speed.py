@@ -8,7 +8,7 @@ from collections.abc import Callable
 from canfb.device.dictionary import Dictionary, Entry
 from canfb.module.interval import IntervalEstimate
 from canfb.module.position import PositionScale
-from canfb.signal.chain import Feedback
+from canfb.signal.feedback import Feedback
 
 SPEED, ACCELERATION, SPEED_SCALE = 0x6030, 0x6040, 0x2003
 CHANNEL = 1

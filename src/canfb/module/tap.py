@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from canfb.signal.chain import Feedback
+from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 
 

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.blocks import Scratch
 from canfb.signal.coarse import CoarseTrack
-from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.config import ChainConfig, check_config
 from canfb.signal.correction import CorrectionTable, check_table
+from canfb.signal.feedback import Feedback
 from canfb.signal.frozen import FrozenInput
 from canfb.signal.phase import FloatArray, raw_phase
-from canfb.signal.recovery import COAST_SAMPLES, Recovery
+from canfb.signal.recovery import Recovery
 from canfb.signal.reference import Reference
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import REPEATED, SUSPECT, SampleTimes
@@ -30,134 +30,14 @@ from canfb.signal.supervision import (
     SampleLimits,
     Supervision,
 )
-from canfb.signal.tracker import (
-    RESIDUAL_LIMIT,
-    Track,
-    Tracker,
-    TrackResult,
-    check_residual_limit,
-)
+from canfb.signal.tracker import Track, Tracker, TrackResult, check_residual_limit
 from canfb.signal.zero_pulse import ZeroPulse
 
-# Defaults as parts of the full scale: a usual encoder drives the converter to 60..95 %, and
-# with 40 % offset and 20 % amplitude error the raw amplitude still varies between 24 and 120 %.
-AMPLITUDE_LOW = 0.2
-AMPLITUDE_HIGH = 1.25
 MISSED_INTERVALS = 1.5  # since the sample before: one was missed
 STANDSTILL_CYCLES = 0.001  # per interval, on average: what noise and a servo at rest may show
 FASTEST_STANDSTILL_CYCLES = 0.5  # per interval; from there on eq. 9 cannot start again from standstill
 LARGEST_SLIP_CYCLES = 0.15
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChainConfig:
-    """Parameters of the signal chain. Every field has a default; ValueError for a bad one.
-
-    cycles_per_revolution   1..1048576 (2001:01)
-    adc_bits                4..16; full scale is 2**(bits - 1) counts (2001:02)
-    amplitude_low_counts    lowest accepted amplitude after conditioning (2001:03);
-                            None: 0.2 of the full scale
-    amplitude_high_counts   highest accepted amplitude (2001:04); None: 1.25 of the full scale
-    residual_limit          cycles, 0 < limit <= 0.5 (2010:01, eq. 12)
-    coast_samples           0..255 sampling intervals to bridge before the position is lost (2010:03)
-    frozen_samples          0..255 repeats in a row that tell a dead converter from a machine that
-                            moves whole cycles per sample (2010:04): 16 with half a count of noise.
-                            0: the converter may be without noise, equal samples are no fault
-    coarse_limit_revolutions  how far the coarse track may differ, above 0, at most 0.25 (2010:05)
-    conditioning            offset, gain and phase error of the tracks (2002h)
-    """
-
-    cycles_per_revolution: int = 2500
-    adc_bits: int = 12
-    amplitude_low_counts: int | None = None
-    amplitude_high_counts: int | None = None
-    residual_limit: float = RESIDUAL_LIMIT
-    coast_samples: int = COAST_SAMPLES
-    frozen_samples: int = 0
-    coarse_limit_revolutions: float = 1.0 / 32.0
-    conditioning: Conditioning = field(default=IDENTITY)
-
-    def __post_init__(self) -> None:
-        integer_in("cycles_per_revolution", self.cycles_per_revolution, 1, 1048576)
-        integer_in("adc_bits", self.adc_bits, 4, 16)
-        integer_in("coast_samples", self.coast_samples, 0, 255)
-        integer_in("frozen_samples", self.frozen_samples, 0, 255)
-        check_residual_limit(self.residual_limit)
-        limit = self.coarse_limit_revolutions
-        if not isinstance(limit, (int, float)) or not 0.0 < limit <= 0.25:
-            raise ValueError(f"coarse_limit_revolutions must be above 0 and at most 0.25, not {limit!r}")
-        if not isinstance(self.conditioning, Conditioning):
-            raise ValueError("conditioning must be a Conditioning")
-        for name in ("amplitude_low_counts", "amplitude_high_counts"):
-            if getattr(self, name) is not None:
-                integer_in(name, getattr(self, name), 0, 65535)
-        if self.limits.amplitude_low_counts >= self.limits.amplitude_high_counts:
-            raise ValueError("amplitude_low_counts must be below amplitude_high_counts")
-
-    @property
-    def full_scale_counts(self) -> int:
-        """ADC full scale, 2**(adc_bits - 1)."""
-        return 1 << (self.adc_bits - 1)
-
-    @property
-    def limits(self) -> SampleLimits:
-        """The limits of one sample, with the defaults filled in."""
-        full, low, high = self.full_scale_counts, self.amplitude_low_counts, self.amplitude_high_counts
-        return SampleLimits(
-            full,
-            round(AMPLITUDE_LOW * full) if low is None else low,
-            round(AMPLITUDE_HIGH * full) if high is None else high,
-        )
-
-
-def check_config(config: object) -> None:
-    """TypeError unless ``config`` is a :class:`ChainConfig`."""
-    if not isinstance(config, ChainConfig):
-        raise TypeError(f"config must be a ChainConfig, not {type(config).__name__}")
-
-
-def integer_in(name: str, value: object, low: int, high: int) -> None:
-    """ValueError that names the parameter unless ``value`` is a whole number low..high."""
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise ValueError(f"{name} must be a whole number {low}..{high}, not {value!r}")
-
-
-class Feedback(NamedTuple):
-    """Every stage of the chain for one sample.
-
-    sine, cosine     conditioned tracks, counts
-    amplitude        of the conditioned tracks, counts
-    raw_phase        Table 1, cycles, 0..1; NaN without a phase
-    cycles, phase    the position: cycle count and phase (cycles, 0..1). The measured one when
-                     the sample was taken, the predicted one while coasting
-    residual         eq. 12, cycles, 0..0.5; 0.5 when there was nothing to compare
-    status           status word 2011:01 (:class:`canfb.signal.supervision.StatusBit`)
-    speed_cycles     speed between the last two good samples, cycles per sampling interval:
-                     the speed of half an interval ago
-    acceleration_cycles  its change since the sample before, cycles per interval squared: the
-                     acceleration of one interval ago
-    jump_cycles      cycles that the position will be set right by, with the next sample; else 0
-    samples          samples processed since the start: moves with every call
-    """
-
-    sine: float
-    cosine: float
-    amplitude: float
-    raw_phase: float
-    cycles: int
-    phase: float
-    residual: float
-    status: int
-    speed_cycles: float
-    acceleration_cycles: float
-    jump_cycles: int
-    samples: int
-
-    @property
-    def valid(self) -> bool:
-        """Status bit 0: the position may be used."""
-        return bool(self.status & 1)
 
 
 class SignalChain:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass, field
 
-from canfb.signal.chain import integer_in
+from canfb.signal.config import integer_in
 from canfb.simulation.checks import number
 from canfb.simulation.cia402.config import DriveConfig
 from canfb.simulation.encoder import Encoder, Harmonic

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from canfb.signal.chain import integer_in
+from canfb.signal.config import integer_in
 from canfb.simulation.checks import number
 from canfb.simulation.wire import LONGEST_FRAME_BITS
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from canfb.signal.chain import integer_in
+from canfb.signal.config import integer_in
 from canfb.simulation.checks import number
 from canfb.simulation.cia402.motor import MotorConfig
 

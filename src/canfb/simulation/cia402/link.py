@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from canfb.device.dictionary import Dictionary
-from canfb.signal.chain import integer_in
+from canfb.signal.config import integer_in
 from canfb.simulation.cia402.motor import MotorConfig
 
 U32 = 0xFFFFFFFF

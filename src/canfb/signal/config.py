@@ -1,0 +1,88 @@
+"""Parameters of the signal chain, with their defaults and ranges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.recovery import COAST_SAMPLES
+from canfb.signal.supervision import SampleLimits
+from canfb.signal.tracker import RESIDUAL_LIMIT, check_residual_limit
+
+# Defaults as parts of the full scale: a usual encoder drives the converter to 60..95 %, and
+# with 40 % offset and 20 % amplitude error the raw amplitude still varies between 24 and 120 %.
+AMPLITUDE_LOW = 0.2
+AMPLITUDE_HIGH = 1.25
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChainConfig:
+    """Parameters of the signal chain. Every field has a default; ValueError for a bad one.
+
+    cycles_per_revolution   1..1048576 (2001:01)
+    adc_bits                4..16; full scale is 2**(bits - 1) counts (2001:02)
+    amplitude_low_counts    lowest accepted amplitude after conditioning (2001:03);
+                            None: 0.2 of the full scale
+    amplitude_high_counts   highest accepted amplitude (2001:04); None: 1.25 of the full scale
+    residual_limit          cycles, 0 < limit <= 0.5 (2010:01, eq. 12)
+    coast_samples           0..255 sampling intervals to bridge before the position is lost (2010:03)
+    frozen_samples          0..255 repeats in a row that tell a dead converter from a machine that
+                            moves whole cycles per sample (2010:04): 16 with half a count of noise.
+                            0: the converter may be without noise, equal samples are no fault
+    coarse_limit_revolutions  how far the coarse track may differ, above 0, at most 0.25 (2010:05)
+    conditioning            offset, gain and phase error of the tracks (2002h)
+    """
+
+    cycles_per_revolution: int = 2500
+    adc_bits: int = 12
+    amplitude_low_counts: int | None = None
+    amplitude_high_counts: int | None = None
+    residual_limit: float = RESIDUAL_LIMIT
+    coast_samples: int = COAST_SAMPLES
+    frozen_samples: int = 0
+    coarse_limit_revolutions: float = 1.0 / 32.0
+    conditioning: Conditioning = field(default=IDENTITY)
+
+    def __post_init__(self) -> None:
+        integer_in("cycles_per_revolution", self.cycles_per_revolution, 1, 1048576)
+        integer_in("adc_bits", self.adc_bits, 4, 16)
+        integer_in("coast_samples", self.coast_samples, 0, 255)
+        integer_in("frozen_samples", self.frozen_samples, 0, 255)
+        check_residual_limit(self.residual_limit)
+        limit = self.coarse_limit_revolutions
+        if not isinstance(limit, (int, float)) or not 0.0 < limit <= 0.25:
+            raise ValueError(f"coarse_limit_revolutions must be above 0 and at most 0.25, not {limit!r}")
+        if not isinstance(self.conditioning, Conditioning):
+            raise ValueError("conditioning must be a Conditioning")
+        for name in ("amplitude_low_counts", "amplitude_high_counts"):
+            if getattr(self, name) is not None:
+                integer_in(name, getattr(self, name), 0, 65535)
+        if self.limits.amplitude_low_counts >= self.limits.amplitude_high_counts:
+            raise ValueError("amplitude_low_counts must be below amplitude_high_counts")
+
+    @property
+    def full_scale_counts(self) -> int:
+        """ADC full scale, 2**(adc_bits - 1)."""
+        return 1 << (self.adc_bits - 1)
+
+    @property
+    def limits(self) -> SampleLimits:
+        """The limits of one sample, with the defaults filled in."""
+        full, low, high = self.full_scale_counts, self.amplitude_low_counts, self.amplitude_high_counts
+        return SampleLimits(
+            full,
+            round(AMPLITUDE_LOW * full) if low is None else low,
+            round(AMPLITUDE_HIGH * full) if high is None else high,
+        )
+
+
+def check_config(config: object) -> None:
+    """TypeError unless ``config`` is a :class:`ChainConfig`."""
+    if not isinstance(config, ChainConfig):
+        raise TypeError(f"config must be a ChainConfig, not {type(config).__name__}")
+
+
+def integer_in(name: str, value: object, low: int, high: int) -> None:
+    """ValueError that names the parameter unless ``value`` is a whole number low..high."""
+    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+        raise ValueError(f"{name} must be a whole number {low}..{high}, not {value!r}")
