@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Callable
 from typing import Any
 
 import can
@@ -11,7 +12,7 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 from fake_bus import FakeBus, FakeClock, FakeDevice, message
 
 from canfb.bus.bus_state import RETRY_S, SETTLED_S
-from canfb.bus.runner import LONGEST_WAIT_S, Device, DeviceFailure, Runner
+from canfb.bus.runner import LONGEST_BLIND_DRAIN_S, LONGEST_WAIT_S, Device, DeviceFailure, Runner
 from canfb.device.frame import Frame
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
@@ -21,6 +22,7 @@ from canfb.simulation.motion import Motion
 from canfb.simulation.sources import MotionSource
 from canfb.simulation.sync_producer import SyncProducer
 
+WALL_S = 1.8e9  # the time of day minus the clock of the runner
 BROKEN = can.CanOperationError("the cable is off", 100)
 
 
@@ -38,7 +40,12 @@ class Bench:
     def run(self, devices: list[Device], duration_s: float) -> Runner:
         bus: Any = self.bus
         runner = Runner(
-            bus, devices, lambda text: self.lines.append((self.bus.at, text)), self.clock, self.clock.sleep
+            bus,
+            devices,
+            lambda text: self.lines.append((self.bus.at, text)),
+            self.clock,
+            self.clock.sleep,
+            lambda: self.clock.now + WALL_S,
         )
         self.bus.end_s = duration_s
         runner.run(finished=lambda: self.bus.at >= duration_s)
@@ -50,11 +57,11 @@ class Bench:
 
 
 def test_a_frame_reaches_every_device_with_the_time_and_answers_go_out() -> None:
-    bench = Bench((0.5, message(0x181, b"\x01\x02", timestamp=77.0)))
+    bench = Bench((0.5, message(0x181, b"\x01\x02", timestamp=WALL_S + 1000.25)))
     quiet = bench.device()
     loud = bench.device(answer=lambda frame: [Frame(0x201, b"\x03"), Frame(0x202, b"", rtr=True)])
     runner = bench.run([quiet, loud], 1.0)
-    want = (1000.5, Frame(0x181, b"\x01\x02", False, 77.0))
+    want = (1000.5, Frame(0x181, b"\x01\x02", False, pytest.approx(1000.25, abs=1e-6)))
     assert quiet.heard[0] == loud.heard[0] == want
     first, second = (sent for _, sent in bench.bus.sent)
     assert (first.arbitration_id, first.data, first.is_remote_frame) == (0x201, b"\x03", False)
@@ -127,20 +134,66 @@ def test_frames_in_between_move_no_deadline() -> None:
     assert max(device.ticked) < 1e-9
 
 
-def test_a_flood_starves_no_timer() -> None:
-    """A frame is always waiting, and each takes its time: after each there is a look at the deadlines."""
-    bench = Bench(*((0.0, message(0x300)) for _ in range(500)))
-    cost_s = 1e-4
+@pytest.fixture
+def flood() -> Callable[[Callable[[float], float]], FakeDevice]:
+    """A second of a bus where a frame always waits, and each takes 0.1 ms."""
 
-    def busy(frame: Frame) -> list[Frame]:
-        bench.clock.now += cost_s
+    def run(stamp: Callable[[float], float]) -> FakeDevice:
+        bench = Bench(*((0.0, message(0x300, timestamp=stamp(n * 1e-4))) for n in range(11_000)))
+
+        def busy(frame: Frame) -> list[Frame]:
+            bench.clock.now += 1e-4
+            return []
+
+        device = bench.device(period_s=0.01, answer=busy)
+        bench.run([device], 0.9999)
+        assert len(device.heard) in {9998, 9999}
+        return device
+
+    return run
+
+
+def test_a_flood_starves_no_timer(flood: Callable[[Callable[[float], float]], FakeDevice]) -> None:
+    """Frames without receive times may all have come before a deadline, but not for ever."""
+    device = flood(lambda at: 0.0)
+    assert len(device.ticked) == 99
+    assert max(device.ticked) <= LONGEST_BLIND_DRAIN_S + 0.0002
+    assert max(device.ticked[12:]) <= 0.0002
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.002, 0.05])
+def test_a_timer_waits_for_frames_that_came_before_it(
+    lag_s: float, flood: Callable[[Callable[[float], float]], FakeDevice]
+) -> None:
+    device = flood(lambda at: WALL_S + 1000.0 + at - lag_s)
+    assert len(device.ticked) == 99 - round(lag_s / 0.01)
+    assert all(lag_s - 0.0003 <= late_s <= lag_s + 0.0003 for late_s in device.ticked)
+
+
+def test_a_runner_that_was_away_gives_the_frames_first() -> None:
+    """Two seconds, and what came meanwhile takes its time: nothing was late but the runner."""
+    plan = [(0.005 * n, message(0x300, timestamp=WALL_S + 1000.0 + 0.005 * n)) for n in range(600)]
+    bench = Bench(*plan)
+    order: list[str] = []
+
+    def hears(frame: Frame) -> list[Frame]:
+        if len(order) == 20:
+            bench.clock.now += 2.0
+        bench.clock.now += 1e-4
+        order.append(f"{frame.timestamp or 0.0:.3f}")
+        device.next_s = None if frame.timestamp is None else frame.timestamp + 0.0075
         return []
 
-    device = bench.device(period_s=0.01, answer=busy)
-    bench.run([device], 0.0499)
-    assert len(device.heard) == 499
-    assert len(device.ticked) == 4
-    assert max(device.ticked) <= cost_s
+    def ticks(now: float) -> list[Frame]:
+        order.append("tick")
+        device.next_s = None
+        return []
+
+    device = bench.device(period_s=0.0075, answer=hears)
+    device.tick = ticks  # type: ignore[method-assign]
+    bench.run([device], 2.9)
+    assert "tick" not in order
+    assert len(order) > 570
 
 
 def test_without_deadlines_a_wait_is_short_enough_for_a_signal() -> None:
@@ -168,7 +221,7 @@ def test_what_is_no_frame_of_canopen_is_left_out() -> None:
     )
     device = bench.device()
     runner = bench.run([device], 0.5)
-    assert device.heard == [(1000.4, Frame(0x181, b"", False, 0.0))]
+    assert device.heard == [(1000.4, Frame(0x181, b"", False, None))]
     assert (runner.counters.error_frames, runner.counters.received) == (1, 1)
     assert runner.counters.bus_failures == 0
 

@@ -25,6 +25,7 @@ from canfb.errors import CanfbError
 LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
 LEAST_WAIT_S = 2e-4  # what is not faster than that was waited for
 LONGEST_DRAIN_S = 1.0  # how long frames that wait may put off a deadline
+LONGEST_BLIND_DRAIN_S = 0.1  # where they have no receive times, and may have come after it
 
 
 class Device(Protocol):
@@ -109,7 +110,9 @@ class Runner:
         self._sleep = sleep
         self._times = ReceiveTimes(clock, wall)
         self._received_s: float | None = None  # when the last frame came, if frames may wait behind it
-        self._asked_s = self._drained_s = clock()  # when a frame was asked for, and when none waited last
+        self._longest_drain_s = LONGEST_DRAIN_S
+        self._put_off_s: float | None = None  # since when frames that wait put off deadlines
+        self._asked_s = clock()  # when a frame was asked for
         self._stopped = False
         self._receiving = Direction(report, "the bus fails", "the bus works again")
         self._sending = Direction(report, "a frame could not be sent", "frames can be sent again")
@@ -160,16 +163,19 @@ class Runner:
 
     def _emptied(self) -> None:
         """No frame waits."""
-        self._received_s = None
-        self._drained_s = self._clock()
+        self._received_s = self._put_off_s = None
         self._times.emptied()
 
     def _waits_before(self, due: float) -> bool:
         """Frames that came before this deadline may still wait."""
         received = self._received_s
         if received is None or received >= due:
+            self._put_off_s = None
             return False
-        return self._clock() - self._drained_s < LONGEST_DRAIN_S
+        now = self._clock()
+        if self._put_off_s is None:
+            self._put_off_s = now
+        return now - self._put_off_s < self._longest_drain_s
 
     def _due(self) -> float:
         """The earliest deadline of all devices, NEVER for none."""
@@ -211,13 +217,15 @@ class Runner:
         self.counters.received += 1
         received = self._times.received(message.timestamp, now)
         if received is None:
-            self._received_s = now - LONGEST_DRAIN_S
+            self._received_s = -NEVER
+            self._longest_drain_s = LONGEST_BLIND_DRAIN_S
             waited_for = now - self._asked_s >= LEAST_WAIT_S
         else:
             self._received_s = received
+            self._longest_drain_s = LONGEST_DRAIN_S
             waited_for = received >= self._asked_s
         if waited_for:
-            self._drained_s = now
+            self._put_off_s = None
         frame = Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame, received)
         for device in self._devices:
             try:
