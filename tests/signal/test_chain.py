@@ -230,8 +230,8 @@ def test_before_the_first_good_sample_nothing_is_lost_and_nothing_is_valid() -> 
 
 def test_after_a_pause_at_standstill_the_count_goes_on_from_the_nearest_cycle() -> None:
     chain = SignalChain(ChainConfig())
-    position = ramp_up(chain, 3.0)
-    chain.resume()
+    position = stopped(chain, ramp_up(chain, 3.0), 3.0)
+    chain.resume(100_000.0)
     got = chain.step(sample_at(position + 0.3))
     assert got.valid
     assert got.cycles == math.floor(position + 0.3)
@@ -241,3 +241,69 @@ def test_after_a_pause_at_standstill_the_count_goes_on_from_the_nearest_cycle() 
     chain.resume()
     assert not chain.lost
     assert chain.step(sample_at(0.5)).cycles == 0
+
+
+def stopped(chain: SignalChain, position: float, speed: float) -> float:
+    """The machine brakes from ``speed``, and stands; the position there, cycles."""
+    while speed > 0.0:
+        speed = max(0.0, speed - 0.125)
+        position += speed
+        assert chain.step(sample_at(position)).valid
+    for _ in range(20):
+        assert chain.step(sample_at(position)).valid
+    return position
+
+
+@pytest.mark.parametrize(
+    ("speed", "intervals", "lost"),
+    [
+        (0.0, 1e6, False),
+        (0.0005, 1e6, False),  # noise and a servo at rest show as much
+        (0.002, 50.0, False),
+        (0.002, 1e6, True),
+        (-0.002, 1e6, True),
+        (0.1, 1.0, False),
+        (0.1, 2.0, True),
+        (0.49, 0.0, False),
+        (0.51, 0.0, True),  # eq. 9 cannot start there from standstill
+        (-3.0, 0.0, True),
+    ],
+)
+def test_a_machine_that_turns_at_a_pause_loses_its_position(
+    speed: float, intervals: float, lost: bool
+) -> None:
+    chain = SignalChain(ChainConfig())
+    position = 0.0
+    now = math.copysign(0.0, speed)
+    for _ in range(60):
+        now = math.copysign(min(abs(speed), abs(now) + 0.1), speed)
+        position += now
+        assert chain.step(sample_at(position)).valid
+    chain.resume(intervals)
+    assert chain.lost is lost
+    got = chain.step(sample_at(position))
+    assert got.valid is not lost
+    if not lost:
+        assert got.cycles == math.floor(position)
+    chain.resume(intervals)  # at a standstill: the machine was found there
+    chain.resume(intervals)
+    assert not chain.lost
+
+
+@pytest.mark.parametrize(
+    ("speed", "intervals", "lost"), [(0.3, 0.4, False), (0.3, 1.0, True), (0.0, 1e9, False)]
+)
+def test_intervals_that_nobody_counted_lose_a_machine_that_moves(
+    speed: float, intervals: float, lost: bool
+) -> None:
+    chain = SignalChain(ChainConfig())
+    assert chain.uncertain(intervals) is None  # nothing to lose yet
+    for k in range(30):
+        chain.step(sample_at(speed * k))
+    got = chain.uncertain(intervals)
+    assert chain.lost is lost
+    assert (got is not None) is lost
+    if got is not None:
+        assert got.status & StatusBit.LOST
+        assert not got.valid
+        assert chain.uncertain(intervals) is None  # lost once

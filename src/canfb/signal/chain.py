@@ -199,7 +199,7 @@ class SignalChain:
         return self.lose()
 
     def repeats(self, sine: float, cosine: float) -> bool:
-        """These are the counts of the last sample."""
+        """``sine`` and ``cosine`` are the counts of the last sample, before conditioning."""
         return sine == self._sine and cosine == self._cosine
 
     def lose(self) -> Feedback:
