@@ -49,6 +49,12 @@ def ramp(acceleration: float, periods: int, after: float = 0.0) -> Callable[[int
     return position
 
 
+def stopping(acceleration: float, periods: int) -> Callable[[int], float]:
+    """From standstill up, and as fast down to the standstill at which it stays."""
+    moving = ramp(acceleration, periods, -acceleration)
+    return lambda k: moving(min(k, 2 * periods))
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.floats(-0.3, 0.3), st.integers(1, 2), st.sampled_from([1, 255]), st.sampled_from([0, 1]))
 def test_at_constant_speed_nothing_is_left_of_the_age(
@@ -189,13 +195,13 @@ def test_while_coasting_it_goes_on_but_is_never_valid_and_lost_stays_as_counted(
 
 
 def test_before_the_first_sample_and_after_a_pause_there_is_nothing_to_go_on_from() -> None:
-    timeline = predicting(ramp(0.1, 20), 2)
+    timeline = predicting(stopping(0.1, 20), 2)
     assert timeline.run(1)[0].status == 0
-    timeline.run(30)
+    timeline.run(70)
     timeline.bench.remote.nmt.state = "PRE-OPERATIONAL"
-    timeline.motion = ramp(0.0, 0)
     timeline.start()
     assert timeline.run(1)[0].status == 0
+    assert {one.status & ~EXTRAPOLATED for one in timeline.run(4)} == {StatusBit.COASTING}, "not confirmed"
     sent = timeline.run(10)
     assert {one.status for one in sent} == {VALID | EXTRAPOLATED}
     assert len({one.position for one in sent[1:]}) == 1
