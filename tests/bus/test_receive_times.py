@@ -1,0 +1,144 @@
+"""Stamps of the time of day on the clock of the runner: steps, other clocks, a processor that was away."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.bus.receive_times import LARGEST_STEP_S, LONGEST_DELAY_S, ReceiveTimes
+
+RESOLUTION_S = 1e-6  # of a float that holds a time of day
+STEPS = [-3600.0, -1.0, -0.01, -0.001, 0.001, 0.01, 1.0, 3600.0]
+
+
+class Clocks:
+    """A monotonic clock, and a time of day that is set now and then."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+        self.ahead_s = 1.8e9
+        self.away_s: list[float] = []  # how long the processor is away before each look at the time of day
+
+    def wall(self) -> float:
+        if self.away_s:
+            self.now += self.away_s.pop(0)
+        return self.now + self.ahead_s
+
+    def stamp(self, ago_s: float = 0.0) -> float:
+        """Of a frame that came so long ago, by the time of day as it is."""
+        return self.now - ago_s + self.ahead_s
+
+    def times(self) -> ReceiveTimes:
+        return ReceiveTimes(lambda: self.now, self.wall)
+
+
+@pytest.fixture
+def clocks() -> Clocks:
+    return Clocks()
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 10.0), st.floats(0.0, 59.9)), min_size=1, max_size=30))
+def test_it_is_when_the_frame_came(frames: list[tuple[float, float]]) -> None:
+    clocks = Clocks()
+    times = clocks.times()
+    for passed_s, ago_s in frames:
+        clocks.now += passed_s
+        got = times.received(clocks.stamp(ago_s), clocks.now)
+        assert got == pytest.approx(clocks.now - ago_s, abs=RESOLUTION_S)
+        assert got is not None
+        assert got <= clocks.now
+
+
+@given(st.lists(st.floats(-4e-5, 4e-5), min_size=1, max_size=200))
+def test_a_time_of_day_that_is_slewed_is_followed(drifts_s: list[float]) -> None:
+    """NTP slews by 500 ppm at most: 50 us in 0.1 s; that is no step."""
+    clocks = Clocks()
+    times = clocks.times()
+    for drift_s in drifts_s:
+        clocks.now += 0.1
+        clocks.ahead_s += drift_s
+        got = times.received(clocks.stamp(0.002), clocks.now)
+        assert got == pytest.approx(clocks.now - 0.002, abs=RESOLUTION_S)
+
+
+@pytest.mark.parametrize("step_s", STEPS)
+def test_frames_that_wait_over_a_step_have_no_time(clocks: Clocks, step_s: float) -> None:
+    """Before and after the step alike: nobody knows which clock stamped them."""
+    times = clocks.times()
+    before = clocks.stamp(0.003)
+    clocks.ahead_s += step_s
+    after = clocks.stamp(0.001)
+    assert times.received(before, clocks.now) is None
+    assert times.received(after, clocks.now) is None
+    clocks.now += 0.5
+    assert times.received(clocks.stamp(), clocks.now) is None, "the queue was not empty yet"
+    times.emptied()
+    clocks.now += 0.5
+    assert times.received(clocks.stamp(0.004), clocks.now) == pytest.approx(
+        clocks.now - 0.004, abs=RESOLUTION_S
+    )
+
+
+@pytest.mark.parametrize("step_s", STEPS)
+def test_a_step_while_the_queue_is_empty_is_noticed_at_the_next_frame(clocks: Clocks, step_s: float) -> None:
+    times = clocks.times()
+    times.emptied()
+    clocks.ahead_s += step_s
+    times.emptied()
+    assert times.received(clocks.stamp(), clocks.now) is None, "it may have come before the step"
+    times.emptied()
+    assert times.received(clocks.stamp(), clocks.now) == pytest.approx(clocks.now, abs=RESOLUTION_S)
+
+
+@given(st.sampled_from(STEPS), st.sampled_from(STEPS), st.floats(0.0, 0.5))
+def test_no_frame_gets_a_time_of_the_wrong_clock(first_s: float, second_s: float, ago_s: float) -> None:
+    clocks = Clocks()
+    times = clocks.times()
+    came = [(clocks.now - ago_s, clocks.stamp(ago_s))]
+    for step_s in (first_s, second_s):
+        clocks.ahead_s += step_s
+        came.append((clocks.now - ago_s, clocks.stamp(ago_s)))
+        for true_s, stamp_s in came:
+            got = times.received(stamp_s, clocks.now)
+            assert got is None or got == pytest.approx(true_s, abs=2 * LARGEST_STEP_S)
+
+
+@pytest.mark.parametrize(
+    "stamp_s", [0.0, 77.0, 1.7e9, 1.9e9, -1.0, float("nan"), float("inf"), float("-inf")]
+)
+def test_stamps_of_another_clock_are_not_used(clocks: Clocks, stamp_s: float) -> None:
+    times = clocks.times()
+    assert times.received(stamp_s, clocks.now) is None
+    assert times.received(clocks.stamp(), clocks.now) is not None, "and cost nothing"
+
+
+@pytest.mark.parametrize(
+    ("ago_s", "used"),
+    [(LONGEST_DELAY_S - 0.01, True), (LONGEST_DELAY_S + 0.01, False), (-4e-4, True), (-6e-4, False)],
+)
+def test_how_far_a_stamp_may_be_off(clocks: Clocks, ago_s: float, used: bool) -> None:
+    got = clocks.times().received(clocks.stamp(ago_s), clocks.now)
+    assert (got is not None) is used
+    assert got is None or got <= clocks.now, "nothing comes later than now"
+
+
+@pytest.mark.parametrize("away_s", [0.001, 0.05, 2.0])
+def test_a_processor_that_is_away_between_two_looks_makes_no_step(clocks: Clocks, away_s: float) -> None:
+    times = clocks.times()
+    now = clocks.now
+    stamp = clocks.stamp(0.002)
+    clocks.away_s = [away_s]  # between the clock of the runner and the time of day
+    got = times.received(stamp, now)
+    assert got == pytest.approx(now - 0.002, abs=RESOLUTION_S)
+    clocks.now += 0.01
+    assert times.received(clocks.stamp(), clocks.now) == pytest.approx(clocks.now, abs=RESOLUTION_S)
+
+
+@pytest.mark.parametrize("away_s", [[0.01, 0.02], [0.0, 0.3, 0.0], [0.01, 0.01, 0.0]])
+def test_one_undisturbed_look_is_enough_at_the_start(clocks: Clocks, away_s: list[float]) -> None:
+    clocks.away_s = [*away_s]
+    times = clocks.times()
+    assert times.received(clocks.stamp(0.001), clocks.now) == pytest.approx(
+        clocks.now - 0.001, abs=RESOLUTION_S
+    )
