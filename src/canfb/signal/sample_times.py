@@ -13,6 +13,7 @@ TICKS = 1 << 32
 HALF_TICKS = TICKS // 2
 OLDEST = 64.0  # intervals: a time that lies no further back is that of an earlier sample
 CLOSEST = 0.25  # intervals: samples nearer together would tell the speed too badly
+EARLIER_TIMES = 3  # in a row that go on with the count of SYNCs, after the first: the clock was set back
 SPARE_BEFORE, SPARE_AFTER = 0.5, 0.95  # intervals, around the number that was counted
 SPARE_S, SPARE_PART = 0.5e-3, 0.3  # seconds and intervals: a bus and a host delay a PDO so much
 REPEATED, SUSPECT, RESTARTED = -1.0, -2.0, -3.0
@@ -25,7 +26,16 @@ class SampleTimes:
     is seen takes its place.
     """
 
-    __slots__ = ("_first_s", "_last", "_suspect", "_suspected", "interval_s")
+    __slots__ = (
+        "_earlier",
+        "_earlier_counted",
+        "_earlier_times",
+        "_first_s",
+        "_last",
+        "_suspect",
+        "_suspected",
+        "interval_s",
+    )
 
     def __init__(self) -> None:
         self.interval_s = 0.0
@@ -36,6 +46,9 @@ class SampleTimes:
         self._last: int | None = None
         self._suspect: int | None = None
         self._suspected = 0.0  # intervals counted up to it
+        self._earlier: int | None = None  # the last time that was REPEATED
+        self._earlier_counted = 0.0  # intervals counted up to it
+        self._earlier_times = 0  # so many went on with the count
         self._first_s = 0.0
 
     @property
@@ -74,8 +87,20 @@ class SampleTimes:
             self._last, self._suspect = time_100ns, None
             return intervals  # SYNCs that nobody heard
         if -OLDEST <= intervals < least:
-            return REPEATED
+            return self._repeated(time_100ns, counted, unit)
         return self._doubted(time_100ns, counted, unit)
+
+    def _repeated(self, time_100ns: int, counted: float, unit: float) -> float:
+        """An earlier sample; unless all that come are earlier ones, and as far apart as they are counted."""
+        earlier, self._earlier = self._earlier, time_100ns
+        since, self._earlier_counted = counted - self._earlier_counted, counted
+        apart = 0.0 if earlier is None else (time_100ns - earlier) % TICKS * TICK_S / unit
+        goes_on = since > 0.0 and apart > 0.0 and abs(apart - since) <= SPARE_AFTER
+        self._earlier_times = self._earlier_times + 1 if goes_on else 0
+        if self._earlier_times < EARLIER_TIMES:
+            return REPEATED
+        self._last, self._earlier_times = time_100ns, 0
+        return RESTARTED
 
     def _doubted(self, time_100ns: int, counted: float, unit: float) -> float:
         suspect, self._suspect = self._suspect, time_100ns

@@ -1,0 +1,208 @@
+"""Sample times of the encoder interface: which are taken, and which are held against the count of SYNCs."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.signal.sample_times import (
+    CLOSEST,
+    EARLIER_TIMES,
+    OLDEST,
+    REPEATED,
+    RESTARTED,
+    SPARE_AFTER,
+    SPARE_BEFORE,
+    SUSPECT,
+    TICKS,
+    SampleTimes,
+)
+
+PERIOD_TICKS = 10_000  # 1 ms
+OLDEST_WHOLE = int(OLDEST)
+drifts = st.floats(-2e-4, 2e-4)  # two crystals of 100 ppm
+starts = st.integers(0, TICKS - 1)
+gaps = st.lists(st.integers(1, 8), min_size=1, max_size=60)
+units = st.sampled_from([0.0, 1e-3])
+
+
+def begun(start: int = 0, interval_s: float = 1e-3) -> SampleTimes:
+    times = SampleTimes()
+    times.interval_s = interval_s
+    assert times.elapsed(start % TICKS, 1.0) == 1.0
+    return times
+
+
+def settled(start: int, interval_s: float) -> SampleTimes:
+    """With two samples: the interval is known."""
+    times = begun(start, interval_s)
+    assert times.elapsed((start + PERIOD_TICKS) % TICKS, 1.0) == pytest.approx(1.0)
+    return times
+
+
+@given(starts, drifts, gaps, units, st.data())
+def test_any_drift_wrap_and_jitter_is_measured(
+    start: int, drift: float, counted: list[int], unit_s: float, data: st.DataObject
+) -> None:
+    times = begun(start, unit_s)
+    last = start
+    at = 0
+    unit_ticks = PERIOD_TICKS if unit_s else None
+    for gap in [1, *counted]:
+        at += gap
+        jitter = data.draw(st.integers(-2000, 2000) if unit_s else st.integers(-150, 150))
+        here = start + round(at * PERIOD_TICKS * (1.0 + drift)) + jitter
+        got = times.elapsed(here % TICKS, float(gap))
+        if unit_ticks is None:
+            unit_ticks = here - last  # the first interval takes the place of the unit
+        assert got == pytest.approx((here - last) / unit_ticks)
+        last = here
+
+
+@pytest.mark.parametrize("interval_s", [0.0, 1e-3])
+@given(starts, st.integers(0, TICKS - 1), st.integers(1, 40))
+def test_one_bad_stamp_costs_one_sample(interval_s: float, start: int, wrong: int, before: int) -> None:
+    times = settled(start, interval_s)
+    now = start + PERIOD_TICKS
+    for _ in range(before):
+        now += PERIOD_TICKS
+        assert times.elapsed(now % TICKS, 1.0) == pytest.approx(1.0)
+    now += PERIOD_TICKS
+    got = times.elapsed(wrong, 1.0)
+    off = (wrong - now + TICKS // 2) % TICKS - TICKS // 2  # ticks
+    if abs(off) < 0.5 * PERIOD_TICKS:
+        return  # it may be that of a sample with jitter
+    assert got < 0.0 or -0.75 * PERIOD_TICKS <= off <= SPARE_AFTER * PERIOD_TICKS
+    if got < 0.0:
+        now += PERIOD_TICKS
+        assert times.elapsed(now % TICKS, 2.0) == pytest.approx(2.0), "from the last good one"
+
+
+@given(starts, st.integers(0, OLDEST_WHOLE - 1))
+def test_late_stamps_are_repeated(start: int, back: int) -> None:
+    times = begun(start)
+    now = start
+    for _ in range(80):
+        now += PERIOD_TICKS
+        times.elapsed(now % TICKS, 1.0)
+    assert times.elapsed((now - back * PERIOD_TICKS) % TICKS, 1.0) == REPEATED
+    assert times.elapsed((now + PERIOD_TICKS) % TICKS, 1.0) == pytest.approx(1.0), "and nothing has changed"
+
+
+@pytest.mark.parametrize("interval_s", [0.0, 1e-3])
+@given(starts, starts)
+def test_a_clock_that_was_restarted_is_known_by_the_second_time(
+    interval_s: float, start: int, restarted: int
+) -> None:
+    times = settled(start, interval_s)
+    last = start + PERIOD_TICKS
+    jump = (restarted - last + TICKS // 2) % TICKS - TICKS // 2
+    got = times.elapsed(restarted, 1.0)
+    if -OLDEST <= jump / PERIOD_TICKS < 1.0 + SPARE_AFTER:
+        assert got != SUSPECT  # it looks like a sample, or like an earlier one
+        return
+    assert got == SUSPECT
+    got = times.elapsed((restarted + PERIOD_TICKS) % TICKS, 2.0)
+    behind = jump / PERIOD_TICKS + 1.0
+    assert got == (pytest.approx(behind) if 0.0 < behind <= OLDEST else RESTARTED)
+    for k in range(2, 6):
+        assert times.elapsed((restarted + k * PERIOD_TICKS) % TICKS, 1.0) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("interval_s", [0.0, 1e-3])
+@pytest.mark.parametrize("back", [1, 2, 10, 60])
+def test_a_clock_that_was_set_back_is_not_earlier_for_ever(back: int, interval_s: float) -> None:
+    times = settled(0, interval_s)
+    now = (1 - back) * PERIOD_TICKS
+    for k in range(1, EARLIER_TIMES + 1):
+        assert times.elapsed((now + k * PERIOD_TICKS) % TICKS, float(k)) == REPEATED
+    now += (EARLIER_TIMES + 1) * PERIOD_TICKS
+    assert times.elapsed(now % TICKS, EARLIER_TIMES + 1.0) == RESTARTED
+    assert times.elapsed((now + PERIOD_TICKS) % TICKS, 1.0) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("spurious", [1, 2, 5])
+def test_a_count_that_is_too_high_is_not_held_against_the_clock_for_ever(spurious: int) -> None:
+    """Intervals that were counted and did not pass: how many, nobody knows."""
+    times = settled(0, 1e-3)
+    got = [times.elapsed((1 + k) * PERIOD_TICKS, float(k + spurious)) for k in range(1, EARLIER_TIMES + 2)]
+    assert got == [REPEATED] * EARLIER_TIMES + [RESTARTED]
+
+
+@given(st.lists(st.integers(-OLDEST_WHOLE, 0), max_size=40))
+def test_earlier_samples_that_come_in_a_burst_restart_nothing(late: list[int]) -> None:
+    """Between two SYNCs, in any order."""
+    times = settled(0, 1e-3)
+    now, counted = 100 * PERIOD_TICKS, 99.0
+    assert times.elapsed(now, counted) == pytest.approx(99.0)
+    for back in late:
+        assert times.elapsed(now + back * PERIOD_TICKS, 1.0) == REPEATED
+    assert times.elapsed(now + PERIOD_TICKS, 1.0) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("lost", [1, 2, 10, 60])
+def test_intervals_that_nobody_heard_need_two_times_that_agree(lost: int) -> None:
+    times = begun(0)
+    now = (lost + 1) * PERIOD_TICKS
+    assert times.elapsed(now, 1.0) == SUSPECT
+    assert times.elapsed(now + PERIOD_TICKS, 2.0) == pytest.approx(lost + 2)
+    assert times.elapsed(now + 2 * PERIOD_TICKS, 1.0) == pytest.approx(1.0)
+
+
+def test_two_bad_stamps_that_do_not_agree_restart_nothing() -> None:
+    times = begun(0)
+    assert times.elapsed(500 * PERIOD_TICKS, 1.0) == SUSPECT
+    assert times.elapsed(900 * PERIOD_TICKS, 2.0) == SUSPECT
+    assert times.elapsed(3 * PERIOD_TICKS, 3.0) == pytest.approx(3.0)
+
+
+def test_a_suspect_is_forgotten_after_a_good_one() -> None:
+    times = begun(0)
+    assert times.elapsed(500 * PERIOD_TICKS, 1.0) == SUSPECT
+    assert times.elapsed(2 * PERIOD_TICKS, 2.0) == pytest.approx(2.0)
+    assert times.elapsed(501 * PERIOD_TICKS, 1.0) == SUSPECT
+
+
+@pytest.mark.parametrize(
+    ("intervals", "counted", "taken"),
+    [
+        (CLOSEST - 0.01, 1.0, False),
+        (CLOSEST + 0.01, 1.0, True),
+        (1.0 + SPARE_AFTER - 0.01, 1.0, True),
+        (1.0 + SPARE_AFTER + 0.01, 1.0, False),
+        (2.0 - SPARE_BEFORE - 0.01, 2.0, False),
+        (2.0 - SPARE_BEFORE + 0.01, 2.0, True),
+        (2.0 + SPARE_AFTER + 0.01, 2.0, False),
+    ],
+)
+def test_how_far_a_time_may_be_from_the_count(intervals: float, counted: float, taken: bool) -> None:
+    got = begun(0).elapsed(round(intervals * PERIOD_TICKS), counted)
+    assert (got > 0.0) is taken
+    if taken:
+        assert got == pytest.approx(intervals, abs=1e-4)
+
+
+@pytest.mark.parametrize("ticks", [0, -1, -PERIOD_TICKS])
+def test_without_a_unit_the_first_interval_is_ahead(ticks: int) -> None:
+    times = begun(50_000, 0.0)
+    assert times.elapsed(50_000 + ticks, 1.0) == REPEATED
+    assert times.unit_s == 0.0
+    assert times.elapsed(50_000 + PERIOD_TICKS, 1.0) == 1.0
+    assert times.unit_s == pytest.approx(1e-3)
+
+
+def test_without_a_unit_missed_samples_do_not_stretch_it() -> None:
+    times = begun(0, 0.0)
+    assert times.elapsed(3 * PERIOD_TICKS, 3.0) == pytest.approx(3.0)
+    assert times.unit_s == pytest.approx(1e-3)
+
+
+def test_the_interval_of_the_module_takes_the_place_of_the_first_one() -> None:
+    times = settled(0, 0.0)
+    times.interval_s = 2e-3
+    assert times.unit_s == 2e-3
+    times.forget()
+    assert times.unit_s == 2e-3
+    times.interval_s = 0.0
+    assert times.unit_s == 0.0
