@@ -30,13 +30,13 @@ from canfb.errors import ConfigError
 from canfb.signal.source import Source
 from canfb.simulation.demand import Demand, of_motion, of_recording
 from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.hearing import SlowMotion
 from canfb.simulation.sample_recorder import SampleRecorder
-from canfb.simulation.scenario import MotionConfig
+from canfb.simulation.scenario import PACES, MotionConfig
 from canfb.simulation.sources import ArraySource, MotionSource, RecordingLayout, RecordingSource
 from canfb.simulation.sync_producer import SyncProducer
-from canfb.simulation.sync_rate import SyncRateWatch
+from canfb.simulation.sync_rate import IN_SLOW_MOTION, IN_TRUE_TIME, SyncRateWatch
 
-DEFAULT_RATE_HZ = 1000.0
 TIMES = ("time_column", "gap", "gap_samples")
 
 
@@ -54,6 +54,11 @@ def register(commands: Commands) -> None:
         type=float,
         metavar="HZ",
         help="produce the SYNC at this rate; without it, follow the SYNC of the bus",
+    )
+    parser.add_argument(
+        "--pace",
+        choices=PACES,
+        help="the machine turns in true time (time), or by one interval with each SYNC, however late (sync)",
     )
     parser.add_argument(
         "--module", type=whole_number, metavar="ID", help="node id of the module it feeds (the first)"
@@ -121,12 +126,19 @@ def simulate(options: argparse.Namespace) -> int:
     )
     # The machine first: it must have moved when the SYNC comes to the others.
     devices: list[Device] = [interface] if axis is None else [axis.plant, interface, axis.drive]
-    recorder, rate_hz = SampleRecorder(interface), options.rate or DEFAULT_RATE_HZ
+    rate_hz, advice = sync_rate(options, config), IN_TRUE_TIME
+    if (options.pace or config.simulation.pace) == "sync":
+        slow_motion, advice = SlowMotion(interface.dictionary, 1.0 / rate_hz), IN_SLOW_MOTION
+        interface.hearing = slow_motion
+        if axis is not None:
+            axis.plant.hearing = axis.drive.hearing = slow_motion
+        devices.insert(0, slow_motion)
+    recorder = SampleRecorder(interface)
     if record is not None or options.seconds is not None:
         devices.append(recorder)
     if options.rate is not None:
         producer = SyncProducer(1.0 / options.rate, config.simulation, config.simulation.seed)
-        devices += [SyncRateWatch(options.rate, report), producer]
+        devices += [SyncRateWatch(options.rate, report, advice), producer]
     intervals = math.inf if options.seconds is None else options.seconds * rate_hz
     with Readiness(options.ready_file, report) as readiness, open_bus(words) as bus:
         runner = Runner(bus, devices, report)
@@ -152,6 +164,11 @@ def simulate(options: argparse.Namespace) -> int:
     if axis is not None:
         say(axis.summary())
     return 0
+
+
+def sync_rate(options: argparse.Namespace, config: Config) -> float:
+    """The nominal rate of the SYNC, Hz: of ``--rate``, else of the configuration."""
+    return float(options.rate or 1e6 / config.simulation.sync_period_us)
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -185,12 +202,12 @@ def chosen_source(options: argparse.Namespace, config: Config) -> Source:
     """The recording of ``--samples``, else the motion of the configuration. CanfbError for a bad one."""
     module = chosen_module(options, config)
     if options.samples is not None:
-        return open_recording(options.samples, _layout(options, module.times))
+        return open_recording(options.samples, _layout(options, module.times, sync_rate(options, config)))
     return MotionSource(
         config.simulation.encoder.encoder(module.adc_bits),
         chosen_motion(options, config).motion(),
         module.cycles_per_revolution,
-        1.0 / (options.rate or DEFAULT_RATE_HZ),
+        1.0 / sync_rate(options, config),
         config.simulation.seed,
         config.simulation.aperture_jitter_s,
     )
@@ -204,14 +221,14 @@ def _refuse_idle(options: argparse.Namespace) -> None:
 
 
 def demanded(options: argparse.Namespace, config: Config, source: Source) -> Demand:
-    """What the motion, or the recording, asks of the module. Without ``--rate`` it is played as at 1 kHz."""
-    module, rate_hz = chosen_module(options, config), options.rate or DEFAULT_RATE_HZ
+    """What the motion, or the recording, asks of the module."""
+    module, rate_hz = chosen_module(options, config), sync_rate(options, config)
     if isinstance(source, (RecordingSource, ArraySource)):
         return of_recording(*source.tracks(), module, rate_hz, options.samples)
     return of_motion(chosen_motion(options, config), module, rate_hz)
 
 
-def _layout(options: argparse.Namespace, times: bool) -> RecordingLayout:
+def _layout(options: argparse.Namespace, times: bool, rate_hz: float) -> RecordingLayout:
     columns = [name.strip() for name in options.columns.split(",")]
     if len(columns) != 2:
         raise ConfigError(f"--columns {options.columns}: two columns, sine,cosine, are wanted")
@@ -231,5 +248,5 @@ def _layout(options: argparse.Namespace, times: bool) -> RecordingLayout:
         options.gap,
         options.gap_samples,
         time_stamps=times and (options.time_column is not None or options.rate is not None),
-        interval_s=1.0 / (options.rate or DEFAULT_RATE_HZ),
+        interval_s=1.0 / rate_hz,
     )

@@ -16,7 +16,7 @@ from canfb.eds_files import eds_path
 from canfb.signal.sample import Sample
 from canfb.signal.source import Source, SourceEnded
 from canfb.simulation.fast_recording import COMMAND, RATE, RECORDING, FastRecorder
-from canfb.simulation.hearing import heard_at
+from canfb.simulation.hearing import TRUE_TIME, Hearing
 from canfb.simulation.sample_clock import SampleClock
 from canfb.simulation.shaft_encoder import Machine
 
@@ -30,8 +30,9 @@ TIMED = {(MAPPING, 0): 3, (MAPPING, 3): 0x20000120}  # sine, cosine, sample time
 class EncoderInterface:
     """A CANopen node, sans-I/O, with the ADC channels in 6401h and TPDO1 at each SYNC.
 
-    ``source`` gives the samples: a :class:`Machine` at the true time at which the SYNC was received,
-    another source one sample for each SYNC. A SYNC for which it has none gets no TPDO, as if the sample
+    ``source`` gives the samples: a :class:`Machine` at the time at which the SYNC was received, another
+    source one sample for each SYNC. That is true time, unless ``hearing`` is set to another one (see
+    :mod:`canfb.simulation.hearing`). A SYNC for which it has none gets no TPDO, as if the sample
     were lost on the bus. ``ended`` becomes True when a recording is over. Each sample is an event for the
     TPDOs of type 0; types FEh and FFh have their event timer.
 
@@ -67,10 +68,11 @@ class EncoderInterface:
         self.node.on_reset = self._on_reset
         for subindex in (COMMAND, RATE):  # of one recording, nothing to keep
             self.node.storage.entries.leave_out(RECORDING, subindex)
+        self.hearing: Hearing = TRUE_TIME
         self._now = 0.0
-        self._heard_s = 0.0  # when the frame was received
+        self._heard_s = 0.0  # when the frame was received, in the time of the machine
         self._clock = SampleClock() if clock is None else clock
-        self.recorder = FastRecorder(self.dictionary, source, lambda: self._now)
+        self.recorder = FastRecorder(self.dictionary, source, lambda: self.hearing.at(self._now))
         self.source = source
         self._machine = source if isinstance(source, Machine) else None
         self.ended = False
@@ -95,13 +97,14 @@ class EncoderInterface:
         """Take a frame from the bus; the frames to send."""
         self._silent = False
         self._now = now
-        self._heard_s = heard_at(frame, now)
+        self._heard_s = self.hearing.heard_at(frame, now)
         return self._audible(self.node.receive(frame, now))
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at ``now``, a SYNC of its own too (1005h bit 30); the frames to send."""
         self._silent = False
-        self._now = self._heard_s = now
+        self._now = now
+        self._heard_s = self.hearing.at(now)
         return self._audible(self.node.tick(now))
 
     def deadline(self) -> float | None:

@@ -1,16 +1,88 @@
-"""When a frame was received: by the clock of the bus where there is one."""
+"""At which time of the machine a frame was received: true time, or one interval with each SYNC."""
 
 from __future__ import annotations
 
+from typing import Protocol
+
+from canfb.device.dictionary import Dictionary
 from canfb.device.frame import Frame
+from canfb.simulation.checks import number
 
 OLDEST_S = 10.0
+SYNC_COB_ID, CYCLE_PERIOD = 0x1005, 0x1006
+SECONDS_PER_US = 1e-6
+SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S = 1e-6, 10.0
 
 
-def heard_at(frame: Frame, now: float) -> float:
-    """Receive time of ``frame`` in seconds on the clock of ``now``, the time at which it is handled.
+class Hearing(Protocol):
+    """The time of the machine, as a simulated node has it."""
 
-    A time stamp that lies ahead of ``now``, or more than 10 s behind it, belongs to another clock: ``now``.
+    def heard_at(self, frame: Frame, now: float) -> float:
+        """The time of the machine, seconds, at which ``frame`` was received that is handled at ``now``."""
+
+    def at(self, now: float) -> float:
+        """The time of the machine, seconds, at ``now``."""
+
+
+class TrueTime:
+    """The machine turns in true time: at the clock of the bus where there is one."""
+
+    def heard_at(self, frame: Frame, now: float) -> float:
+        """Receive time of ``frame`` in seconds on the clock of ``now``, the time at which it is handled.
+
+        A time stamp that lies ahead of ``now``, or more than 10 s behind it, belongs to another clock:
+        ``now``.
+        """
+        stamp = frame.timestamp
+        return now if stamp is None or not now - OLDEST_S <= stamp <= now else stamp
+
+    def at(self, now: float) -> float:
+        """``now``."""
+        return now
+
+
+TRUE_TIME = TrueTime()
+
+
+class SlowMotion:
+    """The machine goes on by one nominal interval with each SYNC, however late it is, and stands between.
+
+    For a computer that does not keep up: the samples are equidistant in the time of the machine. Attach it
+    to the bus before the nodes whose ``hearing`` it is; it sends nothing.
+
+    ``dictionary`` is that of the node that samples: its 1005h says which frame is the SYNC, its 1006h how
+    long the interval is. ``interval_s``, 1e-6 to 10 s, counts while 1006h is 0; ValueError for another.
     """
-    stamp = frame.timestamp
-    return now if stamp is None or not now - OLDEST_S <= stamp <= now else stamp
+
+    def __init__(self, dictionary: Dictionary, interval_s: float) -> None:
+        number("interval_s", interval_s, SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S)
+        self._interval_s = interval_s
+        self._cob_id, self._period = dictionary.entry(SYNC_COB_ID), dictionary.entry(CYCLE_PERIOD)
+        self.time_s = 0.0
+        """The time of the machine."""
+
+    def start(self, now: float) -> list[Frame]:
+        """Power-on: there is nothing to send."""
+        return []
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """A SYNC: the machine goes on."""
+        if frame.can_id == self._cob_id.value & 0x7FF and not frame.rtr:
+            self.time_s += self._period.value * SECONDS_PER_US or self._interval_s
+        return []
+
+    def tick(self, now: float) -> list[Frame]:
+        """Nothing is ever due."""
+        return []
+
+    def deadline(self) -> float | None:
+        """No time is waited for."""
+        return None
+
+    def heard_at(self, frame: Frame, now: float) -> float:
+        """The time of the last SYNC."""
+        return self.time_s
+
+    def at(self, now: float) -> float:
+        """The time of the last SYNC."""
+        return self.time_s

@@ -13,6 +13,8 @@ from canfb.simulation.motion import Motion, Ramp, Ripple
 from canfb.simulation.sample_clock import LARGEST_DRIFT_PPM, SampleClock
 from canfb.simulation.sync_timing import SyncTiming
 
+PACES = ("time", "sync")
+
 
 @dataclass(frozen=True, kw_only=True)
 class HarmonicConfig:
@@ -96,6 +98,9 @@ class SimulationConfig(SyncTiming):
     clock_drift_ppm              how much faster than true time the clock of the interface runs that stamps
                                  its samples (2000:01), -10000..10000 ppm
     aperture_jitter_ns           rms of the instant at which the tracks are held, 0..1e6 ns
+    pace                         "time": the machine turns in true time; "sync": it goes on by one interval
+                                 with each SYNC, however late (:mod:`canfb.simulation.hearing`)
+    sync_period_us               of the SYNC of the bus, 10..1e7 us; ``--rate`` takes precedence
     seed                         of everything that is random, 0..2^63 - 1
     """
 
@@ -104,12 +109,17 @@ class SimulationConfig(SyncTiming):
     drive: DriveConfig | None = None
     clock_drift_ppm: float = 0.0
     aperture_jitter_ns: float = 0.0
+    pace: str = PACES[0]
+    sync_period_us: float = 1000.0
     seed: int = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()
         number("clock_drift_ppm", self.clock_drift_ppm, -LARGEST_DRIFT_PPM, LARGEST_DRIFT_PPM)
         number("aperture_jitter_ns", self.aperture_jitter_ns, 0.0, 1e6)
+        if self.pace not in PACES:
+            raise ValueError(f"pace must be {' or '.join(PACES)}, not {self.pace!r}")
+        number("sync_period_us", self.sync_period_us, 10.0, 1e7)
         integer_in("seed", self.seed, 0, 2**63 - 1)
 
     @property

@@ -10,22 +10,27 @@ from canfb.simulation.sync_producer import SYNC_COB_ID
 WINDOW_S, WINDOW_SYNCS = 2.0, 100  # over which the rate is taken, whichever is longer
 TOLERANCE = 0.02
 AGAIN_S = 60.0
+IN_TRUE_TIME = "; take a lower --rate, or --pace sync"
+IN_SLOW_MOTION = ", and the machine turns slower by as much"
 
 
 class SyncRateWatch:
     """Hears the SYNC, and tells ``report`` in one line when its rate is not ``asked_hz``; sans-I/O.
 
+    ``advice`` is what it says of a computer that does not keep up.
+
     It says so after the first window with a rate that is off by more than 2 %, and then once a minute
     at most. ValueError unless the rate is positive.
     """
 
-    def __init__(self, asked_hz: float, report: Callable[[str], None]) -> None:
+    def __init__(self, asked_hz: float, report: Callable[[str], None], advice: str = IN_TRUE_TIME) -> None:
         if not asked_hz > 0.0:
             raise ValueError(f"asked_hz must be positive, not {asked_hz!r}")
         self.held_hz: float | None = None
         """Of the last window; None before its end."""
         self._asked_hz = asked_hz
         self._report = report
+        self._advice = advice
         self._window_s = max(WINDOW_S, WINDOW_SYNCS / asked_hz)
         self._began_s: float | None = None
         self._syncs = 0
@@ -64,6 +69,6 @@ class SyncRateWatch:
         if self._said_s is None or now - self._said_s >= AGAIN_S:
             self._said_s = now
             self._report(
-                f"SYNC: {held_hz:.4g} Hz held, {self._asked_hz:g} Hz asked: this computer does not keep up, "
-                "and the machine turns slower by as much; take a lower --rate"
+                f"SYNC: {held_hz:.4g} Hz held, {self._asked_hz:g} Hz asked: this computer does not keep up"
+                f"{self._advice}"
             )

@@ -22,7 +22,7 @@ from canfb.simulation.cia402.link import FeedbackModuleLink, apply_defaults
 from canfb.simulation.cia402.plant import Plant
 from canfb.simulation.cia402.scaling import saturated
 from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, State, StateMachine, Status
-from canfb.simulation.hearing import heard_at
+from canfb.simulation.hearing import TRUE_TIME, Hearing
 
 __all__ = ["FeedbackModuleLink", "ServoDrive"]
 
@@ -76,8 +76,9 @@ class ServoDrive:
         self.axis = Axis(self.dictionary, self.feedback)
         self._machine = StateMachine()
         self._interval = SyncInterval()
+        self.hearing: Hearing = TRUE_TIME
         self._now = 0.0
-        self._heard_s = 0.0  # when the frame was received that is handled now
+        self._heard_s = 0.0  # when the frame was received that is handled now, in the time of the machine
         self._watched_from_s = 0.0
         self._stop_by_s: float | None = None
         self._shown_error = 0
@@ -117,20 +118,22 @@ class ServoDrive:
 
     def start(self, now: float) -> list[Frame]:
         """Power-on at ``now`` (seconds): the boot-up frame."""
-        self._now = self._heard_s = now
+        self._now = now
+        self._heard_s = self.hearing.at(now)
         return self.node.start(now)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Take a frame from the bus; the frames to send."""
         self._now = now
-        self._heard_s = heard_at(frame, now)
+        self._heard_s = self.hearing.heard_at(frame, now)
         if not frame.rtr:
             self._overhear(frame, now)
         return self.node.receive(frame, now)
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at ``now``; the frames to send."""
-        self._now = self._heard_s = now
+        self._now = now
+        self._heard_s = self.hearing.at(now)
         due = self._sync_due()
         if due is not None and now >= due:
             self._fail(DriveError.SYNC_CONTROLLER, now)
@@ -197,7 +200,7 @@ class ServoDrive:
             self.plant.drive(self.axis.control(period_s), True, self._heard_s)
             since_sync_s = self._heard_s - (self._interval.last_s or self._heard_s)
             self._dead.value = saturated(since_sync_s * 1e6, 32)
-            if self.axis.follows_badly(now):
+            if self.axis.follows_badly(self._heard_s):
                 self._fail(DriveError.FOLLOWING_ERROR, now)
         self._show()
 
@@ -244,8 +247,8 @@ class ServoDrive:
         if self.state is State.OPERATION_ENABLED or not self.axis.ramp_is_over:
             return
         if self._stop_by_s is None:
-            self._stop_by_s = now + STOP_TIMEOUT_S
-        if not self.axis.stands_still and now < self._stop_by_s:
+            self._stop_by_s = self._heard_s + STOP_TIMEOUT_S
+        if not self.axis.stands_still and self._heard_s < self._stop_by_s:
             return
         if self.state is State.FAULT_REACTION_ACTIVE:
             self._finish_reaction(now)
@@ -376,7 +379,7 @@ class ServoDrive:
         word = self.state.value | Status.VOLTAGE_ENABLED
         if self.node.state is NmtState.OPERATIONAL:
             word |= Status.REMOTE
-        word |= self.axis.status(self.state is State.OPERATION_ENABLED, self._now)
+        word |= self.axis.status(self.state is State.OPERATION_ENABLED, self._heard_s)
         self._statusword.value = int(word)
         self._torque.value = self.axis.scaling.per_mille(self.plant.motor.torque_nm)
         self._shown_error = self.error

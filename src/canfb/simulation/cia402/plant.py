@@ -6,13 +6,16 @@ from canfb.device.frame import Frame
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.motor import Motor
 from canfb.simulation.encoder import Encoder
-from canfb.simulation.hearing import heard_at
+from canfb.simulation.hearing import TRUE_TIME, Hearing
 from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_producer import SYNC_COB_ID
 
 
 class Plant:
     """A motor that turns in true time, from the first SYNC on, also while no SYNC comes.
+
+    ``hearing`` (:mod:`canfb.simulation.hearing`) may be set to another time than the true one: all times
+    of the plant are of that.
 
     It sends nothing, but must hear the SYNC before those who sample or drive it: attach it first.
     ``syncs`` counts them.
@@ -21,7 +24,8 @@ class Plant:
     def __init__(self, motor: Motor) -> None:
         self.motor = motor
         self.syncs = 0
-        self._now_s: float | None = None  # true time up to which the motor has turned
+        self.hearing: Hearing = TRUE_TIME
+        self._now_s: float | None = None  # time up to which the motor has turned
 
     def start(self, now: float) -> list[Frame]:
         """Power-on at ``now``: there is nothing to send."""
@@ -30,9 +34,10 @@ class Plant:
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Go on to the time at which a SYNC was heard; with the first one the machine begins."""
         if frame.can_id == SYNC_COB_ID and not frame.rtr:
+            heard_s = self.hearing.heard_at(frame, now)
             if self._now_s is None:
-                self._now_s = heard_at(frame, now)
-            self.go_on_to(heard_at(frame, now))
+                self._now_s = heard_s
+            self.go_on_to(heard_s)
             self.syncs += 1
         return []
 
