@@ -1,9 +1,11 @@
 """An ADC as the kernel shows it: a tree in sysfs and a character device, for libiio's local backend.
 
-    python emulated_iio_tree.py COMMAND...    run the command where this ADC is; needs the rights of root
+    python emulated_iio_tree.py MILLISECONDS COMMAND...    run the command where this ADC is; needs the rights
+                                                           of root
 
 The tree lies on /sys/bus of a mount namespace of its own, the character device is a pipe. Each firing of the
-sysfs trigger gives one scan of a machine whose position everybody knows.
+sysfs trigger gives one scan of a machine whose position everybody knows. By their time stamps the scans are
+so many milliseconds apart, whatever the time is.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ import numpy as np
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp
 
-INTERVAL_S = 1e-3
+INTERVAL_S = 1e-3  # of the motion
 MIDDLE, SHIFT = 2048, 4
 DEVICES = Path("/sys/bus/iio/devices")
 ADC, TRIGGER = "iio:device0", "trigger0"
@@ -55,14 +57,14 @@ def position_cycles(number: int) -> float:
     return Motion((Ramp(0.05, 0.0), Ramp(0.2, 6.0))).revolutions(number * INTERVAL_S) * 2500
 
 
-def scans() -> list[bytes]:
+def scans(period_ms: float) -> list[bytes]:
     """All scans that there will be: sine, cosine, time stamp, as the kernel lays them out."""
     encoder, rng = Encoder(noise_lsb=0.5), np.random.default_rng(3)
     found = []
     for number in range(5000):
         counts = encoder.sample(position_cycles(number), rng)
         words = [int(count) + MIDDLE << SHIFT for count in counts]
-        found.append(struct.pack(">HH4x", *words) + struct.pack("<q", number * 1_000_000))
+        found.append(struct.pack(">HH4x", *words) + struct.pack("<q", round(number * period_ms * 1e6)))
     return found
 
 
@@ -106,11 +108,11 @@ def serve(pipe: int, all_scans: list[bytes], over: threading.Event) -> None:
             os.write(pipe, next(left))
 
 
-def main(command: list[str]) -> int:
+def main(period_ms: float, command: list[str]) -> int:
     make_tree()
     pipe = make_character_device()
     over = threading.Event()
-    thread = threading.Thread(target=serve, args=(pipe, scans(), over))
+    thread = threading.Thread(target=serve, args=(pipe, scans(period_ms), over))
     thread.start()
     child = subprocess.Popen(command)
     signal.signal(signal.SIGTERM, lambda number, frame: child.terminate())
@@ -122,4 +124,4 @@ def main(command: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main(float(sys.argv[1]), sys.argv[2:]))

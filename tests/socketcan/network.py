@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import struct
 import threading
 import time
@@ -12,6 +14,7 @@ from typing import Self
 import can
 import canopen
 import pytest
+import yaml
 from pace import Pace
 
 from canfb.eds_files import eds_path
@@ -20,6 +23,24 @@ NODE_ID, INTERFACE_ID = 0x20, 0x10
 POSITION_COB_ID, ADC_COB_ID = 0x180 + NODE_ID, 0x180 + INTERFACE_ID
 SYNC = can.Message(arbitration_id=0x80, is_extended_id=False)
 LOOK_S = 0.2
+PERIODS = 200  # 2010:06: a SYNC may be so late
+TIMES = "    times: true\n"
+
+
+def slow_motion(pace: Pace, motion: str, encoder: str = "{}") -> str:
+    """The simulation of a machine that goes on by ``pace.period_s`` with each SYNC. Its module needs TIMES.
+
+    ``motion`` holds its keys for 1 kHz: it is the same here, in cycles from SYNC to SYNC.
+    """
+    milliseconds = 1e3 * pace.period_s
+    keys = {
+        key: value / milliseconds if key.endswith(("rpm", "hz")) else value * milliseconds
+        for key, value in yaml.safe_load(motion).items()
+    }
+    return (
+        f"simulation:\n  pace: sync\n  sync_period_us: {1e6 * pace.period_s}\n"
+        f"  encoder: {encoder}\n  motion: {json.dumps(keys)}\n"
+    )
 
 
 def write_config(folder: Path, text: str = "", simulation: str = "") -> str:
@@ -65,6 +86,13 @@ def next_frame(bus: can.BusABC, pace: Pace, can_id: int) -> bytes:
     return wait_for(bus, pace, can_id)[can_id]
 
 
+def tolerate_late_syncs(bus: can.BusABC, pace: Pace, *nodes: int) -> None:
+    """2010:06 of each module, until its next reset: no position is given up because a SYNC is late."""
+    for node in nodes or (NODE_ID,):
+        bus.send(frame(0x600 + node, struct.pack("<BHBI", 0x2F, 0x2010, 6, PERIODS)))
+        assert next_frame(bus, pace, 0x580 + node)[0] == 0x60
+
+
 def wait_for_boot_up(bus: can.BusABC, pace: Pace, *nodes: int) -> None:
     """Until each of the nodes has sent its boot-up: from then on it answers."""
     missing = set(nodes)
@@ -89,11 +117,28 @@ def position_fields(data: bytes) -> tuple[int, int, int]:
     return position, status, residual
 
 
-class Syncs(threading.Thread):
-    """SYNC after SYNC while it is entered: each when the position of the one before has come.
+class Timer:
+    """The timer of a SYNC producer: it rings each ``period_s``, unless nobody waits for it."""
 
-    After each it rests for as long as that took, so that others get the processor, too: the rate is that of
-    the machine, ``rate_hz``.
+    def __init__(self, pace: Pace) -> None:
+        self.period_s = pace.period_s
+        self._next_s: float | None = None
+
+    def wait(self) -> None:
+        """Until it rings; times that are over are left out."""
+        now = time.monotonic()
+        if self._next_s is None:
+            self._next_s = now
+        late = max(0, math.ceil((now - self._next_s) / self.period_s))
+        ring_s = self._next_s + late * self.period_s
+        self._next_s = ring_s + self.period_s
+        time.sleep(max(0.0, ring_s - now))
+
+
+class Syncs(threading.Thread):
+    """SYNC after SYNC while it is entered, at the period of ``pace``; each when the one before is answered.
+
+    ``rate_hz`` is the rate that this machine holds.
     """
 
     def __init__(self, channel: str, pace: Pace) -> None:
@@ -104,6 +149,7 @@ class Syncs(threading.Thread):
             can_filters=[{"can_id": POSITION_COB_ID, "can_mask": 0x7FF}],
         )
         self._patience_s = pace.patience_s
+        self._timer = Timer(pace)
         self._over = threading.Event()
         self.count = 0
         self.rate_hz = 0.0
@@ -121,14 +167,12 @@ class Syncs(threading.Thread):
         """Send them."""
         began = time.monotonic()
         while not self._over.is_set():
-            sent = time.monotonic()
+            self._timer.wait()
             self._bus.send(SYNC)
-            if not self._answered(sent + self._patience_s):
+            if not self._answered(time.monotonic() + self._patience_s):
                 return  # who needs a SYNC says that there is none
             self.count += 1
-            now = time.monotonic()
-            self.rate_hz = self.count / (now - began)
-            self._over.wait(now - sent)
+            self.rate_hz = self.count / (time.monotonic() - began)
 
     def wait(self, count: int) -> None:
         """Until so many more have been answered."""

@@ -2,7 +2,9 @@
 
 A user-mode Linux takes from 20 to 140 µs for a system call, and other work may take the processor away. So
 no test says how long something takes: it waits for what must happen, and gives up when nothing has happened
-for a time in which this machine does many times as much.
+for a time in which this machine does many times as much. The simulated machine turns in slow motion, by one
+period with each SYNC (`pace: sync`), and its samples say so (`times: true`). A test in true time says that it
+is one, and takes its rate from here.
 """
 
 from __future__ import annotations
@@ -43,6 +45,11 @@ class Pace:
     def rate_hz(self) -> float:
         """A SYNC rate at which several processes on the bus are idle most of the time."""
         return min(200.0, max(1.0, 0.02 / self.round_trip_s))
+
+    @property
+    def period_s(self) -> float:
+        """The SYNC period of a machine in slow motion; each SYNC may be much later."""
+        return max(0.02, 1.0 / self.rate_hz)
 
     def slower(self, seconds: float) -> float:
         """A time that suits a machine with a round trip of 0.1 ms, on this one; never less."""

@@ -13,9 +13,12 @@ from network import (
     INTERFACE_ID,
     NODE_ID,
     POSITION_COB_ID,
+    TIMES,
     Syncs,
     next_frame,
     position_fields,
+    slow_motion,
+    tolerate_late_syncs,
     wait_for_boot_up,
     write_config,
 )
@@ -25,14 +28,9 @@ from canfb.signal.supervision import StatusBit
 from processes import Process
 
 SAMPLES = 1000
-# The simulated machine goes on by 1 ms with each SYNC, however long that takes.
-TURNING = """\
-    autostart: true
-simulation:
-  encoder: {amplitude: 0.7, sine_offset: 0.05, cosine_offset: -0.03, cosine_amplitude: 0.94,
-            phase_error_rad: 0.05, harmonics: [{order: 3, sine: 0.01, cosine: 0.008}]}
-  motion: {standstill_s: 0, ramp_s: 0, rpm: 155, ripple_rpm: 2.5, ripple_hz: 1.5}
-"""
+ENCODER = """{amplitude: 0.7, sine_offset: 0.05, cosine_offset: -0.03, cosine_amplitude: 0.94,
+            phase_error_rad: 0.05, harmonics: [{order: 3, sine: 0.01, cosine: 0.008}]}"""
+MOTION = "{standstill_s: 0.02, ramp_s: 0.15, rpm: 155, ripple_rpm: 2.5, ripple_hz: 1.5}"
 
 
 def test_a_table_is_measured_proven_and_reported_and_ctrl_c_takes_it_back(
@@ -47,10 +45,11 @@ def test_a_table_is_measured_proven_and_reported_and_ctrl_c_takes_it_back(
         return bool(position_fields(next_frame(bus, pace, POSITION_COB_ID))[1] & StatusBit.TABLE_ACTIVE)
 
     bus = open_bus()
-    config = write_config(tmp_path, TURNING)
+    config = write_config(tmp_path, f"{TIMES}    autostart: true\n", slow_motion(pace, MOTION, ENCODER))
     process("run", config)
     process("simulate", config)
     wait_for_boot_up(bus, pace, NODE_ID, INTERFACE_ID)
+    tolerate_late_syncs(bus, pace)
     with Syncs(can_channel, pace) as syncs:
         syncs.wait(200)
         # Until there are so many samples; the time is only that after which six times as long is too long.

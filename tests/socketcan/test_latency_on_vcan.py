@@ -12,13 +12,19 @@ from network import (
     NODE_ID,
     POSITION_COB_ID,
     SYNC,
+    TIMES,
     Master,
+    Timer,
+    frame,
     next_frame,
     position_fields,
     reset,
     start_command,
     wait_for_boot_up,
     write_config,
+)
+from network import (
+    PERIODS as LATE,
 )
 from pace import Pace
 
@@ -30,11 +36,9 @@ QUARTER_UNITS = 2048
 PERIODS = 12
 
 
-def sample(number: int) -> can.Message:
+def sample(number: int, period_s: float) -> can.Message:
     """The ADC PDO of a machine that turns a quarter of a cycle in each period."""
-    return can.Message(
-        arbitration_id=ADC_COB_ID, data=struct.pack("<hh", *QUARTERS[number % 4]), is_extended_id=False
-    )
+    return frame(ADC_COB_ID, struct.pack("<hhI", *QUARTERS[number % 4], round(number * period_s * 1e7)))
 
 
 CASES = [(255, 254, 0, 0), (255, 254, 1, 0), (255, 1, 0, 1), (255, 1, 1, 0), (1, 1, 0, 1), (1, 1, 2, 0)]
@@ -43,7 +47,7 @@ CASES = [(255, 254, 0, 0), (255, 254, 1, 0), (255, 1, 0, 1), (255, 1, 1, 0), (1,
 def test_the_sample_of_each_position_pdo(
     process: Callable[..., Process], tmp_path: Path, can_channel: str, can_bus: can.BusABC, pace: Pace
 ) -> None:
-    process("run", write_config(tmp_path))
+    process("run", write_config(tmp_path, TIMES))
     wait_for_boot_up(can_bus, pace, NODE_ID)
     with Master(can_channel, pace) as master:
         for case in CASES:
@@ -58,14 +62,17 @@ def check(
     case = f"RPDO type {rpdo}, TPDO type {tpdo}, 2013:01 = {predict}"
     sdo = master.module.sdo
     sdo[0x1400][2].raw, sdo[0x1800][2].raw, sdo[0x2013][1].raw = rpdo, tpdo, predict
+    sdo[0x2010][6].raw = LATE
     for message in start_command(NODE_ID):
         bus.send(message)
     at_sync = tpdo == 1
+    timer = Timer(pace)
     for number in range(PERIODS):
+        timer.wait()
         bus.send(SYNC)
         if at_sync:  # before there is another sample
             data = next_frame(bus, pace, POSITION_COB_ID)
-        bus.send(sample(number))
+        bus.send(sample(number, timer.period_s))
         if not at_sync:  # before there is another SYNC
             data = next_frame(bus, pace, POSITION_COB_ID)
         if number >= 4:

@@ -15,8 +15,10 @@ from network import (
     NODE_ID,
     POSITION_COB_ID,
     SYNC,
+    Timer,
     next_frame,
     position_fields,
+    tolerate_late_syncs,
     wait_for_boot_up,
     write_config,
 )
@@ -34,10 +36,10 @@ SOURCE = """\
 UNITS_PER_CYCLE, RANGE_CYCLES = 8192, 209 * 2500
 
 
-def with_adc() -> list[str]:
+def with_adc(period_ms: float) -> list[str]:
     """In a mount namespace of its own, with the rights that it takes."""
     namespace = ["unshare", "--mount"] if os.geteuid() == 0 else ["unshare", "--map-root-user", "--mount"]
-    return [*namespace, sys.executable, str(TREE)]
+    return [*namespace, sys.executable, str(TREE), str(period_ms)]
 
 
 @pytest.fixture(autouse=True)
@@ -50,9 +52,12 @@ def test_each_sync_fires_the_trigger_and_its_position_is_right(
     tmp_path: Path, can_bus: can.BusABC, command: Callable[..., Process], pace: Pace
 ) -> None:
     config = write_config(tmp_path, SOURCE)
-    run = command(*with_adc(), sys.executable, "-m", "canfb", "run", config)
+    run = command(*with_adc(1e3 * pace.period_s), sys.executable, "-m", "canfb", "run", config)
     wait_for_boot_up(can_bus, pace, NODE_ID)
+    tolerate_late_syncs(can_bus, pace)
+    timer = Timer(pace)
     for number in range(400):
+        timer.wait()
         can_bus.send(SYNC)
         units, status, _ = position_fields(next_frame(can_bus, pace, POSITION_COB_ID))
         assert status & StatusBit.VALID

@@ -14,8 +14,12 @@ from network import (
     INTERFACE_ID,
     NODE_ID,
     POSITION_COB_ID,
+    TIMES,
     Master,
+    Timer,
     position_fields,
+    slow_motion,
+    tolerate_late_syncs,
     wait_for_boot_up,
     write_config,
 )
@@ -27,11 +31,8 @@ from processes import Process
 SAMPLES = 1200
 IDLE, RECORDING, COMPUTING, READY, REFUSED, ACCEPTED = range(6)
 START, ACCEPT = 1, 3
-SIMULATION = (
-    "simulation:\n"
-    "  encoder: {sine_offset: 0.03, cosine_amplitude: 0.97, phase_error_rad: 0.05}\n"
-    "  motion: {standstill_s: 0.05, ramp_s: 0.2, rpm: 7.4, ripple_rpm: 0.3, ripple_hz: 1.3}\n"
-)
+ENCODER = "{sine_offset: 0.03, cosine_amplitude: 0.97, phase_error_rad: 0.05}"
+MOTION = "{standstill_s: 0.05, ramp_s: 0.2, rpm: 7.4, ripple_rpm: 0.3, ripple_hz: 1.3}"
 
 
 @pytest.fixture
@@ -43,15 +44,16 @@ def master(can_channel: str, pace: Pace) -> Iterator[Master]:
 def test_measured_accepted_and_recorded_over_a_real_bus(
     process: Callable[..., Process], master: Master, can_bus: can.BusABC, tmp_path: Path, pace: Pace
 ) -> None:
-    config = write_config(tmp_path, simulation=SIMULATION)
+    config = write_config(tmp_path, TIMES, slow_motion(pace, MOTION, ENCODER))
     for command in ("run", "simulate"):
         process(command, config)
     wait_for_boot_up(can_bus, pace, NODE_ID, INTERFACE_ID)
+    tolerate_late_syncs(can_bus, pace)
     heard: queue.Queue[int] = queue.Queue()
     master.network.subscribe(
         POSITION_COB_ID, lambda can_id, data, timestamp: heard.put(position_fields(bytes(data))[1])
     )
-    sdo = master.module.sdo
+    sdo, timer = master.module.sdo, Timer(pace)
     for node in (master.module, master.interface):
         node.nmt.state = "OPERATIONAL"
 
@@ -59,6 +61,7 @@ def test_measured_accepted_and_recorded_over_a_real_bus(
         """That many SYNCs, each with its position: the status words."""
         words = []
         for _ in range(count):
+            timer.wait()
             master.network.sync.transmit()
             words.append(heard.get(timeout=pace.patience_s))
         return words

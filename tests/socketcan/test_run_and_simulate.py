@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import re
 import signal
@@ -16,23 +17,29 @@ from network import (
     ADC_COB_ID,
     INTERFACE_ID,
     NODE_ID,
+    PERIODS,
     POSITION_COB_ID,
+    TIMES,
     Master,
+    Timer,
     next_frame,
     position_fields,
     reset,
+    slow_motion,
     start_command,
     wait_for_boot_up,
     write_config,
 )
 from pace import Pace
 
-from canfb.cli.main import main
+from canfb import max_acceleration
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.supervision import StatusBit
 from processes import Process
 
-MOVING = "simulation: {motion: {standstill_s: 0.1, ramp_s: 0.5, rpm: 60}}\n"
+MOTION = "{standstill_s: 0.01, ramp_s: 0.5, rpm: 60}"
+CYCLES = 2500
+RAMP_S = 2.0
 
 
 @pytest.fixture
@@ -40,7 +47,7 @@ def both(
     process: Callable[..., Process], tmp_path: Path, can_bus: can.BusABC, pace: Pace
 ) -> tuple[Process, Process]:
     """The module and the encoder interface, on the bus, in PRE-OPERATIONAL."""
-    config = write_config(tmp_path, simulation=MOVING)
+    config = write_config(tmp_path, TIMES, slow_motion(pace, MOTION))
     started = process("run", config), process("simulate", config)
     wait_for_boot_up(can_bus, pace, NODE_ID, INTERFACE_ID)
     return started
@@ -71,10 +78,13 @@ def starts_reads_uploads_and_hears(master: Master, pace: Pace) -> None:
     heard: queue.Queue[tuple[int, int]] = queue.Queue()
     module.tpdo.read()
     module.tpdo[1].add_callback(lambda pdo: heard.put((pdo[0].raw, pdo[1].raw)))
+    module.sdo[0x2010][6].raw = PERIODS
     for node in (module, master.interface):
         node.nmt.state = "OPERATIONAL"
     positions = []
+    timer = Timer(pace)
     for _ in range(50):
+        timer.wait()
         master.network.sync.transmit()
         position, status = heard.get(timeout=pace.patience_s)
         assert status & StatusBit.VALID
@@ -88,6 +98,7 @@ def starts_reads_uploads_and_hears(master: Master, pace: Pace) -> None:
     module.sdo[0x2020][3].raw = table.crc32
     assert module.sdo[0x2020][4].raw == table.crc32
     assert module.sdo.upload(0x2020, 1) == table.to_bytes()
+    timer.wait()
     master.network.sync.transmit()
     assert heard.get(timeout=pace.patience_s)[1] == StatusBit.VALID | StatusBit.TABLE_ACTIVE
 
@@ -99,7 +110,7 @@ def bad_frames_are_answered_or_dropped_and_change_nothing(
     sdo = master.module.sdo
     for message in start_command(NODE_ID):
         can_bus.send(message)
-    can_bus.send(can.Message(arbitration_id=ADC_COB_ID, data=[1, 2, 3, 4], is_extended_id=False))
+    can_bus.send(can.Message(arbitration_id=ADC_COB_ID, data=[1, 2, 3, 4, 0, 0, 0, 0], is_extended_id=False))
     next_frame(can_bus, pace, POSITION_COB_ID)
     can_bus.send(can.Message(arbitration_id=ADC_COB_ID, data=[9], is_extended_id=False))
     next_frame(can_bus, pace, 0x80 + NODE_ID)
@@ -121,7 +132,10 @@ def bad_frames_are_answered_or_dropped_and_change_nothing(
 def test_the_simulator_can_produce_the_sync_and_the_other_signals(
     process: Callable[..., Process], tmp_path: Path, can_bus: can.BusABC, pace: Pace
 ) -> None:
-    config = write_config(tmp_path, "    autostart: true\n", MOVING)
+    """In true time: the machine turns on whatever happens, with a fifth of what eq. 10 allows."""
+    rpm = 60.0 / math.tau * RAMP_S * max_acceleration(CYCLES, pace.rate_hz, 1.0 / 3.0) / 5.0
+    motion = f"simulation: {{motion: {{standstill_s: 0.1, ramp_s: {RAMP_S}, rpm: {rpm}}}}}\n"
+    config = write_config(tmp_path, f"{TIMES}    autostart: true\n", motion)
     run = process("run", config)
     wait_for_boot_up(can_bus, pace, NODE_ID)
     simulate = process("simulate", config, "--rate", f"{pace.rate_hz:.3g}")
@@ -133,6 +147,10 @@ def test_the_simulator_can_produce_the_sync_and_the_other_signals(
         assert one.wait() == 0
 
 
-def test_a_bus_that_does_not_exist_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", write_config(tmp_path), "-c", "vcan77"]) == 1
-    assert capsys.readouterr().err == "canfb: cannot open the bus socketcan vcan77: No such device\n"
+def test_a_bus_that_does_not_exist_is_one_line(process: Callable[..., Process], tmp_path: Path) -> None:
+    run = process("run", write_config(tmp_path), "-c", "vcan77")
+    assert run.wait() == 1
+    assert run.lines == [
+        "canfb: cannot open the bus socketcan vcan77: No such device; `ip link` lists the interfaces, "
+        "docs/vcan.md says how to make one"
+    ]
