@@ -242,6 +242,7 @@ def test_the_counters_are_in_the_order_of_the_contract_and_ours_follow() -> None
         *("Missed samples", "Residual faults", "Amplitude faults", "Coasted samples"),
         *("Position lost", "Recovered by coarse track", "Zero pulses", "Bad frames"),
         *("Clipped samples", "Frozen samples", "Coarse track disagreements", "Set right by zero pulse"),
+        *("Duplicate SYNCs", "SYNCs not heard"),
     ]
 
 

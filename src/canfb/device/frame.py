@@ -67,6 +67,7 @@ class Moment:
     def __init__(self) -> None:
         self.now = self.received = 0.0
         self.stamp = -NEVER
+        self.proved = False
 
     def stamped(self, stamp: float) -> None:
         """The frame of the running call has a time stamp, seconds.
@@ -79,4 +80,3 @@ class Moment:
         self.received = self.now
         if self.proved:
             self.received = self.stamp = max(last, stamp)
-        self.proved = False

@@ -244,14 +244,14 @@ class FeedbackModule:
         if feedback is not None:
             self._publish(feedback, now)
 
-    def _take(self, sample: Sample, between_s: float | None, now: float) -> bool:
+    def _take(self, sample: Sample, received_s: float | None, now: float) -> bool:
         """A sample through the chain, and out; False if it is an earlier one, and nothing happened."""
         if self._limits.narrowed:
             self._limits.follow()
         timed = sample.time_100ns is not None
         if timed:
             self._follow_interval()
-        feedback = self.chain.step(sample, between_s)
+        feedback = self.chain.step(sample, received_s)
         if timed and self._feedback is not None and feedback.samples == self._feedback.samples:
             return False
         if feedback.status & VALID:

@@ -9,7 +9,7 @@ from canfb.device.dictionary import Entry
 
 SECONDS_PER_US = 1e-6
 SMOOTHING = 1.0 / 32.0
-LARGEST_STEP = 0.25  # of the period: what one interval says at most
+LARGEST_STEP = 0.4  # of the period: what one interval says at most
 KNOWN_INTERVALS = 32
 SHORTEST, LONGEST = 0.6, 1.5  # of the period: what lies outside is a gap, a duplicate or another rate
 FIRST_INTERVALS = 5  # their median is the first estimate
@@ -57,8 +57,10 @@ class IntervalEstimate:
 
     @property
     def known_s(self) -> float:
-        """The sampling interval where it is certain: settled, or 1006h; else 0.0."""
-        return self.settled_s or self._period_us.value * SECONDS_PER_US
+        """The sampling interval where it is certain enough for limits; else 0.0."""
+        nominal = self._period_us.value * SECONDS_PER_US
+        measured = len(self._heard) > FIRST_INTERVALS or len(self._recent) == FIRST_INTERVALS
+        return self.settled_s or nominal or (self._estimate_s if measured else 0.0)
 
     @property
     def seconds(self) -> float:
@@ -128,9 +130,7 @@ class IntervalEstimate:
             self._intervals = KNOWN_INTERVALS
         elif len(recent) == FIRST_INTERVALS and _agree(recent, middle) >= FIRST_INTERVALS - 1:
             # Their mean: the deviations of SYNCs that follow each other cancel.
-            self.settled_s = self._estimate_s = statistics.mean(
-                interval for interval in recent if abs(interval - middle) <= AGREEMENT * middle
-            )
+            self.settled_s = self._estimate_s = _mean(recent, middle)
             self._intervals = FIRST_INTERVALS
 
     def _may_be_slower(self, interval_s: float) -> None:
@@ -140,8 +140,14 @@ class IntervalEstimate:
             return
         middle = statistics.median(long)
         if _agree(long, middle) >= SLOWER_INTERVALS - 2:
-            self.settled_s = self._estimate_s = middle
+            self.settled_s = self._estimate_s = _mean(long, middle)
+            self._intervals = len(long)
         long.clear()
+
+
+def _mean(intervals: list[float], middle: float) -> float:
+    """Of those that agree with the median."""
+    return statistics.mean(interval for interval in intervals if abs(interval - middle) <= AGREEMENT * middle)
 
 
 def _agree(intervals: list[float], middle: float) -> int:

@@ -22,8 +22,8 @@ BAD_FRAMES, DUPLICATE_SYNCS, UNHEARD_SYNCS = 8, 13, 14
 class Findings(NamedTuple):
     """What is done with what was found.
 
-    take(sample, between_s, now)  a sample, and the seconds since the reception of the last valid one,
-                                  None if they are not known; False if it was an earlier one again
+    take(sample, received_s, now) a sample, and when it was received, seconds, None if that is not
+                                  known; False if it was an earlier one again
     miss(samples, now)            so many samples did not come
     lose_count(intervals, now)    so many intervals may or may not have passed
     withhold()                    what stands in the dictionary is not valid any more
@@ -74,13 +74,13 @@ class Pairing:
         self._stale = False  # what synchronous RPDOs hold is of an interval that nobody knows
         self._unheard = 0  # SYNCs before this one
         self._last_time: int | None = None  # of the last valid sample, 2000:05
-        self._taken_s: float | None = None  # when that was received, if that is known
         self.timeline.pause()
 
     @property
     def timed(self) -> bool:
         """Each sample brings its time, which says better than any reception how long an interval was."""
-        return self._input.timed
+        source = self._source
+        return self._input.timed if source is None else source.timed_s is not None
 
     def count_bad_frame(self) -> None:
         """A frame that was not used (2012:08)."""
@@ -111,7 +111,7 @@ class Pairing:
         self._unheard = verdict.unheard
         self._findings.withhold()
         self._stale |= self._input.is_synchronous
-        if verdict.doubt and not self._input.timed:
+        if verdict.doubt and not self.timed:
             self._findings.lose_count(max(1.0, verdict.unheard), now)
         elif verdict.doubt:
             self._unheard = 0  # sample times know how long it was
@@ -123,15 +123,22 @@ class Pairing:
             self._sample_source(self._source, counter, now)
         else:
             if not self._input.timed:
-                self._interval.event(self._moment.received, self._moment.proved)
+                self._measure()
             if self._input.give_up():
                 self.count_bad_frame()
         if self._synced and self.sampled and not self._sample_came:
             self._miss(1, now)
         if self._unheard:
-            self._miss_unheard(counter, self._input.timed, now)
+            self._miss_unheard(counter, now)
         self._sample_came = self._tracks_came = self._extra_syncs = self._stale = False
         self._synced = True
+
+    def _measure(self) -> None:
+        """A SYNC measures the interval, unless it may be late, or others were not heard."""
+        if self.timeline.withheld:
+            self._interval.pause()
+        else:
+            self._interval.event(self._moment.received, self._moment.proved)
 
     def overdue(self, now: float) -> bool:
         """No SYNC and no sample for 2010:06 periods; False where the length of a period is not known."""
@@ -185,12 +192,12 @@ class Pairing:
         self._miss(syncs, now)
         self._sample_came = False
 
-    def _miss_unheard(self, counter: int | None, timed: bool, now: float) -> None:
+    def _miss_unheard(self, counter: int | None, now: float) -> None:
         """SYNCs that were not heard. Sample times know better than receive times how long it was."""
         unheard, self._unheard = self._unheard, 0
         if self.sampled:
             _count(self._unheard_syncs, unheard)
-        if counter is not None or not timed:
+        if counter is not None or not self.timed:
             self._miss(unheard, now)
 
     def _miss(self, samples: int, now: float) -> None:
@@ -202,11 +209,11 @@ class Pairing:
     def _sample_source(self, source: LocalSource, counter: int | None, now: float) -> None:
         """The sample of this very SYNC; without one it is missed, from the first SYNC on."""
         if self._unheard:
-            self._miss_unheard(counter, source.timed_s is not None, now)
+            self._miss_unheard(counter, now)
         self.sampled = self._synced = True
         sample = source.next(now)
         if source.timed_s is None:
-            self._interval.event(self._moment.received, self._moment.proved)
+            self._measure()
         if sample is not None:
             self._sample_came = True
             if source.timed_s is not None:  # far more regular than the time at which a SYNC is heard
@@ -214,22 +221,21 @@ class Pairing:
             self._take(sample, now)
 
     def _take(self, sample: Sample, now: float) -> bool:
-        between_s = self._between_s() if sample.time_100ns is not None else None
-        if self._findings.take(sample, between_s, now):
+        received_s = None if sample.time_100ns is None else self._received_s()
+        if self._findings.take(sample, received_s, now):
             return True
         self.count_bad_frame()
         return False
 
-    def _between_s(self) -> float | None:
-        """Seconds between the receptions of the last valid sample and of this one, if both are known."""
-        moment, taken_s = self._moment, self._taken_s
-        if taken_s is None or not moment.proved or self._input.is_synchronous or self._source is not None:
+    def _received_s(self) -> float | None:
+        """When the tracks of this sample were received, seconds, if that is known."""
+        moment = self._moment
+        if not moment.proved or self._input.is_synchronous or self._source is not None:
             return None
-        return moment.received - taken_s
+        return moment.received
 
     def valid(self, sample: Sample) -> None:
         """This sample with a time was good: the clock of the interface measures the interval."""
-        self._taken_s = self._moment.received if self._moment.proved else None
         last, self._last_time = self._last_time, sample.time_100ns
         if last is not None and self._last_time is not None and self._source is None:
             ticks = (self._last_time - last) % TICKS

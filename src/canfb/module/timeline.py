@@ -16,6 +16,7 @@ from canfb.module.response import Answer, Response
 
 COUNTER_OVERFLOW = 0x1019
 PERIODS = (0x2010, 6)
+PULLING = 0.25  # period: a SYNC that may have been heard late moves the lock if it is nearer than that
 GAIN = 0.2  # of the lock on the SYNCs
 HALF = 0.5  # period: nearer to this SYNC, or to the one beside it
 JITTER_GAIN = 1.0 / 64.0
@@ -27,6 +28,8 @@ CONFIRMING_SYNCS = 2  # on time in a row, after some that may have been late
 PATIENCE_SYNCS = 64  # that come on time, a whole period late: then SYNCs were lost
 FASTER_SYNCS = 8  # regular SYNCs that all come too early are another rate
 RATE_AGREEMENT = 0.25
+SHORT = 0.6  # period: SYNCs that are regular and nearer together than that
+WHOLE = 0.75  # period: a SYNC this long after the one before is no duplicate of it
 UNSETTLED_S = 0.5  # taken for a period where none is known
 
 
@@ -109,7 +112,8 @@ class Timeline:
                 self._apart_s = time_s - self._heard_s
                 self._heard_s = self._sync_s = time_s
                 self._counter = counter
-                self._early_syncs = 0
+                if self._early_syncs and self._apart_s > SHORT * period:
+                    self._early_syncs = 0
                 self.until = time_s + self._periods.value * period
                 return ON_TIME
         return self._judged(time_s, proved, counter)
@@ -131,13 +135,18 @@ class Timeline:
         period = self._interval.settled_s
         counted = self._counted(counter)
         if not period:
-            if counter is not None and counter == self._counter:
+            if counter is not None and counter == self._counter and not self._is_apart(time_s):
                 return DUPLICATE
             self._take(time_s, time_s, counter)
             return Verdict(unheard=counted) if counted else ON_TIME
         lag = (time_s - self._grid_s) / period - 1.0  # 0 for the next SYNC, on time
         turn = 1 if counter is None else max(1, self._overflow.value)
         return self._decided(time_s, proved, counter, period, lag, counted, turn)
+
+    def _is_apart(self, time_s: float) -> bool:
+        """By what is known so far, this is more than half a period after the last SYNC."""
+        rough = self._interval.seconds
+        return rough > 0.0 and time_s - self._sync_s > HALF * rough
 
     def _counted(self, counter: int | None) -> int:
         """SYNCs that the counter says were not heard, but for whole turns of it."""
@@ -156,16 +165,17 @@ class Timeline:
         counted: int,
         turn: int,
     ) -> Verdict:
-        if lag <= -self._early(1.0) and (counter is None or counted == turn - 1):
+        early = lag <= -self._early(1.0) and (time_s - self._heard_s) < WHOLE * period
+        if early and (counter is None or counted == turn - 1):
             return self._too_early(time_s, counter)
-        self._early_syncs = 0
         if proved:
             turns = round((lag - counted) / turn)
         else:
             turns = -1 if counted == turn - 1 and turn > 1 and lag < counted - HALF else 0
         unheard = counted + turns * turn
-        if unheard < 0:
+        if unheard < 0 and early:
             return self._too_early(time_s, counter)
+        unheard = max(unheard, 0)
         error = lag - unheard
         apart = (time_s - self._heard_s) / period
         if error < -HALF or (proved and error > HALF):
@@ -174,6 +184,8 @@ class Timeline:
             return Verdict(unheard=unheard, doubt=True)
         if error >= turn - HALF:
             return self._late(time_s, counter, period, unheard, apart)
+        if not proved and error > PULLING:
+            error = 0.0  # it was heard late, which proves nothing
         self._take(time_s, self._grid_s_after(unheard, period, error), counter)
         self._confirm(apart, turn)
         return Verdict(unheard=unheard) if unheard else ON_TIME

@@ -219,19 +219,18 @@ class SignalChain:
         self._speed = 0.0
         self._was_valid = 0
 
-    def step(self, sample: Sample, between_s: float | None = None) -> Feedback:
+    def step(self, sample: Sample, received_s: float | None = None) -> Feedback:
         """Take one sample through the whole chain. A bad sample is flagged, it never raises.
 
         A sample with the time of the one before, or of an earlier one, comes too late: the same
-        Feedback, the same object, is returned, and nothing changes. ``between_s``, seconds from the
-        reception of the last sample that was taken to that of this one, where that is known, is what
-        a sample time must agree with. One whose time fits nothing is
-        a bad sample; see :class:`canfb.signal.sample_times.SampleTimes`.
+        Feedback, the same object, is returned, and nothing changes. Times must agree
+        with the receptions where ``received_s`` says them, seconds. One whose time fits nothing is a
+        bad sample; see :class:`canfb.signal.sample_times.SampleTimes`.
         """
         sine, cosine, elapsed, bad, coarse, _, zero_pulse, time_100ns = sample
         next_one = False
         if time_100ns is not None:
-            passed = self._times.elapsed(time_100ns, elapsed + self._waited, between_s)
+            passed = self._times.elapsed(time_100ns, elapsed + self._waited, received_s)
             if passed <= 0.0:
                 if passed == REPEATED and self._last is not None:
                     return self._last
@@ -339,7 +338,8 @@ class SignalChain:
 
     def miss(self) -> Feedback:
         """One sampling interval without a sample: the position coasts, flagged."""
-        self._waited += 1.0
+        if not self._recovery.lost:  # then nobody asks how long it was
+            self._waited += 1.0
         track, bits = self._recovery.bad(1.0, missed=True)
         self._clock += 1.0
         self._before = None

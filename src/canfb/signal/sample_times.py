@@ -32,6 +32,7 @@ class SampleTimes:
         "_earlier_times",
         "_first_s",
         "_last",
+        "_received_s",
         "_suspect",
         "_suspected",
         "interval_s",
@@ -44,6 +45,7 @@ class SampleTimes:
     def forget(self) -> None:
         """The next time is the first one."""
         self._last: int | None = None
+        self._received_s: float | None = None  # when that was received
         self._suspect: int | None = None
         self._suspected = 0.0  # intervals counted up to it
         self._earlier: int | None = None  # the last time that was REPEATED
@@ -56,18 +58,18 @@ class SampleTimes:
         """The interval in which elapsed times are given, seconds; 0.0 before it is known."""
         return self.interval_s or self._first_s
 
-    def elapsed(self, time_100ns: int, counted: float, between_s: float | None = None) -> float:
+    def elapsed(self, time_100ns: int, counted: float, received_s: float | None = None) -> float:
         """Intervals since the last sample that was taken, above 0; or what is wrong with this time.
 
-        ``counted`` intervals have passed by the count of SYNCs, ``between_s`` seconds between the two
-        receptions, None if that is not known. REPEATED: it is that of the last
+        ``counted`` intervals have passed by the count of SYNCs; the sample was received at
+        ``received_s``, seconds, None if that is not known. REPEATED: it is that of the last
         sample or of one before. SUSPECT: it fits nothing, the next time must show whether it or the
         clock is wrong; the sample is not to be used. RESTARTED: the clock was, and how long the
         interval was cannot be known.
         """
         last = self._last
         if last is None:
-            self._last = time_100ns
+            self._accept(time_100ns, received_s)
             return counted
         ticks = (time_100ns - last) % TICKS
         if ticks >= HALF_TICKS:
@@ -79,18 +81,24 @@ class SampleTimes:
             self._first_s = unit = ticks * TICK_S / counted
         intervals = ticks * TICK_S / unit
         least = CLOSEST if counted < 1.5 else counted - SPARE_BEFORE
-        received = between_s is not None and abs(ticks * TICK_S - between_s) <= SPARE_S + SPARE_PART * unit
-        if least <= intervals <= counted + SPARE_AFTER and (received or between_s is None):
-            self._last, self._suspect = time_100ns, None
+        apart = self._apart_s(received_s)
+        agrees = apart is not None and abs(ticks * TICK_S - apart) <= SPARE_S + SPARE_PART * unit
+        in_turn = least <= intervals <= counted + SPARE_AFTER and (agrees or apart is None)
+        if in_turn or (agrees and intervals > counted):  # or there were SYNCs that nobody heard
+            self._accept(time_100ns, received_s)
             return intervals
-        if received and intervals > counted:
-            self._last, self._suspect = time_100ns, None
-            return intervals  # SYNCs that nobody heard
         if -OLDEST <= intervals < least:
-            return self._repeated(time_100ns, counted, unit)
-        return self._doubted(time_100ns, counted, unit)
+            return self._repeated(time_100ns, counted, unit, received_s)
+        return self._doubted(time_100ns, counted, unit, received_s)
 
-    def _repeated(self, time_100ns: int, counted: float, unit: float) -> float:
+    def _apart_s(self, received_s: float | None) -> float | None:
+        """Seconds between the receptions of the last sample that was taken and of this one."""
+        return None if received_s is None or self._received_s is None else received_s - self._received_s
+
+    def _accept(self, time_100ns: int, received_s: float | None) -> None:
+        self._last, self._received_s, self._suspect = time_100ns, received_s, None
+
+    def _repeated(self, time_100ns: int, counted: float, unit: float, received_s: float | None) -> float:
         """An earlier sample; unless all that come are earlier ones, and as far apart as they are counted."""
         earlier, self._earlier = self._earlier, time_100ns
         since, self._earlier_counted = counted - self._earlier_counted, counted
@@ -99,10 +107,11 @@ class SampleTimes:
         self._earlier_times = self._earlier_times + 1 if goes_on else 0
         if self._earlier_times < EARLIER_TIMES:
             return REPEATED
-        self._last, self._earlier_times = time_100ns, 0
+        self._accept(time_100ns, received_s)
+        self._earlier_times = 0
         return RESTARTED
 
-    def _doubted(self, time_100ns: int, counted: float, unit: float) -> float:
+    def _doubted(self, time_100ns: int, counted: float, unit: float, received_s: float | None) -> float:
         suspect, self._suspect = self._suspect, time_100ns
         since, self._suspected = counted - self._suspected, counted
         if suspect is None or since <= 0.0:
@@ -111,5 +120,5 @@ class SampleTimes:
         if abs(ticks * TICK_S / unit - since) > SPARE_AFTER:
             return SUSPECT
         # Two times in a row agree with each other and not with the last good one.
-        self._last, self._suspect = time_100ns, None
+        self._accept(time_100ns, received_s)
         return RESTARTED
