@@ -33,7 +33,9 @@ def calibrated(text: str, folder: Path) -> tuple[FeedbackModule, EmbeddedBus, fl
     config = parse_config(text)
     simulate = build_parser().parse_args(["simulate", "feedback.yaml", "--rate", str(RATE_HZ)])
     bus, module = EmbeddedBus(), FeedbackModule(config.modules[0])
-    interface = EncoderInterface(config.modules[0].encoder_interface, chosen_source(simulate, config))
+    interface = EncoderInterface(
+        config.modules[0].encoder_interface, chosen_source(simulate, config), times=config.modules[0].times
+    )
     master = EmbeddedMaster(bus)
     for device in (module, interface, SyncProducer(1.0 / RATE_HZ)):
         bus.attach(device)

@@ -163,6 +163,7 @@ def test_beyond_15_the_event_timer_starts_anew(tester: Tester) -> None:
 
 def test_beyond_15_inhibit_time(module: Tester) -> None:
     """30 ms between frames; the one that waited has the newest data."""
+    module.write(0x2010, 6, 255, 1)  # SYNCs that end later on are no samples
     module.write(0x1800, 1, 0xC00001A0, 4)
     module.write(0x1800, 3, 300, 2)
     module.write(0x1A00, 0, 0, 1)
@@ -180,15 +181,27 @@ def test_beyond_15_inhibit_time(module: Tester) -> None:
     assert counts == [1, 4, 8, 10]
 
 
+def remote_only_refused(tester: Tester, index: int, kind: int, *, valid: bool) -> None:
+    """On remote frames, and none allowed: refused with the type, or when the PDO is made valid."""
+    if valid:
+        tester.refuse(f"2F {m(index, 2)} {kind:02X}", "06090030")
+        return
+    before, cob_id = tester.read(index, 2), tester.read(index, 1)
+    tester.write(index, 2, kind, 1)
+    tester.refuse(f"23 {m(index, 1)} {little(cob_id & 0x7FFFFFFF, 4)}", "06090030")
+    tester.write(index, 2, before, 1)
+
+
 def test_beyond_16_reserved_types(tester: Tester) -> None:
     for number in tester.tpdos:
         index = 0x1800 + number - 1
         before = tester.read(index, 2)
         for kind in range(0xF1, 0xFC):
             tester.refuse(f"2F {m(index, 2)} {kind:02X}", "06090030")
-        if tester.read(index, 1) >> 30 & 1:
+        cob_id = tester.read(index, 1)
+        if cob_id >> 30 & 1:
             for kind in (0xFC, 0xFD):
-                tester.refuse(f"2F {m(index, 2)} {kind:02X}", "06090030")
+                remote_only_refused(tester, index, kind, valid=not cob_id >> 31)
         assert tester.read(index, 2) == before
     for number in tester.rpdos:
         index = 0x1400 + number - 1

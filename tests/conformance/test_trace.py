@@ -142,7 +142,7 @@ FIELDS = (
     "Error code: Protocol error - PDO not processed due to length error (0x8210)",
     "Error code: Error reset or no error (0x0000)",
     "Time stamp: Nov  9, 2028 00:00:00",
-    "Error register: 0x11, Generic error, Communication error (overrun, error state)",
+    "0x31, Generic error, Communication error (overrun, error state), Device profile specific",
     "Number of segments per block: 31",
 )
 

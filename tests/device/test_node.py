@@ -37,11 +37,20 @@ def test_remote_frames_where_none_is_meant(bench: Bench) -> None:
     assert bench.node.state is NmtState.OPERATIONAL
 
 
-@pytest.mark.parametrize("can_id", [0x123, 0x621, 0x5A1, 0x721, 0x1A1, 0x800, 0x1FFFFFFF, -1])
+@pytest.mark.parametrize("can_id", [0x123, 0x621, 0x5A1, 0x721, 0x1A1])
 def test_unknown_ids(bench: Bench, can_id: int) -> None:
     bench.operational()
     assert bench.send(can_id, "4000100000000000") == []
     assert bench.node.counters.unknown_cob_ids == 1
+    assert bench.node.counters.malformed_frames == 0
+
+
+@pytest.mark.parametrize("can_id", [0x800, 0x1FFFFFFF, -1])
+def test_what_is_no_id_at_all(bench: Bench, can_id: int) -> None:
+    bench.operational()
+    assert bench.send(can_id, "4000100000000000") == []
+    assert bench.node.counters.malformed_frames == 1
+    assert bench.node.counters.unknown_cob_ids == 0
 
 
 def test_the_timestamp_is_not_looked_at(bench: Bench) -> None:
