@@ -1,0 +1,297 @@
+"""Time as the module sees it: frames with receive times, late, missing or twice; nothing wrong is valid."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from itertools import pairwise
+from typing import NamedTuple
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.device.frame import Frame
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.supervision import COASTING, LOST, VALID
+
+NODE, INTERFACE = 0x20, 0x10
+PERIOD_S = 4e-3
+ADC = 0.25  # periods from the SYNC to the ADC PDO
+SPEED = 0.3  # cycles per period
+TOLERANCE = 0.04  # cycle: the tracks without a table
+UPLOAD_STATUS = Frame(0x600 + NODE, bytes.fromhex("4011200100000000"))
+BOTH = pytest.mark.parametrize("stamped", [True, False], ids=["stamped", "unstamped"])
+Motion = Callable[[float], float]
+
+
+class Position(NamedTuple):
+    """A position PDO: when it was sent, periods; the status word; position and truth, cycles.
+
+    The truth is where the machine was at the SYNC of the last sample that was given.
+    """
+
+    at: float
+    status: int
+    cycles: float
+    truth: float
+
+    @property
+    def valid(self) -> bool:
+        return bool(self.status & VALID)
+
+
+class Machine:
+    """A module, and by hand the SYNCs and the samples of a machine whose position is known at any time."""
+
+    def __init__(
+        self,
+        stamped: bool = True,
+        motion: Motion = lambda at: SPEED * at,
+        entries: dict[tuple[int, int], int] | None = None,
+    ) -> None:
+        self.module = FeedbackModule(ModuleConfig(node_id=NODE))
+        for place, value in (entries or {}).items():
+            self.module.dictionary.entry(*place).value = value
+        self.stamped, self.motion = stamped, motion
+        self.positions: list[Position] = []
+        self.sampled = 0  # the SYNC of the last sample
+        self.emergencies: list[tuple[float, int]] = []
+        self.module.start(0.0)
+        self.nmt(1, 0.0)
+
+    def until(self, at: float) -> None:
+        """Serve the deadlines up to this time, periods."""
+        while (due := self.module.deadline()) is not None and due <= at * PERIOD_S:
+            self._note(self.module.tick(due), due)
+
+    def give(self, frame: Frame, at: float) -> list[Frame]:
+        self.until(at)
+        now = at * PERIOD_S
+        sent = self.module.receive(frame._replace(timestamp=now if self.stamped else None), now)
+        self._note(sent, now)
+        return sent
+
+    def _note(self, frames: list[Frame], now: float) -> None:
+        for frame in frames:
+            if frame.can_id == 0x180 + NODE:
+                feedback = self.module.feedback
+                cycles = math.nan if feedback is None else feedback.cycles + feedback.phase
+                status = struct.unpack_from("<H", frame.data, 4)[0]
+                truth = self.motion(self.sampled) - math.floor(self.motion(1))
+                self.positions.append(Position(now / PERIOD_S, status, cycles, truth))
+            elif frame.can_id == 0x80 + NODE:
+                self.emergencies.append((now, struct.unpack_from("<H", frame.data)[0]))
+
+    def nmt(self, command: int, at: float) -> None:
+        self.give(Frame(0, bytes([command, NODE])), at)
+
+    def sync(self, k: float) -> None:
+        self.give(Frame(0x80, b""), float(k))
+
+    def sample(self, k: int, at: float | None = None, off: float = 0.0) -> None:
+        """The ADC PDO with the sample of SYNC k, usually a quarter of a period after it."""
+        angle = 2 * math.pi * (self.motion(k) + off)
+        data = struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+        at = k + ADC if at is None else at
+        self.until(at)
+        self.sampled = k
+        self.give(Frame(0x180 + INTERFACE, data), at)
+
+    def cycle(self, k: int) -> None:
+        self.sync(k)
+        self.sample(k)
+
+    def run(self, first: int, after: int) -> list[Position]:
+        before = len(self.positions)
+        for k in range(first, after):
+            self.cycle(k)
+        return self.positions[before:]
+
+    def status(self, at: float) -> int:
+        """2011:01 by SDO."""
+        (answer,) = (frame for frame in self.give(UPLOAD_STATUS, at) if frame.can_id == 0x580 + NODE)
+        return int(struct.unpack_from("<H", answer.data, 4)[0])
+
+    def counter(self, subindex: int) -> int:
+        return int(self.module.dictionary.entry(0x2012, subindex).value)
+
+    def right(self) -> bool:
+        """No valid position is wrong."""
+        return all(abs(one.cycles - one.truth) < TOLERANCE for one in self.positions if one.valid)
+
+
+def ramped(speed: float) -> Motion:
+    """From standstill to ``speed``, cycles per period, in 40 periods."""
+    return lambda at: speed * (at * at / 80 if at < 40 else at - 20)
+
+
+@BOTH
+@pytest.mark.parametrize("periods", [2, 3, 5, 20])
+def test_when_sync_stops_nothing_is_valid_after_so_many_periods(periods: int, stamped: bool) -> None:
+    """Not in a TPDO of the event timer, and not by SDO."""
+    machine = Machine(stamped, entries={(0x2010, 6): periods, (0x1800, 5): 1})
+    machine.run(1, 60)
+    limit = 59.0 + periods
+    assert machine.status(limit - 0.05) & VALID
+    assert not machine.status(limit + 0.01) & VALID
+    machine.until(limit + 50)
+    after = [one for one in machine.positions if one.at > limit + 0.01]
+    assert len(after) > 40
+    assert not any(one.valid for one in after)
+    assert after[-1].status & LOST
+    assert 0x7300 in [code for _, code in machine.emergencies]
+    assert machine.right()
+
+
+@BOTH
+def test_when_only_the_samples_stop_nothing_is_valid_either(stamped: bool) -> None:
+    machine = Machine(stamped, entries={(0x1800, 5): 1})
+    machine.run(1, 60)
+    for k in range(60, 80):
+        machine.sync(k)
+    assert not any(one.valid for one in machine.positions if one.at > 61.01)
+    assert not machine.status(80.0) & VALID
+    assert machine.right()
+
+
+@BOTH
+def test_the_same_adc_pdo_twice_is_a_bad_frame_and_nothing_else(stamped: bool) -> None:
+    machine = Machine(stamped)
+    machine.run(1, 60)
+    for k in range(60, 90):
+        machine.cycle(k)
+        machine.sample(k, k + ADC + 0.1)
+    assert machine.counter(8) == 30
+    assert len(machine.positions) == 89, "one position for each sample"
+    assert all(one.valid for one in machine.positions[5:])
+    assert machine.right()
+
+
+@BOTH
+@pytest.mark.parametrize("off", [0.1, 0.4, 0.5])
+def test_another_adc_pdo_for_the_same_sync_is_not_counted_as_a_sample(off: float, stamped: bool) -> None:
+    """Of a second interface, or of a SYNC that only the interface heard: the position is not certain."""
+    machine = Machine(stamped)
+    machine.run(1, 60)
+    machine.cycle(60)
+    machine.sample(60, 60 + ADC + 0.2, off)
+    assert machine.counter(8) == 1
+    assert not machine.positions[-1].valid
+    machine.run(61, 120)
+    assert machine.right()
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.05, 0.3, 0.45, 3.3])
+@pytest.mark.parametrize("lost", [1, 2, 3])
+def test_syncs_that_only_the_interface_heard(lost: int, speed: float) -> None:
+    """Their samples come, and show by their times that there was a SYNC."""
+    machine = Machine(True, ramped(speed))
+    machine.run(1, 100)
+    for k in range(100, 100 + lost):
+        machine.sample(k)
+    machine.run(100 + lost, 160)
+    assert machine.counter(14) == lost
+    assert machine.right()
+    assert all(one.valid for one in machine.positions[-20:]), "it goes on"
+
+
+@BOTH
+@pytest.mark.parametrize("lost", [1, 2, 3, 10])
+def test_syncs_that_nobody_heard(lost: int, stamped: bool) -> None:
+    machine = Machine(stamped)
+    machine.run(1, 100)
+    machine.run(100 + lost, 160)
+    assert machine.right()
+    if stamped:
+        assert machine.counter(1) == lost
+    if lost <= 3 and stamped:
+        assert all(one.valid for one in machine.positions[-20:])
+
+
+@given(st.lists(st.sampled_from(["both", "sync", "sample", "none"]), max_size=80), st.booleans())
+def test_whatever_is_lost_no_position_is_wrong(heard: list[str], stamped: bool) -> None:
+    machine = Machine(stamped)
+    machine.run(1, 50)
+    for k, what in enumerate(heard, 50):
+        if what in ("both", "sync"):
+            machine.sync(k)
+        if what in ("both", "sample"):
+            machine.sample(k)
+    end = 50 + len(heard)
+    machine.run(end, end + 20)
+    assert machine.right()
+
+
+@BOTH
+@pytest.mark.parametrize("speed", [0.01, 0.3, 0.6, -0.3])
+def test_a_pause_while_the_machine_turns_loses_the_position(speed: float, stamped: bool) -> None:
+    machine = Machine(stamped, ramped(speed))
+    machine.run(1, 60)
+    machine.nmt(0x80, 59.9)
+    machine.nmt(1, 360.4)
+    assert machine.counter(5) == 0
+    after = machine.run(361, 400)
+    assert all(one.status & LOST and not one.valid for one in after)
+
+
+@BOTH
+def test_after_a_pause_at_standstill_four_samples_confirm_the_position(stamped: bool) -> None:
+    machine = Machine(stamped, lambda at: 3.7)
+    machine.run(1, 60)
+    machine.nmt(0x80, 59.9)
+    machine.nmt(1, 360.4)
+    after = machine.run(361, 400)
+    assert [one.status for one in after[:4]] == [COASTING] * 4
+    assert all(one.valid for one in after[4:])
+    assert machine.right()
+
+
+@pytest.mark.parametrize("bad_each", [2, 3, 7])
+def test_an_alarm_that_comes_and_goes_sends_ten_pairs_of_emcy_a_second(bad_each: int) -> None:
+    machine = Machine(True, lambda at: 0.2)
+    machine.run(1, 20)
+    for k in range(20, 1020):
+        machine.sync(k)
+        if k % bad_each:
+            machine.sample(k)
+        else:
+            machine.give(Frame(0x180 + INTERFACE, bytes(4)), k + ADC)
+    seconds = 1000 * PERIOD_S
+    codes = [code for _, code in machine.emergencies]
+    assert 0 < codes.count(0x7300) <= 10 * seconds + 1
+    assert codes.count(0x0000) <= 10 * seconds + 1
+    assert codes[0] == 0x7300
+    assert all(one != other for one, other in pairwise(codes)), "in turn"
+
+
+@BOTH
+@pytest.mark.parametrize("gap", [1, 2, 3, 10])
+def test_a_synchronous_rpdo_over_a_gap(gap: int, stamped: bool) -> None:
+    """The sample of SYNC k is taken at SYNC k + 1: after a gap it is one that nobody can place."""
+    machine = Machine(stamped, entries={(0x1400, 2): 1})
+    machine.run(1, 60)
+    assert machine.positions[-1].valid
+    machine.run(60 + gap, 120)
+    assert machine.right()
+    assert machine.counter(8) == 0
+    first = next(one for one in machine.positions if one.at >= 60)
+    assert not first.valid
+    if stamped and gap < 3:
+        assert all(one.valid for one in machine.positions[-20:])
+
+
+@BOTH
+def test_a_late_adc_pdo_is_not_the_answer_to_the_next_sync(stamped: bool) -> None:
+    machine = Machine(stamped)
+    machine.run(1, 100)
+    machine.sync(100)
+    machine.sync(101)
+    machine.sample(100, 101.02)
+    machine.sample(101)
+    machine.run(102, 140)
+    assert machine.counter(8) == 1
+    assert machine.right()
+    assert all(one.valid for one in machine.positions[-20:])
