@@ -37,7 +37,8 @@ class Session:
         arguments = ["simulate", "feedback.yaml", "--rate", str(self.rate_hz), *self.options]
         self.source: Any = chosen_source(build_parser().parse_args(arguments), self.config)
         self.module = FeedbackModule(self.config.modules[0])
-        self.interface = EncoderInterface(self.config.modules[0].encoder_interface, self.source)
+        config = self.config.modules[0]
+        self.interface = EncoderInterface(config.encoder_interface, self.source, times=config.times)
         self.bus = EmbeddedBus()
         for device in (self.module, self.interface, SyncProducer(1.0 / self.rate_hz)):
             self.bus.attach(device)

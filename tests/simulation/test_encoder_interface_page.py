@@ -69,7 +69,8 @@ def test_the_keys_are_read_and_go_where_they_belong() -> None:
     text = (
         "modules: [{node_id: 32}]\n"
         "simulation: {sync_jitter_us: 100, sync_jitter_rms_us: 5, sync_drift_ppm: -50, bus_load: 0.3,"
-        " bus_bit_rate: 500000, clock_drift_ppm: 100, aperture_jitter_ns: 20, seed: 9}\n"
+        " bus_bit_rate: 500000, clock_drift_ppm: 100, aperture_jitter_ns: 20, pace: sync,"
+        " sync_period_us: 500, seed: 9}\n"
     )
     simulation = parse_config(text).simulation
     assert dataclasses.asdict(simulation) | {"encoder": 0, "motion": 0} == {
@@ -83,6 +84,8 @@ def test_the_keys_are_read_and_go_where_they_belong() -> None:
         "drive": None,
         "clock_drift_ppm": 100,
         "aperture_jitter_ns": 20,
+        "pace": "sync",
+        "sync_period_us": 500,
         "seed": 9,
     }
     clock = simulation.sample_clock()

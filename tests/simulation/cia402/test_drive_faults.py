@@ -217,6 +217,8 @@ def test_a_reset_of_the_communication_keeps_the_fault_and_tells_it_again() -> No
 @pytest.mark.parametrize("timeout_ms", [10, 100])
 def test_without_sync_the_torque_goes_off_in_time(timeout_ms: int) -> None:
     bench = cruising()
+    bench.module_master.sdo[0x2010][6].raw = 255  # else the module says first that its position is not valid
+    onward(bench)
     bench.write(0x2110, timeout_ms, 8)
     bench.bus.run_until(bench.bus.now + timeout_ms / 1000 - 1e-6)
     assert bench.state is State.OPERATION_ENABLED
@@ -226,8 +228,10 @@ def test_without_sync_the_torque_goes_off_in_time(timeout_ms: int) -> None:
 
 def test_the_supervision_of_the_sync_can_be_switched_off() -> None:
     bench = cruising()
+    bench.module_master.sdo[0x2010][6].raw = 255
+    onward(bench)
     bench.write(0x2110, 0, 8)
-    bench.bus.run_until(bench.bus.now + 10.0)
+    bench.bus.run_until(bench.bus.now + 0.25)
     assert bench.state is State.OPERATION_ENABLED
 
 
