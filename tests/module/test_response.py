@@ -13,7 +13,7 @@ USUAL_S = 2.5e-4
 
 
 def judge(response: Response, delay_s: float, after_gap: bool = False) -> Answer:
-    return response.judge(delay_s, PERIOD_S, after_gap)
+    return response.judge(delay_s, delay_s, PERIOD_S, after_gap)
 
 
 def learned(usual_s: float = USUAL_S, jitter_s: float = 0.0, samples: int = 64) -> Response:

@@ -292,6 +292,7 @@ def test_a_late_adc_pdo_is_not_the_answer_to_the_next_sync(stamped: bool) -> Non
     machine.sample(100, 101.02)
     machine.sample(101)
     machine.run(102, 140)
-    assert machine.counter(8) == 1
     assert machine.right()
-    assert all(one.valid for one in machine.positions[-20:])
+    if stamped:  # else the SYNC may have been heard late
+        assert machine.counter(8) == 1
+        assert all(one.valid for one in machine.positions[-20:])

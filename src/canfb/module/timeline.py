@@ -29,7 +29,7 @@ PATIENCE_SYNCS = 64  # that come on time, a whole period late: then SYNCs were l
 FASTER_SYNCS = 8  # regular SYNCs that all come too early are another rate
 RATE_AGREEMENT = 0.25
 SHORT = 0.6  # period: SYNCs that are regular and nearer together than that
-WHOLE = 0.75  # period: a SYNC this long after the one before is no duplicate of it
+WHOLE = 0.85  # period: a SYNC this long after the one before is no duplicate of it
 UNSETTLED_S = 0.5  # taken for a period where none is known
 
 
@@ -175,7 +175,9 @@ class Timeline:
         unheard = counted + turns * turn
         if unheard < 0 and early:
             return self._too_early(time_s, counter)
-        unheard = max(unheard, 0)
+        if unheard < 0:
+            self._take(time_s, time_s, counter)
+            return DOUBT
         error = lag - unheard
         apart = (time_s - self._heard_s) / period
         if error < -HALF or (proved and error > HALF):

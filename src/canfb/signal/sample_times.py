@@ -8,6 +8,8 @@ held against the number of intervals that were counted.
 
 from __future__ import annotations
 
+import math
+
 TICK_S = 1e-7  # 2000:05
 TICKS = 1 << 32
 HALF_TICKS = TICKS // 2
@@ -15,6 +17,7 @@ OLDEST = 64.0  # intervals: a time that lies no further back is that of an earli
 CLOSEST = 0.25  # intervals: samples nearer together would tell the speed too badly
 EARLIER_TIMES = 3  # in a row that go on with the count of SYNCs, after the first: the clock was set back
 SPARE_BEFORE, SPARE_AFTER = 0.5, 0.95  # intervals, around the number that was counted
+CLOSE = 0.35  # interval: sample time and reception agree, and a late PDO would not
 SPARE_S, SPARE_PART = 0.5e-3, 0.3  # seconds and intervals: a bus and a host delay a PDO so much
 REPEATED, SUSPECT, RESTARTED = -1.0, -2.0, -3.0
 
@@ -80,9 +83,11 @@ class SampleTimes:
                 return REPEATED
             self._first_s = unit = ticks * TICK_S / counted
         intervals = ticks * TICK_S / unit
-        least = CLOSEST if counted < 1.5 else counted - SPARE_BEFORE
         apart = self._apart_s(received_s)
-        agrees = apart is not None and abs(ticks * TICK_S - apart) <= SPARE_S + SPARE_PART * unit
+        error_s = math.inf if apart is None else abs(ticks * TICK_S - apart)
+        # The receptions say how long it was even where SYNCs came too near together to count well.
+        least = CLOSEST if counted < 1.5 or error_s < CLOSE * unit else counted - SPARE_BEFORE
+        agrees = error_s <= SPARE_S + SPARE_PART * unit
         in_turn = least <= intervals <= counted + SPARE_AFTER and (agrees or apart is None)
         if in_turn or (agrees and intervals > counted):  # or there were SYNCs that nobody heard
             self._accept(time_100ns, received_s)
