@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import can
+import numpy as np
 import pytest
 
 from canfb.cli.main import build_parser, main
@@ -191,3 +192,22 @@ def test_a_recording_is_played_onto_the_bus_and_ends_by_itself(
         (0x191, "900170fe"),
     ]
     assert heard[1:] == [*want, sync], "the SYNC after the last sample ends it"
+
+
+@pytest.mark.parametrize("how", ["option", "key"])
+def test_in_slow_motion_the_samples_are_equidistant_however_late_the_sync_is(
+    how: str, config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """61.2 rpm of 2500 cycles at 1 kHz: 2.55 cycles per sample; 0.1 ms more would be a quarter of a cycle."""
+    path, options = tmp_path / "tracks.npz", ["--rpm", "61.2"]
+    if how == "option":
+        options += ["--pace", "sync"]
+    else:
+        Path(config).write_text(CONFIG.replace("simulation: {", "simulation: {pace: sync, "))
+    said = ["--rate", "1000", "--autostart", "--seconds", "0.1", "--record", str(path)]
+    assert main(["simulate", config, *options, *said]) == 0
+    capsys.readouterr()
+    tracks = np.load(path)
+    phases = np.arctan2(tracks["sine"], tracks["cosine"]) / (2.0 * np.pi)
+    assert len(phases) >= 100
+    assert np.abs(np.diff(phases) % 1.0 - 0.55).max() < 2e-3

@@ -216,8 +216,10 @@ class VirtualBus(can.BusABC):
         self._is_shutdown = True
 
 
-def message(frame: Frame) -> can.Message:
-    return can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False)
+def message(frame: Frame, received_s: float) -> can.Message:
+    return can.Message(
+        timestamp=received_s, arbitration_id=frame.can_id, data=frame.data, is_extended_id=False
+    )
 
 
 def test_all_in_one_process_on_a_runner_move_the_shaft() -> None:
@@ -230,21 +232,23 @@ def test_all_in_one_process_on_a_runner_move_the_shaft() -> None:
     clock = Clock()
     bus = VirtualBus(clock)
     devices: list[Device] = [axis.plant, interface, axis.drive, module]
-    runner = Runner(bus, devices, clock=lambda: clock.now, sleep=lambda seconds: None)
+    runner = Runner(bus, devices, clock=lambda: clock.now, sleep=lambda seconds: None, wall=lambda: clock.now)
     syncs = 0
 
     def finished() -> bool:
         nonlocal syncs
+        if bus.pending:
+            return False
         syncs += 1
         clock.now += 1e-3
-        bus.pending.append(message(Frame(0x80, b"")))
+        bus.pending.append(message(Frame(0x80, b""), clock.now))
         if syncs == 2:
-            bus.pending.append(message(Frame(0x000, b"\x01\x20")))
+            bus.pending.append(message(Frame(0x000, b"\x01\x20"), clock.now))
         for when, controlword in ((20, 0x06), (21, 0x07), (22, 0x0F)):
             if syncs == when:
-                bus.pending.append(message(Frame(0x230, struct.pack("<Hb", controlword, 8))))
+                bus.pending.append(message(Frame(0x230, struct.pack("<Hb", controlword, 8)), clock.now))
         if syncs >= 30:
-            bus.pending.append(message(Frame(0x330, struct.pack("<i", 1000))))
+            bus.pending.append(message(Frame(0x330, struct.pack("<i", 1000)), clock.now))
         return syncs > 600
 
     runner.run(finished)

@@ -147,3 +147,17 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
         RecordingSource(tmp_path / "nothing.csv", AB)
     with pytest.raises(CanfbError, match="cannot be read: Is a directory"):
         RecordingSource(tmp_path, AB)
+
+
+@pytest.mark.parametrize(
+    ("paced", "ticks"), [(False, [0, 10_000, 21_000, 30_000]), (True, [0, 50_000, 105_000, 150_000])]
+)
+def test_the_times_are_those_of_the_file_or_are_stretched_to_the_rate(
+    tmp_path: Path, paced: bool, ticks: list[int]
+) -> None:
+    """Rows of 1 kHz, one of them 0.1 ms late, played at 200 Hz."""
+    text = "t,a,b\n0,1,2\n0.001,3,4\n0.0021,5,6\n0.003,5,6\n"
+    layout = RecordingLayout(("a", "b"), time_column="t", time_stamps=True, interval_s=0.005, paced=paced)
+    source = RecordingSource(written(tmp_path, text), layout)
+    samples = [source.next() for _ in ticks]
+    assert [sample.time_100ns for sample in samples if sample] == ticks

@@ -249,4 +249,5 @@ def _layout(options: argparse.Namespace, times: bool, rate_hz: float) -> Recordi
         options.gap_samples,
         time_stamps=times and (options.time_column is not None or options.rate is not None),
         interval_s=1.0 / rate_hz,
+        paced=options.rate is not None,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
+import statistics
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -83,6 +84,8 @@ class RecordingLayout:
     time_stamps         the samples bring their time along: that of the time column, or without one a time
                         ``interval_s`` after the sample before
     interval_s          seconds from row to row where there is no time column
+    paced               with a time column: its times are stretched until rows are ``interval_s`` apart, as
+                        they are played, for a file that was recorded at another rate
     """
 
     columns: tuple[str, str]
@@ -92,6 +95,7 @@ class RecordingLayout:
     gap_samples: int = 20
     time_stamps: bool = False
     interval_s: float = 1e-3
+    paced: bool = False
 
 
 class RecordingSource:
@@ -101,6 +105,7 @@ class RecordingSource:
         self._rows = _read(Path(path), layout)
         self._layout = layout
         self._pauses = _pauses(self._rows, layout)
+        self._stretch = _stretch(self._rows, layout)
         self._waiting = 0
         self._next_row = 0
         self.row = -1
@@ -133,7 +138,7 @@ class RecordingSource:
         seconds, sine, cosine = self._rows[self.row]
         if self._layout.time_column is None:
             seconds = self.row * self._layout.interval_s
-        time = round(seconds / TICK_S) & 0xFFFFFFFF if self._layout.time_stamps else None
+        time = round(seconds * self._stretch / TICK_S) & 0xFFFFFFFF if self._layout.time_stamps else None
         return Sample(sine, cosine, time_100ns=time)
 
 
@@ -166,6 +171,14 @@ def _pauses(rows: list[tuple[float, int, int]], layout: RecordingLayout) -> dict
         for n, (row, after) in enumerate(itertools.pairwise(rows))
         if after[0] - row[0] > layout.gap_s
     }
+
+
+def _stretch(rows: list[tuple[float, int, int]], layout: RecordingLayout) -> float:
+    """By what the times of the rows are multiplied."""
+    if layout.time_column is None or not layout.paced or len(rows) < 2:
+        return 1.0
+    step_s = statistics.median(after[0] - row[0] for row, after in itertools.pairwise(rows))
+    return layout.interval_s / step_s if step_s > 0.0 else 1.0
 
 
 def _read(path: Path, layout: RecordingLayout) -> list[tuple[float, int, int]]:
