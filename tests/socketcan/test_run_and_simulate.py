@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import queue
 import re
 import signal
@@ -27,19 +26,17 @@ from network import (
     reset,
     slow_motion,
     start_command,
+    tolerate_late_syncs,
     wait_for_boot_up,
     write_config,
 )
 from pace import Pace
 
-from canfb import max_acceleration
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.supervision import StatusBit
 from processes import Process
 
 MOTION = "{standstill_s: 0.01, ramp_s: 0.5, rpm: 60}"
-CYCLES = 2500
-RAMP_S = 2.0
 
 
 @pytest.fixture
@@ -132,13 +129,11 @@ def bad_frames_are_answered_or_dropped_and_change_nothing(
 def test_the_simulator_can_produce_the_sync_and_the_other_signals(
     process: Callable[..., Process], tmp_path: Path, can_bus: can.BusABC, pace: Pace
 ) -> None:
-    """In true time: the machine turns on whatever happens, with a fifth of what eq. 10 allows."""
-    rpm = 60.0 / math.tau * RAMP_S * max_acceleration(CYCLES, pace.rate_hz, 1.0 / 3.0) / 5.0
-    motion = f"simulation: {{motion: {{standstill_s: 0.1, ramp_s: {RAMP_S}, rpm: {rpm}}}}}\n"
-    config = write_config(tmp_path, f"{TIMES}    autostart: true\n", motion)
+    config = write_config(tmp_path, f"{TIMES}    autostart: true\n", slow_motion(pace, MOTION))
     run = process("run", config)
     wait_for_boot_up(can_bus, pace, NODE_ID)
-    simulate = process("simulate", config, "--rate", f"{pace.rate_hz:.3g}")
+    tolerate_late_syncs(can_bus, pace)
+    simulate = process("simulate", config, "--rate", f"{1.0 / pace.period_s:.3g}")
     valid = 0
     while valid < 20:  # a process that gets no processor may miss some
         valid += position_fields(next_frame(can_bus, pace, POSITION_COB_ID))[1] & StatusBit.VALID
