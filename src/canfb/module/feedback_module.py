@@ -290,7 +290,7 @@ class FeedbackModule:
     def _follow_interval(self) -> None:
         """Take the nominal interval along, by which sample times are judged."""
         seconds = self._interval.seconds
-        if abs(seconds - self.chain.interval_s) > SAME_INTERVAL * seconds:
+        if seconds and abs(seconds - self.chain.interval_s) > SAME_INTERVAL * seconds:
             self.chain.interval_s = seconds
 
     def _on_sync_predicting(self, counter: int | None, now: float) -> None:
