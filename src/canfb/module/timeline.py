@@ -69,10 +69,10 @@ class Timeline:
         self._response = Response()
         self.pause()
 
-    def pause(self, withhold: int = 0) -> None:
-        """The next SYNC begins; the position is withheld for so many SYNCs."""
+    def pause(self) -> None:
+        """The next SYNC begins."""
         self.until = NEVER
-        self.withheld = withhold
+        self.withheld = 0
         self._grid_s: float | None = None  # when this SYNC was due, by the lock
         self._sync_s = 0.0  # when it was heard
         self._heard_s = 0.0  # when the last one was heard, duplicates too
@@ -210,7 +210,6 @@ class Timeline:
 
     def _late(self, time_s: float, counter: int | None, period: float, unheard: int, apart: float) -> Verdict:
         """Late, or some were not heard, and nobody knows: the lock stays where it was."""
-        self._behind = True
         self.withheld = CONFIRMING_SYNCS
         if apart > HALF:
             self._late_syncs += 1
