@@ -23,6 +23,7 @@ NODE_ID, INTERFACE_ID = 0x20, 0x10
 POSITION_COB_ID, ADC_COB_ID = 0x180 + NODE_ID, 0x180 + INTERFACE_ID
 SYNC = can.Message(arbitration_id=0x80, is_extended_id=False)
 LOOK_S = 0.2
+CLOSEST = 0.75  # periods between two SYNCs
 PERIODS = 200  # 2010:06: a SYNC may be so late
 TIMES = "    times: true\n"
 
@@ -118,7 +119,11 @@ def position_fields(data: bytes) -> tuple[int, int, int]:
 
 
 class Timer:
-    """The timer of a SYNC producer: it rings each ``period_s``, unless nobody waits for it."""
+    """The timer of a SYNC producer: it rings each ``period_s``, unless nobody waits for it.
+
+    After a ring that was heard late the next is left out: too soon after the last SYNC, a module would take
+    it for a duplicate.
+    """
 
     def __init__(self, pace: Pace) -> None:
         self.period_s = pace.period_s
@@ -133,6 +138,8 @@ class Timer:
         ring_s = self._next_s + late * self.period_s
         self._next_s = ring_s + self.period_s
         time.sleep(max(0.0, ring_s - now))
+        if self._next_s - time.monotonic() < CLOSEST * self.period_s:
+            self._next_s += self.period_s
 
 
 class Syncs(threading.Thread):
