@@ -37,13 +37,15 @@ class Producer:
 
     def __init__(self, bus: can.BusABC) -> None:
         self._bus = bus
-        self._next_s = time.monotonic()
+        self._next_s = self._sent_s = time.monotonic()
         bus.send(PATIENT)
 
     def send(self) -> None:
-        self._next_s += PERIOD_S
+        # A late one puts off those after it: too near together they would pass for duplicates.
+        self._next_s = max(self._next_s, self._sent_s) + PERIOD_S
         time.sleep(max(0.0, self._next_s - time.monotonic()))
         self._bus.send(SYNC)
+        self._sent_s = time.monotonic()
 
 
 class Machine:

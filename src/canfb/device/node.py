@@ -199,7 +199,9 @@ class Node(Hooks):
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at `now`; gives what is to be sent."""
-        self.moment.now = now
+        moment = self.moment
+        moment.now = moment.received = now
+        moment.proved = True  # a SYNC of its own goes out now
         self._agenda.tick(now)
         return self._sent()
 
