@@ -358,6 +358,7 @@ class FeedbackModule:
         self._alarm.reset()
         self._warnings.reset()
         self._interval.reset()
+        self.chain.interval_s = 0.0  # another master may send SYNC at another rate
         if communication_only:
             return
         self.chain.restart()
