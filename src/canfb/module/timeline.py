@@ -258,7 +258,7 @@ class Timeline:
         early = 0.0 if proved else max(0.0, self._sync_s - self._grid_s + self._early(period))
         verdict = self._response.judge(delay, delay + early, period, self.after_gap)
         if verdict is Answer.LATE:
-            return self._unheard(max(1, round((delay - self._response.usual_s) / period)), proved)
+            return self._unheard(delay, period, proved)
         if verdict is Answer.UNCLEAR:
             return DUPLICATE
         self.after_gap = False
@@ -272,12 +272,14 @@ class Timeline:
         delay = time_s - self._sync_s
         if delay < EARLY * period or (proved and not self._response.is_late(delay, period)):
             return DUPLICATE
-        return self._unheard(max(1, round((delay - self._response.usual_s) / period)), proved)
+        return self._unheard(delay, period, proved)
 
-    def _unheard(self, syncs: int, proved: bool) -> Verdict:
+    def _unheard(self, delay_s: float, period_s: float, proved: bool) -> Verdict:
+        """The ADC PDO answers a SYNC that was not heard, if it was not heard late itself."""
         if not proved:
             self.withheld, self._behind = CONFIRMING_SYNCS, True
             return LATE
+        syncs = max(1, round((delay_s - self._response.usual_s) / period_s))
         self.advance(syncs)
         return Verdict(unheard=syncs)
 
