@@ -228,11 +228,18 @@ class Node(Hooks):
         Types FEh and FFh are sent, at once or after the inhibit time; type 0 at the next SYNC.
         ValueError when the device has no such TPDO.
         """
+        self.moment.now = now
+        self.tpdo_trigger(number)(now)
+
+    def tpdo_trigger(self, number: int) -> Callable[[float], None]:
+        """What `trigger_tpdo` calls for this TPDO, with the time of the running call.
+
+        It holds until the node-ID changes. ValueError when the device has no such TPDO.
+        """
         tpdo = self._tpdos.get(number)
         if tpdo is None:
             raise ValueError(f"there is no TPDO {number}; the EDS has {sorted(self._tpdos)}")
-        self.moment.now = now
-        tpdo.trigger(now)
+        return tpdo.trigger
 
     def emergency(
         self,

@@ -130,7 +130,8 @@ class FeedbackModule:
                 self._take, self._miss, self._lose_count, self._publication.withhold, self.chain.repeats
             ),
         )
-        self._event_tpdos: list[int] = []
+        self._timeline = self._pairing.timeline
+        self._event_tpdos: list[Callable[[float], None]] = []
         self._alarm = PositionAlarm(self.node)
         self._paused_s = 0.0
         self._unconfirmed = 0  # samples after a pause that are not called valid yet
@@ -166,20 +167,20 @@ class FeedbackModule:
         ``frame.timestamp`` is when it was received, if the bus says it, and ``now`` is no earlier. A
         late caller first gives all the frames that wait, in their order, and then calls :meth:`tick`.
         """
-        until = self._pairing.timeline.until
+        until = self._timeline.until
         if now > until and (frame.timestamp is None or frame.timestamp > until):
             self._publication.withhold()
         return self.node.receive(frame, now)
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at ``now``; the frames to send."""
-        if now >= self._pairing.timeline.until:
+        if now >= self._timeline.until:
             self._overdue(now)
         return self.node.tick(now)
 
     def deadline(self) -> float | None:
         """When :meth:`tick` is to be called next, None for not at all."""
-        due, until = self.node.deadline(), self._pairing.timeline.until
+        due, until = self.node.deadline(), self._timeline.until
         if until == NEVER:
             return due
         return until if due is None or until < due else due
@@ -257,7 +258,7 @@ class FeedbackModule:
         if feedback.status & VALID:
             if timed:
                 self._pairing.valid(sample)
-            if self._unconfirmed or (self._pairing.timeline.withheld and not timed):
+            if self._unconfirmed or (self._timeline.withheld and not timed):
                 feedback = self._withheld(feedback)
         self._publish(feedback, now)
         if self._taps.open:
@@ -279,7 +280,7 @@ class FeedbackModule:
             if self._feedback is not None and not self._alarm.active:
                 self._alarm.report(False, self._feedback.status & ~VALID, now)
         if self.chain.lost:
-            self._pairing.timeline.until = NEVER
+            self._timeline.until = NEVER
 
     def _withheld(self, feedback: Feedback) -> Feedback:
         """What may be right, but is not confirmed."""
@@ -318,8 +319,8 @@ class FeedbackModule:
         if self._alarm.active or not status & VALID:
             self._alarm.report(bool(status & VALID), status, now)
         if send:
-            for number in self._event_tpdos:
-                self.node.trigger_tpdo(number, now)
+            for trigger in self._event_tpdos:
+                trigger(now)
         if (
             status != warnings.status
             or feedback.residual > warnings.near_cycles
@@ -332,7 +333,7 @@ class FeedbackModule:
             self._pairing.begin()
             self._resume(now)
         elif old is NmtState.OPERATIONAL:
-            timeline = self._pairing.timeline
+            timeline = self._timeline
             self._paused_s = timeline.synced_s if timeline.begun else now
             timeline.pause()
             self._recorder.stop()
@@ -384,7 +385,9 @@ class FeedbackModule:
         """A sample comes in whichever RPDOs carry its parts; some TPDOs go out with it."""
         self._input.configure()
         self._warnings.look_again()
-        self._event_tpdos = [number for number in TPDOS if self._is_event_tpdo(number)]
+        self._event_tpdos = [
+            self.node.tpdo_trigger(number) for number in TPDOS if self._is_event_tpdo(number)
+        ]
 
     def _is_event_tpdo(self, number: int) -> bool:
         cob_id, kind = (self.dictionary.entry(0x1800 + number - 1, subindex).value for subindex in (1, 2))

@@ -12,10 +12,12 @@ SMOOTHING = 1.0 / 32.0
 LARGEST_STEP = 0.4  # of the period: what one interval says at most
 KNOWN_INTERVALS = 32
 SHORTEST, LONGEST = 0.6, 1.5  # of the period: what lies outside is a gap, a duplicate or another rate
+USUAL_LONGEST = 1.0 + LARGEST_STEP  # of the period
 FIRST_INTERVALS = 5  # their median is the first estimate
 AGREEMENT = 0.2  # of the median
 LEAST_HEARD = 4  # to confirm 1006h
 HEARD_INTERVALS = 32  # where only the time is known at which somebody came round to a SYNC
+HEARD_STEP = 8  # of these, from one look at all of them to the next
 SLOWER_INTERVALS = 8  # so many long ones that agree are another rate, not gaps
 
 
@@ -30,6 +32,7 @@ class IntervalEstimate:
     __slots__ = (
         "_estimate_s",
         "_heard",
+        "_heard_left",
         "_intervals",
         "_last_s",
         "_long",
@@ -54,6 +57,7 @@ class IntervalEstimate:
         self._last_s: float | None = None
         self._long: list[float] = []
         self._heard: deque[float] = deque(maxlen=HEARD_INTERVALS + 1)
+        self._heard_left = 0  # events until these are looked at again
 
     @property
     def known_s(self) -> float:
@@ -75,13 +79,22 @@ class IntervalEstimate:
         """
         last, self._last_s = self._last_s, now
         if not proved:
-            self._event_heard(now)
+            self._heard.append(now)
+            if self._heard_left:
+                self._heard_left -= 1
+            else:
+                self._look_at_heard(now)
         elif last is not None and now > last:
-            self.measured(now - last)
+            interval_s, period = now - last, self.settled_s
+            # The usual one, as _approach would take it.
+            usual = SHORTEST * period < interval_s < USUAL_LONGEST * period
+            if usual and self._intervals >= KNOWN_INTERVALS and not self._long:
+                self.settled_s = self._estimate_s = period + (interval_s - period) * SMOOTHING
+            else:
+                self.measured(interval_s)
 
-    def _event_heard(self, now: float) -> None:
+    def _look_at_heard(self, now: float) -> None:
         heard = self._heard
-        heard.append(now)
         intervals = len(heard) - 1
         if intervals < 1 or now <= heard[0]:
             return
@@ -94,7 +107,8 @@ class IntervalEstimate:
             elif intervals >= LEAST_HEARD and abs(mean - nominal) < AGREEMENT * nominal:
                 self.settled_s = self._estimate_s = nominal
         elif intervals == HEARD_INTERVALS:
-            self._approach(mean)
+            self._heard_left = HEARD_STEP - 1
+            self._approach(mean, HEARD_STEP)
 
     def measured(self, interval_s: float) -> None:
         """One interval of this length, seconds, above 0."""
@@ -110,14 +124,15 @@ class IntervalEstimate:
         else:
             self._may_be_slower(interval_s)
 
-    def _approach(self, interval_s: float) -> None:
+    def _approach(self, interval_s: float, intervals: int = 1) -> None:
+        """It was this long in the mean over so many new ``intervals``."""
         period = self.settled_s
         step = interval_s - period
         largest = LARGEST_STEP * period
         if not -largest < step < largest:
             step = largest if step > 0.0 else -largest
-        self._intervals += 1
-        self.settled_s = self._estimate_s = period + step * max(SMOOTHING, 1.0 / self._intervals)
+        self._intervals += intervals
+        self.settled_s = self._estimate_s = period + step * max(SMOOTHING, 1.0 / self._intervals) * intervals
 
     def _settle(self, interval_s: float) -> None:
         recent = self._recent

@@ -89,11 +89,25 @@ class Pairing:
     def on_rpdo(self, number: int, now: float) -> None:
         """RPDO ``number`` has come, or is taken over at a SYNC."""
         parts = self._input
-        if self._stale or (number == parts.judged and not self._belongs_here(now)):
+        if self._stale:
             return
-        if parts.take(number):
+        if number == parts.judged:
+            if (
+                self._synced
+                and not self._tracks_came
+                and self.timeline.is_usual_answer(self._moment.received)
+            ):
+                self._tracks_came = True
+            elif not self._belongs_here(now):
+                return
+        if number == parts.alone or parts.take(number):
             self.sampled = True
-            self._sample_came |= self._take(parts.sample(), now)
+            sample = parts.sample()
+            received_s = None if sample.time_100ns is None else self._received_s()
+            if self._findings.take(sample, received_s, now):
+                self._sample_came = True
+            else:
+                self.count_bad_frame()
 
     def accepts_sync(self, counter: int | None, now: float) -> bool:
         """Before anything is done with a SYNC: is it one, and were there others that nobody heard?"""
@@ -103,14 +117,15 @@ class Pairing:
             _count(self._duplicate_syncs)
             self._extra_syncs = True
             return False
-        if self._input.is_ambiguous and not self._input.timed:
+        parts = self._input
+        if parts.is_synchronous and parts.is_ambiguous and not parts.timed:
             self.count_bad_frame()
             self._stale = True
         if verdict is ON_TIME:
             return True
         self._unheard = verdict.unheard
         self._findings.withhold()
-        self._stale |= self._input.is_synchronous
+        self._stale |= parts.is_synchronous
         if verdict.doubt and not self.timed:
             self._findings.lose_count(max(1.0, verdict.unheard), now)
         elif verdict.doubt:
@@ -122,9 +137,13 @@ class Pairing:
         if self._source is not None:
             self._sample_source(self._source, counter, now)
         else:
-            if not self._input.timed:
-                self._measure()
-            if self._input.give_up():
+            parts = self._input
+            if not parts.timed:
+                if self.timeline.withheld:
+                    self._interval.pause()
+                else:
+                    self._interval.event(self._moment.received, self._moment.proved)
+            if parts.arrived and parts.give_up():
                 self.count_bad_frame()
         if self._synced and self.sampled and not self._sample_came:
             self._miss(1, now)
@@ -218,19 +237,13 @@ class Pairing:
             self._sample_came = True
             if source.timed_s is not None:  # far more regular than the time at which a SYNC is heard
                 self._interval.event(source.timed_s)
-            self._take(sample, now)
-
-    def _take(self, sample: Sample, now: float) -> bool:
-        received_s = None if sample.time_100ns is None else self._received_s()
-        if self._findings.take(sample, received_s, now):
-            return True
-        self.count_bad_frame()
-        return False
+            if not self._findings.take(sample, None, now):
+                self.count_bad_frame()
 
     def _received_s(self) -> float | None:
         """When the tracks of this sample were received, seconds, if that is known."""
         moment = self._moment
-        if not moment.proved or self._input.is_synchronous or self._source is not None:
+        if not moment.proved or self._input.is_synchronous:
             return None
         return moment.received
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from enum import Enum
 
-GAIN = 1.0 / 16.0
 LEARNED_SAMPLES = 16
+GAIN = 1.0 / LEARNED_SAMPLES
+LEARNED_TOGETHER = 8
 WINDOW_SAMPLES = 128  # the shortest delay is that of one or two of these
 LEAST_PART = 0.7  # of the shortest delay: no PDO answers faster
 SPREADS = 4.0  # mean deviations around the usual delay, for a PDO after a gap
@@ -31,6 +32,9 @@ class Response:
     The PDO carries no mark of the SYNC that it answers. One that comes sooner than the interface has
     ever answered is late, and answers the SYNC before. Where the PDO of the SYNC before is still
     missing, only one at the usual time is taken.
+
+    For the hot path: a delay from ``low_s`` to ``high_s`` is that of the usual answer. It is not
+    judged, but put into ``taken``; :meth:`learn` is wanted when LEARNED_TOGETHER have come.
     """
 
     def __init__(self) -> None:
@@ -40,20 +44,44 @@ class Response:
         """Learn from the next samples."""
         self._seen = 0
         self._sooner = 0
+        self._in_window = 0
         self.usual_s = 0.0
         """The usual delay, seconds."""
         self._spread_s = 0.0
-        self._least_s = self._window_least_s = self._least_before_s = math.inf
+        self._window_least_s = self._least_before_s = math.inf
+        self._soonest_s = math.inf  # nothing answers faster
+        self.taken: list[float] = []
+        self.low_s, self.high_s = math.inf, -math.inf
+
+    def learn(self, period_s: float) -> None:
+        """The delays in ``taken``, seconds, all at once: nearly each sample brings one."""
+        delays, count = self.taken, len(self.taken)
+        if not count:
+            return
+        mean = sum(delays) / count
+        gain = GAIN * count
+        usual = self.usual_s
+        self._spread_s += (sum(abs(delay - usual) for delay in delays) / count - self._spread_s) * gain
+        self.usual_s += (mean - usual) * gain
+        self._sooner = 0
+        self._follow_least(min(delays), count)
+        delays.clear()
+        self._bound(period_s)
+
+    def _bound(self, period_s: float) -> None:
+        if self._seen >= LEARNED_SAMPLES:
+            self.low_s, self.high_s = self._soonest_s, self.usual_s + SPARE * period_s
 
     def judge(self, delay_s: float, longest_s: float, period_s: float, after_gap: bool) -> Answer:
         """The first PDO since a SYNC, ``delay_s`` after it, by no means more than ``longest_s``.
 
         ``after_gap``: the PDO of the SYNC before is missing.
         """
+        self.learn(period_s)
         if self._seen < LEARNED_SAMPLES:
             if self.is_late(delay_s, period_s):
                 return Answer.LATE
-        elif longest_s < LEAST_PART * self._least_s:
+        elif longest_s < self._soonest_s:
             self._sooner += 1
             if self._sooner >= RELEARN_SAMPLES:
                 self.forget()
@@ -62,7 +90,9 @@ class Response:
             return Answer.LATE
         elif self._is_unclear(delay_s, period_s, after_gap):
             return Answer.UNCLEAR
+        self._sooner = 0
         self._learn(delay_s)
+        self._bound(period_s)
         return Answer.ON_TIME
 
     def _is_unclear(self, delay_s: float, period_s: float, after_gap: bool) -> bool:
@@ -77,15 +107,20 @@ class Response:
         return delay_s > NEXT_DUE * period_s and delay_s - self.usual_s > LATER * period_s
 
     def _learn(self, delay_s: float) -> None:
-        self._sooner = 0
         if not self._seen:
             self.usual_s = delay_s
-        self._seen += 1
+        self._seen = min(self._seen + 1, LEARNED_SAMPLES)
         error = delay_s - self.usual_s
-        gain = max(GAIN, 1.0 / self._seen)
+        gain = 1.0 / self._seen
         self.usual_s += error * gain
         self._spread_s += (abs(error) - self._spread_s) * gain
-        if self._seen % WINDOW_SAMPLES == 0:
+        self._follow_least(delay_s, 1)
+
+    def _follow_least(self, delay_s: float, samples: int) -> None:
+        """The least delay of these samples; that of all is forgotten after one or two windows."""
+        self._in_window += samples
+        if self._in_window >= WINDOW_SAMPLES:
+            self._in_window = 0
             self._least_before_s, self._window_least_s = self._window_least_s, math.inf
         self._window_least_s = min(self._window_least_s, delay_s)
-        self._least_s = min(self._window_least_s, self._least_before_s)
+        self._soonest_s = LEAST_PART * min(self._window_least_s, self._least_before_s)

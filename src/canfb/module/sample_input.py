@@ -23,7 +23,12 @@ class SampleInput:
         self._node = node
         self._entries = [dictionary.entry(INPUT, n) for n in range(1, 8)]
         self._sine, self._cosine = self._entries[:2]
-        self._wanted = self._arrived = 0  # bit n: RPDO n
+        self._flags = self._entries[FLAGS - 1]
+        self._wanted = 0  # bit n: RPDO n
+        self.arrived = 0
+        """RPDOs of this sample that have come, bit n: RPDO n."""
+        self.alone: int | None = None
+        """The RPDO that brings the whole sample, if one does: no need to wait for others."""
         self.timed = False
         """Each sample brings its time."""
         self.judged: int | None = None
@@ -50,10 +55,11 @@ class SampleInput:
         if tracks is not None:
             parts = {number for number in (tracks, coarse, time, flags, place) if number is not None}
             self._wanted = sum(1 << number for number in parts)
+        self.alone = tracks if tracks is not None and self._wanted == 1 << tracks else None
         self._plain = tracks is not None and coarse is time is None
         self._with_coarse, self.timed = coarse is not None, time is not None
         self._with_flags, self._with_place = flags is not None, place is not None
-        self._arrived = 0
+        self.arrived = 0
         self._waiting = None if tracks is None else self._node.synchronous_rpdo(tracks)
         self.is_synchronous = self._waiting is not None
         self.judged = None if self.timed or self.is_synchronous else tracks
@@ -62,15 +68,15 @@ class SampleInput:
         """RPDO ``number`` has come; True if the sample is complete with it."""
         if not self._wanted >> number & 1:
             return False
-        self._arrived |= 1 << number
-        if self._arrived != self._wanted:
+        self.arrived |= 1 << number
+        if self.arrived != self._wanted:
             return False
-        self._arrived = 0
+        self.arrived = 0
         return True
 
     def give_up(self) -> bool:
         """The interval is over; True if parts of a sample came, but not all."""
-        parts, self._arrived = self._arrived, 0
+        parts, self.arrived = self.arrived, 0
         return parts != 0
 
     @property
@@ -85,7 +91,7 @@ class SampleInput:
 
     def sample(self) -> Sample:
         """The sample of the parts that have come."""
-        flags = self._entries[FLAGS - 1].value
+        flags = self._flags.value
         invalid = flags & SAMPLE_INVALID != 0
         if self._plain and not self._with_flags:  # the usual sample, made without its slow constructor
             return tuple.__new__(

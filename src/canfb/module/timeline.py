@@ -12,7 +12,7 @@ from typing import NamedTuple
 from canfb.device.dictionary import Dictionary
 from canfb.device.frame import NEVER
 from canfb.module.interval import IntervalEstimate
-from canfb.module.response import Answer, Response
+from canfb.module.response import LEARNED_TOGETHER, Answer, Response
 
 COUNTER_OVERFLOW = 0x1019
 PERIODS = (0x2010, 6)
@@ -20,6 +20,7 @@ PULLING = 0.25  # period: a SYNC that may have been heard late moves the lock if
 GAIN = 0.2  # of the lock on the SYNCs
 HALF = 0.5  # period: nearer to this SYNC, or to the one beside it
 JITTER_GAIN = 1.0 / 64.0
+FOLLOWED_TOGETHER = 8  # SYNCs
 FIRST_JITTER = 1.0 / 12.0  # period, mean deviation, before it is measured
 JITTERS = 6.0  # mean deviations: so early no SYNC comes
 LEAST_EARLY = 0.15  # period
@@ -82,6 +83,10 @@ class Timeline:
         self._late_syncs = 0
         self._early_syncs = 0
         self._jitter = FIRST_JITTER  # mean deviation from the lock, periods
+        self._tolerance = JITTERS * FIRST_JITTER  # periods: so much too early a SYNC is none
+        self._errors: list[float] = []  # of the lock, seconds, which are not in the jitter yet
+        self._period_s = 0.0
+        self._low_s, self._high_s = NEVER, 0.0  # error of a SYNC that needs no judgement, seconds
         self.after_gap = False
         """A sample was missed since the last one that came: the next may be that one, late."""
 
@@ -102,25 +107,40 @@ class Timeline:
 
     def sync(self, time_s: float, proved: bool, counter: int | None) -> Verdict:
         """A SYNC at ``time_s`` with its ``counter`` (None without 1019h)."""
-        grid, period = self._grid_s, self._interval.settled_s
-        if grid is not None and period and not self.withheld:
-            error = time_s - grid - period
-            half = HALF * period
-            if -self._early(period) < error < half and (counter is None or self._is_next(counter)):
-                self._jitter += (abs(error) / period - self._jitter) * JITTER_GAIN
-                self._grid_s = grid + period + error * GAIN
+        grid = self._grid_s
+        if grid is not None:
+            error = time_s - grid - self._period_s
+            if self._low_s < error < self._high_s and (counter is None or self._is_next(counter)):
+                self._grid_s = time_s - error * (1.0 - GAIN)
                 self._apart_s = time_s - self._heard_s
                 self._heard_s = self._sync_s = time_s
                 self._counter = counter
-                if self._early_syncs and self._apart_s > SHORT * period:
-                    self._early_syncs = 0
-                self.until = time_s + self._periods.value * period
+                self.until = time_s + self._periods.value * self._period_s
+                errors = self._errors
+                errors.append(error)
+                if len(errors) == FOLLOWED_TOGETHER:
+                    self._look_ahead()
                 return ON_TIME
-        return self._judged(time_s, proved, counter)
+        verdict = self._judged(time_s, proved, counter)
+        self._look_ahead()
+        return verdict
 
-    def _early(self, period: float) -> float:
-        """So much too early a SYNC is none, seconds."""
-        return min(HALF, max(LEAST_EARLY, JITTERS * self._jitter)) * period
+    def _look_ahead(self) -> None:
+        """Which of the next SYNCs need no judgement, and what each of them needs to know.
+
+        Jitter and period change slowly: to look at them with each SYNC would cost more than the rest.
+        """
+        self._period_s = period = self._interval.settled_s
+        self._low_s, self._high_s = NEVER, 0.0
+        if not period:
+            return
+        if errors := self._errors:
+            mean = sum(map(abs, errors)) / len(errors) / period
+            self._jitter += (mean - self._jitter) * JITTER_GAIN * len(errors)
+            errors.clear()
+        self._tolerance = min(HALF, max(LEAST_EARLY, JITTERS * self._jitter))
+        if not (self.withheld or self._early_syncs):
+            self._low_s, self._high_s = -self._tolerance * period, HALF * period
 
     def _is_next(self, counter: int) -> bool:
         last = self._counter
@@ -133,6 +153,8 @@ class Timeline:
             self._take(time_s, time_s, counter)
             return ON_TIME
         period = self._interval.settled_s
+        if period and not self.withheld and self._is_on_time(time_s, period, counter):
+            return ON_TIME
         counted = self._counted(counter)
         if not period:
             if counter is not None and counter == self._counter and not self._is_apart(time_s):
@@ -142,6 +164,19 @@ class Timeline:
         lag = (time_s - self._grid_s) / period - 1.0  # 0 for the next SYNC, on time
         turn = 1 if counter is None else max(1, self._overflow.value)
         return self._decided(time_s, proved, counter, period, lag, counted, turn)
+
+    def _is_on_time(self, time_s: float, period: float, counter: int | None) -> bool:
+        """The next SYNC, near the lock, which follows it."""
+        assert self._grid_s is not None
+        error = time_s - self._grid_s - period
+        early = self._tolerance * period
+        if not (-early < error < HALF * period and (counter is None or self._is_next(counter))):
+            return False
+        self._errors.append(error)
+        self._take(time_s, self._grid_s + period + error * GAIN, counter)
+        if self._apart_s > SHORT * period:
+            self._early_syncs = 0
+        return True
 
     def _is_apart(self, time_s: float) -> bool:
         """By what is known so far, this is more than half a period after the last SYNC."""
@@ -165,7 +200,7 @@ class Timeline:
         counted: int,
         turn: int,
     ) -> Verdict:
-        early = lag <= -self._early(1.0) and (time_s - self._heard_s) < WHOLE * period
+        early = lag <= -self._tolerance and (time_s - self._heard_s) < WHOLE * period
         if early and (counter is None or counted == turn - 1):
             return self._too_early(time_s, counter)
         if proved:
@@ -248,21 +283,39 @@ class Timeline:
     def _expect(self, time_s: float) -> None:
         self.until = time_s + self._periods.value * (self._interval.settled_s or UNSETTLED_S)
 
+    def is_usual_answer(self, time_s: float) -> bool:
+        """The first ADC PDO since the last SYNC answers it, as nearly each one does; learn from it.
+
+        False: :meth:`first_sample` knows more.
+        """
+        delay, response = time_s - self._sync_s, self._response
+        if not response.low_s <= delay <= response.high_s:
+            return False
+        taken = response.taken
+        taken.append(delay)
+        if len(taken) == LEARNED_TOGETHER:
+            response.learn(self._interval.settled_s)
+        self.after_gap = False
+        return True
+
     def first_sample(self, time_s: float, proved: bool) -> Verdict:
         """The first ADC PDO since the last SYNC: does it answer that one, or one before or after it?"""
         period = self._interval.settled_s
         if not period or self._grid_s is None:
             return ON_TIME
-        delay = time_s - self._sync_s
-        # A SYNC that was heard late may have come when it was due; not before that, or hardly.
-        early = 0.0 if proved else max(0.0, self._sync_s - self._grid_s + self._early(period))
-        verdict = self._response.judge(delay, delay + early, period, self.after_gap)
+        delay = longest = time_s - self._sync_s
+        if not proved:
+            # A SYNC that was heard late may have come when it was due; not before that, or hardly.
+            early = self._sync_s - self._grid_s + self._tolerance * period
+            if early > 0.0:
+                longest += early
+        verdict = self._response.judge(delay, longest, period, self.after_gap)
+        if verdict is Answer.ON_TIME:
+            self.after_gap = False
+            return ON_TIME
         if verdict is Answer.LATE:
             return self._unheard(delay, period, proved)
-        if verdict is Answer.UNCLEAR:
-            return DUPLICATE
-        self.after_gap = False
-        return ON_TIME
+        return DUPLICATE
 
     def another_sample(self, time_s: float, proved: bool) -> Verdict:
         """A further ADC PDO with no SYNC between: the same one, or the answer to a SYNC not heard."""
@@ -278,6 +331,7 @@ class Timeline:
         """The ADC PDO answers a SYNC that was not heard, if it was not heard late itself."""
         if not proved:
             self.withheld, self._behind = CONFIRMING_SYNCS, True
+            self._look_ahead()
             return LATE
         syncs = max(1, round((delay_s - self._response.usual_s) / period_s))
         self.advance(syncs)

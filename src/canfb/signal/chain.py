@@ -268,11 +268,12 @@ class SignalChain:
             track, bits = self._recovery.good(phase, elapsed, next_one)
         else:
             track, bits = self._recovery.bad(elapsed)
+        reference = self._reference
         if bits & LOST and (not measured or bits & RESIDUAL):
-            self._reference.slipped()
+            reference.slipped()
         jump = 0
         self._clock += elapsed
-        if coarse is not None or zero_pulse is not None or self._reference.in_doubt:
+        if coarse is not None or zero_pulse is not None or reference.in_doubt:
             before = self._before if measured else None
             bits, jump = self._reference.apply(sample, track, bits, before, self._clock, elapsed)
             self._referenced = REFERENCED if self._reference.zero.referenced else 0

@@ -192,9 +192,9 @@ class Recovery:
 
         ``next_one``: no sample was missed since the one before, however long the interval was.
         """
-        settled = not (self.lost or self._doubt)
-        if settled and elapsed == 1.0 and (followed := self.tracker.follow(phase)) is not None:
-            self._places.append((followed.cycles, phase, 1.0))
+        settled = not (self._doubt or self.lost)
+        if elapsed == 1.0 and settled and (followed := self.tracker.follow(phase)) is not None:
+            self._places.append((followed[0], phase, 1.0))
             return followed, VALID
         if self.lost:
             track = self.tracker.look(phase, elapsed)
