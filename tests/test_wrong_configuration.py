@@ -121,6 +121,16 @@ WRONG = {
         3,
         "max_acceleration_rad_s2 must be",
     ),
+    "a timeout of one period": (
+        "modules:\n- node_id: 3\n  sync_timeout_periods: 1\n",
+        3,
+        "sync_timeout_periods must be",
+    ),
+    "a nominal SYNC that is a number": (
+        "modules:\n- node_id: 3\n  nominal_sync: 2\n",
+        3,
+        "nominal_sync must be",
+    ),
     "a prediction that there is not": ("modules:\n- node_id: 3\n  predict: 3\n", 3, "predict must be false"),
     "the right one of two names alike": (
         "modules:\n- node_id: 3\n  conditioning:\n    sine_gain: 1\n    cosine_gain: 0\n",

@@ -25,6 +25,7 @@ modules:                                        # one process serves several nod
     coast_samples: 3                            # bad samples to bridge before the position is lost
     autostart: false                            # true: operational without a master
     # predict: true                             # synchronous PDOs carry the position of their SYNC (2013h)
+    # nominal_sync: true                        # the position of a SYNC without jitter (2013:02)
     # state_dir: /var/lib/canfb/x               # keeps what `save` (1010h) saves; without it, nothing is kept
     # source: {kind: iio, device: ads7950}      # the module's own ADC (Linux IIO) in place of the ADC PDO, or
     #                                           # {kind: recording, file: tracks.csv}, or {kind: motion}

@@ -24,6 +24,9 @@ class ModuleConfig(ChainConfig):
     max_acceleration_rad_s2  largest acceleration of the machine (2010:02); 0 = not known
     predict                  what synchronous TPDOs send (2013:01): False the measured position, True (or 1)
                              that at their SYNC if the speed stays, 2 if the acceleration stays
+    nominal_sync             True: with ``times`` the position is that of a SYNC without jitter (2013:02)
+    sync_timeout_periods     2..255: so many periods without SYNC or sample, and the position is not valid
+                             (2010:06)
     state_dir                folder for what `save` (1010h) keeps, made if it is missing; None: nothing
                              is saved. `canfb run` uses it; each module has its own
     autostart                True: operational without a master
@@ -36,6 +39,8 @@ class ModuleConfig(ChainConfig):
     source: SourceConfig | None = None
     max_acceleration_rad_s2: float = 0.0
     predict: bool | int = False
+    nominal_sync: bool = False
+    sync_timeout_periods: int = 2
     state_dir: str | None = None
     autostart: bool = False
 
@@ -56,7 +61,8 @@ class ModuleConfig(ChainConfig):
             raise ValueError("max_acceleration_rad_s2 must be 0 (not known) or positive, at most 1e9")
         if not isinstance(self.predict, int) or not 0 <= self.predict <= 2:
             raise ValueError(f"predict must be false, true, or 0, 1 or 2, not {self.predict!r}")
-        for name in ("times", "autostart"):
+        integer_in("sync_timeout_periods", self.sync_timeout_periods, 2, 255)
+        for name in ("times", "nominal_sync", "autostart"):
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name} must be true or false, not {getattr(self, name)!r}")
         if self.state_dir is not None and not _is_folder_name(self.state_dir):

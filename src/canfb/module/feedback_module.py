@@ -112,7 +112,9 @@ class FeedbackModule:
         )
         self._limits.on_applied = self._warnings.limits_changed
         CyclicTimer(self.dictionary, self.node.storage)
-        self._prediction = Prediction(self.dictionary, self._profile, self._choose_prediction)
+        self._prediction = Prediction(
+            self.dictionary, self._profile, self._choose_prediction, lambda: self.chain.unit_s
+        )
         self._publication = Publication(self.dictionary, self._interval, self.chain, self._input)
         self._taps = Taps()
         self._recorder = Recorder(self.dictionary, self._interval, self._taps)
@@ -258,6 +260,8 @@ class FeedbackModule:
         if feedback.status & VALID:
             if timed:
                 self._pairing.valid(sample)
+                if self._prediction.follows and sample.time_100ns is not None:
+                    self._prediction.sampled(sample.time_100ns)
             if self._unconfirmed or (self._timeline.withheld and not timed):
                 feedback = self._withheld(feedback)
         self._publish(feedback, now)
@@ -315,6 +319,8 @@ class FeedbackModule:
         self._feedback = feedback
         self._publication.publish(feedback)
         self._profile.publish(feedback)
+        if self._prediction.follows:
+            self._prediction.shift(feedback)
         status, warnings = feedback.status, self._warnings
         if self._alarm.active or not status & VALID:
             self._alarm.report(bool(status & VALID), status, now)

@@ -1,4 +1,4 @@
-"""Object 2013h: the position at the SYNC that sends it, in place of that of the sample before."""
+"""Object 2013h: the position at the SYNC that sends it, or at the nominal SYNC, in place of the sample's."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import math
 from collections.abc import Callable
 
 from canfb.device.dictionary import Dictionary
+from canfb.module.nominal_sync import NominalSync
 from canfb.module.profile import EncoderProfile
 from canfb.signal.feedback import Feedback
+from canfb.signal.sample_times import TICK_S
 from canfb.signal.supervision import COASTING, EXTRAPOLATED, VALID
 
 PREDICTION = 0x2013
@@ -30,12 +32,25 @@ class Prediction:
     :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled, :meth:`withdraw` after it: whoever
     else reads the objects finds the measured position. Bit 12 of the status word stands for as long as
     the extrapolated position does. Bit 0 is never set by it. While coasting the position goes on at the
-    last valid speed; a lost one stays as eq. 9 counts it. ``chosen()`` is called when 2013:01 is written.
+    last valid speed; a lost one stays as eq. 9 counts it. ``chosen()`` is called when 2013h is written.
+
+    With 2013:02 and sample times the position belongs to the nominal SYNC of its sample, d intervals
+    after it: x + v d. :meth:`shift` puts it into the objects for good, once the lock is good enough. From
+    there to the next nominal SYNC formula 1 adds v (d + p), formula 2 v (d + p) + a (d + p)(d + p + 1)/2,
+    with p the period of the lock in intervals. ``interval_s()`` is the interval of the speeds, seconds.
     """
 
-    def __init__(self, dictionary: Dictionary, profile: EncoderProfile, chosen: Callable[[], None]) -> None:
-        self._kind = dictionary.entry(PREDICTION, 1)
-        self._kind.on_written = chosen
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        profile: EncoderProfile,
+        chosen: Callable[[], None],
+        interval_s: Callable[[], float],
+    ) -> None:
+        self._kind, self._nominal = dictionary.entry(PREDICTION, 1), dictionary.entry(PREDICTION, 2)
+        self._kind.on_written = self._nominal.on_written = chosen
+        self._interval_s = interval_s
+        self._lock = NominalSync()
         self._position, self._fine = dictionary.entry(0x6004), dictionary.entry(0x6008)
         self._status = dictionary.entry(0x2011, 1)
         self._profile = profile
@@ -57,6 +72,26 @@ class Prediction:
         self._at_sync: int | None = None  # samples up to the last SYNC
         self._speed_cycles = 0.0  # of the last valid sample
         self._valid_samples = 0  # in a row
+        self._lock.forget()
+        self.follows = bool(self._nominal.value)
+        """2013:02 is 1: :meth:`sampled` and :meth:`shift` are to be called."""
+
+    def sampled(self, time_100ns: int) -> None:
+        """A valid sample with its time (2000:05), before :meth:`shift`."""
+        self._lock.sample(time_100ns)
+
+    def shift(self, last: Feedback) -> None:
+        """``last`` was published: from now on its position is that at its nominal SYNC."""
+        if not last.status & VALID or not self._lock.locked:
+            return
+        cycles, phase = ahead(
+            last.cycles, last.phase, last.speed_cycles * self._intervals(self._lock.lead_ticks)
+        )
+        self._position.value = self._fine.value = self._profile.position_at(cycles, phase)
+        self._status.value |= EXTRAPOLATED
+
+    def _intervals(self, ticks: float) -> float:
+        return ticks * TICK_S / self._interval_s()
 
     def extrapolate(self, last: Feedback) -> None:
         """A SYNC, after what it brings was processed: ``last`` belongs to the SYNC before."""
@@ -84,9 +119,12 @@ class Prediction:
             self._valid_samples = 0
             return self._speed_cycles if status & COASTING else None
         self._valid_samples += 1
-        self._speed_cycles = way = last.speed_cycles
+        after, lock = 1.0, self._lock  # intervals
+        if self._nominal.value and lock.locked:
+            after = self._intervals(lock.lead_ticks + lock.period_ticks)
+        self._speed_cycles = way = last.speed_cycles * after
         if self._kind.value == CONSTANT_ACCELERATION and self._valid_samples >= KNOWN_ACCELERATION:
-            way += last.acceleration_cycles
+            way += last.acceleration_cycles * after * (after + 1.0) / 2.0
         return way
 
 

@@ -98,6 +98,11 @@ class SignalChain:
             self._recovery.rescale(old / interval_s)
 
     @property
+    def unit_s(self) -> float:
+        """The interval in which speeds of timed samples are given, seconds; 0.0 before it is known."""
+        return self._times.unit_s
+
+    @property
     def begun(self) -> bool:
         """There was a sample since the start."""
         return self._tracker.started

@@ -1,0 +1,69 @@
+"""The nominal SYNC: when a SYNC without jitter would have come, by the clock of the encoder interface."""
+
+from __future__ import annotations
+
+import statistics
+
+from canfb.signal.sample_times import TICKS
+
+MEMORY_SYNCS = 256  # that the lock remembers, about
+LEARNED_SYNCS = 64  # from then on it is used
+FIRST_SYNCS = 16  # the median of their distances is the first period
+MOST_MISSED = 16  # from one sample to the next: beyond that the clock was started again
+
+
+class NominalSync:
+    """Locks on sample times (2000:05) as the timer of a drive locks on SYNC.
+
+    An alpha-beta filter with the gains of a straight line fitted to all sample times so far, held at
+    those of MEMORY_SYNCS of them. Jitter of the SYNC is left with 0.11 of its rms value, the drift of
+    the clock with nothing.
+
+    ``lead_ticks`` is how much later than the last sample its nominal SYNC was, ``period_ticks`` from
+    one nominal SYNC to the next; both in 100 ns of the interface's clock.
+    """
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Lock on the next samples."""
+        self._last: int | None = None
+        self._seen = 0  # samples that the lock stands on
+        self._first: list[int] = []  # the first distances, ticks
+        self.lead_ticks = 0.0
+        self.period_ticks = 0.0
+
+    @property
+    def locked(self) -> bool:
+        """The lock is good enough to be used."""
+        return self._seen >= LEARNED_SYNCS
+
+    def sample(self, time_100ns: int) -> None:
+        """A valid sample was taken at this time, 0 .. 2^32 - 1."""
+        last, self._last = self._last, time_100ns
+        if last is None:
+            return
+        ticks = (time_100ns - last) % TICKS
+        if not self._seen:
+            self._begin(ticks)
+            return
+        syncs = round((ticks - self.lead_ticks) / self.period_ticks)
+        if not 1 <= syncs <= MOST_MISSED:
+            self.forget()
+            self._last = time_100ns
+            return
+        lead = self.lead_ticks + syncs * self.period_ticks - ticks
+        self._seen = n = min(self._seen + 1, MEMORY_SYNCS)
+        whole = (n + 1) * (n + 2)
+        self.lead_ticks = lead * (1.0 - (4 * n + 2) / whole)
+        self.period_ticks -= lead * 6.0 / whole / syncs
+
+    def _begin(self, ticks: int) -> None:
+        """With the first distances a fit would take the jitter for another period."""
+        if not ticks:
+            return
+        self._first.append(ticks)
+        if len(self._first) == FIRST_SYNCS:
+            self.period_ticks = float(statistics.median(self._first))
+            self._seen = FIRST_SYNCS

@@ -1,0 +1,162 @@
+"""2013:02: positions belong to the SYNC without its jitter, by the sample times."""
+
+from __future__ import annotations
+
+import math
+import random
+import struct
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.device.frame import Frame
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.nominal_sync import FIRST_SYNCS, LEARNED_SYNCS, MEMORY_SYNCS, NominalSync
+from canfb.signal.sample_times import TICKS
+from canfb.signal.supervision import EXTRAPOLATED, VALID
+
+NODE, INTERFACE = 0x20, 0x10
+PERIOD_TICKS = 10_000
+CYCLES = 2500
+CYCLES_3000_RPM = 125.0  # per millisecond
+SETTLED = 3 * MEMORY_SYNCS
+
+
+def locked(
+    jitter: Callable[[], float], drift: float, start: int, lost: float = 0.0, syncs: int = 6000
+) -> float:
+    """Rms error of the lock, ticks, after it has settled; the nominal SYNCs are those without jitter."""
+    lock, draw, errors = NominalSync(), random.Random(5), []
+    for k in range(6000):
+        late = jitter()
+        if draw.random() < lost:
+            continue
+        at = start + round(k * PERIOD_TICKS * (1.0 + drift) + late)
+        lock.sample(at % TICKS)
+        if k > SETTLED:
+            errors.append(lock.lead_ticks + late)
+    return math.sqrt(sum(error**2 for error in errors) / len(errors))
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.05])
+@pytest.mark.parametrize("drift", [0.0, 1e-4, -1e-4])
+def test_a_tenth_of_the_jitter_is_left_and_nothing_of_the_drift(drift: float, lost: float) -> None:
+    noise = random.Random(2)
+    left = locked(lambda: noise.gauss(0.0, 1000.0), drift, TICKS - 10**7, lost)
+    assert 0.05 * 1000.0 < left < 0.17 * 1000.0  # 0.11 in theory
+
+
+@given(st.integers(0, TICKS - 1), st.floats(-2e-4, 2e-4), st.integers(2_000, 2_000_000))
+def test_without_jitter_the_lock_is_exact(start: int, drift: float, period: int) -> None:
+    lock = NominalSync()
+    for k in range(2 * LEARNED_SYNCS):
+        lock.sample((start + round(k * period * (1.0 + drift))) % TICKS)
+    assert lock.locked
+    assert abs(lock.lead_ticks) < 1.5  # rounding to ticks
+    assert lock.period_ticks == pytest.approx(period * (1.0 + drift), abs=0.1)
+
+
+@given(st.lists(st.integers(0, TICKS - 1), max_size=300))
+def test_any_times_leave_numbers(times: list[int]) -> None:
+    lock = NominalSync()
+    for one in times:
+        lock.sample(one)
+        assert abs(lock.lead_ticks) <= 0.5 * max(lock.period_ticks, 1.0) + 1.0
+
+
+def test_a_clock_that_begins_again_is_locked_on_again() -> None:
+    lock = NominalSync()
+    for start in (10**9, 77):
+        for k in range(LEARNED_SYNCS + FIRST_SYNCS):
+            lock.sample(start + k * PERIOD_TICKS)
+        assert lock.locked
+        assert lock.lead_ticks == pytest.approx(0.0, abs=1e-6)
+
+
+class Shaft:
+    """A module with sample times, whose SYNCs jitter; the machine turns at 3000 rpm."""
+
+    def __init__(self, sigma_us: float, nominal: bool, predict: int = 0, tpdo_type: int = 254) -> None:
+        self.module = FeedbackModule(
+            ModuleConfig(node_id=NODE, times=True, nominal_sync=nominal, predict=predict, autostart=True)
+        )
+        self.module.dictionary.entry(0x1800, 2).value = tpdo_type
+        self.module.start(0.0)
+        self._jitter = random.Random(11)
+        self._sigma_ms = sigma_us / 1000.0
+        self._periods = 0
+        self.status = 0
+
+    def motion(self, at_ms: float) -> float:
+        """Cycles: up to speed in 1.5 s, then constant speed."""
+        ramp_ms = 1500.0
+        return CYCLES_3000_RPM * (at_ms**2 / (2 * ramp_ms) if at_ms < ramp_ms else at_ms - ramp_ms / 2)
+
+    def run(self, periods: int, skip: int, belongs_to: float) -> list[float]:
+        """Errors, cycles, of the positions against those ``belongs_to`` periods after the nominal SYNC k."""
+        errors = []
+        first, self._periods = self._periods, self._periods + periods
+        for k in range(first, first + periods):
+            at = k + 0.5 + self._jitter.gauss(0.0, self._sigma_ms)
+            sent = self._give(Frame(0x80, b""), at)
+            angle = 2.0 * math.pi * self.motion(at)
+            tracks = struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+            sent += self._give(
+                Frame(0x180 + INTERFACE, tracks + struct.pack("<I", round(at * 10_000) % TICKS)), at + 0.3
+            )
+            for position in sent:
+                if k < first + skip:
+                    continue
+                units, self.status = struct.unpack_from("<IH", position.data)
+                assert self.status & VALID
+                errors.append(self._error(units, self.motion(k + 0.5 + belongs_to)))
+        return errors
+
+    def _give(self, frame: Frame, at_ms: float) -> list[Frame]:
+        now = at_ms / 1000.0
+        return [
+            one
+            for one in self.module.receive(frame._replace(timestamp=now), now)
+            if one.can_id == 0x180 + NODE
+        ]
+
+    def _error(self, units: int, truth: float) -> float:
+        entries = self.module.dictionary
+        per_cycle = entries.entry(0x6001).value / CYCLES
+        whole = entries.entry(0x6002).value / per_cycle
+        return (units / per_cycle - (truth - math.floor(self.motion(0.5))) + whole / 2) % whole - whole / 2
+
+
+def rms(errors: list[float]) -> float:
+    return math.sqrt(sum(error**2 for error in errors) / len(errors))
+
+
+# Sent upon the ADC PDO of sample k: it belongs to nominal SYNC k. With SYNC k+1 and predict: to that one.
+@pytest.mark.parametrize(("predict", "tpdo_type", "belongs_to"), [(0, 254, 0.0), (1, 1, 0.0), (2, 1, 0.0)])
+def test_the_position_is_that_of_the_nominal_sync(predict: int, tpdo_type: int, belongs_to: float) -> None:
+    jittering = rms(Shaft(100.0, False, predict, tpdo_type).run(3000, 1600, belongs_to))
+    shaft = Shaft(100.0, True, predict, tpdo_type)
+    nominal = rms(shaft.run(3000, 1600, belongs_to))
+    assert 11.0 < jittering < 30.0  # 12.5 cycles of jitter; the prediction takes it up to sqrt 5
+    assert 0.3 < nominal < 2.2
+    assert shaft.status & EXTRAPOLATED
+
+
+def test_without_jitter_and_before_the_lock_nothing_changes() -> None:
+    plain, nominal = Shaft(0.0, False), Shaft(0.0, True)
+    assert plain.run(LEARNED_SYNCS - 1, 3, 0.0) == nominal.run(LEARNED_SYNCS - 1, 3, 0.0)
+    assert not nominal.status & EXTRAPOLATED
+    assert max(map(abs, nominal.run(700, 650, 0.0))) < 0.2
+
+
+def test_without_sample_times_it_does_nothing() -> None:
+    shaft = Shaft(0.0, True)
+    shaft.module = FeedbackModule(ModuleConfig(node_id=NODE, nominal_sync=True, autostart=True))
+    shaft.module.start(0.0)
+    for k in range(2 * LEARNED_SYNCS):
+        shaft._give(Frame(0x80, b""), k + 1.0)
+        (sent,) = shaft._give(Frame(0x180 + INTERFACE, struct.pack("<hh", 1500, 0)), k + 1.3)
+    assert not struct.unpack_from("<H", sent.data, 4)[0] & EXTRAPOLATED
