@@ -46,6 +46,7 @@ ADDITIONS = {
     "Track",
     "TrackResult",
     "drift",
+    "max_speed",
     "process_stream",
 }
 # What the design says of their use: parameters by name, in order, with the defaults that it states.

@@ -22,7 +22,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.config import ChainConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.feedback import Feedback
-from canfb.signal.limits import max_acceleration
+from canfb.signal.limits import max_acceleration, max_speed
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.sample import Sample
 from canfb.signal.stream import ChainResult, process_stream
@@ -56,6 +56,7 @@ __all__ = [
     "drift",
     "load_config",
     "max_acceleration",
+    "max_speed",
     "phase_in_cycle",
     "process",
     "process_stream",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from canfb.bus.opening import check_device_bus, describe, open_bus
@@ -59,7 +59,11 @@ def run(options: argparse.Namespace) -> int:
         saved = [line for module in modules for line in _what_is_saved(module)]
 
         def ready() -> None:
-            for line in (f"running node {nodes} on {describe(words)}; end with Ctrl-C", *saved):
+            for line in (
+                f"running node {nodes} on {describe(words)}; end with Ctrl-C",
+                *saved,
+                *_speeds(modules),
+            ):
                 say(line)
             readiness.ready()
 
@@ -106,7 +110,7 @@ def make_module(
 
     module.on_parameter_faults = tell
     module.node.on_duplicate = tell_duplicate
-    module.on_source = lambda text: report(f"node {module.node.node_id}: {text}")
+    module.on_source = module.on_warning = lambda text: report(f"node {module.node.node_id}: {text}")
     return module
 
 
@@ -138,6 +142,15 @@ def _what_is_saved(module: FeedbackModule) -> list[str]:
             changed.append(f"{index:04X}h:{subindex:02X}")
     objects = ", ".join(changed)
     return [f"node {_name(module)}: saved values come before the configuration: {objects}"] if changed else []
+
+
+def _speeds(modules: Sequence[FeedbackModule]) -> list[str]:
+    """How fast the encoders may turn for a jitter of SYNC: a line for all modules with the same speeds."""
+    names: dict[str, list[str]] = {}
+    for module in modules:
+        if text := module.speed_limit():
+            names.setdefault(text, []).append(_name(module))
+    return [f"node {', '.join(those)}: {text}" for text, those in names.items()]
 
 
 def _summary(module: FeedbackModule) -> str:

@@ -19,6 +19,7 @@ from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.config import ModuleConfig
 from canfb.module.cyclic_timer import CyclicTimer
 from canfb.module.interval import IntervalEstimate
+from canfb.module.jitter_watch import JitterWatch
 from canfb.module.local_source import LocalSource
 from canfb.module.operating_time import OperatingTime
 from canfb.module.pairing import Findings, Pairing
@@ -59,7 +60,8 @@ class FeedbackModule:
     are those that LSS may choose; see ``on_bit_rate`` of the node.
 
     A ``source`` is asked at each SYNC in OPERATIONAL for the sample of that very SYNC; RPDO1 is off
-    then. ``on_source`` is called with one line when it fails, works again or has ended. ValueError
+    then. ``on_source`` is called with one line when it fails, works again or has ended; ``on_warning``
+    when the speed comes near what the jitter of SYNC allows. ValueError
     where ``config.source`` speaks of a source and none is given; TypeError for a ``config`` that is
     no :class:`canfb.ModuleConfig`.
     """
@@ -94,6 +96,7 @@ class FeedbackModule:
         )
         self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None = None
         self.on_source: Callable[[str], None] | None = None
+        self.on_warning: Callable[[str], None] | None = None
         self._interval = IntervalEstimate(self.dictionary.entry(0x1006))
         self._limits = Limits(self.dictionary, self.chain, self._interval)
         self._tables = TableStore(self.dictionary, self.chain, self.node.storage)
@@ -133,6 +136,10 @@ class FeedbackModule:
             ),
         )
         self._timeline = self._pairing.timeline
+        self._jitter = JitterWatch(
+            self._timeline, self._interval, self._limits, self.dictionary.entry(0x2001, 1), self._warn
+        )
+        self._timeline.on_followed = self._watch_jitter
         self._event_tpdos: list[Callable[[float], None]] = []
         self._alarm = PositionAlarm(self.node)
         self._paused_s = 0.0
@@ -158,6 +165,14 @@ class FeedbackModule:
     def state(self) -> NmtState:
         """The NMT state."""
         return self.node.state
+
+    def speed_limit(self) -> str:
+        """One line: how fast the machine may turn for a jitter of SYNC; empty with sample times or a source.
+
+        By the parameters as they stand; 4 v jitter < residual limit (docs/time.md).
+        """
+        config = self.config
+        return "" if config.times or config.source is not None else self._jitter.in_words()
 
     def start(self, now: float) -> list[Frame]:
         """Power-on at ``now``: the boot-up frame."""
@@ -309,6 +324,15 @@ class FeedbackModule:
         self._prediction.forget()
         self.node.on_sync = self._on_sync_predicting if wanted else self._pairing.on_sync
         self.node.on_synchronised = self._prediction.withdraw if wanted else None
+
+    def _watch_jitter(self, now: float, proved: bool) -> None:
+        """Sample times know each interval; a time of the call is not that of the SYNC."""
+        if proved and self._feedback is not None and not self._pairing.timed:
+            self._jitter.look(self._feedback, now)
+
+    def _warn(self, text: str) -> None:
+        if self.on_warning is not None:
+            self.on_warning(text)
 
     def _tell_of_source(self, text: str) -> None:
         if self.on_source is not None:

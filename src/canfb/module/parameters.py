@@ -82,6 +82,8 @@ class Limits:
         """A known acceleration narrows the residual limit; it then depends on the sampling interval."""
         self.residual_limit_cycles = 0.0
         """The residual limit in force, narrowed or not."""
+        self.acceleration_cycles = 0.0
+        """The largest acceleration (2010:02), cycles per interval squared; 0.0 if it is not known."""
         self.on_applied: Callable[[], None] | None = None
         self._upper_is_old = False
         self._low.on_write = self._check(lambda low: low < self._high.value or self._upper_is_old)
@@ -119,7 +121,7 @@ class Limits:
         if interval_s > 0.0 and self._acceleration.value > 0.0:
             limit = narrowed_residual_limit(limit, self._acceleration.value, cycles, interval_s)
             acceleration = cycles_per_interval_squared(self._acceleration.value, cycles, interval_s)
-        self.residual_limit_cycles = limit
+        self.residual_limit_cycles, self.acceleration_cycles = limit, acceleration or 0.0
         self._applied_s, self.narrowed = interval_s, self._acceleration.value > 0.0
         limits = SampleLimits(self._full_scale.value, self._low.value, self._high.value)
         coarse_limit = self._coarse.value / LIMIT_UNITS

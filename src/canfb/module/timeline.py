@@ -7,6 +7,7 @@ is proved, "too late" is not, and the position is withheld until later SYNCs sho
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from canfb.device.dictionary import Dictionary
@@ -68,6 +69,8 @@ class Timeline:
         self._overflow = dictionary.entry(COUNTER_OVERFLOW)
         self._periods = dictionary.entry(*PERIODS)
         self._response = Response()
+        self.on_followed: Callable[[float, bool], None] | None = None
+        """Called as (time, proved) with every FOLLOWED_TOGETHER-th usual SYNC."""
         self.pause()
 
     def pause(self) -> None:
@@ -120,6 +123,8 @@ class Timeline:
                 errors.append(error)
                 if len(errors) == FOLLOWED_TOGETHER:
                     self._look_ahead()
+                    if self.on_followed is not None:
+                        self.on_followed(time_s, proved)
                 return ON_TIME
         verdict = self._judged(time_s, proved, counter)
         self._look_ahead()

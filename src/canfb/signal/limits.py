@@ -24,6 +24,20 @@ def max_acceleration(
     return 2.0 * math.pi / cycles_per_revolution * limit * sample_rate_hz**2
 
 
+def max_speed(cycles_per_revolution: float, jitter_s: float, residual_limit: float = 1.0 / 3.0) -> float:
+    """Largest speed in rad/s that eq. 9 follows without sample times if SYNC jitters by ``jitter_s``.
+
+    An error j of the sampling instant is an error v j of the position, which the second difference of
+    eq. 9 takes four times at worst: 4 v j < ``residual_limit`` (cycles, 0 < limit <= 0.5; less what the
+    acceleration needs). ``cycles_per_revolution`` and ``jitter_s`` are positive. ValueError otherwise.
+    """
+    if not 0.0 < cycles_per_revolution < math.inf:
+        raise ValueError(f"cycles_per_revolution must be positive, not {cycles_per_revolution!r}")
+    if not 0.0 < jitter_s < math.inf:
+        raise ValueError(f"jitter_s must be positive, not {jitter_s!r}")
+    return 2.0 * math.pi / cycles_per_revolution * check_residual_limit(residual_limit) / (4.0 * jitter_s)
+
+
 # Four times the error of the raw phase without a table (eq. 9 weighs three phases with 1, 2, 1),
 # so that a narrowed limit holds before the reference measurement as well.
 PHASE_ERROR_MARGIN_CYCLES = 0.05

@@ -1,0 +1,80 @@
+"""Without sample times the jitter of SYNC limits the speed: says so before the position is lost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from canfb.device.dictionary import Entry
+from canfb.module.interval import IntervalEstimate
+from canfb.module.parameters import Limits
+from canfb.module.timeline import Timeline
+from canfb.signal.feedback import Feedback
+from canfb.signal.limits import max_speed
+from canfb.signal.supervision import VALID
+
+PEAK = 2.5  # times the mean deviation of SYNC: 2 for a uniform one, 3 standard deviations are 3.8
+NEAR, AWAY = 0.7, 0.5  # of the largest speed: where the warning comes, and where it may come again
+SHORTEST_S = 10.0  # from one warning to the next
+EXAMPLES_US = (10, 100)
+RPM = 60.0 / (2.0 * math.pi)
+
+
+class JitterWatch:
+    """Compares the speed with what 4 v j < L - a allows for the measured jitter j (docs/time.md).
+
+    Only receive times that the bus gives measure the SYNC; without them nothing is said. ``warn`` gets
+    one line.
+    """
+
+    def __init__(
+        self,
+        timeline: Timeline,
+        interval: IntervalEstimate,
+        limits: Limits,
+        cycles_per_revolution: Entry,
+        warn: Callable[[str], None],
+    ) -> None:
+        self._timeline, self._interval, self._limits = timeline, interval, limits
+        self._cycles_per_revolution = cycles_per_revolution
+        self._warn = warn
+        self._near = False
+        self._not_before_s = -math.inf
+
+    @property
+    def jitter_s(self) -> float:
+        """Peak deviation of a SYNC from its lock, seconds."""
+        return PEAK * self._timeline.jitter_s
+
+    @property
+    def max_speed_rad_s(self) -> float:
+        """The largest speed for this jitter, rad/s; inf without jitter."""
+        left = self._limits.residual_limit_cycles - self._limits.acceleration_cycles
+        jitter_s = self.jitter_s
+        if jitter_s <= 0.0:
+            return math.inf
+        return max_speed(self._cycles_per_revolution.value, jitter_s, left) if left > 0.0 else 0.0
+
+    def in_words(self) -> str:
+        """The largest speeds for two jitters, by the parameters of the module."""
+        left = self._limits.residual_limit_cycles
+        cycles = self._cycles_per_revolution.value
+        speeds = (f"{max_speed(cycles, us * 1e-6, left) * RPM:.3g} rpm at ±{us} µs" for us in EXAMPLES_US)
+        return f"without sample times the jitter of SYNC limits the speed: {', '.join(speeds)}"
+
+    def look(self, last: Feedback, now: float) -> None:
+        """After ``last``, not with each sample; ``now`` in seconds."""
+        interval_s = self._interval.settled_s
+        if not interval_s or not last.status & VALID:
+            return
+        rad_per_cycle = 2.0 * math.pi / self._cycles_per_revolution.value
+        speed, largest = abs(last.speed_cycles) / interval_s * rad_per_cycle, self.max_speed_rad_s
+        if speed < AWAY * largest:
+            self._near = False
+        elif speed > NEAR * largest and not self._near and now >= self._not_before_s:
+            self._near, self._not_before_s = True, now + SHORTEST_S
+            self._warn(
+                f"SYNC jitters by ±{self.jitter_s * 1e6:.0f} µs, at which {largest * RPM:.3g} rpm can be "
+                f"counted without sample times; the encoder turns at {speed * RPM:.3g} rpm "
+                "(remedy: times: true)"
+            )
