@@ -6,7 +6,7 @@ PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install --quiet --quiet --disable-pip-version-check
 PYTEST := $(PY) -m pytest
 WORKERS ?= auto
-VCAN := $(PYTHON) tools/vcan.py
+VCAN := $(PYTHON) -m tools.vcan
 DEMO_OUT ?= build/demo
 # The tests run side by side already: more threads of the linear algebra only wait for each other.
 export OPENBLAS_NUM_THREADS ?= 1
@@ -28,7 +28,7 @@ demo: $(INSTALLED) ## Run the whole story on an in-process bus; pictures and rep
 # Each part has its own verdict, whatever becomes of the others; make fails if one of them does. The tests on
 # a real SocketCAN wait more than they compute, so the others run beside them.
 test: $(INSTALLED_TEST) ## Run all checks and all tests
-	@$(PYTHON) tools/parts.py --beside "unit tests=$(MAKE) --no-print-directory unit" \
+	@$(PYTHON) -m tools.suite.parts --beside "unit tests=$(MAKE) --no-print-directory unit" \
 		"style=$(MAKE) --no-print-directory lint" \
 		"types=$(MAKE) --no-print-directory types" \
 		"SocketCAN tests=$(MAKE) --no-print-directory socketcan"
@@ -54,7 +54,7 @@ lowest: $(LOWEST)/.installed ## Run a part of the tests with the lowest versions
 		tests/commissioning/test_report.py tests/test_exports.py
 
 bench: $(INSTALLED_TEST) ## Measure the time of one cycle, and of whole arrays
-	$(PY) tools/bench.py
+	$(PY) -m tools.bench.cycle
 
 format: $(INSTALLED_TEST) ## Write the code as the checks want it
 	$(PY) -m ruff check --fix
@@ -78,10 +78,10 @@ $(INSTALLED_TEST): pyproject.toml | $(PY)
 	@$(PIP) --editable '.[test]'
 	@touch $(INSTALLED) $@
 
-$(LOWEST)/.installed: pyproject.toml tools/lowest.py
+$(LOWEST)/.installed: pyproject.toml tools/suite/lowest.py
 	@echo "installing canfb with the lowest versions into $(LOWEST)"
 	@$(PYTHON) -m venv --clear $(LOWEST)
-	@$(PYTHON) tools/lowest.py >$(LOWEST)/constraints.txt
+	@$(PYTHON) -m tools.suite.lowest >$(LOWEST)/constraints.txt
 	@$(LOWEST)/bin/python -m pip install --quiet --quiet --disable-pip-version-check \
 		--constraint $(LOWEST)/constraints.txt --editable '.[plot]' pytest hypothesis
 	@touch $@

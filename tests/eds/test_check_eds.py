@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,10 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.eds_files import eds_path
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-
-import check_eds
+from tools.eds import check
 
 MODULE, INTERFACE = "canfb-module.eds", "encoder-interface.eds"
 TEXTS = {name: eds_path(name).read_text(encoding="ascii") for name in (MODULE, INTERFACE)}
@@ -207,24 +203,24 @@ MUTATIONS = [
 def test_a_mistake_is_found(section: str, text: str, mutate: Callable[[str], str]) -> None:
     mutated = mutate(TEXTS[MODULE])
     assert mutated != TEXTS[MODULE]
-    findings = check_eds.check_text(mutated, MODULE)
+    findings = check.check_text(mutated, MODULE)
     assert [finding for finding in findings if finding.section == section and text in finding.text], findings
 
 
 def test_too_many_bits_are_found() -> None:
     text = put("1A00sub0", "DefaultValue", "4")(TEXTS[MODULE])
-    findings = check_eds.check_text(put("1A00sub4", "DefaultValue", "0x20110510")(text), MODULE)
-    assert findings == [check_eds.Finding("1A00", "80 bits are mapped, a PDO has 64")]
+    findings = check.check_text(put("1A00sub4", "DefaultValue", "0x20110510")(text), MODULE)
+    assert findings == [check.Finding("1A00", "80 bits are mapped, a PDO has 64")]
 
 
 def test_a_dummy_may_fill_an_rpdo() -> None:
     text = put("1600sub0", "DefaultValue", "3")(TEXTS[MODULE])
-    assert check_eds.check_text(put("1600sub3", "DefaultValue", "0x00070020")(text), MODULE) == []
+    assert check.check_text(put("1600sub3", "DefaultValue", "0x00070020")(text), MODULE) == []
 
 
 def test_a_module_must_not_share_the_node_id_of_its_encoder_interface() -> None:
-    findings = check_eds.check_text(TEXTS[MODULE], MODULE, node_id=16)
-    assert findings == [check_eds.Finding("1800sub1", "CAN-ID 190h is also that of [1400sub1]")]
+    findings = check.check_text(TEXTS[MODULE], MODULE, node_id=16)
+    assert findings == [check.Finding("1800sub1", "CAN-ID 190h is also that of [1400sub1]")]
 
 
 OPTIONAL_LINES = ("DefaultValue=", "LowLimit=", "HighLimit=", "ObjectType=0x7", "ObjFlags=")
@@ -234,7 +230,7 @@ LINES = TEXTS[INTERFACE].splitlines()
 def test_no_line_can_be_lost_unseen() -> None:
     needed = [place for place, line in enumerate(LINES) if line and not line.startswith(OPTIONAL_LINES)]
     texts = {place: "\n".join(LINES[:place] + LINES[place + 1 :]) for place in needed}
-    assert [LINES[place] for place, text in texts.items() if not check_eds.check_text(text, INTERFACE)] == []
+    assert [LINES[place] for place, text in texts.items() if not check.check_text(text, INTERFACE)] == []
 
 
 @given(
@@ -249,17 +245,17 @@ def test_no_line_can_be_lost_unseen() -> None:
 )
 def test_the_check_never_fails_on_a_damaged_file(place: int, line: str) -> None:
     text = "\n".join([*LINES[:place], line, *LINES[place + 1 :]])
-    for finding in check_eds.check_text(text, INTERFACE):
+    for finding in check.check_text(text, INTERFACE):
         assert finding.text
 
 
 def test_the_command_prints_one_line_per_finding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / MODULE
     path.write_text(drop("6003")(TEXTS[MODULE]), encoding="ascii")
-    assert check_eds.main([str(path)]) == 1
+    assert check.main([str(path)]) == 1
     assert capsys.readouterr().out == f"{path}:OptionalObjects: 0x6003 has no section\n"
 
 
 def test_the_command_checks_all_files_of_ours(capsys: pytest.CaptureFixture[str]) -> None:
-    assert check_eds.main([]) == 0
+    assert check.main([]) == 0
     assert capsys.readouterr().out == ""

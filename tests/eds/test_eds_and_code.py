@@ -17,10 +17,7 @@ from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.motor import Motor, MotorConfig
 from canfb.simulation.cia402.plant import Plant
 from canfb.simulation.encoder_interface import EncoderInterface
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-
-from eds_model import Eds, read
+from tools.eds.model import Eds, read
 
 MODULE, INTERFACE, DRIVE = "canfb-module.eds", "encoder-interface.eds", "drive.eds"
 NODE_ID = 32

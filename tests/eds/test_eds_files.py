@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import re
-import sys
 import tomllib
 from pathlib import Path
 
@@ -12,13 +11,10 @@ from canfb import eds_files
 from canfb.eds_files import EdsNotFoundError, eds_path
 from canfb.errors import CanfbError
 from folding import each
+from tools.eds import check
+from tools.eds.model import BITS, number, number_of_type, read
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tools"))
-
-import check_eds  # noqa: E402
-from eds_model import BITS, number, number_of_type, read  # noqa: E402
-
 MODULE, INTERFACE, DRIVE = "canfb-module.eds", "encoder-interface.eds", "drive.eds"
 NAMES = (MODULE, INTERFACE, DRIVE)
 TEXTS = {name: eds_path(name).read_text(encoding="ascii") for name in NAMES}
@@ -258,7 +254,7 @@ def test_versions_agree_with_the_package() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_objects_are_in_order(name: str) -> None:
     eds, _ = read(TEXTS[name], name, 32)
-    for in_list in check_eds.LISTS.values():
+    for in_list in check.LISTS.values():
         listed = [index for index in eds.objects if in_list(index)]
         assert listed == sorted(listed)
     assert TEXTS[name].endswith("\n")
@@ -268,7 +264,7 @@ def test_objects_are_in_order(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("node_id", [1, 32, 127])
 def test_our_check_finds_nothing(name: str, node_id: int) -> None:
-    assert check_eds.check_text(TEXTS[name], name, node_id) == []
+    assert check.check_text(TEXTS[name], name, node_id) == []
 
 
 @pytest.mark.parametrize("name", NAMES)

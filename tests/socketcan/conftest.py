@@ -1,6 +1,6 @@
 """Tests on a real SocketCAN interface: what they need, and what they may use.
 
-Run them with `make socketcan`, or `python tools/vcan.py run -- .venv/bin/python -m pytest tests/socketcan`.
+Run them with `make socketcan`, or `python -m tools.vcan run -- .venv/bin/python -m pytest tests/socketcan`.
 They wait for what happens on the bus, and every limit comes from what this machine can do: pace.py.
 """
 
@@ -21,7 +21,7 @@ from pace import Pace, measure
 from processes import Process
 
 CHANNEL = "vcan0"
-NO_VCAN = f"no SocketCAN interface {CHANNEL}; run: python tools/vcan.py run -- pytest tests/socketcan"
+NO_VCAN = f"no SocketCAN interface {CHANNEL}; run: python -m tools.vcan run -- pytest tests/socketcan"
 HERE = Path(__file__).parent
 MEASURED = pytest.StashKey[Pace]()
 

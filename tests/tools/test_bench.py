@@ -1,31 +1,26 @@
-"""tools/bench.py on very little work: what it measures is checked by itself, what it prints here."""
+"""tools/bench/cycle.py on very little work: what it measures is checked by itself, what it prints here."""
 
 from __future__ import annotations
 
 import json
-import sys
-from pathlib import Path
 
 import pytest
 
-TOOLS = Path(__file__).parents[2] / "tools"
-sys.path.insert(0, str(TOOLS))
-
-import bench  # noqa: E402
+from tools.bench import cycle
 
 LITTLE = ["--repeat", "2", "--cycles", "100", "--samples", "1000"]
 
 
-def spread(median: float) -> bench.Spread:
-    return bench.Spread(median, median, median)
+def spread(median: float) -> cycle.Spread:
+    return cycle.Spread(median, median, median)
 
 
-def result(ratio: float, goal: float | None) -> bench.Result:
-    return bench.Result("name", "ours", "other", "us", spread(1.0), spread(1.0), spread(ratio), goal)
+def result(ratio: float, goal: float | None) -> cycle.Result:
+    return cycle.Result("name", "ours", "other", "us", spread(1.0), spread(1.0), spread(ratio), goal)
 
 
 def test_json_has_machine_and_every_comparison(capsys: pytest.CaptureFixture[str]) -> None:
-    assert bench.main(["--json", *LITTLE]) == 0
+    assert cycle.main(["--json", *LITTLE]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert {"processor", "python", "numpy", "canopen"} <= set(printed["machine"])
     goals = {one["name"]: one["goal"] for one in printed["results"]}
@@ -40,7 +35,7 @@ def test_json_has_machine_and_every_comparison(capsys: pytest.CaptureFixture[str
 
 
 def test_text_names_what_is_compared(capsys: pytest.CaptureFixture[str]) -> None:
-    assert bench.main(["--only", "int16", *LITTLE]) == 0
+    assert cycle.main(["--only", "int16", *LITTLE]) == 0
     printed = capsys.readouterr().out
     assert "1000 samples, int16: ratio" in printed
     assert "numpy.unwrap(numpy.arctan2(s, c))" in printed
@@ -48,7 +43,7 @@ def test_text_names_what_is_compared(capsys: pytest.CaptureFixture[str]) -> None
 
 
 def test_markdown_is_a_table(capsys: pytest.CaptureFixture[str]) -> None:
-    assert bench.main(["--markdown", "--only", "cycle", *LITTLE]) == 0
+    assert cycle.main(["--markdown", "--only", "cycle", *LITTLE]) == 0
     rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
     assert [row.split(" | ")[0] for row in rows[2:]] == ["| cycle", "| cycle, can.Message"]
     assert {row.count("|") for row in rows} == {7}
@@ -57,7 +52,7 @@ def test_markdown_is_a_table(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize("wrong", [["--repeat", "1"], ["--cycles", "99"], ["--only", "nothing"]])
 def test_wrong_use_is_told(wrong: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as error:
-        bench.main([*LITTLE, *wrong])
+        cycle.main([*LITTLE, *wrong])
     assert error.value.code == 2
     assert "error:" in capsys.readouterr().err
 
@@ -71,9 +66,9 @@ def test_a_goal_is_missed_from_its_value_on(ratio: float, goal: float | None, mi
 
 def test_check_tells_by_the_exit_status(monkeypatch: pytest.MonkeyPatch) -> None:
     for ratio, status in ((0.5, 0), (1.5, 1)):
-        monkeypatch.setattr(bench.Comparison, "run", lambda self, repeat, ratio=ratio: result(ratio, 1.0))
-        assert bench.main(["--check", "--only", "tracker", *LITTLE]) == status
+        monkeypatch.setattr(cycle.Comparison, "run", lambda self, repeat, ratio=ratio: result(ratio, 1.0))
+        assert cycle.main(["--check", "--only", "tracker", *LITTLE]) == status
 
 
 def test_median_and_quartiles() -> None:
-    assert bench.Spread.of([4.0, 1.0, 2.0, 3.0, 5.0]) == bench.Spread(3.0, 2.0, 4.0)
+    assert cycle.Spread.of([4.0, 1.0, 2.0, 3.0, 5.0]) == cycle.Spread(3.0, 2.0, 4.0)

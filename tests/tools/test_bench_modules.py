@@ -1,20 +1,16 @@
-"""tools/bench_modules.py on very little work."""
+"""tools/bench/modules.py on very little work."""
 
 from __future__ import annotations
 
 import re
-import sys
-from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-
-import bench_modules
+from tools.bench import modules
 
 
 def test_one_line_for_each_number_of_modules(capsys: pytest.CaptureFixture[str]) -> None:
-    assert bench_modules.main(["--modules", "1,3", "--cycles", "5", "--repeat", "1"]) == 0
+    assert modules.main(["--modules", "1,3", "--cycles", "5", "--repeat", "1"]) == 0
     head, *lines = capsys.readouterr().out.splitlines()
     assert head.split() == ["modules", "us", "per", "frame"]
     assert [int(line.split()[0]) for line in lines] == [1, 3]
@@ -24,4 +20,4 @@ def test_one_line_for_each_number_of_modules(capsys: pytest.CaptureFixture[str])
 @pytest.mark.parametrize("text", ["0", "64"])
 def test_more_nodes_than_there_are(text: str) -> None:
     with pytest.raises(SystemExit):
-        bench_modules.main(["--modules", text])
+        modules.main(["--modules", text])

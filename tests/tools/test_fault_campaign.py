@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tools"))
-
-import fault_campaign  # noqa: E402
-from canfb.simulation.faults import Samples  # noqa: E402
-from fault_campaign import Campaign  # noqa: E402
-from fault_classes import CLASSES, FaultClass  # noqa: E402
-from fault_clean import CleanResult, clean_motion, judge_clean, run_clean  # noqa: E402
-from fault_judge import Episode, first_illegal, follow, judge, play  # noqa: E402
-from fault_plant import COMMISSIONED, DEFAULT, ENCODER, HARD, SETTINGS, Setting, Turning  # noqa: E402
-from fault_tally import Tally  # noqa: E402
+from canfb.simulation.faults import Samples
+from tools.faults.chain import campaign
+from tools.faults.chain.campaign import Campaign
+from tools.faults.chain.classes import CLASSES, FaultClass
+from tools.faults.chain.clean import CleanResult, clean_motion, judge_clean, run_clean
+from tools.faults.chain.judge import Episode, first_illegal, follow, judge, play
+from tools.faults.chain.plant import COMMISSIONED, DEFAULT, ENCODER, HARD, SETTINGS, Setting, Turning
+from tools.faults.chain.tally import Tally
 
 
 @pytest.fixture(scope="module")
 def small() -> Campaign:
-    return fault_campaign.campaign(seed=2, episodes=5, clean=90_000, processes=1)
+    return campaign.campaign(seed=2, episodes=5, clean=90_000, processes=1)
 
 
 def of(small: Campaign, setting: Setting) -> dict[str, Tally]:
@@ -219,25 +215,25 @@ def test_false_alarms_are_counted() -> None:
 
 def test_the_result_depends_on_the_seed_only() -> None:
     assert run_clean(3, 1, 5000) == run_clean(3, 1, 5000)
-    group = fault_campaign.Group(9, 0, 16, 2)
-    assert fault_campaign.run_group(group) == fault_campaign.run_group(group)
-    assert fault_campaign.run_group(group) != fault_campaign.run_group(group._replace(seed=10))
+    group = campaign.Group(9, 0, 16, 2)
+    assert campaign.run_group(group) == campaign.run_group(group)
+    assert campaign.run_group(group) != campaign.run_group(group._replace(seed=10))
 
 
 def test_the_tables_are_written(
     small: Campaign, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(fault_campaign, "campaign", lambda *_: small)
+    monkeypatch.setattr(campaign, "campaign", lambda *_: small)
     path = tmp_path / "table.md"
-    assert fault_campaign.main(["--markdown", str(path)]) == 0
+    assert campaign.main(["--markdown", str(path)]) == 0
     assert "goals missed: 0" in capsys.readouterr().out
     written = path.read_text(encoding="utf-8")
     assert all(f"| {one.name} | " in written for one in CLASSES)
-    assert fault_campaign.main(["--json"]) == 0
+    assert campaign.main(["--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["misses"] == []
     assert record["settings"]["default"]["late"]["episodes"] == 10
-    assert fault_campaign.main(["--markdown", str(tmp_path / "no" / "table.md")]) == 2
+    assert campaign.main(["--markdown", str(tmp_path / "no" / "table.md")]) == 2
     assert "cannot write" in capsys.readouterr().err
 
 
@@ -245,8 +241,8 @@ def test_a_missed_goal_is_the_exit_status(
     small: Campaign, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bad = small._replace(clean=replace(small.clean, flagged=1))
-    monkeypatch.setattr(fault_campaign, "campaign", lambda *_: bad)
-    assert fault_campaign.main([]) == 1
+    monkeypatch.setattr(campaign, "campaign", lambda *_: bad)
+    assert campaign.main([]) == 1
     assert "1 false alarms" in capsys.readouterr().out
 
 
@@ -255,6 +251,6 @@ def test_a_missed_goal_is_the_exit_status(
 )
 def test_wrong_options_are_refused(wrong: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
-        fault_campaign.main(wrong)
+        campaign.main(wrong)
     assert stop.value.code == 2
     assert "must be" in capsys.readouterr().err

@@ -16,14 +16,10 @@ from hypothesis import strategies as st
 from canfb.device.frame import Frame
 from canfb.device.nmt import NmtState
 from canfb.device.sdo_server import SdoServer
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-
-import fuzz_body
-import fuzz_input
-from fuzz_body import Play
-from fuzz_input import NODE_ID, SERVER, Reader, Step
-from fuzz_watch import Broken, SdoWatcher
+from tools.fuzz import body, inputs
+from tools.fuzz.body import Play
+from tools.fuzz.inputs import NODE_ID, SERVER, Reader, Step
+from tools.fuzz.watch import Broken, SdoWatcher
 
 CORPUS = [
     line.split(maxsplit=1)
@@ -35,26 +31,26 @@ MODULE, INTERFACE = 0, 2
 
 @pytest.mark.parametrize("data", [text for text, _ in CORPUS], ids=[why for _, why in CORPUS])
 def test_a_kept_input(data: str) -> None:
-    fuzz_body.play(bytes.fromhex(data))
+    body.play(bytes.fromhex(data))
 
 
 def test_kept_inputs_mean_what_they_did() -> None:
     """Who changes one of these tables makes other inputs of the kept ones, and looks at them again."""
-    tables = (fuzz_input.KINDS, fuzz_input.INDICES, fuzz_input.VALUES, fuzz_input.PAUSES_S)
+    tables = (inputs.KINDS, inputs.INDICES, inputs.VALUES, inputs.PAUSES_S)
     assert [len(table) for table in tables] == [28, 57, 40, 11]
 
 
 @settings(max_examples=200, deadline=None)
 @given(data=st.binary(max_size=300))
 def test_any_input(data: bytes) -> None:
-    fuzz_body.play(data)
+    body.play(data)
 
 
 @given(data=st.binary(max_size=60))
 def test_every_input_is_read_to_its_end(data: bytes) -> None:
     reader = Reader(data)
     reader.byte()
-    for step in fuzz_input.steps(reader):
+    for step in inputs.steps(reader):
         assert all(0 <= frame.can_id <= 0x7FF and len(frame.data) <= 9 for frame in step.frames)
         assert step.pause_s >= 0.0
     assert reader.is_empty
@@ -88,7 +84,7 @@ def test_memory_is_bounded(begin: str, segments: Sequence[int]) -> None:
 
 
 def started(choice: int) -> Play:
-    run = Play(fuzz_body.make(choice))
+    run = Play(body.make(choice))
     run.start()
     return run
 
@@ -112,7 +108,7 @@ class Rogue:
         return [*self._receive(frame, now), self._extra]
 
 
-FIRST_ANSWER = fuzz_body.FIRST_ANSWER + NODE_ID
+FIRST_ANSWER = body.FIRST_ANSWER + NODE_ID
 READ = Frame(SERVER, bytes.fromhex("4000100000000000"))
 ANSWER = bytes.fromhex("4300100096010400")
 
@@ -270,16 +266,16 @@ def test_a_bad_sequence_number_is_found() -> None:
 @pytest.mark.parametrize("begin", ["21202001", "20202001", "C6202001", "C2202001", "C0202001", "C4202001"])
 def test_the_client_ends_a_download(begin: str) -> None:
     run = started(MODULE)
-    content = fuzz_input.CONTENTS[0]
+    content = inputs.CONTENTS[0]
     begins = Frame(SERVER, bytes.fromhex(begin) + len(content).to_bytes(4, "little"))
     run.do(Step((begins,), follow=39, content=content))
-    assert run.dictionary.entry(0x2020, 2).value == fuzz_input.TABLE.crc32
+    assert run.dictionary.entry(0x2020, 2).value == inputs.TABLE.crc32
 
 
 def test_the_client_can_spoil_a_checksum() -> None:
     run = started(MODULE)
     begins = Frame(SERVER, bytes.fromhex("C420200100000000"))
-    run.do(Step((begins,), follow=39, content=fuzz_input.CONTENTS[0], spoil=1))
+    run.do(Step((begins,), follow=39, content=inputs.CONTENTS[0], spoil=1))
     assert run.dictionary.entry(0x2020, 2).value == 0
 
 
@@ -306,8 +302,8 @@ def noted(frames: list[Frame], answers: list[bytes]) -> list[Frame]:
 # The command.
 
 
-def fuzz(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(Path(fuzz_body.__file__).with_name("fuzz_sdo.py")), *arguments]
+def fuzz(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "tools.fuzz.sdo", *arguments]
     return subprocess.run(
         command,
         capture_output=True,
@@ -315,7 +311,7 @@ def fuzz(*arguments: str, cwd: Path, **environment: str) -> subprocess.Completed
         check=False,
         timeout=120,
         cwd=cwd,
-        env=os.environ | environment,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
     )
 
 
@@ -335,7 +331,7 @@ def test_an_input_is_shown_as_frames(tmp_path: Path) -> None:
 
 def test_without_atheris_it_says_what_to_do(tmp_path: Path) -> None:
     (tmp_path / "atheris.py").write_text("raise ImportError")
-    done = fuzz("-runs=1", cwd=tmp_path, PYTHONPATH=str(tmp_path))
+    done = fuzz("-runs=1", cwd=tmp_path)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr == "atheris is missing: python -m pip install 'atheris>=3.0'\n"
 

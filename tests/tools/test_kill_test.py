@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-TOOLS = Path(__file__).parents[2] / "tools"
+ROOT = Path(__file__).parents[2]
 IN_PLACE = """
 import os, sys
 from canfb.bus.state_files import StateFiles
-import kill_test
+from tools.faults.saving import kills
 
 def write(self, name, data):
     with open(self.folder / name, "wb", buffering=0) as file:
@@ -23,7 +23,7 @@ def write(self, name, data):
         file.write(data[100:])
 
 StateFiles._write = write
-sys.exit(kill_test.main(["--every", "2000", "--json"]))
+sys.exit(kills.main(["--every", "2000", "--json"]))
 """
 
 
@@ -35,7 +35,7 @@ def run(*arguments: str) -> tuple[int, dict[str, Any]]:
         text=True,
         timeout=300,
         check=False,
-        cwd=TOOLS,
+        cwd=ROOT,
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
     )
     if done.returncode == 2:
@@ -45,7 +45,7 @@ def run(*arguments: str) -> tuple[int, dict[str, Any]]:
 
 
 def test_the_old_or_the_new_set_is_there_after_every_kill_and_damage_is_refused() -> None:
-    status, told = run("kill_test.py", "--every", "53", "--json")
+    status, told = run("-m", "tools.faults.saving.kills", "--every", "53", "--json")
     assert (status, told["good"]) == (0, True)
     for one in told["kills"]:
         assert one["neither"] == 0

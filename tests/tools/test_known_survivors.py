@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
+from tools.suite import mutate
+
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tools"))
-
-import mutate  # noqa: E402
-
 LIST = ROOT / "tests" / "signal" / "known_survivors.txt"
 
 

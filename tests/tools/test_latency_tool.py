@@ -1,17 +1,15 @@
-"""tools/latency.py without a bus, and the picture of docs/latency.md."""
+"""tools/bench/latency.py without a bus, and the picture of docs/latency.md."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tools"))
+from tools.bench import latency
 
-import latency  # noqa: E402
+ROOT = Path(__file__).parents[2]
 
 
 def test_every_variant_answers_in_process(capsys: pytest.CaptureFixture[str]) -> None:

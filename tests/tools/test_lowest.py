@@ -1,14 +1,10 @@
-"""tools/lowest.py: lower bounds as constraints, and pyproject.toml has one for each requirement."""
+"""tools/suite/lowest.py: lower bounds as constraints, and pyproject.toml has one for each requirement."""
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-import lowest
+from tools.suite import lowest
 
 TEXT = """
 [project]

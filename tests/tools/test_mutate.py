@@ -1,18 +1,17 @@
-"""tools/mutate.py on a module of a few lines: what it changes, what it reports, and its exit status."""
+"""tools/suite/mutate.py on a module of a few lines: what it changes, what it reports, and its exit status."""
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-TOOLS = Path(__file__).parents[2] / "tools"
-sys.path.insert(0, str(TOOLS))
+from tools.suite import mutate
 
-import mutate  # noqa: E402
-
+ROOT = Path(__file__).parents[2]
 MODULE = '''"""A docstring is not changed."""
 
 LIMIT = 3
@@ -78,13 +77,11 @@ def test_each_change_is_made_alone(tmp_path: Path) -> None:
 
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
-    """A project with this module, tests that miss one of its changes, and the tool."""
-    for folder in ("src", "tools"):
-        (tmp_path / folder).mkdir()
-    (tmp_path / "tools" / "mutate.py").write_text((TOOLS / "mutate.py").read_text())
+    """A project with this module, and tests that miss one of its changes."""
+    (tmp_path / "src").mkdir()
     (tmp_path / "src" / "small.py").write_text(MODULE)
     (tmp_path / "test_small.py").write_text(
-        "import sys\nsys.path.insert(0, 'src')\nfrom small import Check\n"
+        "from small import Check\n"
         "def test_it():\n"
         "    check = Check()\n"
         "    assert [check.over(x) for x in (None, 2, 4)] == [False, False, True]\n"
@@ -94,8 +91,16 @@ def project(tmp_path: Path) -> Path:
 
 
 def run(project: Path, *options: str) -> tuple[int, list[str]]:
-    command = [sys.executable, "tools/mutate.py", "src/small.py", *options, "--", "test_small.py"]
-    done = subprocess.run(command, cwd=project, capture_output=True, text=True, timeout=60, check=False)
+    command = [sys.executable, "-m", "tools.suite.mutate", "src/small.py", *options, "--", "test_small.py"]
+    done = subprocess.run(
+        command,
+        cwd=project,
+        env=os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{project / 'src'}"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
     return done.returncode, done.stdout.splitlines()
 
 

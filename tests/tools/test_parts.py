@@ -1,4 +1,4 @@
-"""tools/parts.py: every part runs and has its own verdict."""
+"""tools/suite/parts.py: every part runs and has its own verdict."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from pathlib import Path
 
 import pytest
 
-TOOL = Path(__file__).parents[2] / "tools" / "parts.py"
+ROOT = Path(__file__).parents[2]
+TOOL = (sys.executable, "-m", "tools.suite.parts")
 FOREVER = "import time; print('ready', flush=True); time.sleep(1000)"
 
 
 def parts(*arguments: str) -> tuple[int, list[str]]:
-    done = subprocess.run([sys.executable, TOOL, *arguments], capture_output=True, text=True, check=False)
+    done = subprocess.run([*TOOL, *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
     return done.returncode, done.stdout.splitlines()
 
 
@@ -51,8 +52,8 @@ def test_what_is_no_part_is_one_line_of_usage() -> None:
 def test_a_signal_ends_the_part_beside_too(tmp_path: Path) -> None:
     written = tmp_path / "pid"
     beside = f"x={sys.executable} -c \"import os; open('{written}', 'w').write(str(os.getpid())); {FOREVER}\""
-    command = [sys.executable, TOOL, "--beside", beside, f'y={sys.executable} -c "{FOREVER}"']
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    command = [*TOOL, "--beside", beside, f'y={sys.executable} -c "{FOREVER}"']
+    child = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, start_new_session=True)
     assert child.stdout is not None
     with child.stdout:
         assert child.stdout.readline() == "ready\n"

@@ -9,15 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tools.paper import figures, plant, reproduce
+from tools.paper.claim import FAST, Claim, Verdict, markdown, verdict
+
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tools"))
-
-import paper_claim  # noqa: E402
-import paper_figures  # noqa: E402
-import paper_plant  # noqa: E402
-import reproduce_paper  # noqa: E402
-from paper_claim import Claim, Verdict  # noqa: E402
-
 # Figures of each claim with their bounds; where both are the same, the figure is exact.
 BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
     "quad-counting": {
@@ -103,7 +98,7 @@ NOT_PLAIN = {
 
 @pytest.fixture(scope="module")
 def found() -> dict[str, Claim]:
-    return {claim.key: claim for claim in reproduce_paper.claims(paper_claim.FAST)}
+    return {claim.key: claim for claim in reproduce.claims(FAST)}
 
 
 def test_every_claim_has_its_bounds(found: dict[str, Claim]) -> None:
@@ -127,30 +122,30 @@ def test_the_page_has_the_claims_as_the_tool_writes_them(found: dict[str, Claim]
     """All but the figures, which come from the long runs there."""
     page = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8").splitlines()
     rows = [line.split(" | ") for line in page if line.startswith("| ")]
-    written = [line.split(" | ") for line in paper_claim.markdown(list(found.values())).splitlines()]
+    written = [line.split(" | ") for line in markdown(list(found.values())).splitlines()]
     assert [row[:3] + row[4:] for row in rows] == [row[:3] + row[4:] for row in written]
 
 
 def test_way_is_exact_and_keeps_its_limits() -> None:
-    way = paper_plant.Way.random(50_000, 83.3, 0.3, np.random.default_rng(1))
-    change = np.diff(way.units, 2) / paper_plant.UNIT
+    way = plant.Way.random(50_000, 83.3, 0.3, np.random.default_rng(1))
+    change = np.diff(way.units, 2) / plant.UNIT
     assert len(way) == 50_000
     assert 0.25 < np.abs(change).max() <= 0.3
     assert 83.0 < way.top_speed < 83.301
     assert way.reversals > 5
     assert not way.error(way.cycles, way.phase).any()
     assert way.error(way.cycles + 1, way.phase).tolist() == [1.0] * len(way)
-    there_and_back = paper_plant.Way.from_steps([0.0, 0.25, 0.0, -0.25, -0.25, 0.0, 0.25])
+    there_and_back = plant.Way.from_steps([0.0, 0.25, 0.0, -0.25, -0.25, 0.0, 0.25])
     assert there_and_back.units[0] == there_and_back.units[-1]
 
 
 def test_score_counts_wrong_cycles_and_flags() -> None:
-    way = paper_plant.Way.from_steps(np.concatenate([[0.0], np.full(100, 0.2), np.zeros(400_000)]))
-    result = paper_plant.followed(paper_plant.IDEAL, way, None)
-    assert paper_plant.score(way, result).wrong == 0
+    way = plant.Way.from_steps(np.concatenate([[0.0], np.full(100, 0.2), np.zeros(400_000)]))
+    result = plant.followed(plant.IDEAL, way, None)
+    assert plant.score(way, result).wrong == 0
     result.cycles[300_000:300_007] += 1
     result.ok[5] = False
-    got = paper_plant.score(way, result)
+    got = plant.score(way, result)
     assert (got.samples, got.wrong, got.flagged) == (400_101, 7, 1)
     assert 1e-5 < got.peak_error < 2e-4
 
@@ -158,12 +153,12 @@ def test_score_counts_wrong_cycles_and_flags() -> None:
 @pytest.fixture
 def two_claims(found: dict[str, Claim], monkeypatch: pytest.MonkeyPatch) -> list[Claim]:
     two = [found["eq-10"], found["resolution"]]
-    monkeypatch.setattr(reproduce_paper, "claims", lambda effort: iter(two))
+    monkeypatch.setattr(reproduce, "claims", lambda effort: iter(two))
     return two
 
 
 def test_table_on_the_terminal(two_claims: list[Claim], capsys: pytest.CaptureFixture[str]) -> None:
-    assert reproduce_paper.main([]) == 0
+    assert reproduce.main([]) == 0
     printed = capsys.readouterr().out
     assert "section 3, eq. 10: largest acceleration" in printed
     assert "    paper   785 000 rad/s²\n" in printed
@@ -171,7 +166,7 @@ def test_table_on_the_terminal(two_claims: list[Claim], capsys: pytest.CaptureFi
 
 
 def test_markdown(two_claims: list[Claim], tmp_path: Path) -> None:
-    assert reproduce_paper.main(["--markdown", str(tmp_path / "table.md")]) == 0
+    assert reproduce.main(["--markdown", str(tmp_path / "table.md")]) == 0
     lines = (tmp_path / "table.md").read_text(encoding="utf-8").splitlines()
     assert lines[0] == "| place | claim | the paper | ours | agrees |"
     assert len(lines) == 4
@@ -181,13 +176,13 @@ def test_markdown(two_claims: list[Claim], tmp_path: Path) -> None:
 def test_a_claim_that_does_not_hold_fails(
     two_claims: list[Claim], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    two_claims[1] = replace(two_claims[1], verdict=paper_claim.verdict(False, Verdict.LIMITED))
-    assert reproduce_paper.main([]) == 1
+    two_claims[1] = replace(two_claims[1], verdict=verdict(False, Verdict.LIMITED))
+    assert reproduce.main([]) == 1
     assert capsys.readouterr().out.endswith("2 claims, 1 do not hold: resolution\n")
 
 
 def test_figures(two_claims: list[Claim], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert reproduce_paper.main(["--fast", "--figures", str(tmp_path / "pictures")]) == 0
+    assert reproduce.main(["--fast", "--figures", str(tmp_path / "pictures")]) == 0
     pictures = sorted((tmp_path / "pictures").iterdir())
     assert [picture.name for picture in pictures] == [
         "83-cycles-per-sample.png",
@@ -207,8 +202,8 @@ def test_no_figures_without_matplotlib(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    assert not paper_figures.can_draw()
-    assert reproduce_paper.main(["--figures", str(tmp_path / "pictures")]) == 2
+    assert not figures.can_draw()
+    assert reproduce.main(["--figures", str(tmp_path / "pictures")]) == 2
     assert capsys.readouterr().err == "figures need matplotlib: pip install 'canfb[plot]'\n"
     assert not (tmp_path / "pictures").exists()
 
@@ -216,5 +211,5 @@ def test_no_figures_without_matplotlib(
 def test_a_file_that_cannot_be_written(
     two_claims: list[Claim], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert reproduce_paper.main(["--markdown", str(tmp_path)]) == 2
+    assert reproduce.main(["--markdown", str(tmp_path)]) == 2
     assert str(tmp_path) in capsys.readouterr().err

@@ -1,21 +1,17 @@
-"""The parts of tools/vcan.py that need no user-mode Linux: what it would run, and what it says."""
+"""The parts of tools/vcan that need no user-mode Linux: what it would run, and what it says."""
 
 from __future__ import annotations
 
 import os
 import shlex
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
-TOOLS = Path(__file__).parents[2] / "tools"
-sys.path.insert(0, str(TOOLS))
-
-import vcan  # noqa: E402
-import vcan_uml  # noqa: E402
+from tools.vcan import __main__ as vcan
+from tools.vcan import uml
 
 MODULES_DEP = """\
 kernel/drivers/net/can/dev/can-dev.ko:
@@ -33,26 +29,26 @@ def names(order: list[str]) -> list[str]:
 
 
 def test_modules_come_after_what_they_need() -> None:
-    order = vcan_uml.module_order(MODULES_DEP, ["vcan", "can-raw"])
+    order = uml.module_order(MODULES_DEP, ["vcan", "can-raw"])
     assert names(order) == ["can-dev.ko", "vcan.ko", "can.ko", "can-raw.ko"]
 
 
 def test_a_module_is_loaded_once() -> None:
-    order = vcan_uml.module_order(MODULES_DEP, ["can", "can-raw", "can-bcm", "can-dev", "vcan"], ["vxcan"])
+    order = uml.module_order(MODULES_DEP, ["can", "can-raw", "can-bcm", "can-dev", "vcan"], ["vxcan"])
     assert len(order) == len(set(order)) == 6
 
 
 def test_dependencies_are_followed_to_the_end() -> None:
-    assert names(vcan_uml.module_order(MODULES_DEP, ["deep"])) == ["can.ko", "can-raw.ko", "deep.ko"]
+    assert names(uml.module_order(MODULES_DEP, ["deep"])) == ["can.ko", "can-raw.ko", "deep.ko"]
 
 
 def test_a_missing_module_is_named() -> None:
-    with pytest.raises(vcan_uml.VcanError, match="can-isotp"):
-        vcan_uml.module_order(MODULES_DEP, ["can", "can-isotp"])
+    with pytest.raises(uml.VcanError, match="can-isotp"):
+        uml.module_order(MODULES_DEP, ["can", "can-isotp"])
 
 
 def test_an_optional_module_may_be_missing() -> None:
-    assert names(vcan_uml.module_order(MODULES_DEP, ["can"], ["can-isotp"])) == ["can.ko"]
+    assert names(uml.module_order(MODULES_DEP, ["can"], ["can-isotp"])) == ["can.ko"]
 
 
 @pytest.mark.parametrize(
@@ -67,24 +63,24 @@ def test_an_optional_module_may_be_missing() -> None:
 )
 def test_registers_are_filled_up_only_where_needed(flags: str, release: str, needed: bool) -> None:
     cpuinfo = f"processor\t: 0\nmodel name\t: any\nflags\t\t: {flags}\n"
-    assert vcan_uml.needs_preload(cpuinfo, release) is needed
+    assert uml.needs_preload(cpuinfo, release) is needed
 
 
 def test_kernel_command_line_boots_our_files_with_our_script() -> None:
-    arguments = vcan_uml.kernel_arguments("/usr/bin/linux.uml", Path("/tmp/x/init"), "null,fd:1", quiet=False)
+    arguments = uml.kernel_arguments("/usr/bin/linux.uml", Path("/tmp/x/init"), "null,fd:1", quiet=False)
     assert arguments[arguments.index("--") :] == ["--", "/tmp/x/init"]
     assert {"rootfstype=hostfs", "rootflags=/", "mem=1024M", "con0=null,fd:1"} < set(arguments)
     assert "quiet" not in arguments
 
 
 def test_a_shell_boots_without_a_word() -> None:
-    arguments = vcan_uml.kernel_arguments("linux.uml", Path("/tmp/x/init"), "fd:0,fd:1", quiet=True)
+    arguments = uml.kernel_arguments("linux.uml", Path("/tmp/x/init"), "fd:0,fd:1", quiet=True)
     assert {"quiet", "loglevel=0"} < set(arguments)
 
 
 def test_init_script_is_a_shell_script_and_loads_in_order(tmp_path: Path) -> None:
     modules = [Path("/m/can.ko"), Path("/m/can-raw.ko"), Path("/m/vcan.ko")]
-    text = vcan_uml.init_script(modules, tmp_path, "vcan0", "true")
+    text = uml.init_script(modules, tmp_path, "vcan0", "true")
     subprocess.run(["sh", "-n"], input=text, text=True, check=True)
     places = [text.index(f"insmod {path}") for path in modules]
     assert places == sorted(places)
@@ -95,9 +91,9 @@ def test_command_gets_its_words_folder_and_environment_unchanged(tmp_path: Path)
     folder = tmp_path / "with space"
     folder.mkdir()
     output, errors = tmp_path / "out put", tmp_path / "errors"
-    place = vcan_uml.Place(str(folder), {"PATH": os.defpath, "ODD": "a'b\nc $d", "dots.in.name": "1"})
+    place = uml.Place(str(folder), {"PATH": os.defpath, "ODD": "a'b\nc $d", "dots.in.name": "1"})
     script = 'printf "%s|" "$@"; pwd; env >&2'
-    line = vcan_uml.run_line(["sh", "-c", script, "sh", "one two", "it's", "*"], place, output, errors)
+    line = uml.run_line(["sh", "-c", script, "sh", "one two", "it's", "*"], place, output, errors)
     subprocess.run(["sh", "-c", line], env={"LEAK": "1", "PATH": os.environ["PATH"]}, check=True)
     assert output.read_text() == f"one two|it's|*|{folder}\n"
     assert "ODD=a'b\nc $d\n" in errors.read_text()
@@ -106,8 +102,8 @@ def test_command_gets_its_words_folder_and_environment_unchanged(tmp_path: Path)
 
 def test_output_and_errors_keep_their_order_in_one_file(tmp_path: Path) -> None:
     both = tmp_path / "both"
-    place = vcan_uml.Place(str(tmp_path), {"PATH": os.defpath})
-    line = vcan_uml.run_line(["sh", "-c", "echo 1; echo 2 >&2; echo 3"], place, both, both)
+    place = uml.Place(str(tmp_path), {"PATH": os.defpath})
+    line = uml.run_line(["sh", "-c", "echo 1; echo 2 >&2; echo 3"], place, both, both)
     subprocess.run(["sh", "-c", line], check=True)
     assert both.read_text() == "1\n2\n3\n"
 
@@ -115,7 +111,7 @@ def test_output_and_errors_keep_their_order_in_one_file(tmp_path: Path) -> None:
 def test_tail_copies_what_a_file_gains(tmp_path: Path) -> None:
     source, sink = tmp_path / "source", tmp_path / "sink"
     with sink.open("wb") as stream:
-        tail = vcan_uml.Tail(source, stream)
+        tail = uml.Tail(source, stream)
         for _ in range(2):
             with source.open("ab") as writer:
                 writer.write(b"x" * 100_000)
@@ -125,17 +121,17 @@ def test_tail_copies_what_a_file_gains(tmp_path: Path) -> None:
 
 
 def test_memory_needs_room_and_execution(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert vcan_uml.memory_folder(["/no/such/folder", str(tmp_path)]) == str(tmp_path)
-    monkeypatch.setattr(vcan_uml, "MEMORY_MIB", 1 << 40)
-    with pytest.raises(vcan_uml.VcanError, match="MiB free"):
-        vcan_uml.memory_folder([str(tmp_path)])
+    assert uml.memory_folder(["/no/such/folder", str(tmp_path)]) == str(tmp_path)
+    monkeypatch.setattr(uml, "MEMORY_MIB", 1 << 40)
+    with pytest.raises(uml.VcanError, match="MiB free"):
+        uml.memory_folder([str(tmp_path)])
 
 
 def test_a_panic_is_what_is_told() -> None:
     log = [*(f"line {n}" for n in range(30)), "Kernel panic - not syncing", "a long trace", "of no use"]
-    assert vcan_uml.last_words(log, 3) == ["line 28", "line 29", "Kernel panic - not syncing"]
-    assert vcan_uml.last_words(["one", "two", "three"], 2) == ["two", "three"]
-    assert not vcan_uml.last_words([])
+    assert uml.last_words(log, 3) == ["line 28", "line 29", "Kernel panic - not syncing"]
+    assert uml.last_words(["one", "two", "three"], 2) == ["two", "three"]
+    assert not uml.last_words([])
 
 
 @pytest.mark.parametrize(
@@ -187,7 +183,7 @@ def beside_a_kernel(command: list[str], timeout_s: float = 60.0) -> int:
 
 def test_a_boot_takes_its_time_while_the_kernel_writes(tmp_path: Path) -> None:
     console = tmp_path / "console"
-    booting = vcan_uml.Booting(console, 100.0)
+    booting = uml.Booting(console, 100.0)
     assert booting.silence_s(130.0) == 30.0
     console.write_text("Linux version\n")
     assert booting.silence_s(150.0) == 0.0
@@ -201,7 +197,7 @@ def test_exit_status_is_the_commands() -> None:
 
 def test_a_command_that_hangs_is_ended_with_all_it_started(tmp_path: Path) -> None:
     pid = tmp_path / "pid"
-    with pytest.raises(vcan_uml.TimedOutError, match="after 1 s"):
+    with pytest.raises(uml.TimedOutError, match="after 1 s"):
         beside_a_kernel(["sh", "-c", f"sleep 1000 & echo $! >{pid}; wait"], 1.0)
     deadline = time.monotonic() + 10.0
     while not has_ended(int(pid.read_text())):
@@ -221,7 +217,7 @@ def test_no_vcan_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(vcan, "find_kernel", lambda: None)
-    monkeypatch.setattr(vcan_uml, "which", lambda _program: None)
+    monkeypatch.setattr(uml, "which", lambda _program: None)
     assert vcan.main(["check"]) == 1
     assert vcan.main(["run", "--", "true"]) == vcan.FAILED
     told = capsys.readouterr()

@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import struct
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tools" / "faults"))
-
-import wire_campaign  # noqa: E402
-from canfb import Frame  # noqa: E402
-from wire_availability import endurance, is_unique, one_lost  # noqa: E402
-from wire_classes import CLASSES  # noqa: E402
-from wire_draw import draw_plan  # noqa: E402
-from wire_host import Sent, drive  # noqa: E402
-from wire_judge import LOST, VALID, Judge, Verdict  # noqa: E402
-from wire_line import Line, Plan, Slot, lay  # noqa: E402
-from wire_motion import Motion  # noqa: E402
-from wire_physics import unseen  # noqa: E402
-from wire_play import Episode, play, play_plan  # noqa: E402
-from wire_setups import RANGE_CYCLES, SDO_TX, SETUPS, TPDO1_ID, UNITS_PER_CYCLE, Options, Setup  # noqa: E402
+from canfb import Frame
+from tools.faults.wire import campaign
+from tools.faults.wire.availability import endurance, is_unique, one_lost
+from tools.faults.wire.classes import CLASSES
+from tools.faults.wire.draw import draw_plan
+from tools.faults.wire.host import Sent, drive
+from tools.faults.wire.judge import LOST, VALID, Judge, Verdict
+from tools.faults.wire.line import Line, Plan, Slot, lay
+from tools.faults.wire.motion import Motion
+from tools.faults.wire.physics import unseen
+from tools.faults.wire.play import Episode, play, play_plan
+from tools.faults.wire.setups import RANGE_CYCLES, SDO_TX, SETUPS, TPDO1_ID, UNITS_PER_CYCLE, Options, Setup
 
 PLAIN = SETUPS[0]
 SPEED = 7.0  # cycles/T
@@ -276,10 +271,10 @@ def test_nothing_is_silent(name: str) -> None:
 
 def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--episodes", "2", "--jobs", "1", "--class", "PDO lost, 2", "--setup", "counter*", "--by-setup"]
-    assert wire_campaign.main(words) == 0
+    assert campaign.main(words) == 0
     assert "PDO lost, 2  counter/rx" in capsys.readouterr().out
-    assert wire_campaign.main(["--episode", "no class:plain:1"]) == 2
-    assert wire_campaign.main(["--episode", "PDO lost, 2:plain:4", "--trace"]) == 0
+    assert campaign.main(["--episode", "no class:plain:1"]) == 2
+    assert campaign.main(["--episode", "PDO lost, 2:plain:4", "--trace"]) == 0
     assert "residual" in capsys.readouterr().out
 
 

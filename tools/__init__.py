@@ -1,0 +1,1 @@
+"""Programs that go further than the tests. From the root of the repository: python -m tools.bench.cycle."""

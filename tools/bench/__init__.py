@@ -1,0 +1,1 @@
+"""What takes how long, and how good it is: cycles, modules, latency, correction tables."""

@@ -1,0 +1,1 @@
+"""EDS files against CiA 306 and CiA 301."""

@@ -1,0 +1,346 @@
+"""Check EDS files against CiA 306 (their form) and CiA 301 (objects, PDO mapping, COB-IDs).
+
+    python -m tools.eds.check [-n NODE_ID] [FILE ...]
+
+Without FILE, all files of the eds folder are checked. One line per finding, `file:section: text`; exit
+status 1 if there is any. Forms that our files do not use (CompactSubObj, modules, object links) are
+reported, not checked.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Callable, Collection, Iterator
+from datetime import datetime
+from pathlib import Path
+
+from tools.eds.model import (
+    ARRAY,
+    BITS,
+    DOMAIN,
+    DOMAIN_TYPE,
+    RECORD,
+    U8,
+    UNSIZED_TYPES,
+    VAR,
+    Eds,
+    Entry,
+    Finding,
+    Section,
+    is_mapping,
+    number_of_type,
+    object_place,
+    range_of_type,
+    read,
+)
+from tools.eds.pdo import PDO_ACCESS, PDO_COUNT, check_cob_ids, check_pdos
+from tools.eds.standard import check_companions, check_standard_entries, standard_kind, standard_type
+
+ACCESS_TYPES = ("ro", "wo", "rw", "rwr", "rww", "const")
+
+FILE_INFO = {
+    "FileName": r".+\.eds",
+    "FileVersion": r"\d{1,3}",
+    "FileRevision": r"\d{1,3}",
+    "EDSVersion": r"4\.0",
+    "Description": r".{1,243}",
+    "CreationTime": r"(0[1-9]|1[0-2]):[0-5]\d[AP]M",
+    "CreationDate": r"(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])-\d{4}",
+    "CreatedBy": r".{1,245}",
+    "ModificationTime": r"(0[1-9]|1[0-2]):[0-5]\d[AP]M",
+    "ModificationDate": r"(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])-\d{4}",
+    "ModifiedBy": r".{1,244}",
+}
+FILE_VERSIONS = ("FileVersion", "FileRevision")
+DEVICE_INFO_TEXTS = {"VendorName": 244, "ProductName": 243, "OrderCode": 245}
+LONGEST_NAME, LONGEST_COMMENT = 241, 249  # characters: with key and equals sign a line has 255
+IDENTITY = ("VendorNumber", "ProductNumber", "RevisionNumber")  # in the order of 1018h
+DEVICE_INFO_FLAGS = (
+    "SimpleBootUpMaster",
+    "SimpleBootUpSlave",
+    "GroupMessaging",
+    "LSS_Supported",
+    "CompactPDO",
+)
+DEVICE_INFO_HIGHEST = (
+    dict.fromkeys(IDENTITY, 0xFFFFFFFF)
+    | {f"BaudRate_{rate}": 1 for rate in (10, 20, 50, 125, 250, 500, 800, 1000)}
+    | dict.fromkeys(DEVICE_INFO_FLAGS, 1)
+    | {"Granularity": 64, "DynamicChannelsSupported": 0xFF, "NrOfRXPDO": 512, "NrOfTXPDO": 512}
+)
+MANDATORY = {0x1000: 0, 0x1001: 0, 0x1018: 1}
+"""Objects that every device has, each with the sub-index it cannot lack (CiA 301)."""
+LISTS: dict[str, Callable[[int], bool]] = {
+    "MandatoryObjects": lambda index: index in MANDATORY,
+    "OptionalObjects": lambda index: index not in MANDATORY and (0x1000 <= index < 0x2000 or index >= 0x6000),
+    "ManufacturerObjects": lambda index: 0x2000 <= index < 0x6000,
+}
+SECTIONS = ("FileInfo", "DeviceInfo", "DummyUsage", "Comments", *LISTS)
+OBJECT_KEYS = {"parametername", "objecttype", "subnumber"}
+ENTRY_KEYS = (OBJECT_KEYS - {"subnumber"}) | {
+    *("datatype", "accesstype", "lowlimit", "highlimit", "defaultvalue", "pdomapping", "objflags"),
+}
+
+
+def check_sections(eds: Eds) -> Iterator[Finding]:
+    for name in SECTIONS:
+        if name.lower() not in eds.sections:
+            yield Finding(name, "section is missing")
+    for lower, section in eds.sections.items():
+        place = object_place(lower)
+        if place is None and lower not in [name.lower() for name in SECTIONS]:
+            yield Finding(section.name, "unknown section, or an index not written as CiA 306 wants it")
+        elif place and place[0] not in eds.objects:
+            yield Finding(section.name, f"there is no object [{place[0]:04X}]")
+
+
+def check_file_info(eds: Eds) -> Iterator[Finding]:
+    info = eds.section("FileInfo")
+    for key, form in FILE_INFO.items():
+        if not re.fullmatch(form, info.text(key) or ""):
+            yield Finding(info.name, f"{key} is missing or has not the form {form}")
+    if info.text("FileName") != eds.file_name:
+        yield Finding(info.name, f"FileName is not {eds.file_name}")
+    for key in FILE_VERSIONS:
+        if (info.number(key) or 0) > 0xFF:
+            yield Finding(info.name, f"{key} is above 255")
+    created, modified = (_moment(info, event) for event in ("Creation", "Modification"))
+    if created is None or modified is None:
+        yield Finding(info.name, "a date or time is none of the calendar")
+    elif modified < created:
+        yield Finding(info.name, "modified before it was created")
+    yield from _unknown_keys(info, FILE_INFO)
+
+
+def _moment(info: Section, event: str) -> datetime | None:
+    """When the file was made or changed, None for a day or an hour that does not exist."""
+    try:
+        return datetime.strptime(
+            f"{info.text(event + 'Date')} {info.text(event + 'Time')}", "%m-%d-%Y %I:%M%p"
+        )
+    except ValueError:
+        return None
+
+
+def check_device_info(eds: Eds) -> Iterator[Finding]:
+    info = eds.section("DeviceInfo")
+    for key, longest in DEVICE_INFO_TEXTS.items():
+        if not 0 < len(info.text(key) or "") <= longest:
+            yield Finding(info.name, f"{key} is missing or longer than {longest} characters")
+    for key, highest in DEVICE_INFO_HIGHEST.items():
+        value = info.number(key)
+        if value is None or not 0 <= value <= highest:
+            yield Finding(info.name, f"{key} is missing or not 0..{highest}")
+    if not any(info.number(key) for key in DEVICE_INFO_HIGHEST if key.startswith("BaudRate_")):
+        yield Finding(info.name, "no BaudRate is supported")
+    yield from _unknown_keys(info, [*DEVICE_INFO_TEXTS, *DEVICE_INFO_HIGHEST])
+    for sub, key in enumerate(IDENTITY, start=1):
+        entry = eds.entries.get((0x1018, sub))
+        if entry and entry.default(eds.node_id) != info.number(key):
+            yield Finding(entry.section.name, f"DefaultValue is not {key} of [DeviceInfo]")
+
+
+def check_dummy_usage(eds: Eds) -> Iterator[Finding]:
+    usage = eds.section("DummyUsage")
+    granularity = eds.section("DeviceInfo").number("Granularity") or 0
+    keys = {f"Dummy{data_type:04X}": data_type for data_type in range(1, 8)}
+    for key, data_type in keys.items():
+        if usage.number(key) not in (0, 1):
+            yield Finding(usage.name, f"{key} is missing or not 0 or 1")
+        elif usage.number(key) == 1 and BITS[data_type] < granularity:
+            yield Finding(usage.name, f"{key} is shorter than Granularity")
+    yield from _unknown_keys(usage, keys)
+
+
+def check_comments(eds: Eds) -> Iterator[Finding]:
+    comments = eds.section("Comments")
+    lines = comments.number("Lines")
+    if lines is None or {f"line{count}" for count in range(1, lines + 1)} != comments.values.keys() - {
+        "lines"
+    }:
+        yield Finding(comments.name, "Lines is not the number of the lines, or a line is missing")
+    for key, text in comments.values.items():
+        if len(text) > LONGEST_COMMENT:
+            yield Finding(comments.name, f"{key} is longer than {LONGEST_COMMENT} characters")
+
+
+def check_lists(eds: Eds) -> Iterator[Finding]:
+    seen: set[int | None] = set()
+    for name, belongs in LISTS.items():
+        section = eds.section(name)
+        count = section.number("SupportedObjects")
+        keys = section.values.keys() - {"supportedobjects"}
+        if count is None or {str(place) for place in range(1, count + 1)} != keys:
+            yield Finding(name, "SupportedObjects is not the number of objects, or their numbers have gaps")
+        last = 0
+        for key in sorted(keys, key=_place):
+            index = section.number(key)
+            if index is not None and index < last:
+                yield Finding(name, f"{key}={section.text(key)} is not in ascending order")
+            last = index or last
+            if index is None or not belongs(index):
+                yield Finding(name, f"{key}={section.text(key)} does not belong here")
+            elif index in seen:
+                yield Finding(name, f"{key}=0x{index:04X} is listed twice")
+            elif index not in eds.objects:
+                yield Finding(name, f"0x{index:04X} has no section")
+            seen.add(index)
+    for index in eds.objects.keys() - seen:
+        yield Finding(eds.objects[index].name, "is in none of the object lists")
+    for index, sub in MANDATORY.items():
+        if (index, sub) not in eds.entries:
+            yield Finding("MandatoryObjects", f"{index:04X}h:{sub:02X} is missing, CiA 301 demands it")
+
+
+def _place(key: str) -> tuple[int, str]:
+    """Sorts `10` behind `9`, and what is no number first."""
+    return (int(key), key) if key.isdecimal() else (0, key)
+
+
+def _check_name(section: Section) -> Iterator[Finding]:
+    name = section.text("ParameterName")
+    if name is None:
+        yield Finding(section.name, "ParameterName is missing")
+    elif len(name) > LONGEST_NAME:
+        yield Finding(section.name, f"ParameterName is longer than {LONGEST_NAME} characters")
+
+
+def check_objects(eds: Eds) -> Iterator[Finding]:
+    for index, section in eds.objects.items():
+        kind, subs = section.object_type, eds.subs(index)
+        yield from _check_name(section)
+        if kind in (ARRAY, RECORD):
+            yield from _unknown_keys(section, OBJECT_KEYS)
+            yield from _check_subs(index, section, subs)
+        elif kind not in (VAR, DOMAIN):
+            yield Finding(section.name, f"ObjectType={section.text('ObjectType')} is not one of ours")
+        elif subs:
+            yield Finding(section.name, "a VAR or DOMAIN has no sub-indices")
+        if kind != standard_kind(index, kind):
+            yield Finding(section.name, f"CiA 301 gives it ObjectType=0x{standard_kind(index, kind):X}")
+
+
+def _check_subs(index: int, section: Section, subs: dict[int, Entry]) -> Iterator[Finding]:
+    if section.number("SubNumber") != len(subs):
+        yield Finding(section.name, f"SubNumber is not {len(subs)}, the number of its sub-index sections")
+    if 0 not in subs or subs[0].data_type != U8:
+        yield Finding(section.name, "sub-index 0 is missing or not UNSIGNED8")
+        return
+    if section.object_type == ARRAY and len({entry.data_type for sub, entry in subs.items() if sub}) > 1:
+        yield Finding(section.name, "the entries of an ARRAY have one data type")
+    # 1003h:00 counts errors, and :00 of a mapping counts what is mapped: neither is the highest sub-index.
+    if index == 0x1003 or is_mapping(index):
+        if sorted(subs) != list(range(len(subs))):
+            yield Finding(section.name, "its sub-indices have a gap")
+    elif subs[0].section.number("DefaultValue") != max(subs):
+        yield Finding(subs[0].section.name, f"DefaultValue is not {max(subs)}, the highest sub-index")
+
+
+def check_entries(eds: Eds) -> Iterator[Finding]:
+    for entry in eds.entries.values():
+        section = entry.section
+        if section is not eds.objects.get(entry.index):
+            yield from _check_name(section)
+        yield from _unknown_keys(section, ENTRY_KEYS)
+        if section.text("ObjFlags") is not None and section.number("ObjFlags") not in range(4):
+            yield Finding(section.name, "ObjFlags is not 0..3")
+        if entry.access not in ACCESS_TYPES:
+            yield Finding(section.name, f"AccessType={section.text('AccessType')} is unknown")
+        if entry.data_type not in BITS and entry.data_type not in UNSIZED_TYPES:
+            yield Finding(section.name, f"DataType={section.text('DataType')} is unknown")
+            continue
+        if section.object_type != (DOMAIN if entry.data_type == DOMAIN_TYPE else VAR):
+            yield Finding(section.name, "ObjectType does not fit DataType")
+        wanted = standard_type(entry)
+        if entry.data_type != wanted:
+            yield Finding(section.name, f"CiA 301 gives it DataType=0x{wanted:04X}")
+        yield from _check_direction(eds, entry)
+        yield from _check_values(entry)
+
+
+def _check_direction(eds: Eds, entry: Entry) -> Iterator[Finding]:
+    section = entry.section
+    if section.number("PDOMapping") not in (0, 1):
+        yield Finding(section.name, "PDOMapping is missing or not 0 or 1")
+    if not entry.mappable:
+        if entry.access in ("rww", "rwr"):
+            yield Finding(section.name, f"AccessType={entry.access} is for PDO mapping, but PDOMapping=0")
+        return
+    if entry.data_type not in BITS:
+        yield Finding(section.name, f"{UNSIZED_TYPES[entry.data_type]} cannot be mapped into a PDO")
+    if entry.access == "rw":
+        yield Finding(section.name, "AccessType=rw gives no PDO direction: rww for RPDO, rwr for TPDO")
+    key = PDO_COUNT["RPDO" if entry.access in PDO_ACCESS["RPDO"] else "TPDO"]
+    if eds.section("DeviceInfo").number(key) == 0:
+        yield Finding(section.name, f"PDOMapping=1 with AccessType={entry.access}, but {key}=0")
+
+
+def _check_values(entry: Entry) -> Iterator[Finding]:
+    section, default = entry.section, entry.section.text("DefaultValue")
+    if entry.data_type not in BITS:
+        octets = not UNSIZED_TYPES[entry.data_type].endswith(("VISIBLE_STRING", "UNICODE_STRING"))
+        if octets and not re.fullmatch(r"([0-9A-Fa-f]{2})*", default or ""):
+            yield Finding(section.name, "DefaultValue is not a row of hexadecimal bytes")
+        if section.text("LowLimit") or section.text("HighLimit"):
+            yield Finding(section.name, "its data type has no limits")
+        return
+    lowest, highest = range_of_type(entry.data_type)
+    limits = {"LowLimit": lowest, "HighLimit": highest}
+    for key in limits:
+        text = section.text(key)
+        value = limits[key] if text is None else number_of_type(text, entry.data_type)
+        if value is None or not lowest <= value <= highest:
+            yield Finding(section.name, f"{key}={text} is not a plain number of its data type")
+        else:
+            limits[key] = value
+    low, high = limits.values()
+    if low > high:
+        yield Finding(section.name, "LowLimit is above HighLimit")
+    # A value that depends on the node-ID is in its range if it is so at both ends.
+    for node_id in (1, 127) if default else ():
+        value = number_of_type(default or "", entry.data_type, node_id)
+        if value is None or not low <= value <= high:
+            yield Finding(section.name, f"DefaultValue={default} is not a number in {low}..{high}")
+            break
+
+
+def _unknown_keys(section: Section, known: Collection[str]) -> Iterator[Finding]:
+    for key in sorted(section.values.keys() - {name.lower() for name in known}):
+        yield Finding(section.name, f"entry {key} is unknown or does not belong here")
+
+
+CHECKS: tuple[Callable[[Eds], Iterator[Finding]], ...] = (
+    *(check_sections, check_file_info, check_device_info, check_dummy_usage, check_comments),
+    *(check_lists, check_objects, check_entries, check_standard_entries, check_companions),
+    *(check_pdos, check_cob_ids),
+)
+
+
+def check_text(text: str, file_name: str, node_id: int = 32) -> list[Finding]:
+    """All findings of one EDS text. COB-IDs are compared as they are at `node_id` (1..127)."""
+    eds, findings = read(text, file_name, node_id)
+    for check in CHECKS:
+        findings.extend(check(eds))
+    return findings
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.eds.check", description="Check EDS files against CiA 306 and CiA 301."
+    )
+    parser.add_argument("-n", "--node-id", type=int, default=32, choices=range(1, 128), metavar="1..127")
+    parser.add_argument("files", nargs="*", type=Path, metavar="FILE", help="default: all of the eds folder")
+    options = parser.parse_args(arguments)
+    files = options.files or sorted((Path(__file__).parents[2] / "eds").glob("*.eds"))
+    found = False
+    for path in files:
+        for finding in check_text(path.read_text(encoding="latin-1"), path.name, options.node_id):
+            print(f"{path}:{finding.section}: {finding.text}")
+            found = True
+    return 1 if found or not files else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Faults of the samples: through the signal chain."""

@@ -1,0 +1,202 @@
+"""Fault campaign: inject every class of faults at every kind of speed, and count what the chain sees.
+
+    python -m tools.faults.chain.campaign [--episodes N] [--clean N] [--markdown FILE] [--json]
+
+Each episode is a machine turning at up to 3000 rpm with 2500 cycles per revolution, sampled at
+1 kHz with 12 bits, and a fault at a random instant. The result depends on --seed only. Exit status
+1 when a goal is missed, 2 when a file cannot be written. docs/faults.md says what the columns
+mean, what the goals are, and what physics forbids.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import NamedTuple
+
+try:
+    from tools.faults.chain.classes import CLASSES
+    from tools.faults.chain.clean import CHUNK_SAMPLES, CleanResult, run_clean
+    from tools.faults.chain.judge import judge, play
+    from tools.faults.chain.plant import SETTINGS, Turning, speed_of_group
+except ImportError as error:
+    sys.exit(f"{error}: run this file with the Python of the virtual environment (make test makes it)")
+import numpy as np
+
+from tools.faults.chain.tally import COLUMNS, Tally, markdown, plain
+
+EPISODES_OF_GROUP = 10
+GLITCH_FACTOR = 4  # glitches are short: more episodes of them
+FALSE_ALARM_GOAL = 1e-8
+
+
+class Group(NamedTuple):
+    """Episodes of one class at one speed: what one process does at a time."""
+
+    seed: int
+    setting: int
+    fault_class: int
+    group: int
+
+
+class Campaign(NamedTuple):
+    """All that was counted."""
+
+    tallies: dict[tuple[int, int], Tally]
+    clean: CleanResult
+
+    @property
+    def faulty(self) -> int:
+        return sum(tally.faulty for tally in self.tallies.values())
+
+    def misses(self) -> list[str]:
+        """Every goal that was missed."""
+        missed = [
+            f"{SETTINGS[setting].name}, {CLASSES[fault_class].name}: {miss}"
+            for (setting, fault_class), tally in self.tallies.items()
+            for miss in tally.misses
+        ]
+        clean = self.clean
+        if clean.flagged > FALSE_ALARM_GOAL * clean.samples:
+            missed.append(f"{clean.flagged} false alarms in {clean.samples} clean samples")
+        if clean.wrong:
+            missed.append(f"{clean.wrong} wrong positions in clean samples")
+        return missed
+
+
+def groups(seed: int, episodes: int) -> Iterator[Group]:
+    """All groups, in the order of the table."""
+    for setting in range(len(SETTINGS)):
+        for number, fault_class in enumerate(CLASSES):
+            wanted = episodes * (GLITCH_FACTOR if fault_class.is_glitch else 1)
+            for group in range(max(1, round(wanted / EPISODES_OF_GROUP))):
+                yield Group(seed, setting, number, group)
+
+
+def run_group(group: Group) -> tuple[Group, Tally]:
+    """Get the machine to its speed, then one episode after the other from there."""
+    rng = np.random.default_rng(np.random.SeedSequence(group))
+    setting = SETTINGS[group.setting]
+    turning = Turning(setting, speed_of_group(group.group + 7 * group.fault_class, rng), rng)
+    tally = Tally(false_alarms=turning.flagged)
+    for number in range(EPISODES_OF_GROUP):
+        episode = play(CLASSES[group.fault_class], turning, rng)
+        tally.add(judge(setting, episode), f"{tuple(group)} episode {number}")
+    return group, tally
+
+
+def _run_chunk(chunk: tuple[int, int, int]) -> CleanResult:
+    return run_clean(*chunk)
+
+
+def campaign(seed: int, episodes: int, clean: int, processes: int) -> Campaign:
+    """Run it all; the result depends on the first three only."""
+    sizes = [min(CHUNK_SAMPLES, clean - begin) for begin in range(0, clean, CHUNK_SAMPLES)]
+    chunks = [(seed, number, size) for number, size in enumerate(sizes)]
+    if processes == 1:
+        return _collect(map(run_group, groups(seed, episodes)), map(_run_chunk, chunks))
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        work = pool.imap(run_group, groups(seed, episodes), chunksize=8)
+        return _collect(work, pool.imap(_run_chunk, chunks))
+
+
+def _collect(work: Iterable[tuple[Group, Tally]], clean: Iterable[CleanResult]) -> Campaign:
+    tallies: dict[tuple[int, int], Tally] = {}
+    for group, tally in work:
+        tallies.setdefault((group.setting, group.fault_class), Tally()).merge(tally)
+    result = CleanResult()
+    for one in clean:
+        result = result.merged(one)
+    return Campaign(tallies, result)
+
+
+def rows_of(result: Campaign, setting: int) -> list[Sequence[str]]:
+    """The table at one setting, and the sum of all classes below."""
+    rows: list[Sequence[str]] = [COLUMNS]
+    total = Tally()
+    for number, fault_class in enumerate(CLASSES):
+        tally = result.tallies[setting, number]
+        rows.append(tally.row(fault_class.name))
+        total.merge(tally)
+    return [*rows, total.row("all")]
+
+
+def clean_line(clean: CleanResult) -> str:
+    """What became of the clean samples, in a sentence."""
+    return (
+        f"Clean samples: {clean.samples}, up to {clean.largest_speed:.0f} cycles per sample. False alarms: "
+        f"{clean.flagged}. Wrong positions: {clean.wrong}. Largest residual: {clean.largest_residual:.4f}."
+    )
+
+
+def _heading(setting: int) -> str:
+    one = SETTINGS[setting]
+    limits = one.config.limits
+    return (
+        f"{one.name}: residual limit {one.residual_limit:.3f} cycle, amplitude "
+        f"{limits.amplitude_low_counts} to {limits.amplitude_high_counts} counts, accelerations up to "
+        f"{one.acceleration} cycle per interval squared"
+    )
+
+
+def as_markdown(result: Campaign) -> str:
+    """All tables, for the documentation."""
+    parts = [f"**{_heading(n)}**\n\n{markdown(rows_of(result, n))}" for n in range(len(SETTINGS))]
+    return "\n".join([*parts, clean_line(result.clean) + "\n"])
+
+
+def as_json(result: Campaign) -> str:
+    """All sums, for a program."""
+    settings = {
+        one.name: {fc.name: result.tallies[n, m].record() for m, fc in enumerate(CLASSES)}
+        for n, one in enumerate(SETTINGS)
+    }
+    sums = {"faulty": result.faulty, "settings": settings, "clean": asdict(result.clean)}
+    return json.dumps(sums | {"misses": result.misses()}, indent=1)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.faults.chain.campaign", description=(__doc__ or "").partition("\n")[0]
+    )
+    parser.add_argument("--episodes", type=int, default=1000, metavar="N", help="of each class and setting")
+    parser.add_argument("--clean", type=int, default=10_000_000, metavar="N", help="clean samples")
+    parser.add_argument("--seed", type=int, default=1997)
+    parser.add_argument("--processes", type=int, default=2, metavar="N")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables as Markdown")
+    parser.add_argument("--json", action="store_true", help="print all sums as JSON instead")
+    options = parser.parse_args(argv)
+    if options.episodes < 1 or options.clean < 0 or options.seed < 0 or options.processes < 1:
+        parser.error("--episodes and --processes must be at least 1, --clean and --seed not negative")
+    result = campaign(options.seed, options.episodes, options.clean, options.processes)
+    print(as_json(result) if options.json else as_text(result))
+    if options.markdown is not None:
+        try:
+            options.markdown.write_text(as_markdown(result), encoding="utf-8")
+        except OSError as error:
+            print(f"cannot write {error.filename}: {error.strerror}", file=sys.stderr)
+            return 2
+    return 1 if result.misses() else 0
+
+
+def as_text(result: Campaign) -> str:
+    """All tables, and what was missed."""
+    parts = [f"{_heading(n)}\n{plain(rows_of(result, n))}" for n in range(len(SETTINGS))]
+    missed = result.misses()
+    seeds = [seed for tally in result.tallies.values() for seed in tally.violations]
+    end = [
+        clean_line(result.clean),
+        f"{result.faulty} faulty samples; goals missed: {len(missed)}",
+        *missed,
+        *(f"silent wrong position: (seed, setting, class, group) {seed}" for seed in seeds[:20]),
+    ]
+    return "\n".join([*parts, *end])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,180 @@
+"""One episode of the fault campaign: run it through the chain, and hold the result against the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.signal.chain import SignalChain
+from canfb.signal.sample import Sample
+from canfb.simulation.faults import Samples
+from tools.faults.chain.classes import FaultClass
+from tools.faults.chain.plant import ENCODER, FloatArray, Setting, Turning, motion
+
+CLEAN_BEFORE = (100, 301)
+CLEAN_AFTER = 100  # a short fault
+TO_THE_END = 200
+HARM_CYCLES = 0.25
+GLITCH_SAMPLES = 3  # what the chain has to bridge without losing a cycle
+
+VALID, LOST = 1 << 0, 1 << 2
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What the chain was given, what it published, and what was true."""
+
+    start: int
+    stop: int
+    clean: Samples
+    samples: Samples
+    truth: FloatArray
+    error: FloatArray  # published position less the true one, cycles
+    status: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """An episode judged.
+
+    flagged_before  a clean sample was flagged, or wrong, before the fault began
+    faulty          faulty samples
+    delay           samples from the begin of the fault to the first without VALID; None: never
+    moved           the fault itself moves the phase by more than a quarter of a cycle, or takes it away
+    legal           all samples together are those of a legal motion (:func:`first_illegal`)
+    wrong_legal     wrong positions called valid while all samples so far were those of a legal motion
+    wrong_reported  wrong positions called valid after that, the fault having been reported: the
+                    phases still are those of a legal motion, and only amplitude or converter range
+                    were bad; or the position was wrong before the last three samples already, and a
+                    legal motion is carried on as over a glitch
+    wrong_silent    all other wrong positions called valid: none is allowed
+    longest_run     of wrong positions called valid
+    wrong_count     at the end the position is called valid, and its cycle count is wrong
+    lost            at the end the position is called lost
+    """
+
+    flagged_before: bool
+    faulty: int
+    delay: int | None
+    moved: bool
+    legal: bool
+    wrong_legal: int
+    wrong_reported: int
+    wrong_silent: int
+    longest_run: int
+    wrong_count: bool
+    lost: bool
+
+    @property
+    def harmful(self) -> bool:
+        """A wrong position was called valid."""
+        return self.wrong_legal + self.wrong_reported + self.wrong_silent > 0
+
+    @property
+    def matters(self) -> bool:
+        """The fault did harm, or would have."""
+        return self.moved or self.harmful
+
+
+def play(fault_class: FaultClass, turning: Turning, rng: np.random.Generator) -> Episode:
+    """A clean lead, a fault, and clean samples again if the fault is a short one."""
+    start = int(rng.integers(*CLEAN_BEFORE))
+    length = fault_class.length(rng)
+    stop = start + (TO_THE_END if length is None else length)
+    total = stop if length is None else stop + CLEAN_AFTER
+    truth = motion(turning, total, rng)
+    clean = Samples.of(*ENCODER.sample(truth, rng), adc_bits=ENCODER.adc_bits)
+    samples = fault_class.draw(rng).inject(clean, start, stop, rng)
+    positions, status = follow(turning.chain(), samples)
+    return Episode(start, stop, clean, samples, truth, positions - (truth - turning.offset), status)
+
+
+def follow(chain: SignalChain, samples: Samples) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+    """Published positions, cycles, and status words."""
+    published = [
+        chain.step(Sample(s, c)) if delivered else chain.miss()
+        for s, c, delivered in zip(
+            samples.sine.tolist(), samples.cosine.tolist(), samples.delivered.tolist(), strict=True
+        )
+    ]
+    positions = np.array([one.cycles + one.phase for one in published])
+    return positions, np.array([one.status for one in published], dtype=np.int64)
+
+
+def first_illegal(setting: Setting, samples: Samples, start: int, phases_only: bool = False) -> int | None:
+    """The first sample from ``start`` on that no legal motion can have led to; None: there is none.
+
+    A motion is legal if it changes its speed by less than the residual limit from sample to
+    sample, and the tracks keep the accepted amplitude and the converter's range. The
+    phases p(k) are those of one exactly if every second difference is less than the limit away
+    from a whole number: the positions of eq. 9 are it. ``phases_only``: amplitude and converter
+    are not looked at.
+    """
+    phase, amplitude = setting.phases(samples.sine, samples.cosine)
+    limits = setting.config.limits
+    full = limits.full_scale_counts
+    inside = samples.delivered & ~np.isnan(phase)
+    if not phases_only:
+        for track in (samples.sine, samples.cosine):
+            inside &= (track > -full) & (track < full - 1)
+        inside &= (amplitude >= limits.amplitude_low_counts) & (amplitude <= limits.amplitude_high_counts)
+    c = 2.0 * phase[1:-1] - phase[:-2] - phase[2:]
+    with np.errstate(invalid="ignore"):
+        inside[2:] &= np.abs(np.rint(c) - c) < setting.residual_limit
+    illegal = np.flatnonzero(~inside[start:])
+    return start + int(illegal[0]) if len(illegal) else None
+
+
+def judge(setting: Setting, episode: Episode) -> Verdict:
+    """Hold an episode against the truth."""
+    start, stop, samples = episode.start, episode.stop, episode.samples
+    valid = (episode.status & VALID) != 0
+    error = np.abs(episode.error)
+    unseen = np.flatnonzero(~valid[start:])
+    illegal = first_illegal(setting, samples, start)
+    wrong = valid & (error > HARM_CYCLES)
+    until = len(samples) if illegal is None else illegal
+    jump = first_illegal(setting, samples, start, phases_only=True)
+    reported, silent = _after_the_flag(wrong, start, until, len(samples) if jump is None else jump)
+    return Verdict(
+        flagged_before=not valid[:start].all() or bool((error[:start] > HARM_CYCLES).any()),
+        faulty=stop - start,
+        delay=int(unseen[0]) if len(unseen) else None,
+        moved=_moved(setting, episode),
+        legal=illegal is None,
+        wrong_legal=int(wrong[:until].sum()),
+        wrong_reported=reported,
+        wrong_silent=silent,
+        longest_run=_longest_run(wrong),
+        wrong_count=bool(valid[-1] and error[-1] > 0.5),
+        lost=bool(episode.status[-1] & LOST),
+    )
+
+
+def _after_the_flag(wrong: npt.NDArray[np.bool_], start: int, illegal: int, jump: int) -> tuple[int, int]:
+    """Wrong samples from ``illegal`` on: those that a legal motion accounts for, and the others.
+
+    ``jump`` is the first sample whose phase is not that of a legal motion.
+    """
+    before = int(wrong[illegal:jump].sum())
+    after = int(wrong[jump:].sum())
+    if jump < len(wrong) and wrong[max(start - 1, jump - GLITCH_SAMPLES - 1)]:
+        return before + after, 0
+    return before, after
+
+
+def _moved(setting: Setting, episode: Episode) -> bool:
+    span = slice(episode.start, episode.stop)
+    samples = episode.samples
+    phase, _ = setting.phases(samples.sine[span], samples.cosine[span])
+    away = phase - episode.truth[span]
+    missing = ~samples.delivered[span] | np.isnan(phase)
+    with np.errstate(invalid="ignore"):
+        return bool((missing | (np.abs(away - np.rint(away)) > HARM_CYCLES)).any())
+
+
+def _longest_run(bits: npt.NDArray[np.bool_]) -> int:
+    edges = np.flatnonzero(np.diff(bits.astype(np.int8), prepend=0, append=0))
+    return int((edges[1::2] - edges[::2]).max(initial=0))

@@ -1,0 +1,1 @@
+"""Faults of time and of the wire: frame by frame through the whole module."""

@@ -1,0 +1,105 @@
+"""What every episode begins with: a machine that gets to its speed within its limits, on a healthy wire."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tools.faults.wire.line import Plan, Slot
+from tools.faults.wire.motion import Motion
+from tools.faults.wire.setups import Options, Setup
+
+LONGEST_RAMP = 420
+REST, STEADY, AFTER = 12, 24, 70  # slots before the ramp, before and after the fault
+UNKNOWN_LIMIT = 0.25  # cycles/T^2 that a machine does when 2010:02 is not set: L = 1/3 allows it
+TOP_CYCLES = 125.0  # 3000 rpm at 1 kHz
+
+
+def draw_plan(setup: Setup, rng: np.random.Generator, after: int = AFTER, steady: bool = False) -> Plan:
+    """A healthy plan; a class of faults then changes it from slot ``fault`` on.
+
+    The machine is at its speed then, or, unless ``steady``, perhaps still accelerating, or reversing.
+    """
+    options = Options(interval_s=float(rng.choice((1e-3, 1e-3, 1e-3, 2.5e-4, 2e-3, 1e-2))))
+    options.limit = (None, None, 0.25, 0.25, 0.15, 0.05)[int(rng.integers(6))]
+    options.overflow = int(rng.choice((10, 240)))
+    options.acceleration = bool(rng.integers(4) == 0)
+    options.period = bool(rng.integers(2)) if setup.period is None else setup.period
+    limit = options.limit or UNKNOWN_LIMIT
+    speed = _speed(rng, limit)
+    motion = Motion(start=float(rng.uniform(0.1, 0.9)) + float(rng.integers(-3, 3)))
+    # A jittering SYNC makes an interval up to 1.4 T: its acceleration takes up to 1.5 times the residual.
+    size = float(rng.uniform(0.5, 0.7 if setup.times else 0.9)) * limit
+    acceleration = float(np.copysign(size, speed))
+    ramp = abs(speed) / size
+    kind = 1.0 if steady else rng.uniform()
+    fault = REST + int(ramp) + 2 + STEADY + int(rng.integers(0, 10))
+    if kind < 0.15:
+        motion.push(REST, 1e6, acceleration)
+        fault = max(REST + int(ramp), REST + STEADY)
+    else:
+        motion.push(REST, ramp, acceleration)
+        if kind < 0.3:  # through standstill around the fault
+            motion.push(REST + ramp + 10.0, 1e6, -acceleration)
+            fault = int(REST + ramp + 10.0 + max(ramp + float(rng.uniform(-5.0, 5.0)), STEADY))
+    plan = Plan(setup, options, motion, rng, [Slot() for _ in range(fault + after)], fault)
+    plan.accelerating = kind < 0.3
+    _draw_wire(plan, _fastest(plan), limit)
+    return plan
+
+
+def _fastest(plan: Plan) -> float:
+    """Cycles/T."""
+    x = plan.motion.at(np.arange(plan.end))
+    return float(np.abs(np.diff(x)).max(initial=0.0))
+
+
+def _speed(rng: np.random.Generator, limit: float) -> float:
+    top = min(TOP_CYCLES, LONGEST_RAMP * 0.5 * limit)
+    kind = rng.uniform()
+    if kind < 0.08:
+        return 0.0
+    size = float(top * rng.uniform() ** 2 if kind < 0.9 else rng.uniform(0.0, top))
+    if kind < 0.45:
+        size = round(size + 0.5)
+    elif kind < 0.6:
+        size = round(size + 0.5) + float(rng.normal(0.0, 0.05))
+    return size * float(rng.choice((-1.0, 1.0)))
+
+
+def _draw_wire(plan: Plan, speed: float, limit: float) -> None:
+    rng, setup = plan.rng, plan.setup
+    plan.drift = float(rng.uniform(-1e-4, 1e-4))
+    plan.gaussian = bool(rng.integers(2))
+    plan.jitter_us = float(rng.uniform(0.0, 100.0))
+    if plan.options.interval_s < 1e-3:  # such a bus has room for nothing else
+        plan.jitter_us, plan.gaussian, plan.busy = plan.jitter_us * 0.25, False, 0.0
+    if setup.times:
+        return
+    # Without sample times the sampling instants must be regular (docs/faults.md): a locked timer, or
+    # no jitter at all, but for slow machines.
+    plan.locked = bool(rng.uniform() < 0.7)
+    if not plan.locked:
+        room = (0.05 if plan.options.limit is None else 0.02) / 4.0
+        most_us = room / max(abs(speed), limit) / plan.us / 4.0
+        plan.jitter_us = 0.0 if most_us < 0.5 else min(plan.jitter_us, most_us)
+        plan.busy = plan.busy if most_us > 135.0 else 0.0
+
+
+def torque(plan: Plan, share: float = 0.7) -> None:
+    """A torque pulse within the limit, placed around the fault."""
+    if plan.accelerating:
+        return
+    rng, limit = plan.rng, plan.options.limit or UNKNOWN_LIMIT
+    size = limit * share * float(rng.uniform(0.5, 1.0)) * float(rng.choice((-1.0, 1.0)))
+    begin = plan.fault + float(rng.integers(-4, 4)) + (0.0 if rng.integers(2) else float(rng.uniform()))
+    kind = int(rng.integers(5))
+    if kind < 2:
+        plan.motion.push(begin, 5.0, size)
+    elif kind == 2:
+        plan.motion.s_curve(begin, float(rng.uniform(6.0, 30.0)), size)
+    elif kind == 3:  # a step: constant from here on
+        plan.motion.push(begin, plan.end, size)
+    else:
+        hz = float(rng.uniform(10.0, 200.0))
+        frequency = min(hz * plan.options.interval_s, 0.2)
+        plan.motion.vibrations.append((begin - 20.0, size, frequency, plan.end))

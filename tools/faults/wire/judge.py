@@ -1,0 +1,214 @@
+"""The judge: every position that the module sends as valid, against the true one.
+
+The rules, by what made the module send (times in T, true receive times):
+
+J1  an ADC PDO: the position is that of the sample in it, or of the newest sample heard.
+J2  SYNC s (synchronous TPDOs and RPDOs), or a foreign PDO after it: that of the sample of SYNC s-1, or of s.
+    Where a late host and an unheard SYNC look alike (P2 in wire_physics), also that of the newest one heard.
+    With 2013h, that at the SYNC itself.
+J3  a timer, an SDO read, NMT: that of the newest sample heard, if it is no older than FRESH; else the true
+    position at that very moment. So a frozen position is wrong once the machine has moved on.
+J4  a sample time that is off by no more than the wire can be (P4): also the position at the time it names.
+
+"Is that of" means within half a cycle. A frame with bit 0 whose position is that of no instant that the rules
+admit is **valid and wrong**. No latency is allowed. Frames without bit 0 are never wrong.
+"""
+
+from __future__ import annotations
+
+import struct
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from tools.faults.wire.host import Sent
+from tools.faults.wire.line import Line, Plan
+from tools.faults.wire.physics import host_may_be_late, stamp_tolerance
+from tools.faults.wire.setups import (
+    CYCLES_PER_REVOLUTION,
+    EMCY_ID,
+    RANGE_CYCLES,
+    SDO_TX,
+    TPDO1_ID,
+    UNITS_PER_CYCLE,
+)
+
+VALID, LOST, EXTRAPOLATED = 1 << 0, 1 << 2, 1 << 12
+FRESH = 3.0  # 2010:06 is 2 periods; one more for a late SYNC, the delay of the PDO and the host
+START = 12.0  # until then nothing has to be valid: a coarse track is found at rest
+ACCELERATION_MARGIN = 0.15  # cycles/T^2
+MEMORY = 8  # samples whose accelerations 2011:09 may hold
+ACCELERATION_ID = 0x380 + 32
+EMCY_WINDOW_S, EMCY_LIMIT = 0.1, 10
+
+
+@dataclass
+class Shown:
+    """One position with its status, and how far it is from the nearest admissible truth."""
+
+    now: float
+    what: str
+    position: float
+    status: int
+    residual: float
+    error: float
+    truth: float
+
+
+@dataclass
+class Verdict:
+    """What became of an episode."""
+
+    outcome: str = "kept"  # wrong, physics, lost, flagged, kept
+    wrong: int = 0  # valid and wrong
+    first_wrong: Shown | None = None
+    largest_error: float = 0.0
+    early: int = 0  # not valid before the fault
+    not_valid: int = 0
+    shown: int = 0
+    acceleration_wrong: int = 0
+    emergencies: int = 0  # most within EMCY_WINDOW_S
+    right_at_end: bool = False
+
+
+class Judge:
+    """Compares what was sent with the truth of one episode."""
+
+    def __init__(self, plan: Plan, line: Line) -> None:
+        self._plan, self._line = plan, line
+        start = line.positions[0] if line.positions else 0.0
+        self._base = start - start % 1.0  # the module begins at cycle count 0
+        self._rebased = 0.0
+        self._lost = False
+        self._tolerance = stamp_tolerance(plan.setup, plan.options.interval_s) if plan.setup.times else 0.0
+        self._status: int | None = None  # of an SDO read
+        self.shown: list[Shown] = []
+        self.verdict = Verdict()
+
+    def judge(self, sent: list[Sent]) -> Verdict:
+        """Go through all frames, in order."""
+        plan, verdict = self._plan, self.verdict
+        emergencies: list[float] = []
+        for one in sent:
+            can_id, data = one.frame.can_id, one.frame.data
+            if can_id == TPDO1_ID:
+                position, status, residual = struct.unpack("<IHH", data)
+                self._see(one, "TPDO", position, status, residual / 65536)
+            elif can_id == SDO_TX:
+                self._see_sdo(one, data)
+            elif can_id == ACCELERATION_ID:
+                self._see_acceleration(one, *struct.unpack("<Hf", data))
+            elif can_id == EMCY_ID:
+                emergencies.append(one.now * plan.options.interval_s)
+        for n, at in enumerate(emergencies):
+            verdict.emergencies = max(
+                verdict.emergencies, n + 1 - bisect_left(emergencies, at - EMCY_WINDOW_S)
+            )
+        self._conclude()
+        return verdict
+
+    def _conclude(self) -> None:
+        verdict, shown = self.verdict, self.shown
+        positions = [one for one in shown if one.what == "TPDO"] or shown
+        ended_valid = bool(positions) and bool(positions[-1].status & VALID)
+        verdict.right_at_end = ended_valid and abs(positions[-1].error) <= self._plan.tolerance
+        if verdict.wrong:
+            verdict.outcome = "physics" if self._plan.note.startswith("P") else "wrong"
+        elif self._lost or not ended_valid:
+            verdict.outcome = "lost"
+        elif verdict.not_valid:
+            verdict.outcome = "flagged"
+
+    def _see_sdo(self, one: Sent, data: bytes) -> None:
+        _, index, subindex = struct.unpack_from("<BHB", data)
+        value = struct.unpack_from("<I", data, 4)[0]
+        if (index, subindex) == (0x2011, 1):
+            self._status = value & 0xFFFF
+        elif index == 0x6004 and self._status is not None and data[0] != 0x80:
+            self._see(one, "SDO", value, self._status, 0.0)
+            self._status = None
+
+    def _see(self, one: Sent, what: str, units: int, status: int, residual: float) -> None:
+        verdict = self.verdict
+        if status & LOST:
+            self._lost = True
+        position = units / UNITS_PER_CYCLE
+        truth, error = self._nearest(one, position)
+        valid = bool(status & VALID)
+        if (
+            valid
+            and abs(error) > self._plan.tolerance
+            and self._lost
+            and (self._plan.options.extra or self._plan.options.coarse)
+        ):
+            error = self._after_loss(error)
+        shown = Shown(one.now, what, position, status, residual, error, truth)
+        self.shown.append(shown)
+        verdict.shown += 1
+        if not valid:
+            if one.newest < 0 or one.now < START:
+                return
+            verdict.not_valid += 1
+            if one.now < self._plan.fault + 1.0:
+                verdict.early += 1
+        elif abs(error) > self._plan.tolerance:
+            verdict.wrong += 1
+            verdict.first_wrong = verdict.first_wrong or shown
+            verdict.largest_error = max(verdict.largest_error, abs(error))
+
+    def _after_loss(self, error: float) -> float:
+        """A zero pulse ends a loss within the revolution only; one that was not known, anywhere."""
+        n = CYCLES_PER_REVOLUTION
+        within = (error - self._rebased + n / 2) % n - n / 2
+        if abs(within) > self._plan.tolerance and self._plan.note == "unreferenced" and not self._rebased:
+            self._rebased = error
+            return 0.0
+        return within
+
+    def _nearest(self, one: Sent, position: float) -> tuple[float, float]:
+        best = None
+        for truth in self._admissible(one):
+            error = (position - (truth - self._base) + RANGE_CYCLES / 2) % RANGE_CYCLES - RANGE_CYCLES / 2
+            if best is None or abs(error) < abs(best[1]):
+                best = truth - self._base, error
+        return best or (0.0, RANGE_CYCLES)
+
+    def _admissible(self, one: Sent) -> list[float]:
+        """True positions at the instants of rules J1 to J4."""
+        line, cause = self._line, one.cause
+        if cause is not None and cause.what in ("pdo", "extra"):
+            samples = {cause.number, one.newest}
+            return [line.positions[n] for n in samples] + self._named(samples)
+        if cause is not None and cause.what in ("sync", "foreign"):
+            first = bisect_left(line.sample_slots, cause.number - 1)
+            last = bisect_right(line.sample_slots, cause.number)
+            true = line.positions[first:last] or [float(self._plan.motion.at([cause.time - 1.0])[0])]
+            plan = self._plan
+            if one.newest >= 0 and host_may_be_late(plan.setup, plan.options.interval_s):
+                newest = line.sample_times[one.newest]
+                true += [line.positions[one.newest], float(plan.motion.at([newest + 1.0])[0])]
+            if plan.options.predict:
+                true.append(float(plan.motion.at([cause.time])[0]))
+            return true + self._named(range(first, last))
+        at = one.now if cause is None else cause.time
+        if one.newest >= 0 and at - line.sample_times[one.newest] <= FRESH:
+            return [line.positions[one.newest], *self._named([one.newest])]
+        return [float(self._plan.motion.at([one.now])[0])]
+
+    def _named(self, samples: Iterable[int]) -> list[float]:
+        """Rule J4."""
+        line, tolerance = self._line, self._tolerance
+        off = [line.named[n] for n in samples if 0.0 < abs(line.named[n] - line.sample_times[n]) <= tolerance]
+        return self._plan.motion.at(off).tolist() if off else []
+
+    def _see_acceleration(self, one: Sent, status: int, rad_s2: float) -> None:
+        if not status & VALID or one.newest < MEMORY or one.cause is None or one.cause.what != "pdo":
+            return
+        options = self._plan.options
+        per_cycle = 2.0 * 3.141592653589793 / CYCLES_PER_REVOLUTION
+        value = rad_s2 / per_cycle * options.interval_s**2
+        at = self._line.sample_times[one.newest]
+        x = self._plan.motion.at([at - n for n in range(MEMORY + 3)])
+        true = [x[n] - 2.0 * x[n + 1] + x[n + 2] for n in range(MEMORY + 1)]
+        if not min(true) - ACCELERATION_MARGIN <= value <= max(true) + ACCELERATION_MARGIN:
+            self.verdict.acceleration_wrong += 1

@@ -1,0 +1,248 @@
+"""The wire: SYNCs, what the interface samples and sends, when each frame is heard, and by whom.
+
+A :class:`Plan` says what happens in each SYNC slot. :func:`lay` turns it into the events that the
+module hears, each at its true receive time, and into the true position of each sample.
+Times in T; ``Plan.us`` converts microseconds.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from canfb import Frame
+from tools.faults.wire.motion import Motion, counts
+from tools.faults.wire.setups import (
+    ADC_ID,
+    CYCLES_PER_REVOLUTION,
+    EXTRA_ID,
+    NMT_ID,
+    NODE,
+    SYNC_ID,
+    Options,
+    Setup,
+    sdo_read,
+)
+
+TICK_S = 1e-7
+U32 = 0xFFFFFFFF
+SAMPLE_LATENCY_US = 20.0  # from the end of the SYNC to the hold of both tracks
+LATEST_PDO = 0.45  # T after its SYNC, on a healthy wire
+COARSE_COUNTS = 1500.0
+FIRST_PULSE = 40.0  # cycles
+
+
+@dataclass
+class Slot:
+    """What happens with one SYNC, and with its ADC PDO."""
+
+    produced: bool = True
+    to_module: bool = True
+    to_interface: bool = True
+    late_us: float = 0.0  # the SYNC itself, beyond its jitter
+    payload: bytes | None = None  # in place of what the set-up has
+    again: list[tuple[float, bool, bool]] = field(default_factory=list)  # us later, to module, to interface
+    pdo_lost: bool = False
+    pdo_late_us: float = 0.0
+    pdo_again_us: list[float] = field(default_factory=list)
+    extra_lost: bool = False
+    extra_again_us: list[float] = field(default_factory=list)
+    false_pulse: float | None = None  # place in the interval
+    stamp: int | None = None  # in place of the sample time
+    stamp_add: int = 0  # ticks
+    foreign_us: float | None = None  # a PDO of another node, with random counts, so long after the SYNC
+
+
+class Event(NamedTuple):
+    """One frame at the module, or an action of its controller."""
+
+    time: float  # true receive time, T
+    order: int
+    what: str  # sync, pdo, extra, foreign, sdo, nmt, bus_off, bus_back
+    frame: Frame | None
+    number: int  # of the slot for sync and foreign, of the sample for pdo and extra
+
+
+@dataclass
+class Plan:
+    """One episode, before it is laid on the wire."""
+
+    setup: Setup
+    options: Options
+    motion: Motion
+    rng: np.random.Generator
+    slots: list[Slot]
+    fault: int  # slot
+    jitter_us: float = 0.0  # of the SYNC, rms or half width
+    gaussian: bool = False
+    busy: float = 0.3  # part of the SYNCs that wait for a frame
+    locked: bool = False  # the interface samples by a timer locked to the SYNC: no jitter
+    drift: float = 0.0
+    host: str = "quick"
+    stalls: list[tuple[float, float]] = field(default_factory=list)
+    actions: list[tuple[float, str, bytes]] = field(default_factory=list)  # time, what, data
+    reads: list[float] = field(default_factory=list)
+    accelerating: bool = False  # at the fault, by as much as its limit allows
+    bad_rx: float = 0.0  # part of the receive times that are off
+    tolerance: float = 0.5  # cycles that a right position may be off
+    note: str = ""  # P1, P2, ...: why a wrong position cannot be seen here (docs/faults.md)
+
+    @property
+    def us(self) -> float:
+        """One microsecond in T."""
+        return 1e-6 / self.options.interval_s
+
+    @property
+    def end(self) -> float:
+        """Nothing happens after it."""
+        return float(len(self.slots))
+
+
+@dataclass
+class Line:
+    """What the plan became: events in the order of reception, and the truth."""
+
+    events: list[Event]
+    sample_times: list[float]
+    sample_slots: list[int]
+    positions: list[float]
+    named: list[float] = field(default_factory=list)  # the moments that the sample times name
+
+
+class _Sampling(NamedTuple):
+    slot: int
+    heard: float
+    time: float
+    first: bool
+
+
+def lay(plan: Plan) -> Line:
+    """Put the plan on the wire."""
+    events: list[Event] = []
+    samplings: list[_Sampling] = []
+    for number, at in enumerate(_sync_times(plan)):
+        slot = plan.slots[number]
+        if not slot.produced:
+            continue
+        frame = Frame(SYNC_ID, _payload(plan, slot, number))
+        copies = [(0.0, slot.to_module, slot.to_interface), *slot.again]
+        for later_us, to_module, to_interface in copies:
+            heard = at + later_us * plan.us
+            if to_module:
+                events.append(Event(heard, len(events), "sync", frame, number))
+            if to_interface:
+                nominal = number + 1.0 if plan.locked and later_us == 0.0 else heard
+                time = nominal + SAMPLE_LATENCY_US * plan.us
+                samplings.append(_Sampling(number, max(heard, nominal), time, later_us == 0.0))
+    positions = plan.motion.at([one.time for one in samplings])
+    _send_samples(plan, samplings, positions, events)
+    _send_foreign(plan, events)
+    for at in plan.reads:
+        events.append(Event(at, len(events), "sdo", sdo_read(0x2011, 1), 0))
+        events.append(Event(at, len(events), "sdo", sdo_read(0x6004, 0), 0))
+    for at, what, data in plan.actions:
+        frame = Frame(NMT_ID, data + bytes([NODE])) if what == "nmt" else None
+        events.append(Event(at, len(events), what, frame, 0))
+    events.sort(key=lambda one: (one.time, one.order))
+    times, slots = [one.time for one in samplings], [one.slot for one in samplings]
+    named = [_named(plan, one) for one in samplings]
+    return Line(events, times, slots, positions.tolist(), named)
+
+
+def _named(plan: Plan, one: _Sampling) -> float:
+    slot = plan.slots[one.slot]
+    return (
+        one.time if slot.stamp is not None else one.time + slot.stamp_add * TICK_S / plan.options.interval_s
+    )
+
+
+def _sync_times(plan: Plan) -> list[float]:
+    n, rng = len(plan.slots), plan.rng
+    if plan.gaussian:
+        jitter = rng.normal(0.0, plan.jitter_us, n)
+    else:
+        jitter = rng.uniform(-plan.jitter_us, plan.jitter_us, n)
+    blocked = np.where(rng.uniform(size=n) < plan.busy, rng.uniform(0.0, 135.0, n), 0.0)
+    if plan.jitter_us == 0.0 and not plan.locked:
+        blocked[:] = 0.0
+    # The SYNC jitters about 1, 2, 3, ... T; half a period at most, or it is another fault.
+    late = np.array([slot.late_us for slot in plan.slots])
+    jitter = np.clip((jitter + blocked) * plan.us, -0.45, 0.45) + late * plan.us
+    return (np.arange(1.0, n + 1.0) + jitter).tolist()
+
+
+def _payload(plan: Plan, slot: Slot, number: int) -> bytes:
+    if slot.payload is not None:
+        return slot.payload
+    return bytes([number % plan.options.overflow + 1]) if plan.setup.counter else b""
+
+
+def _send_samples(plan: Plan, samplings: list[_Sampling], positions: np.ndarray, events: list[Event]) -> None:
+    rng, us = plan.rng, plan.us
+    sine, cosine = counts(positions, rng)
+    offset = int(rng.integers(1 << 32))
+    if rng.integers(3) == 0:  # the clock of the interface wraps during the episode
+        offset = (1 << 32) - int(rng.uniform(0.0, plan.end * plan.options.interval_s / TICK_S))
+    busy = rng.uniform(size=len(samplings)) < plan.busy
+    # 95 us for the frame, some work, and perhaps a frame before it; a fast bus has less of all.
+    work, blocked = rng.uniform(140.0, 220.0, len(samplings)), rng.uniform(0.0, 135.0, len(samplings))
+    latest = LATEST_PDO * rng.uniform(0.8, 1.0, len(samplings))
+    waits = np.minimum((work + busy * blocked) * us, latest).tolist()
+    free = 0.0  # when the interface can send again: its PDOs do not overtake each other
+    before = 0.0
+    for n, one in enumerate(samplings):
+        slot = plan.slots[one.slot]
+        data = struct.pack("<hh", sine[n], cosine[n])
+        if plan.setup.times:
+            true_s = one.time * plan.options.interval_s
+            tick = math.floor(true_s * (1.0 + plan.drift) / TICK_S) + offset + slot.stamp_add
+            data += struct.pack("<I", (tick if slot.stamp is None else slot.stamp) & U32)
+        sent = max(one.heard + waits[n], free)
+        free = sent + 60.0 * us
+        sent += slot.pdo_late_us * us
+        if not slot.pdo_lost:
+            for later in (0.0, *slot.pdo_again_us):
+                events.append(Event(sent + later * us, len(events), "pdo", Frame(ADC_ID, data), n))
+        extra = _extra(plan, slot, before, positions[n])
+        if extra and not slot.extra_lost:
+            for later in (0.0, *slot.extra_again_us):
+                at = sent + (70.0 + later) * us
+                events.append(Event(at, len(events), "extra", Frame(EXTRA_ID, extra), n))
+        before = positions[n]
+
+
+def _send_foreign(plan: Plan, events: list[Event]) -> None:
+    for number, slot in enumerate(plan.slots):
+        if slot.foreign_us is not None:
+            data = plan.rng.integers(-1500, 1500, 2).astype("<i2").tobytes()
+            if plan.setup.times:
+                data += plan.rng.bytes(4)
+            at = number + 1.0 + slot.foreign_us * plan.us
+            events.append(Event(at, len(events), "foreign", Frame(ADC_ID, data), number))
+
+
+def _extra(plan: Plan, slot: Slot, before: float, here: float) -> bytes:
+    """What RPDO2 carries: coarse track, zero pulse, both, or nothing."""
+    data = b""
+    if plan.options.coarse:
+        angle = 2.0 * math.pi * (here / CYCLES_PER_REVOLUTION % 1.0)
+        data = struct.pack(
+            "<hh", round(COARSE_COUNTS * math.sin(angle)), round(COARSE_COUNTS * math.cos(angle))
+        )
+    if plan.options.extra:
+        place = _zero_pulse(before, here) if slot.false_pulse is None else slot.false_pulse
+        data += struct.pack("<BH", 0, 0) if place is None else struct.pack("<BH", 1, int(place * 65536))
+    return data
+
+
+def _zero_pulse(before: float, here: float) -> float | None:
+    """Where in the interval the zero pulse was: 40 cycles from the start, then once a revolution."""
+    low, high = sorted((before - FIRST_PULSE, here - FIRST_PULSE))
+    turn = math.floor(high / CYCLES_PER_REVOLUTION) * CYCLES_PER_REVOLUTION
+    if not low < turn <= high:
+        return None
+    return min((turn + FIRST_PULSE - before) / (here - before), 65535 / 65536)

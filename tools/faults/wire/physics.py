@@ -1,0 +1,75 @@
+"""What no module can see: the few wire faults whose frames are those of a healthy machine.
+
+P1  No sample times, no receive times. Module and interface hear nothing for n periods, in all no longer
+    than the host may be late (n T <= LATEST_HOST_S), and no SYNC counter, or n is a number of its turns.
+    Proof: all that the module has are the frames, in their order, and the moments at which it is called.
+    Take the machine whose SYNCs were fewer by n: each of its frames was received n T earlier, and its
+    host was later by n T, from there on. That host is no later than it may be, so this machine is healthy.
+    Frames, order and moments are the same, the positions differ by n v. Who accepts one accepts the other.
+    Likewise n SYNCs too many that both hear, without a counter: a machine whose host was later before.
+P2  The same, with sample times: the frames that a SYNC causes before the next ADC PDO has brought its
+    time. They may show the newest sample heard. (Rule J2 of the judge knows it.)
+P3  No sample times. Each PDO is late by one whole period from some slot on.
+    Proof: sample k comes in interval k + 1, at its usual place there. A machine whose sample k - 1 was lost
+    gives the same frames at the same times if the speed is a whole number of cycles per T; the positions
+    differ by v. (At other speeds the residual tells them apart.)
+P4  A sample time is off by e, no more than SYNC and receive times can be (:func:`stamp_tolerance`).
+    Proof: a healthy machine whose SYNC came later by e, and whose sample was taken then, at v e cycles from
+    here: if that is a whole number, counts and time are the same. A position is right if it is that of the
+    moment that its sample time names.
+"""
+
+from __future__ import annotations
+
+from tools.faults.wire.line import Plan, Slot
+from tools.faults.wire.setups import Setup
+
+LATEST_HOST_S = 5e-3
+STAMP_NOISE_S = 1e-4
+
+
+def host_may_be_late(setup: Setup, interval_s: float) -> bool:
+    """Whether a gap of one period may be the host's: nothing but the moment of the call has a time."""
+    return not (setup.counter or setup.stamps) and interval_s <= LATEST_HOST_S
+
+
+def stamp_tolerance(setup: Setup, interval_s: float) -> float:
+    """How far a sample time may be off unseen, T: the noise of receive times, or the jitter of the SYNC."""
+    return min(0.45, (STAMP_NOISE_S if setup.stamps else LATEST_HOST_S) / interval_s)
+
+
+def unseen(plan: Plan) -> str:
+    """P1, P3, or nothing."""
+    if plan.setup.times:
+        return ""
+    late = [n for n, slot in enumerate(plan.slots) if slot.pdo_late_us * plan.us > 0.99]
+    if late and late == list(range(late[0], len(plan.slots))):
+        return "P3"
+    return "P1" if not plan.setup.stamps and not plan.actions and _is_short(plan) else ""
+
+
+def _is_short(plan: Plan) -> bool:
+    runs = _runs([_is_unheard(slot) for slot in plan.slots])
+    turn = plan.options.overflow if plan.setup.counter else 1
+    if any(run % turn for run in runs):
+        return False
+    extra = (
+        0 if plan.setup.counter else sum(again[1:] == (True, True) for s in plan.slots for again in s.again)
+    )
+    return 0.0 < (sum(runs) + extra) * plan.options.interval_s <= LATEST_HOST_S
+
+
+def _is_unheard(slot: Slot) -> bool:
+    return not slot.produced or (not slot.to_module and (slot.pdo_lost or not slot.to_interface))
+
+
+def _runs(bits: list[bool]) -> list[int]:
+    """Lengths of the runs of True."""
+    lengths, run = [], 0
+    for bit in [*bits, False]:
+        if bit:
+            run += 1
+        elif run:
+            lengths.append(run)
+            run = 0
+    return lengths

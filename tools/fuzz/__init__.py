@@ -1,0 +1,1 @@
+"""Inputs of a fuzzer, played to the devices."""

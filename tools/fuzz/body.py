@@ -1,0 +1,304 @@
+"""Play an input of the fuzzer to a device, and check all that must hold whatever comes from the bus.
+
+The checks: nothing raises; a device sends only what its NMT state allows, from CAN-IDs that it has, and not
+more than a few frames at a time; the answers of an SDO server are what CiA 301 knows; the deadline is not in
+the past; values are within their limits and PDO mappings would be accepted again; in the end the SDO server
+serves the next client.
+"""
+
+from __future__ import annotations
+
+import copy
+import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from unittest.mock import patch
+
+from canfb.device import cob, pdo
+from canfb.device.codes import SdoAbort
+from canfb.device.dictionary import Dictionary
+from canfb.device.frame import Frame
+from canfb.device.lss import UNCONFIGURED
+from canfb.device.mapping import Direction, resolve_all
+from canfb.device.nmt import COMMUNICATING, NmtState
+from canfb.device.storage import MemoryStore
+from canfb.module.config import ModuleConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.sample import Sample
+from canfb.simulation.encoder_interface import EncoderInterface
+from tools.fuzz.client import Follower
+from tools.fuzz.inputs import LSS, NODE_ID, SERVER, Reader, Step, steps
+from tools.fuzz.watch import SdoWatcher, demand
+
+Device = FeedbackModule | EncoderInterface
+
+QUIET = frozenset({NmtState.INITIALISING, NmtState.STOPPED})
+ERROR_CONTROL, LSS_ANSWER, FIRST_ANSWER, SECOND_CHANNEL = 0x700, 0x7E4, 0x580, 0x1201
+UNSTARTED, SAVING, DAMAGED = 0x80, 0x40, 0x20
+"""In the first byte of an input: the frames come before the power is on; the device has a store, and is
+switched off and on at the end; what it saved is damaged meanwhile."""
+MOST_FRAMES = 160
+"""Sent in one call: a block of an SDO upload, and what else may be due."""
+MOST_TICKS = 50
+BLOCK_S = 0.05  # time for a block of an upload, and short of a time-out
+LIVE_LIMITS = frozenset({0x1003})
+"""Objects whose limits say what may be written, not what may be read."""
+
+
+class Turning:
+    """Samples of an encoder that turns; every 7th is lost."""
+
+    def __init__(self) -> None:
+        self._count = itertools.count()
+
+    def next(self) -> Sample | None:
+        count = next(self._count)
+        return None if count % 7 == 6 else Sample(count * 300 % 4096 - 2048, count * 500 % 4096 - 2048)
+
+
+_templates: dict[Path, Dictionary] = {}
+_load = Dictionary.load
+
+
+def _fresh(path: str | Path, node_id: int) -> Dictionary:
+    """A dictionary as from the file, which is read once: that takes longer than a whole input."""
+    path = Path(path)
+    if path not in _templates:
+        _templates[path] = _load(path, node_id)
+    template = _templates[path]
+    return Dictionary(map(copy.copy, template), template.objects(), template.dummies)
+
+
+@contextmanager
+def quick_dictionaries() -> Iterator[None]:
+    """Devices made within this take their dictionaries from memory."""
+    with patch.object(Dictionary, "load", _fresh):
+        yield
+
+
+def make(choice: int, store: MemoryStore | None = None) -> Device:
+    """One of the devices: the module, the module that starts by itself, the encoder interface."""
+    with quick_dictionaries():
+        if choice % 3 == 2:
+            return EncoderInterface(NODE_ID, Turning(), store=store)
+        return FeedbackModule(ModuleConfig(node_id=NODE_ID, autostart=choice % 3 == 1), store)
+
+
+class Play:
+    """One device with the eyes of the checks on it."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self.dictionary = device.dictionary
+        self.now = 0.0
+        self._first, self._second = SdoWatcher(), SdoWatcher()
+        self._client = Follower()
+        self._answers: set[int] = set()
+
+    @property
+    def state(self) -> NmtState:
+        return self.device.node.state
+
+    @property
+    def node_id(self) -> int:
+        """The present one: LSS may change it."""
+        return self.device.node.node_id
+
+    @property
+    def _is_configured(self) -> bool:
+        return self.node_id != UNCONFIGURED
+
+    def start(self) -> None:
+        """Power on: the boot-up."""
+        sent = self.device.start(self.now)
+        demand(any(map(self._is_boot_up, sent)) or not self._is_configured, "no boot-up")
+        self._check_deadline()
+
+    def receive(self, frame: Frame) -> list[Frame]:
+        """A frame from the bus."""
+        before, ids, second = self.state, self._own_ids(), self._second_channel()
+        self._answers = {FIRST_ANSWER + self.node_id}
+        if before in COMMUNICATING and not frame.rtr:
+            if frame.can_id == 0x600 + self.node_id:
+                self._first.request(frame.data)
+            if second is not None and frame.can_id == second[0]:
+                self._second.request(frame.data)
+        sent = self.device.receive(frame, self.now)
+        self._check_sent(sent, before, ids, second)
+        return sent
+
+    def tick(self) -> None:
+        """The time is up."""
+        before, ids, second = self.state, self._own_ids(), self._second_channel()
+        self._answers = {FIRST_ANSWER + self.node_id}
+        self._first.waiting()
+        self._second.waiting()
+        self._check_sent(self.device.tick(self.now), before, ids, second)
+        self._check_deadline()
+
+    def wait(self, pause_s: float, *, punctual: bool) -> None:
+        """Let time pass: a tick at the end and, if punctual, up to MOST_TICKS when they are due."""
+        end = self.now + pause_s
+        for _ in range(MOST_TICKS if punctual else 0):
+            due = self.device.deadline()
+            if due is None or due > end:
+                break
+            self.now = max(self.now, due)
+            self.tick()
+        self.now = max(self.now, end)
+        self.tick()
+
+    def do(self, step: Step) -> None:
+        """One step of an input."""
+        for frame in step.frames:
+            self.receive(self._addressed(frame))
+        self.wait(step.pause_s, punctual=step.punctual)
+        self._client.content, self._client.spoil = step.content, step.spoil
+        for _ in range(step.follow):
+            requests = self._client.requests()
+            for request in requests:
+                self.receive(self._addressed(Frame(SERVER, request)))
+            self.wait(BLOCK_S if requests else 0.0, punctual=True)
+
+    def _addressed(self, frame: Frame) -> Frame:
+        """What an input sends to NODE_ID goes to the node-ID that the device has by now."""
+        if frame.can_id == SERVER and self._is_configured:
+            return frame._replace(can_id=0x600 + self.node_id)
+        if frame.can_id == 0x000 and frame.data[1:] == bytes([NODE_ID]):
+            return frame._replace(data=bytes([frame.data[0], self.node_id]))
+        return frame
+
+    def _check_deadline(self) -> None:
+        due = self.device.deadline()
+        demand(due is None or due > self.now, f"deadline {due} is not after {self.now}")
+
+    def _is_boot_up(self, frame: Frame) -> bool:
+        return frame.can_id == ERROR_CONTROL + self.node_id and frame.data == b"\x00"
+
+    def _value(self, index: int, subindex: int) -> int | None:
+        entry = self.dictionary.find(index, subindex)
+        return None if entry is None else int(entry.value)
+
+    def _second_channel(self) -> tuple[int, int] | None:
+        """CAN-IDs of the second SDO server, while it is there."""
+        request, answer = self._value(SECOND_CHANNEL, 1), self._value(SECOND_CHANNEL, 2)
+        if request is None or answer is None or not (cob.is_valid(request) and cob.is_valid(answer)):
+            return None
+        return request & cob.CAN_ID, answer & cob.CAN_ID
+
+    def _own_ids(self) -> dict[int, frozenset[NmtState]]:
+        """CAN-IDs that the device may send with now, and in which states; without those of SDO."""
+        everywhere, operational = frozenset(COMMUNICATING), frozenset({NmtState.OPERATIONAL})
+        ids = {LSS_ANSWER: frozenset(NmtState)}
+        if not self._is_configured:
+            return ids
+        ids[ERROR_CONTROL + self.node_id] = frozenset(NmtState)
+        for index in range(0x1800, 0x1804):
+            value = self._value(index, 1)
+            if value is not None and cob.is_valid(value):
+                ids[value & cob.CAN_ID] = operational
+        emergency, sync = self._value(0x1014, 0), self._value(0x1005, 0)
+        if emergency is not None and cob.is_valid(emergency):
+            ids[emergency & cob.CAN_ID] = everywhere
+        if sync is not None and sync & cob.GENERATE:
+            ids[sync & cob.CAN_ID] = everywhere
+        return ids
+
+    def _check_sent(
+        self,
+        sent: list[Frame],
+        before: NmtState,
+        ids_before: dict[int, frozenset[NmtState]],
+        second_before: tuple[int, int] | None,
+    ) -> None:
+        after, ids_after, second_after = self.state, self._own_ids(), self._second_channel()
+        demand(len(sent) <= MOST_FRAMES, f"{len(sent)} frames at once")
+        reset = any(map(self._is_boot_up, sent))
+        states = {before, after} | (set(NmtState) if reset else set())
+        answers = self._answers | {FIRST_ANSWER + self.node_id}
+        for frame in sent:
+            demand(0 < frame.can_id <= 0x7FF and len(frame.data) <= 8, f"impossible frame {frame}")
+            demand(not frame.rtr or frame.can_id > 0x700, f"a remote frame {frame}")
+            may = ids_before.get(frame.can_id, frozenset()) | ids_after.get(frame.can_id, frozenset())
+            channels = [channel for channel in (second_before, second_after) if channel is not None]
+            if frame.can_id in answers:
+                demand(states & COMMUNICATING, f"an SDO answer in {before.name}")
+                self._first.answer(frame.data)
+                self._client.heard(frame.data)
+            elif not may and any(frame.can_id == answer for _, answer in channels):
+                demand(states & COMMUNICATING, f"an SDO answer in {before.name}")
+                self._second.answer(frame.data)
+            else:
+                demand(may & states, f"{frame} in {before.name}, which has no such service")
+        if after in QUIET or reset:
+            self._first.reset()
+        if after in QUIET or reset or second_before != second_after:
+            self._second.reset()
+
+    def check_values(self) -> None:
+        """Every value fits its type and its limits; every mapping that is in force would be accepted."""
+        for entry in self.dictionary:
+            if entry.on_read is None and entry.index not in LIVE_LIMITS:
+                entry.check_limits(entry.value)
+            with suppress(SdoAbort):  # a live value that is not there
+                entry.encode()
+        for direction in Direction:
+            for number in pdo.numbers(self.dictionary, direction):
+                communication = pdo.COMMUNICATION[direction] + number - 1
+                mapping = pdo.MAPPING[direction] + number - 1
+                cob_id, kind, count = (
+                    self._value(*place) for place in ((communication, 1), (communication, 2), (mapping, 0))
+                )
+                demand(not cob_id & 0x3FFFF800, f"{communication:04X}h:01 = {cob_id:08X}h")
+                valid = cob.is_valid(cob_id) and cob.is_restricted(cob_id & cob.CAN_ID)
+                demand(not valid, f"{communication:04X}h:01 = {cob_id:08X}h is restricted")
+                demand(kind <= 240 or kind >= 252, f"{communication:04X}h:02 = {kind}")
+                values = [self._value(mapping, sub) for sub in range(1, count + 1)]
+                resolve_all(self.dictionary, values, direction)
+
+    def check_alive(self) -> None:
+        """The next client is served: after a second of silence, in PRE-OPERATIONAL."""
+        self.wait(3.0, punctual=False)
+        if not self._is_configured:
+            for request in (b"\x04\x01", bytes([0x11, NODE_ID]), b"\x04\x00"):
+                self.receive(Frame(LSS, request.ljust(8, b"\x00")))
+            demand(self._is_configured, "LSS gives no node-ID")
+        self.receive(self._addressed(Frame(0x000, bytes([128, NODE_ID]))))
+        demand(self.state is NmtState.PRE_OPERATIONAL, f"NMT does not lead out of {self.state.name}")
+        self.wait(3.0, punctual=False)
+        sent = self.receive(self._addressed(Frame(SERVER, b"\x40\x00\x10\x00" + bytes(4))))
+        answers = [frame.data[:4] for frame in sent if frame.can_id in self._answers]
+        demand(answers == [b"\x43\x00\x10\x00"], f"1000h is answered by {answers}")
+
+
+def play(data: bytes) -> None:
+    """One input, from power-on to the last check. Raises when something is wrong."""
+    reader = Reader(data)
+    choice = reader.byte()
+    store = MemoryStore() if choice & SAVING else None
+    run = Play(make(choice, store))
+    if not choice & UNSTARTED:
+        run.start()
+    for step in steps(reader):
+        run.do(step)
+    if choice & UNSTARTED:
+        run.start()
+    run.check_values()
+    run.check_alive()
+    if store is None:
+        return
+    if choice & DAMAGED:
+        damage(store, data)
+    run = Play(make(choice, store))
+    run.start()
+    run.check_values()
+    run.check_alive()
+
+
+def damage(store: MemoryStore, data: bytes) -> None:
+    """Change what is saved: a byte of each image, or its length."""
+    place, change = data[-1], data[-2] if len(data) > 1 else 1
+    for group, image in store.images.items():
+        at = place % (len(image) + 1)
+        store.images[group] = image[:at] + bytes([change]) + image[at + (change & 1) :]

@@ -1,0 +1,233 @@
+"""Claims on the position within a cycle: introduction, section 2, and what section 5 says of it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from canfb import CalibrationError, CorrectionTable, calibrate_from_zero_crossings, phase_in_cycle
+from canfb.simulation.encoder import Encoder
+from tools.paper.claim import Claim, Effort, Verdict, grouped, percent, verdict
+from tools.paper.plant import (
+    CYCLES_PER_REVOLUTION,
+    EXTREME,
+    IDEAL,
+    USUAL,
+    FloatArray,
+    exact_table,
+    phase_error,
+    positions_over_raw_phase,
+    within_half,
+)
+
+GRID = 1 << 18
+PAPER_TABLE_ENTRIES = 200  # 800 bytes on the paper's processor
+RECORDING_RATE_HZ = 50_000.0
+
+
+def introduction(effort: Effort) -> Iterator[Claim]:
+    """The example that shows why digital encoders reach their end."""
+    rate_hz, resolution_rpm, speed_rpm = 2000.0, 0.1, 3000.0
+    cycles = 60.0 * rate_hz / (4.0 * resolution_rpm)
+    frequency_hz = speed_rpm / 60.0 * cycles
+    ours_rpm = 60.0 * rate_hz * resolution_step() / CYCLES_PER_REVOLUTION
+    ours_hz = speed_rpm / 60.0 * CYCLES_PER_REVOLUTION
+    yield Claim(
+        "quad-counting",
+        "section 1",
+        "counting quarter cycles, 0.1 rpm at 2 kHz takes so many cycles, and so high a frequency at 3000 rpm",
+        "300 000 cycles, 15 MHz",
+        f"{grouped(cycles)} cycles, {frequency_hz / 1e6:.1f} MHz; this method with 2500 cycles and 12 bits: "
+        f"{ours_rpm:.4f} rpm, {ours_hz / 1e3:.0f} kHz",
+        verdict(round(cycles) == 300_000 and round(frequency_hz) == 15_000_000 and ours_rpm < resolution_rpm),
+        {"cycles": cycles, "frequency_hz": frequency_hz, "ours_rpm": ours_rpm, "ours_hz": ours_hz},
+    )
+
+
+def phases(effort: Effort) -> Iterator[Claim]:
+    """Table 1 and its correction."""
+    position = np.arange(GRID) / GRID
+    raw = phase_in_cycle(*_circle(position))
+    error = _largest(raw - position)
+    yield Claim(
+        "table-1-error",
+        "section 2, Table 1",
+        "largest error without correction on ideal tracks",
+        "about 1.2 % of a cycle",
+        f"{percent(error, 4)} of a cycle",
+        verdict(0.011 < error < 0.0125),
+        {"error": error},
+    )
+    steps = np.diff(raw) * GRID  # slope: 1 for the true phase
+    yield Claim(
+        "table-1-continuous",
+        "section 2, Table 1",
+        "the calculated position is a monotonous and continuous function of the real one",
+        "monotonous, continuous",
+        f"slope {steps.min():.3f} to {steps.max():.3f} everywhere, no step",
+        verdict(steps.min() > 0.78 and steps.max() < 1.58),
+        {"slope_min": float(steps.min()), "slope_max": float(steps.max())},
+    )
+    printed = phases_as_printed(position)
+    step = float(np.diff(printed).min())
+    away = float(np.abs(printed - position).max())
+    yield Claim(
+        "table-1-misprint",
+        "section 2, Table 1",
+        "the last column as printed, 1 + s/c",
+        "continuous",
+        f"steps by {step:.3f} cycle at 7/8, up to {away:.3f} cycle off; with 1 + s/(8c) it is continuous",
+        verdict(step < -0.8, Verdict.MISPRINT),
+        {"step": step, "error": away},
+    )
+    yield _arc_tangent(position)
+
+
+def _arc_tangent(position: FloatArray) -> Claim:
+    arc_tangent = exact_table(IDEAL, PAPER_TABLE_ENTRIES)
+    slight = Encoder(sine_offset=0.05, cosine_offset=0.05)
+    ideal = peak_error(IDEAL, arc_tangent, position)
+    offset = peak_error(slight, arc_tangent, position)
+    extreme = peak_error(EXTREME, arc_tangent, position)
+    individual = peak_error(EXTREME, exact_table(EXTREME, PAPER_TABLE_ENTRIES), position)
+    size = len(arc_tangent.to_bytes())
+    return Claim(
+        "arc-tangent",
+        "section 2",
+        "with an offset the arc-tangent correction fails; an individual table (800 bytes) does not",
+        "fails; does not",
+        f"arc tangent {percent(ideal, 2)} of a cycle on ideal tracks, {percent(offset, 2)} with 5 % offset, "
+        f"{percent(extreme, 3)} with 40 % offset and 20 % amplitude error; individual table of {size} bytes "
+        f"there {percent(individual, 2)}",
+        verdict(ideal < 1e-4 and 0.008 < offset < 0.02 and 0.1 < extreme < 0.2 and 1e-5 < individual < 2e-4),
+        {"ideal": ideal, "offset": offset, "extreme": extreme, "individual": individual, "bytes": size},
+    )
+
+
+def reference_measurement(effort: Effort) -> Iterator[Claim]:
+    """The reference measurement of section 2."""
+    speed_rpm = 60.0 * RECORDING_RATE_HZ / 50.0 / CYCLES_PER_REVOLUTION
+    yield Claim(
+        "reference-speed",
+        "section 2",
+        "50 samples in each of 2500 cycles at 50 kHz limit the speed",
+        "24 rpm",
+        f"{speed_rpm:.1f} rpm",
+        verdict(round(speed_rpm, 6) == 24.0),
+        {"speed_rpm": speed_rpm},
+    )
+    seconds = effort.recording_s
+    # A little less than 24 rpm, so that the samples do not meet the same 50 phases in each cycle.
+    samples = round(seconds * RECORDING_RATE_HZ)
+    steady = np.arange(samples, dtype=np.float64) * (23.93 / 24.0 / 50.0)
+    swinging = fluctuating_speed(seconds)
+    cases = {
+        "ideal": (IDEAL, steady),
+        "usual": (USUAL, steady),
+        "extreme": (EXTREME, steady),
+        "fluctuating": (EXTREME, swinging),
+    }
+    found = {name: calibrated_error(encoder, way) for name, (encoder, way) in cases.items()}
+    largest = max(found.values())
+    yield Claim(
+        "reference-50-samples",
+        "section 2",
+        "error of the reference measurement with 50 samples per cycle; the shape of the tracks, up to 40 % "
+        "offset and 20 % amplitude error, makes no difference",
+        "0.05 % at most",
+        f"{percent(found['ideal'], 2)} on ideal tracks, {percent(found['usual'], 2)} with harmonics and "
+        f"offset, {percent(found['extreme'], 2)} with 40 % and 20 %",
+        verdict(1e-6 < largest <= 5e-4),
+        {name: found[name] for name in ("ideal", "usual", "extreme")},
+    )
+    yield Claim(
+        "reference-fluctuating",
+        "section 2",
+        "the same while the speed fluctuates between 9 and 20 rpm",
+        "0.05 % at most",
+        f"{percent(found['fluctuating'], 2)} with 40 % and 20 %",
+        verdict(1e-6 < found["fluctuating"] <= 5e-4),
+        {"fluctuating": found["fluctuating"]},
+    )
+
+
+def conclusion(effort: Effort) -> Iterator[Claim]:
+    """What section 5 says of amplitude and resolution."""
+    position = np.arange(0, GRID, 7) / GRID
+    sine, cosine = _circle(position)
+    raw = phase_in_cycle(sine, cosine)
+    common = max(
+        float(np.abs(within_half(phase_in_cycle(k * sine, k * cosine) - raw)).max())
+        for k in (0.1, 0.5, 1.3, 7)
+    )
+    single = float(np.abs(within_half(phase_in_cycle(1.1 * sine, cosine) - raw)).max())
+    yield Claim(
+        "common-amplitude",
+        "section 5",
+        "a common amplitude error has no influence",
+        "none",
+        f"{percent(common, 1)} of a cycle at 0.1 to 7 times the amplitude; 10 % on one track alone: "
+        f"{percent(single, 2)}",
+        verdict(common < 1e-15 and 0.008 < single < 0.03),
+        {"common": common, "single": single},
+    )
+    step = resolution_step()
+    yield Claim(
+        "resolution",
+        "section 5",
+        "resolution with 12-bit converters and ±1 LSB of error",
+        "1/5800 cycle",
+        f"1/{1.0 / step:.0f} cycle in the worst place, 45 degrees",
+        verdict(5700 < 1.0 / step < 5900),
+        {"steps": 1.0 / step},
+    )
+
+
+def phases_as_printed(position: FloatArray) -> FloatArray:
+    """Table 1 with the last column as it is printed."""
+    sine, cosine = _circle(position)
+    return np.where(position > 7 / 8, 1.0 + sine / cosine, phase_in_cycle(sine, cosine))
+
+
+def peak_error(encoder: Encoder, table: CorrectionTable, position: FloatArray) -> float:
+    """Largest error of the corrected phase, its mean taken off."""
+    return float(np.abs(phase_error(table(phase_in_cycle(*encoder.tracks(position))), position)).max())
+
+
+def resolution_step() -> float:
+    """Largest change of the raw phase for one LSB on either track, at full scale of 12 bits."""
+    sine, cosine = _circle(np.arange(4096) / 4096, 2048.0)
+    raw = phase_in_cycle(sine, cosine)
+    return max(
+        _largest(phase_in_cycle(sine + ds, cosine + dc) - raw)
+        for ds, dc in itertools.product((-1.0, 0.0, 1.0), repeat=2)
+    )
+
+
+def fluctuating_speed(seconds: float) -> FloatArray:
+    """Positions at 50 kHz while a constant voltage phasor drives the machine: 9 to 20 rpm."""
+    time = np.arange(round(seconds * RECORDING_RATE_HZ)) / RECORDING_RATE_HZ
+    rpm = 14.5 + 5.5 * np.sin(2.0 * np.pi * 6.0 * time)
+    return np.asarray(np.cumsum(rpm / 60.0 * CYCLES_PER_REVOLUTION) / RECORDING_RATE_HZ, np.float64)
+
+
+def calibrated_error(encoder: Encoder, way: FloatArray) -> float:
+    """Largest error of the table from a reference measurement; inf when it is refused."""
+    try:
+        found = calibrate_from_zero_crossings(*encoder.sample(way, np.random.default_rng(4)))
+    except CalibrationError:
+        return np.inf
+    n = 4096
+    off = within_half(found.table(np.arange(n) / n) - positions_over_raw_phase(encoder, n))
+    return float(np.abs(off - off.mean()).max())
+
+
+def _largest(difference: FloatArray) -> float:
+    return float(np.abs(within_half(difference)).max())
+
+
+def _circle(position: FloatArray, amplitude: float = 1.0) -> tuple[FloatArray, FloatArray]:
+    angle = 2.0 * np.pi * position
+    return amplitude * np.sin(angle), amplitude * np.cos(angle)

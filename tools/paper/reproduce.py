@@ -1,0 +1,77 @@
+"""Try every claim of the paper, and print a table: what the paper says, what comes out here.
+
+    python -m tools.paper.reproduce [--fast] [--markdown FILE] [--figures DIR]
+
+The paper is Hoescheler and Szamel, Up-to-date Technique for Easy High-Accuracy Position
+Acquisition with Sinusoidal Incremental Encoders, 1997. --fast takes shorter runs. Exit status
+1 when a claim does not hold, 2 when a file cannot be written or matplotlib is missing.
+docs/paper.md says more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+try:
+    from tools.paper import conventional, detection, figures, phase, tracking
+except ImportError as error:
+    sys.exit(f"{error}: run this file with the Python of the virtual environment (make test makes it)")
+from tools.paper.claim import FAST, FULL, Claim, Effort, Maker, markdown, plain
+
+# In the order of the paper.
+MAKERS: tuple[Maker, ...] = (
+    phase.introduction,
+    conventional.conventional,
+    phase.phases,
+    phase.reference_measurement,
+    tracking.acceleration_limit,
+    tracking.long_runs,
+    tracking.start_up,
+    detection.two_thirds,
+    detection.too_fast,
+    detection.never_forgets,
+    phase.conclusion,
+    detection.cables,
+)
+
+
+def claims(effort: Effort) -> Iterator[Claim]:
+    """Try them all, one after the other."""
+    for maker in MAKERS:
+        yield from maker(effort)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.paper.reproduce", description=(__doc__ or "").partition("\n")[0]
+    )
+    parser.add_argument("--fast", action="store_true", help="shorter runs")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table as Markdown")
+    parser.add_argument("--figures", type=Path, metavar="DIR", help="write the pictures as PNG")
+    options = parser.parse_args(argv)
+    if options.figures is not None and not figures.can_draw():
+        print("figures need matplotlib: pip install 'canfb[plot]'", file=sys.stderr)
+        return 2
+    found = []
+    for claim in claims(FAST if options.fast else FULL):
+        print(plain([claim]), flush=True)
+        found.append(claim)
+    try:
+        if options.markdown is not None:
+            options.markdown.write_text(markdown(found), encoding="utf-8")
+        if options.figures is not None:
+            for path in figures.write_figures(options.figures, 5 if options.fast else 150):
+                print(path)
+    except OSError as error:
+        print(f"cannot write {error.filename}: {error.strerror}", file=sys.stderr)
+        return 2
+    failed = [claim.key for claim in found if not claim.holds]
+    print(f"{len(found)} claims, {len(failed)} do not hold{': ' if failed else ''}{', '.join(failed)}")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

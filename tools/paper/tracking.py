@@ -1,0 +1,236 @@
+"""Claims on the absolute position: section 3, and what section 5 says of the speed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from canfb import TrackResult, max_acceleration, track
+from tools.paper.claim import Claim, Effort, grouped, verdict
+from tools.paper.plant import (
+    CYCLES_PER_REVOLUTION,
+    USUAL,
+    FloatArray,
+    Way,
+    cycles_per_sample,
+    followed,
+    sampled,
+    score,
+)
+
+RATE_HZ = 25_000.0
+SLOW_RATE_HZ = 1000.0
+TOP_RPM = 2000.0
+SERVO_RAD_S2 = 20_000.0
+EQ_10_RAD_S2 = 785_398.16
+
+
+def acceleration_limit(effort: Effort) -> Iterator[Claim]:
+    """Eq. 10, found by trying."""
+    formula = max_acceleration(CYCLES_PER_REVOLUTION, RATE_HZ)
+    found = largest_acceleration(is_right)
+    measured = largest_acceleration(is_right, converted=True)
+    yield Claim(
+        "eq-10",
+        "section 3, eq. 10",
+        "largest acceleration with 2500 cycles at 25 kHz",
+        "785 000 rad/s²",
+        f"{grouped(formula)} rad/s² by the formula, {grouped(found)} the largest that is tracked without "
+        f"error; {grouped(measured)} with 12-bit converters and noise",
+        verdict(abs(found / formula - 1.0) < 1e-4 and 0.99 < measured / formula < 1.0001),
+        {"formula": formula, "found": found, "measured": measured},
+    )
+    slow = max_acceleration(CYCLES_PER_REVOLUTION, SLOW_RATE_HZ)
+    needed_hz = math.sqrt(SERVO_RAD_S2 / max_acceleration(CYCLES_PER_REVOLUTION, 1.0, 1 / 3))
+    yield Claim(
+        "servo-machines",
+        "section 3",
+        "highly dynamic servo machines (20 000 rad/s²) stay far below the limit",
+        "little impact",
+        f"{formula / SERVO_RAD_S2:.0f} times below at 25 kHz. At 1 kHz the limit is {slow:.0f} rad/s² "
+        f"({slow * 2 / 3:.0f} with 1/3): such a machine needs at least {needed_hz / 1e3:.1f} kHz",
+        verdict(35 < formula / SERVO_RAD_S2 < 45 and 4800 < needed_hz < 5000),
+        {"margin": formula / SERVO_RAD_S2, "slow_limit": slow, "needed_hz": needed_hz},
+    )
+
+
+def long_runs(effort: Effort) -> Iterator[Claim]:
+    """Both sampling rates at +-2000 rpm, and the count of revolutions."""
+    usable = 0.95 * max_acceleration(CYCLES_PER_REVOLUTION, SLOW_RATE_HZ, 1 / 3)
+    yield _long_run(
+        "long-25khz",
+        "±2000 rpm at 25 kHz, with the accelerations of a highly dynamic servo machine",
+        cycles_per_sample(TOP_RPM, RATE_HZ),
+        acceleration_step(SERVO_RAD_S2, RATE_HZ),
+        effort,
+    )
+    yield _long_run(
+        "long-1khz",
+        "±2000 rpm at 1 kHz, one sample every 83rd cycle",
+        cycles_per_sample(TOP_RPM, SLOW_RATE_HZ),
+        acceleration_step(usable, SLOW_RATE_HZ),
+        effort,
+    )
+    yield revolutions(effort)
+    yield _no_speed_limit()
+
+
+def _long_run(key: str, text: str, top_speed: float, change: float, effort: Effort) -> Claim:
+    rng = np.random.default_rng(1997)
+    way = Way.random(effort.samples, top_speed, change, rng)
+    got = score(way, followed(USUAL, way, rng))
+    return Claim(
+        key,
+        "section 3",
+        text,
+        "no errors",
+        f"{grouped(got.samples)} samples, {grouped(way.reversals)} reversals, up to {way.top_speed:.2f} "
+        f"cycles per sample, changing by up to {change:.2g} from sample to sample: {got.wrong} wrong cycle "
+        f"counts, {got.flagged} flagged, largest error {100 * got.peak_error:.3f} % of a cycle (12 bits, "
+        "noise)",
+        verdict(got.wrong == 0 and got.flagged == 0 and 1e-4 < got.peak_error < 2e-3 and way.reversals > 20),
+        {
+            "samples": got.samples,
+            "reversals": way.reversals,
+            "top_speed": way.top_speed,
+            "wrong": got.wrong,
+            "flagged": got.flagged,
+            "peak_error": got.peak_error,
+        },
+    )
+
+
+def revolutions(effort: Effort) -> Claim:
+    """There and back at 2000 rpm and 1 kHz: whole revolutions from the cycle count."""
+    speed = cycles_per_sample(TOP_RPM, SLOW_RATE_HZ)
+    ramp = np.full(400, speed / 400)
+    there = np.concatenate([[0.0], ramp, np.zeros(effort.samples // 2 - 801), -ramp])
+    way = Way.from_steps(np.concatenate([there, -there]))
+    result = followed(USUAL, way, np.random.default_rng(3))
+    true_cycles = way.cycles
+    inside = true_cycles % CYCLES_PER_REVOLUTION
+    # Noise may put a sample right at the boundary into either revolution.
+    clear = (inside > 0) & (inside < CYCLES_PER_REVOLUTION - 1)
+    off = result.cycles // CYCLES_PER_REVOLUTION != true_cycles // CYCLES_PER_REVOLUTION
+    wrong = int(np.count_nonzero(off & clear))
+    counted = int(result.cycles.max()) // CYCLES_PER_REVOLUTION
+    back = int(result.cycles[-1]) - int(result.cycles[0])
+    moved = int(way.cycles[-1]) - int(way.cycles[0])
+    true_count = int(true_cycles.max()) // CYCLES_PER_REVOLUTION
+    return Claim(
+        "revolutions",
+        "section 3",
+        "revolutions are counted from the cycle count",
+        "done",
+        f"{grouped(counted)} revolutions forward and as many back at 2000 rpm and 1 kHz: {wrong} samples in "
+        f"a wrong revolution, {back - moved} cycles left over",
+        verdict(wrong == 0 and counted == true_count > 0 and back == moved),
+        {"counted": counted, "true": true_count, "wrong": wrong, "left_over": back - moved},
+    )
+
+
+def _no_speed_limit() -> Claim:
+    """As fast as it can get by accelerating within the limit for a long time."""
+    change, samples = 0.3, 350_000
+    way = Way.from_steps(np.concatenate([[0.0], np.full(samples, change), np.zeros(1000)]))
+    got = score(way, followed(USUAL, way, np.random.default_rng(5)))
+    rpm = way.top_speed / CYCLES_PER_REVOLUTION * 60.0 * SLOW_RATE_HZ
+    return Claim(
+        "no-speed-limit",
+        "section 5",
+        "there is no limit of the speed",
+        "none",
+        f"{grouped(way.top_speed)} cycles per sample ({grouped(rpm)} rpm at 1 kHz): {got.wrong} wrong cycle "
+        f"counts, {got.flagged} flagged",
+        verdict(got.wrong == 0 and got.flagged == 0 and way.top_speed > 1e5),
+        {"top_speed": way.top_speed, "wrong": got.wrong, "flagged": got.flagged},
+    )
+
+
+def start_up(effort: Effort) -> Iterator[Claim]:
+    """Start at standstill, while turning slowly, while turning fast."""
+    rng = np.random.default_rng(8)
+    slow = rng.uniform(-0.499, 0.499, effort.cases)
+    slow[: effort.cases // 10] = 0.0
+    missed = [speed_error(v, rng.uniform()) for v in slow]
+    wrong = sum(error != 0 for error, _ in missed)
+    flags = sum(flagged for _, flagged in missed) / len(missed)
+    yield Claim(
+        "start-up",
+        "section 3",
+        "it starts at standstill, or below half a cycle per sampling interval",
+        "no problem",
+        f"{wrong} of {len(slow)} starts up to ±0.499 cycle per sample wrong; {100 * flags:.0f} % flag their "
+        "first step (beyond 1/3)",
+        verdict(wrong == 0 and 0.2 < flags < 0.4),
+        {"starts": len(slow), "wrong": wrong, "flagged": flags},
+    )
+    fast = rng.uniform(0.501, 83.3, effort.cases) * rng.choice([-1.0, 1.0], effort.cases)
+    missed = [speed_error(v, rng.uniform()) for v in fast]
+    right = sum(error == 0 for error, _ in missed)
+    # The count then takes the nearest alias within half a cycle per sample.
+    alias = sum(error == -round(v) for v, (error, _) in zip(fast, missed, strict=True))
+    silent = sum(not flagged for _, flagged in missed) / len(missed)
+    yield Claim(
+        "start-up-too-fast",
+        "section 3",
+        "above half a cycle per sampling interval it must not start",
+        "must not",
+        f"{right} of {len(fast)} starts up to ±83 cycles per sample right: the count runs on, slower by the "
+        f"whole cycles per sample, and {100 * silent:.0f} % of these starts are never flagged",
+        verdict(right == 0 and alias == len(fast) and 0.5 < silent < 0.8),
+        {"starts": len(fast), "right": right, "alias": alias, "silent": silent},
+    )
+
+
+def speed_error(speed: float, start: float) -> tuple[int, bool]:
+    """Start at this constant speed: error of the speed in cycles per sample, and was anything flagged."""
+    position = start + speed * np.arange(50)
+    whole = np.floor(position)
+    result = track(position - whole)
+    error = np.diff(result.cycles - result.cycles[0] - (whole - whole[0]))
+    assert np.ptp(error) == 0
+    return int(error[0]), not bool(result.ok.all())
+
+
+def acceleration_step(rad_s2: float, rate_hz: float) -> float:
+    """An acceleration as the change of speed from sample to sample, cycles per sample."""
+    return rad_s2 * CYCLES_PER_REVOLUTION / (2.0 * math.pi) / rate_hz**2
+
+
+def is_right(way: Way, result: TrackResult) -> bool:
+    """Every sample is in its cycle."""
+    return bool(np.abs(way.error(result.cycles, result.phase)).max() < 0.5)
+
+
+def largest_acceleration(
+    good: Callable[[Way, TrackResult], bool], *, converted: bool = False, samples: int = 1000
+) -> float:
+    """By bisection, the largest constant acceleration at 25 kHz (rad/s²) that is `good`.
+
+    Exact phases, or those of 12-bit converters with noise and an individual table.
+    """
+    low, high = 0.0, 1.2 * EQ_10_RAD_S2
+    while high - low > 1.0:
+        middle = (low + high) / 2.0
+        change = acceleration_step(middle, RATE_HZ)
+        way = Way.from_steps(np.concatenate([[0.0, change / 2.0], np.full(samples, change)]))
+        result = followed(USUAL, way, np.random.default_rng(6)) if converted else track(way.phase)
+        low, high = (middle, high) if good(way, result) else (low, middle)
+    return low
+
+
+def sample_picture(samples: int) -> tuple[Way, FloatArray, TrackResult]:
+    """A reversal from +2000 to -2000 rpm at 1 kHz: the way, its sine track, and what is made of it."""
+    # Just below 83 1/3 cycles per sample, where the samples would meet three phases only.
+    speed = cycles_per_sample(TOP_RPM, SLOW_RATE_HZ) - 0.0127
+    change = 0.3
+    ramp = np.full(round(speed / change), change)
+    ramp *= speed / ramp.sum()
+    rest = max(0, samples - 1 - 3 * len(ramp)) // 2
+    way = Way.from_steps(np.concatenate([[0.0], ramp, np.zeros(rest), -ramp, -ramp, np.zeros(rest)]))
+    rng = np.random.default_rng(9)
+    sine, _ = sampled(USUAL, way, rng)
+    return way, sine.astype(np.float64), followed(USUAL, way, np.random.default_rng(9))

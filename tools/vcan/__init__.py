@@ -1,0 +1,1 @@
+"""A SocketCAN interface vcan0 on any Linux."""

@@ -1,0 +1,238 @@
+"""Run a command where a real SocketCAN interface vcan0 exists.
+
+    python -m tools.vcan run -- COMMAND...    run it, pass its output through, exit with its status
+    python -m tools.vcan check                say what there is: kernel, uml or none (exit status 1)
+    python -m tools.vcan shell                an interactive shell in it
+
+The kernel's own vcan is used where it has one, with or without root. Elsewhere the command runs in
+Debian's user-mode Linux, with the same files, the same environment and the same working directory.
+COMMAND gets no standard input. Exit status 124: ended by --timeout; 125: no vcan, or it failed to start.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import NoReturn
+
+from tools.vcan import uml
+from tools.vcan.uml import Machine, TimedOutError, VcanError, which
+
+CHANNEL = "vcan0"
+PROBE = "vcanprobe"
+TIMED_OUT, FAILED = 124, 125
+GRACE_S = 10.0
+ARPHRD_CAN = "280"
+IFF_UP = 1
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """How the running kernel gives a vcan."""
+
+    detail: str
+    prefix: tuple[str, ...] = ()
+
+
+def interface_state(name: str, folder: Path = Path("/sys/class/net")) -> str | None:
+    """ "up" or "down" for a CAN interface, None where there is no such CAN interface."""
+    try:
+        kind = (folder / name / "type").read_text().strip()
+        flags = int((folder / name / "flags").read_text(), 16)
+    except OSError:
+        return None
+    if kind != ARPHRD_CAN:
+        return None
+    return "up" if flags & IFF_UP else "down"
+
+
+def namespace_prefix(channel: str) -> tuple[str, ...]:
+    """Words before a command that run it in a network of its own, with the channel, without root."""
+    script = f"""\
+set -e
+{uml.NETWORK}
+ip link add dev {channel} type vcan
+ip link set {channel} up
+exec "$@"
+"""
+    return ("unshare", "--map-root-user", "--net", "sh", "-c", script, "sh")
+
+
+def find_kernel() -> Kernel | None:
+    """How this kernel gives a vcan, or None."""
+    if interface_state(CHANNEL) == "up":
+        return Kernel(f"{CHANNEL} is up")
+    if which("ip") is None:
+        return None
+    if _succeeds("ip", "link", "add", "dev", PROBE, "type", "vcan"):
+        _succeeds("ip", "link", "del", "dev", PROBE)
+        return Kernel(f"{CHANNEL} is made for the run")
+    prefix = namespace_prefix(CHANNEL)
+    if which("unshare") is not None and _succeeds(*prefix, "true"):
+        return Kernel(f"{CHANNEL} is made for the run, in a network namespace", prefix)
+    return None
+
+
+def _succeeds(*command: str) -> bool:
+    path = which(command[0]) or command[0]
+    done = subprocess.run([path, *command[1:]], stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    return done.returncode == 0
+
+
+@contextlib.contextmanager
+def interface(name: str) -> Iterator[None]:
+    """Have the vcan up; what was there before is left as it was."""
+    state = interface_state(name)
+    if state is None and not _succeeds("ip", "link", "add", "dev", name, "type", "vcan"):
+        raise VcanError(f"ip link add dev {name} type vcan: failed")
+    if state != "up" and not _succeeds("ip", "link", "set", name, "up"):
+        raise VcanError(f"ip link set {name} up: failed")
+    try:
+        yield
+    finally:
+        if state is None:
+            _succeeds("ip", "link", "del", "dev", name)
+        elif state == "down":
+            _succeeds("ip", "link", "set", name, "down")
+
+
+def find() -> Kernel | Machine:
+    """The best way to a vcan on this machine; a VcanError says what to install."""
+    kernel = find_kernel()
+    if kernel is not None:
+        return kernel
+    try:
+        return uml.find_machine()
+    except VcanError as error:
+        raise VcanError(f"this kernel has no vcan, and no user-mode Linux can be booted: {error}") from error
+
+
+def run_in_kernel(kernel: Kernel, command: Sequence[str], timeout_s: float | None) -> int:
+    """Run a command beside the kernel's own vcan; returns its exit status."""
+    with contextlib.ExitStack() as stack:
+        if not kernel.prefix:
+            stack.enter_context(interface(CHANNEL))
+        process = subprocess.Popen(
+            [*kernel.prefix, *command], stdin=subprocess.DEVNULL, start_new_session=True
+        )
+        try:
+            return shell_status(process.wait(timeout_s))
+        except subprocess.TimeoutExpired:
+            raise TimedOutError(f"ended after {timeout_s:g} s (--timeout)") from None
+        except KeyboardInterrupt:
+            # Its own session: pass Ctrl-C on, and let it say how far it came.
+            os.killpg(process.pid, signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(GRACE_S)
+            raise
+        finally:
+            uml.kill_group(process)
+
+
+def shell_in_kernel(kernel: Kernel, command: Sequence[str]) -> int:
+    """Run an interactive command beside the kernel's own vcan; returns its exit status."""
+    with contextlib.ExitStack() as stack:
+        if not kernel.prefix:
+            stack.enter_context(interface(CHANNEL))
+        return shell_status(subprocess.run([*kernel.prefix, *command], check=False).returncode)
+
+
+def shell_status(returncode: int) -> int:
+    """Exit status as a shell gives it: 128 + number for a signal."""
+    return 128 - returncode if returncode < 0 else returncode
+
+
+def run(command: Sequence[str], timeout_s: float | None) -> int:
+    """Run a command where vcan0 exists; returns its exit status."""
+    way = find()
+    if isinstance(way, Kernel):
+        return run_in_kernel(way, command, timeout_s)
+    return uml.run(way, command, CHANNEL, timeout_s)
+
+
+def check() -> int:
+    """Say in one line what there is; 0 where a command can be run with a vcan, else 1."""
+    try:
+        way = find()
+        if isinstance(way, Kernel):
+            print(f"kernel: {way.detail}")
+            return 0
+        start = time.monotonic()
+        status = uml.run(way, ["true"], CHANNEL)
+    except VcanError as error:
+        print("none:", " ".join(str(error).split()))
+        return 1
+    print(f"uml: user-mode Linux {way.release} boots in {time.monotonic() - start:.1f} s")
+    return status
+
+
+def shell() -> int:
+    """Open an interactive shell where vcan0 exists."""
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise VcanError("shell needs a terminal; use: run -- COMMAND")
+    way = find()
+    command = ["bash", "-i"]
+    if isinstance(way, Kernel):
+        return shell_in_kernel(way, command)
+    print(f"user-mode Linux {way.release} with {CHANNEL}; leave it with exit", flush=True)
+    return uml.shell(way, command, CHANNEL)
+
+
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """Options of the command line."""
+    usage, _, _ = (__doc__ or "").partition("\n")
+    parser = argparse.ArgumentParser(prog="python -m tools.vcan", description=usage)
+    commands = parser.add_subparsers(dest="action", required=True)
+    commands.add_parser("check", help="say what there is: kernel, uml or none")
+    commands.add_parser("shell", help=f"an interactive shell where {CHANNEL} exists")
+    runner = commands.add_parser("run", help=f"run a command where {CHANNEL} exists")
+    runner.add_argument("--timeout", type=float, metavar="SECONDS", help="default: none")
+    runner.add_argument("command", nargs=argparse.REMAINDER, metavar="-- COMMAND...")
+    options = parser.parse_args(arguments)
+    if options.action == "run":
+        if options.command[:1] == ["--"]:
+            del options.command[0]
+        if not options.command:
+            parser.error("run needs a command: run -- COMMAND...")
+    return options
+
+
+def _end(number: int, _frame: FrameType | None) -> NoReturn:
+    raise SystemExit(128 + number)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Do what the command line says; returns the exit status."""
+    options = parse(arguments)
+    try:
+        if options.action == "check":
+            return check()
+        if options.action == "shell":
+            return shell()
+        return run(options.command, options.timeout)
+    except TimedOutError as error:
+        print(f"vcan: {error}", file=sys.stderr)
+        return TIMED_OUT
+    except (VcanError, FileNotFoundError) as error:
+        print(f"vcan: {error}", file=sys.stderr)
+        return FAILED
+    except KeyboardInterrupt:
+        return 128 + signal.SIGINT
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # nobody reads: no complaint at exit either
+        return 128 + signal.SIGPIPE
+
+
+if __name__ == "__main__":
+    for ending in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(ending, _end)
+    sys.exit(main(sys.argv[1:]))

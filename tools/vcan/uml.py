@@ -1,0 +1,413 @@
+"""User-mode Linux: a Linux kernel that runs as an ordinary process, with the CAN modules in it.
+
+It is booted with the machine's own files as its root, so the same Python, the same virtual
+environment and the same working directory are there. Used by tools/vcan.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+MODULE_ROOT = Path("/usr/lib/uml/modules")
+MODULES = ("can", "can-raw", "can-bcm", "can-dev", "vcan")
+OPTIONAL_MODULES = ("vxcan",)
+MEMORY_MIB = 1024
+BOOT_SILENCE_S = 60.0
+POLL_S = 0.02
+SYSTEM_PATH = "/usr/local/sbin:/usr/sbin:/sbin"
+
+PACKAGES = {
+    "linux.uml": "user-mode-linux",
+    "insmod": "kmod",
+    "ip": "iproute2",
+    "mount": "mount",
+    "setpriv": "util-linux",
+}
+FPREGS_SOURCE = Path(__file__).with_name("fpregs.c")
+FPREGS_FIXED_IN = (6, 13)
+
+
+class VcanError(Exception):
+    """No CAN can be had, or it did not start; the message says what to do."""
+
+
+class TimedOutError(VcanError):
+    """The command ran longer than it may."""
+
+
+def which(program: str) -> str | None:
+    """Path of a program, looked for in the administrator's folders too."""
+    return shutil.which(program, path=f"{os.environ.get('PATH', os.defpath)}:{SYSTEM_PATH}")
+
+
+# --- what is installed
+
+
+@dataclass(frozen=True)
+class Machine:
+    """An installed user-mode Linux: what is needed to boot it."""
+
+    kernel: str
+    release: str
+    modules: tuple[Path, ...]
+    preload: bool  # the processor has more registers than this kernel can handle: fpregs.c
+
+
+def module_order(dependencies: str, wanted: Sequence[str], optional: Sequence[str] = ()) -> list[str]:
+    """Modules in the order to load them, from the text of a modules.dep file.
+
+    Each comes after those that it needs, and once. A missing wanted module is a VcanError.
+    """
+    needs: dict[str, list[str]] = {}
+    for line in dependencies.splitlines():
+        path, _, others = line.partition(":")
+        needs[path.strip()] = others.split()
+    paths = {_module_name(path): path for path in needs}
+    order: list[str] = []
+
+    def add(path: str) -> None:
+        if path in order:
+            return
+        for other in reversed(needs.get(path, [])):  # modules.dep names the nearest first
+            add(other)
+        order.append(path)
+
+    for name in (*wanted, *optional):
+        found = paths.get(name.replace("-", "_"))
+        if found is not None:
+            add(found)
+        elif name in wanted:
+            raise VcanError(f"the user-mode Linux has no module {name}")
+    return order
+
+
+def _module_name(path: str) -> str:
+    return Path(path).name.partition(".")[0].replace("-", "_")
+
+
+def needs_preload(cpuinfo: str, release: str) -> bool:
+    """Whether this kernel dies on this processor unless fpregs.c is loaded into it."""
+    version = tuple(int(part) for part in release.split("-")[0].split(".")[:2])
+    flags = next((line for line in cpuinfo.splitlines() if line.startswith("flags")), "")
+    return "amx_tile" in flags.split() and version < FPREGS_FIXED_IN
+
+
+def kernel_release(kernel: str) -> str:
+    """Version of a user-mode Linux, as in `6.1.176`."""
+    return subprocess.run([kernel, "--version"], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def find_machine() -> Machine:
+    """The installed user-mode Linux; a VcanError says which Debian packages are missing."""
+    missing = [package for program, package in PACKAGES.items() if which(program) is None]
+    if missing:
+        raise VcanError(f"apt-get install {' '.join(missing)}")
+    kernel = which("linux.uml") or "linux.uml"
+    release = kernel_release(kernel)
+    preload = needs_preload(Path("/proc/cpuinfo").read_text(), release)
+    if preload and which("cc") is None:
+        raise VcanError("apt-get install gcc libc6-dev (this processor has AMX; see tools/vcan/fpregs.c)")
+    folder = MODULE_ROOT / release
+    try:
+        dependencies = (folder / "modules.dep").read_text()
+    except OSError as error:
+        raise VcanError(f"the user-mode Linux has no modules: {error}") from error
+    order = module_order(dependencies, MODULES, OPTIONAL_MODULES)
+    return Machine(kernel, release, tuple(folder / path for path in order), preload)
+
+
+# --- the text that boots it
+
+
+def kernel_arguments(kernel: str, init: Path, console: str, *, quiet: bool) -> list[str]:
+    """Command line of the kernel; console is where its log and /dev/tty0 go, in its own words."""
+    talk = ["quiet", "loglevel=0"] if quiet else ["loglevel=7"]
+    return [
+        *("setpriv", "--pdeathsig", "TERM"),  # nothing stays when this process is killed: it then ends itself
+        kernel,
+        f"mem={MEMORY_MIB}M",
+        "rootfstype=hostfs",
+        "rootflags=/",
+        "rw",
+        *talk,
+        f"uml_dir={init.parent}/",
+        "con=null",
+        f"con0={console}",
+        "ssl=null",
+        "init=/bin/sh",
+        "--",
+        str(init),
+    ]
+
+
+# Loopback, multicast too: without the route a process cannot join a group.
+NETWORK = "ip link set lo up multicast on; ip route add 224.0.0.0/4 dev lo"
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a command runs: its working directory and its whole environment."""
+
+    folder: str
+    environment: Mapping[str, str]
+
+    @classmethod
+    def here(cls) -> Place:
+        """The place of this process."""
+        return cls(os.getcwd(), dict(os.environ))
+
+    def line(self, command: Sequence[str]) -> str:
+        """Line of shell that runs the command there."""
+        pairs = [f"{name}={value}" for name, value in self.environment.items()]
+        return shlex.join(["env", "-i", f"--chdir={self.folder}", *pairs, *command])
+
+
+def init_script(modules: Sequence[Path], folder: Path, channel: str, run: str) -> str:
+    """Text of the first process: makes the machine ready and runs the command.
+
+    `run` is lines of shell. When their files are written, folder/status holds their exit status; it holds
+    "failed" when the machine could not be made ready.
+    """
+    started = shlex.quote(str(folder / "started"))
+    status = shlex.quote(str(folder / "status"))
+    loads = "".join(f"    insmod {shlex.quote(str(path))}\n" for path in modules)
+    return f"""\
+export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
+finish() {{
+    sync
+    echo "$1" >{status}.new
+    mv {status}.new {status}
+    sleep 5 # it is ended from outside, as soon as there is a status
+    echo o >/proc/sysrq-trigger
+    while :; do sleep 1; done
+}}
+set_up() {{
+    set -e
+    mkdir -p /dev/pts /dev/shm
+    mount -t devpts -o mode=620,ptmxmode=666 devpts /dev/pts
+    mount -t tmpfs -o mode=1777 tmpfs /dev/shm
+    ln -s /proc/self/fd /dev/fd
+    ln -s /proc/self/fd/0 /dev/stdin
+    ln -s /proc/self/fd/1 /dev/stdout
+    ln -s /proc/self/fd/2 /dev/stderr
+{loads}\
+    {NETWORK}
+    ip link add dev {channel} type vcan
+    ip link set {channel} up
+}}
+: >{started}
+mount -t proc proc /proc
+echo vcan >/proc/sys/kernel/hostname
+mount -t sysfs sysfs /sys
+(set_up)
+[ $? -eq 0 ] || finish failed
+{run}
+finish $?
+"""
+
+
+def run_line(command: Sequence[str], place: Place, output: Path, errors: Path) -> str:
+    """Line of shell that runs the command, its output into files."""
+    target = "2>&1" if errors == output else f"2>{shlex.quote(str(errors))}"
+    return f"{place.line(command)} </dev/null >{shlex.quote(str(output))} {target}"
+
+
+def shell_line(command: Sequence[str], place: Place, size: os.terminal_size) -> str:
+    """Lines of shell that run an interactive command on the terminal, with job control."""
+    stty = f"stty rows {size.lines} cols {size.columns} </dev/tty0"
+    return f"{stty}\nsetsid -w -c {place.line(command)} </dev/tty0 >/dev/tty0 2>&1"
+
+
+def memory_folder(candidates: Sequence[str] = ("/dev/shm", "/tmp", "/var/tmp")) -> str:
+    """Folder for the file that is the machine's memory: it needs the room, and must allow execution."""
+    for folder in candidates:
+        with contextlib.suppress(OSError):
+            state = os.statvfs(folder)
+            room = state.f_bavail * state.f_frsize
+            if room >= MEMORY_MIB << 20 and not state.f_flag & os.ST_NOEXEC and os.access(folder, os.W_OK):
+                return folder
+    raise VcanError(f"no folder with {MEMORY_MIB} MiB free that allows execution: {', '.join(candidates)}")
+
+
+# --- a run
+
+
+class Tail:
+    """Copies what a growing file gains to a stream."""
+
+    def __init__(self, path: Path, sink: BinaryIO) -> None:
+        path.touch()
+        self._source = path.open("rb", buffering=0)
+        self._sink = sink
+
+    def pump(self) -> None:
+        """Copy what is new."""
+        while chunk := self._source.read(1 << 16):
+            self._sink.write(chunk)
+            self._sink.flush()
+
+    def close(self) -> None:
+        self._source.close()
+
+
+class Booting:
+    """A kernel that boots, by its log: a slow machine takes long, but goes on writing."""
+
+    def __init__(self, console: Path, now: float) -> None:
+        self._console, self._size, self._grown = console, 0, now
+
+    def silence_s(self, now: float) -> float:
+        """For how long the log has not grown, seconds."""
+        size = self._console.stat().st_size if self._console.exists() else 0
+        if size != self._size:
+            self._size, self._grown = size, now
+        return now - self._grown
+
+
+@contextlib.contextmanager
+def run_folder() -> Iterator[Path]:
+    """Private folder for one run, at the same path outside and inside (/dev, /proc and /sys differ there)."""
+    with tempfile.TemporaryDirectory(prefix="vcan-", dir="/tmp") as name:
+        yield Path(name)
+
+
+def _host_environment(machine: Machine, folder: Path) -> dict[str, str]:
+    environment = {**os.environ, "TMPDIR": memory_folder()}
+    if machine.preload:
+        library = folder / "fpregs.so"
+        compiler = which("cc") or "cc"
+        subprocess.run([compiler, "-O2", "-shared", "-fPIC", "-o", library, FPREGS_SOURCE], check=True)
+        environment["LD_PRELOAD"] = str(library)
+    return environment
+
+
+def _write_init(machine: Machine, folder: Path, channel: str, run: str) -> Path:
+    init = folder / "init"
+    # Arguments and environment may hold bytes that are no UTF-8: keep them as they are.
+    init.write_text(
+        init_script(machine.modules, folder, channel, run), encoding="utf-8", errors="surrogateescape"
+    )
+    return init
+
+
+def _exit_status(folder: Path) -> int:
+    try:
+        text = (folder / "status").read_text().strip()
+    except FileNotFoundError:
+        text = "failed"
+    if text.isdecimal():
+        return int(text)
+    console = folder / "console"
+    log = console.read_text(errors="replace").splitlines() if console.exists() else []
+    raise VcanError("\n    ".join(["the user-mode Linux failed; from its log:", *last_words(log)]))
+
+
+def last_words(log: Sequence[str], count: int = 12) -> Sequence[str]:
+    """The lines of a kernel's log that say why it failed: before a panic, else the last."""
+    panic = next((number for number, line in enumerate(log) if "Kernel panic" in line), len(log) - 1)
+    return log[max(0, panic + 1 - count) : panic + 1]
+
+
+def kill_group(process: subprocess.Popen[bytes]) -> None:
+    """End a process that leads its own group, and all that it started; nothing of it is left."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def run(machine: Machine, command: Sequence[str], channel: str, timeout_s: float | None = None) -> int:
+    """Run a command in a user-mode Linux and copy its output; returns its exit status.
+
+    Its standard input is empty. Raises TimedOutError after timeout_s seconds; None waits for ever.
+    """
+    with run_folder() as folder:
+        output = folder / "output"
+        # One file for both where both go to the same place: their order is kept.
+        errors = output if os.path.sameopenfile(1, 2) else folder / "errors"
+        line = run_line(command, Place.here(), output, errors)
+        init = _write_init(machine, folder, channel, line)
+        tails = [Tail(output, sys.stdout.buffer)]
+        if errors != output:
+            tails.append(Tail(errors, sys.stderr.buffer))
+        with (folder / "console").open("wb") as console:
+            process = subprocess.Popen(
+                kernel_arguments(machine.kernel, init, "null,fd:1", quiet=False),
+                stdin=subprocess.DEVNULL,
+                stdout=console,
+                stderr=console,
+                env=_host_environment(machine, folder),
+                start_new_session=True,
+            )
+        try:
+            _relay(process, folder, tails, timeout_s)
+        finally:
+            kill_group(process)
+            for tail in tails:
+                tail.close()
+        return _exit_status(folder)
+
+
+def _relay(
+    process: subprocess.Popen[bytes], folder: Path, tails: Sequence[Tail], timeout_s: float | None
+) -> None:
+    """Copy the output until the command has ended, or the kernel stops before it has started."""
+    start = time.monotonic()
+    booting = Booting(folder / "console", start)
+    while True:
+        over = _is_over(process, folder)  # asked first: what was written until then is copied
+        for tail in tails:
+            tail.pump()
+        now = time.monotonic()
+        if over or (not (folder / "started").exists() and booting.silence_s(now) > BOOT_SILENCE_S):
+            return
+        if timeout_s is not None and now - start > timeout_s:
+            raise TimedOutError(f"ended after {timeout_s:g} s (--timeout)")
+
+
+def _is_over(process: subprocess.Popen[bytes], folder: Path) -> bool:
+    """Whether the command has left its status, or the machine is gone; waits a little for it."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(POLL_S)
+    return process.poll() is not None or (folder / "status").exists()
+
+
+def shell(machine: Machine, command: Sequence[str], channel: str) -> int:
+    """Run an interactive command in a user-mode Linux on this terminal; returns its exit status."""
+    import termios  # not there on every system that can import this file
+
+    settings = termios.tcgetattr(0)
+    with run_folder() as folder:
+        line = shell_line(command, Place.here(), os.get_terminal_size(0))
+        init = _write_init(machine, folder, channel, line)
+        arguments = kernel_arguments(machine.kernel, init, "fd:0,fd:1", quiet=True)
+        process = subprocess.Popen(arguments, env=_host_environment(machine, folder), process_group=0)
+        try:
+            _to_foreground(process.pid)
+            while not _is_over(process, folder):
+                pass
+        finally:
+            kill_group(process)
+            _to_foreground(os.getpgrp())
+            termios.tcsetattr(0, termios.TCSADRAIN, settings)
+        return _exit_status(folder)
+
+
+def _to_foreground(group: int) -> None:
+    """Let a process group read the terminal."""
+    previous = signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+    try:
+        os.tcsetpgrp(0, group)
+    finally:
+        signal.signal(signal.SIGTTOU, previous)
