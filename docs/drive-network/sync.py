@@ -92,7 +92,7 @@ class WaitingSync(threading.Thread):
             with contextlib.suppress(KeyError, ValueError):
                 self._network.unsubscribe(can_id, self._hear)
 
-    def _hear(self, can_id: int, data: bytes, timestamp: float) -> None:
+    def _hear(self, can_id: int, data: bytearray, timestamp: float) -> None:
         with self._changed:
             self._heard.add(can_id)
             self._changed.notify_all()

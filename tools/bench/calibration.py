@@ -138,14 +138,17 @@ def true_phases(encoder: Encoder, n: int, conditioning: Conditioning) -> FloatAr
     raw = np.unwrap(raw_phases(*conditioning.apply(*encoder.tracks(position))), period=1.0)
     raw = raw - np.floor(raw[0])
     curve = np.concatenate([raw - 1.0, raw, raw + 1.0])
-    return np.interp(np.arange(n) / n, curve, np.concatenate([position - 1.0, position, position + 1.0]))
+    places = np.concatenate([position - 1.0, position, position + 1.0])
+    phases: FloatArray = np.interp(np.arange(n) / n, curve, places)
+    return phases
 
 
 def error_of(table: CorrectionTable, encoder: Encoder, conditioning: Conditioning) -> FloatArray:
     """Error over the raw phase, cycles, its mean taken off."""
     error = table(np.arange(GRID) / GRID) - true_phases(encoder, GRID, conditioning)
     error = (error - error[0] + 0.5) % 1.0 - 0.5
-    return error - error.mean()
+    alone: FloatArray = error - error.mean()
+    return alone
 
 
 def motion(rpm: float, seconds: float, rng: np.random.Generator) -> FloatArray:

@@ -22,8 +22,10 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import cast
 
 try:
+    import can
     import canopen
     import numpy as np
 
@@ -351,7 +353,8 @@ def sample_comparisons(cycles: int) -> list[Comparison]:
 
 def comparisons(cycles: int, samples: int) -> list[Comparison]:
     module = ("canfb.FeedbackModule: ADC PDO, SYNC in, position out", ModuleRun(cycles))
-    frames, messages = StockRun(StockNetwork(), cycles), StockRun(canopen.Network(NullBus()), cycles)
+    null_bus = cast(can.BusABC, NullBus())
+    frames, messages = StockRun(StockNetwork(), cycles), StockRun(canopen.Network(null_bus), cycles)
     unit, scale = "us per cycle", 1e6 / cycles
     return [
         Comparison("cycle", module, ("canopen.LocalNode with atan2", frames), unit, scale, goal=1.0),

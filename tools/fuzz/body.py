@@ -248,14 +248,15 @@ class Play:
                 communication = pdo.COMMUNICATION[direction] + number - 1
                 mapping = pdo.MAPPING[direction] + number - 1
                 cob_id, kind, count = (
-                    self._value(*place) for place in ((communication, 1), (communication, 2), (mapping, 0))
+                    int(self.dictionary.entry(*place).value)
+                    for place in ((communication, 1), (communication, 2), (mapping, 0))
                 )
                 demand(not cob_id & 0x3FFFF800, f"{communication:04X}h:01 = {cob_id:08X}h")
                 valid = cob.is_valid(cob_id) and cob.is_restricted(cob_id & cob.CAN_ID)
                 demand(not valid, f"{communication:04X}h:01 = {cob_id:08X}h is restricted")
                 demand(kind <= 240 or kind >= 252, f"{communication:04X}h:02 = {kind}")
-                values = [self._value(mapping, sub) for sub in range(1, count + 1)]
-                resolve_all(self.dictionary, values, direction)
+                values = [self.dictionary.entry(mapping, sub).value for sub in range(1, count + 1)]
+                resolve_all(self.dictionary, [int(value) for value in values], direction)
 
     def check_alive(self) -> None:
         """The next client is served: after a second of silence, in PRE-OPERATIONAL."""

@@ -156,7 +156,8 @@ def run_tests(mutant: Mutant | None, pytest_args: list[str]) -> int:
 
 def survivors(every: list[Mutant], pytest_args: list[str], jobs: int) -> list[Mutant]:
     """The changes that no test notices."""
-    waiting, running, survived = list(reversed(every)), {}, []
+    waiting, survived = list(reversed(every)), []
+    running: dict[int, Mutant] = {}
     while waiting or running:
         while waiting and len(running) < jobs:
             mutant = waiting.pop()

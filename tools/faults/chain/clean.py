@@ -69,7 +69,8 @@ def clean_motion(acceleration: float, samples: int, rng: np.random.Generator) ->
     frequency = float(rng.uniform(0.01, 1.0))  # radians per sample
     size = RIPPLE_PART * acceleration / frequency**2
     ripple = size * (1.0 - np.cos(frequency * np.arange(samples)))
-    return float(rng.uniform()) + np.cumsum(np.cumsum(accelerations)) + ripple
+    positions: FloatArray = float(rng.uniform()) + np.cumsum(np.cumsum(accelerations)) + ripple
+    return positions
 
 
 def judge_clean(

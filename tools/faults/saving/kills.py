@@ -19,6 +19,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -120,7 +121,8 @@ def configure(device: Device, variant: int) -> None:
             raise RuntimeError(f"the module does not take {index:04X}h:{subindex:02X}")
 
 
-class Command(NamedTuple):
+@dataclass(frozen=True)
+class Command:
     """What is killed."""
 
     name: str

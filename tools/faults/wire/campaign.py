@@ -158,7 +158,7 @@ def _lose_one(case: tuple[str, float, int, str]) -> OneLost:
 
 def run_one_lost(options: argparse.Namespace) -> int:
     """Prints how many single losses are kept, where one motion only fits and where two do."""
-    table = [("motion", "limit", "unique", "kept", "two motions", "kept", "wrong")]
+    table: list[tuple[str, ...]] = [("motion", "limit", "unique", "kept", "two motions", "kept", "wrong")]
     total = OneLost()
     setups = [one.name for one in SETUPS if fnmatch(one.name, options.setup)]
     with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:

@@ -38,7 +38,8 @@ def latencies(kind: str, rng: np.random.Generator) -> Callable[[], float]:
             values = np.minimum(rng.exponential(0.7e-3, 256), 5e-3)
         else:
             raise ValueError(f"no host is {kind!r}")
-        return values.tolist()
+        drawn: list[float] = values.tolist()
+        return drawn
 
     store: list[float] = []
 
@@ -56,7 +57,8 @@ def _noise(plan: Plan, count: int) -> list[float]:
     if plan.bad_rx:
         bad = np.where(plan.rng.integers(2, size=count) == 0, 9e-4, plan.rng.normal(0.0, 1.0, count))
         noise = np.where(plan.rng.uniform(size=count) < plan.bad_rx, bad, noise)
-    return noise.tolist()
+    errors_s: list[float] = noise.tolist()
+    return errors_s
 
 
 def drive(

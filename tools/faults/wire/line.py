@@ -145,8 +145,8 @@ def lay(plan: Plan) -> Line:
         events.append(Event(at, len(events), "sdo", sdo_read(0x2011, 1), 0))
         events.append(Event(at, len(events), "sdo", sdo_read(0x6004, 0), 0))
     for at, what, data in plan.actions:
-        frame = Frame(NMT_ID, data + bytes([NODE])) if what == "nmt" else None
-        events.append(Event(at, len(events), what, frame, 0))
+        command = Frame(NMT_ID, data + bytes([NODE])) if what == "nmt" else None
+        events.append(Event(at, len(events), what, command, 0))
     events.sort(key=lambda one: (one.time, one.order))
     times, slots = [one.time for one in samplings], [one.slot for one in samplings]
     named = [_named(plan, one) for one in samplings]
@@ -172,7 +172,8 @@ def _sync_times(plan: Plan) -> list[float]:
     # The SYNC jitters about 1, 2, 3, ... T; half a period at most, or it is another fault.
     late = np.array([slot.late_us for slot in plan.slots])
     jitter = np.clip((jitter + blocked) * plan.us, -0.45, 0.45) + late * plan.us
-    return (np.arange(1.0, n + 1.0) + jitter).tolist()
+    times: list[float] = (np.arange(1.0, n + 1.0) + jitter).tolist()
+    return times
 
 
 def _payload(plan: Plan, slot: Slot, number: int) -> bytes:

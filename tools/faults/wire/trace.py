@@ -43,7 +43,7 @@ def _changes(slot: object) -> str:
 
 
 def _frames(played: Played) -> None:
-    begin = played.plan.fault - BEFORE
+    begin: float = played.plan.fault - BEFORE
     early = [
         one.now
         for one in played.judge.shown
