@@ -11,8 +11,8 @@ from canfb.calibration.drift import Drift, drift
 from canfb.calibration.motion import calibrate_from_motion
 from canfb.calibration.result import Calibration
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
+from canfb.cia301.frame import Frame
 from canfb.configuration import Config, load_config
-from canfb.device.frame import Frame
 from canfb.errors import BusError, CalibrationError, CanfbError, ConfigError
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import can
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 
 
 class FakeClock:

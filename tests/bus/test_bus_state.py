@@ -11,8 +11,8 @@ from fake_bus import FakeBus, FakeClock, FakeDevice, message
 
 from canfb.bus.bus_state import ERROR_BUS_OFF, ERROR_RESTARTED, LASTING_S, RETRY_S, SETTLED_S
 from canfb.bus.runner import Runner
-from canfb.device.frame import Frame
-from canfb.device.nmt import NmtState
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from canfb.bus.computing import COMMAND, Computation, Computing
 from canfb.bus.messages import Inbox, pack
 from canfb.bus.runner import Runner
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule

@@ -15,9 +15,9 @@ import pytest
 from fake_bus import FakeBus, FakeClock, message
 
 from canfb.bus.runner import Runner
+from canfb.cia301.frame import Frame
 from canfb.cli import run as command
 from canfb.cli.main import main
-from canfb.device.frame import Frame
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import StatusBit

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from canfb.bus.bus_state import LASTING_S, SETTLED_S
+from canfb.cia301.codes import EmergencyCode
+from canfb.cia301.frame import Frame
 from canfb.cli.main import main
 from canfb.cli.run import _name, _summary
 from canfb.configuration import parse_config
-from canfb.device.codes import EmergencyCode
-from canfb.device.frame import Frame
 from canfb.errors import ConfigError
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule

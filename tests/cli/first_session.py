@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from canfb.cia301.frame import Frame
 from canfb.cli.config import EXAMPLE
 from canfb.cli.main import build_parser
 from canfb.cli.simulate import chosen_source
 from canfb.configuration import Config, parse_config
-from canfb.device.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import VALID
 from canfb.simulation.embedded_bus import EmbeddedBus

@@ -7,9 +7,9 @@ from pathlib import Path
 import can
 import pytest
 
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
 from canfb.cli.main import main
-from canfb.device.frame import Frame
-from canfb.device.nmt import NmtState
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 

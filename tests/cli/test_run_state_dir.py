@@ -15,9 +15,9 @@ import canopen
 import pytest
 
 from canfb.bus.state_files import StateDirError
+from canfb.cia301.frame import Frame
 from canfb.cli.main import main
 from canfb.cli.run import make_module
-from canfb.device.frame import Frame
 from canfb.eds_files import eds_path
 from canfb.module.config import ModuleConfig
 

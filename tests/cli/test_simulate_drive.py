@@ -12,10 +12,10 @@ import can
 import pytest
 
 from canfb.bus.runner import Device, Runner
+from canfb.cia301.frame import Frame
 from canfb.cli.main import main
 from canfb.cli.simulate_drive import simulated_axis
 from canfb.configuration import Config, parse_config
-from canfb.device.frame import Frame
 from canfb.errors import ConfigError
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.cia402.config import DriveConfig

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canfb.cia301.frame import Frame
 from canfb.cli.run import make_module
 from canfb.cli.sources import open_source
 from canfb.commissioning.sample_files import write_npz
 from canfb.commissioning.samples import Samples
 from canfb.configuration import parse_config
-from canfb.device.frame import Frame
 from canfb.errors import CanfbError
 from canfb.signal.sample import Sample
 from canfb.signal.source import Source, SourceEnded

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from commissioning_kit import Bench
 
+from canfb.cia301.frame import Frame
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
-from canfb.device.frame import Frame
 from canfb.signal.correction import CorrectionTable
 
 TABLE = CorrectionTable.identity(300)

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from commissioning_kit import EmbeddedMaster
 
+from canfb.cia301.frame import Frame
 from canfb.cli.calibrate import over_bus
 from canfb.cli.calibrate_options import check_options
 from canfb.cli.config import EXAMPLE
@@ -17,7 +18,6 @@ from canfb.cli.simulate import chosen_source
 from canfb.commissioning.artefacts import prepare
 from canfb.commissioning.procedure import Guard
 from canfb.configuration import parse_config
-from canfb.device.frame import Frame
 from canfb.errors import CalibrationError
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import TABLE_ACTIVE, VALID

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from commissioning_kit import Bench
 
+from canfb.cia301.frame import Frame
 from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.active import NOTHING_ACTIVE, ActiveSet, put_back, put_in_force, read_active, save
 from canfb.commissioning.procedure import Guard, Installation, Measurement, Settings, install
 from canfb.commissioning.samples import Samples
-from canfb.device.frame import Frame
 from canfb.device.storage import MemoryStore
 
 SDO_REQUEST, SDO_ANSWER = 0x620, 0x5A0

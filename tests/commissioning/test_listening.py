@@ -11,10 +11,10 @@ from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench, random_en
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canfb.cia301.frame import Frame
 from canfb.commissioning.access import CommissioningError, NodeAccess
 from canfb.commissioning.listening import PdoRecorder, listen
 from canfb.commissioning.pdo_layout import PdoLayout, agreed_layout
-from canfb.device.frame import Frame
 
 LAYOUT = PdoLayout(0x190)
 

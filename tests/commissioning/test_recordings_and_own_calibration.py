@@ -12,11 +12,11 @@ import pytest
 from commissioning_kit import RATE_HZ, Bench, random_encoder, recorded
 from test_calibrate_on_a_bus import calibrate
 
+from canfb.cia301.frame import Frame
 from canfb.commissioning.access import CommissioningError, ObjectAbsentError
 from canfb.commissioning.active import NOTHING_ACTIVE, read_active
 from canfb.commissioning.procedure import ZERO_CROSSINGS, Settings, measure, verify
 from canfb.commissioning.recorder import record
-from canfb.device.frame import Frame
 from canfb.errors import CalibrationError
 from canfb.simulation.motion import Motion
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from conformance_eds import Eds
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.device.storage import MemoryStore
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from canfb.cia301.frame import Frame
 from canfb.demo import story as story_module
 from canfb.demo.plant import (
     BIT_RATE,
@@ -29,7 +30,6 @@ from canfb.demo.story import (
     as_json,
     tell,
 )
-from canfb.device.frame import Frame
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.supervision import StatusBit
 from canfb.simulation.embedded_bus import frame_bits

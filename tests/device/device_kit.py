@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from canfb.device.codes import AbortCode
+from canfb.cia301.codes import AbortCode
+from canfb.cia301.frame import Frame
 from canfb.device.dictionary import Dictionary
-from canfb.device.frame import Frame
 from canfb.device.node import Node
 
 ID = 32

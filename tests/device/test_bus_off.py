@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from device_kit import OK, Bench, hexes
 
+from canfb.cia301.nmt import NmtState
 from canfb.device.dictionary import Dictionary
-from canfb.device.nmt import NmtState
 from canfb.device.node import Node
 
 RECOVERED = ["0A0#4081110000000000", "0A0#0000000000000000"]

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from canfb.device.codes import AbortCode, EmergencyCode
+from canfb.cia301.codes import AbortCode, EmergencyCode
+from canfb.cia301.frame import Frame
 from canfb.device.dictionary import Dictionary
-from canfb.device.frame import Frame
 from canfb.device.node import Node
 
 ROOT = Path(__file__).parents[2]

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import sample_eds
 
-from canfb.device.codes import AbortCode, SdoAbort
+from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary, ObjectKind
 from canfb.device.entry import Entry
 

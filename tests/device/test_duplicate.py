@@ -11,9 +11,9 @@ from device_kit import ID, OK, Bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
 from canfb.device.dictionary import Dictionary
-from canfb.device.frame import Frame
-from canfb.device.nmt import NmtState
 from canfb.device.node import Node
 
 SHIPPED = Path(__file__).parents[2] / "eds" / "canfb-module.eds"

@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 from device_kit import OK, Bench
 
-from canfb.device import cob
-from canfb.device.codes import AbortCode, EmergencyCode
+from canfb.cia301 import cob
+from canfb.cia301.codes import AbortCode, EmergencyCode
 
 SENSOR, DATA_SET = EmergencyCode.SENSOR, EmergencyCode.DATA_SET
 

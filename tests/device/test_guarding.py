@@ -8,9 +8,9 @@ import pytest
 import sample_eds
 from device_kit import ID, OK, Bench
 
-from canfb.device.codes import AbortCode
+from canfb.cia301.codes import AbortCode
+from canfb.cia301.nmt import NmtState
 from canfb.device.dictionary import Dictionary
-from canfb.device.nmt import NmtState
 
 GUARD = 0x700 + ID
 LOST, GOOD = "0A0#3081110000000000", "0A0#0000000000000000"

@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 from device_kit import OK, Bench
 
-from canfb.device.codes import AbortCode
-from canfb.device.nmt import NmtState
+from canfb.cia301.codes import AbortCode
+from canfb.cia301.nmt import NmtState
 
 
 def watch(node_id: int, milliseconds: int) -> int:

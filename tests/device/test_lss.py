@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from storing_bench import RESET_COMMUNICATION, RESET_NODE, StoringBench, write_eds
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
 from canfb.device.image import ParameterGroup
 from canfb.device.lss import LssState
-from canfb.device.nmt import NmtState
 from canfb.device.node import Node
 from canfb.device.storage import MemoryStore
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.device import datatypes
-from canfb.device.datatypes import DataType
+from canfb.cia301 import datatypes
+from canfb.cia301.datatypes import DataType
 from canfb.device.entry import Entry
 from canfb.device.mapping import AlignedLayout, BitLayout, Slot, compile_layout
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from device_kit import ID, Bench
 
-from canfb.device.codes import AbortCode, EmergencyCode
+from canfb.cia301.codes import AbortCode, EmergencyCode
+from canfb.cia301.nmt import NmtState
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
-from canfb.device.nmt import NmtState
 
 
 def minimal() -> Bench:

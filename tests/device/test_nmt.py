@@ -6,9 +6,9 @@ import pytest
 import sample_eds
 from device_kit import ID, OK, Bench
 
-from canfb.device.codes import AbortCode
+from canfb.cia301.codes import AbortCode
+from canfb.cia301.nmt import NmtState
 from canfb.device.dictionary import Dictionary
-from canfb.device.nmt import NmtState
 
 COMMANDS = {1: NmtState.OPERATIONAL, 2: NmtState.STOPPED, 128: NmtState.PRE_OPERATIONAL}
 STATES = {state: command for command, state in COMMANDS.items()}

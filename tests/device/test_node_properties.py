@@ -11,13 +11,14 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from canfb.device import cob, pdo
-from canfb.device.codes import SdoAbort
+from canfb.cia301 import cob
+from canfb.cia301.codes import SdoAbort
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
+from canfb.device import pdo
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
-from canfb.device.frame import Frame
 from canfb.device.mapping import LONGEST_BITS, Direction, resolve
-from canfb.device.nmt import NmtState
 from canfb.device.node import Node
 
 SHIPPED = Path(__file__).parents[2] / "eds" / "canfb-module.eds"

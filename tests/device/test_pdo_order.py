@@ -9,8 +9,8 @@ from device_kit import ID, OK, Bench
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.device import cob
-from canfb.device.codes import AbortCode
+from canfb.cia301 import cob
+from canfb.cia301.codes import AbortCode
 from canfb.device.dictionary import Dictionary
 
 EDS = Path(__file__).parents[2] / "eds" / "canfb-module.eds"

@@ -6,7 +6,7 @@ import pytest
 import sample_eds
 from device_kit import ID, OK, Bench
 
-from canfb.device.codes import AbortCode
+from canfb.cia301.codes import AbortCode
 from canfb.device.dictionary import Dictionary
 from canfb.device.node import Node
 from folding import each

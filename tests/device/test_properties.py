@@ -9,11 +9,12 @@ from device_kit import ID, Bench
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from canfb.device import cob, pdo
+from canfb.cia301 import cob
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
+from canfb.device import pdo
 from canfb.device.dictionary import Dictionary
-from canfb.device.frame import Frame
 from canfb.device.mapping import LONGEST_BITS, Direction, resolve
-from canfb.device.nmt import NmtState
 
 SHIPPED = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
 SERVER = 0x600 + ID

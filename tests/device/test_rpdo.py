@@ -4,7 +4,7 @@ import pytest
 from device_kit import OK, Bench
 from test_pdo_parameters import remap
 
-from canfb.device.codes import AbortCode, SdoAbort
+from canfb.cia301.codes import AbortCode, SdoAbort
 
 RPDO = 0x190
 

@@ -5,7 +5,7 @@ import binascii
 import pytest
 from device_kit import ID, OK, Bench
 
-from canfb.device.codes import AbortCode
+from canfb.cia301.codes import AbortCode
 from canfb.device.sdo_block import BURST, DOWNLOAD_BLOCK, PAUSE_S, crc16
 from canfb.device.sdo_server import TIMEOUT_S
 

@@ -9,7 +9,7 @@ import canopen
 import pytest
 from device_kit import ID, Bench
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 
 CONTENT = bytes(place * 13 & 0xFF for place in range(5001))
 

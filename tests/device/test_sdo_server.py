@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from device_kit import ID, OK, Bench
 
-from canfb.device.codes import AbortCode, SdoAbort
+from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.sdo_server import TIMEOUT_S
 
 SERVER = 0x600 + ID

@@ -21,7 +21,7 @@ from storing_bench import (
     write_eds,
 )
 
-from canfb.device.codes import AbortCode
+from canfb.cia301.codes import AbortCode
 from canfb.device.image import ParameterGroup
 from canfb.device.storage import MemoryStore
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from device_kit import OK, Bench
 
-from canfb.device.codes import AbortCode
+from canfb.cia301.codes import AbortCode
 
 
 def seen_by(bench: Bench) -> list[tuple[int | None, float]]:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from device_kit import ID, OK, Bench
 
-from canfb.device.codes import AbortCode
+from canfb.cia301.codes import AbortCode
 from canfb.device.dictionary import Dictionary
 
 TIME = 0x100

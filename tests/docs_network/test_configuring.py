@@ -9,7 +9,7 @@ import network_file
 import pytest
 from network_bench import INTERFACE_ID, MODULE_ID, TEXT, Network, write
 
-from canfb.device.nmt import NmtState
+from canfb.cia301.nmt import NmtState
 from canfb.device.storage import MemoryStore
 
 

@@ -17,8 +17,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from story_bench import FOLDER, DriveNetwork
 
-from canfb.device.frame import Frame
-from canfb.device.nmt import NmtState
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
 from canfb.simulation import background_traffic
 from canfb.simulation.cia402.errors import DriveError
 from canfb.simulation.cia402.state_machine import State

@@ -9,7 +9,7 @@ from emulated_iiod import EmulatedIiod
 from iio_kit import deliver, reading
 
 from canfb.bus.iio_source import IioSource
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import MISSED, VALID

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from canfb.device import datatypes
-from canfb.device.codes import SdoAbort
+from canfb.cia301 import datatypes
+from canfb.cia301.codes import SdoAbort
+from canfb.cia301.datatypes import DataType
+from canfb.cia301.frame import Frame
 from canfb.device.concise import Write
-from canfb.device.datatypes import DataType
 from canfb.device.entry import Entry
-from canfb.device.frame import Frame
 from canfb.module.config import ModuleConfig
 from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule

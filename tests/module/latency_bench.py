@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from module_bench import SYNC, Bench
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 
 ADC_DELAY, REMOTE_DELAY = 0.25, 0.75  # of a SYNC period
 AMPLITUDE = 16000

@@ -5,8 +5,8 @@ import struct
 
 import canopen
 
+from canfb.cia301.frame import Frame
 from canfb.demo.plant import EmbeddedNetwork
-from canfb.device.frame import Frame
 from canfb.device.storage import Store
 from canfb.eds_files import eds_path
 from canfb.module.config import ModuleConfig

@@ -24,7 +24,7 @@ from measuring import (
 )
 
 from canfb.calibration.drift import drift
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.device.storage import MemoryStore
 from canfb.module import calibrating
 from canfb.module.calibrating import Command, State

@@ -13,7 +13,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from measuring import DEVICE_STATE, Measuring, good_outcome
 
 from canfb.calibration.result import Calibration
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.module.calibrating import Command, State
 from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.signal.conditioning import IDENTITY, Conditioning

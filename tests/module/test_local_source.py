@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.device.frame import Frame
-from canfb.device.nmt import NmtState
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.source_config import MotionSourceConfig

@@ -9,7 +9,7 @@ import pytest
 from canopen import RemoteNode
 from module_bench import Bench
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.device.image import ParameterGroup
 from canfb.device.storage import MemoryStore
 from canfb.module.config import ModuleConfig

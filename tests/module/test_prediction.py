@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from latency_bench import RANGE, UNITS_PER_CYCLE, Timeline
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.device.storage import MemoryStore
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule

@@ -10,8 +10,8 @@ import canopen
 import pytest
 from module_bench import Bench
 
-from canfb.device.codes import AbortCode, EmergencyCode
-from canfb.device.datatypes import DataType
+from canfb.cia301.codes import AbortCode, EmergencyCode
+from canfb.cia301.datatypes import DataType
 from canfb.device.dictionary import Dictionary
 from canfb.device.storage import MemoryStore
 from canfb.eds_files import eds_path

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from canfb.device.codes import AbortCode, SdoAbort
-from canfb.device.frame import Frame
+from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.cia301.frame import Frame
 from canfb.device.storage import MemoryStore
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from module_bench import Bench
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.module.profile_warnings import CODES
 
 FREQUENCY, AMPLITUDE, REFERENCE = 0xFF10, 0xFF11, 0xFF15

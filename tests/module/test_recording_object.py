@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from module_bench import Bench
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.device.kept import RANGES
 from canfb.signal.recorder import MISSED_COUNTS
 

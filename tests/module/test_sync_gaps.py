@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from module_bench import Bench
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.signal.supervision import StatusBit
 
 SPEED = 0.3  # cycles per SYNC

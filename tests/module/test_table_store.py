@@ -9,7 +9,7 @@ import pytest
 from canopen import SdoAbortedError
 from module_bench import Bench
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.supervision import StatusBit
 

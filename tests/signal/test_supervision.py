@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from supervision_kit import AMPLITUDE, DEAD, Drive, above, at, below, flags, has
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal import supervision

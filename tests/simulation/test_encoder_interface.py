@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.signal.sample import Sample
 from canfb.signal.source import SourceEnded
 from canfb.simulation.encoder import Encoder

@@ -9,10 +9,10 @@ import struct
 
 import pytest
 
+from canfb.cia301.frame import Frame
 from canfb.cli.simulate import sync_rate
 from canfb.cli.simulate_drive import simulated_axis
 from canfb.configuration import parse_config
-from canfb.device.frame import Frame
 from canfb.errors import ConfigError
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder

@@ -6,7 +6,7 @@ import struct
 
 import pytest
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.sample import Sample

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canfb.cia301.frame import Frame
 from canfb.cli.main import build_parser, main
 from canfb.cli.simulate import chosen_source
 from canfb.cli.simulate_record import check_record, write_record
 from canfb.configuration import parse_config
-from canfb.device.frame import Frame
 from canfb.errors import CanfbError, ConfigError
 from canfb.signal.sample import Sample
 from canfb.signal.source import SourceEnded

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.simulation.sync_producer import SyncProducer
 
 SYNC = [Frame(0x80, b"")]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.simulation.sync_producer import SYNC_COB_ID, SyncProducer
 from canfb.simulation.sync_rate import AGAIN_S, SyncRateWatch
 

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canfb.device.frame import Frame
-from canfb.device.nmt import NmtState
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
 from canfb.device.sdo_server import SdoServer
 from tools.fuzz import body, inputs
 from tools.fuzz.body import Play

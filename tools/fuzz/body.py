@@ -15,13 +15,15 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from unittest.mock import patch
 
-from canfb.device import cob, pdo
-from canfb.device.codes import SdoAbort
+from canfb.cia301 import cob
+from canfb.cia301.codes import SdoAbort
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
+from canfb.device import pdo
 from canfb.device.dictionary import Dictionary
-from canfb.device.frame import Frame
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.mapping import Direction, resolve_all
-from canfb.device.nmt import COMMUNICATING, NmtState
+from canfb.device.nmt import COMMUNICATING
 from canfb.device.storage import MemoryStore
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule

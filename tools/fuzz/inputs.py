@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.signal.correction import CorrectionTable
 
 NODE_ID = 32

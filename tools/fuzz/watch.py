@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from canfb.device.codes import AbortCode
+from canfb.cia301.codes import AbortCode
 
 ABORT = 0x80
 ABORT_CODES = {int(code) for code in AbortCode}

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import IO, Any, Protocol, runtime_checkable
 
 from canfb.bus.messages import Inbox
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 
 COMMAND = (sys.executable, "-m", "canfb.bus.compute_process")
 PIECE_BYTES = 1 << 16

@@ -19,7 +19,8 @@ from canfb.bus.bus_state import RETRY_S, BusState, BusWatching, Direction
 from canfb.bus.computing import Computation, Computing
 from canfb.bus.opening import brings_own_frames_back, marks_own_frames
 from canfb.bus.receive_times import ReceiveTimes
-from canfb.device.frame import NEVER, Frame
+from canfb.cia301.frame import Frame
+from canfb.device.moment import NEVER
 from canfb.errors import CanfbError
 
 LONGEST_WAIT_S = 0.1  # how late a signal may be noticed

@@ -13,6 +13,7 @@ from canfb.bus.master import BusMaster
 from canfb.bus.opening import open_bus
 from canfb.bus.saved_parameters import SavedParameters
 from canfb.bus.wall_clock import file_date_and_time
+from canfb.cia301 import datatypes
 from canfb.cli.options import (
     add_bus_options,
     bus_options,
@@ -23,7 +24,6 @@ from canfb.cli.options import (
 )
 from canfb.commissioning.access import Master, NodeAccess, ObjectAbsentError
 from canfb.configuration import Config, load_config
-from canfb.device import datatypes
 from canfb.device.concise import encode_concise
 from canfb.device.dcf import Commissioning, FileInfo, Place, Reals, dcf_text
 from canfb.device.dictionary import Dictionary

@@ -6,9 +6,9 @@ import argparse
 
 from canfb.bus.master import BusMaster
 from canfb.bus.opening import open_bus
+from canfb.cia301.nmt import NmtCommand
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options
 from canfb.configuration import load_config
-from canfb.device.nmt import NmtCommand
 
 WORDS = {
     "start": (NmtCommand.START, "to OPERATIONAL: PDOs are sent and taken"),

@@ -12,6 +12,7 @@ from canfb.bus.readiness import Readiness
 from canfb.bus.realtime import apply_realtime
 from canfb.bus.runner import DeviceFailure, Runner, ending_on_signals
 from canfb.bus.state_files import StateFiles
+from canfb.cia301.datatypes import encode
 from canfb.cli.options import (
     Commands,
     add_bus_options,
@@ -23,7 +24,6 @@ from canfb.cli.options import (
 )
 from canfb.cli.sources import open_source
 from canfb.configuration import load_config
-from canfb.device.datatypes import encode
 from canfb.device.image import ParameterGroup
 from canfb.device.lss import UNCONFIGURED
 from canfb.errors import CanfbError

@@ -10,7 +10,7 @@ import canopen
 import numpy as np
 import numpy.typing as npt
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.eds_files import eds_path
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 
-from canfb.device.frame import NEVER
+from canfb.device.moment import NEVER
 
 
 class Agenda:

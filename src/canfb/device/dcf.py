@@ -9,8 +9,9 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from canfb.device import datatypes, eds
-from canfb.device.datatypes import DataType
+from canfb.cia301 import datatypes
+from canfb.cia301.datatypes import DataType
+from canfb.device import eds
 
 COMMISSIONING = "DeviceComissioning"
 """The section as CiA 306 spells it."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.cia301.datatypes import DataType
 from canfb.device import template
-from canfb.device.codes import AbortCode, SdoAbort
-from canfb.device.datatypes import DataType
 from canfb.device.entry import Entry
 from canfb.device.object_info import ObjectInfo, ObjectKind
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from canfb.device.codes import EmergencyCode, ErrorRegister
+from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.device.counters import Counters
 from canfb.device.emergency import Emergency
 from canfb.device.routing import Handler

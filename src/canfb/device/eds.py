@@ -14,8 +14,8 @@ from configparser import RawConfigParser
 from pathlib import Path
 from typing import Any
 
-from canfb.device import datatypes
-from canfb.device.datatypes import DataType
+from canfb.cia301 import datatypes
+from canfb.cia301.datatypes import DataType
 
 DOMAIN = 0x02
 VAR = 0x07

@@ -6,13 +6,14 @@ import struct
 from collections import deque
 from collections.abc import Callable, Hashable
 
-from canfb.device import cob
+from canfb.cia301 import cob
+from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
+from canfb.cia301.frame import Frame
 from canfb.device.agenda import Timed
-from canfb.device.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
-from canfb.device.frame import NEVER, Emit, Frame
+from canfb.device.moment import NEVER, Emit
 
 _EMERGENCY = struct.Struct("<HB5s")
 _WAITING = 8

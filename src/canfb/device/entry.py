@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from canfb.device import datatypes
-from canfb.device.codes import AbortCode, SdoAbort
+from canfb.cia301 import datatypes
+from canfb.cia301.codes import AbortCode, SdoAbort
 
 READABLE = frozenset({"ro", "rw", "rwr", "rww", "const"})
 WRITABLE = frozenset({"wo", "rw", "rwr", "rww"})

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
 from canfb.device.agenda import Timed
-from canfb.device.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.emergency import Emergency
 from canfb.device.entry import Entry
-from canfb.device.frame import NEVER, Emit, Frame, Moment
-from canfb.device.nmt import NmtState
+from canfb.device.moment import NEVER, Emit, Moment
 
 ERROR_CONTROL = 0x700
 """CAN-ID of boot-up and heartbeat of node 0; the node-ID is added."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from canfb.device import datatypes
-from canfb.device.codes import SdoAbort
+from canfb.cia301 import datatypes
+from canfb.cia301.codes import SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
 from canfb.device.image import ParameterGroup, Record

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from enum import IntEnum
 
+from canfb.cia301.frame import Frame
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
-from canfb.device.frame import Emit, Frame
 from canfb.device.image import ParameterGroup, Record
 from canfb.device.lss_identification import Identification
+from canfb.device.moment import Emit
 from canfb.device.storage import Storage
 
 REQUEST_ID, RESPONSE_ID = 0x7E5, 0x7E4

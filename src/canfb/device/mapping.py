@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import Any, NamedTuple, Protocol
 
-from canfb.device import datatypes
-from canfb.device.codes import AbortCode, SdoAbort
-from canfb.device.datatypes import DataType
+from canfb.cia301 import datatypes
+from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.cia301.datatypes import DataType
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import RPDO_ACCESS, TPDO_ACCESS, Entry
 

@@ -3,32 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from enum import IntEnum
 
-from canfb.device.codes import AbortCode, SdoAbort
+from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
-
-
-class NmtState(IntEnum):
-    """NMT state, with the value that a heartbeat shows."""
-
-    INITIALISING = 0
-    STOPPED = 4
-    OPERATIONAL = 5
-    PRE_OPERATIONAL = 127
-
-
-class NmtCommand(IntEnum):
-    """Command specifier of the NMT node control protocol (CiA 301, 7.2.8.3.1)."""
-
-    START = 1
-    STOP = 2
-    ENTER_PRE_OPERATIONAL = 128
-    RESET_NODE = 129
-    RESET_COMMUNICATION = 130
-
 
 COMMUNICATING = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
 """The states with SDO, SYNC and EMCY."""

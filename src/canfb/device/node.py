@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 
+from canfb.cia301.codes import EmergencyCode, ErrorRegister
+from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame
+from canfb.cia301.nmt import NmtState
 from canfb.device import pdo
 from canfb.device.agenda import Agenda
-from canfb.device.codes import EmergencyCode, ErrorRegister
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.emergency import check_error
-from canfb.device.frame import HIGHEST_ID, LONGEST_DATA, NEVER, Frame, Moment
 from canfb.device.hooks import Hooks
 from canfb.device.lss import REQUEST_ID, UNCONFIGURED, LssSlave, is_node_id
-from canfb.device.nmt import NmtState, Startup
+from canfb.device.moment import NEVER, Moment
+from canfb.device.nmt import Startup
 from canfb.device.routing import Handler, RemoteHandler
 from canfb.device.rpdo import Rpdo
 from canfb.device.sdo_server import TIMEOUT_S

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from canfb.device import cob
-from canfb.device.codes import AbortCode, SdoAbort
+from canfb.cia301 import cob
+from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
 from canfb.device.mapping import Direction, Layout, Slot, compile_layout, resolve, resolve_all

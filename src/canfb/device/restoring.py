@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from canfb.device.codes import SdoAbort
+from canfb.cia301.codes import SdoAbort
 from canfb.device.entry import Entry
 from canfb.device.image import ImageError, ParameterGroup, Record
 from canfb.device.kept import KeptEntries, restored_value

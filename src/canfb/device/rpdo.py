@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.device.agenda import Timed
-from canfb.device.codes import EmergencyCode, ErrorRegister
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.emergency import Emergency
-from canfb.device.frame import NEVER, Moment
 from canfb.device.mapping import Direction, Layout
+from canfb.device.moment import NEVER, Moment
 from canfb.device.pdo import SYNCHRONOUS, PdoParameters
 
 ERRORS = (EmergencyCode.RPDO_LENGTH, EmergencyCode.RPDO_LENGTH_EXCEEDED, EmergencyCode.RPDO_TIMEOUT)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from binascii import crc_hqx
 from enum import Enum, auto
 
-from canfb.device.codes import AbortCode, SdoAbort
+from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.entry import Entry
-from canfb.device.frame import NEVER
+from canfb.device.moment import NEVER
 from canfb.device.sdo_transfer import (
     ABORT_COMMAND,
     BLOCK_DOWNLOAD,

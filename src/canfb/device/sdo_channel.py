@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from canfb.device import cob
-from canfb.device.codes import AbortCode, SdoAbort
+from canfb.cia301 import cob
+from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
-from canfb.device.frame import Emit
+from canfb.device.moment import Emit
 from canfb.device.sdo_server import TIMEOUT_S, SdoServer
 
 FIRST_INDEX = 0x1200

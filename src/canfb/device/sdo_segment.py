@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from canfb.device.codes import AbortCode, SdoAbort
+from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.entry import Entry
 from canfb.device.sdo_transfer import (
     DOWNLOAD_SEGMENT,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.cia301.frame import Frame
 from canfb.device.agenda import Timed
-from canfb.device.codes import AbortCode, SdoAbort
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
-from canfb.device.frame import NEVER, Emit, Frame
+from canfb.device.moment import NEVER, Emit
 from canfb.device.sdo_block import CRC_SUPPORTED, BlockDownload, BlockUpload
 from canfb.device.sdo_segment import SegmentedDownload, SegmentedUpload
 from canfb.device.sdo_transfer import (

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from canfb.device.codes import AbortCode, SdoAbort
+from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.entry import Entry
-from canfb.device.frame import NEVER
+from canfb.device.moment import NEVER
 
 LARGEST_DOWNLOAD = 1 << 16
 """Bytes that a download to a DOMAIN or a string may have; more is aborted (05040005h)."""

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from canfb.cia301.nmt import NmtState
 from canfb.device import pdo
 from canfb.device.agenda import Timed
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.duplicate import DuplicateWatch
 from canfb.device.emergency import Emergency
-from canfb.device.frame import Emit, Moment
 from canfb.device.guarding import NodeGuarding
 from canfb.device.heartbeat import ERROR_CONTROL, HeartbeatConsumer, HeartbeatProducer
 from canfb.device.mapping import Direction
-from canfb.device.nmt import COMMUNICATING, ErrorBehaviour, Nmt, NmtState
+from canfb.device.moment import Emit, Moment
+from canfb.device.nmt import COMMUNICATING, ErrorBehaviour, Nmt
 from canfb.device.routing import Routes
 from canfb.device.rpdo import Rpdo
 from canfb.device.sdo_channel import SdoChannel, channel_indices

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from canfb.device.agenda import Timed
-from canfb.device.frame import NEVER
+from canfb.device.moment import NEVER
 
 
 class Silence(Timed):

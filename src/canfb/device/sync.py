@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from canfb.device import cob
+from canfb.cia301 import cob
+from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
+from canfb.cia301.frame import Frame
 from canfb.device.agenda import Timed
-from canfb.device.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.device.counters import Counters
 from canfb.device.dictionary import Dictionary
 from canfb.device.emergency import Emergency
-from canfb.device.frame import NEVER, Emit, Frame, Moment
+from canfb.device.moment import NEVER, Emit, Moment
 
 _SOURCE = 0x1005
 _DEFAULT_COB_ID = 0x080

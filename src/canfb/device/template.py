@@ -15,9 +15,9 @@ from typing import Any
 from canopen import ObjectDictionary, import_od
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
+from canfb.cia301.codes import SdoAbort
+from canfb.cia301.datatypes import DataType
 from canfb.device import eds
-from canfb.device.codes import SdoAbort
-from canfb.device.datatypes import DataType
 from canfb.device.entry import Entry
 from canfb.device.object_info import ObjectInfo, ObjectKind
 

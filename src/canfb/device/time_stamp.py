@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from canfb.device import cob
-from canfb.device.codes import AbortCode, SdoAbort
+from canfb.cia301 import cob
+from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.counters import Counters
 from canfb.device.entry import Entry
 

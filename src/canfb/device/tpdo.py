@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.cia301.frame import Frame
 from canfb.device.agenda import Timed
-from canfb.device.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
-from canfb.device.frame import NEVER, Emit, Frame, Moment
 from canfb.device.mapping import Direction, Layout
+from canfb.device.moment import NEVER, Emit, Moment
 from canfb.device.pdo import EVENT_DRIVEN, SYNC_REMOTE, SYNCHRONOUS, PdoParameters
 
 _LARGEST_START = 240

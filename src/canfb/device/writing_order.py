@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from canfb.device import cob
+from canfb.cia301 import cob
 from canfb.device.entry import Entry
 
 _CYCLE_PERIOD, _SYNC, _TIME, _CONSUMERS, _VERIFY = 0x1006, 0x1005, 0x1012, 0x1016, 0x1020

@@ -11,7 +11,7 @@ from canfb.calibration.drift import Drift, drift
 from canfb.calibration.recording import BINS, NO_TIME, covered
 from canfb.calibration.result import ACCEPTED as USABLE
 from canfb.calibration.result import FAILED, INTERRUPTED, REASONS, Calibration
-from canfb.device.codes import AbortCode, SdoAbort
+from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.table_store import TableStore

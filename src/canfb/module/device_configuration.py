@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from canfb.device import datatypes
-from canfb.device.codes import SdoAbort
+from canfb.cia301 import datatypes
+from canfb.cia301.codes import SdoAbort
 from canfb.device.concise import Write
 from canfb.device.dcf import Place
 from canfb.device.entry import Entry

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from canfb.device.dictionary import Dictionary, Entry
-from canfb.device.frame import NEVER
+from canfb.device.moment import NEVER
 from canfb.device.node import Node
 from canfb.module.interval import IntervalEstimate
 from canfb.module.local_source import LocalSource

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from canfb.device.cob import NOT_VALID
-from canfb.device.codes import AbortCode, SdoAbort
+from canfb.cia301.cob import NOT_VALID
+from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.module.config import ModuleConfig
 from canfb.module.interval import IntervalEstimate

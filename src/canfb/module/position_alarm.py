@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from canfb.device.codes import EmergencyCode, ErrorRegister
-from canfb.device.frame import NEVER
+from canfb.cia301.codes import EmergencyCode, ErrorRegister
+from canfb.device.moment import NEVER
 from canfb.device.node import Node
 
 REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from canfb.device.codes import EmergencyCode, ErrorRegister
+from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.device.dictionary import Dictionary
 from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import REFERENCED, VALID

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from canfb.device.codes import AbortCode, SdoAbort
+from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.module.interval import IntervalEstimate
 from canfb.module.tap import Taps

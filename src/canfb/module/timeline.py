@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from canfb.device.dictionary import Dictionary
-from canfb.device.frame import NEVER
+from canfb.device.moment import NEVER
 from canfb.module.interval import IntervalEstimate
 from canfb.module.response import LEARNED_TOGETHER, Answer, Response
 

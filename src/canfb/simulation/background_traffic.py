@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.simulation.checks import number
 from canfb.simulation.wire import frame_bits
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.simulation.sync_producer import SYNC_COB_ID
 from canfb.simulation.sync_timing import REGULAR, SyncDeviation, SyncTiming
 

@@ -6,7 +6,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
-from canfb.device.frame import NEVER, Frame
+from canfb.cia301.frame import Frame
+from canfb.device.moment import NEVER
 from canfb.simulation.wire import Wire, frame_bits
 
 __all__ = ["EmbeddedBus", "Participant", "frame_bits"]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from canfb.device.codes import EmergencyCode, ErrorRegister
+from canfb.cia301.codes import EmergencyCode, ErrorRegister
+from canfb.cia301.frame import Frame
 from canfb.device.dictionary import Dictionary
-from canfb.device.frame import Frame
 from canfb.device.image import ParameterGroup
 from canfb.device.mapping import Direction
 from canfb.device.node import Node

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from canfb.cia301.frame import Frame
 from canfb.device.dictionary import Dictionary
-from canfb.device.frame import Frame
 from canfb.simulation.checks import number
 
 OLDEST_S = 10.0

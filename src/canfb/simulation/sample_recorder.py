@@ -6,7 +6,7 @@ from array import array
 
 import numpy as np
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.signal.phase import FloatArray
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.sync_producer import SYNC_COB_ID

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.simulation.sync_timing import REGULAR, SyncDeviation, SyncTiming
 
 SYNC_COB_ID = 0x80

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from typing import Any
 
-from canfb.device.frame import NEVER, Frame
+from canfb.cia301.frame import Frame
+from canfb.device.moment import NEVER
 
 INTERFRAME_BITS = 3  # after the end of a frame nobody may send for so long
 

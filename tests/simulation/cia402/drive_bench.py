@@ -11,8 +11,8 @@ import numpy as np
 from canopen.pdo.base import PdoMap
 from canopen.profiles.p402 import BaseNode402
 
+from canfb.cia301.frame import Frame
 from canfb.demo.plant import EmbeddedNetwork
-from canfb.device.frame import Frame
 from canfb.eds_files import eds_path
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 from drive_bench import DRIVE_ID, MODULE_ID, SYNC, UNITS, DriveBench
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.state_machine import State
 

@@ -9,8 +9,8 @@ from drive_bench import DRIVE_ID, MODULE_ID, SYNC, UNITS
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from canfb.device.frame import Frame
-from canfb.device.nmt import NmtState
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.motor import Motor, MotorConfig
 from canfb.simulation.cia402.plant import Plant

@@ -10,7 +10,7 @@ from drive_bench import DRIVE_ID, SYNC, UNITS, DriveBench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.motor import Motor, MotorConfig
 from canfb.simulation.cia402.plant import Plant

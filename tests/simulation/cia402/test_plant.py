@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.simulation.cia402.interval import SyncInterval
 from canfb.simulation.cia402.motor import Motor, MotorConfig
 from canfb.simulation.cia402.plant import Plant, PlantSource

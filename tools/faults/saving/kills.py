@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from canfb.bus.state_files import StateFiles
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.device.image import ParameterGroup
 from canfb.device.storage import PARAMETERS
 from canfb.module.config import ModuleConfig

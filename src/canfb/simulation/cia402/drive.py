@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from canfb.device.cob import is_valid
-from canfb.device.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
+from canfb.cia301.cob import is_valid
+from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
 from canfb.device.dictionary import Dictionary
-from canfb.device.frame import Frame
 from canfb.device.image import ParameterGroup
-from canfb.device.nmt import NmtState
 from canfb.device.node import Node
 from canfb.device.pdo import EVENT_DRIVEN
 from canfb.device.storage import Store

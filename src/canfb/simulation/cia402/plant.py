@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.motor import Motor
 from canfb.simulation.encoder import Encoder

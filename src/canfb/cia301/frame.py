@@ -1,14 +1,11 @@
-"""What goes in and comes out of the device, and the time of the running call."""
+"""A CAN frame: what goes in and comes out of a node."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple, Self
 
 HIGHEST_ID = 0x7FF
 LONGEST_DATA = 8
-NEVER = float("inf")
-"""The deadline of a service that waits for nothing, seconds."""
 
 
 class Frame(NamedTuple):
@@ -44,39 +41,3 @@ class Frame(NamedTuple):
         if timestamp is not None and not isinstance(timestamp, (int, float)):
             raise TypeError(f"timestamp must be seconds or None, not {timestamp!r}")
         return cls(can_id, bytes(data), rtr, timestamp)
-
-
-STAMP_NOISE_S = 1e-3
-
-Emit = Callable[[Frame], None]
-"""How a service sends a frame."""
-
-
-class Moment:
-    """The `now` of the running call, and the time at which its frame was received, seconds.
-
-    The hooks of an SDO write carry no time, yet a timer that such a write starts needs one. The
-    node sets it at each call from its arguments; nothing here reads a clock.
-
-    `received` is the time stamp of the frame if `proved`, else the latest time at which it may have
-    been received: that of the call. `stamp` is the last time stamp that was taken.
-    """
-
-    __slots__ = ("now", "proved", "received", "stamp")
-
-    def __init__(self) -> None:
-        self.now = self.received = 0.0
-        self.stamp = -NEVER
-        self.proved = False
-
-    def stamped(self, stamp: float) -> None:
-        """The frame of the running call has a time stamp, seconds.
-
-        Frames come in order, so one that lies a little before the last is as late as that one. One
-        that lies far before it, or later than now, is of a clock that was set: not used.
-        """
-        last, self.stamp = self.stamp, stamp
-        self.proved = last - STAMP_NOISE_S <= stamp <= self.now
-        self.received = self.now
-        if self.proved:
-            self.received = self.stamp = max(last, stamp)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from canfb.device.codes import AbortCode, SdoAbort
+from canfb.cia301.codes import AbortCode, SdoAbort
 
 NOT_VALID = 1 << 31
 """Bit 31 of PDO, SDO and EMCY COB-IDs: the object does not exist."""
