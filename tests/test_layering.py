@@ -15,18 +15,19 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 LONGEST_FILE = 450
 
 # What every part that speaks CANopen may use.
-WORDS = {"cia301", "errors"}
+WORDS = {"checks", "cia301", "errors"}
 # What each part may import of canfb, beyond itself. The files beside the folders are parts of their own.
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
-    "cia301": set(),
-    "signal": {"errors"},
+    "checks": set(),
+    "cia301": {"checks"},
+    "signal": {"checks", "errors"},
     "calibration": {"signal", "errors"},
     "device": WORDS,
     "eds_files": {"errors"},
     "module": {"signal", "calibration", "device", "eds_files"} | WORDS,
     "simulation": {"signal", "device", "eds_files"} | WORDS,
-    "configuration": {"signal", "module", "simulation", "errors"},
+    "configuration": {"signal", "module", "simulation", "checks", "errors"},
     "commissioning": {"signal", "calibration"} | WORDS,
     "bus": {"signal", "module", "device", "simulation", "configuration"} | WORDS,
     "demo": {"signal", "calibration", "device", "module", "simulation", "configuration", "eds_files"} | WORDS,

@@ -16,11 +16,11 @@ from typing import Any
 
 import yaml
 
+from canfb.checks import flag, integer_in
 from canfb.errors import ConfigError
 from canfb.module.config import UNCONFIGURED, ModuleConfig
 from canfb.module.source_config import SOURCE_KINDS, IioSourceConfig
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.config import integer_in
 from canfb.simulation.cia402.config import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
 
@@ -35,8 +35,7 @@ class RealtimeConfig:
 
     def __post_init__(self) -> None:
         integer_in("priority", self.priority, 0, 99)
-        if not isinstance(self.lock_memory, bool):
-            raise ValueError(f"lock_memory must be true or false, not {self.lock_memory!r}")
+        flag("lock_memory", self.lock_memory)
         if self.cpu is not None:
             integer_in("cpu", self.cpu, 0, 65535)
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from canfb.checks import flag, integer_in
 from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for who reads configurations
 from canfb.module.source_config import SourceConfig
-from canfb.signal.config import ChainConfig, integer_in
+from canfb.signal.config import ChainConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,8 +64,7 @@ class ModuleConfig(ChainConfig):
             raise ValueError(f"predict must be false, true, or 0, 1 or 2, not {self.predict!r}")
         integer_in("sync_timeout_periods", self.sync_timeout_periods, 2, 255)
         for name in ("times", "nominal_sync", "autostart"):
-            if not isinstance(getattr(self, name), bool):
-                raise ValueError(f"{name} must be true or false, not {getattr(self, name)!r}")
+            flag(name, getattr(self, name))
         if self.state_dir is not None and not _is_folder_name(self.state_dir):
             raise ValueError(f"state_dir must be the name of a folder, not {self.state_dir!r}")
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from canfb.signal.config import integer_in
+from canfb.checks import flag, integer_in, number, text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,19 +32,19 @@ class RecordingSourceConfig:
 
     def __post_init__(self) -> None:
         _kind(self.kind, "recording")
-        _text("file", self.file)
+        text("file", self.file)
         if not isinstance(self.columns, Sequence) or isinstance(self.columns, str) or len(self.columns) != 2:
             raise ValueError(f"columns must be two, [sine, cosine], not {self.columns!r}")
         for name in self.columns:
             _column("columns", name)
-        _number("mid_scale", self.mid_scale)
+        number("mid_scale", self.mid_scale)
         if self.time_column is not None:
             _column("time_column", self.time_column)
-        _number("gap_s", self.gap_s)
+        number("gap_s", self.gap_s)
         if self.gap_s <= 0.0:
             raise ValueError(f"gap_s must be more than 0, not {self.gap_s!r}")
         integer_in("gap_samples", self.gap_samples, 1, 1_000_000)
-        _flag("time_stamps", self.time_stamps)
+        flag("time_stamps", self.time_stamps)
         if self.time_stamps and self.time_column is None:
             raise ValueError("time_stamps need a time_column")
 
@@ -59,7 +58,7 @@ class MotionSourceConfig:
 
     def __post_init__(self) -> None:
         _kind(self.kind, "motion")
-        _number("rate_hz", self.rate_hz)
+        number("rate_hz", self.rate_hz)
         if not 0.1 <= self.rate_hz <= 100_000:
             raise ValueError(f"rate_hz must be a number 0.1..100000, not {self.rate_hz!r}")
 
@@ -99,16 +98,16 @@ class IioSourceConfig:
     def __post_init__(self) -> None:
         _kind(self.kind, "iio")
         for name in ("device", "sine", "cosine", "uri", *(["trigger"] if self.trigger is not None else [])):
-            _text(name, getattr(self, name))
+            text(name, getattr(self, name))
         if not self.uri.isascii():
             raise ValueError(f"uri must be such as local: or ip:192.168.2.1, not {self.uri!r}")
         if self.sine == self.cosine:
             raise ValueError(f"cosine must be another channel than sine, {self.sine!r}")
         if self.mid_scale is not None:
-            _number("mid_scale", self.mid_scale)
+            number("mid_scale", self.mid_scale)
         if self.rate_hz is not None:
             integer_in("rate_hz", self.rate_hz, 1, 10_000_000)
-        _flag("time_stamps", self.time_stamps)
+        flag("time_stamps", self.time_stamps)
         integer_in("buffer_scans", self.buffer_scans, 2, 65536)
         integer_in("wait_us", self.wait_us, 10, 1_000_000)
         if self.adc_bits is not None:
@@ -128,21 +127,6 @@ def _kind(kind: str, wanted: str) -> None:
         raise ValueError(f"kind must be {wanted} here, not {kind!r}")
 
 
-def _text(name: str, value: object) -> None:
-    if not isinstance(value, str) or not value.strip() or "\0" in value:
-        raise ValueError(f"{name} must be a text, not {value!r}")
-
-
 def _column(name: str, value: object) -> None:
     if isinstance(value, bool) or not isinstance(value, (str, int)) or value == "":
         raise ValueError(f"{name} must be a name or a number from 0, not {value!r}")
-
-
-def _number(name: str, value: object) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ValueError(f"{name} must be a number, not {value!r}")
-
-
-def _flag(name: str, value: object) -> None:
-    if not isinstance(value, bool):
-        raise ValueError(f"{name} must be true or false, not {value!r}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from canfb.checks import integer_in
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.recovery import COAST_SAMPLES
 from canfb.signal.supervision import SampleLimits
@@ -80,9 +81,3 @@ def check_config(config: object) -> None:
     """TypeError unless ``config`` is a :class:`ChainConfig`."""
     if not isinstance(config, ChainConfig):
         raise TypeError(f"config must be a ChainConfig, not {type(config).__name__}")
-
-
-def integer_in(name: str, value: object, low: int, high: int) -> None:
-    """ValueError that names the parameter unless ``value`` is a whole number low..high."""
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise ValueError(f"{name} must be a whole number {low}..{high}, not {value!r}")

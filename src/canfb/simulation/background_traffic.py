@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from canfb.checks import number_in
 from canfb.cia301.frame import Frame
-from canfb.simulation.checks import number
 from canfb.simulation.wire import frame_bits
 
 CAN_ID = 0x6E0  # of no node and of no service of CiA 301
@@ -23,7 +23,7 @@ class BackgroundTraffic:
     """
 
     def __init__(self, load: float, bit_rate: int, seed: int = 1) -> None:
-        number("load", load, 0.0, HIGHEST_LOAD)
+        number_in("load", load, 0.0, HIGHEST_LOAD)
         self._rng = np.random.default_rng((seed, CAN_ID))
         self._mean_gap_s = MEAN_BITS / bit_rate / load if load else None
         self._next_s: float | None = None

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from canfb.signal.config import integer_in
+from canfb.checks import integer_in
 from canfb.signal.phase import FloatArray
 
 

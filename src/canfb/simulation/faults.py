@@ -20,7 +20,7 @@ from typing import Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
-from canfb.signal.config import integer_in
+from canfb.checks import integer_in
 
 Counts = npt.NDArray[np.int64]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from canfb.checks import number_in
 from canfb.cia301.frame import Frame
 from canfb.device.dictionary import Dictionary
-from canfb.simulation.checks import number
 
 OLDEST_S = 10.0
 SYNC_COB_ID, CYCLE_PERIOD = 0x1005, 0x1006
@@ -55,7 +55,7 @@ class SlowMotion:
     """
 
     def __init__(self, dictionary: Dictionary, interval_s: float) -> None:
-        number("interval_s", interval_s, SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S)
+        number_in("interval_s", interval_s, SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S)
         self._interval_s = interval_s
         self._cob_id, self._period = dictionary.entry(SYNC_COB_ID), dictionary.entry(CYCLE_PERIOD)
         self.time_s = 0.0

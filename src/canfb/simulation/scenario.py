@@ -5,8 +5,7 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass, field
 
-from canfb.signal.config import integer_in
-from canfb.simulation.checks import number
+from canfb.checks import integer_in, number_in
 from canfb.simulation.cia402.config import DriveConfig
 from canfb.simulation.encoder import Encoder, Harmonic
 from canfb.simulation.motion import Motion, Ramp, Ripple
@@ -26,8 +25,8 @@ class HarmonicConfig:
 
     def __post_init__(self) -> None:
         integer_in("order", self.order, 2, 50)
-        number("sine", self.sine, -1.0, 1.0)
-        number("cosine", self.cosine, -1.0, 1.0)
+        number_in("sine", self.sine, -1.0, 1.0)
+        number_in("cosine", self.cosine, -1.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,13 +43,13 @@ class EncoderScenario:
     harmonics: list[HarmonicConfig] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        number("amplitude", self.amplitude, 0.0, 2.0)
+        number_in("amplitude", self.amplitude, 0.0, 2.0)
         for name in ("sine_offset", "cosine_offset"):
-            number(name, getattr(self, name), -1.0, 1.0)
+            number_in(name, getattr(self, name), -1.0, 1.0)
         for name in ("sine_amplitude", "cosine_amplitude"):
-            number(name, getattr(self, name), 0.0, 2.0)
-        number("phase_error_rad", self.phase_error_rad, -1.0, 1.0)
-        number("noise_lsb", self.noise_lsb, 0.0, 1000.0)
+            number_in(name, getattr(self, name), 0.0, 2.0)
+        number_in("phase_error_rad", self.phase_error_rad, -1.0, 1.0)
+        number_in("noise_lsb", self.noise_lsb, 0.0, 1000.0)
 
     def encoder(self, adc_bits: int) -> Encoder:
         """The encoder with an ADC of ``adc_bits``."""
@@ -78,11 +77,11 @@ class MotionConfig:
     ripple_hz: float = 1.0
 
     def __post_init__(self) -> None:
-        number("rpm", self.rpm, -1e6, 1e6)
-        number("standstill_s", self.standstill_s, 0.0, 1e6)
-        number("ramp_s", self.ramp_s, 0.0, 1e6)
-        number("ripple_rpm", self.ripple_rpm, -1e6, 1e6)
-        number("ripple_hz", self.ripple_hz, 1e-6, 1e6)
+        number_in("rpm", self.rpm, -1e6, 1e6)
+        number_in("standstill_s", self.standstill_s, 0.0, 1e6)
+        number_in("ramp_s", self.ramp_s, 0.0, 1e6)
+        number_in("ripple_rpm", self.ripple_rpm, -1e6, 1e6)
+        number_in("ripple_hz", self.ripple_hz, 1e-6, 1e6)
 
     def motion(self) -> Motion:
         """The motion as a function of time."""
@@ -115,11 +114,11 @@ class SimulationConfig(SyncTiming):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        number("clock_drift_ppm", self.clock_drift_ppm, -LARGEST_DRIFT_PPM, LARGEST_DRIFT_PPM)
-        number("aperture_jitter_ns", self.aperture_jitter_ns, 0.0, 1e6)
+        number_in("clock_drift_ppm", self.clock_drift_ppm, -LARGEST_DRIFT_PPM, LARGEST_DRIFT_PPM)
+        number_in("aperture_jitter_ns", self.aperture_jitter_ns, 0.0, 1e6)
         if self.pace not in PACES:
             raise ValueError(f"pace must be {' or '.join(PACES)}, not {self.pace!r}")
-        number("sync_period_us", self.sync_period_us, 10.0, 1e7)
+        number_in("sync_period_us", self.sync_period_us, 10.0, 1e7)
         integer_in("seed", self.seed, 0, 2**63 - 1)
 
     @property

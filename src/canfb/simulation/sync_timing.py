@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from canfb.signal.config import integer_in
-from canfb.simulation.checks import number
+from canfb.checks import integer_in, number_in
 from canfb.simulation.wire import LONGEST_FRAME_BITS
 
 CUT_OFF = 4.0  # standard deviations
@@ -35,10 +34,10 @@ class SyncTiming:
     bus_bit_rate: int = 1_000_000
 
     def __post_init__(self) -> None:
-        number("sync_jitter_us", self.sync_jitter_us, 0.0, 1e6)
-        number("sync_jitter_rms_us", self.sync_jitter_rms_us, 0.0, 1e6)
-        number("sync_drift_ppm", self.sync_drift_ppm, -10_000.0, 10_000.0)
-        number("bus_load", self.bus_load, 0.0, 1.0)
+        number_in("sync_jitter_us", self.sync_jitter_us, 0.0, 1e6)
+        number_in("sync_jitter_rms_us", self.sync_jitter_rms_us, 0.0, 1e6)
+        number_in("sync_drift_ppm", self.sync_drift_ppm, -10_000.0, 10_000.0)
+        number_in("bus_load", self.bus_load, 0.0, 1.0)
         integer_in("bus_bit_rate", self.bus_bit_rate, 10_000, 1_000_000)
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from canfb.signal.config import integer_in
-from canfb.simulation.checks import number
+from canfb.checks import flag, integer_in, number_in
 from canfb.simulation.cia402.motor import MotorConfig
 
 
@@ -24,6 +23,5 @@ class DriveConfig(MotorConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         integer_in("node_id", self.node_id, 1, 127)
-        number("start_revolutions", self.start_revolutions, -1e6, 1e6)
-        if not isinstance(self.synchronous_feedback, bool):
-            raise ValueError(f"synchronous_feedback must be true or false, not {self.synchronous_feedback!r}")
+        number_in("start_revolutions", self.start_revolutions, -1e6, 1e6)
+        flag("synchronous_feedback", self.synchronous_feedback)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from canfb.checks import integer_in
 from canfb.device.dictionary import Dictionary
-from canfb.signal.config import integer_in
 from canfb.simulation.cia402.motor import MotorConfig
 
 U32 = 0xFFFFFFFF

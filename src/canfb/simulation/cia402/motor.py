@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from canfb.simulation.checks import number
+from canfb.checks import number_in
 
 LONGEST_STEP_S = 1e-4
 LONG_S = 0.1
@@ -37,14 +37,14 @@ class MotorConfig:
     brake_torque_nm: float = 0.0
 
     def __post_init__(self) -> None:
-        number("inertia_kg_m2", self.inertia_kg_m2, 1e-9, 1e6)
-        number("viscous_friction_nm_s", self.viscous_friction_nm_s, 0.0, 1e6)
-        number("coulomb_friction_nm", self.coulomb_friction_nm, 0.0, 1e6)
-        number("rated_torque_nm", self.rated_torque_nm, 0.001, 1e6)
-        number("torque_time_constant_s", self.torque_time_constant_s, 0.0, 1.0)
-        number("load_torque_nm", self.load_torque_nm, -1e6, 1e6)
-        number("load_at_s", self.load_at_s, 0.0, 1e9)
-        number("brake_torque_nm", self.brake_torque_nm, 0.0, 1e6)
+        number_in("inertia_kg_m2", self.inertia_kg_m2, 1e-9, 1e6)
+        number_in("viscous_friction_nm_s", self.viscous_friction_nm_s, 0.0, 1e6)
+        number_in("coulomb_friction_nm", self.coulomb_friction_nm, 0.0, 1e6)
+        number_in("rated_torque_nm", self.rated_torque_nm, 0.001, 1e6)
+        number_in("torque_time_constant_s", self.torque_time_constant_s, 0.0, 1.0)
+        number_in("load_torque_nm", self.load_torque_nm, -1e6, 1e6)
+        number_in("load_at_s", self.load_at_s, 0.0, 1e9)
+        number_in("brake_torque_nm", self.brake_torque_nm, 0.0, 1e6)
 
 
 class Motor:

@@ -1,0 +1,35 @@
+"""Checks of arguments and configured values: a ValueError that names the parameter, or nothing."""
+
+from __future__ import annotations
+
+import math
+
+
+def integer_in(name: str, value: object, low: int, high: int) -> None:
+    """ValueError that names the parameter unless ``value`` is a whole number low..high."""
+    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+        raise ValueError(f"{name} must be a whole number {low}..{high}, not {value!r}")
+
+
+def number_in(name: str, value: object, low: float, high: float) -> None:
+    """ValueError unless ``value`` is a number low..high; NaN is refused."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        raise ValueError(f"{name} must be a number {low:g}..{high:g}, not {value!r}")
+
+
+def number(name: str, value: object) -> None:
+    """ValueError unless ``value`` is a finite number."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ValueError(f"{name} must be a number, not {value!r}")
+
+
+def flag(name: str, value: object) -> None:
+    """ValueError unless ``value`` is True or False."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} must be true or false, not {value!r}")
+
+
+def text(name: str, value: object) -> None:
+    """ValueError unless ``value`` is a string with more than blanks, and without a NUL."""
+    if not isinstance(value, str) or not value.strip() or "\0" in value:
+        raise ValueError(f"{name} must be a text, not {value!r}")
