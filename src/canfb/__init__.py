@@ -16,6 +16,7 @@ from canfb.configuration import Config, load_config
 from canfb.errors import BusError, CalibrationError, CanfbError, ConfigError
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.objects import StatusBit
 from canfb.signal.batch import process
 from canfb.signal.chain import SignalChain
 from canfb.signal.conditioning import Conditioning
@@ -26,7 +27,6 @@ from canfb.signal.limits import max_acceleration, max_speed
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.sample import Sample
 from canfb.signal.stream import ChainResult, process_stream
-from canfb.signal.supervision import StatusBit
 from canfb.signal.tracker import Track, Tracker, TrackResult, track
 
 __all__ = [

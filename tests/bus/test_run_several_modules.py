@@ -20,7 +20,7 @@ from canfb.cli import run as command
 from canfb.cli.main import main
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
-from canfb.signal.supervision import StatusBit
+from canfb.objects import StatusBit
 
 NODES = (33, 34, 35, 36, 37, 38, 39)
 NEWCOMER, SERIAL = 40, 7  # waits for LSS

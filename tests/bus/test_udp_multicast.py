@@ -16,7 +16,7 @@ from typing import Any
 import can
 import pytest
 
-from canfb.signal.supervision import StatusBit
+from canfb.objects import StatusBit
 
 SYNC, ADC, POSITION = 0x080, 0x190, 0x1A0
 BOOT_UPS = {0x710, 0x720}

@@ -19,7 +19,7 @@ from first_session import Session
 
 import canfb
 from canfb.cli.main import build_parser, main
-from canfb.signal.supervision import StatusBit
+from canfb.objects import StatusBit
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -30,8 +30,8 @@ from canfb.demo.story import (
     as_json,
     tell,
 )
+from canfb.objects import StatusBit
 from canfb.signal.phase import phase_in_cycle
-from canfb.signal.supervision import StatusBit
 from canfb.simulation.embedded_bus import frame_bits
 from canfb.simulation.encoder import Encoder, Harmonic, demo_encoder
 

@@ -20,7 +20,7 @@ from canfb.demo.plant import EmbeddedNetwork
 from canfb.device.storage import MemoryStore
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
-from canfb.signal.supervision import StatusBit
+from canfb.objects import StatusBit
 from canfb.simulation.embedded_bus import EmbeddedBus, frame_bits
 
 PAGE = (Path(__file__).parents[2] / "docs" / "attach.md").read_text(encoding="utf-8")

@@ -9,11 +9,12 @@ import numpy as np
 from module_bench import Bench
 
 from canfb.calibration.result import REASONS
-from canfb.module.calibrating import Command, State
 from canfb.module.calibration_job import CalibrationJob, Outcome
+from canfb.objects import MeasurementCommand as Command
+from canfb.objects import MeasurementState as State
+from canfb.objects import StatusBit
 from canfb.signal.phase import FloatArray
 from canfb.signal.recorder import SampleRecording
-from canfb.signal.supervision import StatusBit
 from canfb.simulation.encoder import Encoder, Harmonic
 
 ENCODER = Encoder(

@@ -27,11 +27,12 @@ from canfb.calibration.drift import drift
 from canfb.cia301.frame import Frame
 from canfb.device.storage import MemoryStore
 from canfb.module import calibrating
-from canfb.module.calibrating import Command, State
 from canfb.module.calibration_job import Outcome
+from canfb.objects import MeasurementCommand as Command
+from canfb.objects import MeasurementState as State
+from canfb.objects import StatusBit
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import CorrectionTable
-from canfb.signal.supervision import StatusBit
 from canfb.simulation.encoder import Encoder, Harmonic
 
 WAVY = CorrectionTable(np.arange(64) / 64 + 0.01 * np.sin(np.arange(64) * np.pi / 32))

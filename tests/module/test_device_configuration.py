@@ -24,8 +24,8 @@ from canfb.device.concise import Write, decode_concise, encode_concise
 from canfb.module.config import ModuleConfig
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of, configuration_read
 from canfb.module.feedback_module import FeedbackModule
+from canfb.objects import StatusBit
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.supervision import StatusBit
 
 SIXTEEN_BITS = [write(0x2001, 2, 2, 32768), write(0x2001, 4, 2, 40960), write(0x2001, 3, 2, 6554)]
 NARROW = [write(0x2001, 3, 2, 1), write(0x2001, 4, 2, 2)]

@@ -12,7 +12,7 @@ from module_bench import Bench
 from canfb.cia301.frame import Frame
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
-from canfb.signal.supervision import StatusBit
+from canfb.objects import StatusBit
 
 
 def abort_code(error: pytest.ExceptionInfo[SdoAbortedError]) -> int:

@@ -8,8 +8,8 @@ import pytest
 from latency_bench import ADC_DELAY, REMOTE_DELAY, Timeline
 from module_bench import Bench
 
+from canfb.objects import StatusBit
 from canfb.signal.sample import Sample
-from canfb.signal.supervision import StatusBit
 
 STEP = 0.25  # cycles from sample to sample: the position tells which sample it is of
 AT_ONCE, AT_SYNC = (254, 255), (0, 1, 2)

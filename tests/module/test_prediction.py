@@ -18,7 +18,7 @@ from canfb.device.storage import MemoryStore
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.prediction import ahead
-from canfb.signal.supervision import StatusBit
+from canfb.objects import StatusBit
 
 VALID, EXTRAPOLATED = int(StatusBit.VALID), int(StatusBit.EXTRAPOLATED)
 QUANTUM = 2e-5  # cycles: of the 16-bit converter, and of the position

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from module_bench import Bench
 
 from canfb.module.position import PHASE_UNITS, PositionScale
-from canfb.signal.supervision import StatusBit
+from canfb.objects import StatusBit
 
 PER_REVOLUTION = 2500 * 8192
 

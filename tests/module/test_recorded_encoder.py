@@ -16,8 +16,8 @@ import pytest
 from canfb.cia301.frame import Frame
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.objects import StatusBit
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.supervision import StatusBit
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.sources import RecordingLayout, RecordingSource

@@ -12,7 +12,7 @@ from module_bench import Bench
 
 from canfb.cia301.frame import Frame
 from canfb.device.kept import RANGES
-from canfb.signal.recorder import MISSED_COUNTS
+from canfb.objects import MISSED_COUNTS
 
 MISSED = (MISSED_COUNTS, MISSED_COUNTS)
 START, STOP = 1, 2

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame
-from canfb.signal.supervision import StatusBit
+from canfb.objects import StatusBit
 
 SPEED = 0.3  # cycles per SYNC
 

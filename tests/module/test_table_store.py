@@ -10,8 +10,8 @@ from canopen import SdoAbortedError
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame
+from canfb.objects import StatusBit
 from canfb.signal.correction import CorrectionTable
-from canfb.signal.supervision import StatusBit
 
 
 def wavy(n: int = 256, size: float = 0.01) -> CorrectionTable:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from canfb.signal.supervision import StatusBit
 
 AMPLITUDE = 1500.0
 DEAD = Sample(0.0, 0.0)

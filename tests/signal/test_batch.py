@@ -12,6 +12,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from canfb.objects import StatusBit
 from canfb.signal import blocks
 from canfb.signal.batch import process
 from canfb.signal.chain import SignalChain
@@ -22,7 +23,6 @@ from canfb.signal.phase import phase_in_cycle
 from canfb.signal.recovery import COAST_SAMPLES, Recovery
 from canfb.signal.sample import Sample
 from canfb.signal.stream import process_stream
-from canfb.signal.supervision import StatusBit
 from canfb.signal.tracker import Tracker, TrackResult, track
 from folding import each
 

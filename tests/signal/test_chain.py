@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canfb.objects import StatusBit
 from canfb.signal.batch import process
 from canfb.signal.chain import SignalChain
 from canfb.signal.conditioning import Conditioning
@@ -14,7 +15,6 @@ from canfb.signal.config import ChainConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from canfb.signal.supervision import StatusBit
 
 AMPLITUDE = 1500.0
 

@@ -7,12 +7,12 @@ import math
 import pytest
 from supervision_kit import above, at, below, flags, has
 
+from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.coarse import CoarseTrack
 from canfb.signal.config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from canfb.signal.supervision import StatusBit
 from folding import each
 
 N = 4096  # with powers of two the limits are exact

@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canfb.objects import MISSED_COUNTS
 from canfb.signal import recorder
-from canfb.signal.recorder import BYTES_PER_SAMPLE, MISSED_COUNTS, SampleRecording
+from canfb.signal.recorder import BYTES_PER_SAMPLE, SampleRecording
 
 COUNTS = st.integers(-0x8000, 0x7FFF)
 SAMPLES = st.lists(st.one_of(st.none(), st.tuples(COUNTS, COUNTS)), max_size=40)

@@ -7,11 +7,11 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from canfb.signal.supervision import StatusBit
 
 N = 2500
 AMPLITUDE = 1500.0

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import canfb
+from canfb.objects import StatusBit
 from canfb.signal.blocks import BLOCK_SAMPLES
 from canfb.signal.chain import SignalChain
 from canfb.signal.conditioning import Conditioning
@@ -18,7 +19,6 @@ from canfb.signal.config import ChainConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.sample import Sample
 from canfb.signal.stream import SHORTEST_BLOCK, ChainResult, process_stream
-from canfb.signal.supervision import StatusBit
 from folding import each
 
 Array = np.ndarray

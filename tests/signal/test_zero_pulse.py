@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from supervision_kit import above, at, below, flags
 
+from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from canfb.signal.supervision import StatusBit
 from canfb.signal.zero_pulse import ZeroPulse
 from folding import each
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
-from canfb.simulation.sync_producer import SYNC_COB_ID, SyncProducer
+from canfb.simulation.sync_producer import SyncProducer
 from canfb.simulation.sync_rate import AGAIN_S, SyncRateWatch
 
-SYNC = Frame(SYNC_COB_ID, b"")
+SYNC = Frame(cob.SYNC, b"")
 
 
 def heard(asked_hz: float, held_hz: float, duration_s: float) -> tuple[SyncRateWatch, list[str]]:
@@ -58,7 +59,7 @@ def test_other_frames_do_not_count() -> None:
     watch = SyncRateWatch(100.0, lines.append)
     for number in range(1000):
         watch.receive(Frame(0x181, b""), number / 100.0)
-        watch.receive(Frame(SYNC_COB_ID, b"", rtr=True), number / 100.0)
+        watch.receive(Frame(cob.SYNC, b"", rtr=True), number / 100.0)
     assert watch.held_hz is None
     assert watch.tick(1.0) == []
     assert watch.deadline() is None

@@ -28,7 +28,7 @@ from network import (
 )
 from pace import Pace
 
-from canfb.signal.supervision import StatusBit
+from canfb.objects import StatusBit
 from processes import Process
 
 QUARTERS = ((0, 1500), (1500, 0), (0, -1500), (-1500, 0))

@@ -24,7 +24,7 @@ from network import (
 )
 from pace import Pace
 
-from canfb.signal.supervision import StatusBit
+from canfb.objects import StatusBit
 from conftest import skip_unless_required
 from processes import Process
 

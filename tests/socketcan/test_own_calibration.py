@@ -25,7 +25,7 @@ from network import (
 )
 from pace import Pace
 
-from canfb.signal.supervision import StatusBit
+from canfb.objects import StatusBit
 from processes import Process
 
 SAMPLES = 1200

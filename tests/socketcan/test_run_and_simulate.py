@@ -32,8 +32,8 @@ from network import (
 )
 from pace import Pace
 
+from canfb.objects import StatusBit
 from canfb.signal.correction import CorrectionTable
-from canfb.signal.supervision import StatusBit
 from processes import Process
 
 MOTION = "{standstill_s: 0.01, ramp_s: 0.5, rpm: 60}"

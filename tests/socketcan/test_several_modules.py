@@ -15,7 +15,7 @@ import pytest
 from network import SYNC, Timer, frame, next_frame, tolerate_late_syncs, wait_for, wait_for_boot_up
 from pace import Pace
 
-from canfb.signal.supervision import StatusBit
+from canfb.objects import StatusBit
 from processes import Process
 
 NODES = tuple(range(33, 40))

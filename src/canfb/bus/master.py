@@ -13,12 +13,12 @@ from canopen.network import MessageListener
 from canopen.sdo.client import SdoClient
 
 from canfb.bus.opening import reason
+from canfb.cia301 import cob
 from canfb.errors import BusError
 
 Hear = Callable[[int, bytes, float], None]
 Client = Any  # canopen.sdo.SdoClient, which has no types
 LOOK_S = 0.05  # how late a bus that has failed may be noticed
-SDO_ANSWER, SDO_REQUEST, SYNC = 0x580, 0x600, 0x80
 STOP_S = 1.0  # for the receiving thread to end
 
 
@@ -54,7 +54,7 @@ class BusMaster:
         if node_id not in self._clients:
             make: Any = SdoClient
             dictionary: Any = canopen.ObjectDictionary
-            client = make(SDO_REQUEST + node_id, SDO_ANSWER + node_id, dictionary())
+            client = make(cob.SDO_REQUEST + node_id, cob.SDO_RESPONSE + node_id, dictionary())
             client.RESPONSE_TIMEOUT = self._answer_within_s
             client.network = self._network
             self._network.subscribe(client.tx_cobid, client.on_response)
@@ -78,7 +78,7 @@ class BusMaster:
 
     def produce_sync(self, rate_hz: float) -> None:
         """Send the SYNC at this rate until the end; the bus must have been opened to hear its own frames."""
-        message = can.Message(arbitration_id=SYNC, is_extended_id=False)
+        message = can.Message(arbitration_id=cob.SYNC, is_extended_id=False)
         try:
             self._syncs.append(self._bus.send_periodic(message, 1.0 / rate_hz))
         except (can.CanError, OSError) as error:
@@ -128,7 +128,7 @@ class _Network(canopen.Network):
         self._filter()
 
     def _filter(self) -> None:
-        wanted = [{"can_id": one, "can_mask": 0x7FF, "extended": False} for one in self.subscribers]
+        wanted = [{"can_id": one, "can_mask": cob.CAN_ID, "extended": False} for one in self.subscribers]
         self._bus.set_filters(wanted or None)  # type: ignore[arg-type]
 
 

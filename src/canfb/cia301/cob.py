@@ -11,7 +11,19 @@ NO_RTR = 1 << 30
 GENERATE = 1 << 30
 """Bit 30 of 1005h: the device produces SYNC."""
 
+EXTENDED = 1 << 29
+"""Bit 29 of a COB-ID: a CAN-ID of 29 bits, which a classic CANopen device does not use."""
+
 CAN_ID = 0x7FF
+
+# The predefined connection set: COB-IDs without the node-ID (CiA 301, 7.3.5).
+SYNC = 0x080
+EMERGENCY = 0x080
+TPDO1, TPDO2, TPDO3, TPDO4 = 0x180, 0x280, 0x380, 0x480
+SDO_RESPONSE = 0x580
+SDO_REQUEST = 0x600
+ERROR_CONTROL = 0x700
+
 _EXTENDED_OR_RESERVED = 0x3FFFF800
 
 _RESTRICTED = (

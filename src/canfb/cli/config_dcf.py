@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from canfb import objects as od
 from canfb.bus.master import BusMaster
 from canfb.bus.opening import open_bus
 from canfb.bus.saved_parameters import SavedParameters
@@ -34,10 +35,9 @@ from canfb.errors import CanfbError, ConfigError
 from canfb.module.config import ModuleConfig
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of, configuration_read
 from canfb.module.feedback_module import EDS, FeedbackModule
-from canfb.module.table_store import ACTIVE_CRC, STAGED, TABLE
 
 INLINE, FILE = "inline", "file"
-IDENTITY = ((0x1000, 0), (0x1018, 1), (0x1018, 2))  # what a module is known by
+IDENTITY = (od.DEVICE_TYPE, od.IDENTITY_VENDOR_ID, od.IDENTITY_PRODUCT_CODE)  # what a module is known by
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -115,7 +115,7 @@ def read_node(master: Master, node_id: int) -> DeviceConfiguration:
         if found != entry.value:
             what = f"{place[0]:04X}:{place[1]:02X} is {found:X}h, not {entry.value:X}h"
             raise CanfbError(f"{node.name} is no feedback module of canfb: {what}")
-    serial_number = int(_read(node, dictionary.entry(0x1018, 4)))
+    serial_number = int(_read(node, dictionary.entry(*od.IDENTITY_SERIAL_NUMBER)))
     table = _read_table(node, dictionary)
     return configuration_read(node_id, lambda entry: _read(node, entry), serial_number, table)
 
@@ -139,10 +139,10 @@ def _read(node: NodeAccess, entry: Entry) -> Any:
 
 def _read_table(node: NodeAccess, dictionary: Dictionary) -> bytes:
     """The active table, empty for the identity."""
-    crc32 = _read(node, dictionary.entry(TABLE, ACTIVE_CRC))
+    crc32 = _read(node, dictionary.entry(*od.TABLE_ACTIVE_CRC))
     if not crc32:
         return b""
-    table = node.upload_domain(TABLE, STAGED)
+    table = node.upload_domain(*od.TABLE_STAGED)
     if zlib.crc32(table) != crc32:
         raise CanfbError(f"{node.name}: the table changed while it was read; try again")
     return table
@@ -201,7 +201,7 @@ class _Files:
             ),
             configuration.values(with_table=options.table == INLINE),
             reals=Reals(options.reals),
-            files=None if table_path is None else {(TABLE, STAGED): table_path.name},
+            files=None if table_path is None else {od.TABLE_STAGED: table_path.name},
         )
 
     def _summary(self, path: Path, table_path: Path | None, refused: list[Place]) -> dict[str, Any]:

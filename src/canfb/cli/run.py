@@ -7,6 +7,7 @@ import contextlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from canfb import objects as od
 from canfb.bus.opening import check_device_bus, describe, open_bus
 from canfb.bus.readiness import Readiness
 from canfb.bus.realtime import apply_realtime
@@ -31,6 +32,15 @@ from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.parameters import configured_defaults
 from canfb.simulation.scenario import SimulationConfig
+
+COUNTERS = {
+    "missed": od.COUNTER_MISSED,
+    "residual": od.COUNTER_RESIDUAL,
+    "amplitude": od.COUNTER_AMPLITUDE,
+    "coasted": od.COUNTER_COASTED,
+    "lost": od.COUNTER_LOST,
+}
+"""What the closing line counts."""
 
 
 def register(commands: Commands) -> None:
@@ -154,11 +164,8 @@ def _speeds(modules: Sequence[FeedbackModule]) -> list[str]:
 
 
 def _summary(module: FeedbackModule) -> str:
-    names = ("missed", "residual", "amplitude", "coasted", "lost")
-    counts = ", ".join(
-        f"{name} {module.dictionary.entry(0x2012, n).value}" for n, name in enumerate(names, 1)
-    )
-    samples = module.dictionary.entry(0x2011, 8).value
+    counts = ", ".join(f"{name} {module.dictionary.entry(*place).value}" for name, place in COUNTERS.items())
+    samples = module.dictionary.entry(*od.FEEDBACK_SAMPLES).value
     node_id = module.node.node_id
     node = _title(module) if node_id == UNCONFIGURED else f"node {node_id}"
     duplicates = module.node.counters.duplicate_frames

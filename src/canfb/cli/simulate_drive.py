@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 
+from canfb import objects as od
 from canfb.cli.options import chosen_module
 from canfb.configuration import Config
 from canfb.errors import ConfigError
@@ -61,8 +62,8 @@ def simulated_axis(options: argparse.Namespace, config: Config) -> SimulatedAxis
     scale = configured_defaults(module)
     link = FeedbackModuleLink(
         node_id=module.node_id,
-        increments_per_revolution=scale[0x6001, 0],
-        total_range=scale[0x6002, 0],  # without scaling, too
+        increments_per_revolution=scale[od.UNITS_PER_REVOLUTION],
+        total_range=scale[od.TOTAL_RANGE],  # without scaling, too
         synchronous=settings.synchronous_feedback,
     )
     drive = ServoDrive(settings.node_id, plant, link, autostart=options.autostart or module.autostart)

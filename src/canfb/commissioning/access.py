@@ -10,12 +10,13 @@ from typing import Any, Protocol
 import can
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
+from canfb import objects as od
+from canfb.cia301.codes import AbortCode
 from canfb.errors import CanfbError
 
 Hear = Callable[[int, bytes, float], None]
 Client = Any  # canopen.sdo.SdoClient, which has no types
-NO_OBJECT, NO_SUBINDEX = 0x06020000, 0x06090011
-UNSUPPORTED, WRITE_ONLY, READ_ONLY = 0x06010000, 0x06010001, 0x06010002
+ABSENT = (AbortCode.NO_OBJECT, AbortCode.NO_SUBINDEX)
 SETTLE_S = 0.05  # for frames of an aborted block transfer that are still under way
 SEGMENT = 7
 
@@ -124,7 +125,7 @@ class NodeAccess:
     def answers(self) -> bool:
         """True if the node answers at all."""
         try:
-            self.read(0x1000, 0, "I")
+            self.read(*od.DEVICE_TYPE, "I")
         except ObjectAbsentError:
             return True
         except CommissioningError:
@@ -137,7 +138,7 @@ class NodeAccess:
             return act(self.master.sdo(self.node_id))
         except SdoAbortedError as error:
             text = f"{what} is refused: {error}"
-            kind = ObjectAbsentError if error.code in (NO_OBJECT, NO_SUBINDEX) else CommissioningError
+            kind = ObjectAbsentError if error.code in ABSENT else CommissioningError
             raise kind(text) from None
         except SdoError as error:
             self.master.wait(0.0)  # says so if it is the bus that has failed

@@ -5,14 +5,13 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from canfb import objects as od
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
 from canfb.errors import CanfbError
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import CorrectionTable
 
-TABLE, CONDITIONING, STORE = 0x2020, 0x2002, 0x1010
-STAGED, STAGED_CRC, ACTIVATE, ACTIVE_CRC, ENTRIES = 1, 2, 3, 4, 5
-MANUFACTURER, ALL = 4, 1  # sub-indices of 1010h, the narrower one first
+STORES = (od.STORE_MANUFACTURER_PARAMETERS, od.STORE_ALL_PARAMETERS)  # the narrower one first
 SAVE = b"save"
 SAVES_ON_COMMAND = 1
 SAVE_WITHIN_S = 10.0
@@ -37,7 +36,7 @@ NOTHING_ACTIVE = ActiveSet(None, IDENTITY)
 def read_active(module: NodeAccess) -> ActiveSet:
     """What is in force. CommissioningError if the node is no feedback module, or the table is not whole."""
     try:
-        crc32 = module.integer(TABLE, ACTIVE_CRC, "I")
+        crc32 = module.integer(*od.TABLE_ACTIVE_CRC, "I")
     except ObjectAbsentError:
         raise CommissioningError(
             f"{module.name} has no correction table (2020h): no feedback module; use --module"
@@ -46,7 +45,7 @@ def read_active(module: NodeAccess) -> ActiveSet:
     if crc32 == 0:
         return ActiveSet(None, conditioning)
     try:
-        table = CorrectionTable.from_bytes(module.upload_domain(TABLE, STAGED))
+        table = CorrectionTable.from_bytes(module.upload_domain(*od.TABLE_STAGED))
     except ValueError as error:
         raise CommissioningError(f"{module.name}: 2020:01 is no correction table: {error}") from None
     if table.crc32 != crc32:
@@ -59,7 +58,7 @@ def read_active(module: NodeAccess) -> ActiveSet:
 def read_conditioning(module: NodeAccess) -> Conditioning:
     """Object 2002h; the identity where there is none."""
     try:
-        values = [float(module.read(CONDITIONING, subindex, "f")) for subindex in range(1, 6)]
+        values = [float(module.read(*place, "f")) for place in od.CONDITIONING]
         return Conditioning(*values)
     except ObjectAbsentError:
         return IDENTITY
@@ -73,11 +72,11 @@ def put_in_force(module: NodeAccess, wanted: ActiveSet) -> None:
     CommissioningError where anything is not as it must be; the module may then be in between.
     """
     _write_conditioning(module, wanted.conditioning)
-    if wanted.table is not None and module.integer(TABLE, ACTIVE_CRC, "I") != wanted.crc32:
-        module.download_domain(TABLE, STAGED, wanted.table.to_bytes())
-        _check_crc(module, STAGED_CRC, "staged", wanted.crc32)
-    module.write(TABLE, ACTIVATE, "I", wanted.crc32)
-    _check_crc(module, ACTIVE_CRC, "active", wanted.crc32)
+    if wanted.table is not None and module.integer(*od.TABLE_ACTIVE_CRC, "I") != wanted.crc32:
+        module.download_domain(*od.TABLE_STAGED, wanted.table.to_bytes())
+        _check_crc(module, od.TABLE_STAGED_CRC, "staged", wanted.crc32)
+    module.write(*od.TABLE_ACTIVATE, "I", wanted.crc32)
+    _check_crc(module, od.TABLE_ACTIVE_CRC, "active", wanted.crc32)
 
 
 def put_back(module: NodeAccess, before: ActiveSet) -> None:
@@ -96,7 +95,7 @@ def put_back(module: NodeAccess, before: ActiveSet) -> None:
 def is_active(module: NodeAccess, wanted: ActiveSet) -> bool:
     """True if just this is in force."""
     return (
-        module.integer(TABLE, ACTIVE_CRC, "I") == wanted.crc32
+        module.integer(*od.TABLE_ACTIVE_CRC, "I") == wanted.crc32
         and read_conditioning(module) == wanted.conditioning
     )
 
@@ -106,36 +105,29 @@ def save(module: NodeAccess) -> str | None:
 
     CommissioningError if the node can save and fails to.
     """
-    for subindex in (MANUFACTURER, ALL):
+    for store in STORES:
         try:
-            ability = module.integer(STORE, subindex, "I")
+            ability = module.integer(*store, "I")
         except ObjectAbsentError:
             continue
         if ability & SAVES_ON_COMMAND:
-            module.write_bytes(STORE, subindex, SAVE, SAVE_WITHIN_S)
-            return f"1010:{subindex:02X}"
+            module.write_bytes(*store, SAVE, SAVE_WITHIN_S)
+            return f"1010:{store.subindex:02X}"
     return None
 
 
 def _write_conditioning(module: NodeAccess, wanted: Conditioning) -> None:
     if read_conditioning(module) == wanted:
         return
-    values = (
-        wanted.sine_offset_counts,
-        wanted.cosine_offset_counts,
-        wanted.sine_gain,
-        wanted.cosine_gain,
-        wanted.phase_error_rad,
-    )
-    for subindex, value in enumerate(values, start=1):
-        module.write(CONDITIONING, subindex, "f", value)
-    written = tuple(struct.unpack("<f", struct.pack("<f", value))[0] for value in values)
+    for place, value in zip(od.CONDITIONING, wanted.values, strict=True):
+        module.write(*place, "f", value)
+    written = (struct.unpack("<f", struct.pack("<f", value))[0] for value in wanted.values)
     if read_conditioning(module) != Conditioning(*written):
         raise CommissioningError(f"{module.name}: the conditioning read back (2002h) is not what was written")
 
 
-def _check_crc(module: NodeAccess, subindex: int, which: str, wanted: int) -> None:
-    found = module.integer(TABLE, subindex, "I")
+def _check_crc(module: NodeAccess, place: od.Multiplexer, which: str, wanted: int) -> None:
+    found = module.integer(*place, "I")
     if found != wanted:
         raise CommissioningError(
             f"{module.name}: the CRC of the {which} table is {found:08X}h, not {wanted:08X}h"

@@ -9,7 +9,8 @@ import numpy as np
 
 from canfb.commissioning.access import CommissioningError, Master
 from canfb.commissioning.pdo_layout import PdoLayout
-from canfb.commissioning.samples import MISSED, Samples
+from canfb.commissioning.samples import Samples
+from canfb.objects import MISSED_COUNTS
 
 PATIENCE_S = 2.0  # for the first SYNC, the first sample, and for either to go on
 LOOK_S = 0.1
@@ -41,7 +42,7 @@ class PdoRecorder:
 
     def hear_sync(self, can_id: int, data: bytes, time_s: float) -> None:
         """A SYNC: a new interval begins."""
-        self._pairs.append((MISSED, MISSED))
+        self._pairs.append((MISSED_COUNTS, MISSED_COUNTS))
         self._times.append(time_s)
         self._stamps.append(None)
 
@@ -50,7 +51,7 @@ class PdoRecorder:
         if not self._pairs:
             return  # it belongs to a SYNC that was before
         counts = self._layout.unpack(data)
-        if counts is None or self._pairs[-1] != (MISSED, MISSED):
+        if counts is None or self._pairs[-1] != (MISSED_COUNTS, MISSED_COUNTS):
             self.surplus += 1
             return
         self._pairs[-1] = counts

@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from canfb import objects as od
 from canfb.calibration.result import REASONS
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
 from canfb.commissioning.active import ActiveSet, read_active
@@ -15,13 +16,16 @@ from canfb.commissioning.pdo_layout import PdoLayout
 from canfb.commissioning.procedure import Measurement, Settings, block_of
 from canfb.commissioning.samples import Samples
 from canfb.errors import CalibrationError, CanfbError
+from canfb.objects import MeasurementCommand as Command
+from canfb.objects import MeasurementState as State
 
-OBJECT = 0x2030
-COMMAND, STATE, PROGRESS, COVERAGE, RMS, PEAK, REASON, DRIFT_RMS, DRIFT_PEAK, WANTED = range(1, 11)
-START, STOP, ACCEPT, CHECK = range(1, 5)
-IDLE, RECORDING, COMPUTING, READY, REFUSED, ACCEPTED, CHECKED = range(7)
+FIGURES = (
+    od.MEASUREMENT_DRIFT_RMS,
+    od.MEASUREMENT_DRIFT_PEAK,
+    od.MEASUREMENT_RESIDUAL_RMS,
+    od.MEASUREMENT_RESIDUAL_PEAK,
+)
 LOOK_S = 0.2
-SAMPLES = (0x2011, 8)  # samples processed
 STANDING_S = 2.0  # no sample for so long: it waits for something that somebody has to do
 PATIENCE_S = 120.0  # without progress: a slow computer calculates for long
 
@@ -43,10 +47,10 @@ def let_measure(module: NodeAccess, layout: PdoLayout, heard: Callable[[float], 
     CalibrationError, with the module's reason, if it refuses them; CommissioningError if it cannot measure
     or makes no progress. Then, as after an interruption, the measurement is dropped.
     """
-    _start(module, START)
+    _start(module, Command.START)
     try:
         with Listener(module.master, layout) as listener:
-            _wait(module, READY, heard, listener.look)
+            _wait(module, State.READY, heard, listener.look)
         return listener.result()
     except BaseException:
         discard(module)
@@ -55,13 +59,11 @@ def let_measure(module: NodeAccess, layout: PdoLayout, heard: Callable[[float], 
 
 def let_check(module: NodeAccess, heard: Callable[[float], None]) -> ModuleDrift:
     """Let the module measure how far its encoder has moved away from its table. Errors as above."""
-    _start(module, CHECK)
+    _start(module, Command.CHECK)
     try:
-        _wait(module, CHECKED, heard, lambda: None)
-        rms, peak, noise, largest = (
-            float(module.read(OBJECT, one, "f")) for one in (DRIFT_RMS, DRIFT_PEAK, RMS, PEAK)
-        )
-        coverage = module.integer(OBJECT, COVERAGE, "B") / 100.0
+        _wait(module, State.CHECKED, heard, lambda: None)
+        rms, peak, noise, largest = (float(module.read(*figure, "f")) for figure in FIGURES)
+        coverage = module.integer(*od.MEASUREMENT_COVERAGE, "B") / 100.0
     finally:
         discard(module)
     return ModuleDrift(rms, peak, noise, largest, coverage)
@@ -70,7 +72,7 @@ def let_check(module: NodeAccess, heard: Callable[[float], None]) -> ModuleDrift
 def discard(module: NodeAccess) -> None:
     """Drop a measurement that has not been accepted; what is active stays so. Never fails."""
     with contextlib.suppress(CanfbError):
-        module.write(OBJECT, COMMAND, "B", STOP)
+        module.write(*od.MEASUREMENT_COMMAND, "B", Command.STOP)
 
 
 def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Measurement:
@@ -78,9 +80,9 @@ def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Mea
 
     CommissioningError if the module does not take it.
     """
-    module.write(OBJECT, COMMAND, "B", ACCEPT)
-    state = module.integer(OBJECT, STATE, "B")
-    if state != ACCEPTED:
+    module.write(*od.MEASUREMENT_COMMAND, "B", Command.ACCEPT)
+    state = module.integer(*od.MEASUREMENT_STATE, "B")
+    if state != State.ACCEPTED:
         raise CommissioningError(f"{module.name} has not accepted its measurement (2030:02 is {state})")
     return with_table(measured, read_active(module), settings)
 
@@ -103,7 +105,7 @@ def with_table(measured: Measurement, found: ActiveSet, settings: Settings) -> M
 
 def _start(module: NodeAccess, command: int) -> None:
     try:
-        module.write(OBJECT, COMMAND, "B", command)
+        module.write(*od.MEASUREMENT_COMMAND, "B", command)
     except ObjectAbsentError:
         raise CommissioningError(f"{module.name} cannot measure by itself: it has no object 2030h") from None
 
@@ -117,7 +119,7 @@ class _Samples:
 
     def look(self) -> None:
         """CommissioningError, with what to do, when it has not for STANDING_S."""
-        count, now = self._module.integer(*SAMPLES, "I"), self._module.master.now()
+        count, now = self._module.integer(*od.FEEDBACK_SAMPLES, "I"), self._module.master.now()
         if count != self._count:
             self._count, self._moved_s = count, now
         elif now - self._moved_s > STANDING_S:
@@ -136,19 +138,19 @@ def _wait(module: NodeAccess, wanted: int, heard: Callable[[float], None], look:
     while True:
         master.wait(LOOK_S)
         look()
-        state = module.integer(OBJECT, STATE, "B")
-        progress = module.integer(OBJECT, PROGRESS, "B")
+        state = module.integer(*od.MEASUREMENT_STATE, "B")
+        progress = module.integer(*od.MEASUREMENT_PROGRESS, "B")
         heard(progress / 100.0)
         if state == wanted:
             return
-        if state == REFUSED:
-            number = module.integer(OBJECT, REASON, "B")
+        if state == State.REFUSED:
+            number = module.integer(*od.MEASUREMENT_REASON, "B")
             words = list(REASONS)
             reason = words[number] if number < len(words) else words[-1]
             raise CalibrationError(f"{module.name} refuses its measurement: {REASONS[reason]}", reason)
-        if state not in (RECORDING, COMPUTING):
+        if state not in (State.RECORDING, State.COMPUTING):
             raise CommissioningError(f"{module.name} has ended its measurement (2030:02 is {state})")
-        if state == RECORDING:
+        if state == State.RECORDING:
             samples.look()
         if progress != seen:
             seen, moved = progress, master.now()

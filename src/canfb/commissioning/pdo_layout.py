@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from canfb import objects as od
+from canfb.cia301 import cob
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
 
-INVALID = 1 << 31
-EXTENDED = 1 << 29
 PDOS = 4
-TPDO, RPDO = 0x1800, 0x1400
-INTERFACE_TRACKS = (0x64010110, 0x64010210)  # 6401:01 and :02, 16 bits each
-PREDEFINED = (0x180, 0x280, 0x380, 0x480)  # COB-IDs of TPDO 1 to 4, less the node id
-MODULE_TRACKS = (0x20000110, 0x20000210)  # 2000:01 and :02
-SAMPLE_TIMES = (0x20000120, 0x20000520)  # 2000:01 of the interface, 2000:05 of the module, 32 bits
+INTERFACE_TRACKS = (od.INTERFACE_SINE.mapped(16), od.INTERFACE_COSINE.mapped(16))
+PREDEFINED = (cob.TPDO1, cob.TPDO2, cob.TPDO3, cob.TPDO4)
+MODULE_TRACKS = (od.SAMPLE_SINE.mapped(16), od.SAMPLE_COSINE.mapped(16))
+SAMPLE_TIMES = (od.INTERFACE_SAMPLE_TIME.mapped(32), od.SAMPLE_TIME.mapped(32))
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,7 @@ class PdoLayout:
     can_id: int
     sine_byte: int = 0
     cosine_byte: int = 2
-    sync_id: int = 0x80
+    sync_id: int = cob.SYNC
     time_byte: int | None = None
 
     @property
@@ -53,12 +52,12 @@ class PdoLayout:
 
 def module_layout(module: NodeAccess) -> PdoLayout | None:
     """The RPDO from which the module takes its samples, None if it has none."""
-    return _find(module, RPDO, MODULE_TRACKS)
+    return _find(module, od.RPDO, od.RPDO_MAPPING, MODULE_TRACKS)
 
 
 def interface_layout(interface: NodeAccess) -> PdoLayout | None:
     """The TPDO in which the encoder interface sends both tracks, None if it has none."""
-    return _find(interface, TPDO, INTERFACE_TRACKS)
+    return _find(interface, od.TPDO, od.TPDO_MAPPING, INTERFACE_TRACKS)
 
 
 def agreed_layout(module: NodeAccess | None, interface: NodeAccess) -> PdoLayout:
@@ -81,7 +80,7 @@ def agreed_layout(module: NodeAccess | None, interface: NodeAccess) -> PdoLayout
                 f"{taken.sender} ({taken.sender:02X}h, PDO {taken.can_id:03X}h): give the right "
                 "--encoder-interface, or link the PDOs (1400:01)"
             )
-        return taken or PdoLayout(0x180 + interface.node_id)
+        return taken or PdoLayout(cob.TPDO1 + interface.node_id)
     sent = interface_layout(interface)
     if sent is None:
         raise CommissioningError(
@@ -95,27 +94,27 @@ def agreed_layout(module: NodeAccess | None, interface: NodeAccess) -> PdoLayout
     return sent
 
 
-def _find(node: NodeAccess, parameters: int, wanted: tuple[int, int]) -> PdoLayout | None:
+def _find(node: NodeAccess, parameters: int, mapping: int, wanted: tuple[int, int]) -> PdoLayout | None:
     for number in range(PDOS):
         try:
             cob_id = node.integer(parameters + number, 1, "I")
-            count = node.integer(parameters + 0x200 + number, 0, "B")
+            count = node.integer(mapping + number, 0, "B")
         except CommissioningError:
             return None  # the node has no more PDOs
-        if cob_id & (INVALID | EXTENDED) or count > 64:
+        if cob_id & (cob.NOT_VALID | cob.EXTENDED) or count > 64:
             continue
-        entries = [node.integer(parameters + 0x200 + number, n, "I") for n in range(1, count + 1)]
+        entries = [node.integer(mapping + number, n, "I") for n in range(1, count + 1)]
         places = _places(entries, wanted)
         if places is not None:
-            return PdoLayout(cob_id & 0x7FF, *places, _sync_id(node), _time_place(entries))
+            return PdoLayout(cob_id & cob.CAN_ID, *places, _sync_id(node), _time_place(entries))
     return None
 
 
 def _sync_id(node: NodeAccess) -> int:
     try:
-        return node.integer(0x1005, 0, "I") & 0x7FF
+        return node.integer(*od.SYNC_COB_ID, "I") & cob.CAN_ID
     except ObjectAbsentError:
-        return 0x80
+        return cob.SYNC
 
 
 def _places(entries: list[int], wanted: tuple[int, int]) -> tuple[int, int] | None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from canfb import objects as od
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
 from canfb.commissioning.samples import Samples
+from canfb.objects import RecordingCommand as Command
 
-RECORDING = 0x2050
-COMMAND, COUNT, DATA, RATE = 1, 2, 3, 4
-START, STOP = 1, 2
 LOOK_S = 0.2
 STANDING_S = 1.0  # no more samples for so long: the memory of the node is full
 EMPTY_S = 2.0  # none at all for so long: nothing samples
@@ -25,17 +24,19 @@ def record(
     case. CommissioningError if the node cannot record, or has recorded nothing.
     """
     try:
-        node.write(RECORDING, COMMAND, "B", START)
+        node.write(*od.RECORDING_COMMAND, "B", Command.START)
     except ObjectAbsentError:
         raise CommissioningError(f"{node.name} cannot record: it has no object 2050h") from None
     try:
         _wait(node, duration_s, heard)
     finally:
-        node.write(RECORDING, COMMAND, "B", STOP)
-    count = node.integer(RECORDING, COUNT, "I")
+        node.write(*od.RECORDING_COMMAND, "B", Command.STOP)
+    count = node.integer(*od.RECORDING_RECORDED, "I")
     if not count:
         raise CommissioningError(f"{node.name} has recorded nothing (2050:02): is it OPERATIONAL?")
-    data = node.upload_domain(RECORDING, DATA, lambda part: heard(UPLOAD_PART + (1.0 - UPLOAD_PART) * part))
+    data = node.upload_domain(
+        *od.RECORDING_SAMPLES, lambda part: heard(UPLOAD_PART + (1.0 - UPLOAD_PART) * part)
+    )
     return Samples.from_bytes(data, _rate(node) or rate_hz, f"recording 2050h of {node.name}")
 
 
@@ -46,7 +47,7 @@ def _wait(node: NodeAccess, duration_s: float, heard: Callable[[float], None]) -
     while (passed := master.now() - began) < duration_s:
         heard(UPLOAD_PART * passed / duration_s)
         master.wait(min(LOOK_S, duration_s - passed))
-        now_there = node.integer(RECORDING, COUNT, "I")
+        now_there = node.integer(*od.RECORDING_RECORDED, "I")
         if now_there != count:
             count, grown = now_there, master.now()
         elif master.now() - grown > (STANDING_S if count else EMPTY_S):
@@ -55,6 +56,6 @@ def _wait(node: NodeAccess, duration_s: float, heard: Callable[[float], None]) -
 
 def _rate(node: NodeAccess) -> float | None:
     try:
-        return float(node.integer(RECORDING, RATE, "I")) or None
+        return float(node.integer(*od.RECORDING_RATE, "I")) or None
     except CommissioningError:
         return None

@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 
 from canfb.commissioning.access import CommissioningError
-from canfb.commissioning.samples import MISSED, Samples
+from canfb.commissioning.samples import Samples
+from canfb.objects import MISSED_COUNTS
 
 
 def write_npz(path: Path, samples: Samples) -> None:
     """Tracks as INTEGER16, -32768 in both for a missed sample, the rate in Hz, 0 if not known, and time_s."""
     sine, cosine = (
-        np.nan_to_num(track, nan=MISSED).astype(np.int16) for track in (samples.sine, samples.cosine)
+        np.nan_to_num(track, nan=MISSED_COUNTS).astype(np.int16) for track in (samples.sine, samples.cosine)
     )
     times: dict[str, Any] = {} if samples.time_s is None else {"time_s": samples.time_s}
     np.savez_compressed(

@@ -8,11 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from canfb.objects import MISSED_COUNTS
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample_times import TICK_S, TICKS
-
-MISSED = -32768
-"""Both tracks at this value: no sample came (recordings of object 2050h)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +35,7 @@ class Samples:
         s, c = np.array(sine, np.float64), np.array(cosine, np.float64)
         if s.ndim != 1 or s.shape != c.shape:
             raise ValueError(f"sine and cosine must have one dimension and one length: {s.shape}, {c.shape}")
-        missed = (s == MISSED) & (c == MISSED) | np.isnan(s) | np.isnan(c)
+        missed = (s == MISSED_COUNTS) & (c == MISSED_COUNTS) | np.isnan(s) | np.isnan(c)
         s[missed] = c[missed] = np.nan
         return cls(s, c, rate_hz, origin)
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from canfb import objects as od
 from canfb.commissioning.access import CommissioningError, Master, NodeAccess
 from canfb.commissioning.active import ActiveSet, read_active
 from canfb.commissioning.listening import Listener, listen
@@ -17,8 +18,12 @@ from canfb.commissioning.samples import Samples
 Heard = Callable[[float], None]
 Source = Callable[[float, int, Heard], Samples]
 """Collects samples: seconds, least number of samples, and who hears 0..1 as it goes on."""
-ENCODER, IDENTITY = 0x2001, 0x1018
-VELOCITY = (0x2011, 7)
+IDENTITY = (
+    od.IDENTITY_VENDOR_ID,
+    od.IDENTITY_PRODUCT_CODE,
+    od.IDENTITY_REVISION_NUMBER,
+    od.IDENTITY_SERIAL_NUMBER,
+)
 DEFAULT_INTERFACE = 0x10
 
 
@@ -51,9 +56,10 @@ class Session:
         """Read what there is to know. CommissioningError if the module does not answer, or is none."""
         module = NodeAccess(master, module_id, "module")
         active = read_active(module)
-        cycles, full_scale, low, high = (
-            module.integer(ENCODER, subindex, layout) for subindex, layout in enumerate("IHHH", start=1)
-        )
+        cycles = module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I")
+        full_scale = module.integer(*od.ENCODER_FULL_SCALE, "H")
+        low = module.integer(*od.ENCODER_LOWEST_AMPLITUDE, "H")
+        high = module.integer(*od.ENCODER_HIGHEST_AMPLITUDE, "H")
         named = interface_id if interface_id is not None else _interface_of(module)
         interface = NodeAccess(master, named or DEFAULT_INTERFACE, "encoder interface")
         limits = TrackLimits(full_scale, low, high)
@@ -91,7 +97,7 @@ class Session:
     def speed_rad_s(self) -> float:
         """What the module says of its speed (2011:07), 0.0 where it says nothing."""
         try:
-            speed = float(self.module.read(*VELOCITY, "f"))
+            speed = float(self.module.read(*od.FEEDBACK_VELOCITY, "f"))
         except CommissioningError:
             return 0.0
         return speed if math.isfinite(speed) else 0.0
@@ -109,9 +115,9 @@ class Session:
 def _identity_of(node: NodeAccess) -> tuple[int, ...] | None:
     """Vendor-ID, product code, revision and serial number, as many as it has; None without an answer."""
     found: list[int] = []
-    for subindex in range(1, 5):
+    for place in IDENTITY:
         try:
-            found.append(node.integer(IDENTITY, subindex, "I"))
+            found.append(node.integer(*place, "I"))
         except CommissioningError:
             break
     return tuple(found) or None

@@ -12,14 +12,6 @@ from canfb.commissioning.active import ActiveSet
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import CorrectionTable
 
-CONDITIONING_KEYS = (
-    "sine_offset_counts",
-    "cosine_offset_counts",
-    "sine_gain",
-    "cosine_gain",
-    "phase_error_rad",
-)
-
 
 def as_yaml(used: ActiveSet, meta: dict[str, Any]) -> str:
     """The set as YAML: what is known of it first, then the entries, in cycles."""
@@ -41,7 +33,7 @@ def as_yaml(used: ActiveSet, meta: dict[str, Any]) -> str:
 
 def conditioning_words(conditioning: Conditioning) -> dict[str, float]:
     """Object 2002:01..05 by name."""
-    return {key: float(getattr(conditioning, key)) for key in CONDITIONING_KEYS}
+    return {name: float(value) for name, value in conditioning.words.items()}
 
 
 def read_table(path: str | Path) -> ActiveSet:
@@ -74,7 +66,7 @@ def _from_yaml(data: bytes) -> ActiveSet:
     if noted is not None and str(noted).upper() != f"{table.crc32:08X}":
         raise ValueError(f"its CRC is {table.crc32:08X}, and {noted} is noted in it: an entry was changed")
     words = content.get("conditioning") or {}
-    unknown = set(words) - set(CONDITIONING_KEYS)
+    unknown = set(words) - set(IDENTITY.words)
     if unknown:
         raise ValueError(f"unknown key {sorted(unknown)[0]!r} in conditioning")
     return ActiveSet(table, Conditioning(**words))

@@ -46,7 +46,7 @@ class Emergency(Timed):
         self._history_count = dictionary.find(0x1003)
         self._history = [entry for entry in dictionary if entry.index == 0x1003 and entry.subindex]
         self._cob_id = dictionary.find(0x1014)
-        self._default_cob_id = 0x80 + node_id
+        self._default_cob_id = cob.EMERGENCY + node_id
         self._inhibit = dictionary.find(0x1015)
         self._active: dict[tuple[int, Hashable], int] = {}
         self._waiting: deque[bytes] = deque()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from canfb.cia301.cob import ERROR_CONTROL
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.agenda import Timed
 from canfb.device.dictionary import Dictionary
 from canfb.device.emergency import Emergency
-from canfb.device.heartbeat import ERROR_CONTROL
 from canfb.device.moment import NEVER, Emit, Moment
 
 _TOGGLE = 0x80

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from canfb.cia301.cob import ERROR_CONTROL
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
@@ -14,7 +15,6 @@ from canfb.device.emergency import Emergency
 from canfb.device.entry import Entry
 from canfb.device.moment import NEVER, Emit, Moment
 
-ERROR_CONTROL = 0x700
 """CAN-ID of boot-up and heartbeat of node 0; the node-ID is added."""
 
 

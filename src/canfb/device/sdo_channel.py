@@ -14,8 +14,6 @@ from canfb.device.sdo_server import TIMEOUT_S, SdoServer
 
 FIRST_INDEX = 0x1200
 LAST_INDEX = 0x127F
-REQUEST = 0x600
-RESPONSE = 0x580
 
 _DYNAMIC = 1 << 30
 
@@ -43,7 +41,7 @@ class SdoChannel:
         self._changed = changed
         self._request = dictionary.find(index, 1)
         self._response = dictionary.find(index, 2)
-        self.server = SdoServer(dictionary, emit, counters, RESPONSE + node_id, timeout_s=timeout_s)
+        self.server = SdoServer(dictionary, emit, counters, cob.SDO_RESPONSE + node_id, timeout_s=timeout_s)
         if index != FIRST_INDEX:
             for entry in (self._request, self._response):
                 if entry is not None:
@@ -54,7 +52,7 @@ class SdoChannel:
     def request_id(self) -> int | None:
         """The CAN-ID that the server listens to, None while the channel does not exist."""
         if self._index == FIRST_INDEX:
-            return REQUEST + self._node_id
+            return cob.SDO_REQUEST + self._node_id
         if self._request is None or self._response is None:
             return None
         if not (cob.is_valid(self._request.value) and cob.is_valid(self._response.value)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from canfb.cia301.cob import ERROR_CONTROL
 from canfb.cia301.nmt import NmtState
 from canfb.device import pdo
 from canfb.device.agenda import Timed
@@ -13,7 +14,7 @@ from canfb.device.dictionary import Dictionary
 from canfb.device.duplicate import DuplicateWatch
 from canfb.device.emergency import Emergency
 from canfb.device.guarding import NodeGuarding
-from canfb.device.heartbeat import ERROR_CONTROL, HeartbeatConsumer, HeartbeatProducer
+from canfb.device.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from canfb.device.mapping import Direction
 from canfb.device.moment import Emit, Moment
 from canfb.device.nmt import COMMUNICATING, ErrorBehaviour, Nmt

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable
-from enum import IntEnum
 
+from canfb import objects as od
 from canfb.calibration.drift import Drift, drift
 from canfb.calibration.recording import BINS, NO_TIME, covered
 from canfb.calibration.result import ACCEPTED as USABLE
@@ -16,41 +16,20 @@ from canfb.device.dictionary import Dictionary
 from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.table_store import TableStore
 from canfb.module.tap import Taps
+from canfb.objects import MeasurementCommand as Command
+from canfb.objects import MeasurementState as State
+from canfb.objects import Multiplexer
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
 from canfb.signal.recorder import SampleRecording
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL
 
-CALIBRATION = 0x2030
-COMMAND, STATE, PROGRESS, COVERAGE, RMS, PEAK, REASON, DRIFT_RMS, DRIFT_PEAK, WANTED = range(1, 11)
 RECORDING_PART = 80.0  # per cent of the progress; the rest is the computation
 COMPUTING_PART = 99.0
 NUMBERS = {reason: number for number, reason in enumerate(REASONS)}
 UNKNOWN = Drift(math.nan, math.nan)
 TICKS = 1 << 32
-
-
-class Command(IntEnum):
-    """What can be written to 2030:01."""
-
-    START = 1
-    STOP = 2
-    ACCEPT = 3
-    CHECK = 4
-    FINISH = 5
-
-
-class State(IntEnum):
-    """What 2030:02 says."""
-
-    IDLE = 0
-    RECORDING = 1
-    COMPUTING = 2
-    READY = 3
-    REFUSED = 4
-    ACCEPTED = 5
-    CHECKED = 6
 
 
 AT_WORK = frozenset({State.RECORDING, State.COMPUTING})
@@ -74,8 +53,8 @@ class Calibrating:
         self._tables = tables
         self._taps = taps
         self._working = working
-        self._wanted = dictionary.entry(CALIBRATION, WANTED)
-        self._full_scale = dictionary.entry(0x2001, 2)
+        self._wanted = dictionary.entry(*od.MEASUREMENT_SAMPLES)
+        self._full_scale = dictionary.entry(*od.ENCODER_FULL_SCALE)
         self._calibration: Calibration | None = None
         self._commands: dict[int, Callable[[], None]] = {
             Command.START: lambda: self._start(Command.START),
@@ -85,21 +64,21 @@ class Calibrating:
             Command.FINISH: self._finish,
         }
         self.reset()
-        command = dictionary.entry(CALIBRATION, COMMAND)
+        command = dictionary.entry(*od.MEASUREMENT_COMMAND)
         command.on_write = self._command
         command.on_read = lambda: int(self._task) if self.state in AT_WORK else 0
-        live: dict[int, Callable[[], float]] = {
-            STATE: lambda: int(self.state),
-            PROGRESS: self._progress,
-            COVERAGE: lambda: int(100.0 * self._coverage()),
-            RMS: lambda: self._figure("residual_rms"),
-            PEAK: lambda: self._figure("residual_peak"),
-            REASON: lambda: NUMBERS[self._reason],
-            DRIFT_RMS: lambda: self._drift().rms,
-            DRIFT_PEAK: lambda: self._drift().peak,
+        live: dict[Multiplexer, Callable[[], float]] = {
+            od.MEASUREMENT_STATE: lambda: int(self.state),
+            od.MEASUREMENT_PROGRESS: self._progress,
+            od.MEASUREMENT_COVERAGE: lambda: int(100.0 * self._coverage()),
+            od.MEASUREMENT_RESIDUAL_RMS: lambda: self._figure("residual_rms"),
+            od.MEASUREMENT_RESIDUAL_PEAK: lambda: self._figure("residual_peak"),
+            od.MEASUREMENT_REASON: lambda: NUMBERS[self._reason],
+            od.MEASUREMENT_DRIFT_RMS: lambda: self._drift().rms,
+            od.MEASUREMENT_DRIFT_PEAK: lambda: self._drift().peak,
         }
-        for subindex, on_read in live.items():
-            dictionary.entry(CALIBRATION, subindex).on_read = on_read
+        for place, on_read in live.items():
+            dictionary.entry(*place).on_read = on_read
 
     def reset(self) -> None:
         """Idle: nothing is recorded, computed or known; what is in force stays so."""

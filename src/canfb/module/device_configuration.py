@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from canfb import objects as od
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import SdoAbort
 from canfb.device.concise import Write
@@ -15,13 +16,11 @@ from canfb.device.entry import Entry
 from canfb.device.writing_order import TURNS, switched_off, turn
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
-from canfb.module.parameters import ENCODER
-from canfb.module.table_store import ACTIVATE, STAGED, TABLE
 
-OPENING: dict[Place, int] = {(ENCODER, 3): 0}
+OPENING: dict[Place, int] = {od.ENCODER_LOWEST_AMPLITUDE: 0}
 """Values that are always accepted and let others be written: the lower one of two amplitudes."""
 
-LAST_PARAMETERS: tuple[Place, ...] = ((ENCODER, 2), (ENCODER, 3))
+LAST_PARAMETERS: tuple[Place, ...] = (od.ENCODER_FULL_SCALE, od.ENCODER_LOWEST_AMPLITUDE)
 """What follows the other parameters: any lower amplitude is accepted after the full scale."""
 
 _PDOS = range(0x1400, 0x1C00)
@@ -64,8 +63,8 @@ class DeviceConfiguration:
         """
         values = {setting.place: setting.value for setting in self.settings}
         if with_table and self.table:
-            values[TABLE, STAGED] = self.table
-        values[TABLE, ACTIVATE] = self.table_crc32
+            values[od.TABLE_STAGED] = self.table
+        values[od.TABLE_ACTIVATE] = self.table_crc32
         return values
 
     def writes(self) -> list[Write]:
@@ -118,8 +117,8 @@ class DeviceConfiguration:
         yield from sorted([*entries, *self._table_writes()], key=lambda write: (write.index, write.subindex))
 
     def _table_writes(self) -> list[Write]:
-        activate = Write(TABLE, ACTIVATE, self.table_crc32.to_bytes(4, "little"))
-        return [Write(TABLE, STAGED, self.table), activate] if self.table else [activate]
+        activate = Write(*od.TABLE_ACTIVATE, self.table_crc32.to_bytes(4, "little"))
+        return [Write(*od.TABLE_STAGED, self.table), activate] if self.table else [activate]
 
 
 def configuration_of(module: FeedbackModule) -> DeviceConfiguration:
@@ -141,7 +140,7 @@ def _collect(module: FeedbackModule, read: Callable[[Entry], Any], table: bytes)
     settings = tuple(Setting(entry, _as_sent(entry, read(entry))) for entry in entries)
     return DeviceConfiguration(
         module.node.node_id,
-        int(module.dictionary.entry(0x1018, 4).value),
+        int(module.dictionary.entry(*od.IDENTITY_SERIAL_NUMBER).value),
         tuple(setting for setting in settings if _is_within_limits(setting)),
         table,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 
+from canfb import objects as od
 from canfb.cia301.cob import is_valid
 from canfb.cia301.codes import EmergencyCode
 from canfb.cia301.frame import Frame
@@ -44,7 +45,7 @@ EDS = "canfb-module"
 MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge
 SAME_INTERVAL = 0.02
 CONFIRMING_SAMPLES = 4  # after a pause in which the machine may have begun to move
-COMMANDS = (0x2030, 0x2050)  # calibration and recording
+COMMANDS = (od.MEASUREMENT_COMMAND.object_index, od.RECORDING_COMMAND.object_index)
 TPDOS = (1, 2, 3, 4)
 ON_EVENT = EVENT_DRIVEN | {0}  # transmission types; 0 goes out at the SYNC after the event
 
@@ -98,7 +99,7 @@ class FeedbackModule:
         self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None = None
         self.on_source: Callable[[str], None] | None = None
         self.on_warning: Callable[[str], None] | None = None
-        self._interval = IntervalEstimate(self.dictionary.entry(0x1006))
+        self._interval = IntervalEstimate(self.dictionary.entry(*od.CYCLE_PERIOD))
         self._limits = Limits(self.dictionary, self.chain, self._interval)
         self._tables = TableStore(self.dictionary, self.chain, self.node.storage)
         self._input = SampleInput(self.dictionary, self.node)
@@ -138,7 +139,7 @@ class FeedbackModule:
         )
         self._timeline = self._pairing.timeline
         self._jitter = JitterWatch(
-            self._timeline, self._interval, self._limits, self.dictionary.entry(0x2001, 1), self._warn
+            self._timeline, self._interval, self._limits, self.dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION), self._warn
         )
         self._timeline.on_followed = self._watch_jitter
         self._event_tpdos: list[Callable[[float], None]] = []
@@ -154,7 +155,7 @@ class FeedbackModule:
         self.node.on_configured = self._on_configured
         self.node.on_parameter_faults = self._on_parameter_faults
         self._choose_parameters()
-        self.dictionary.entry(0x2001, 1).on_written = self._encoder_changed
+        self.dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION).on_written = self._encoder_changed
         self._limits.apply()
 
     @property
@@ -250,9 +251,9 @@ class FeedbackModule:
     def _choose_parameters(self) -> None:
         """What `save` keeps beside the entries that it keeps anyway, and what is no parameter."""
         entries = self.node.storage.entries
-        for preset in (0x6003, 0x6009):
-            entries.keep(preset)  # without the preset that a write of it would set
-        entries.keep(0x6509)
+        for preset in (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET):
+            entries.keep(*preset)  # without the preset that a write of it would set
+        entries.keep(*od.OFFSET_VALUE)
         for entry in self.dictionary:
             if entry.index in COMMANDS and entry.access == "rw":
                 entries.leave_out(entry.index, entry.subindex)
@@ -421,7 +422,7 @@ class FeedbackModule:
         ]
 
     def _is_event_tpdo(self, number: int) -> bool:
-        cob_id, kind = (self.dictionary.entry(0x1800 + number - 1, subindex).value for subindex in (1, 2))
+        cob_id, kind = (self.dictionary.entry(od.TPDO + number - 1, subindex).value for subindex in (1, 2))
         return is_valid(cob_id) and kind in ON_EVENT
 
     def _on_bad_rpdo(self, number: int, received: int, mapped: int, now: float) -> None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from canfb.device.dictionary import Dictionary
-from canfb.module.sample_input import INPUT, PLACES, SAMPLE_INVALID, ZERO_PULSE, SampleInput
+from canfb.module.sample_input import PARTS, PLACES, SAMPLE_INVALID, ZERO_PULSE, SampleInput
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import TICK_S, TICKS
 from canfb.signal.source import Source, SourceEnded
@@ -27,7 +27,7 @@ class LocalSource:
         self._source = source
         self._tell = tell
         self._input = sample_input
-        entries = [dictionary.entry(INPUT, n) for n in range(1, 8)]
+        entries = [dictionary.entry(*part) for part in PARTS]
         self._sine, self._cosine, self._coarse_sine, self._coarse_cosine = entries[:4]
         self._time, self._flags, self._place = entries[4:]
         self._failed_s: float | None = None

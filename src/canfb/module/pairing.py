@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+from canfb import objects as od
 from canfb.device.dictionary import Dictionary, Entry
 from canfb.device.moment import NEVER
 from canfb.device.node import Node
@@ -15,8 +16,7 @@ from canfb.module.timeline import ON_TIME, Timeline, Verdict
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import TICK_S, TICKS
 
-COUNTERS = 0x2012
-BAD_FRAMES, DUPLICATE_SYNCS, UNHEARD_SYNCS = 8, 13, 14
+COUNTERS = (od.COUNTER_BAD_FRAMES, od.COUNTER_DUPLICATE_SYNCS, od.COUNTER_SYNCS_NOT_HEARD)
 
 
 class Findings(NamedTuple):
@@ -59,7 +59,7 @@ class Pairing:
         self._source = source
         self._findings = findings
         self._bad_frames, self._duplicate_syncs, self._unheard_syncs = (
-            dictionary.entry(COUNTERS, n) for n in (BAD_FRAMES, DUPLICATE_SYNCS, UNHEARD_SYNCS)
+            dictionary.entry(*counter) for counter in COUNTERS
         )
         self.begin()
 

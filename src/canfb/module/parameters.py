@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from canfb.cia301.cob import NOT_VALID
+from canfb import objects as od
+from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.module.config import ModuleConfig
@@ -15,47 +16,47 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.limits import cycles_per_interval_squared, narrowed_residual_limit
 from canfb.signal.supervision import SampleLimits
 
-ENCODER, SUPERVISION = 0x2001, 0x2010
 LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
-TIMED = {(0x1600, 0): 3, (0x1600, 3): 0x20000520}  # RPDO1: sine, cosine, sample time
+# RPDO1: sine, cosine, sample time.
+TIMED = {(od.RPDO_MAPPING, 0): 3, (od.RPDO_MAPPING, 3): od.SAMPLE_TIME.mapped(32)}
 
 
 def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
     """The defaults of the EDS that a configuration replaces, by index and sub-index."""
-    limits, conditioning = config.limits, config.conditioning
+    limits = config.limits
     resolution = single_turn_resolution(config.cycles_per_revolution)
     revolutions = distinguishable_revolutions(resolution)
-    return (TIMED if config.times else {}) | {
-        (0x1018, 4): config.serial_number,
-        (0x1400, 1): 0x180 + config.encoder_interface,
-        (0x650B, 0): config.serial_number,
-        (ENCODER, 1): config.cycles_per_revolution,
-        (ENCODER, 2): limits.full_scale_counts,
-        (ENCODER, 3): limits.amplitude_low_counts,
-        (ENCODER, 4): limits.amplitude_high_counts,
-        (0x2002, 1): conditioning.sine_offset_counts,
-        (0x2002, 2): conditioning.cosine_offset_counts,
-        (0x2002, 3): conditioning.sine_gain,
-        (0x2002, 4): conditioning.cosine_gain,
-        (0x2002, 5): conditioning.phase_error_rad,
-        (SUPERVISION, 1): int(config.residual_limit * LIMIT_UNITS),
-        (SUPERVISION, 2): config.max_acceleration_rad_s2,
-        (SUPERVISION, 3): config.coast_samples,
-        (SUPERVISION, 4): config.frozen_samples,
-        (SUPERVISION, 5): max(1, round(config.coarse_limit_revolutions * LIMIT_UNITS)),
-        (SUPERVISION, 6): config.sync_timeout_periods,
-        (0x2013, 1): int(config.predict),
-        (0x2013, 2): int(config.nominal_sync),
-        (0x6001, 0): resolution,
-        (0x6002, 0): resolution * revolutions,
-        (0x6501, 0): resolution,
-        (0x6502, 0): revolutions,
+    conditioning: dict[tuple[int, int], float] = dict(
+        zip(od.CONDITIONING, config.conditioning.values, strict=True)
+    )
+    return {
+        **(TIMED if config.times else {}),
+        od.IDENTITY_SERIAL_NUMBER: config.serial_number,
+        (od.RPDO, 1): cob.TPDO1 + config.encoder_interface,
+        od.SERIAL_NUMBER: config.serial_number,
+        od.ENCODER_CYCLES_PER_REVOLUTION: config.cycles_per_revolution,
+        od.ENCODER_FULL_SCALE: limits.full_scale_counts,
+        od.ENCODER_LOWEST_AMPLITUDE: limits.amplitude_low_counts,
+        od.ENCODER_HIGHEST_AMPLITUDE: limits.amplitude_high_counts,
+        **conditioning,
+        od.SUPERVISION_RESIDUAL_LIMIT: int(config.residual_limit * LIMIT_UNITS),
+        od.SUPERVISION_ACCELERATION: config.max_acceleration_rad_s2,
+        od.SUPERVISION_COAST: config.coast_samples,
+        od.SUPERVISION_FROZEN: config.frozen_samples,
+        od.SUPERVISION_COARSE_LIMIT: max(1, round(config.coarse_limit_revolutions * LIMIT_UNITS)),
+        od.SUPERVISION_PERIODS: config.sync_timeout_periods,
+        od.PREDICTION_POSITION: int(config.predict),
+        od.PREDICTION_NOMINAL_SYNC: int(config.nominal_sync),
+        od.UNITS_PER_REVOLUTION: resolution,
+        od.TOTAL_RANGE: resolution * revolutions,
+        od.SINGLE_TURN_RESOLUTION: resolution,
+        od.DISTINGUISHABLE_REVOLUTIONS: revolutions,
     }
 
 
 def without_adc_pdo(config: ModuleConfig) -> dict[tuple[int, int], Any]:
     """What :func:`configured_defaults` becomes for a module that samples itself: RPDO1 is not valid."""
-    return {(0x1400, 1): NOT_VALID | 0x180 + config.encoder_interface}
+    return {(od.RPDO, 1): cob.NOT_VALID | cob.TPDO1 + config.encoder_interface}
 
 
 def apply_defaults(dictionary: Dictionary, defaults: dict[tuple[int, int], Any]) -> None:
@@ -73,10 +74,13 @@ class Limits:
         self._chain = chain
         self._interval = interval
         entry = dictionary.entry
-        self._cycles_per_revolution = entry(ENCODER, 1)
-        self._full_scale, self._low, self._high = entry(ENCODER, 2), entry(ENCODER, 3), entry(ENCODER, 4)
-        self._residual, self._acceleration = entry(SUPERVISION, 1), entry(SUPERVISION, 2)
-        self._coast, self._frozen, self._coarse = (entry(SUPERVISION, n) for n in (3, 4, 5))
+        self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
+        self._full_scale = entry(*od.ENCODER_FULL_SCALE)
+        self._low, self._high = entry(*od.ENCODER_LOWEST_AMPLITUDE), entry(*od.ENCODER_HIGHEST_AMPLITUDE)
+        self._residual = entry(*od.SUPERVISION_RESIDUAL_LIMIT)
+        self._acceleration = entry(*od.SUPERVISION_ACCELERATION)
+        self._coast, self._frozen = entry(*od.SUPERVISION_COAST), entry(*od.SUPERVISION_FROZEN)
+        self._coarse = entry(*od.SUPERVISION_COARSE_LIMIT)
         self._applied_s = 0.0
         self.narrowed = False
         """A known acceleration narrows the residual limit; it then depends on the sampling interval."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from canfb import objects as od
 from canfb.device.dictionary import Dictionary
 from canfb.module.nominal_sync import NominalSync
 from canfb.module.profile import EncoderProfile
@@ -12,7 +13,6 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.sample_times import TICK_S
 from canfb.signal.supervision import COASTING, EXTRAPOLATED, VALID
 
-PREDICTION = 0x2013
 OFF, CONSTANT_SPEED, CONSTANT_ACCELERATION = 0, 1, 2
 """What 2013:01 may be."""
 KNOWN_ACCELERATION = 3  # valid samples in a row that tell one
@@ -47,12 +47,13 @@ class Prediction:
         chosen: Callable[[], None],
         interval_s: Callable[[], float],
     ) -> None:
-        self._kind, self._nominal = dictionary.entry(PREDICTION, 1), dictionary.entry(PREDICTION, 2)
+        entry = dictionary.entry
+        self._kind, self._nominal = entry(*od.PREDICTION_POSITION), entry(*od.PREDICTION_NOMINAL_SYNC)
         self._kind.on_written = self._nominal.on_written = chosen
         self._interval_s = interval_s
         self._lock = NominalSync()
-        self._position, self._fine = dictionary.entry(0x6004), dictionary.entry(0x6008)
-        self._status = dictionary.entry(0x2011, 1)
+        self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
+        self._status = entry(*od.FEEDBACK_STATUS)
         self._profile = profile
         self._measured: tuple[int, int, int] | None = None
         self.pause(None)

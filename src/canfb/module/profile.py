@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.module.cams import Cams
@@ -32,16 +33,19 @@ class EncoderProfile:
 
     def __init__(self, dictionary: Dictionary, interval: IntervalEstimate) -> None:
         entry = dictionary.entry
-        self._operating, self._units_per_rev, self._range = entry(0x6000), entry(0x6001), entry(0x6002)
-        self._position, self._fine = entry(0x6004), entry(0x6008)
+        self._operating = entry(*od.OPERATING_PARAMETERS)
+        self._units_per_rev, self._range = entry(*od.UNITS_PER_REVOLUTION), entry(*od.TOTAL_RANGE)
+        self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
         self._status, self._alarms = entry(0x6500), entry(0x6503)
-        self._resolution, self._revolutions, self._offset = entry(0x6501), entry(0x6502), entry(0x6509)
-        self._cycles_per_revolution = entry(0x2001, 1)
+        self._resolution = entry(*od.SINGLE_TURN_RESOLUTION)
+        self._revolutions = entry(*od.DISTINGUISHABLE_REVOLUTIONS)
+        self._offset = entry(*od.OFFSET_VALUE)
+        self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         self._last: Feedback | None = None
         self._last_valid: Feedback | None = None
         self._standing_alarms = 0
         """Bits of 6503h that no sample ends."""
-        self._presets = entry(0x6003), entry(0x6009)
+        self._presets = entry(*od.PRESET_VALUE), entry(*od.HIGH_PRECISION_PRESET)
         for preset in self._presets:
             preset.on_write = self._preset
         entry(0x600C).on_read = self._raw_position

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
+from canfb import objects as od
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.device.dictionary import Dictionary
 from canfb.signal.feedback import Feedback
@@ -22,7 +23,7 @@ CODES = {
 REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE
 NEAR_LIMIT = 0.8  # residual over this part of the limit
 AMPLITUDE_RESERVE = 1.15  # amplitude below this multiple of the lowest accepted one
-WARNINGS, WITH_EMCY = 0x6505, 0x2004
+WARNINGS = 0x6505
 NEVER_SEEN = -1  # no status word
 
 
@@ -58,8 +59,9 @@ class Warnings:
         """``expects_pulse()``: a zero pulse is wired. ``residual_limit()``: that in force, in cycles."""
         self._reporter, self._last = reporter, last
         self._expects_pulse, self._residual_limit = expects_pulse, residual_limit
-        self._low = dictionary.entry(0x2001, 3)
-        self._mask, self._hold_ms = dictionary.entry(WITH_EMCY, 1), dictionary.entry(WITH_EMCY, 2)
+        self._low = dictionary.entry(*od.ENCODER_LOWEST_AMPLITUDE)
+        self._mask = dictionary.entry(*od.WARNINGS_BY_EMCY)
+        self._hold_ms = dictionary.entry(*od.WARNING_OVER_TIME)
         self._told = 0
         self._seen_s = dict.fromkeys(CODES, 0.0)
         self.near_cycles = self.reserve_counts = 0.0

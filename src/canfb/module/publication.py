@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from canfb import objects as od
 from canfb.device.dictionary import Dictionary
 from canfb.module.interval import IntervalEstimate
 from canfb.module.position import PHASE_UNITS
@@ -23,21 +24,19 @@ from canfb.signal.supervision import (
     VALID,
 )
 
-FEEDBACK, COUNTERS = 0x2011, 0x2012
 U16, U32 = 0xFFFF, 0xFFFFFFFF
 SIXTEEN_BITS = 65536.0
 LARGEST_REAL32 = 3.4e38
-# Sub-index of 2012h and the status bit that it counts; clipping counts as an amplitude fault, too.
+# Counter and the status bit that it counts; clipping counts as an amplitude fault, too.
 COUNTED = (
-    (1, MISSED),
-    (2, RESIDUAL),
-    (3, AMPLITUDE | CLIPPED),
-    (4, COASTING),
-    (9, CLIPPED),
-    (10, FROZEN),
-    (11, COARSE),
+    (od.COUNTER_MISSED, MISSED),
+    (od.COUNTER_RESIDUAL, RESIDUAL),
+    (od.COUNTER_AMPLITUDE, AMPLITUDE | CLIPPED),
+    (od.COUNTER_COASTED, COASTING),
+    (od.COUNTER_CLIPPED, CLIPPED),
+    (od.COUNTER_FROZEN, FROZEN),
+    (od.COUNTER_COARSE_DISAGREEMENTS, COARSE),
 )
-LOST_COUNTER, RECOVERED_COUNTER, PULSE_COUNTER, SET_RIGHT_COUNTER = 5, 6, 7, 12
 FAULTS = MISSED | RESIDUAL | AMPLITUDE | CLIPPED | COASTING | LOST | FROZEN | COARSE
 LARGEST_INTEGER32 = 0x7FFFFFFF
 
@@ -55,19 +54,22 @@ class Publication:
         self, dictionary: Dictionary, interval: IntervalEstimate, chain: SignalChain, source: SampleInput
     ) -> None:
         entry = dictionary.entry
-        self._status, self._residual, self._samples = (entry(FEEDBACK, n) for n in (1, 2, 8))
-        entry(FEEDBACK, 3).on_read = self._phase
-        entry(FEEDBACK, 4).on_read = self._cycle_count
-        entry(FEEDBACK, 5).on_read = self._amplitude
-        entry(FEEDBACK, 6).on_read = self._raw_phase
-        entry(FEEDBACK, 7).on_read = self._velocity
-        entry(FEEDBACK, 9).on_read = self._acceleration
-        entry(FEEDBACK, 10).on_read = self._jump
-        entry(COUNTERS, RECOVERED_COUNTER).on_read = lambda: chain.reference.recovered & U32
-        entry(COUNTERS, SET_RIGHT_COUNTER).on_read = lambda: chain.reference.set_right & U32
-        entry(COUNTERS, PULSE_COUNTER).on_read = lambda: source.pulses & U32
-        self._counters = {n: entry(COUNTERS, n) for n in range(1, 13)}
-        self._cycles_per_revolution = entry(0x2001, 1)
+        self._status, self._residual, self._samples = (
+            entry(*one) for one in (od.FEEDBACK_STATUS, od.FEEDBACK_RESIDUAL, od.FEEDBACK_SAMPLES)
+        )
+        entry(*od.FEEDBACK_PHASE).on_read = self._phase
+        entry(*od.FEEDBACK_CYCLE_COUNT).on_read = self._cycle_count
+        entry(*od.FEEDBACK_AMPLITUDE).on_read = self._amplitude
+        entry(*od.FEEDBACK_RAW_PHASE).on_read = self._raw_phase
+        entry(*od.FEEDBACK_VELOCITY).on_read = self._velocity
+        entry(*od.FEEDBACK_ACCELERATION).on_read = self._acceleration
+        entry(*od.FEEDBACK_JUMP).on_read = self._jump
+        entry(*od.COUNTER_RECOVERED).on_read = lambda: chain.reference.recovered & U32
+        entry(*od.COUNTER_SET_RIGHT).on_read = lambda: chain.reference.set_right & U32
+        entry(*od.COUNTER_ZERO_PULSES).on_read = lambda: source.pulses & U32
+        self._counted = [(entry(*counter), bits) for counter, bits in COUNTED]
+        self._losses = entry(*od.COUNTER_LOST)
+        self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         self._interval = interval
         self._work = 0  # bit 10 of the status word
         self.reset()
@@ -131,11 +133,10 @@ class Publication:
         return max(-LARGEST_INTEGER32, min(self._last.jump_cycles, LARGEST_INTEGER32))
 
     def _count(self, status: int) -> None:
-        for subindex, bits in COUNTED:
+        for counter, bits in self._counted:
             if status & bits:
-                counter = self._counters[subindex]
                 counter.value = (counter.value + 1) & U32
         lost = bool(status & LOST)
         if lost and not self._lost:
-            self._counters[LOST_COUNTER].value += 1
+            self._losses.value += 1
         self._lost = lost

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.module.interval import IntervalEstimate
@@ -9,10 +10,6 @@ from canfb.module.tap import Taps
 from canfb.signal.feedback import Feedback
 from canfb.signal.recorder import SampleRecording
 from canfb.signal.sample import Sample
-
-RECORDING = 0x2050
-COMMAND, SAMPLES, DATA, RATE, CAPACITY = 1, 2, 3, 4, 5
-START, STOP = 1, 2
 
 
 class Recorder:
@@ -26,15 +23,13 @@ class Recorder:
     def __init__(self, dictionary: Dictionary, interval: IntervalEstimate, taps: Taps) -> None:
         self._interval = interval
         self._taps = taps
-        self._recording = SampleRecording(dictionary.entry(RECORDING, CAPACITY).value)
-        command, samples, data, rate = (
-            dictionary.entry(RECORDING, n) for n in (COMMAND, SAMPLES, DATA, RATE)
-        )
+        self._recording = SampleRecording(dictionary.entry(*od.RECORDING_CAPACITY).value)
+        command = dictionary.entry(*od.RECORDING_COMMAND)
         command.on_write = self._command
         command.on_read = lambda: int(self.is_recording)
-        samples.on_read = lambda: len(self._recording)
-        data.on_read = self._recording.to_bytes
-        rate.on_read = self._rate
+        dictionary.entry(*od.RECORDING_RECORDED).on_read = lambda: len(self._recording)
+        dictionary.entry(*od.RECORDING_SAMPLES).on_read = self._recording.to_bytes
+        dictionary.entry(*od.RECORDING_RATE).on_read = self._rate
 
     @property
     def is_recording(self) -> bool:
@@ -66,10 +61,10 @@ class Recorder:
             self.stop()
 
     def _command(self, value: int) -> None:
-        if value == START:
+        if value == od.RecordingCommand.START:
             self._recording.clear()
             self._taps.add(self)
-        elif value == STOP:
+        elif value == od.RecordingCommand.STOP:
             self.stop()
         else:
             raise SdoAbort(AbortCode.INVALID_VALUE)

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from canfb import objects as od
 from canfb.device.dictionary import Dictionary
 from canfb.device.node import Node
 from canfb.device.rpdo import Rpdo
 from canfb.signal.sample import Sample
 
-INPUT = 0x2000
-SINE, COSINE, COARSE_SINE, COARSE_COSINE, TIME, FLAGS, PULSE_PLACE = range(1, 8)
-ZERO_PULSE, SAMPLE_INVALID = 1 << 0, 1 << 1  # 2000:06
+PARTS = (
+    od.SAMPLE_SINE,
+    od.SAMPLE_COSINE,
+    od.SAMPLE_COARSE_SINE,
+    od.SAMPLE_COARSE_COSINE,
+    od.SAMPLE_TIME,
+    od.SAMPLE_FLAGS,
+    od.SAMPLE_ZERO_PULSE_PLACE,
+)
+# Plain integers for the hot path.
+ZERO_PULSE, SAMPLE_INVALID = int(od.SampleFlag.ZERO_PULSE), int(od.SampleFlag.INVALID)
 PLACES = 65536.0  # 2000:07 counts the interval in 1/65536
 
 
@@ -21,9 +30,10 @@ class SampleInput:
 
     def __init__(self, dictionary: Dictionary, node: Node) -> None:
         self._node = node
-        self._entries = [dictionary.entry(INPUT, n) for n in range(1, 8)]
-        self._sine, self._cosine = self._entries[:2]
-        self._flags = self._entries[FLAGS - 1]
+        self._sine, self._cosine, self._coarse_sine, self._coarse_cosine, *rest = (
+            dictionary.entry(*part) for part in PARTS
+        )
+        self._time, self._flags, self._place = rest
         self._wanted = 0  # bit n: RPDO n
         self.arrived = 0
         """RPDOs of this sample that have come, bit n: RPDO n."""
@@ -48,9 +58,9 @@ class SampleInput:
     def configure(self) -> None:
         """Find out which RPDOs bring what; called when PDO parameters or the NMT state change."""
         with_ = self._node.rpdo_with
-        tracks = with_((INPUT, SINE), (INPUT, COSINE))
-        coarse = with_((INPUT, COARSE_SINE), (INPUT, COARSE_COSINE))
-        time, flags, place = (with_((INPUT, n)) for n in (TIME, FLAGS, PULSE_PLACE))
+        tracks = with_(od.SAMPLE_SINE, od.SAMPLE_COSINE)
+        coarse = with_(od.SAMPLE_COARSE_SINE, od.SAMPLE_COARSE_COSINE)
+        time, flags, place = with_(od.SAMPLE_TIME), with_(od.SAMPLE_FLAGS), with_(od.SAMPLE_ZERO_PULSE_PLACE)
         self._wanted = 0
         if tracks is not None:
             parts = {number for number in (tracks, coarse, time, flags, place) if number is not None}
@@ -100,17 +110,14 @@ class SampleInput:
         pulse = None
         if self._with_flags and flags & ZERO_PULSE:
             self.pulses += 1
-            pulse = self._entries[PULSE_PLACE - 1].value / PLACES if self._with_place else 1.0
-        coarse_sine, coarse_cosine, time = (
-            self._entries[n - 1].value for n in (COARSE_SINE, COARSE_COSINE, TIME)
-        )
+            pulse = self._place.value / PLACES if self._with_place else 1.0
         return Sample(
             self._sine.value,
             self._cosine.value,
             1.0,
             invalid,
-            coarse_sine if self._with_coarse else None,
-            coarse_cosine if self._with_coarse else None,
+            self._coarse_sine.value if self._with_coarse else None,
+            self._coarse_cosine.value if self._with_coarse else None,
             pulse,
-            time if self.timed else None,
+            self._time.value if self.timed else None,
         )

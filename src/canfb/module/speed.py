@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from canfb import objects as od
 from canfb.device.dictionary import Dictionary, Entry
 from canfb.module.interval import IntervalEstimate
 from canfb.module.position import PositionScale
 from canfb.signal.feedback import Feedback
 
-SPEED, ACCELERATION, SPEED_SCALE = 0x6030, 0x6040, 0x2003
+SPEED, ACCELERATION = 0x6030, 0x6040
 CHANNEL = 1
 LOWEST, HIGHEST = -0x8000, 0x7FFF
 
@@ -40,9 +41,10 @@ class Motion:
     ) -> None:
         self._interval, self._last_valid, self._scale = interval, last_valid, scale
         entry = dictionary.entry
-        factors = [entry(SPEED_SCALE, subindex) for subindex in range(1, 5)]
-        entry(SPEED, CHANNEL).on_read = lambda: self._speed(*factors[:2])
-        entry(ACCELERATION, CHANNEL).on_read = lambda: self._acceleration(*factors[2:])
+        speed = entry(*od.SCALE_SPEED_MULTIPLIER), entry(*od.SCALE_SPEED_DIVISOR)
+        acceleration = entry(*od.SCALE_ACCELERATION_MULTIPLIER), entry(*od.SCALE_ACCELERATION_DIVISOR)
+        entry(SPEED, CHANNEL).on_read = lambda: self._speed(*speed)
+        entry(ACCELERATION, CHANNEL).on_read = lambda: self._acceleration(*acceleration)
 
     def _speed(self, factor: Entry, divisor: Entry) -> int:
         last, interval_s = self._last_valid(), self._interval.seconds

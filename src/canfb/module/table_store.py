@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import astuple
 
+from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
+from canfb.device.entry import Entry
 from canfb.device.storage import Storage
 from canfb.signal.chain import SignalChain
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
-
-TABLE, CONDITIONING = 0x2020, 0x2002
-STAGED, STAGED_CRC, ACTIVATE, ACTIVE_CRC, ACTIVE_ENTRIES = 1, 2, 3, 4, 5
 
 
 class TableStore:
@@ -27,16 +25,17 @@ class TableStore:
         self._chain = chain
         self._storage = storage
         self._staged: CorrectionTable | None = None
-        staged, activate = dictionary.entry(TABLE, STAGED), dictionary.entry(TABLE, ACTIVATE)
-        self._restored = staged
+        self._restored = staged = dictionary.entry(*od.TABLE_STAGED)
+        activate = dictionary.entry(*od.TABLE_ACTIVATE)
+        self._conditioned = [dictionary.entry(*place) for place in od.CONDITIONING]
         staged.on_write = self._stage
         staged.on_written = self._forget_restored
         staged.on_read = self._read_active
         activate.on_write = self._activate
         activate.on_download = storage.configuration_changed
-        storage.entries.keep(TABLE, STAGED, saved=self._saved, check=_check_saved)
-        for subindex in range(1, 6):
-            dictionary.entry(CONDITIONING, subindex).on_write = self._checker(subindex)
+        storage.entries.keep(*od.TABLE_STAGED, saved=self._saved, check=_check_saved)
+        for entry in self._conditioned:
+            entry.on_write = self._checker(entry)
 
     def reset(self) -> None:
         """Nothing staged, the stored table active or none, the conditioning of 2002h in force."""
@@ -49,8 +48,8 @@ class TableStore:
         """Put both in force together, between two samples. 2002h shows the conditioning then; what
         is staged stays staged.
         """
-        for subindex, value in enumerate(astuple(conditioning), start=1):
-            self._dictionary.entry(CONDITIONING, subindex).value = value
+        for entry, value in zip(self._conditioned, conditioning.values, strict=True):
+            entry.value = value
         self._put_in_force(table)
         self._storage.configuration_changed()
 
@@ -65,7 +64,7 @@ class TableStore:
             self._staged = CorrectionTable.from_bytes(data)
         except ValueError:
             raise SdoAbort(AbortCode.INVALID_VALUE) from None
-        self._dictionary.entry(TABLE, STAGED_CRC).value = self._staged.crc32
+        self._dictionary.entry(*od.TABLE_STAGED_CRC).value = self._staged.crc32
 
     def _read_active(self) -> bytes:
         return (self._chain.table or CorrectionTable.identity()).to_bytes()
@@ -82,18 +81,17 @@ class TableStore:
 
     def _put_in_force(self, table: CorrectionTable | None) -> None:
         self._chain.activate(table, self._conditioning())
-        self._dictionary.entry(TABLE, ACTIVE_CRC).value = 0 if table is None else table.crc32
-        self._dictionary.entry(TABLE, ACTIVE_ENTRIES).value = 0 if table is None else len(table)
-        self._dictionary.entry(TABLE, STAGED_CRC).value = 0 if self._staged is None else self._staged.crc32
+        self._dictionary.entry(*od.TABLE_ACTIVE_CRC).value = 0 if table is None else table.crc32
+        self._dictionary.entry(*od.TABLE_ACTIVE_ENTRIES).value = 0 if table is None else len(table)
+        self._dictionary.entry(*od.TABLE_STAGED_CRC).value = 0 if self._staged is None else self._staged.crc32
 
-    def _conditioning(self, changed: int = 0, value: float = 0.0) -> Conditioning:
-        entries = (self._dictionary.entry(CONDITIONING, subindex).value for subindex in range(1, 6))
-        return Conditioning(*(value if n == changed else old for n, old in enumerate(entries, start=1)))
+    def _conditioning(self, changed: Entry | None = None, value: float = 0.0) -> Conditioning:
+        return Conditioning(*(value if entry is changed else entry.value for entry in self._conditioned))
 
-    def _checker(self, subindex: int) -> Callable[[float], None]:
+    def _checker(self, entry: Entry) -> Callable[[float], None]:
         def check(value: float) -> None:
             try:
-                self._conditioning(subindex, value)
+                self._conditioning(entry, value)
             except ValueError:
                 raise SdoAbort(AbortCode.INVALID_VALUE) from None
 

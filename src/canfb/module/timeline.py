@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+from canfb import objects as od
 from canfb.device.dictionary import Dictionary
 from canfb.device.moment import NEVER
 from canfb.module.interval import IntervalEstimate
 from canfb.module.response import LEARNED_TOGETHER, Answer, Response
 
 COUNTER_OVERFLOW = 0x1019
-PERIODS = (0x2010, 6)
+PERIODS = od.SUPERVISION_PERIODS
 PULLING = 0.25  # period: a SYNC that may have been heard late moves the lock if it is nearer than that
 GAIN = 0.2  # of the lock on the SYNCs
 HALF = 0.5  # period: nearer to this SYNC, or to the one beside it

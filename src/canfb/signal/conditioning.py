@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 
@@ -24,14 +24,7 @@ class Conditioning:
     phase_error_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in (
-            "sine_offset_counts",
-            "cosine_offset_counts",
-            "sine_gain",
-            "cosine_gain",
-            "phase_error_rad",
-        ):
-            value = getattr(self, name)
+        for name, value in self.words.items():
             if not isinstance(value, (int, float)) or not math.isfinite(value):
                 raise ValueError(f"{name} must be a finite number, not {value!r}")
         for name in ("sine_gain", "cosine_gain"):
@@ -39,6 +32,16 @@ class Conditioning:
                 raise ValueError(f"{name} is out of range: its size must be 0.001 to 1000")
         if abs(self.phase_error_rad) >= math.pi / 3:
             raise ValueError("phase_error_rad is out of range: its size must be below pi/3")
+
+    @property
+    def words(self) -> dict[str, float]:
+        """Its fields by name, in the order of 2002:01..05."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """Its fields in the order of 2002:01..05."""
+        return tuple(self.words.values())
 
     @property
     def is_identity(self) -> bool:

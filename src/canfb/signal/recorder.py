@@ -9,9 +9,8 @@ from __future__ import annotations
 import sys
 from array import array
 
-MISSED_COUNTS = -32768
-"""Sine and cosine where a sample is missing. As a sample it would be clipped on both tracks, and
-so nothing that could be used is mistaken for it."""
+from canfb.objects import MISSED_COUNTS
+
 CAPACITY_SAMPLES = 1_000_000
 BYTES_PER_SAMPLE = 4
 

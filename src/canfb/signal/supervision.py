@@ -1,29 +1,11 @@
-"""Checks of every sample before it may move the position; the bits of the status word 2011:01."""
+"""Checks of every sample before it may move the position."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntFlag
 from typing import Final
 
-
-class StatusBit(IntFlag):
-    """Bits of the status word, object 2011:01."""
-
-    VALID = 1 << 0
-    COASTING = 1 << 1
-    LOST = 1 << 2
-    RESIDUAL = 1 << 3
-    AMPLITUDE = 1 << 4
-    CLIPPED = 1 << 5
-    MISSED = 1 << 6
-    TABLE_ACTIVE = 1 << 7
-    REFERENCED = 1 << 8
-    COARSE = 1 << 9
-    CALIBRATING = 1 << 10
-    FROZEN = 1 << 11
-    EXTRAPOLATED = 1 << 12
-
+from canfb.objects import StatusBit
 
 # Plain integers for the hot path: an operation on an IntFlag costs ten times as much.
 VALID: Final = int(StatusBit.VALID)

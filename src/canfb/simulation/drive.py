@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 
+from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
-from canfb.simulation.sync_producer import SYNC_COB_ID
 from canfb.simulation.sync_timing import REGULAR, SyncDeviation, SyncTiming
 
 POSITION_PDO = struct.Struct("<IHH")  # 6004h, 2011:01 status word, 2011:02 residual
@@ -68,7 +68,7 @@ class Drive:
         self.syncs += 1
         nominal_s = self._start_s + self.syncs * self._deviation.period_s
         self._next_s = max(now, nominal_s + self._deviation.next_s())
-        return [Frame(SYNC_COB_ID, b"")]
+        return [Frame(cob.SYNC, b"")]
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Take the position PDO; every other frame is none of its business."""

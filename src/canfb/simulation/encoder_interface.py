@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from canfb import objects as od
+from canfb.cia301.cob import CAN_ID
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.cia301.frame import Frame
 from canfb.device.dictionary import Dictionary
@@ -15,16 +17,15 @@ from canfb.device.storage import Store
 from canfb.eds_files import eds_path
 from canfb.signal.sample import Sample
 from canfb.signal.source import Source, SourceEnded
-from canfb.simulation.fast_recording import COMMAND, RATE, RECORDING, FastRecorder
+from canfb.simulation.fast_recording import FastRecorder
 from canfb.simulation.hearing import TRUE_TIME, Hearing
 from canfb.simulation.sample_clock import SampleClock
 from canfb.simulation.shaft_encoder import Machine
 
 EDS = "encoder-interface"
-SAMPLE, CHANNELS, MAPPING = 0x2000, 0x6401, 0x1A00
-ZERO_PULSE, INVALID = 1 << 0, 1 << 1  # 2000:02
 PLACES = 65536  # 2000:03 counts the sample interval in 1/65536
-TIMED = {(MAPPING, 0): 3, (MAPPING, 3): 0x20000120}  # sine, cosine, sample time
+# TPDO1: sine, cosine, sample time.
+TIMED = {(od.TPDO_MAPPING, 0): 3, (od.TPDO_MAPPING, 3): od.INTERFACE_SAMPLE_TIME.mapped(32)}
 
 
 class EncoderInterface:
@@ -57,7 +58,7 @@ class EncoderInterface:
         if not 0 <= serial_number <= 0xFFFFFFFF:
             raise ValueError(f"serial_number must be 0..4294967295, not {serial_number}")
         self.dictionary = Dictionary.load(eds_path(EDS), node_id)
-        serial = self.dictionary.entry(0x1018, 4)
+        serial = self.dictionary.entry(*od.IDENTITY_SERIAL_NUMBER)
         serial.default = serial.value = serial_number
         for place, value in (TIMED if times else {}).items():
             mapping = self.dictionary.entry(*place)
@@ -66,8 +67,8 @@ class EncoderInterface:
         self.node.on_sync = self._on_sync
         self.node.on_parameter_faults = self._on_parameter_faults
         self.node.on_reset = self._on_reset
-        for subindex in (COMMAND, RATE):  # of one recording, nothing to keep
-            self.node.storage.entries.leave_out(RECORDING, subindex)
+        for place in (od.RECORDING_COMMAND, od.RECORDING_RATE):  # of one recording, nothing to keep
+            self.node.storage.entries.leave_out(*place)
         self.hearing: Hearing = TRUE_TIME
         self._now = 0.0
         self._heard_s = 0.0  # when the frame was received, in the time of the machine
@@ -79,10 +80,11 @@ class EncoderInterface:
         self.samples = 0
         self._silent = False
         entry = self.dictionary.entry
-        self._sine, self._cosine, self._coarse_sine, self._coarse_cosine = (
-            entry(CHANNELS, n) for n in (1, 2, 3, 4)
-        )
-        self._time, self._flags, self._place = (entry(SAMPLE, n) for n in (1, 2, 3))
+        self._sine, self._cosine = entry(*od.INTERFACE_SINE), entry(*od.INTERFACE_COSINE)
+        self._coarse_sine = entry(*od.INTERFACE_COARSE_SINE)
+        self._coarse_cosine = entry(*od.INTERFACE_COARSE_COSINE)
+        self._time, self._flags = entry(*od.INTERFACE_SAMPLE_TIME), entry(*od.INTERFACE_FLAGS)
+        self._place = entry(*od.INTERFACE_ZERO_PULSE_PLACE)
         tpdos = numbers(self.dictionary, Direction.TRANSMIT)
         parameters = COMMUNICATION[Direction.TRANSMIT] - 1
         self._cob_ids = [entry(parameters + number, 1) for number in tpdos]
@@ -148,9 +150,9 @@ class EncoderInterface:
         if coarse_sine is not None and coarse_cosine is not None:
             self._coarse_sine.value, self._coarse_cosine.value = coarse_sine, coarse_cosine
         self._time.value = self._clock.ticks(self._heard_s) if time_100ns is None else time_100ns
-        flags = INVALID if invalid else 0
+        flags = od.SampleFlag.INVALID if invalid else 0
         if pulse is not None:
-            flags |= ZERO_PULSE
+            flags |= od.SampleFlag.ZERO_PULSE
             self._place.value = min(int(pulse * PLACES), PLACES - 1)
         self._flags.value = flags
 
@@ -168,5 +170,5 @@ class EncoderInterface:
     def _audible(self, frames: list[Frame]) -> list[Frame]:
         if not self._silent:
             return frames
-        samples = {cob_id.value & 0x7FF for cob_id in self._cob_ids}
+        samples = {cob_id.value & CAN_ID for cob_id in self._cob_ids}
         return [frame for frame in frames if frame.can_id not in samples]

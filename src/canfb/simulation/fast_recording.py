@@ -8,12 +8,10 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 
-RECORDING = 0x2050
-COMMAND, SAMPLES, DATA, RATE, CAPACITY = 1, 2, 3, 4, 5
-START, STOP = 1, 2
 BLOCK_SAMPLES = 1 << 16
 
 Block = npt.NDArray[np.int16]
@@ -43,13 +41,14 @@ class FastRecorder:
     def __init__(self, dictionary: Dictionary, source: object, now: Callable[[], float]) -> None:
         self._source = source if isinstance(source, Continuous) else None
         self._now = now
-        command, samples, data, self._rate, self._capacity = (
-            dictionary.entry(RECORDING, n) for n in (COMMAND, SAMPLES, DATA, RATE, CAPACITY)
-        )
+        command = dictionary.entry(*od.RECORDING_COMMAND)
         command.on_write = self._command
         command.on_read = lambda: int(self.is_recording)
-        samples.on_read = lambda: self.count
-        data.on_read = self.to_bytes
+        dictionary.entry(*od.RECORDING_RECORDED).on_read = lambda: self.count
+        dictionary.entry(*od.RECORDING_SAMPLES).on_read = self.to_bytes
+        self._rate, self._capacity = (
+            dictionary.entry(*place) for place in (od.RECORDING_RATE, od.RECORDING_CAPACITY)
+        )
         self._rate.on_write = self._refuse_while_recording
         self._number = 0
         self.reset()
@@ -94,9 +93,9 @@ class FastRecorder:
         return block.astype("<i2").tobytes()
 
     def _command(self, value: int) -> None:
-        if value == START:
+        if value == od.RecordingCommand.START:
             self._start()
-        elif value == STOP:
+        elif value == od.RecordingCommand.STOP:
             self._kept, self._began_s = self.count, None
         else:
             raise SdoAbort(AbortCode.INVALID_VALUE)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from canfb import objects as od
 from canfb.checks import number_in
+from canfb.cia301.cob import CAN_ID
 from canfb.cia301.frame import Frame
 from canfb.device.dictionary import Dictionary
 
 OLDEST_S = 10.0
-SYNC_COB_ID, CYCLE_PERIOD = 0x1005, 0x1006
 SECONDS_PER_US = 1e-6
 SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S = 1e-6, 10.0
 
@@ -57,7 +58,8 @@ class SlowMotion:
     def __init__(self, dictionary: Dictionary, interval_s: float) -> None:
         number_in("interval_s", interval_s, SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S)
         self._interval_s = interval_s
-        self._cob_id, self._period = dictionary.entry(SYNC_COB_ID), dictionary.entry(CYCLE_PERIOD)
+        self._cob_id = dictionary.entry(*od.SYNC_COB_ID)
+        self._period = dictionary.entry(*od.CYCLE_PERIOD)
         self.time_s = 0.0
         """The time of the machine."""
 
@@ -67,7 +69,7 @@ class SlowMotion:
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """A SYNC: the machine goes on."""
-        if frame.can_id == self._cob_id.value & 0x7FF and not frame.rtr:
+        if frame.can_id == self._cob_id.value & CAN_ID and not frame.rtr:
             self.time_s += self._period.value * SECONDS_PER_US or self._interval_s
         return []
 

@@ -6,10 +6,11 @@ from array import array
 
 import numpy as np
 
+from canfb import objects as od
+from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.signal.phase import FloatArray
 from canfb.simulation.encoder_interface import EncoderInterface
-from canfb.simulation.sync_producer import SYNC_COB_ID
 
 MISSED = -32768  # in both tracks, as in 2050:03
 
@@ -24,7 +25,9 @@ class SampleRecorder:
         self._interface = interface
         self._counts = array("h")
         self._samples = 0
-        self._channels = [interface.dictionary.entry(0x6401, n) for n in (1, 2)]
+        self._channels = [
+            interface.dictionary.entry(*track) for track in (od.INTERFACE_SINE, od.INTERFACE_COSINE)
+        ]
 
     def __len__(self) -> int:
         """Intervals, those without a sample as well."""
@@ -42,7 +45,7 @@ class SampleRecorder:
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Take what the interface has sampled at this SYNC."""
-        if frame.can_id == SYNC_COB_ID and not frame.rtr:
+        if frame.can_id == cob.SYNC and not frame.rtr:
             if self._interface.samples > self._samples:
                 self._samples = self._interface.samples
                 self._counts.extend(int(channel.value) for channel in self._channels)

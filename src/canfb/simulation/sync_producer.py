@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 
+from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.simulation.sync_timing import REGULAR, SyncDeviation, SyncTiming
-
-SYNC_COB_ID = 0x80
 
 
 class SyncProducer:
@@ -46,7 +45,7 @@ class SyncProducer:
         period_s = self._deviation.period_s
         late = max(0, int((now - self._nominal_s) / period_s))
         self._plan(self._nominal_s + (late + 1) * period_s, now)
-        return [Frame(SYNC_COB_ID, b"")]
+        return [Frame(cob.SYNC, b"")]
 
     def _plan(self, nominal_s: float, now: float) -> None:
         if nominal_s <= now:

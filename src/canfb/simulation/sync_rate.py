@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
-from canfb.simulation.sync_producer import SYNC_COB_ID
 
 WINDOW_S, WINDOW_SYNCS = 2.0, 100  # over which the rate is taken, whichever is longer
 TOLERANCE = 0.02
@@ -42,7 +42,7 @@ class SyncRateWatch:
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Count the SYNC at ``now`` (seconds)."""
-        if frame.can_id != SYNC_COB_ID or frame.rtr:
+        if frame.can_id != cob.SYNC or frame.rtr:
             return []
         if self._began_s is None:
             self._began_s = now

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from canfb.cia301.cob import is_valid
+from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
@@ -164,11 +164,11 @@ class ServoDrive:
     def _overhear(self, frame: Frame, now: float) -> None:
         """EMCY and boot-up of the feedback module, which no RPDO brings."""
         cob_id = self._emergency_id.value
-        if not is_valid(cob_id) or self.node.state is NmtState.STOPPED:
+        if not cob.is_valid(cob_id) or self.node.state is NmtState.STOPPED:
             return
-        if frame.can_id == cob_id & 0x7FF and len(frame.data) == 8:
+        if frame.can_id == cob_id & cob.CAN_ID and len(frame.data) == 8:
             self.feedback.emergency(int.from_bytes(frame.data[:2], "little"))
-        elif frame.can_id == 0x700 + (cob_id & 0x7F) and frame.data == b"\x00":
+        elif frame.can_id == cob.ERROR_CONTROL + (cob_id & 0x7F) and frame.data == b"\x00":
             self.feedback.boot_up()
         else:
             return
@@ -353,7 +353,7 @@ class ServoDrive:
         self._events = [
             number
             for number in range(1, 5)
-            if is_valid(self.dictionary.entry(0x17FF + number, 1).value)
+            if cob.is_valid(self.dictionary.entry(0x17FF + number, 1).value)
             and self.dictionary.entry(0x17FF + number, 2).value in EVENT_DRIVEN | {0}
         ]
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from canfb import objects as od
 from canfb.checks import integer_in
+from canfb.cia301 import cob
 from canfb.device.dictionary import Dictionary
 from canfb.simulation.cia402.motor import MotorConfig
 
@@ -37,16 +39,16 @@ def apply_defaults(
 ) -> None:
     """Replace defaults and values of the dictionary: a reset comes back to these."""
     defaults = {
-        (0x1018, 4): serial_number,
+        od.IDENTITY_SERIAL_NUMBER: serial_number,
         (0x6076, 0): max(1, min(U32, round(motor.rated_torque_nm * 1000))),
         (0x2100, 5): max(1, min(U32, round(motor.inertia_kg_m2 * G_CM2_PER_KG_M2))),
     }
     if link is not None:
         defaults |= {
-            (0x1403, 1): 0x180 + link.node_id,
+            (0x1403, 1): cob.TPDO1 + link.node_id,
             (0x1403, 2): 1 if link.synchronous else 255,
             (0x2110, 5): link.total_range,
-            (0x2110, 7): 0x080 + link.node_id,
+            (0x2110, 7): cob.EMERGENCY + link.node_id,
             (0x60E6, 1): link.increments_per_revolution,
         }
     for (index, subindex), value in defaults.items():

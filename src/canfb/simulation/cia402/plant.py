@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.motor import Motor
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.hearing import TRUE_TIME, Hearing
 from canfb.simulation.shaft_encoder import ShaftEncoder
-from canfb.simulation.sync_producer import SYNC_COB_ID
 
 
 class Plant:
@@ -33,7 +33,7 @@ class Plant:
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Go on to the time at which a SYNC was heard; with the first one the machine begins."""
-        if frame.can_id == SYNC_COB_ID and not frame.rtr:
+        if frame.can_id == cob.SYNC and not frame.rtr:
             heard_s = self.hearing.heard_at(frame, now)
             if self._now_s is None:
                 self._now_s = heard_s

@@ -1,0 +1,208 @@
+"""Objects of the nodes by name, and the enumerations that they hold.
+
+The manufacturer part, and of CiA 301 and CiA 406 what more than one part of the package uses. A name is made
+of words of the EDS; those of the encoder interface begin with INTERFACE.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+from typing import Final, NamedTuple
+
+
+class Multiplexer(NamedTuple):
+    """Index and sub-index of an object (CiA 301, 7.2.4.3)."""
+
+    object_index: int
+    subindex: int = 0
+
+    def mapped(self, bits: int) -> int:
+        """The mapping entry of a PDO for this object, ``bits`` long (CiA 301, 7.5.2.36)."""
+        return self.object_index << 16 | self.subindex << 8 | bits
+
+
+# Communication profile, CiA 301.
+DEVICE_TYPE: Final = Multiplexer(0x1000)
+SYNC_COB_ID: Final = Multiplexer(0x1005)
+CYCLE_PERIOD: Final = Multiplexer(0x1006)
+IDENTITY_VENDOR_ID: Final = Multiplexer(0x1018, 1)
+IDENTITY_PRODUCT_CODE: Final = Multiplexer(0x1018, 2)
+IDENTITY_REVISION_NUMBER: Final = Multiplexer(0x1018, 3)
+IDENTITY_SERIAL_NUMBER: Final = Multiplexer(0x1018, 4)
+STORE_ALL_PARAMETERS: Final = Multiplexer(0x1010, 1)
+STORE_MANUFACTURER_PARAMETERS: Final = Multiplexer(0x1010, 4)
+
+RPDO: Final = 0x1400
+"""Index of the communication parameters of RPDO1; the other RPDOs follow."""
+RPDO_MAPPING: Final = 0x1600
+TPDO: Final = 0x1800
+TPDO_MAPPING: Final = 0x1A00
+
+# 2000h: a sample as the RPDOs bring it to the module.
+SAMPLE_SINE: Final = Multiplexer(0x2000, 1)
+SAMPLE_COSINE: Final = Multiplexer(0x2000, 2)
+SAMPLE_COARSE_SINE: Final = Multiplexer(0x2000, 3)
+SAMPLE_COARSE_COSINE: Final = Multiplexer(0x2000, 4)
+SAMPLE_TIME: Final = Multiplexer(0x2000, 5)
+SAMPLE_FLAGS: Final = Multiplexer(0x2000, 6)
+SAMPLE_ZERO_PULSE_PLACE: Final = Multiplexer(0x2000, 7)
+
+# 6401h and 2000h of the encoder interface: the same, as its TPDOs send it.
+INTERFACE_SINE: Final = Multiplexer(0x6401, 1)
+INTERFACE_COSINE: Final = Multiplexer(0x6401, 2)
+INTERFACE_COARSE_SINE: Final = Multiplexer(0x6401, 3)
+INTERFACE_COARSE_COSINE: Final = Multiplexer(0x6401, 4)
+INTERFACE_SAMPLE_TIME: Final = Multiplexer(0x2000, 1)
+INTERFACE_FLAGS: Final = Multiplexer(0x2000, 2)
+INTERFACE_ZERO_PULSE_PLACE: Final = Multiplexer(0x2000, 3)
+
+
+class SampleFlag(IntFlag):
+    """Bits of 2000:06 of the module and 2000:02 of the encoder interface."""
+
+    ZERO_PULSE = 1 << 0
+    INVALID = 1 << 1
+
+
+ENCODER_CYCLES_PER_REVOLUTION: Final = Multiplexer(0x2001, 1)
+ENCODER_FULL_SCALE: Final = Multiplexer(0x2001, 2)
+ENCODER_LOWEST_AMPLITUDE: Final = Multiplexer(0x2001, 3)
+ENCODER_HIGHEST_AMPLITUDE: Final = Multiplexer(0x2001, 4)
+
+CONDITIONING: Final = tuple(Multiplexer(0x2002, subindex) for subindex in range(1, 6))
+"""2002:01..05, in the order of the fields of :class:`canfb.Conditioning`."""
+
+SCALE_SPEED_MULTIPLIER: Final = Multiplexer(0x2003, 1)
+SCALE_SPEED_DIVISOR: Final = Multiplexer(0x2003, 2)
+SCALE_ACCELERATION_MULTIPLIER: Final = Multiplexer(0x2003, 3)
+SCALE_ACCELERATION_DIVISOR: Final = Multiplexer(0x2003, 4)
+
+WARNINGS_BY_EMCY: Final = Multiplexer(0x2004, 1)
+WARNING_OVER_TIME: Final = Multiplexer(0x2004, 2)
+
+SUPERVISION_RESIDUAL_LIMIT: Final = Multiplexer(0x2010, 1)
+SUPERVISION_ACCELERATION: Final = Multiplexer(0x2010, 2)
+SUPERVISION_COAST: Final = Multiplexer(0x2010, 3)
+SUPERVISION_FROZEN: Final = Multiplexer(0x2010, 4)
+SUPERVISION_COARSE_LIMIT: Final = Multiplexer(0x2010, 5)
+SUPERVISION_PERIODS: Final = Multiplexer(0x2010, 6)
+
+FEEDBACK_STATUS: Final = Multiplexer(0x2011, 1)
+FEEDBACK_RESIDUAL: Final = Multiplexer(0x2011, 2)
+FEEDBACK_PHASE: Final = Multiplexer(0x2011, 3)
+FEEDBACK_CYCLE_COUNT: Final = Multiplexer(0x2011, 4)
+FEEDBACK_AMPLITUDE: Final = Multiplexer(0x2011, 5)
+FEEDBACK_RAW_PHASE: Final = Multiplexer(0x2011, 6)
+FEEDBACK_VELOCITY: Final = Multiplexer(0x2011, 7)
+FEEDBACK_SAMPLES: Final = Multiplexer(0x2011, 8)
+FEEDBACK_ACCELERATION: Final = Multiplexer(0x2011, 9)
+FEEDBACK_JUMP: Final = Multiplexer(0x2011, 10)
+
+
+class StatusBit(IntFlag):
+    """Bits of the status word, object 2011:01."""
+
+    VALID = 1 << 0
+    COASTING = 1 << 1
+    LOST = 1 << 2
+    RESIDUAL = 1 << 3
+    AMPLITUDE = 1 << 4
+    CLIPPED = 1 << 5
+    MISSED = 1 << 6
+    TABLE_ACTIVE = 1 << 7
+    REFERENCED = 1 << 8
+    COARSE = 1 << 9
+    CALIBRATING = 1 << 10
+    FROZEN = 1 << 11
+    EXTRAPOLATED = 1 << 12
+
+
+COUNTER_MISSED: Final = Multiplexer(0x2012, 1)
+COUNTER_RESIDUAL: Final = Multiplexer(0x2012, 2)
+COUNTER_AMPLITUDE: Final = Multiplexer(0x2012, 3)
+COUNTER_COASTED: Final = Multiplexer(0x2012, 4)
+COUNTER_LOST: Final = Multiplexer(0x2012, 5)
+COUNTER_RECOVERED: Final = Multiplexer(0x2012, 6)
+COUNTER_ZERO_PULSES: Final = Multiplexer(0x2012, 7)
+COUNTER_BAD_FRAMES: Final = Multiplexer(0x2012, 8)
+COUNTER_CLIPPED: Final = Multiplexer(0x2012, 9)
+COUNTER_FROZEN: Final = Multiplexer(0x2012, 10)
+COUNTER_COARSE_DISAGREEMENTS: Final = Multiplexer(0x2012, 11)
+COUNTER_SET_RIGHT: Final = Multiplexer(0x2012, 12)
+COUNTER_DUPLICATE_SYNCS: Final = Multiplexer(0x2012, 13)
+COUNTER_SYNCS_NOT_HEARD: Final = Multiplexer(0x2012, 14)
+
+PREDICTION_POSITION: Final = Multiplexer(0x2013, 1)
+PREDICTION_NOMINAL_SYNC: Final = Multiplexer(0x2013, 2)
+
+TABLE_STAGED: Final = Multiplexer(0x2020, 1)
+TABLE_STAGED_CRC: Final = Multiplexer(0x2020, 2)
+TABLE_ACTIVATE: Final = Multiplexer(0x2020, 3)
+TABLE_ACTIVE_CRC: Final = Multiplexer(0x2020, 4)
+TABLE_ACTIVE_ENTRIES: Final = Multiplexer(0x2020, 5)
+
+MEASUREMENT_COMMAND: Final = Multiplexer(0x2030, 1)
+MEASUREMENT_STATE: Final = Multiplexer(0x2030, 2)
+MEASUREMENT_PROGRESS: Final = Multiplexer(0x2030, 3)
+MEASUREMENT_COVERAGE: Final = Multiplexer(0x2030, 4)
+MEASUREMENT_RESIDUAL_RMS: Final = Multiplexer(0x2030, 5)
+MEASUREMENT_RESIDUAL_PEAK: Final = Multiplexer(0x2030, 6)
+MEASUREMENT_REASON: Final = Multiplexer(0x2030, 7)
+MEASUREMENT_DRIFT_RMS: Final = Multiplexer(0x2030, 8)
+MEASUREMENT_DRIFT_PEAK: Final = Multiplexer(0x2030, 9)
+MEASUREMENT_SAMPLES: Final = Multiplexer(0x2030, 10)
+
+
+class MeasurementCommand(IntEnum):
+    """What can be written to 2030:01."""
+
+    START = 1
+    STOP = 2
+    ACCEPT = 3
+    CHECK = 4
+    FINISH = 5
+
+
+class MeasurementState(IntEnum):
+    """What 2030:02 says."""
+
+    IDLE = 0
+    RECORDING = 1
+    COMPUTING = 2
+    READY = 3
+    REFUSED = 4
+    ACCEPTED = 5
+    CHECKED = 6
+
+
+# 2050h, of the module and of the encoder interface.
+RECORDING_COMMAND: Final = Multiplexer(0x2050, 1)
+RECORDING_RECORDED: Final = Multiplexer(0x2050, 2)
+RECORDING_SAMPLES: Final = Multiplexer(0x2050, 3)
+RECORDING_RATE: Final = Multiplexer(0x2050, 4)
+RECORDING_CAPACITY: Final = Multiplexer(0x2050, 5)
+
+MISSED_COUNTS: Final = -32768
+"""Sine and cosine in 2050:03 where a sample is missing. As a sample it would be clipped on both tracks, and
+so nothing that could be used is mistaken for it."""
+
+
+class RecordingCommand(IntEnum):
+    """What can be written to 2050:01; it reads 1 while samples are taken, else 0."""
+
+    START = 1
+    STOP = 2
+
+
+# Encoder profile, CiA 406.
+OPERATING_PARAMETERS: Final = Multiplexer(0x6000)
+UNITS_PER_REVOLUTION: Final = Multiplexer(0x6001)
+TOTAL_RANGE: Final = Multiplexer(0x6002)
+PRESET_VALUE: Final = Multiplexer(0x6003)
+POSITION_VALUE: Final = Multiplexer(0x6004)
+HIGH_PRECISION_POSITION: Final = Multiplexer(0x6008)
+HIGH_PRECISION_PRESET: Final = Multiplexer(0x6009)
+SINGLE_TURN_RESOLUTION: Final = Multiplexer(0x6501)
+DISTINGUISHABLE_REVOLUTIONS: Final = Multiplexer(0x6502)
+OFFSET_VALUE: Final = Multiplexer(0x6509)
+SERIAL_NUMBER: Final = Multiplexer(0x650B)

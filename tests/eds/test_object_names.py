@@ -1,0 +1,72 @@
+"""canfb.objects against the EDS files: each name is the object that its words say."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from typing import NamedTuple
+
+from canfb import Conditioning, objects
+from canfb.device.eds import read
+from canfb.eds_files import eds_path
+from canfb.objects import Multiplexer
+from folding import each
+
+NAMES = {name: value for name, value in vars(objects).items() if isinstance(value, Multiplexer)}
+ENTRY = re.compile(r"^([0-9A-F]{4})(?:sub([0-9A-F]+))?$", re.IGNORECASE)
+
+
+def words(text: str) -> set[str]:
+    """Words of a name or a text, small letters, without the s of a plural."""
+    return {word.lower().removesuffix("s") for word in re.findall(r"[A-Za-z0-9]+", text)}
+
+
+class Said(NamedTuple):
+    """The words of an entry, and those of the object that it is part of."""
+
+    own: set[str]
+    above: set[str]
+
+
+def entries_of(eds: str) -> dict[Multiplexer, Said]:
+    """What an EDS calls its entries."""
+    parser = read(eds_path(eds))
+    sections = filter(ENTRY.match, parser.sections())
+    names = {section: parser.get(section, "ParameterName") for section in sections}
+    found = {}
+    for section, name in names.items():
+        index, _, subindex = section.partition("sub")
+        found[Multiplexer(int(index, 16), int(subindex or "0", 16))] = Said(words(name), words(names[index]))
+    return found
+
+
+MODULE, INTERFACE = entries_of("canfb-module"), entries_of("encoder-interface")
+
+
+@each("name", NAMES)
+def test_a_name_is_the_object_that_its_words_say(name: str) -> None:
+    """Of all entries with these words, the one with the fewest others, in its own name above all."""
+    entries = INTERFACE if name.startswith("INTERFACE_") else MODULE
+    said = words(name.removeprefix("INTERFACE_"))
+    fitting = {place: theirs for place, theirs in entries.items() if said <= theirs.own | theirs.above}
+    assert fitting, f"no object of the EDS is called {sorted(said)}"
+    best = min(fitting, key=lambda place: _others(fitting[place], said))
+    assert NAMES[name] == best
+
+
+def _others(theirs: Said, said: set[str]) -> tuple[int, int]:
+    return len(theirs.own - said), len((theirs.own | theirs.above) - said)
+
+
+def test_conditioning_has_the_order_of_its_fields() -> None:
+    for field, place in zip(fields(Conditioning), objects.CONDITIONING, strict=True):
+        assert words(field.name) - {"count", "rad"} == MODULE[place].own
+
+
+@each(
+    "name, value",
+    [(name, value) for name, value in vars(objects).items() if type(value) is int and value > 0],
+)
+def test_an_index_is_the_object_that_its_words_say(name: str, value: int) -> None:
+    kind, _, what = name.partition("_")
+    assert MODULE[Multiplexer(value)].above >= words(f"{kind} {what or 'communication'} 1 parameter")
