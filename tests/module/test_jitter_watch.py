@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import canfb
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 
 NODE, INTERFACE = 0x20, 0x10
 PERIOD_S = 1e-3

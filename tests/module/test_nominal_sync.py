@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.device.frame import Frame
+from canfb.cia301.frame import Frame
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.nominal_sync import FIRST_SYNCS, LEARNED_SYNCS, MEMORY_SYNCS, NominalSync

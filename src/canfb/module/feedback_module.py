@@ -139,7 +139,11 @@ class FeedbackModule:
         )
         self._timeline = self._pairing.timeline
         self._jitter = JitterWatch(
-            self._timeline, self._interval, self._limits, self.dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION), self._warn
+            self._timeline,
+            self._interval,
+            self._limits,
+            self.dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION),
+            self._warn,
         )
         self._timeline.on_followed = self._watch_jitter
         self._event_tpdos: list[Callable[[float], None]] = []
