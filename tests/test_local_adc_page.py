@@ -10,7 +10,7 @@ import pytest
 
 from canfb.cli.config import EXAMPLE
 from canfb.configuration import parse_config
-from canfb.module.source_config import SOURCE_KINDS, IioSourceConfig
+from canfb.sources.source_config import SOURCE_KINDS, IioSourceConfig
 
 PAGE = (Path(__file__).parents[1] / "docs" / "local-adc.md").read_text(encoding="utf-8")
 CONFIGURATIONS = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from canfb.configuration import parse_config
 from canfb.errors import ConfigError
-from canfb.module.source_config import (
+from canfb.sources.source_config import (
     IioSourceConfig,
     MotionSourceConfig,
     RecordingSourceConfig,

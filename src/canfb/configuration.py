@@ -18,11 +18,11 @@ import yaml
 
 from canfb.errors import ConfigError
 from canfb.module.config import UNCONFIGURED, ModuleConfig
-from canfb.module.source_config import SOURCE_KINDS, IioSourceConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.config import integer_in
 from canfb.simulation.cia402.config import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
+from canfb.sources.source_config import SOURCE_KINDS, IioSourceConfig
 
 
 @dataclass(frozen=True, kw_only=True)

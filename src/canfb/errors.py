@@ -5,7 +5,7 @@ CanfbError
 ├── CalibrationError    a reference measurement that was refused
 ├── BusError            a bus that cannot be opened or that has gone for good
 ├── StateDirError       a state_dir that cannot be used (canfb.bus.state_files)
-├── SourceError         a source of samples that cannot give one (canfb.signal.source)
+├── SourceError         a source of samples that cannot give one (canfb.sources.protocol)
 └── EdsNotFoundError    an EDS file that is not there (canfb.eds_files)
 """
 

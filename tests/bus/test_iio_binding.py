@@ -13,7 +13,7 @@ import pytest
 from canfb.bus.iio_capture import Scaling
 from canfb.bus.iio_source import IioSource
 from canfb.errors import BusError
-from canfb.module.source_config import IioSourceConfig
+from canfb.sources.source_config import IioSourceConfig
 
 CONFIG = IioSourceConfig(device="ads7950")
 

@@ -16,8 +16,8 @@ from canfb.configuration import parse_config
 from canfb.device.frame import Frame
 from canfb.errors import CanfbError
 from canfb.signal.sample import Sample
-from canfb.signal.source import Source, SourceEnded
 from canfb.signal.supervision import VALID
+from canfb.sources.protocol import Source, SourceEnded
 
 
 def opened(source: str, more: str = "") -> Source | None:

@@ -12,7 +12,7 @@ from emulated_iiod import EmulatedAdc, EmulatedIiod
 
 from canfb.bus.iio_source import IioSource
 from canfb.errors import BusError
-from canfb.module.source_config import IioSourceConfig
+from canfb.sources.source_config import IioSourceConfig
 
 
 def _missing() -> str:

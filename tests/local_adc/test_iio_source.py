@@ -13,8 +13,8 @@ from iio_kit import deliver, reading, sample, until
 
 from canfb.bus.iio_source import IioSource
 from canfb.errors import BusError, ConfigError
-from canfb.module.source_config import IioSourceConfig
-from canfb.signal.source import SourceError
+from canfb.sources.protocol import SourceError
+from canfb.sources.source_config import IioSourceConfig
 
 Iiod = Callable[..., EmulatedIiod]
 Opened = Callable[..., IioSource]

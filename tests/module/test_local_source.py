@@ -14,13 +14,13 @@ from canfb.device.frame import Frame
 from canfb.device.nmt import NmtState
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
-from canfb.module.source_config import MotionSourceConfig
 from canfb.signal.sample import Sample
-from canfb.signal.source import SourceEnded, SourceError
 from canfb.signal.supervision import COASTING, MISSED, VALID
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp
 from canfb.simulation.sources import MotionSource
+from canfb.sources.protocol import SourceEnded, SourceError
+from canfb.sources.source_config import MotionSourceConfig
 
 NODE = 32
 SYNC = Frame(0x80, b"")

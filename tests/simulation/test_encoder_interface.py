@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from canfb.device.frame import Frame
 from canfb.signal.sample import Sample
-from canfb.signal.source import SourceEnded
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion
 from canfb.simulation.sources import MotionSource
+from canfb.sources.protocol import SourceEnded
 
 NODE, TPDO1 = 16, 0x190
 SYNC = Frame(0x80, b"")

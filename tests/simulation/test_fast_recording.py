@@ -13,13 +13,13 @@ import canfb
 from canfb.demo.plant import EmbeddedNetwork
 from canfb.eds_files import eds_path
 from canfb.signal.sample import Sample
-from canfb.signal.source import Source
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion, Ramp, Ripple
 from canfb.simulation.sources import MotionSource
 from canfb.simulation.sync_producer import SyncProducer
+from canfb.sources.protocol import Source
 
 NODE = 16
 START, STOP = 1, 2

@@ -15,10 +15,10 @@ from canfb.configuration import parse_config
 from canfb.device.frame import Frame
 from canfb.errors import CanfbError, ConfigError
 from canfb.signal.sample import Sample
-from canfb.signal.source import SourceEnded
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.sample_recorder import SampleRecorder
+from canfb.sources.protocol import SourceEnded
 
 SYNC, START = Frame(0x080, b""), Frame(0x000, b"\x01\x00")
 COUNTS: list[Sample | None] = [Sample(1, -2), Sample(300, 400), None, Sample(-2048, 2047), None, Sample(7, 8)]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from canfb.bus.opening import reason
 from canfb.errors import BusError, CanfbError, ConfigError
-from canfb.module.source_config import IioSourceConfig
+from canfb.sources.source_config import IioSourceConfig
 
 TIMESTAMP = "timestamp"
 FIRE = "trigger_now"  # attribute of a sysfs trigger

@@ -9,9 +9,9 @@ from typing import Self
 from canfb.bus.iio_capture import IioCapture, Scan
 from canfb.bus.opening import reason
 from canfb.bus.realtime import RealtimeThread
-from canfb.module.source_config import IioSourceConfig
 from canfb.signal.sample import Sample
-from canfb.signal.source import SourceError
+from canfb.sources.protocol import SourceError
+from canfb.sources.source_config import IioSourceConfig
 
 REOPEN_S = 1.0
 CLOSE_S = 5.0
@@ -19,7 +19,7 @@ US = 1e-6
 
 
 class IioSource:
-    """Gives the newest scan of an ADC (:class:`canfb.signal.source.Source`).
+    """Gives the newest scan of an ADC (:class:`canfb.sources.protocol.Source`).
 
     The device is opened at once: ConfigError or BusError, see :class:`canfb.bus.iio_capture.IioCapture`.
     One that fails later is opened again every second, by the thread. With a trigger that can be fired,

@@ -10,7 +10,7 @@ from canfb.bus.opening import check_device_bus
 from canfb.configuration import Config, line_of
 from canfb.errors import ConfigError
 from canfb.module.config import ModuleConfig
-from canfb.module.source_config import RecordingSourceConfig
+from canfb.sources.source_config import RecordingSourceConfig
 
 
 def check_machine(path: Path, config: Config) -> None:

@@ -27,7 +27,6 @@ from canfb.cli.simulate_record import check_record, write_record
 from canfb.cli.sources import open_recording
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
-from canfb.signal.source import Source
 from canfb.simulation.demand import Demand, of_motion, of_recording
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.hearing import SlowMotion
@@ -36,6 +35,7 @@ from canfb.simulation.scenario import PACES, MotionConfig
 from canfb.simulation.sources import ArraySource, MotionSource, RecordingLayout, RecordingSource
 from canfb.simulation.sync_producer import SyncProducer
 from canfb.simulation.sync_rate import IN_SLOW_MOTION, IN_TRUE_TIME, SyncRateWatch
+from canfb.sources.protocol import Source
 
 TIMES = ("time_column", "gap", "gap_samples")
 

@@ -10,10 +10,10 @@ from canfb.bus.iio_source import IioSource
 from canfb.commissioning.sample_files import read_npz
 from canfb.errors import ConfigError
 from canfb.module.config import ModuleConfig
-from canfb.module.source_config import IioSourceConfig, MotionSourceConfig, RecordingSourceConfig
-from canfb.signal.source import Source
 from canfb.simulation.scenario import SimulationConfig
 from canfb.simulation.sources import ArraySource, MotionSource, RecordingLayout, RecordingSource
+from canfb.sources.protocol import Source
+from canfb.sources.source_config import IioSourceConfig, MotionSourceConfig, RecordingSourceConfig
 
 
 def open_source(

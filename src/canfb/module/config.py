@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for who reads configurations
-from canfb.module.source_config import SourceConfig
 from canfb.signal.config import ChainConfig, integer_in
+from canfb.sources.source_config import SourceConfig
 
 
 @dataclass(frozen=True, kw_only=True)

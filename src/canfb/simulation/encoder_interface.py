@@ -14,11 +14,11 @@ from canfb.device.pdo import COMMUNICATION, numbers
 from canfb.device.storage import Store
 from canfb.eds_files import eds_path
 from canfb.signal.sample import Sample
-from canfb.signal.source import Source, SourceEnded
 from canfb.simulation.fast_recording import COMMAND, RATE, RECORDING, FastRecorder
 from canfb.simulation.hearing import TRUE_TIME, Hearing
 from canfb.simulation.sample_clock import SampleClock
 from canfb.simulation.shaft_encoder import Machine
+from canfb.sources.protocol import Source, SourceEnded
 
 EDS = "encoder-interface"
 SAMPLE, CHANNELS, MAPPING = 0x2000, 0x6401, 0x1A00

@@ -1,4 +1,4 @@
-"""Samples without an encoder: of a simulated machine, or of a recording (:mod:`canfb.signal.source`)."""
+"""Samples without an encoder: of a simulated machine, or of a recording (:mod:`canfb.sources.protocol`)."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from canfb.errors import CanfbError
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import TICK_S
-from canfb.signal.source import SourceEnded
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion
 from canfb.simulation.shaft_encoder import ShaftEncoder
+from canfb.sources.protocol import SourceEnded
 
 
 class MotionSource:
