@@ -43,6 +43,7 @@ FOREIGN: dict[str, set[str]] = {
     "signal": {"numpy"},
     "calibration": {"numpy"},
     "device": {"canopen"},
+    "sources": {"numpy"},
     "simulation": {"numpy"},
     "configuration": {"yaml"},
     "commissioning": {"numpy", "canopen", "can", "yaml"},

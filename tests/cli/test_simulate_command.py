@@ -12,7 +12,8 @@ from canfb.cli.main import build_parser, main
 from canfb.cli.simulate import chosen_source
 from canfb.configuration import load_config
 from canfb.signal.sample import Sample
-from canfb.simulation.sources import MotionSource, RecordingSource
+from canfb.sources.motion_source import MotionSource
+from canfb.sources.recording_source import RecordingSource
 
 CHANNEL = "canfb-simulate"
 CONFIG = f"""\

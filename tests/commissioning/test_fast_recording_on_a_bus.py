@@ -17,7 +17,8 @@ from canfb.commissioning.procedure import Guard
 from canfb.configuration import Config
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp
-from canfb.simulation.sources import MotionSource
+from canfb.simulation.shaft_encoder import ShaftEncoder
+from canfb.sources.motion_source import MotionSource
 
 
 def position_errors(bench: Bench, motion: MotionSource, samples: int) -> list[float]:
@@ -34,7 +35,7 @@ def test_the_interface_records_and_the_position_becomes_right(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def source(encoder: Encoder, motion: Motion) -> MotionSource:
-        return MotionSource(encoder, motion, CYCLES, 1.0 / RATE_HZ, seed=7)
+        return MotionSource(ShaftEncoder(encoder, CYCLES, seed=7), motion, 1.0 / RATE_HZ)
 
     monkeypatch.setattr(commissioning_kit, "ChangingSource", source)
     bench = Bench(random_encoder(3), motion=Motion((Ramp(0.2, 0.0), Ramp(1.0, 13.3))))

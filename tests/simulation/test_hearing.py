@@ -20,7 +20,8 @@ from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.hearing import TRUE_TIME, SlowMotion
 from canfb.simulation.motion import Motion, Ramp
 from canfb.simulation.sample_clock import SampleClock
-from canfb.simulation.sources import MotionSource
+from canfb.simulation.shaft_encoder import ShaftEncoder
+from canfb.sources.motion_source import MotionSource
 
 NODE, TPDO1 = 16, 0x190
 SYNC = Frame(0x80, b"")
@@ -28,7 +29,7 @@ LATE_S = (0.01, 0.0101, 0.5, 0.5001, 3.0, 60.0, 60.01)  # when the SYNCs come
 
 
 def turning() -> MotionSource:
-    return MotionSource(Encoder(noise_lsb=0.0), Motion((Ramp(0.0, 60.0),)), 100, 1e-3)
+    return MotionSource(ShaftEncoder(Encoder(noise_lsb=0.0), 100), Motion((Ramp(0.0, 60.0),)), 1e-3)
 
 
 def slow(interval_s: float = 1e-3) -> tuple[EmbeddedBus, EncoderInterface, SlowMotion, list[Frame]]:

@@ -15,8 +15,8 @@ from canfb.commissioning.sample_files import read_npz
 from canfb.commissioning.samples import Samples
 from canfb.configuration import Config
 from canfb.errors import ConfigError
-from canfb.simulation.sources import RecordingLayout, RecordingSource
 from canfb.sources.protocol import SourceEnded
+from canfb.sources.recording_source import RecordingLayout, RecordingSource
 
 PDO, RECORDING, MODULE = "pdo", "recording", "module"
 DEFAULT_MODULE = 0x20

@@ -32,10 +32,12 @@ from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.hearing import SlowMotion
 from canfb.simulation.sample_recorder import SampleRecorder
 from canfb.simulation.scenario import PACES, MotionConfig
-from canfb.simulation.sources import ArraySource, MotionSource, RecordingLayout, RecordingSource
+from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_producer import SyncProducer
 from canfb.simulation.sync_rate import IN_SLOW_MOTION, IN_TRUE_TIME, SyncRateWatch
+from canfb.sources.motion_source import MotionSource
 from canfb.sources.protocol import Source
+from canfb.sources.recording_source import ArraySource, RecordingLayout, RecordingSource
 
 TIMES = ("time_column", "gap", "gap_samples")
 
@@ -204,12 +206,14 @@ def chosen_source(options: argparse.Namespace, config: Config) -> Source:
     if options.samples is not None:
         return open_recording(options.samples, _layout(options, module.times, sync_rate(options, config)))
     return MotionSource(
-        config.simulation.encoder.encoder(module.adc_bits),
+        ShaftEncoder(
+            config.simulation.encoder.encoder(module.adc_bits),
+            module.cycles_per_revolution,
+            config.simulation.seed,
+            config.simulation.aperture_jitter_s,
+        ),
         chosen_motion(options, config).motion(),
-        module.cycles_per_revolution,
         1.0 / sync_rate(options, config),
-        config.simulation.seed,
-        config.simulation.aperture_jitter_s,
     )
 
 

@@ -11,8 +11,10 @@ from canfb.commissioning.sample_files import read_npz
 from canfb.errors import ConfigError
 from canfb.module.config import ModuleConfig
 from canfb.simulation.scenario import SimulationConfig
-from canfb.simulation.sources import ArraySource, MotionSource, RecordingLayout, RecordingSource
+from canfb.simulation.shaft_encoder import ShaftEncoder
+from canfb.sources.motion_source import MotionSource
 from canfb.sources.protocol import Source
+from canfb.sources.recording_source import ArraySource, RecordingLayout, RecordingSource
 from canfb.sources.source_config import IioSourceConfig, MotionSourceConfig, RecordingSourceConfig
 
 
@@ -41,11 +43,11 @@ def open_source(
 
 def _motion(config: ModuleConfig, source: MotionSourceConfig, simulation: SimulationConfig) -> MotionSource:
     return MotionSource(
-        simulation.encoder.encoder(config.adc_bits),
+        ShaftEncoder(
+            simulation.encoder.encoder(config.adc_bits), config.cycles_per_revolution, simulation.seed
+        ),
         simulation.motion.motion(),
-        config.cycles_per_revolution,
         1.0 / source.rate_hz,
-        simulation.seed,
     )
 
 

@@ -1,4 +1,4 @@
-"""Samples without an encoder: of a simulated machine, or of a recording (:mod:`canfb.sources.protocol`)."""
+"""A recording as a source: a CSV file with a header line, or an NPZ file of canfb."""
 
 from __future__ import annotations
 
@@ -16,60 +16,7 @@ from canfb.errors import CanfbError
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import TICK_S
-from canfb.simulation.encoder import Encoder
-from canfb.simulation.motion import Motion
-from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.sources.protocol import SourceEnded
-
-
-class MotionSource:
-    """An encoder on a machine that moves, whether it is sampled or not; its motion is a function of time.
-
-    :meth:`sample_at` samples at a true time; the motion begins with the first one, or with the first
-    recording. :meth:`next` is for a module that samples itself, at the rate of 1 / ``interval_s``: one
-    interval passes with every sample. Use one of the two.
-    """
-
-    def __init__(
-        self,
-        encoder: Encoder,
-        motion: Motion,
-        cycles_per_revolution: int,
-        interval_s: float,
-        seed: int = 1,
-        aperture_jitter_s: float = 0.0,
-    ) -> None:
-        self._shaft = ShaftEncoder(encoder, cycles_per_revolution, seed, aperture_jitter_s)
-        self._motion = motion
-        self._interval_s = interval_s
-        self._count = 0
-        self._start_s: float | None = None
-
-    @property
-    def position_cycles(self) -> float:
-        """True position of the last sample, cycles."""
-        return self._shaft.position_cycles
-
-    def machine_time(self, now: float) -> float:
-        """The time of the motion, seconds, at the time ``now`` of the node."""
-        if self._start_s is None:
-            self._start_s = now
-        return max(0.0, now - self._start_s)
-
-    def fast_samples(self, times_s: npt.NDArray[np.float64], seed: tuple[int, int]) -> npt.NDArray[np.int16]:
-        """Both tracks at these times of the motion, shape (n, 2), in ADC counts."""
-        return self._shaft.fast_samples(self._motion.revolutions_at(times_s), seed)
-
-    def sample_at(self, now: float) -> Sample:
-        """The sample at the true time ``now`` of the node, seconds."""
-        return self._shaft.sample(self.machine_time(now), self._motion.revolutions)
-
-    def next(self) -> Sample:
-        """The sample one interval after the one before: both tracks alone."""
-        time_s = self._count * self._interval_s
-        self._count += 1
-        sine, cosine, *_ = self._shaft.sample(time_s, self._motion.revolutions)
-        return Sample(sine, cosine)
 
 
 @dataclass(frozen=True)
