@@ -19,9 +19,8 @@ from canfb.signal.supervision import COASTING, MISSED, VALID
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp
 from canfb.simulation.shaft_encoder import ShaftEncoder
-from canfb.sources.motion_source import MotionSource
+from canfb.sources.motion_source import MotionSource, MotionSourceConfig
 from canfb.sources.protocol import SourceEnded, SourceError
-from canfb.sources.source_config import MotionSourceConfig
 
 NODE = 32
 SYNC = Frame(0x80, b"")

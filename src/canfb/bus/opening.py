@@ -9,7 +9,7 @@ from typing import Any
 import can
 from can.interfaces.udp_multicast import UdpMulticastBus
 
-from canfb.errors import BusError, ConfigError
+from canfb.errors import BusError, ConfigError, reason
 
 # Buses of python-can that hand out what was sent through them, and say so (`is_rx` is false). SocketCAN and
 # Kvaser say it of frames of other processes on the same computer, which are to be heard.
@@ -74,11 +74,3 @@ def _advice(options: dict[str, Any], error: Exception) -> str:
             f"the driver of {interface} is not there{why}; install it, see python-can's page on {interface}"
         )
     return text
-
-
-def reason(error: Exception) -> str:
-    """One line on what an error of python-can or of the system says."""
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror
-    text = str(error).strip().splitlines()
-    return text[0] if text else type(error).__name__

@@ -7,6 +7,7 @@ import contextlib
 from collections.abc import Mapping
 from typing import Any
 
+from canfb.bus.hosting import open_source
 from canfb.bus.opening import check_device_bus, describe, open_bus
 from canfb.bus.readiness import Readiness
 from canfb.bus.realtime import apply_realtime
@@ -21,7 +22,6 @@ from canfb.cli.options import (
     report,
     say,
 )
-from canfb.cli.sources import open_source
 from canfb.configuration import load_config
 from canfb.device.datatypes import encode
 from canfb.device.image import ParameterGroup

@@ -24,7 +24,6 @@ from canfb.cli.options import (
 )
 from canfb.cli.simulate_drive import simulated_axis
 from canfb.cli.simulate_record import check_record, write_record
-from canfb.cli.sources import open_recording
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
 from canfb.simulation.demand import Demand, of_motion, of_recording
@@ -37,7 +36,7 @@ from canfb.simulation.sync_producer import SyncProducer
 from canfb.simulation.sync_rate import IN_SLOW_MOTION, IN_TRUE_TIME, SyncRateWatch
 from canfb.sources.motion_source import MotionSource
 from canfb.sources.protocol import Source
-from canfb.sources.recording_source import ArraySource, RecordingLayout, RecordingSource
+from canfb.sources.recording_source import ArraySource, RecordingLayout, RecordingSource, open_recording
 
 TIMES = ("time_column", "gap", "gap_samples")
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample_times import TICK_S, TICKS
+from canfb.sources.tracks_file import with_gaps
 
 MISSED = -32768
 """Both tracks at this value: no sample came (recordings of object 2050h)."""
@@ -34,12 +35,7 @@ class Samples:
     @classmethod
     def of(cls, sine: npt.ArrayLike, cosine: npt.ArrayLike, rate_hz: float | None, origin: str) -> Samples:
         """From counts; pairs of -32768 are missed samples. ValueError for arrays of different length."""
-        s, c = np.array(sine, np.float64), np.array(cosine, np.float64)
-        if s.ndim != 1 or s.shape != c.shape:
-            raise ValueError(f"sine and cosine must have one dimension and one length: {s.shape}, {c.shape}")
-        missed = (s == MISSED) & (c == MISSED) | np.isnan(s) | np.isnan(c)
-        s[missed] = c[missed] = np.nan
-        return cls(s, c, rate_hz, origin)
+        return cls(*with_gaps(sine, cosine), rate_hz, origin)
 
     @classmethod
     def from_bytes(cls, data: bytes, rate_hz: float | None, origin: str) -> Samples:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.sample import Sample
+from canfb.sources.protocol import Source
+from canfb.sources.source_config import SourceConfig, number
+from canfb.sources.surroundings import Surroundings
 
 RevolutionsAt = Callable[[float], float]
 """Position of the shaft in revolutions as a function of its time in seconds."""
@@ -38,6 +42,25 @@ class Trajectory(Protocol):
 
     def revolutions_at(self, times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Positions at these times, revolutions."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionSourceConfig(SourceConfig):
+    """The machine of the ``simulation:`` section; a sample is 1/``rate_hz`` (0.1..100000) after the last."""
+
+    kind: str = "motion"
+    rate_hz: float = 1000.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        number("rate_hz", self.rate_hz)
+        if not 0.1 <= self.rate_hz <= 100_000:
+            raise ValueError(f"rate_hz must be a number 0.1..100000, not {self.rate_hz!r}")
+
+    def open(self, surroundings: Surroundings) -> Source:
+        """The simulated machine."""
+        around = surroundings
+        return around.simulation.source(around.adc_bits, around.cycles_per_revolution, 1.0 / self.rate_hz)
 
 
 class MotionSource:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canfb.bus.hosting import open_source
 from canfb.cli.run import make_module
-from canfb.cli.sources import open_source
 from canfb.commissioning.sample_files import write_npz
 from canfb.commissioning.samples import Samples
 from canfb.configuration import parse_config
