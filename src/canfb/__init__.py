@@ -7,6 +7,7 @@ detection by the residual (eq. 12).
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING
 
 from canfb.calibration.drift import Drift, drift
@@ -69,6 +70,8 @@ __all__ = [
     "process_stream",
     "track",
 ]
+
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 
 def __getattr__(name: str) -> object:

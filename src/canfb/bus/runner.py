@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import signal
 import time
 from collections import deque
@@ -21,6 +22,8 @@ from canfb.bus.opening import brings_own_frames_back, marks_own_frames
 from canfb.bus.receive_times import ReceiveTimes
 from canfb.device.frame import NEVER, Frame
 from canfb.errors import CanfbError
+
+log = logging.getLogger(__name__)
 
 LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
 LEAST_WAIT_S = 2e-4  # what is not faster than that was waited for
@@ -98,7 +101,7 @@ class Runner:
         self,
         bus: can.BusABC,
         devices: list[Device],
-        report: Callable[[str], None] = lambda text: None,
+        report: Callable[[str], None] = log.warning,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
         wall: Callable[[], float] = time.time,

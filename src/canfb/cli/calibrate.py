@@ -25,7 +25,8 @@ from canfb.cli.calibrate_options import (
     samples_of_file,
     settings_of,
 )
-from canfb.cli.options import Commands, add_command, bus_options, report
+from canfb.cli.options import Commands, add_command, bus_options
+from canfb.cli.printing import report
 from canfb.cli.progress import Progress
 from canfb.commissioning import own_calibration
 from canfb.commissioning.access import Master

@@ -18,9 +18,9 @@ from canfb.cli.options import (
     bus_options,
     chosen_module,
     refuse_idle,
-    report,
     whole_number,
 )
+from canfb.cli.printing import report
 from canfb.commissioning.access import Master, NodeAccess, ObjectAbsentError
 from canfb.configuration import Config, load_config
 from canfb.device import datatypes

@@ -18,10 +18,9 @@ from canfb.cli.options import (
     bus_options,
     chosen_module,
     refuse_idle,
-    report,
-    say,
     whole_number,
 )
+from canfb.cli.printing import report, say
 from canfb.cli.simulate_drive import simulated_axis
 from canfb.cli.simulate_record import check_record, write_record
 from canfb.configuration import Config, load_config
