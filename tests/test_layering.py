@@ -42,7 +42,7 @@ TYPES_ONLY = {("errors", "calibration")}
 
 # What runs a source must not care which: a new kind is one file in sources/. The machine of the simulation
 # is a source, and a recording is what calibrate and simulate play.
-MAY_NAME_A_KIND = {"sources", "simulation", "demo", "cli"}
+MAY_NAME_A_KIND = {"sources", "simulation", "demo", "commissioning", "cli"}
 
 # What each part may import of other packages. canopen reads the EDS for the device, and is the master of
 # the demo and of the tools; python-can has the words of the command line; libiio has the converter of a

@@ -9,7 +9,6 @@ import pytest
 from commissioning_kit import EmbeddedMaster
 
 from canfb.cli.calibrate import over_bus
-from canfb.cli.calibrate_options import check_options
 from canfb.cli.config import EXAMPLE
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
@@ -47,7 +46,6 @@ def calibrated(text: str, folder: Path) -> tuple[FeedbackModule, EmbeddedBus, fl
     options = build_parser().parse_args(
         ["calibrate", "feedback.yaml", "--out", str(folder / "measured"), "--json"]
     )
-    check_options(options)
     prepare(options.out)
     try:
         assert over_bus(master, options, config, Progress(quiet=True), Guard(), "2026-03-01") == 0

@@ -10,7 +10,6 @@ import pytest
 from commissioning_kit import CYCLES, RATE_HZ, Bench, random_encoder
 
 from canfb.cli.calibrate import over_bus
-from canfb.cli.calibrate_options import check_options
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.commissioning.procedure import Guard
@@ -46,7 +45,6 @@ def test_the_interface_records_and_the_position_becomes_right(
     before = np.ptp(position_errors(bench, motion, 400))
     words = ["calibrate", "--method", "zero-crossings", "--source", "recording", "--seconds", "2", "--json"]
     options = build_parser().parse_args(words)
-    check_options(options)
     assert over_bus(bench.master, options, Config(), Progress(quiet=True), Guard(), "2026-03-01") == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["crc32"] == f"{bench.value(0x2020, 4):08X}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import re
 from typing import Any
@@ -28,6 +29,17 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
         return can.Bus(**options)
     except Exception as error:  # what the drivers raise has no common root
         raise BusError(f"cannot open the bus {describe(options)}: {_advice(options, error)}") from error
+
+
+def open_sync_bus(options: dict[str, Any], *, hears_itself: bool) -> can.BusABC:
+    """:func:`open_bus`, for a program that counts by the SYNC.
+
+    If it produces the SYNC, the bus ``hears_itself`` if it can be told to.
+    """
+    if hears_itself:
+        with contextlib.suppress(BusError):  # udp_multicast always does, and cannot be told
+            return open_bus(options | {"receive_own_messages": True})
+    return open_bus(options)
 
 
 def check_device_bus(options: dict[str, Any]) -> None:
