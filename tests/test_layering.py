@@ -196,3 +196,12 @@ def test_other_packages_are_where_they_belong() -> None:
 @each("file", FILES)
 def test_files_stay_small(file: Path) -> None:
     assert len(file.read_text(encoding="utf-8").splitlines()) <= LONGEST_FILE
+
+
+# A command parses, calls and prints; what it does has a room of its own.
+LONGEST_COMMAND = 120
+
+
+@each("file", [file for file in FILES if part_of(file) == "cli"])
+def test_commands_stay_thin(file: Path) -> None:
+    assert len(file.read_text(encoding="utf-8").splitlines()) <= LONGEST_COMMAND

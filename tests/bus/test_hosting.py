@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import signal
 from pathlib import Path
 
@@ -72,3 +73,17 @@ def test_what_it_opened_is_closed_when_something_is_wrong(config: Path) -> None:
     for _ in range(2):  # the state_dir is free again
         with pytest.raises(BusError, match="cannot open the bus nowhere"):
             Hosting(good, {"interface": "nowhere"}).__enter__()
+
+
+def test_the_program_of_the_page_runs(
+    config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "several-modules.md").read_text(encoding="utf-8")
+    (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    run = Hosting.run
+    monkeypatch.setattr(Hosting, "run", lambda hosting: run(hosting, hosting.stop))
+    monkeypatch.setattr(logging, "basicConfig", lambda **keys: None)
+    monkeypatch.chdir(config.parent)
+    config.rename("axes.yaml")
+    exec(compile(program, "several-modules.md", "exec"), {})
+    assert capsys.readouterr() == ("", "")

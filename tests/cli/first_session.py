@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from canfb.cli.config import EXAMPLE
+from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
 from canfb.cli.simulate_options import chosen
 from canfb.configuration import Config, parse_config

@@ -9,7 +9,7 @@ import pytest
 from commissioning_kit import EmbeddedMaster
 
 from canfb.cli.calibrate import over_bus
-from canfb.cli.config import EXAMPLE
+from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.cli.simulate_options import chosen

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from canfb.cli.config import EXAMPLE
+from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
 from canfb.sources.iio_source import IioSourceConfig
 from canfb.sources.registry import source_kinds
