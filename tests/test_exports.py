@@ -6,6 +6,7 @@ import inspect
 import subprocess
 import sys
 from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 
@@ -29,6 +30,8 @@ CONTRACT = {
     "load_config",
     "CanfbError",
     "CalibrationError",
+    "StateFiles",
+    "eds_path",
 }
 # What these take, give and raise; named in the contract without a place of their own, or added.
 ADDITIONS = {
@@ -68,6 +71,8 @@ SIGNATURES = {
     "FeedbackModule.deadline": ["self"],
     "Frame": ["can_id", "data", "rtr", "timestamp"],
     "load_config": ["path"],
+    "StateFiles": ["folder"],
+    "eds_path": ["name"],
 }
 DEFAULTS = {
     ("Tracker", "residual_limit"): 1 / 3,
@@ -162,3 +167,15 @@ def test_the_version_is_that_of_the_package() -> None:
     assert canfb.__version__ == version("canfb")
     with pytest.raises(AttributeError, match="no attribute 'versions'"):
         _ = canfb.versions
+
+
+def test_a_module_of_ones_own_saves_in_a_folder(tmp_path: Path) -> None:
+    heartbeat, save = bytes.fromhex("2B171000F4010000"), bytes.fromhex("2310100173617665")
+    for saved in (False, True):
+        with canfb.StateFiles(tmp_path / "state") as store:
+            module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=32), store)
+            module.start(0.0)
+            assert module.dictionary.entry(0x1017).value == (500 if saved else 0)
+            for number, data in enumerate((heartbeat, save)):
+                (answer,) = module.receive(canfb.Frame(0x620, data), 0.1 * number)
+                assert answer.data[0] == 0x60

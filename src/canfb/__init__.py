@@ -7,12 +7,16 @@ detection by the residual (eq. 12).
 
 from __future__ import annotations
 
+import logging
+from typing import TYPE_CHECKING
+
 from canfb.calibration.drift import Drift, drift
 from canfb.calibration.motion import calibrate_from_motion
 from canfb.calibration.result import Calibration
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config, load_config
+from canfb.eds_files import eds_path
 from canfb.errors import BusError, CalibrationError, CanfbError, ConfigError
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
@@ -28,6 +32,9 @@ from canfb.signal.phase import phase_in_cycle
 from canfb.signal.sample import Sample
 from canfb.signal.stream import ChainResult, process_stream
 from canfb.signal.tracker import Track, Tracker, TrackResult, track
+
+if TYPE_CHECKING:
+    from canfb.bus.state_files import StateFiles
 
 __all__ = [
     "BusError",
@@ -47,6 +54,7 @@ __all__ = [
     "ModuleConfig",
     "Sample",
     "SignalChain",
+    "StateFiles",
     "StatusBit",
     "Track",
     "TrackResult",
@@ -54,6 +62,7 @@ __all__ = [
     "calibrate_from_motion",
     "calibrate_from_zero_crossings",
     "drift",
+    "eds_path",
     "load_config",
     "max_acceleration",
     "max_speed",
@@ -63,9 +72,15 @@ __all__ = [
     "track",
 ]
 
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
-def __getattr__(name: str) -> str:
-    """``__version__``, that of the installed package: read when it is asked for."""
+
+def __getattr__(name: str) -> object:
+    """``__version__``, that of the installed package, and ``StateFiles``: read when they are asked for."""
+    if name == "StateFiles":  # of bus/, which a program without a bus does not load
+        from canfb.bus.state_files import StateFiles
+
+        return StateFiles
     if name == "__version__":
         from importlib.metadata import version
 

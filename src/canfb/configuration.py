@@ -19,10 +19,11 @@ import yaml
 from canfb.checks import flag, integer_in
 from canfb.errors import ConfigError
 from canfb.module.config import UNCONFIGURED, ModuleConfig
-from canfb.module.source_config import SOURCE_KINDS, IioSourceConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.cia402.config import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
+from canfb.sources.registry import source_kinds
+from canfb.sources.source_config import SourceConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +69,6 @@ _NESTED: dict[str, type] = {
     "drive": DriveConfig,
 }
 _LISTS = frozenset({"modules", "harmonics"})
-_VALUE_LISTS = frozenset({"columns"})
 
 
 _LONGEST_MESSAGE = 300
@@ -177,23 +177,23 @@ class _Reader:
         if not isinstance(node, yaml.MappingNode):
             raise self.fail(node, f"{where} must be a mapping of keys to values")
         self._check_tag(node, "map", where)
-        known = [f.name for f in dataclasses.fields(kind) if f.metadata.get("key", True)]
+        known = {f.name: f for f in dataclasses.fields(kind) if f.metadata.get("key", True)}
         values: dict[str, Any] = {}
         lines: dict[str, yaml.Node] = {}
         for key_node, value_node in self._pairs(node, where):
             key = key_node.value
             if key not in known:
-                raise self.fail(key_node, self._unknown(key, known, where))
-            values[key] = self._value(key, value_node, where)
+                raise self.fail(key_node, self._unknown(key, list(known), where))
+            is_list = known[key].metadata.get("list", False)
+            values[key] = self._value(key, value_node, where, is_list)
             lines[key] = key_node
         for required in dataclasses.fields(kind):
             no_default = required.default is required.default_factory is dataclasses.MISSING
             if no_default and required.name not in values:
                 raise self.fail(node, f"'{required.name}' is missing in {where}")
         try:
-            if isinstance(source := values.get("source"), IioSourceConfig):
-                # The default of the module says nothing of this converter.
-                values["source"] = dataclasses.replace(source, adc_bits=values.get("adc_bits"))
+            if isinstance(source := values.get("source"), SourceConfig):
+                values["source"] = source.of_module(values)
             return kind(**values)
         except (ValueError, TypeError) as error:
             guilty = self._guilty(str(error), lines)
@@ -220,12 +220,12 @@ class _Reader:
         words = re.findall(r"\w+", message)
         return next((lines[word] for word in words if word in lines), None)
 
-    def _value(self, key: str, node: yaml.Node, where: str) -> Any:
+    def _value(self, key: str, node: yaml.Node, where: str, is_list: bool) -> Any:
         if key == "bus":
             return self._bus(node)
         if key == "source":
             return self._source(node)
-        if key in _VALUE_LISTS and isinstance(node, yaml.SequenceNode):
+        if is_list and isinstance(node, yaml.SequenceNode):
             self._check_tag(node, "seq", f"'{key}' in {where}")
             return [self._single(item, f"a part of '{key}' in {where}") for item in node.value]
         if key not in _NESTED:
@@ -254,13 +254,14 @@ class _Reader:
             raise self.fail(
                 node, "'source' must be a mapping with a kind, such as {kind: iio, device: ads7950}"
             )
+        known = source_kinds()
         kinds = [value for key, value in self._pairs(node, "source") if key.value == "kind"]
         if not kinds:
-            raise self.fail(node, f"'kind' is missing in source; known are {', '.join(SOURCE_KINDS)}")
+            raise self.fail(node, f"'kind' is missing in source; known are {', '.join(known)}")
         kind = kinds[0].value if isinstance(kinds[0], yaml.ScalarNode) else None
-        if kind not in SOURCE_KINDS:
-            raise self.fail(kinds[0], f"unknown kind {kind!r} of source; known are {', '.join(SOURCE_KINDS)}")
-        return self.read(node, SOURCE_KINDS[kind], "source")
+        if kind not in known:
+            raise self.fail(kinds[0], f"unknown kind {kind!r} of source; known are {', '.join(known)}")
+        return self.read(node, known[kind], "source")
 
     def _single(self, node: yaml.Node, what: str) -> Any:
         if not isinstance(node, yaml.ScalarNode):

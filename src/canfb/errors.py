@@ -5,7 +5,7 @@ CanfbError
 ├── CalibrationError    a reference measurement that was refused
 ├── BusError            a bus that cannot be opened or that has gone for good
 ├── StateDirError       a state_dir that cannot be used (canfb.bus.state_files)
-├── SourceError         a source of samples that cannot give one (canfb.signal.source)
+├── SourceError         a source of samples that cannot give one (canfb.sources.protocol)
 └── EdsNotFoundError    an EDS file that is not there (canfb.eds_files)
 """
 
@@ -41,3 +41,11 @@ class ConfigError(CanfbError):
 
 class BusError(CanfbError):
     """A bus that cannot be opened or that has gone for good."""
+
+
+def reason(error: Exception) -> str:
+    """One line on what an error of another library or of the system says."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    text = str(error).strip().splitlines()
+    return text[0] if text else type(error).__name__

@@ -14,9 +14,9 @@ import can
 import pytest
 from fake_bus import FakeBus, FakeClock, message
 
+from canfb.bus import hosting
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
-from canfb.cli import run as command
 from canfb.cli.main import main
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
@@ -107,12 +107,12 @@ def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
         clock = FakeClock()
         bus = EndingBus(clock, plan)
 
-        def make_runner(bus: Any, devices: Any, report: Any) -> Runner:
-            bus.runner = Runner(bus, devices, report, clock, clock.sleep)
+        def make_runner(bus: Any, devices: Any) -> Runner:
+            bus.runner = Runner(bus, devices, clock=clock, sleep=clock.sleep)
             return bus.runner
 
-        monkeypatch.setattr(command, "open_bus", lambda words: contextlib.nullcontext(bus))
-        monkeypatch.setattr(command, "Runner", make_runner)
+        monkeypatch.setattr(hosting, "open_bus", lambda words: contextlib.nullcontext(bus))
+        monkeypatch.setattr(hosting, "Runner", make_runner)
         story = Story(main(["run", str(config), "-i", "socketcan", "-c", "can7"]))
         for _, sent in bus.sent:
             story.sent.setdefault(sent.arbitration_id, []).append(bytes(sent.data))

@@ -19,8 +19,9 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion
-from canfb.simulation.sources import MotionSource
+from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_producer import SyncProducer
+from canfb.sources.motion_source import MotionSource
 
 WALL_S = 1.8e9  # the time of day minus the clock of the runner
 BROKEN = can.CanOperationError("the cable is off", 100)
@@ -416,7 +417,9 @@ def test_a_device_that_raises_at_a_frame_of_another_device() -> None:
 def test_module_interface_and_sync_in_one_process() -> None:
     """The devices themselves: a second of SYNC at 100 Hz gives a position for each sample."""
     bench = Bench()
-    source = MotionSource(Encoder(amplitude_counts=1500.0), Motion((), start_rpm=0.6), 2500, 0.01)
+    source = MotionSource(
+        ShaftEncoder(Encoder(amplitude_counts=1500.0), 2500), Motion((), start_rpm=0.6), 0.01
+    )
     module = FeedbackModule(ModuleConfig(node_id=32, autostart=True))
     interface = EncoderInterface(16, source, autostart=True)
     runner = bench.run([module, interface, SyncProducer(0.01)], 1.005)

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from canfb.bus.bus_state import LASTING_S, SETTLED_S
+from canfb.bus.module_lines import name_of, summary_of
 from canfb.cia301.codes import EmergencyCode
 from canfb.cia301.frame import Frame
 from canfb.cli.main import main
-from canfb.cli.run import _name, _summary
 from canfb.configuration import parse_config
 from canfb.errors import ConfigError
 from canfb.module.config import ModuleConfig
@@ -52,9 +52,9 @@ def test_what_may_be_the_same() -> None:
 
 
 def test_the_lines_are_those_of_the_program() -> None:
-    names = ", ".join(_name(module) for module in modules())
+    names = ", ".join(name_of(module) for module in modules())
     assert LINES[0] == f"running node {names} on socketcan can0; end with Ctrl-C"
-    assert [line.replace("81230", "0") for line in LINES[1:4]] == [_summary(module) for module in modules()]
+    assert [line.replace("81230", "0") for line in LINES[1:4]] == [summary_of(module) for module in modules()]
 
 
 def test_the_alarm() -> None:

@@ -7,14 +7,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from canfb.cia301.frame import Frame
-from canfb.cli.config import EXAMPLE
+from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
-from canfb.cli.simulate import chosen_source
+from canfb.cli.simulate_options import chosen
 from canfb.configuration import Config, parse_config
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import VALID
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.set_up import source_of
 from canfb.simulation.sync_producer import SyncProducer
 
 START_ALL = Frame(0x000, b"\x01\x00")
@@ -35,7 +36,7 @@ class Session:
     def __post_init__(self) -> None:
         self.config: Config = parse_config(self.text)
         arguments = ["simulate", "feedback.yaml", "--rate", str(self.rate_hz), *self.options]
-        self.source: Any = chosen_source(build_parser().parse_args(arguments), self.config)
+        self.source: Any = source_of(*chosen(build_parser().parse_args(arguments), self.config))
         self.module = FeedbackModule(self.config.modules[0])
         config = self.config.modules[0]
         self.interface = EncoderInterface(config.encoder_interface, self.source, times=config.times)

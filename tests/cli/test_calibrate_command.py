@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canfb.cli import main as command
+from canfb.bus import opening
 from canfb.cli.main import main
 from canfb.cli.progress import CLEAR, Progress
 from canfb.errors import BusError
@@ -104,7 +104,7 @@ def test_who_produces_the_sync_has_to_hear_it(
         opened.append(words)
         raise BusError("no")
 
-    monkeypatch.setattr(command.calibrate, "open_bus", refuse)
+    monkeypatch.setattr(opening, "open_bus", refuse)
     bus = ["-i", "virtual", "-c", "x"]
     assert failed([*bus, "--sync", "100"], capsys) == (1, "no")
     assert failed(bus, capsys) == (1, "no")

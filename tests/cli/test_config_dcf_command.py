@@ -10,9 +10,10 @@ import canopen
 import numpy as np
 import pytest
 
+from canfb.bus.saved_configuration import saved_configuration
 from canfb.bus.state_files import StateFiles
-from canfb.cli.config_dcf import configured, read_node
 from canfb.cli.main import main
+from canfb.commissioning.module_objects import ModuleObjects
 from canfb.configuration import load_config
 from canfb.demo.plant import EmbeddedNetwork
 from canfb.device.concise import decode_concise
@@ -22,6 +23,7 @@ from canfb.errors import CanfbError
 from canfb.module.config import ModuleConfig
 from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.read_configuration import read_configuration
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.simulation.embedded_bus import EmbeddedBus
@@ -82,7 +84,7 @@ def test_a_dcf_that_makes_a_module_as_delivered_the_one_of_the_configuration(
     assert (dictionary.node_id, dictionary.bitrate) == (0x21, 250_000)
     peer = Peer(ModuleConfig(node_id=0x21), dictionary=dictionary)
     peer.remote.load_configuration()
-    wanted = configured(load_config(yaml).modules[0])
+    wanted = saved_configuration(load_config(yaml).modules[0])
     assert configuration_of(peer.module).values() == wanted.values()
     assert decode_concise(Path("module.bin").read_bytes()) == wanted.writes()
     text = Path("module-21h.dcf").read_text()
@@ -223,7 +225,7 @@ def test_what_a_master_in_the_order_of_the_indices_cannot_write_is_told(
 def test_a_live_module_is_read_by_sdo() -> None:
     peer = Peer(ModuleConfig(node_id=5, adc_bits=14, serial_number=4711, conditioning=Conditioning(1.5)))
     peer.activate(TABLE)
-    read = read_node(peer, 5)  # type: ignore[arg-type]
+    read = read_configuration(ModuleObjects(peer, 5))  # type: ignore[arg-type]
     assert read.values() == configuration_of(peer.module).values()
     assert read.writes() == configuration_of(peer.module).writes()
     assert (read.node_id, read.serial_number, read.table) == (5, 4711, TABLE.to_bytes())
@@ -233,11 +235,11 @@ def test_a_node_that_is_none_of_ours() -> None:
     peer = Peer(ModuleConfig(node_id=5))
     peer.module.dictionary.entry(0x1000).value = 0x00040191
     with pytest.raises(CanfbError, match=r"node 5 \(05h\) is no feedback module of canfb: 1000:00 is 40191h"):
-        read_node(peer, 5)  # type: ignore[arg-type]
+        read_configuration(ModuleObjects(peer, 5))  # type: ignore[arg-type]
 
 
 def test_a_module_of_another_version() -> None:
     peer = Peer(ModuleConfig(node_id=5))
     del peer.module.dictionary._entries[0x2010, 4]
     with pytest.raises(CanfbError, match=r"2010:04 is refused: .* another version of canfb"):
-        read_node(peer, 5)  # type: ignore[arg-type]
+        read_configuration(ModuleObjects(peer, 5))  # type: ignore[arg-type]

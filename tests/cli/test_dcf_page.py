@@ -11,6 +11,7 @@ from typing import Any
 import canopen
 import pytest
 
+from canfb.bus.saved_configuration import saved_configuration
 from canfb.cia301.frame import Frame
 from canfb.cli import config_dcf
 from canfb.cli.main import main
@@ -72,7 +73,7 @@ def test_commands_and_examples_make_the_module_of_the_configuration(
     monkeypatch.setattr(canopen, "Network", lambda: network)
     names: dict[str, Any] = {}
     exec(compile(EXAMPLES[0], "docs/dcf.md", "exec"), names)
-    wanted = config_dcf.configured(load_config("feedback.yaml").modules[0])
+    wanted = saved_configuration(load_config("feedback.yaml").modules[0])
     assert configuration_of(network.module).values() == wanted.values()
 
     # The third command reads the module; the second example writes what it has read.

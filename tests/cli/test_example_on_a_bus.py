@@ -7,7 +7,7 @@ import pytest
 from first_session import Session
 
 import canfb
-from canfb.cli.config import EXAMPLE
+from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
 from canfb.signal.limits import max_acceleration
 from canfb.simulation.demand import of_motion

@@ -14,10 +14,11 @@ import can
 import canopen
 import pytest
 
+from canfb.bus.hosting import make_module
 from canfb.bus.state_files import StateDirError
 from canfb.cia301.frame import Frame
 from canfb.cli.main import main
-from canfb.cli.run import make_module
+from canfb.cli.printing import printed_log
 from canfb.eds_files import eds_path
 from canfb.module.config import ModuleConfig
 
@@ -51,7 +52,8 @@ def test_parameters_that_are_refused_are_told_in_one_line(
 ) -> None:
     config = ModuleConfig(node_id=32, state_dir=str(tmp_path))
     (tmp_path / "manufacturer.bin").write_bytes(b"?")
-    exchanged(config)
+    with printed_log():
+        exchanged(config)
     assert capsys.readouterr().err == (
         f"canfb: node 32: stored manufacturer parameters in {tmp_path} refused: no stored parameters, "
         "or cut off; the defaults are in force\n"

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from canfb.cli.main import build_parser, main
-from canfb.cli.simulate import chosen_source
+from canfb.cli.simulate_options import chosen
 from canfb.configuration import load_config
 from canfb.signal.sample import Sample
-from canfb.simulation.sources import MotionSource, RecordingSource
+from canfb.simulation.set_up import source_of
+from canfb.sources.motion_source import MotionSource
+from canfb.sources.recording_source import RecordingSource
 
 CHANNEL = "canfb-simulate"
 CONFIG = f"""\
@@ -128,9 +130,9 @@ def test_a_file_that_is_no_recording(
     assert refused([config, "--samples", str(path)], capsys) == (1, f"{path}{want}")
 
 
-def source_of(arguments: list[str]) -> MotionSource | RecordingSource:
+def opened(arguments: list[str]) -> MotionSource | RecordingSource:
     options = build_parser().parse_args(["simulate", *arguments])
-    source = chosen_source(options, load_config(options.config))
+    source = source_of(*chosen(options, load_config(options.config)))
     assert isinstance(source, (MotionSource, RecordingSource))
     return source
 
@@ -145,7 +147,7 @@ def source_of(arguments: list[str]) -> MotionSource | RecordingSource:
     ],
 )
 def test_speed_rate_and_module_move_the_machine(options: list[str], cycles: float, config: str) -> None:
-    source = source_of([config, *options])
+    source = opened([config, *options])
     assert isinstance(source, MotionSource)
     assert source.next() == Sample(0, 1024)
     source.next()
@@ -154,10 +156,10 @@ def test_speed_rate_and_module_move_the_machine(options: list[str], cycles: floa
 
 def test_gaps_and_mid_scale_of_a_recording(config: str, samples: str) -> None:
     options = ["--columns", "a,b", "--mid-scale", "2048", "--time-column", "t", "--gap-samples", "2"]
-    source = source_of([config, "--samples", samples, *options])
+    source = opened([config, "--samples", samples, *options])
     played = [source.next() for _ in range(5)]
     assert played == [Sample(100, -100), None, None, Sample(300, -300), Sample(400, -400)]
-    far = source_of([config, "--samples", samples, *options, "--gap", "1"])
+    far = opened([config, "--samples", samples, *options, "--gap", "1"])
     assert far.next() == Sample(100, -100)
     assert far.next() == Sample(200, -200)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import re
 import struct
@@ -12,15 +11,17 @@ import can
 import pytest
 
 from canfb.bus.runner import Device, Runner
+from canfb.bus.simulating import fed_module
 from canfb.cia301.frame import Frame
-from canfb.cli.main import main
-from canfb.cli.simulate_drive import simulated_axis
+from canfb.cli.main import build_parser, main
+from canfb.cli.simulate_options import chosen
 from canfb.configuration import Config, parse_config
 from canfb.errors import ConfigError
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.cia402.config import DriveConfig
 from canfb.simulation.cia402.state_machine import State
 from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.simulated_axis import SimulatedAxis, simulated_axis
 
 MODULES = "modules: [{node_id: 0x20, encoder_interface: 0x10}]\n"
 
@@ -29,22 +30,22 @@ def parsed(drive: str, modules: str = MODULES) -> Config:
     return parse_config(f"{modules}simulation:\n  drive: {drive}\n", "drive.yaml")
 
 
-def options(**given: object) -> argparse.Namespace:
-    return argparse.Namespace(
-        **({"samples": None, "rpm": None, "rate": None, "module": None, "autostart": False} | given)
+def axis_of(config: Config, rate_hz: float | None = None, module: int = 0) -> SimulatedAxis | None:
+    return simulated_axis(
+        config.simulation, fed_module(config.modules[module]), autostart=True, rate_hz=rate_hz
     )
 
 
 def test_without_the_section_there_is_no_drive() -> None:
     assert parse_config(MODULES).simulation.drive is None
-    assert simulated_axis(options(), parse_config(MODULES)) is None
+    assert axis_of(parse_config(MODULES)) is None
 
 
 def test_the_yaml_of_the_page_is_a_drive() -> None:
     page = (Path(__file__).parents[2] / "docs" / "simulation.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
     (drive,) = [config for config in map(parse_config, blocks) if config.simulation.drive is not None]
-    axis = simulated_axis(options(rate=1000.0), drive)
+    axis = axis_of(drive, 1000.0)
     assert axis is not None
     assert axis.demand is not None
     assert axis.demand.warning() is None
@@ -117,19 +118,19 @@ def test_a_module_that_samples_itself_has_no_encoder_interface() -> None:
 @pytest.mark.parametrize(("option", "value"), [("samples", "x.csv"), ("rpm", 5.0)])
 def test_what_else_would_move_the_encoder_is_refused(option: str, value: object) -> None:
     with pytest.raises(ConfigError, match=f"--{option}: the drive"):
-        simulated_axis(options(**{option: value}), parsed("{}"))
+        chosen(build_parser().parse_args(["simulate", "x", f"--{option}", str(value)]), parsed("{}"))
 
 
 def test_a_module_without_a_node_id_has_no_position_to_take() -> None:
     with pytest.raises(ConfigError, match="no node_id"):
-        simulated_axis(options(), parsed("{}", "modules: [{node_id: 255, encoder_interface: 0x10}]\n"))
+        axis_of(parsed("{}", "modules: [{node_id: 255, encoder_interface: 0x10}]\n"))
 
 
 def test_the_drive_is_set_up_for_its_module() -> None:
     modules = (
         "modules: [{node_id: 0x20}, {node_id: 0x21, encoder_interface: 0x11, cycles_per_revolution: 512}]\n"
     )
-    axis = simulated_axis(options(module=0x21, rate=500.0), parsed("{synchronous_feedback: true}", modules))
+    axis = axis_of(parsed("{synchronous_feedback: true}", modules), 500.0, module=1)
     assert axis is not None
     values = {
         place: axis.drive.dictionary.entry(*place).value
@@ -158,7 +159,7 @@ def test_the_drive_is_set_up_for_its_module() -> None:
     ],
 )
 def test_a_motor_that_the_module_cannot_follow_is_told(rate: float, words: str | None) -> None:
-    axis = simulated_axis(options(rate=rate), parsed("{}"))
+    axis = axis_of(parsed("{}"), rate)
     assert axis is not None
     assert axis.demand is not None
     assert axis.demand.describe().startswith(
@@ -169,7 +170,7 @@ def test_a_motor_that_the_module_cannot_follow_is_told(rate: float, words: str |
 
 
 def test_without_a_rate_of_its_own_nothing_is_known_of_what_the_module_follows() -> None:
-    axis = simulated_axis(options(), parsed("{}"))
+    axis = axis_of(parsed("{}"))
     assert axis is not None
     assert axis.demand is None
 
@@ -225,7 +226,7 @@ def message(frame: Frame, received_s: float) -> can.Message:
 def test_all_in_one_process_on_a_runner_move_the_shaft() -> None:
     """The order of the devices, and frames between them, are those of the command."""
     config = parsed("{}")
-    axis = simulated_axis(options(autostart=True), config)
+    axis = axis_of(config)
     assert axis is not None
     module = FeedbackModule(config.modules[0])
     interface = EncoderInterface(0x10, axis.source, autostart=True)

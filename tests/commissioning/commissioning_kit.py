@@ -24,9 +24,10 @@ from canfb.simulation.encoder import Encoder, Harmonic
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion, Ripple
 from canfb.simulation.sample_clock import SampleClock
-from canfb.simulation.sources import MotionSource
+from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_producer import SyncProducer
 from canfb.simulation.sync_timing import REGULAR, SyncTiming
+from canfb.sources.motion_source import MotionSource
 
 MODULE_ID, INTERFACE_ID = 0x20, 0x10
 RATE_HZ = 1000.0
@@ -57,7 +58,7 @@ class ChangingSource:
     """A motion whose encoder or counts a test may change on the way."""
 
     def __init__(self, encoder: Encoder, motion: Motion) -> None:
-        self.motion = MotionSource(encoder, motion, CYCLES, 1.0 / RATE_HZ, seed=7)
+        self.motion = MotionSource(ShaftEncoder(encoder, CYCLES, seed=7), motion, 1.0 / RATE_HZ)
         self.change: Callable[[tuple[float, float]], tuple[float, float] | None] = lambda counts: counts
 
     def next(self) -> Sample | None:

@@ -12,7 +12,6 @@ import pytest
 from commissioning_kit import CYCLES, Bench, random_encoder
 
 from canfb.cli.calibrate import over_bus
-from canfb.cli.calibrate_options import check_options
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.commissioning.access import CommissioningError
@@ -30,7 +29,6 @@ SHORT = ("--seconds", "1.5", "--least-samples", "1000", "--verify", "0.6")
 
 def calibrate(bench: Bench, *arguments: str, progress: Progress | None = None) -> int:
     options = build_parser().parse_args(["calibrate", *SHORT, *arguments])
-    check_options(options)
     if options.out:
         prepare(options.out)
     quiet = progress or Progress(quiet=True)

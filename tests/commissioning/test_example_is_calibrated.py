@@ -10,11 +10,10 @@ from commissioning_kit import EmbeddedMaster
 
 from canfb.cia301.frame import Frame
 from canfb.cli.calibrate import over_bus
-from canfb.cli.calibrate_options import check_options
-from canfb.cli.config import EXAMPLE
+from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
-from canfb.cli.simulate import chosen_source
+from canfb.cli.simulate_options import chosen
 from canfb.commissioning.artefacts import prepare
 from canfb.commissioning.procedure import Guard
 from canfb.configuration import parse_config
@@ -23,6 +22,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import TABLE_ACTIVE, VALID
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.set_up import source_of
 from canfb.simulation.sync_producer import SyncProducer
 
 RATE_HZ = 100.0
@@ -34,7 +34,9 @@ def calibrated(text: str, folder: Path) -> tuple[FeedbackModule, EmbeddedBus, fl
     simulate = build_parser().parse_args(["simulate", "feedback.yaml", "--rate", str(RATE_HZ)])
     bus, module = EmbeddedBus(), FeedbackModule(config.modules[0])
     interface = EncoderInterface(
-        config.modules[0].encoder_interface, chosen_source(simulate, config), times=config.modules[0].times
+        config.modules[0].encoder_interface,
+        source_of(*chosen(simulate, config)),
+        times=config.modules[0].times,
     )
     master = EmbeddedMaster(bus)
     for device in (module, interface, SyncProducer(1.0 / RATE_HZ)):
@@ -44,7 +46,6 @@ def calibrated(text: str, folder: Path) -> tuple[FeedbackModule, EmbeddedBus, fl
     options = build_parser().parse_args(
         ["calibrate", "feedback.yaml", "--out", str(folder / "measured"), "--json"]
     )
-    check_options(options)
     prepare(options.out)
     try:
         assert over_bus(master, options, config, Progress(quiet=True), Guard(), "2026-03-01") == 0

@@ -10,14 +10,14 @@ import pytest
 from commissioning_kit import CYCLES, RATE_HZ, Bench, random_encoder
 
 from canfb.cli.calibrate import over_bus
-from canfb.cli.calibrate_options import check_options
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.commissioning.procedure import Guard
 from canfb.configuration import Config
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp
-from canfb.simulation.sources import MotionSource
+from canfb.simulation.shaft_encoder import ShaftEncoder
+from canfb.sources.motion_source import MotionSource
 
 
 def position_errors(bench: Bench, motion: MotionSource, samples: int) -> list[float]:
@@ -34,7 +34,7 @@ def test_the_interface_records_and_the_position_becomes_right(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def source(encoder: Encoder, motion: Motion) -> MotionSource:
-        return MotionSource(encoder, motion, CYCLES, 1.0 / RATE_HZ, seed=7)
+        return MotionSource(ShaftEncoder(encoder, CYCLES, seed=7), motion, 1.0 / RATE_HZ)
 
     monkeypatch.setattr(commissioning_kit, "ChangingSource", source)
     bench = Bench(random_encoder(3), motion=Motion((Ramp(0.2, 0.0), Ramp(1.0, 13.3))))
@@ -45,7 +45,6 @@ def test_the_interface_records_and_the_position_becomes_right(
     before = np.ptp(position_errors(bench, motion, 400))
     words = ["calibrate", "--method", "zero-crossings", "--source", "recording", "--seconds", "2", "--json"]
     options = build_parser().parse_args(words)
-    check_options(options)
     assert over_bus(bench.master, options, Config(), Progress(quiet=True), Guard(), "2026-03-01") == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["crc32"] == f"{bench.value(0x2020, 4):08X}"

@@ -11,7 +11,6 @@ from commissioning_kit import CYCLES, RATE_HZ, Bench, random_encoder
 
 import canfb
 from canfb.cli.calibrate import over_bus
-from canfb.cli.calibrate_options import check_options
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.commissioning.active import NOTHING_ACTIVE, read_active
@@ -77,7 +76,6 @@ def test_the_step_that_is_named_leads_away_from_every_lock() -> None:
 def refused(bench: Bench, *arguments: str) -> tuple[CalibrationError, float]:
     """The refusal, and how long it took from the start of the command."""
     options = build_parser().parse_args(["calibrate", *arguments])
-    check_options(options)
     began = bench.bus.now
     with pytest.raises(CalibrationError) as error:
         over_bus(bench.master, options, Config(), Progress(quiet=True), Guard(), "2026-03-01")
@@ -124,6 +122,5 @@ def test_a_machine_that_starts_within_them_is_measured(capsys: pytest.CaptureFix
     options = build_parser().parse_args(
         ["calibrate", "--seconds", "4", "--least-samples", "3000", "--verify", "0.6", "--dry-run"]
     )
-    check_options(options)
     assert over_bus(bench.master, options, Config(), Progress(quiet=True), Guard(), "2026-03-01") == 0
     assert "Accepted." in capsys.readouterr().out

@@ -14,7 +14,6 @@ from test_calibrate_on_a_bus import SHORT
 
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.calibrate import over_bus
-from canfb.cli.calibrate_options import check_options
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.commissioning.active import NOTHING_ACTIVE, read_active
@@ -25,7 +24,6 @@ from canfb.configuration import Config
 def interrupted(bench: Bench, times: int, stream: TextIO, gone: int | None = None) -> None:
     """`canfb calibrate`, and SIGHUP as soon as the new table is active; ``gone``: and the terminal."""
     options = build_parser().parse_args(["calibrate", *SHORT])
-    check_options(options)
     guard, terminal = Guard(), [] if gone is None else [gone]
 
     def hang_up(now: float) -> None:

@@ -9,7 +9,8 @@ import pytest
 from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench
 from test_calibrate_on_a_bus import calibrate, position_errors
 
-from canfb.cli.calibrate_options import chosen_nodes
+from canfb.cli.calibrate import nodes_of
+from canfb.cli.calibrate_options import choices_of
 from canfb.cli.main import build_parser
 from canfb.commissioning.access import CommissioningError
 from canfb.configuration import parse_config
@@ -53,4 +54,4 @@ def test_without_an_adc_pdo_it_says_what_to_do(source: str) -> None:
 def test_the_configuration_of_such_a_module_names_no_encoder_interface() -> None:
     config = parse_config("modules: [{node_id: 16, source: {kind: motion}}]")
     options = build_parser().parse_args(["calibrate"])
-    assert chosen_nodes(options, config) == (16, None)
+    assert choices_of(options).nodes(nodes_of(config)) == (16, None)

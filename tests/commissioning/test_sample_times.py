@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cli.calibrate import over_bus
-from canfb.cli.calibrate_options import check_options
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.commissioning.listening import PdoRecorder, listen
@@ -94,7 +93,6 @@ def test_calibrating_on_a_bus_that_jitters(rpm: float, capsys: pytest.CaptureFix
     bench.access.write(0x1006, 0, "I", 1000)
     bench.bus.run_until(0.2)
     options = build_parser().parse_args(["calibrate", "--seconds", "5", "--no-save", "--json"])
-    check_options(options)
     assert over_bus(bench.master, options, Config(), Progress(quiet=True), Guard(), "2026-03-01") == 0
     figures = json.loads(capsys.readouterr().out)
     noise = bench.encoder.noise_lsb / (2 * np.pi * bench.encoder.amplitude_counts)

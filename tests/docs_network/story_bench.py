@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,14 +9,15 @@ from typing import Any
 import master
 import network_file
 
+from canfb.bus.simulating import fed_module
 from canfb.cia301.frame import Frame
-from canfb.cli.simulate_drive import simulated_axis
 from canfb.configuration import load_config
 from canfb.demo.plant import EmbeddedNetwork
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.background_traffic import BackgroundTraffic
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.simulated_axis import simulated_axis
 from canfb.simulation.sync_timing import REGULAR, SyncDeviation, SyncTiming
 
 BIT_RATE = 1_000_000
@@ -90,8 +90,7 @@ class DriveNetwork:
     def __init__(self) -> None:
         self.bus = EmbeddedBus(BIT_RATE)
         config = load_config(FOLDER / "feedback.yaml")
-        options = argparse.Namespace(samples=None, rpm=None, rate=None, module=None, autostart=False)
-        simulated = simulated_axis(options, config)
+        simulated = simulated_axis(config.simulation, fed_module(config.modules[0]))
         assert simulated is not None
         self.plant, self.drive = simulated.plant, simulated.drive
         module, clock = config.modules[0], config.simulation.sample_clock()

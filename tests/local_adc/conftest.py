@@ -9,16 +9,17 @@ from typing import Any
 
 import pytest
 from emulated_iiod import EmulatedAdc, EmulatedIiod
+from iio_kit import iio_source
 
-from canfb.bus.iio_source import IioSource
+from canfb.bus.captured_source import CapturedSource
 from canfb.errors import BusError
-from canfb.module.source_config import IioSourceConfig
+from canfb.sources.iio_source import IioSourceConfig
 
 
 def _missing() -> str:
     """Why these tests cannot run here, if they cannot."""
     try:
-        IioSource(IioSourceConfig(device="none", uri="xml:"))
+        iio_source(IioSourceConfig(device="none", uri="xml:"))
     except BusError as error:
         return str(error) if "needs" in str(error) else ""
     return ""
@@ -42,13 +43,13 @@ def iiod() -> Iterator[Callable[..., EmulatedIiod]]:
 
 
 @pytest.fixture
-def opened() -> Iterator[Callable[..., IioSource]]:
+def opened() -> Iterator[Callable[..., CapturedSource]]:
     """Opens sources on a server; all are closed at the end."""
     with contextlib.ExitStack() as stack:
 
-        def open_one(server: EmulatedIiod, **keys: Any) -> IioSource:
+        def open_one(server: EmulatedIiod, **keys: Any) -> CapturedSource:
             config = IioSourceConfig(**{"device": "ads7950", "uri": server.uri} | keys)
-            source = stack.enter_context(IioSource(config, reopen_s=0.05))
+            source = stack.enter_context(iio_source(config, reopen_s=0.05))
             assert server.opened.wait(10.0)
             return source
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
+from functools import partial
 
 from emulated_iiod import EmulatedIiod
 
-from canfb.bus.iio_source import IioSource
+from canfb.bus.captured_source import REOPEN_S, CapturedSource
 from canfb.signal.sample import Sample
+from canfb.simulation.scenario import SimulationConfig
+from canfb.sources.iio_source import IioSourceConfig
+from canfb.sources.surroundings import Surroundings
 
 LIMIT_S = 20.0  # for what takes milliseconds
 
@@ -21,11 +26,21 @@ def until(happened: Callable[[], bool], what: str) -> None:
         time.sleep(0.001)
 
 
+def iio_source(config: IioSourceConfig, reopen_s: float = REOPEN_S) -> CapturedSource:
+    """The source of this configuration; whoever opens it closes it."""
+    with contextlib.ExitStack() as resources:
+        source = config.open(
+            Surroundings(12, 2500, SimulationConfig(), partial(CapturedSource, reopen_s=reopen_s), resources)
+        )
+    assert isinstance(source, CapturedSource)
+    return source
+
+
 def reading(sine: int, cosine: int, time_ns: int = 0) -> dict[str, int]:
     return {"voltage0": sine, "voltage1": cosine, "voltage2": 77, "timestamp": time_ns}
 
 
-def deliver(server: EmulatedIiod, source: IioSource, *scans: dict[str, int]) -> None:
+def deliver(server: EmulatedIiod, source: CapturedSource, *scans: dict[str, int]) -> None:
     """Scans that have come before the next SYNC."""
     wanted = source.scans + len(scans)
     server.deliver(*scans)

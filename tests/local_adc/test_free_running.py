@@ -8,7 +8,7 @@ import numpy as np
 from emulated_iiod import EmulatedIiod
 from iio_kit import deliver, reading
 
-from canfb.bus.iio_source import IioSource
+from canfb.bus.captured_source import CapturedSource
 from canfb.cia301.frame import Frame
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
@@ -21,7 +21,7 @@ SYNCS = 1200
 RPM = 60.0  # 2.5 cycles in each interval: 0.65 between two scans
 
 
-def run(server: EmulatedIiod, source: IioSource) -> tuple[list[int], list[float]]:
+def run(server: EmulatedIiod, source: CapturedSource) -> tuple[list[int], list[float]]:
     """Status words, and errors of the position against the truth at the instant of the scan, cycles."""
     encoder, rng = Encoder(noise_lsb=0.5), np.random.default_rng(11)
     motion = Motion((Ramp(0.1, 0.0), Ramp(0.8, RPM)))
@@ -46,7 +46,7 @@ def run(server: EmulatedIiod, source: IioSource) -> tuple[list[int], list[float]
 
 
 def test_with_time_stamps_the_position_is_right(
-    iiod: Callable[..., EmulatedIiod], opened: Callable[..., IioSource]
+    iiod: Callable[..., EmulatedIiod], opened: Callable[..., CapturedSource]
 ) -> None:
     server = iiod()
     status, errors = run(server, opened(server))
@@ -56,7 +56,7 @@ def test_with_time_stamps_the_position_is_right(
 
 
 def test_without_them_it_is_lost_and_nobody_is_told_a_wrong_one(
-    iiod: Callable[..., EmulatedIiod], opened: Callable[..., IioSource]
+    iiod: Callable[..., EmulatedIiod], opened: Callable[..., CapturedSource]
 ) -> None:
     server = iiod()
     status, errors = run(server, opened(server, time_stamps=False))

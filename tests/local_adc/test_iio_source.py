@@ -9,15 +9,15 @@ from collections.abc import Callable
 
 import pytest
 from emulated_iiod import Channel, EmulatedAdc, EmulatedIiod, time_stamp, voltage
-from iio_kit import deliver, reading, sample, until
+from iio_kit import deliver, iio_source, reading, sample, until
 
-from canfb.bus.iio_source import IioSource
+from canfb.bus.captured_source import CapturedSource
 from canfb.errors import BusError, ConfigError
-from canfb.module.source_config import IioSourceConfig
-from canfb.signal.source import SourceError
+from canfb.sources.iio_source import IioSourceConfig
+from canfb.sources.protocol import SourceError
 
 Iiod = Callable[..., EmulatedIiod]
-Opened = Callable[..., IioSource]
+Opened = Callable[..., CapturedSource]
 
 
 def adc(first: str, second: str | None = None) -> EmulatedAdc:
@@ -177,7 +177,7 @@ def test_a_device_that_cannot_be_opened_is_told(number: int, words: str, iiod: I
 @pytest.mark.parametrize("uri", ["ip:127.0.0.1:9", "nonsense", "local:"])
 def test_a_context_that_is_not_there_is_told(uri: str) -> None:
     with pytest.raises((BusError, ConfigError), match=re.escape(uri)):
-        IioSource(IioSourceConfig(device="nowhere", uri=uri))
+        iio_source(IioSourceConfig(device="nowhere", uri=uri))
 
 
 @pytest.mark.parametrize(("trigger", "where"), [("tick", "trigger"), (None, "device")])
@@ -226,7 +226,7 @@ def test_a_trigger_that_cannot_be_fired_is_a_failure(iiod: Iiod, opened: Opened)
     until(lambda: source.next() is not None, "works again")
 
 
-def failing(source: IioSource, words: str = "") -> bool:
+def failing(source: CapturedSource, words: str = "") -> bool:
     try:
         source.next()
     except SourceError as error:
@@ -284,7 +284,7 @@ def test_closing_ends_the_thread_and_lets_the_device_go(iiod: Iiod) -> None:
     server = iiod()
     before = threading.active_count()
     for _ in range(3):
-        source = IioSource(IioSourceConfig(device="ads7950", uri=server.uri))
+        source = iio_source(IioSourceConfig(device="ads7950", uri=server.uri))
         assert server.opened.wait(10.0)
         source.close()
         assert not [thread for thread in threading.enumerate() if thread.name == "iio ads7950"]
@@ -294,7 +294,7 @@ def test_closing_ends_the_thread_and_lets_the_device_go(iiod: Iiod) -> None:
 
 def test_closing_while_it_waits_to_open_again(iiod: Iiod) -> None:
     server = iiod()
-    source = IioSource(IioSourceConfig(device="ads7950", uri=server.uri), reopen_s=1000.0)
+    source = iio_source(IioSourceConfig(device="ads7950", uri=server.uri), reopen_s=1000.0)
     assert server.opened.wait(10.0)
     server.close()
     until(lambda: failing(source), "failing")

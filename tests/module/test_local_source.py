@@ -14,13 +14,13 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
-from canfb.module.source_config import MotionSourceConfig
 from canfb.signal.sample import Sample
-from canfb.signal.source import SourceEnded, SourceError
 from canfb.signal.supervision import COASTING, MISSED, VALID
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp
-from canfb.simulation.sources import MotionSource
+from canfb.simulation.shaft_encoder import ShaftEncoder
+from canfb.sources.motion_source import MotionSource, MotionSourceConfig
+from canfb.sources.protocol import SourceEnded, SourceError
 
 NODE = 32
 SYNC = Frame(0x80, b"")
@@ -79,7 +79,7 @@ def at(cycles: float, time_s: float | None = None) -> Sample:
 
 def test_each_sync_brings_the_position_of_its_own_sample() -> None:
     motion = Motion((Ramp(0.1, 0.0), Ramp(0.5, 600.0)))
-    source = MotionSource(Encoder(noise_lsb=0.5), motion, 2500, PERIOD_S)
+    source = MotionSource(ShaftEncoder(Encoder(noise_lsb=0.5), 2500), motion, PERIOD_S)
     local = Local(source)
     local.start()
     for _ in range(1500):

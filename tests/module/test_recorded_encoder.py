@@ -20,7 +20,7 @@ from canfb.objects import StatusBit
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder_interface import EncoderInterface
-from canfb.simulation.sources import RecordingLayout, RecordingSource
+from canfb.sources.recording_source import RecordingLayout, RecordingSource
 
 FOLDER = Path(os.environ.get("CANFB_RECORDINGS", Path(__file__).parents[3] / "shared" / "data"))
 RECORDING = FOLDER / "servoproject_optical_encoder.csv"

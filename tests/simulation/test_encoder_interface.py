@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.signal.sample import Sample
-from canfb.signal.source import SourceEnded
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion
-from canfb.simulation.sources import MotionSource
+from canfb.simulation.shaft_encoder import ShaftEncoder
+from canfb.sources.motion_source import MotionSource
+from canfb.sources.protocol import SourceEnded
 
 NODE, TPDO1 = 16, 0x190
 SYNC = Frame(0x80, b"")
@@ -171,7 +172,9 @@ def test_as_its_own_sync_producer_it_is_silent_where_a_sample_is_lost() -> None:
 
 def test_the_machine_is_sampled_at_the_true_time_of_each_sync() -> None:
     """Also after a pause: it has gone on turning."""
-    source = MotionSource(Encoder(amplitude_counts=1000.0), Motion((), start_rpm=60.0), 100, 0.001)
+    source = MotionSource(
+        ShaftEncoder(Encoder(amplitude_counts=1000.0), 100), Motion((), start_rpm=60.0), 0.001
+    )
     interface = operational(source)
     for now, cycles in ((5.0, 0.0), (5.0009, 0.09), (5.0021, 0.21), (5.5, 50.0), (5.5011, 50.11)):
         (frame,) = interface.receive(SYNC._replace(timestamp=now), now + 0.0003)

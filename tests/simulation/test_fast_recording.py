@@ -13,13 +13,14 @@ import canfb
 from canfb.demo.plant import EmbeddedNetwork
 from canfb.eds_files import eds_path
 from canfb.signal.sample import Sample
-from canfb.signal.source import Source
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion, Ramp, Ripple
-from canfb.simulation.sources import MotionSource
+from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_producer import SyncProducer
+from canfb.sources.motion_source import MotionSource
+from canfb.sources.protocol import Source
 
 NODE = 16
 START, STOP = 1, 2
@@ -61,7 +62,8 @@ class Bench:
 
 
 def turning(rpm: float = 15.0, **encoder: float) -> MotionSource:
-    return MotionSource(Encoder(amplitude_counts=1400.0, **encoder), Motion((), start_rpm=rpm), 2500, 1e-3)
+    shaft = ShaftEncoder(Encoder(amplitude_counts=1400.0, **encoder), 2500)
+    return MotionSource(shaft, Motion((), start_rpm=rpm), 1e-3)
 
 
 def peak_of(bench: Bench, encoder: Encoder) -> float:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import math
 import struct
 
 import pytest
 
+from canfb.bus.simulating import fed_module
 from canfb.cia301.frame import Frame
-from canfb.cli.simulate import sync_rate
-from canfb.cli.simulate_drive import simulated_axis
 from canfb.configuration import parse_config
 from canfb.errors import ConfigError
 from canfb.simulation.embedded_bus import EmbeddedBus
@@ -20,7 +18,10 @@ from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.hearing import TRUE_TIME, SlowMotion
 from canfb.simulation.motion import Motion, Ramp
 from canfb.simulation.sample_clock import SampleClock
-from canfb.simulation.sources import MotionSource
+from canfb.simulation.set_up import sync_rate
+from canfb.simulation.shaft_encoder import ShaftEncoder
+from canfb.simulation.simulated_axis import simulated_axis
+from canfb.sources.motion_source import MotionSource
 
 NODE, TPDO1 = 16, 0x190
 SYNC = Frame(0x80, b"")
@@ -28,7 +29,7 @@ LATE_S = (0.01, 0.0101, 0.5, 0.5001, 3.0, 60.0, 60.01)  # when the SYNCs come
 
 
 def turning() -> MotionSource:
-    return MotionSource(Encoder(noise_lsb=0.0), Motion((Ramp(0.0, 60.0),)), 100, 1e-3)
+    return MotionSource(ShaftEncoder(Encoder(noise_lsb=0.0), 100), Motion((Ramp(0.0, 60.0),)), 1e-3)
 
 
 def slow(interval_s: float = 1e-3) -> tuple[EmbeddedBus, EncoderInterface, SlowMotion, list[Frame]]:
@@ -101,8 +102,7 @@ def test_the_fast_recording_goes_on_with_the_syncs() -> None:
 
 def test_the_plant_turns_one_interval_with_each_sync() -> None:
     config = parse_config("modules: [{node_id: 32}]\nsimulation: {drive: {load_torque_nm: -0.1}}\n")
-    options = argparse.Namespace(samples=None, rpm=None, rate=None, module=None, autostart=True)
-    axis = simulated_axis(options, config)
+    axis = simulated_axis(config.simulation, fed_module(config.modules[0]), autostart=True)
     assert axis is not None
     interface = EncoderInterface(NODE, axis.source, autostart=True)
     hearing = SlowMotion(interface.dictionary, 0.01)
@@ -133,5 +133,5 @@ def test_a_configuration_that_cannot_be(text: str) -> None:
 def test_the_interval_is_that_of_the_rate_or_of_the_configuration() -> None:
     config = parse_config("modules: [{node_id: 32}]\nsimulation: {pace: sync, sync_period_us: 2e4}\n")
     assert config.simulation.pace == "sync"
-    assert sync_rate(argparse.Namespace(rate=None), config) == pytest.approx(50.0)
-    assert sync_rate(argparse.Namespace(rate=200.0), config) == 200.0
+    assert sync_rate(config.simulation, None) == pytest.approx(50.0)
+    assert sync_rate(config.simulation, 200.0) == 200.0

@@ -10,15 +10,16 @@ import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.cli.main import build_parser, main
-from canfb.cli.simulate import chosen_source
+from canfb.cli.simulate_options import chosen
 from canfb.cli.simulate_record import check_record, write_record
 from canfb.configuration import parse_config
 from canfb.errors import CanfbError, ConfigError
 from canfb.signal.sample import Sample
-from canfb.signal.source import SourceEnded
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.sample_recorder import SampleRecorder
+from canfb.simulation.set_up import source_of
+from canfb.sources.protocol import SourceEnded
 
 SYNC, START = Frame(0x080, b""), Frame(0x000, b"\x01\x00")
 COUNTS: list[Sample | None] = [Sample(1, -2), Sample(300, 400), None, Sample(-2048, 2047), None, Sample(7, 8)]
@@ -57,7 +58,9 @@ def test_each_sync_from_the_first_sample_on_is_an_interval() -> None:
 
 def played(path: Path, *options: str) -> list[Sample | None]:
     arguments = ["simulate", "x.yaml", "--samples", str(path), *options]
-    source = chosen_source(build_parser().parse_args(arguments), parse_config("modules: [{node_id: 32}]"))
+    source = source_of(
+        *chosen(build_parser().parse_args(arguments), parse_config("modules: [{node_id: 32}]"))
+    )
     samples = []
     while True:
         try:

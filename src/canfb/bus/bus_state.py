@@ -6,8 +6,8 @@ import errno
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
-from canfb.bus.opening import reason
 from canfb.cia301.frame import Frame
+from canfb.errors import reason
 
 RETRY_S = 0.2  # between attempts on a bus that is down
 LASTING_S = 2 * RETRY_S  # reading fails for so long without a break: the bus is gone, not one datagram bad

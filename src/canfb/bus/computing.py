@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import pickle
 import subprocess
@@ -11,6 +12,8 @@ from typing import IO, Any, Protocol, runtime_checkable
 
 from canfb.bus.messages import Inbox
 from canfb.cia301.frame import Frame
+
+log = logging.getLogger(__name__)
 
 COMMAND = (sys.executable, "-m", "canfb.bus.compute_process")
 PIECE_BYTES = 1 << 16
@@ -41,7 +44,7 @@ class Computation:
     def __init__(
         self,
         device: Computing,
-        report: Callable[[str], None] = lambda text: None,
+        report: Callable[[str], None] = log.warning,
         command: tuple[str, ...] = COMMAND,
     ) -> None:
         self._device = device

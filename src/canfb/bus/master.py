@@ -12,9 +12,8 @@ import canopen
 from canopen.network import MessageListener
 from canopen.sdo.client import SdoClient
 
-from canfb.bus.opening import reason
 from canfb.cia301 import cob
-from canfb.errors import BusError
+from canfb.errors import BusError, reason
 
 Hear = Callable[[int, bytes, float], None]
 Client = Any  # canopen.sdo.SdoClient, which has no types

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import re
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import can
 from can.interfaces.udp_multicast import UdpMulticastBus
 
-from canfb.errors import BusError, ConfigError
+from canfb.errors import BusError, ConfigError, reason
 
 # Buses of python-can that hand out what was sent through them, and say so (`is_rx` is false). SocketCAN and
 # Kvaser say it of frames of other processes on the same computer, which are to be heard.
@@ -28,6 +29,17 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
         return can.Bus(**options)
     except Exception as error:  # what the drivers raise has no common root
         raise BusError(f"cannot open the bus {describe(options)}: {_advice(options, error)}") from error
+
+
+def open_sync_bus(options: dict[str, Any], *, hears_itself: bool) -> can.BusABC:
+    """:func:`open_bus`, for a program that counts by the SYNC.
+
+    If it produces the SYNC, the bus ``hears_itself`` if it can be told to.
+    """
+    if hears_itself:
+        with contextlib.suppress(BusError):  # udp_multicast always does, and cannot be told
+            return open_bus(options | {"receive_own_messages": True})
+    return open_bus(options)
 
 
 def check_device_bus(options: dict[str, Any]) -> None:
@@ -74,11 +86,3 @@ def _advice(options: dict[str, Any], error: Exception) -> str:
             f"the driver of {interface} is not there{why}; install it, see python-can's page on {interface}"
         )
     return text
-
-
-def reason(error: Exception) -> str:
-    """One line on what an error of python-can or of the system says."""
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror
-    text = str(error).strip().splitlines()
-    return text[0] if text else type(error).__name__

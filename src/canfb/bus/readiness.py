@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import socket
@@ -10,6 +11,8 @@ from pathlib import Path
 from types import TracebackType
 
 from canfb.errors import CanfbError, ConfigError
+
+log = logging.getLogger(__name__)
 
 OURS = re.compile(rb"[0-9]{1,10}\n")
 READY, STOPPING = b"READY=1", b"STOPPING=1"
@@ -27,7 +30,7 @@ class Readiness:
     def __init__(
         self,
         path: str | Path | None = None,
-        report: Callable[[str], None] = lambda text: None,
+        report: Callable[[str], None] = log.warning,
         environment: Mapping[str, str] = os.environ,
     ) -> None:
         self._path = None if path is None else Path(path)

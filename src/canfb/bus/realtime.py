@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import ctypes
+import logging
 import os
 import threading
 from collections.abc import Callable
 
 from canfb.configuration import RealtimeConfig
+
+log = logging.getLogger(__name__)
 
 MCL_CURRENT, MCL_FUTURE = 1, 2
 
@@ -16,7 +19,7 @@ class RealtimeThread(threading.Thread):
     """A thread that the SYNC cycle waits for: priority and processor are its own, too."""
 
 
-def apply_realtime(config: RealtimeConfig, report: Callable[[str], None]) -> None:
+def apply_realtime(config: RealtimeConfig, report: Callable[[str], None] = log.warning) -> None:
     """Ask for what ``config`` wants; what the system refuses is reported, and the program goes on."""
     if config.priority:
         _try("priority", report, lambda: _set_fifo(config.priority))

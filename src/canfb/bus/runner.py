@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import signal
 import time
 from collections import deque
@@ -22,6 +23,8 @@ from canfb.bus.receive_times import ReceiveTimes
 from canfb.cia301.frame import Frame
 from canfb.device.moment import NEVER
 from canfb.errors import CanfbError
+
+log = logging.getLogger(__name__)
 
 LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
 LEAST_WAIT_S = 2e-4  # what is not faster than that was waited for
@@ -99,7 +102,7 @@ class Runner:
         self,
         bus: can.BusABC,
         devices: list[Device],
-        report: Callable[[str], None] = lambda text: None,
+        report: Callable[[str], None] = log.warning,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
         wall: Callable[[], float] = time.time,

@@ -40,10 +40,10 @@ class StateDirError(CanfbError):
 
 
 class StateFiles:
-    """A store (:class:`canfb.device.storage.Store`) in a folder, which is made if it is missing.
+    """A store in a ``folder``, which is made if it is missing: what 1010h and LSS save, in files.
 
-    It belongs to one process until :meth:`close`. StateDirError when another one has it, or when it
-    cannot be written to.
+    Give it to :class:`canfb.FeedbackModule` as ``store``. It belongs to one process until :meth:`close`, or
+    to the end of a ``with``. StateDirError when another one has it, or when it cannot be written to.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -99,7 +99,7 @@ class StateFiles:
         return kept
 
     def save(self, changes: Changes) -> None:
-        """Keep these groups, or forget those that are None: all of them or, with an OSError, none."""
+        """Keep the groups of ``changes``, forget those that are None: all or, with an OSError, none."""
         try:
             self._finish(self._pending())
         except OSError as error:

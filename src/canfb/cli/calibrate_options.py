@@ -1,27 +1,16 @@
-"""The options of ``canfb calibrate``, checked."""
+"""The options of ``canfb calibrate``."""
 
 from __future__ import annotations
 
 import argparse
-import math
+from dataclasses import fields
+from functools import partial
 from pathlib import Path
 
-from canfb.cli.calibrate_combinations import refuse_combinations
-from canfb.cli.options import add_bus_options, whole_number
-from canfb.commissioning.access import CommissioningError
-from canfb.commissioning.pictures import TrackLimits
-from canfb.commissioning.procedure import MOTION, ZERO_CROSSINGS, Settings
-from canfb.commissioning.sample_files import read_npz
-from canfb.commissioning.samples import Samples
-from canfb.configuration import Config
-from canfb.errors import ConfigError
-from canfb.signal.source import SourceEnded
-from canfb.simulation.sources import RecordingLayout, RecordingSource
-
-PDO, RECORDING, MODULE = "pdo", "recording", "module"
-DEFAULT_MODULE = 0x20
-LEAST_SAMPLES = 8000
-LARGEST_ARRAY = 50_000_000
+from canfb.cli.options import BUS_WORDS, add_bus_options, refuse_idle, whole_number
+from canfb.commissioning.choices import LEAST_SAMPLES, MODULE, PDO, RECORDING, Choices
+from canfb.commissioning.combinations import refuse_combinations
+from canfb.commissioning.procedure import MOTION, ZERO_CROSSINGS
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -120,79 +109,10 @@ def _add_file(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def check_options(options: argparse.Namespace) -> None:
-    """ConfigError for options that cannot be, alone or together; fills in what depends on others."""
-    refuse_combinations(options)
-    if options.source is None:
-        options.source = RECORDING if options.method == ZERO_CROSSINGS else PDO
-    fast = options.source == RECORDING and options.recorder == "interface"
-    options.seconds = options.seconds if options.seconds is not None else (4.0 if fast else 20.0)
-    options.verify = options.verify if options.verify is not None else (1.0 if fast else 4.0)
-    for name, low, high in (
-        ("seconds", 0.1, 3600.0),
-        ("verify", 0.1, 600.0),
-        ("least_samples", 0, 10_000_000),
-        ("rate", 0.1, 1e7),
-        ("sync", 0.1, 1e5),
-        ("answer_within", 0.01, 60.0),
-        ("entries", 16, 4096),
-        ("adc_bits", 4, 16),
-        ("module", 1, 127),
-        ("encoder_interface", 1, 127),
-        ("cycles_per_revolution", 1, 1 << 20),
-    ):
-        value = getattr(options, name)
-        if value is not None and not low <= value <= high:
-            raise ConfigError(f"--{name.replace('_', '-')} {value:g}: must be {low:g} to {high:g}")
-    if not math.isfinite(options.mid_scale):
-        raise ConfigError(f"--mid-scale {options.mid_scale:g}: must be a number of counts")
-    if len(options.columns.split(",")) != 2:
-        raise ConfigError(f"--columns {options.columns}: two columns, sine,cosine, are wanted")
-    if options.table and not options.samples:
-        raise ConfigError("--table: only with --samples; over the bus the module tells its table")
-    if options.source == MODULE and options.method != MOTION:
-        raise ConfigError("--source module: the module has the method motion only")
-
-
-def settings_of(options: argparse.Namespace, limits: TrackLimits | None) -> Settings:
-    """How to calibrate; the converter's bits from the module, unless given."""
-    bits = options.adc_bits
-    if bits is None and limits is not None and limits.full_scale.bit_count() == 1:
-        bits = limits.full_scale.bit_length()
-    return Settings(options.method, "fit" if options.conditioning == "fit" else None, options.entries, bits)
-
-
-def chosen_nodes(options: argparse.Namespace, config: Config) -> tuple[int, int | None]:
-    """Ids of module and encoder interface, None if the module is to say it. ConfigError if both are one."""
-    module, interface = options.module, options.encoder_interface
-    known = [one for one in config.modules if module in (None, one.node_id)]
-    if module is None:
-        module = known[0].node_id if known else DEFAULT_MODULE
-    if interface is None and known and known[0].source is None:
-        interface = known[0].encoder_interface
-    if module == interface:
-        raise ConfigError(f"--encoder-interface {interface}: must be another node than the module")
-    return module, interface
-
-
-def samples_of_file(options: argparse.Namespace) -> Samples:
-    """Samples of ``--samples``. CanfbError, with file and line, for a file that cannot be used."""
-    path: Path = options.samples
-    if path.suffix == ".npz":
-        found = read_npz(path)
-        return Samples(found.sine, found.cosine, options.rate or found.rate_hz, found.origin)
-    columns = [name.strip() for name in options.columns.split(",")]
-    layout = RecordingLayout((columns[0], columns[1]), options.mid_scale, options.time_column)
-    source = RecordingSource(path, layout)
-    sine, cosine = [], []
-    while True:
-        try:
-            sample = source.next()
-        except SourceEnded:
-            break
-        sine.append(math.nan if sample is None else float(sample.sine))
-        cosine.append(math.nan if sample is None else float(sample.cosine))
-    try:
-        return Samples.of(sine, cosine, options.rate, f"file {path.name}")
-    except ValueError as error:
-        raise CommissioningError(f"{path}: {error}") from None
+def choices_of(options: argparse.Namespace) -> Choices:
+    """The options, checked. ConfigError for those that cannot be, alone or together."""
+    names = [field.name for field in fields(Choices) if hasattr(options, field.name)]
+    choices = Choices(**{name: getattr(options, name) for name in names})
+    refuse_combinations(choices, partial(refuse_idle, options), (*BUS_WORDS, "bus_kwargs"))
+    choices.refuse_impossible()
+    return choices

@@ -18,13 +18,14 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any, NoReturn
 
-from canfb.cli import calibrate, config, demo, nmt, run, simulate
+from canfb.cli import calibrate, config_file, demo, nmt_command, run, simulate
 from canfb.cli.examples import examples_of
+from canfb.cli.printing import printed_log
 from canfb.errors import CanfbError, ConfigError
 
 DONE, FAILED, WRONG_USE = 0, 1, 2
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-COMMANDS = (demo, run, simulate, nmt, calibrate, config)
+COMMANDS = (demo, run, simulate, nmt_command, calibrate, config_file)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -88,7 +89,8 @@ def _run(arguments: Sequence[str]) -> int:
     # python-can logs what it raises as well; an error is one line here.
     logging.basicConfig(level=logging.INFO if options.debug else logging.CRITICAL)
     try:
-        return int(options.action(options))
+        with printed_log():
+            return int(options.action(options))
     except KeyboardInterrupt:
         return FAILED
     except CanfbError as error:

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import errno
-import os
-import sys
 from collections.abc import Callable, Iterable
-from typing import Any, TextIO
+from typing import Any
 
 import can.cli
 
@@ -93,28 +90,6 @@ def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict
     merged.update(getattr(options, "bus_kwargs", {}))
     check_interface(merged)
     return merged
-
-
-def report(text: str) -> None:
-    """One line on stderr."""
-    _print(f"canfb: {text}", sys.stderr)
-
-
-def say(text: str) -> None:
-    """One line on stdout, of a program that goes on after it."""
-    _print(text, sys.stdout)
-
-
-def _print(text: str, stream: TextIO) -> None:
-    """Print at once. A reader or a terminal that has gone is no reason to end: say nothing more there."""
-    try:
-        print(text, file=stream, flush=True)
-    except OSError as error:
-        if error.errno not in (errno.EPIPE, errno.EIO):
-            raise
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
 
 
 def add_ready_file(parser: argparse.ArgumentParser) -> None:

@@ -9,8 +9,11 @@ The master's side, between the buses and the calculation::
     active             table and conditioning: read, put in force, put back, save
     deviation          how good a table is on samples that it has not seen
     procedure          all of it in the right order; nothing half done
+    choices            what canfb calibrate is asked to do; combinations: options that exclude each other
+    calibration_run    the command, from the first sample to the last file
     drift_check        how far an encoder has moved away from its table
     session            both nodes on a bus, read once
+    module_objects     the objects of a module, for its configuration
     summary, report    figures and pictures (pictures, plot) for people
     artefacts          the files of a measurement; table_file: tables as YAML
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import csv
 import math
-import zipfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.samples import Samples
 from canfb.objects import MISSED_COUNTS
+from canfb.sources.tracks_file import read_tracks
 
 
 def write_npz(path: Path, samples: Samples) -> None:
@@ -50,21 +48,7 @@ def write_csv(path: Path, samples: Samples) -> None:
 def read_npz(path: Path) -> Samples:
     """An NPZ file with arrays sine and cosine, and rate_hz and time_s if they are known.
 
-    CommissioningError, in one line, for anything else.
+    CanfbError, in one line, for anything else.
     """
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
-            missing = [name for name in ("sine", "cosine") if name not in content]
-            if missing:
-                raise CommissioningError(
-                    f"{path}: there is no array '{missing[0]}', only {', '.join(content.files) or 'nothing'}"
-                )
-            rate_hz = float(content["rate_hz"]) if "rate_hz" in content else 0.0
-            samples = Samples.of(content["sine"], content["cosine"], rate_hz or None, f"file {path.name}")
-            if "time_s" in content:
-                samples = replace(samples, time_s=np.asarray(content["time_s"], np.float64))
-            return samples
-    except OSError as error:
-        raise CommissioningError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise CommissioningError(f"{path}: this is no file of samples: {error}") from None
+    tracks = read_tracks(path)
+    return Samples(tracks.sine, tracks.cosine, tracks.rate_hz, f"file {path.name}", tracks.time_s)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from canfb.objects import MISSED_COUNTS
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample_times import TICK_S, TICKS
+from canfb.sources.tracks_file import with_gaps
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +32,7 @@ class Samples:
     @classmethod
     def of(cls, sine: npt.ArrayLike, cosine: npt.ArrayLike, rate_hz: float | None, origin: str) -> Samples:
         """From counts; pairs of -32768 are missed samples. ValueError for arrays of different length."""
-        s, c = np.array(sine, np.float64), np.array(cosine, np.float64)
-        if s.ndim != 1 or s.shape != c.shape:
-            raise ValueError(f"sine and cosine must have one dimension and one length: {s.shape}, {c.shape}")
-        missed = (s == MISSED_COUNTS) & (c == MISSED_COUNTS) | np.isnan(s) | np.isnan(c)
-        s[missed] = c[missed] = np.nan
-        return cls(s, c, rate_hz, origin)
+        return cls(*with_gaps(sine, cosine), rate_hz, origin)
 
     @classmethod
     def from_bytes(cls, data: bytes, rate_hz: float | None, origin: str) -> Samples:

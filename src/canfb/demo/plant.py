@@ -23,8 +23,9 @@ from canfb.simulation.encoder import Encoder, demo_encoder
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion, Ramp, Ripple
 from canfb.simulation.sample_clock import SampleClock
-from canfb.simulation.sources import MotionSource
+from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_timing import SyncTiming
+from canfb.sources.motion_source import MotionSource
 
 SYNC_PERIOD_S = 1e-3
 BIT_RATE = 1_000_000
@@ -134,7 +135,9 @@ class Plant:
         self.network = EmbeddedNetwork(self.bus)
         self.source = FaultySource(
             MotionSource(
-                self.encoder, demo_motion(), CYCLES_PER_REVOLUTION, SYNC_PERIOD_S, seed, APERTURE_JITTER_S
+                ShaftEncoder(self.encoder, CYCLES_PER_REVOLUTION, seed, APERTURE_JITTER_S),
+                demo_motion(),
+                SYNC_PERIOD_S,
             )
         )
         self.module = FeedbackModule(

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from canfb.checks import flag, integer_in
 from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for who reads configurations
-from canfb.module.source_config import SourceConfig
 from canfb.signal.config import ChainConfig
+from canfb.sources.source_config import SourceConfig
 
 
 @dataclass(frozen=True, kw_only=True)

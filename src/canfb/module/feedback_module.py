@@ -38,8 +38,8 @@ from canfb.module.tap import Taps
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from canfb.signal.source import Source
 from canfb.signal.supervision import COASTING, VALID
+from canfb.sources.protocol import Source
 
 EDS = "canfb-module"
 MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge

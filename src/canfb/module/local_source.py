@@ -9,14 +9,14 @@ from canfb.device.dictionary import Dictionary
 from canfb.module.sample_input import PARTS, PLACES, SAMPLE_INVALID, ZERO_PULSE, SampleInput
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import TICK_S, TICKS
-from canfb.signal.source import Source, SourceEnded
+from canfb.sources.protocol import Source, SourceEnded
 
 SETTLED_S = 1.0  # without a failure, before a source is said to work again
 LEAST, MOST = -32768, 32767  # INTEGER16
 
 
 class LocalSource:
-    """Asks a :class:`canfb.signal.source.Source` at each SYNC; nothing that it does raises.
+    """Asks a :class:`canfb.sources.protocol.Source` at each SYNC; nothing that it does raises.
 
     ``tell`` gets one line when the source fails, when it works again, and when it has ended.
     """

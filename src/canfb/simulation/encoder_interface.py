@@ -16,11 +16,11 @@ from canfb.device.pdo import COMMUNICATION, numbers
 from canfb.device.storage import Store
 from canfb.eds_files import eds_path
 from canfb.signal.sample import Sample
-from canfb.signal.source import Source, SourceEnded
 from canfb.simulation.fast_recording import FastRecorder
 from canfb.simulation.hearing import TRUE_TIME, Hearing
 from canfb.simulation.sample_clock import SampleClock
 from canfb.simulation.shaft_encoder import Machine
+from canfb.sources.protocol import Source, SourceEnded
 
 EDS = "encoder-interface"
 PLACES = 65536  # 2000:03 counts the sample interval in 1/65536

@@ -10,7 +10,9 @@ from canfb.simulation.cia402.config import DriveConfig
 from canfb.simulation.encoder import Encoder, Harmonic
 from canfb.simulation.motion import Motion, Ramp, Ripple
 from canfb.simulation.sample_clock import LARGEST_DRIFT_PPM, SampleClock
+from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_timing import SyncTiming
+from canfb.sources.motion_source import MotionSource
 
 PACES = ("time", "sync")
 
@@ -125,6 +127,11 @@ class SimulationConfig(SyncTiming):
     def aperture_jitter_s(self) -> float:
         """:attr:`aperture_jitter_ns` in seconds."""
         return self.aperture_jitter_ns * 1e-9
+
+    def source(self, adc_bits: int, cycles_per_revolution: int, interval_s: float) -> MotionSource:
+        """The encoder on its machine, sampled once every ``interval_s`` seconds, at the exact instant."""
+        shaft = ShaftEncoder(self.encoder.encoder(adc_bits), cycles_per_revolution, self.seed)
+        return MotionSource(shaft, self.motion.motion(), interval_s)
 
     def sample_clock(self) -> SampleClock:
         """The clock of the interface; nobody knows what it shows at the start."""

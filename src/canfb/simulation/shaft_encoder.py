@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -11,10 +10,9 @@ import numpy.typing as npt
 
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder
+from canfb.sources.motion_source import RevolutionsAt
 
 BISECTIONS = 40
-REVOLUTIONS_AT = Callable[[float], float]
-"""Position of the shaft in revolutions as a function of its time in seconds."""
 
 
 @runtime_checkable
@@ -50,7 +48,7 @@ class ShaftEncoder:
         self.position_cycles = 0.0
         """True position of the last sample, cycles."""
 
-    def sample(self, time_s: float, revolutions_at: REVOLUTIONS_AT) -> Sample:
+    def sample(self, time_s: float, revolutions_at: RevolutionsAt) -> Sample:
         """The sample at ``time_s`` of the machine."""
         held_s = time_s
         if self._aperture_jitter_s:
@@ -76,7 +74,7 @@ class ShaftEncoder:
 
 
 def _pulse_place(
-    from_s: float, from_revolutions: float, to_s: float, to_revolutions: float, at: REVOLUTIONS_AT
+    from_s: float, from_revolutions: float, to_s: float, to_revolutions: float, at: RevolutionsAt
 ) -> float:
     """When the last whole revolution was passed, as a part 0..1 of the time between two samples."""
     forward = to_revolutions > from_revolutions

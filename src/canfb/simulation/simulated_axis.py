@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 
-from canfb import objects as od
-from canfb.cli.options import chosen_module
-from canfb.configuration import Config
 from canfb.errors import ConfigError
-from canfb.module.config import UNCONFIGURED
-from canfb.module.parameters import configured_defaults
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.motor import Motor
 from canfb.simulation.cia402.plant import Plant, PlantSource
 from canfb.simulation.demand import Demand, of_drive
+from canfb.simulation.fed_module import FedModule
+from canfb.simulation.scenario import SimulationConfig
 
 PROFILE_VELOCITY, INCREMENTS = (0x6081, 0), (0x608F, 1)  # increments per second, per revolution
 
@@ -42,33 +38,34 @@ class SimulatedAxis:
         return f"drive: {state}{error}; the shaft is at {self.plant.motor.revolutions:.3f} revolutions"
 
 
-def simulated_axis(options: argparse.Namespace, config: Config) -> SimulatedAxis | None:
+def simulated_axis(
+    simulation: SimulationConfig,
+    module: FedModule,
+    *,
+    autostart: bool = False,
+    rate_hz: float | None = None,
+) -> SimulatedAxis | None:
     """The drive of the configuration, None without one. ConfigError if it cannot be."""
-    settings = config.simulation.drive
+    settings = simulation.drive
     if settings is None:
         return None
-    for option in ("samples", "rpm"):
-        if getattr(options, option) is not None:
-            raise ConfigError(f"--{option}: the drive of the configuration moves the encoder; leave out one")
-    module = chosen_module(options, config)
-    if module.node_id == UNCONFIGURED:
+    if not module.has_node_id:
         raise ConfigError("drive: the module has no node_id (255) whose position the drive could take")
     plant = Plant(Motor(settings, settings.start_revolutions))
-    encoder = config.simulation.encoder.encoder(module.adc_bits)
-    simulation = config.simulation
+    chain = module.chain
+    encoder = simulation.encoder.encoder(chain.adc_bits)
     source = PlantSource(
-        encoder, plant, module.cycles_per_revolution, simulation.seed, simulation.aperture_jitter_s
+        encoder, plant, chain.cycles_per_revolution, simulation.seed, simulation.aperture_jitter_s
     )
-    scale = configured_defaults(module)
     link = FeedbackModuleLink(
         node_id=module.node_id,
-        increments_per_revolution=scale[od.UNITS_PER_REVOLUTION],
-        total_range=scale[od.TOTAL_RANGE],  # without scaling, too
+        increments_per_revolution=module.increments_per_revolution,
+        total_range=module.total_range,
         synchronous=settings.synchronous_feedback,
     )
-    drive = ServoDrive(settings.node_id, plant, link, autostart=options.autostart or module.autostart)
+    drive = ServoDrive(settings.node_id, plant, link, autostart=autostart)
     demand = None
-    if options.rate is not None:
+    if rate_hz is not None:
         speed = drive.dictionary.entry(*PROFILE_VELOCITY).value / drive.dictionary.entry(*INCREMENTS).value
-        demand = of_drive(settings, module, options.rate, speed)
+        demand = of_drive(settings, chain, rate_hz, speed)
     return SimulatedAxis(plant, source, drive, module.node_id, demand)

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from canfb.cli.config import EXAMPLE
+from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
-from canfb.module.source_config import SOURCE_KINDS, IioSourceConfig
+from canfb.sources.iio_source import IioSourceConfig
+from canfb.sources.registry import source_kinds
 
-PAGE = (Path(__file__).parents[1] / "docs" / "local-adc.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "local-adc.md").read_text(encoding="utf-8")
 CONFIGURATIONS = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
 
 
@@ -28,7 +29,7 @@ def test_it_shows_every_kind() -> None:
         for module in parse_config(text).modules
         if module.source is not None
     }
-    assert kinds == set(SOURCE_KINDS)
+    assert kinds == set(source_kinds())
 
 
 def test_its_table_has_all_keys_with_their_defaults() -> None:

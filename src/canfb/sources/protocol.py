@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from canfb.errors import CanfbError
 from canfb.signal.sample import Sample
@@ -17,6 +17,15 @@ class Source(Protocol):
         SourceEnded when none will come any more, SourceError where the converter cannot be read: it is
         asked again at the next SYNC.
         """
+
+
+@runtime_checkable
+class Converter(Protocol):
+    """A source that knows its converter."""
+
+    @property
+    def adc_bits(self) -> int:
+        """Bits of a count, 4..16."""
 
 
 class SourceEnded(Exception):

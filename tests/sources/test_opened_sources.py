@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canfb.bus.hosting import make_module, open_source
 from canfb.cia301.frame import Frame
-from canfb.cli.run import make_module
-from canfb.cli.sources import open_source
+from canfb.cli.printing import printed_log
 from canfb.commissioning.sample_files import write_npz
 from canfb.commissioning.samples import Samples
 from canfb.configuration import parse_config
 from canfb.errors import CanfbError
 from canfb.signal.sample import Sample
-from canfb.signal.source import Source, SourceEnded
 from canfb.signal.supervision import VALID
+from canfb.sources.protocol import Source, SourceEnded
 
 
 def opened(source: str, more: str = "") -> Source | None:
@@ -84,7 +84,7 @@ def test_a_file_that_is_not_there_is_told(name: str, tmp_path: Path) -> None:
 def test_a_module_of_the_command_runs_on_its_source(capsys: pytest.CaptureFixture[str], tracks: Path) -> None:
     text = f"{{kind: recording, file: {tracks}, columns: [a, b], mid_scale: 1000}}"
     config = parse_config(f"modules: [{{node_id: 32, autostart: true, source: {text}}}]")
-    with contextlib.ExitStack() as resources:
+    with contextlib.ExitStack() as resources, printed_log():
         module = make_module(config.modules[0], resources, {}, config.simulation)
         module.start(0.0)
         for n in range(4):

@@ -10,10 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from canfb.bus.iio_capture import Scaling
-from canfb.bus.iio_source import IioSource
 from canfb.errors import BusError
-from canfb.module.source_config import IioSourceConfig
+from canfb.sources.iio_capture import IioCapture, Scaling
+from canfb.sources.iio_source import IioSourceConfig
 
 CONFIG = IioSourceConfig(device="ads7950")
 
@@ -29,14 +28,14 @@ def on_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_without_the_binding(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "iio", None)
     with pytest.raises(BusError, match=re.escape("pip install 'canfb[iio]'")):
-        IioSource(CONFIG)
+        IioCapture(CONFIG)
 
 
 @pytest.mark.parametrize("failure", ["AttributeError('undefined symbol: iio_x')", "OSError('libiio.so.0')"])
 def test_without_the_library(failure: str, on_path: Path) -> None:
     (on_path / "iio.py").write_text(f"raise {failure}\n")
     with pytest.raises(BusError, match="apt-get install libiio0"):
-        IioSource(CONFIG)
+        IioCapture(CONFIG)
 
 
 def test_a_library_of_another_generation_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -44,7 +43,7 @@ def test_a_library_of_another_generation_is_refused(monkeypatch: pytest.MonkeyPa
     newer.version = (1, 0, "v1.0")
     monkeypatch.setitem(sys.modules, "iio", newer)
     with pytest.raises(BusError, match=re.escape("needs libiio 0.x and pylibiio below 1, not v1.0")):
-        IioSource(CONFIG)
+        IioCapture(CONFIG)
 
 
 def test_nothing_loads_the_binding_before_it_is_used() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from canfb.bus.machine_check import check_machine
 from canfb.cli import config_dcf
-from canfb.cli.config_machine import check_machine
 from canfb.cli.examples import examples_of
 from canfb.cli.options import Commands, add_command
 from canfb.configuration import load_config

@@ -10,8 +10,8 @@ import pytest
 
 from canfb.errors import CanfbError
 from canfb.signal.sample import Sample
-from canfb.signal.source import SourceEnded
-from canfb.simulation.sources import RecordingLayout, RecordingSource
+from canfb.sources.protocol import SourceEnded
+from canfb.sources.recording_source import RecordingLayout, RecordingSource
 
 AB = RecordingLayout(("a", "b"))
 

@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp, Ripple
-from canfb.simulation.sources import MotionSource
+from canfb.simulation.shaft_encoder import ShaftEncoder
+from canfb.sources.motion_source import MotionSource
 
 MOTION = Motion((Ramp(0.1, 0.0), Ramp(1.0, -700.0), Ramp(2.0, 900.0)), (Ripple(20.0, 3.0),))
 
 
 def source(motion: Motion = MOTION, aperture_jitter_s: float = 0.0, noise_lsb: float = 0.0) -> MotionSource:
-    return MotionSource(Encoder(noise_lsb=noise_lsb), motion, 2500, 1e-3, 1, aperture_jitter_s)
+    return MotionSource(ShaftEncoder(Encoder(noise_lsb=noise_lsb), 2500, 1, aperture_jitter_s), motion, 1e-3)
 
 
 @given(st.lists(st.floats(0, 1.0), min_size=1, max_size=30), st.floats(0, 1e5))

@@ -1,45 +1,47 @@
-"""A local ADC as the source of a module: a thread waits for its scans, a SYNC takes the newest."""
+"""A converter as the source of a module: a thread waits for its scans, a SYNC takes the newest."""
 
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from canfb.bus.iio_capture import IioCapture, Scan
-from canfb.bus.opening import reason
 from canfb.bus.realtime import RealtimeThread
-from canfb.module.source_config import IioSourceConfig
+from canfb.errors import reason
 from canfb.signal.sample import Sample
-from canfb.signal.source import SourceError
+from canfb.sources.protocol import SourceError
+from canfb.sources.surroundings import Capture
 
 REOPEN_S = 1.0
 CLOSE_S = 5.0
-US = 1e-6
 
 
-class IioSource:
-    """Gives the newest scan of an ADC (:class:`canfb.signal.source.Source`).
+class CapturedSource:
+    """Gives the newest scan of a converter (:class:`canfb.sources.protocol.Source`).
 
-    The device is opened at once: ConfigError or BusError, see :class:`canfb.bus.iio_capture.IioCapture`.
-    One that fails later is opened again every second, by the thread. With a trigger that can be fired,
-    :meth:`next` fires it and waits for the scan, at most ``wait_us``; otherwise it never waits.
+    ``opened`` opens it (:class:`canfb.sources.surroundings.Capture`), at once: what it raises goes through.
+    One that fails later is opened again every ``reopen_s``, by the thread called ``name``. With a capture
+    that is fired, :meth:`next` fires it and waits for the scan, at most ``wait_s``; otherwise it never waits.
     """
 
-    def __init__(self, config: IioSourceConfig, reopen_s: float = REOPEN_S) -> None:
-        self._config = config
+    def __init__(
+        self, opened: Callable[[], Capture], name: str, wait_s: float, reopen_s: float = REOPEN_S
+    ) -> None:
+        self._opened = opened
+        self._wait_s = wait_s
         self._reopen_s = reopen_s
         self._changed = threading.Condition()
         # All of these under the condition.
-        self._capture: IioCapture | None = IioCapture(config)
-        self._scan: Scan | None = None
+        self._capture: Capture | None = opened()
+        self._scan: Sample | None = None
         self._trouble = ""
         self.scans = 0
         """Scans that have come, those included that no SYNC took."""
         self.adc_bits = self._capture.adc_bits
         """Bits of a count."""
         self._stopping = threading.Event()
-        self._thread = RealtimeThread(target=self._run, name=f"iio {config.device}", daemon=True)
+        self._thread = RealtimeThread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def __enter__(self) -> Self:
@@ -68,16 +70,14 @@ class IioSource:
             if capture is not None and capture.is_fired:
                 self._scan = None  # of an earlier SYNC, and late
                 self._fire(capture)
-                self._changed.wait_for(lambda: self._scan or self._trouble, self._config.wait_us * US)
+                self._changed.wait_for(lambda: self._scan or self._trouble, self._wait_s)
             scan, self._scan = self._scan, None
-            if scan is not None:
-                return Sample(scan.sine, scan.cosine, time_100ns=scan.time_100ns)
-            if self._trouble:
+            if scan is None and self._trouble:
                 raise SourceError(self._trouble)
-            return None
+            return scan
 
     @staticmethod
-    def _fire(capture: IioCapture) -> None:
+    def _fire(capture: Capture) -> None:
         try:
             capture.fire()
         except OSError as error:
@@ -93,7 +93,7 @@ class IioSource:
         with self._changed:
             self._capture = None  # which closes it
 
-    def _take(self, capture: IioCapture) -> None:
+    def _take(self, capture: Capture) -> None:
         """Wait for a scan, and leave it for the next SYNC."""
         try:
             scan = capture.refill()
@@ -111,7 +111,7 @@ class IioSource:
 
     def _reopen(self) -> None:
         try:
-            capture = IioCapture(self._config)
+            capture = self._opened()
             if capture.adc_bits != self.adc_bits:
                 raise SourceError(f"the converter has {capture.adc_bits} bits now, not {self.adc_bits}")
         except Exception as error:  # as above

@@ -1,15 +1,20 @@
-"""Scans of a local ADC through libiio: opening the device, and one scan after the other."""
+"""Scans of a local ADC through libiio: opening the device, and one scan after the other.
+
+Nothing here has a thread or a clock; :class:`canfb.bus.captured_source.CapturedSource` waits for the scans.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import sys
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from canfb.bus.opening import reason
-from canfb.errors import BusError, CanfbError, ConfigError
-from canfb.module.source_config import IioSourceConfig
+from canfb.errors import BusError, CanfbError, ConfigError, reason
+from canfb.signal.sample import Sample
+
+if TYPE_CHECKING:
+    from canfb.sources.iio_source import IioSourceConfig
 
 TIMESTAMP = "timestamp"
 FIRE = "trigger_now"  # attribute of a sysfs trigger
@@ -18,14 +23,6 @@ TIMESTAMP_CLOCK = "current_timestamp_clock"
 MOST_BITS = 16  # of object 2000h
 TIMEOUT_MS = 2000
 NS_PER_100NS = 100
-
-
-class Scan(NamedTuple):
-    """One reading of both channels: ADC counts, zero at mid-scale, and the time in 100 ns, or None."""
-
-    sine: int
-    cosine: int
-    time_100ns: int | None
 
 
 class Scaling:
@@ -55,7 +52,7 @@ class Scaling:
 
 
 class IioCapture:
-    """An open device that captures both channels into a buffer of the kernel.
+    """A :class:`canfb.sources.surroundings.Capture`: an open device, whose kernel buffers both channels.
 
     ConfigError, which names the key, for what the device does not have; BusError for what does not
     work. :meth:`refill` may be called in another thread than :meth:`fire` and :meth:`cancel`.
@@ -99,7 +96,7 @@ class IioCapture:
         assert self._trigger is not None
         self._trigger.attrs[FIRE].value = "1"
 
-    def refill(self) -> Scan | None:
+    def refill(self) -> Sample | None:
         """Wait for the next scan; None if there was none for two seconds. OSError when capturing ends."""
         try:
             self._buffer.refill()
@@ -110,7 +107,7 @@ class IioCapture:
         values = [channel.last(self._buffer) for channel in self._channels]
         counts = self._scaling.counts
         time = values[2] // NS_PER_100NS & 0xFFFFFFFF if len(values) == 3 else None
-        return Scan(counts(values[0]), counts(values[1]), time)
+        return Sample(counts(values[0]), counts(values[1]), time_100ns=time)
 
     def cancel(self) -> None:
         """Let :meth:`refill` end with an OSError, now and ever after."""

@@ -10,7 +10,6 @@ from canfb.bus.opening import check_device_bus
 from canfb.configuration import Config, line_of
 from canfb.errors import ConfigError
 from canfb.module.config import ModuleConfig
-from canfb.module.source_config import RecordingSourceConfig
 
 
 def check_machine(path: Path, config: Config) -> None:
@@ -22,8 +21,9 @@ def check_machine(path: Path, config: Config) -> None:
         for n, module in enumerate(config.modules):
             keys = ("modules", n, "state_dir")
             _check_state_dir(module)
-            keys = ("modules", n, "source", "file")
-            _check_source(module)
+            keys = ("modules", n, "source")
+            if module.source is not None:
+                module.source.check_machine()
         keys = ("realtime", "cpu")
         _check_cpu(config.realtime.cpu)
     except ConfigError as error:
@@ -39,17 +39,6 @@ def _check_state_dir(module: ModuleConfig) -> None:
         raise ConfigError(f"state_dir {folder} cannot be used: {there} is not a folder")
     if not os.access(there, os.W_OK | os.X_OK):
         raise ConfigError(f"state_dir {folder} cannot be used: {there} is not writable")
-
-
-def _check_source(module: ModuleConfig) -> None:
-    if not isinstance(module.source, RecordingSourceConfig):
-        return
-    path = Path(module.source.file)
-    try:
-        with path.open("rb"):
-            pass
-    except OSError as error:
-        raise ConfigError(f"file {path} of source cannot be read: {error.strerror}") from None
 
 
 def _check_cpu(cpu: int | None) -> None:

@@ -1,4 +1,4 @@
-"""Samples without an encoder: of a simulated machine, or of a recording (:mod:`canfb.signal.source`)."""
+"""A recording as a source: a CSV file with a header line, or an NPZ file of canfb."""
 
 from __future__ import annotations
 
@@ -6,70 +6,84 @@ import csv
 import itertools
 import math
 import statistics
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from canfb.errors import CanfbError
+from canfb.checks import integer_in
+from canfb.errors import CanfbError, ConfigError
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import TICK_S
-from canfb.signal.source import SourceEnded
-from canfb.simulation.encoder import Encoder
-from canfb.simulation.motion import Motion
-from canfb.simulation.shaft_encoder import ShaftEncoder
+from canfb.sources.protocol import Source, SourceEnded
+from canfb.sources.source_config import SourceConfig, column, flag, number, text
+from canfb.sources.surroundings import Surroundings
+from canfb.sources.tracks_file import read_tracks
 
 
-class MotionSource:
-    """An encoder on a machine that moves, whether it is sampled or not; its motion is a function of time.
+@dataclass(frozen=True, kw_only=True)
+class RecordingSourceConfig(SourceConfig):
+    """A recording, one row for each SYNC.
 
-    :meth:`sample_at` samples at a true time; the motion begins with the first one, or with the first
-    recording. :meth:`next` is for a module that samples itself, at the rate of 1 / ``interval_s``: one
-    interval passes with every sample. Use one of the two.
+    file           CSV with a header line, or NPZ as ``canfb calibrate --out`` writes it; required
+    columns        names, or numbers from 0, of the sine and the cosine column of a CSV file
+    mid_scale      the reading that means zero, subtracted from both (CSV)
+    time_column    column with seconds (CSV): a longer step than ``gap_s`` is a gap; None: there is none
+    gap_s          seconds, more than 0
+    gap_samples    samples missed at each gap, 1..1000000
+    time_stamps    True: the time column is the sample time (2000:05), too
     """
 
-    def __init__(
-        self,
-        encoder: Encoder,
-        motion: Motion,
-        cycles_per_revolution: int,
-        interval_s: float,
-        seed: int = 1,
-        aperture_jitter_s: float = 0.0,
-    ) -> None:
-        self._shaft = ShaftEncoder(encoder, cycles_per_revolution, seed, aperture_jitter_s)
-        self._motion = motion
-        self._interval_s = interval_s
-        self._count = 0
-        self._start_s: float | None = None
+    kind: str = "recording"
+    file: str
+    columns: Sequence[str | int] = field(default=("sine", "cosine"), metadata={"list": True})
+    mid_scale: float = 0.0
+    time_column: str | int | None = None
+    gap_s: float = 0.1
+    gap_samples: int = 20
+    time_stamps: bool = False
 
-    @property
-    def position_cycles(self) -> float:
-        """True position of the last sample, cycles."""
-        return self._shaft.position_cycles
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        text("file", self.file)
+        if not isinstance(self.columns, Sequence) or isinstance(self.columns, str) or len(self.columns) != 2:
+            raise ValueError(f"columns must be two, [sine, cosine], not {self.columns!r}")
+        for name in self.columns:
+            column("columns", name)
+        number("mid_scale", self.mid_scale)
+        if self.time_column is not None:
+            column("time_column", self.time_column)
+        number("gap_s", self.gap_s)
+        if self.gap_s <= 0.0:
+            raise ValueError(f"gap_s must be more than 0, not {self.gap_s!r}")
+        integer_in("gap_samples", self.gap_samples, 1, 1_000_000)
+        flag("time_stamps", self.time_stamps)
+        if self.time_stamps and self.time_column is None:
+            raise ValueError("time_stamps need a time_column")
 
-    def machine_time(self, now: float) -> float:
-        """The time of the motion, seconds, at the time ``now`` of the node."""
-        if self._start_s is None:
-            self._start_s = now
-        return max(0.0, now - self._start_s)
+    def check_machine(self) -> None:
+        """ConfigError for a file that cannot be read."""
+        try:
+            with Path(self.file).open("rb"):
+                pass
+        except OSError as error:
+            raise ConfigError(f"file {Path(self.file)} of source cannot be read: {error.strerror}") from None
 
-    def fast_samples(self, times_s: npt.NDArray[np.float64], seed: tuple[int, int]) -> npt.NDArray[np.int16]:
-        """Both tracks at these times of the motion, shape (n, 2), in ADC counts."""
-        return self._shaft.fast_samples(self._motion.revolutions_at(times_s), seed)
-
-    def sample_at(self, now: float) -> Sample:
-        """The sample at the true time ``now`` of the node, seconds."""
-        return self._shaft.sample(self.machine_time(now), self._motion.revolutions)
-
-    def next(self) -> Sample:
-        """The sample one interval after the one before: both tracks alone."""
-        time_s = self._count * self._interval_s
-        self._count += 1
-        sine, cosine, *_ = self._shaft.sample(time_s, self._motion.revolutions)
-        return Sample(sine, cosine)
+    def open(self, surroundings: Surroundings) -> Source:
+        """The recording, read."""
+        sine, cosine = (str(name) for name in self.columns)
+        layout = RecordingLayout(
+            (sine, cosine),
+            self.mid_scale,
+            None if self.time_column is None else str(self.time_column),
+            self.gap_s,
+            self.gap_samples,
+            self.time_stamps,
+        )
+        return open_recording(self.file, layout)
 
 
 @dataclass(frozen=True)
@@ -116,8 +130,8 @@ class RecordingSource:
     def tracks(self) -> tuple[FloatArray, FloatArray]:
         """Both tracks as they are played from the start, counts, NaN where a SYNC gets no answer."""
         pairs: list[tuple[float, float]] = []
-        for number, (_, sine, cosine) in enumerate(self._rows):
-            lost = self._pauses.get(number, 0)
+        for n, (_, sine, cosine) in enumerate(self._rows):
+            lost = self._pauses.get(n, 0)
             pairs += [(math.nan, math.nan)] * lost if lost else [(sine, cosine)]
         sines, cosines = np.array(pairs, np.float64).reshape(-1, 2).T
         return sines, cosines
@@ -160,6 +174,15 @@ class ArraySource:
         except StopIteration:
             raise SourceEnded from None
         return None if math.isnan(sine + cosine) else Sample(sine, cosine)
+
+
+def open_recording(file: str, layout: RecordingLayout) -> RecordingSource | ArraySource:
+    """A recording: an NPZ file of ours by its name, which needs no layout, else CSV. CanfbError."""
+    path = Path(file)
+    if path.suffix == ".npz":
+        tracks = read_tracks(path)
+        return ArraySource(tracks.sine, tracks.cosine)
+    return RecordingSource(path, layout)
 
 
 def _pauses(rows: list[tuple[float, int, int]], layout: RecordingLayout) -> dict[int, int]:

@@ -11,12 +11,10 @@ from hypothesis import strategies as st
 
 from canfb.configuration import parse_config
 from canfb.errors import ConfigError
-from canfb.module.source_config import (
-    IioSourceConfig,
-    MotionSourceConfig,
-    RecordingSourceConfig,
-    SourceConfig,
-)
+from canfb.sources.iio_source import IioSourceConfig
+from canfb.sources.motion_source import MotionSourceConfig
+from canfb.sources.recording_source import RecordingSourceConfig
+from canfb.sources.source_config import SourceConfig
 
 
 def source_of(text: str, module: str = "") -> SourceConfig | None:
@@ -74,8 +72,8 @@ def test_only_bits_that_are_stated_are_held_against_the_converter() -> None:
 WRONG = {
     "iio": "'source' must be a mapping with a kind",
     "[motion]": "'source' must be a mapping with a kind",
-    "{device: x}": "'kind' is missing in source; known are recording, motion, iio",
-    "{kind: adc}": "unknown kind 'adc' of source; known are recording, motion, iio",
+    "{device: x}": "'kind' is missing in source; known are iio, motion, recording",
+    "{kind: adc}": "unknown kind 'adc' of source; known are iio, motion, recording",
     "{kind: [iio]}": "unknown kind None of source",
     "{kind: iio, kind: iio}": "key 'kind' appears twice in source",
     "{kind: iio}": "'device' is missing in source",

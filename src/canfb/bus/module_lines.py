@@ -1,0 +1,72 @@
+"""What ``canfb run`` says of a module: its name, what was saved, its counters at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from canfb import objects as od
+from canfb.cia301.datatypes import encode
+from canfb.device.lss import UNCONFIGURED
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.parameters import configured_defaults
+
+COUNTERS = {
+    "missed": od.COUNTER_MISSED,
+    "residual": od.COUNTER_RESIDUAL,
+    "amplitude": od.COUNTER_AMPLITUDE,
+    "coasted": od.COUNTER_COASTED,
+    "lost": od.COUNTER_LOST,
+}
+"""What the closing line counts."""
+
+
+def name_of(module: FeedbackModule) -> str:
+    """The node-ID that it has, or is going to have; before its start."""
+    module.node.storage.power_on()  # a node-ID that LSS has stored comes before that of the configuration
+    module.node.lss.power_on()
+    node_id = module.node.lss.pending_node_id
+    if node_id == UNCONFIGURED:
+        return f"without a node-ID yet (LSS, serial number {module.config.serial_number})"
+    return f"{node_id} ({node_id:02X}h)"
+
+
+def title_of(module: FeedbackModule) -> str:
+    """The node, by the node-ID that it has now."""
+    node_id = module.node.node_id
+    if node_id == UNCONFIGURED:
+        return f"node without a node-ID (serial number {module.config.serial_number})"
+    return f"node {node_id} ({node_id:02X}h)"
+
+
+def what_is_saved(module: FeedbackModule) -> list[str]:
+    """Which values of the configuration are not in force, because others were saved: a line, or none."""
+    module.node.storage.restore()  # the start does it again
+    changed = []
+    for index, subindex in configured_defaults(module.config):
+        entry = module.dictionary.entry(index, subindex)
+        if encode(entry.data_type, entry.value) != encode(entry.data_type, entry.default):
+            changed.append(f"{index:04X}h:{subindex:02X}")
+    objects = ", ".join(changed)
+    if not changed:
+        return []
+    return [f"node {name_of(module)}: saved values come before the configuration: {objects}"]
+
+
+def speeds_of(modules: Sequence[FeedbackModule]) -> list[str]:
+    """How fast the encoders may turn for a jitter of SYNC: a line for all modules with the same speeds."""
+    names: dict[str, list[str]] = {}
+    for module in modules:
+        if text := module.speed_limit():
+            names.setdefault(text, []).append(name_of(module))
+    return [f"node {', '.join(those)}: {text}" for text, those in names.items()]
+
+
+def summary_of(module: FeedbackModule) -> str:
+    """Samples and counters of the module, at the end."""
+    counts = ", ".join(f"{name} {module.dictionary.entry(*place).value}" for name, place in COUNTERS.items())
+    samples = module.dictionary.entry(*od.FEEDBACK_SAMPLES).value
+    node_id = module.node.node_id
+    node = title_of(module) if node_id == UNCONFIGURED else f"node {node_id}"
+    duplicates = module.node.counters.duplicate_frames
+    others = f"; {duplicates} frames of another node with this node-ID" if duplicates else ""
+    return f"{node}: {samples} samples; {counts}{others}"

@@ -1,0 +1,119 @@
+"""The options of ``canfb simulate``, checked, and what they make of the configuration."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import replace
+
+from canfb.bus.simulating import fed_module
+from canfb.cli.options import add_bus_options, add_ready_file, chosen_module, refuse_idle, whole_number
+from canfb.configuration import Config
+from canfb.errors import ConfigError
+from canfb.simulation.fed_module import FedModule
+from canfb.simulation.scenario import PACES, SimulationConfig
+from canfb.simulation.set_up import Play
+from canfb.sources.recording_source import RecordingLayout
+
+TIMES = ("time_column", "gap", "gap_samples")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """All options of the command."""
+    parser.add_argument("config", metavar="CONFIG.yaml")
+    parser.add_argument(
+        "--rate",
+        type=float,
+        metavar="HZ",
+        help="produce the SYNC at this rate; without it, follow the SYNC of the bus",
+    )
+    parser.add_argument(
+        "--pace",
+        choices=PACES,
+        help="the machine turns in true time (time), or by one interval with each SYNC, however late (sync)",
+    )
+    parser.add_argument(
+        "--module", type=whole_number, metavar="ID", help="node id of the module it feeds (the first)"
+    )
+    parser.add_argument("--rpm", type=float, help="speed after the ramp, in place of the configuration's")
+    parser.add_argument("--autostart", action="store_true", help="operational without a master")
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="end when the machine has moved for so long"
+    )
+    parser.add_argument(
+        "--record",
+        metavar="FILE",
+        help="write what was sampled to a CSV or NPZ file, to play it (--samples) or to calibrate with it",
+    )
+    add_ready_file(parser)
+    play = parser.add_argument_group("playing a recording")
+    play.add_argument(
+        "--samples",
+        metavar="FILE",
+        help="CSV file with a header line, one row for each SYNC, or an NPZ file of canfb",
+    )
+    play.add_argument(
+        "--columns",
+        default="sine,cosine",
+        metavar="SINE,COSINE",
+        help="names or numbers (from 0) of the two columns",
+    )
+    play.add_argument(
+        "--mid-scale", type=float, default=0.0, metavar="COUNTS", help="the reading that means zero"
+    )
+    play.add_argument(
+        "--time-column", metavar="NAME", help="column with seconds; gaps in it become lost samples"
+    )
+    play.add_argument(
+        "--gap", type=float, default=0.1, metavar="S", help="a longer step of time is a gap (0.1)"
+    )
+    play.add_argument(
+        "--gap-samples", type=int, default=20, metavar="N", help="samples lost at each gap (20)"
+    )
+    add_bus_options(parser)
+
+
+def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfig, FedModule, Play]:
+    """What is simulated: the configuration, with what the options change. ConfigError for bad ones."""
+    module = chosen_module(options, config)
+    if options.samples is None:
+        refuse_idle(options, ("columns", "mid_scale", *TIMES), "only with --samples, which it describes")
+    else:
+        refuse_idle(options, ("rpm",), "not with --samples: a recording has its own motion")
+    if options.rate is not None and not 0.1 <= options.rate <= 100_000:
+        raise ConfigError(f"--rate {options.rate:g}: must be 0.1 to 100000 Hz")
+    if options.seconds is not None and not 0.0 < options.seconds <= 1e6:
+        raise ConfigError(f"--seconds {options.seconds:g}: must be more than 0, at most 1e6")
+    simulation = config.simulation
+    for option in ("samples", "rpm") if simulation.drive is not None else ():
+        if getattr(options, option) is not None:
+            raise ConfigError(f"--{option}: the drive of the configuration moves the encoder; leave out one")
+    if options.rpm is not None:
+        try:
+            simulation = replace(simulation, motion=replace(simulation.motion, rpm=options.rpm))
+        except ValueError as error:
+            raise ConfigError(f"--rpm {options.rpm:g}: {error}") from None
+    play = Play(
+        rate_hz=options.rate,
+        autostart=options.autostart,
+        recorded=options.record is not None or options.seconds is not None,
+        file=options.samples,
+        layout=_layout(options),
+    )
+    return replace(simulation, pace=options.pace or simulation.pace), fed_module(module), play
+
+
+def _layout(options: argparse.Namespace) -> RecordingLayout:
+    columns = [name.strip() for name in options.columns.split(",")]
+    if len(columns) != 2:
+        raise ConfigError(f"--columns {options.columns}: two columns, sine,cosine, are wanted")
+    if not math.isfinite(options.mid_scale):
+        raise ConfigError(f"--mid-scale {options.mid_scale:g}: must be a number of counts")
+    if not 0.0 < options.gap < math.inf:
+        raise ConfigError(f"--gap {options.gap:g}: must be more than 0 seconds")
+    if options.gap_samples < 1:
+        raise ConfigError(f"--gap-samples {options.gap_samples}: must be 1 or more")
+    if options.time_column is None:
+        refuse_idle(options, TIMES, "only with --time-column, in which the gaps are")
+    names = (columns[0], columns[1])
+    return RecordingLayout(names, options.mid_scale, options.time_column, options.gap, options.gap_samples)

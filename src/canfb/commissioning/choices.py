@@ -1,0 +1,132 @@
+"""What ``canfb calibrate`` is asked to do: its options, checked, and what follows from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from canfb.commissioning.access import CommissioningError
+from canfb.commissioning.pictures import TrackLimits
+from canfb.commissioning.procedure import MOTION, ZERO_CROSSINGS, Settings
+from canfb.commissioning.sample_files import read_npz
+from canfb.commissioning.samples import Samples
+from canfb.errors import ConfigError
+from canfb.sources.recording_source import RecordingLayout, RecordingSource
+
+PDO, RECORDING, MODULE = "pdo", "recording", "module"
+DEFAULT_MODULE = 0x20
+LEAST_SAMPLES = 8000
+RANGES = (
+    ("seconds", 0.1, 3600.0),
+    ("verify", 0.1, 600.0),
+    ("least_samples", 0, 10_000_000),
+    ("rate", 0.1, 1e7),
+    ("sync", 0.1, 1e5),
+    ("answer_within", 0.01, 60.0),
+    ("entries", 16, 4096),
+    ("adc_bits", 4, 16),
+    ("module", 1, 127),
+    ("encoder_interface", 1, 127),
+    ("cycles_per_revolution", 1, 1 << 20),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choices:
+    """The options by their names; None: not given. :meth:`refuse_impossible` checks them."""
+
+    module: int | None = None
+    encoder_interface: int | None = None
+    dry_run: bool = False
+    check: bool = False
+    out: Path | None = None
+    no_save: bool = False
+    method: str = MOTION
+    source: str | None = None
+    recorder: str = "interface"
+    seconds: float | None = None
+    least_samples: int = LEAST_SAMPLES
+    verify: float | None = None
+    conditioning: str = "fit"
+    entries: int = 1024
+    adc_bits: int | None = None
+    rate: float | None = None
+    sync: float | None = None
+    encoder: str = ""
+    answer_within: float = 1.0
+    samples: Path | None = None
+    columns: str = "sine,cosine"
+    mid_scale: float = 0.0
+    time_column: str | None = None
+    table: Path | None = None
+    cycles_per_revolution: int | None = None
+    line: str = ""
+    """The command, for the report."""
+
+    @property
+    def samples_from(self) -> str:
+        """Where samples come from: "pdo", "recording" or "module"."""
+        return self.source or (RECORDING if self.method == ZERO_CROSSINGS else PDO)
+
+    @property
+    def collect_s(self) -> float:
+        """How long to collect samples."""
+        return self.seconds if self.seconds is not None else (4.0 if self._is_fast else 20.0)
+
+    @property
+    def verify_s(self) -> float:
+        """How long to collect samples for the proof."""
+        return self.verify if self.verify is not None else (1.0 if self._is_fast else 4.0)
+
+    @property
+    def _is_fast(self) -> bool:
+        return self.samples_from == RECORDING and self.recorder == "interface"
+
+    def refuse_impossible(self) -> None:
+        """ConfigError for options that cannot be."""
+        for name, low, high in RANGES:
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise ConfigError(f"--{name.replace('_', '-')} {value:g}: must be {low:g} to {high:g}")
+        if not math.isfinite(self.mid_scale):
+            raise ConfigError(f"--mid-scale {self.mid_scale:g}: must be a number of counts")
+        if len(self.columns.split(",")) != 2:
+            raise ConfigError(f"--columns {self.columns}: two columns, sine,cosine, are wanted")
+        if self.samples_from == MODULE and self.method != MOTION:
+            raise ConfigError("--source module: the module has the method motion only")
+
+    def settings(self, limits: TrackLimits | None) -> Settings:
+        """How to calibrate; the converter's bits from the module, unless given."""
+        bits = self.adc_bits
+        if bits is None and limits is not None and limits.full_scale.bit_count() == 1:
+            bits = limits.full_scale.bit_length()
+        return Settings(self.method, "fit" if self.conditioning == "fit" else None, self.entries, bits)
+
+    def nodes(self, configured: Iterable[tuple[int, int | None]]) -> tuple[int, int | None]:
+        """Ids of module and encoder interface, None if the module is to say it. ConfigError if both are one.
+
+        ``configured`` are those of the configuration, None for the interface of a module with a source.
+        """
+        module, interface = self.module, self.encoder_interface
+        known = [one for one in configured if module in (None, one[0])]
+        if module is None:
+            module = known[0][0] if known else DEFAULT_MODULE
+        if interface is None and known:
+            interface = known[0][1]
+        if module == interface:
+            raise ConfigError(f"--encoder-interface {interface}: must be another node than the module")
+        return module, interface
+
+    def samples_of_file(self, path: Path) -> Samples:
+        """Samples of ``--samples``. CanfbError, with file and line, for a file that cannot be used."""
+        if path.suffix == ".npz":
+            found = read_npz(path)
+            return Samples(found.sine, found.cosine, self.rate or found.rate_hz, found.origin)
+        sine, cosine = (name.strip() for name in self.columns.split(","))
+        recording = RecordingSource(path, RecordingLayout((sine, cosine), self.mid_scale, self.time_column))
+        try:
+            return Samples.of(*recording.tracks(), self.rate, f"file {path.name}")
+        except ValueError as error:
+            raise CommissioningError(f"{path}: {error}") from None

@@ -1,0 +1,67 @@
+"""The configuration of another module, read from its objects."""
+
+from __future__ import annotations
+
+import zlib
+from typing import Any, Protocol
+
+from canfb import objects as od
+from canfb.cia301 import datatypes
+from canfb.device.dictionary import Dictionary
+from canfb.device.entry import Entry
+from canfb.eds_files import eds_path
+from canfb.errors import CanfbError
+from canfb.module.device_configuration import DeviceConfiguration, configuration_read
+from canfb.module.feedback_module import EDS
+
+IDENTITY = (od.DEVICE_TYPE, od.IDENTITY_VENDOR_ID, od.IDENTITY_PRODUCT_CODE)  # what a module is known by
+
+
+class Objects(Protocol):
+    """The objects of a node; CanfbError for what cannot be read."""
+
+    @property
+    def node_id(self) -> int:
+        """1..127."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+
+    def number(self, index: int, subindex: int, layout: str) -> int | float:
+        """A number, ``layout`` as in struct."""
+
+    def data(self, index: int, subindex: int) -> bytes:
+        """The bytes of any object."""
+
+
+def read_configuration(objects: Objects) -> DeviceConfiguration:
+    """What is in force in a module on a bus. CanfbError for what does not work, or is no such module."""
+    dictionary = Dictionary.load(eds_path(EDS), objects.node_id)
+    for place in IDENTITY:
+        entry = dictionary.entry(*place)
+        found = _read(objects, entry)
+        if found != entry.value:
+            what = f"{place[0]:04X}:{place[1]:02X} is {found:X}h, not {entry.value:X}h"
+            raise CanfbError(f"{objects.name} is no feedback module of canfb: {what}")
+    serial_number = int(_read(objects, dictionary.entry(*od.IDENTITY_SERIAL_NUMBER)))
+    table = _read_table(objects, dictionary)
+    return configuration_read(objects.node_id, lambda entry: _read(objects, entry), serial_number, table)
+
+
+def _read(objects: Objects, entry: Entry) -> Any:
+    letter = datatypes.FORMATS.get(entry.data_type)
+    if letter is None:
+        return entry.decode(objects.data(entry.index, entry.subindex))
+    return objects.number(entry.index, entry.subindex, letter)
+
+
+def _read_table(objects: Objects, dictionary: Dictionary) -> bytes:
+    """The active table, empty for the identity."""
+    crc32 = _read(objects, dictionary.entry(*od.TABLE_ACTIVE_CRC))
+    if not crc32:
+        return b""
+    table = objects.data(*od.TABLE_STAGED)
+    if zlib.crc32(table) != crc32:
+        raise CanfbError(f"{objects.name}: the table changed while it was read; try again")
+    return table
