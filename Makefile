@@ -15,9 +15,10 @@ export OPENBLAS_NUM_THREADS ?= 1
 INSTALLED := $(VENV)/.installed
 INSTALLED_TEST := $(VENV)/.installed-test
 LOWEST := $(VENV)-lowest
+MUTATED ?= $(addprefix src/canfb/signal/,supervision.py frozen.py coarse.py zero_pulse.py reference.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types unit socketcan lowest bench format clean
+.PHONY: help demo test lint types unit socketcan lowest mutate bench format clean
 
 help: ## Show the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -52,6 +53,10 @@ lowest: $(LOWEST)/.installed ## Run a part of the tests with the lowest versions
 	$(LOWEST)/bin/python -m pytest tests/bus/test_opening.py tests/bus/test_runner.py tests/cli/test_main.py \
 		tests/cli/test_config_command.py tests/cli/test_simulate_command.py tests/module/test_feedback_module.py \
 		tests/commissioning/test_report.py tests/test_exports.py
+
+# What watches over the position: a change that no test notices is one that a mistake could be.
+mutate: $(INSTALLED_TEST) ## Change the supervision in one place at a time, and see whether the tests notice
+	$(PY) -m tools.suite.mutate $(MUTATED) --allow tests/signal/known_survivors.txt -- tests/signal
 
 bench: $(INSTALLED_TEST) ## Measure the time of one cycle, and of whole arrays
 	$(PY) -m tools.bench.cycle

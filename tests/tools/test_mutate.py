@@ -98,7 +98,7 @@ def run(project: Path, *options: str) -> tuple[int, list[str]]:
         env=os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{project / 'src'}"},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         check=False,
     )
     return done.returncode, done.stdout.splitlines()

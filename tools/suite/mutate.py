@@ -7,6 +7,13 @@ constant, a condition, a returned value, a statement left out) is made in memory
 pytest with PYTEST_ARGS up to the first failure. A change that no test notices is a survivor, and is printed.
 LIST names survivors that are known to change nothing, one per line, with the reason after two spaces and a #.
 The exit status is 1 if there are others, 2 if the tests fail unchanged. Nothing is written to the disk.
+
+Why not a mutation tester of others? mutmut (3.8) changes the bodies of functions alone: no constant of a
+module or a class, no status bit, no property, which are 127 of the 847 changes of the supervision, 89 of the
+147 in supervision.py. It numbers its changes, so a list of those that are known to change nothing ends with
+the next edit, and its exit status ignores survivors. For code in functions it is the quicker one: it
+runs only the tests that reach a change. cosmic-ray (8.7) writes each change into the source file, leaves it
+there when it is interrupted, and starts pytest again for each: 249 changes of zero_pulse.py, 22 s each.
 """
 
 from __future__ import annotations
@@ -16,10 +23,12 @@ import ast
 import copy
 import importlib.abc
 import importlib.util
+import math
 import os
 import resource
 import signal
 import sys
+import time
 from collections import Counter
 from collections.abc import Iterator
 from importlib.machinery import ModuleSpec
@@ -27,7 +36,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 SOURCE = Path("src").resolve()
-ENDLESS_S, BOUNDLESS_BYTES = 60, 4 << 30  # a test that takes so much time or memory has noticed
+# Tests that take so much longer than without a change, or so much memory, have noticed it.
+ENDLESS_S, ENDLESS_FACTOR, BOUNDLESS_BYTES = 60, 5, 4 << 30
 PAIRS = [
     (ast.Lt, ast.LtE), (ast.Gt, ast.GtE), (ast.Eq, ast.NotEq), (ast.Is, ast.IsNot), (ast.In, ast.NotIn),
     (ast.And, ast.Or), (ast.Add, ast.Sub), (ast.Mult, ast.Div), (ast.BitAnd, ast.BitOr),
@@ -132,12 +142,15 @@ class Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         exec(self._code, vars(module))
 
 
-def run_tests(mutant: Mutant | None, pytest_args: list[str]) -> int:
-    """The process that runs the tests, with the change if there is one; it ends with pytest's exit status."""
+def run_tests(mutant: Mutant | None, pytest_args: list[str], limit_s: int = 0) -> int:
+    """The process that runs the tests, with the change if there is one; it ends with pytest's exit status.
+
+    A signal ends it after ``limit_s`` seconds; 0: never.
+    """
     pid = os.fork()
     if pid:
         return pid
-    signal.alarm(ENDLESS_S)
+    signal.alarm(limit_s)
     resource.setrlimit(resource.RLIMIT_AS, (BOUNDLESS_BYTES, BOUNDLESS_BYTES))
     status = 1
     try:
@@ -154,14 +167,14 @@ def run_tests(mutant: Mutant | None, pytest_args: list[str]) -> int:
         os._exit(status)
 
 
-def survivors(every: list[Mutant], pytest_args: list[str], jobs: int) -> list[Mutant]:
+def survivors(every: list[Mutant], pytest_args: list[str], jobs: int, limit_s: int) -> list[Mutant]:
     """The changes that no test notices."""
     waiting, survived = list(reversed(every)), []
     running: dict[int, Mutant] = {}
     while waiting or running:
         while waiting and len(running) < jobs:
             mutant = waiting.pop()
-            running[run_tests(mutant, pytest_args)] = mutant
+            running[run_tests(mutant, pytest_args, limit_s)] = mutant
         pid, status = os.wait()
         mutant = running.pop(pid)
         if status == 0:
@@ -185,11 +198,13 @@ def main(arguments: list[str]) -> int:
     options = parser.parse_args(ours)
     lines = options.allow.read_text(encoding="utf-8").splitlines() if options.allow else []
     allowed = {line.split("  #")[0].strip() for line in lines}
+    begun_s = time.monotonic()
     if os.waitpid(run_tests(None, pytest_args), 0)[1]:
         print("the tests fail without any change", file=sys.stderr)
         return 2
     every = [mutant for path in options.files for mutant in mutants(path)]
-    survived = survivors(every, pytest_args, options.jobs)
+    limit_s = max(ENDLESS_S, math.ceil(ENDLESS_FACTOR * (time.monotonic() - begun_s)))
+    survived = survivors(every, pytest_args, options.jobs, limit_s)
     new = [mutant for mutant in survived if mutant.name not in allowed]
     print(f"{len(every)} changes, {len(survived)} survived, {len(new)} of them not known to change nothing")
     return 1 if new else 0
