@@ -14,11 +14,11 @@ export OPENBLAS_NUM_THREADS ?= 1
 # What pip has installed, one stamp for each set of extras; a change of pyproject.toml installs again.
 INSTALLED := $(VENV)/.installed
 INSTALLED_TEST := $(VENV)/.installed-test
-LOWEST := $(VENV)-lowest
+LOWEST := .venv-lowest
 MUTATED ?= $(addprefix src/canfb/signal/,supervision.py frozen.py coarse.py zero_pulse.py reference.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types unit socketcan lowest mutate bench format clean
+.PHONY: help demo test lint types unit socketcan lowest pythons mutate bench format clean
 
 help: ## Show the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -54,6 +54,9 @@ lowest: $(LOWEST)/.installed ## Run a part of the tests with the lowest versions
 		tests/cli/test_config_command.py tests/cli/test_simulate_command.py tests/module/test_feedback_module.py \
 		tests/commissioning/test_report.py tests/test_exports.py
 
+pythons: ## Run the unit tests with every Python from 3.11 that is there
+	@$(PYTHON) -m tools.suite.pythons unit
+
 # What watches over the position: a change that no test notices is one that a mistake could be.
 mutate: $(INSTALLED_TEST) ## Change the supervision in one place at a time, and see whether the tests notice
 	$(PY) -m tools.suite.mutate $(MUTATED) --allow tests/signal/known_survivors.txt -- tests/signal
@@ -66,7 +69,7 @@ format: $(INSTALLED_TEST) ## Write the code as the checks want it
 	$(PY) -m ruff format
 
 clean: ## Remove what was built, and the virtual environment
-	rm -rf $(VENV) $(LOWEST) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .venv-* build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find src tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(PY):
