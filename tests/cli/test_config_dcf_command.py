@@ -113,8 +113,8 @@ def test_table_and_parameters_that_were_saved(yaml: Path, capsys: pytest.Capture
     assert Path("m.table.bin").read_bytes() == TABLE.to_bytes()
     fresh = Peer(ModuleConfig(node_id=0x20), dictionary=canopen.import_od("m.dcf"))
     fresh.remote.load_configuration()
-    assert fresh.module.chain.table == TABLE
-    assert fresh.module.chain.conditioning == Conditioning(sine_gain=1.25)
+    assert fresh.module.chain.correction.table == TABLE
+    assert fresh.module.chain.correction.conditioning == Conditioning(sine_gain=1.25)
     assert fresh.module.dictionary.entry(0x2010, 3).value == 7
 
 

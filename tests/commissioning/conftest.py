@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from commissioning_kit import random_encoder, recorded
 
-from canfb.commissioning.active import NOTHING_ACTIVE, ActiveSet
 from canfb.commissioning.procedure import Measurement, Settings, measure
 from canfb.commissioning.samples import Samples
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import CorrectionTable
+from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
 
 SETTINGS = Settings(entries=64, adc_bits=12)
 
@@ -32,19 +31,19 @@ def fresh() -> Samples:
 
 
 @pytest.fixture(scope="session")
-def old() -> ActiveSet:
+def old() -> Correction:
     """What was active before: some other table and conditioning."""
     x = np.arange(32) / 32
     table = CorrectionTable(x + 0.01 * np.sin(2 * np.pi * x))
-    return ActiveSet(table, Conditioning(4.0, -2.5, 1.0, 0.984375, 0.0078125))
+    return Correction(table, Conditioning(4.0, -2.5, 1.0, 0.984375, 0.0078125))
 
 
 @pytest.fixture(scope="session")
-def measured(samples: Samples, old: ActiveSet) -> Measurement:
+def measured(samples: Samples, old: Correction) -> Measurement:
     return measure(samples, SETTINGS, old, lambda part: None)
 
 
 @pytest.fixture(scope="session")
 def measured_first(samples: Samples) -> Measurement:
     """The same on a module in which nothing was active."""
-    return measure(samples, SETTINGS, NOTHING_ACTIVE, lambda part: None)
+    return measure(samples, SETTINGS, NO_CORRECTION, lambda part: None)

@@ -15,12 +15,13 @@ from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.commissioning.access import CommissioningError
-from canfb.commissioning.active import NOTHING_ACTIVE, read_active
+from canfb.commissioning.active import read_active
 from canfb.commissioning.artefacts import prepare
 from canfb.commissioning.procedure import Guard
 from canfb.configuration import Config
 from canfb.device.storage import MemoryStore
 from canfb.errors import CalibrationError
+from canfb.signal.correction import NO_CORRECTION
 from canfb.signal.supervision import TABLE_ACTIVE
 from canfb.simulation.motion import Motion
 
@@ -89,7 +90,7 @@ def test_the_account_for_people(capsys: pytest.CaptureFixture[str], tmp_path: Pa
         "... saving",
     ]
     assert "X1" in (tmp_path / "report.html").read_text()
-    assert (tmp_path / "table.bin").read_bytes() == bench.module.chain.table.to_bytes()  # type: ignore[union-attr]
+    assert (tmp_path / "table.bin").read_bytes() == bench.module.chain.correction.table.to_bytes()  # type: ignore[union-attr]
 
 
 def test_a_second_measurement_finds_the_first_one_good(capsys: pytest.CaptureFixture[str]) -> None:
@@ -105,7 +106,7 @@ def test_a_dry_run_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     bench = Bench()
     assert calibrate(bench, "--dry-run") == 0
     assert "dry run: nothing was written to the module" in capsys.readouterr().out
-    assert read_active(bench.access) == NOTHING_ACTIVE
+    assert read_active(bench.access) == NO_CORRECTION
     assert {frame.data[0] >> 5 for frame in bench.master.sent if frame.can_id == 0x620} <= {2, 3, 5}, (
         "uploads only"
     )
@@ -160,7 +161,7 @@ def test_a_bad_measurement_is_refused_and_nothing_changes(
     assert figures["accepted"] is False
     assert figures["reason"] == error.value.reason
     assert reason is None or figures["reason"] == reason
-    assert read_active(bench.access) == NOTHING_ACTIVE
+    assert read_active(bench.access) == NO_CORRECTION
     assert {path.name for path in tmp_path.iterdir()} == {"samples.npz", "report.html"}
     assert "Refused: " in (tmp_path / "report.html").read_text()
     assert not any(frame.data[0] >> 5 in (1, 6) for frame in bench.master.sent if frame.can_id == 0x620)
@@ -180,7 +181,7 @@ def test_an_encoder_that_changes_in_between_gets_its_old_table_back() -> None:
         CommissioningError, match=r"on fresh samples .*; the table and the conditioning from before"
     ):
         calibrate(bench)
-    assert read_active(bench.access) == NOTHING_ACTIVE
+    assert read_active(bench.access) == NO_CORRECTION
 
 
 def test_the_machine_may_stop_after_the_measurement_and_nothing_is_half_done() -> None:
@@ -195,7 +196,7 @@ def test_the_machine_may_stop_after_the_measurement_and_nothing_is_half_done() -
         CommissioningError, match=r"stands still.*; the table and the conditioning from before"
     ):
         calibrate(bench)
-    assert read_active(bench.access) == NOTHING_ACTIVE
+    assert read_active(bench.access) == NO_CORRECTION
 
 
 def test_a_node_that_is_no_module() -> None:

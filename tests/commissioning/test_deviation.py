@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from commissioning_kit import random_encoder, recorded
 
-from canfb.commissioning.active import ActiveSet
 from canfb.commissioning.deviation import best_deviation, deviation
 from canfb.commissioning.procedure import Measurement, block_of
 from canfb.commissioning.samples import Samples
 from canfb.errors import CalibrationError
-from canfb.signal.correction import CorrectionTable
+from canfb.signal.correction import Correction, CorrectionTable
 
 
 def found(measured: Measurement, samples: Samples) -> float:
@@ -35,7 +34,7 @@ def test_a_wrong_table_shows_by_its_error(
 ) -> None:
     x = np.arange(256) / 256
     wrong = CorrectionTable(measured.calibration.table(x) + size * np.sin(2 * np.pi * order * x))
-    used = ActiveSet(wrong, measured.found.conditioning)
+    used = Correction(wrong, measured.found.conditioning)
     got = best_deviation(fresh, used, measured.before, block_of(measured.calibration), 12)
     want = np.hypot(size / np.sqrt(2), measured.calibration.residual_rms)
     assert got.rms == pytest.approx(want, rel=0.25)

@@ -12,10 +12,11 @@ from commissioning_kit import Bench
 
 from canfb.cia301.frame import Frame
 from canfb.commissioning.access import CommissioningError
-from canfb.commissioning.active import NOTHING_ACTIVE, ActiveSet, put_back, put_in_force, read_active, save
+from canfb.commissioning.active import put_back, put_in_force, read_active, save
 from canfb.commissioning.procedure import Guard, Installation, Measurement, Settings, install
 from canfb.commissioning.samples import Samples
 from canfb.device.storage import MemoryStore
+from canfb.signal.correction import NO_CORRECTION, Correction
 
 SDO_REQUEST, SDO_ANSWER = 0x620, 0x5A0
 AS_BEFORE = "the table and the conditioning from before are active in module 32 (20h)"
@@ -54,9 +55,9 @@ def is_write(frame: Frame) -> bool:
     return frame.data[0] >> 5 in (1, 6)
 
 
-def prepared(old: ActiveSet, **options: Any) -> Bench:
+def prepared(old: Correction, **options: Any) -> Bench:
     bench = Bench(sync=False, **options)
-    if old != NOTHING_ACTIVE:
+    if old != NO_CORRECTION:
         put_in_force(bench.access, old)
     return bench
 
@@ -74,25 +75,25 @@ def run_install(
 
 
 def test_the_new_set_is_in_force_proven_and_saved(
-    measured: Measurement, old: ActiveSet, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
 ) -> None:
     store = MemoryStore()
     bench = prepared(old, store=store)
     done = run_install(bench, measured, fresh, settings)
     assert read_active(bench.access) == measured.found
-    assert bench.module.chain.table == measured.calibration.table
+    assert bench.module.chain.correction.table == measured.calibration.table
     assert done.active
     assert done.saved_as == "1010:04"
     assert done.fresh is not None
     assert 0.5 < done.fresh.rms / measured.calibration.residual_rms < 1.3
-    again = prepared(NOTHING_ACTIVE, store=store)
+    again = prepared(NO_CORRECTION, store=store)
     assert read_active(again.access) == measured.found, "after the power was off"
 
 
 def test_without_a_store_it_is_active_and_said_to_be_not_saved(
     measured_first: Measurement, fresh: Samples, settings: Settings
 ) -> None:
-    bench = prepared(NOTHING_ACTIVE)
+    bench = prepared(NO_CORRECTION)
     done = run_install(bench, measured_first, fresh, settings)
     assert done.saved_as is None
     assert done.save_note.startswith("not saved: module 32 (20h) cannot save")
@@ -101,7 +102,7 @@ def test_without_a_store_it_is_active_and_said_to_be_not_saved(
 
 def test_not_to_save_is_not_to_save(measured_first: Measurement, fresh: Samples, settings: Settings) -> None:
     store = MemoryStore()
-    done = run_install(prepared(NOTHING_ACTIVE, store=store), measured_first, fresh, settings, keep=False)
+    done = run_install(prepared(NO_CORRECTION, store=store), measured_first, fresh, settings, keep=False)
     assert done.saved_as is None
     assert store.images == {}
     assert done.save_note.startswith("not saved, as asked")
@@ -117,11 +118,11 @@ def test_a_refused_write_leaves_the_old_set(
     before: str,
     measured: Measurement,
     measured_first: Measurement,
-    old: ActiveSet,
+    old: Correction,
     fresh: Samples,
     settings: Settings,
 ) -> None:
-    known, chosen = (old, measured) if before == "a table" else (NOTHING_ACTIVE, measured_first)
+    known, chosen = (old, measured) if before == "a table" else (NO_CORRECTION, measured_first)
     bench = prepared(known, store=MemoryStore())
     if known.table is not None:
         save(bench.access)
@@ -143,7 +144,7 @@ def test_a_refused_write_leaves_the_old_set(
     assert "\n" not in str(error.value)
     assert len(refused) == 2
     assert read_active(bench.access) == known
-    assert bench.module.chain.table == known.table
+    assert bench.module.chain.correction.table == known.table
 
 
 LAST_REQUEST = 60  # of an installation
@@ -164,7 +165,7 @@ def lying(bench: Bench, index: int, subindex: int, times: int) -> None:
 
 
 def test_a_wrong_crc_of_the_staged_table_activates_nothing(
-    measured: Measurement, old: ActiveSet, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
 ) -> None:
     bench = prepared(old)
     lying(bench, 0x2020, 2, 1)
@@ -176,7 +177,7 @@ def test_a_wrong_crc_of_the_staged_table_activates_nothing(
 
 @pytest.mark.parametrize("number", range(1, LAST_REQUEST + 1, 2))
 def test_a_lost_request_ends_in_the_new_set_or_in_the_old_one(
-    number: int, measured: Measurement, old: ActiveSet, fresh: Samples, settings: Settings
+    number: int, measured: Measurement, old: Correction, fresh: Samples, settings: Settings
 ) -> None:
     bench = prepared(old, store=MemoryStore())
     fault = Fault(bench)
@@ -194,7 +195,7 @@ def test_a_lost_request_ends_in_the_new_set_or_in_the_old_one(
 
 
 def test_the_lost_requests_reach_to_the_end(
-    measured: Measurement, old: ActiveSet, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
 ) -> None:
     bench = prepared(old, store=MemoryStore())
     fault = Fault(bench)
@@ -204,7 +205,7 @@ def test_the_lost_requests_reach_to_the_end(
 
 
 def test_a_module_that_is_gone_is_told_as_it_is(
-    measured: Measurement, old: ActiveSet, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
 ) -> None:
     bench = prepared(old)
     fault = Fault(bench)
@@ -215,7 +216,7 @@ def test_a_module_that_is_gone_is_told_as_it_is(
 
 
 def test_a_table_that_does_not_keep_its_promise_is_taken_back(
-    measured: Measurement, old: ActiveSet, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
 ) -> None:
     bench = prepared(old)
     shifted = Samples.of(fresh.sine + 20.0, fresh.cosine, fresh.rate_hz, "after a knock")
@@ -226,7 +227,7 @@ def test_a_table_that_does_not_keep_its_promise_is_taken_back(
 
 
 def test_a_machine_that_has_stopped_proves_nothing(
-    measured: Measurement, old: ActiveSet, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
 ) -> None:
     bench = prepared(old)
     standing = replace(fresh, sine=fresh.sine * 0.0 + 700.0, cosine=fresh.cosine * 0.0 - 1200.0)
@@ -238,7 +239,7 @@ def test_a_machine_that_has_stopped_proves_nothing(
 
 @pytest.mark.parametrize("number", [1, 12, 40, 55])
 def test_an_interruption_leaves_the_old_set(
-    number: int, measured: Measurement, old: ActiveSet, fresh: Samples, settings: Settings
+    number: int, measured: Measurement, old: Correction, fresh: Samples, settings: Settings
 ) -> None:
     bench = prepared(old)
     guard, fault, said = Guard(), Fault(bench), list[str]()
@@ -257,7 +258,7 @@ def test_an_interruption_leaves_the_old_set(
 
 
 def test_an_interruption_of_the_proof_leaves_the_old_set(
-    measured: Measurement, old: ActiveSet, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
 ) -> None:
     bench = prepared(old)
 
@@ -271,7 +272,7 @@ def test_an_interruption_of_the_proof_leaves_the_old_set(
 
 
 def test_a_save_that_fails_is_undone_in_the_store_as_well(
-    measured: Measurement, old: ActiveSet, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
 ) -> None:
     """The answer is lost, the save is not: the new set lies in the store, and must not stay there."""
     store = MemoryStore()
@@ -290,10 +291,10 @@ def test_a_save_that_fails_is_undone_in_the_store_as_well(
     with pytest.raises(CommissioningError, match="no answer"):
         run_install(bench, measured, fresh, settings)
     assert read_active(bench.access) == old
-    assert read_active(prepared(NOTHING_ACTIVE, store=store).access) == old
+    assert read_active(prepared(NO_CORRECTION, store=store).access) == old
 
 
-def test_put_back_tells_when_it_is_not_what_it_was(old: ActiveSet, measured: Measurement) -> None:
+def test_put_back_tells_when_it_is_not_what_it_was(old: Correction, measured: Measurement) -> None:
     bench = prepared(measured.found)
     lying(bench, 0x2020, 4, 100)
     with pytest.raises(CommissioningError, match="could not be put back"):

@@ -13,12 +13,13 @@ import canfb
 from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
-from canfb.commissioning.active import NOTHING_ACTIVE, read_active
+from canfb.commissioning.active import read_active
 from canfb.commissioning.lock import LARGEST_DENOMINATOR, Lock, away_from, find_lock
 from canfb.commissioning.procedure import Guard
 from canfb.commissioning.samples import Samples
 from canfb.configuration import Config
 from canfb.errors import CalibrationError
+from canfb.signal.correction import NO_CORRECTION
 from canfb.simulation.motion import Motion, Ramp, Ripple
 
 RPM_OF_A_CYCLE = 60.0 * RATE_HZ / CYCLES  # per sample
@@ -99,7 +100,7 @@ def test_a_lock_is_refused_after_a_second_with_a_speed_that_does(
     assert error.reason == "locked"
     assert words in str(error)
     assert {path.name for path in tmp_path.iterdir()} == {"samples.npz", "report.html"}
-    assert read_active(bench.access) == NOTHING_ACTIVE
+    assert read_active(bench.access) == NO_CORRECTION
     named = re.search(r"at ([0-9.]+) rpm for one", str(error))
     assert named is not None
     rpm = float(named[1])

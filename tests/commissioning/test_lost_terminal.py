@@ -16,9 +16,10 @@ from canfb.bus.runner import ending_on_signals
 from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
-from canfb.commissioning.active import NOTHING_ACTIVE, read_active
+from canfb.commissioning.active import read_active
 from canfb.commissioning.procedure import Guard
 from canfb.configuration import Config
+from canfb.signal.correction import NO_CORRECTION
 
 
 def interrupted(bench: Bench, times: int, stream: TextIO, gone: int | None = None) -> None:
@@ -44,7 +45,7 @@ def test_a_hangup_while_it_is_proven_puts_the_old_table_back() -> None:
     with pytest.raises(KeyboardInterrupt):
         interrupted(bench, 1, said)
     bench.master.on_wait = lambda now: None
-    assert read_active(bench.access) == NOTHING_ACTIVE
+    assert read_active(bench.access) == NO_CORRECTION
     assert said.getvalue().splitlines()[-2:] == [
         "... putting the old table back",
         "... the table and the conditioning from before are active in module 32 (20h)",
@@ -60,7 +61,7 @@ def test_a_terminal_that_has_gone_does_not_keep_the_old_table_away() -> None:
     with pytest.raises(OSError, match="Input/output error"):
         stream.close()  # what it still holds
     bench.master.on_wait = lambda now: None
-    assert read_active(bench.access) == NOTHING_ACTIVE
+    assert read_active(bench.access) == NO_CORRECTION
 
 
 def test_the_second_signal_is_too_late_to_stop_what_the_first_one_began() -> None:

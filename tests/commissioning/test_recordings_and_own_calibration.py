@@ -14,10 +14,11 @@ from test_calibrate_on_a_bus import calibrate
 
 from canfb.cia301.frame import Frame
 from canfb.commissioning.access import CommissioningError, ObjectAbsentError
-from canfb.commissioning.active import NOTHING_ACTIVE, read_active
+from canfb.commissioning.active import read_active
 from canfb.commissioning.procedure import ZERO_CROSSINGS, Settings, measure, verify
 from canfb.commissioning.recorder import record
 from canfb.errors import CalibrationError
+from canfb.signal.correction import NO_CORRECTION
 from canfb.simulation.motion import Motion
 
 
@@ -121,7 +122,7 @@ def test_the_papers_method_from_a_fast_recording(rate_known: bool) -> None:
     assert len(samples) == 50_000
     assert samples.rate_hz == (50_000.0 if rate_known else 49_000.0)
     settings = Settings(ZERO_CROSSINGS, "fit", 256, 12)
-    measured = measure(samples, settings, NOTHING_ACTIVE, lambda part: None)
+    measured = measure(samples, settings, NO_CORRECTION, lambda part: None)
     assert measured.calibration.cycles_used > 300
     assert measured.on_samples.before_rms > 30 * measured.on_samples.rms
     later = record(FastInterface(True), 0.4, None, lambda part: None)  # type: ignore[arg-type]
@@ -154,7 +155,7 @@ def test_a_dry_run_of_it_drops_what_the_module_measured(capsys: pytest.CaptureFi
     bench = with_calculator(Bench())
     assert calibrate(bench, "--source", "module", "--dry-run") == 0
     assert "dry run" in capsys.readouterr().out
-    assert read_active(bench.access) == NOTHING_ACTIVE
+    assert read_active(bench.access) == NO_CORRECTION
     assert bench.access.integer(0x2030, 2, "B") == 0
 
 
@@ -183,7 +184,7 @@ def test_an_encoder_interface_that_is_not_there_is_refused(arguments: list[str])
     bench.bus.run_until(0.5)
     with pytest.raises(CommissioningError, match=r"encoder interface 17 \(11h\) does not answer"):
         calibrate(bench, "--encoder-interface", "0x11", *arguments)
-    assert read_active(bench.access) == NOTHING_ACTIVE
+    assert read_active(bench.access) == NO_CORRECTION
 
 
 def test_what_the_module_refuses_is_refused() -> None:
@@ -206,7 +207,7 @@ def test_a_table_of_the_module_that_does_not_keep_its_promise_is_taken_back() ->
     bench.master.on_wait = knock
     with pytest.raises(CommissioningError, match=r"on fresh samples .*; the table and the conditioning from"):
         calibrate(bench, "--source", "module")
-    assert read_active(bench.access) == NOTHING_ACTIVE
+    assert read_active(bench.access) == NO_CORRECTION
 
 
 def test_the_module_tells_its_drift(capsys: pytest.CaptureFixture[str]) -> None:

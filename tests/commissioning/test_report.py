@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from canfb.commissioning import pictures
 from canfb.commissioning.access import CommissioningError
-from canfb.commissioning.active import NOTHING_ACTIVE, ActiveSet
 from canfb.commissioning.artefacts import prepare, write, write_refusal
 from canfb.commissioning.deviation import Deviation, deviation
 from canfb.commissioning.pictures import TrackLimits
@@ -27,6 +26,7 @@ from canfb.commissioning.summary import Circumstances, comparison
 from canfb.commissioning.table_file import read_table
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import IDENTITY
+from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.simulation.encoder import Encoder
 
 WHERE = Circumstances("2026-03-01", 32, 16, "ROD <486> & co", 2500)
@@ -144,7 +144,7 @@ def test_everything_is_written_and_can_be_read_again(
     assert [path.name for path in paths] == ["table.yaml", "table.bin", "samples.npz", "report.html"]
     assert (folder / "table.bin").read_bytes() == measured.calibration.table.to_bytes()
     assert read_table(folder / "table.yaml") == measured.found
-    assert read_table(folder / "table.bin") == ActiveSet(measured.calibration.table, IDENTITY)
+    assert read_table(folder / "table.bin") == Correction(measured.calibration.table, IDENTITY)
     again = read_npz(folder / "samples.npz")
     assert np.array_equal(again.sine, measured.samples.sine, equal_nan=True)
     assert again.rate_hz == measured.samples.rate_hz
@@ -246,8 +246,8 @@ def test_pictures_of_nothing_and_of_perfection() -> None:
     nothing = Samples.of([np.nan] * 5, [np.nan] * 5, None, "nothing")
     flat = np.zeros(64)
     for svg in (
-        pictures.lissajous(nothing, NOTHING_ACTIVE, LIMITS),
-        pictures.lissajous(recorded(Encoder(noise_lsb=0.0), 50), NOTHING_ACTIVE, None),
+        pictures.lissajous(nothing, NO_CORRECTION, LIMITS),
+        pictures.lissajous(recorded(Encoder(noise_lsb=0.0), 50), NO_CORRECTION, None),
         pictures.harmonics(flat, flat, 0.0, 1),
         pictures.error_over_phase(flat, np.full(64, np.nan), "x"),
         pictures.remaining_error(flat, 0.0),

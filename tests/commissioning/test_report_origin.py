@@ -14,7 +14,6 @@ from commissioning_kit import Bench
 from test_calibrate_on_a_bus import calibrate
 
 from canfb.commissioning import pictures
-from canfb.commissioning.active import NOTHING_ACTIVE
 from canfb.commissioning.artefacts import write
 from canfb.commissioning.deviation import Deviation
 from canfb.commissioning.procedure import Installation, Measurement
@@ -22,6 +21,7 @@ from canfb.commissioning.report import refusal_html, report_html
 from canfb.commissioning.samples import Samples
 from canfb.commissioning.summary import Circumstances, as_json, bound_words, facts
 from canfb.errors import CalibrationError
+from canfb.signal.correction import NO_CORRECTION
 
 WHERE = Circumstances(
     "2026-03-01",
@@ -90,7 +90,7 @@ def ring(n: int, noise: float = 0.5) -> Samples:
 
 @pytest.mark.parametrize("n", [100, 4000])
 def test_a_few_thousand_samples_are_drawn_each(n: int) -> None:
-    assert len(dots_of(pictures.lissajous(ring(n), NOTHING_ACTIVE, None))) == n
+    assert len(dots_of(pictures.lissajous(ring(n), NO_CORRECTION, None))) == n
 
 
 @pytest.mark.parametrize("noise", [0.5, 300.0])
@@ -98,7 +98,7 @@ def test_more_are_drawn_by_their_density_and_none_is_left_out(noise: float) -> N
     samples = ring(60_000, noise)
     samples.sine[31_234], samples.cosine[31_234] = 0.0, 0.0  # one fault
     samples.sine[777] = np.nan
-    svg = pictures.lissajous(samples, NOTHING_ACTIVE, None)
+    svg = pictures.lissajous(samples, NO_CORRECTION, None)
     dots = np.array(dots_of(svg))
     assert 300 < len(dots) <= pictures.SHOWN_SAMPLES
     assert len(svg) < 90_000

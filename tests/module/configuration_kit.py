@@ -131,7 +131,7 @@ def run(module: FeedbackModule, program: list[Write]) -> None:
 
 def state(module: FeedbackModule) -> dict[Any, Any]:
     """Every parameter, the table, and what of it the signal chain has."""
-    active = module.chain.conditioning
+    active = module.chain.correction.conditioning
     return {
         **configuration_of(module).values(),
         "offset": module.dictionary.entry(0x6509).value,

@@ -87,7 +87,7 @@ def test_the_whole_story_at_any_speed(cycles_per_sample: float) -> None:
     assert bench.state == State.ACCEPTED
     assert bench.in_force() == (0, table.crc32, len(table))
     assert bench.sdo.upload(0x2020, 1) == table.to_bytes()
-    assert bench.module.chain.conditioning == conditioning
+    assert bench.module.chain.correction.conditioning == conditioning
     assert bench.conditioning() == pytest.approx(
         (
             conditioning.sine_offset_counts,
@@ -132,7 +132,7 @@ def test_random_encoders_motions_and_faults(seed: int) -> None:
     truth = computed(encoder, seed).calibration
     assert truth is not None
     bench.command(Command.ACCEPT)
-    found = drift(truth, bench.module.chain.table, bench.module.chain.conditioning)
+    found = drift(truth, bench.module.chain.correction.table, bench.module.chain.correction.conditioning)
     assert found.rms < 2e-4
 
 
@@ -441,7 +441,7 @@ def test_what_was_accepted_can_be_saved_and_is_in_force_after_a_reset() -> None:
     bench.sdo.download(0x1010, 1, b"save")
     bench.remote.nmt.state = "RESET"
     assert bench.in_force() == (0, result.table.crc32, len(result.table))
-    assert bench.module.chain.conditioning == result.conditioning
+    assert bench.module.chain.correction.conditioning == result.conditioning
     assert bench.state == State.IDLE
 
 

@@ -214,7 +214,7 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
     @invariant()
     def table_and_conditioning_are_in_force_together(self) -> None:
         chain = self.bench.module.chain
-        assert (chain.table, chain.conditioning) == (self.table, self.conditioning)
+        assert (chain.correction.table, chain.correction.conditioning) == (self.table, self.conditioning)
         crc32, entries = (0, 0) if self.table is None else (self.table.crc32, len(self.table))
         staged = 0 if self.staged is None else self.staged.crc32
         assert self.bench.in_force() == (staged, crc32, entries)

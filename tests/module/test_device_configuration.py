@@ -117,8 +117,8 @@ def test_over_the_bus_with_a_table_from_bytes() -> None:
     bench = Bench()
     for one in decode_concise(encode_concise(configuration_of(source).writes())):
         bench.sdo.download(one.index, one.subindex, one.data)
-    assert bench.module.chain.table == wanted
-    assert bench.module.chain.conditioning == Conditioning(phase_error_rad=0.25)
+    assert bench.module.chain.correction.table == wanted
+    assert bench.module.chain.correction.conditioning == Conditioning(phase_error_rad=0.25)
     assert state(bench.module) == state(source)
     read = configuration_read(
         NODE_ID, lambda entry: bench.module.dictionary.entry(entry.index, entry.subindex).value, 0,

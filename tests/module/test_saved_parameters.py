@@ -80,8 +80,8 @@ def test_table_conditioning_and_parameters_come_back(store: MemoryStore) -> None
     for again in (Machine(store), first):
         if again is first:
             again.master.nmt.send_command(0x81)
-        assert again.module.chain.table == TABLE
-        assert again.module.chain.conditioning == Conditioning(sine_offset_counts=12.5)
+        assert again.module.chain.correction.table == TABLE
+        assert again.module.chain.correction.conditioning == Conditioning(sine_offset_counts=12.5)
         assert again.sdo.upload(0x2020, 1) == TABLE.to_bytes()
         assert again.sdo[0x2020][2].raw == 0  # it is active, not staged
         assert again.sdo[0x2020][4].raw == TABLE.crc32
@@ -96,21 +96,21 @@ def test_a_table_that_was_only_staged_is_not_kept(store: MemoryStore) -> None:
     machine = Machine(store)
     machine.sdo.download(0x2020, 1, TABLE.to_bytes())
     machine.save()
-    assert Machine(store).module.chain.table is None
+    assert Machine(store).module.chain.correction.table is None
     machine.activate(TABLE)
     machine.save()
     machine.sdo[0x2020][3].raw = 0
     machine.save()
-    assert Machine(store).module.chain.table is None
+    assert Machine(store).module.chain.correction.table is None
 
 
 def test_without_a_save_a_reset_takes_the_table_away(store: MemoryStore) -> None:
     machine = Machine(store)
     machine.activate(TABLE)
     machine.master.nmt.send_command(0x82)
-    assert machine.module.chain.table == TABLE
+    assert machine.module.chain.correction.table == TABLE
     machine.master.nmt.send_command(0x81)
-    assert machine.module.chain.table is None
+    assert machine.module.chain.correction.table is None
 
 
 def test_the_table_survives_reset_communication_and_goes_with_load(store: MemoryStore) -> None:
@@ -118,11 +118,11 @@ def test_the_table_survives_reset_communication_and_goes_with_load(store: Memory
     machine.activate(TABLE)
     machine.save(4)
     machine.master.nmt.send_command(0x82)
-    assert machine.module.chain.table == TABLE
+    assert machine.module.chain.correction.table == TABLE
     machine.load(4)
-    assert machine.module.chain.table == TABLE
+    assert machine.module.chain.correction.table == TABLE
     machine.master.nmt.send_command(0x81)
-    assert machine.module.chain.table is None
+    assert machine.module.chain.correction.table is None
 
 
 def test_a_preset_is_kept_as_the_offset_that_it_made(store: MemoryStore) -> None:
@@ -180,7 +180,7 @@ def test_a_bad_table_refuses_the_whole_group_and_raises_the_alarm(store: MemoryS
     assert machine.sdo[0x6504].raw & 0x1000
     assert machine.sdo[0x1001].raw == 0x21
     assert machine.sdo[0x2010][3].raw == 3
-    assert machine.module.chain.table is None
+    assert machine.module.chain.correction.table is None
     machine.master.nmt.state = "OPERATIONAL"
     machine.sample()
     assert machine.sdo[0x2011][1].raw & 1  # it measures

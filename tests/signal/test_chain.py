@@ -12,7 +12,7 @@ from canfb.signal.batch import process
 from canfb.signal.chain import SignalChain
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.config import ChainConfig
-from canfb.signal.correction import CorrectionTable
+from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 
@@ -55,7 +55,7 @@ def test_batch_and_single_samples_give_the_same_bits(
     chain = SignalChain(
         ChainConfig(amplitude_low_counts=0, amplitude_high_counts=65535, residual_limit=0.5), table
     )
-    chain.activate(table, conditioning)
+    chain.activate(Correction(table, conditioning))
     result = process(*np.array(counts).T, table, 0.5, conditioning)
     for k, (sine, cosine) in enumerate(counts):
         got = chain.step(Sample(sine, cosine))
@@ -159,21 +159,20 @@ def test_the_table_and_the_conditioning_change_between_two_samples() -> None:
     x = np.arange(64) / 64
     table = CorrectionTable(x + 0.01)
     assert chain.step(sample_at(0.25)).phase == 0.25
-    chain.activate(table, Conditioning(sine_gain=1.5))
+    chain.activate(Correction(table, Conditioning(sine_gain=1.5)))
     got = chain.step(sample_at(0.25))
     assert got.phase == pytest.approx(0.26, abs=1e-6)
     assert got.sine == pytest.approx(2250)
     assert StatusBit.TABLE_ACTIVE in flags(got)
-    assert chain.table is table
+    assert chain.correction.table is table
 
 
 def test_the_amplitude_is_checked_after_conditioning() -> None:
     chain = SignalChain(ChainConfig(amplitude_low_counts=1200))
     offset = Sample(AMPLITUDE * 0.4, -AMPLITUDE + AMPLITUDE * 0.4)
     assert StatusBit.AMPLITUDE in flags(chain.step(offset))
-    chain.activate(
-        None, Conditioning(sine_offset_counts=AMPLITUDE * 0.4, cosine_offset_counts=AMPLITUDE * 0.4)
-    )
+    offsets = Conditioning(sine_offset_counts=AMPLITUDE * 0.4, cosine_offset_counts=AMPLITUDE * 0.4)
+    chain.activate(Correction(None, offsets))
     assert chain.step(offset).valid
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import CorrectionTable
+from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.phase import FloatArray
 
 ACCEPTED = "accepted"
@@ -124,6 +124,11 @@ class Calibration:
     curve: ErrorCurve
     block_samples: int
     tracks: FloatArray | None = None
+
+    @property
+    def correction(self) -> Correction:
+        """Table and conditioning, to be put in force together."""
+        return Correction(self.table, self.conditioning)
 
     @property
     def accepted(self) -> bool:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 
 from canfb import objects as od
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
 from canfb.errors import CanfbError
 from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.correction import CorrectionTable
+from canfb.signal.correction import Correction, CorrectionTable
 
 STORES = (od.STORE_MANUFACTURER_PARAMETERS, od.STORE_ALL_PARAMETERS)  # the narrower one first
 SAVE = b"save"
@@ -17,23 +16,7 @@ SAVES_ON_COMMAND = 1
 SAVE_WITHIN_S = 10.0
 
 
-@dataclass(frozen=True)
-class ActiveSet:
-    """What a module computes with: a table, None for the identity, and the conditioning."""
-
-    table: CorrectionTable | None
-    conditioning: Conditioning
-
-    @property
-    def crc32(self) -> int:
-        """As object 2020:04 has it: 0 for the identity."""
-        return 0 if self.table is None else self.table.crc32
-
-
-NOTHING_ACTIVE = ActiveSet(None, IDENTITY)
-
-
-def read_active(module: NodeAccess) -> ActiveSet:
+def read_active(module: NodeAccess) -> Correction:
     """What is in force. CommissioningError if the node is no feedback module, or the table is not whole."""
     try:
         crc32 = module.integer(*od.TABLE_ACTIVE_CRC, "I")
@@ -43,7 +26,7 @@ def read_active(module: NodeAccess) -> ActiveSet:
         ) from None
     conditioning = read_conditioning(module)
     if crc32 == 0:
-        return ActiveSet(None, conditioning)
+        return Correction(None, conditioning)
     try:
         table = CorrectionTable.from_bytes(module.upload_domain(*od.TABLE_STAGED))
     except ValueError as error:
@@ -52,7 +35,7 @@ def read_active(module: NodeAccess) -> ActiveSet:
         raise CommissioningError(
             f"{module.name}: the table read has the CRC {table.crc32:08X}h, the active one {crc32:08X}h"
         )
-    return ActiveSet(table, conditioning)
+    return Correction(table, conditioning)
 
 
 def read_conditioning(module: NodeAccess) -> Conditioning:
@@ -66,7 +49,7 @@ def read_conditioning(module: NodeAccess) -> Conditioning:
         raise CommissioningError(f"{module.name}: conditioning (2002h) cannot be used: {error}") from None
 
 
-def put_in_force(module: NodeAccess, wanted: ActiveSet) -> None:
+def put_in_force(module: NodeAccess, wanted: Correction) -> None:
     """Write conditioning and table, check the staged bytes, activate both together, check again.
 
     CommissioningError where anything is not as it must be; the module may then be in between.
@@ -79,7 +62,7 @@ def put_in_force(module: NodeAccess, wanted: ActiveSet) -> None:
     _check_crc(module, od.TABLE_ACTIVE_CRC, "active", wanted.crc32)
 
 
-def put_back(module: NodeAccess, before: ActiveSet) -> None:
+def put_back(module: NodeAccess, before: Correction) -> None:
     """Put the old set in force again. CommissioningError, which says how things stand, if that fails."""
     try:
         put_in_force(module, before)
@@ -92,7 +75,7 @@ def put_back(module: NodeAccess, before: ActiveSet) -> None:
         ) from error
 
 
-def is_active(module: NodeAccess, wanted: ActiveSet) -> bool:
+def is_active(module: NodeAccess, wanted: Correction) -> bool:
     """True if just this is in force."""
     return (
         module.integer(*od.TABLE_ACTIVE_CRC, "I") == wanted.crc32

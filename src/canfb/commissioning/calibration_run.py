@@ -10,7 +10,6 @@ from typing import Any, Protocol
 
 from canfb.commissioning import own_calibration
 from canfb.commissioning.access import Master
-from canfb.commissioning.active import NOTHING_ACTIVE, ActiveSet
 from canfb.commissioning.artefacts import keep_samples, write, write_refusal
 from canfb.commissioning.choices import MODULE, Choices
 from canfb.commissioning.drift_check import (
@@ -28,6 +27,7 @@ from canfb.commissioning.session import Session, Source
 from canfb.commissioning.summary import Circumstances, as_json, comparison, facts, outcome, verdict
 from canfb.commissioning.table_file import read_table
 from canfb.errors import CalibrationError
+from canfb.signal.correction import NO_CORRECTION, Correction
 
 LEAST_FRESH = 1500
 
@@ -85,7 +85,7 @@ class CalibrationRun:
         """Samples of a file: nothing but files can come of it."""
         choices = self._choices
         samples = choices.samples_of_file(path)
-        before = read_table(choices.table) if choices.table else NOTHING_ACTIVE
+        before = read_table(choices.table) if choices.table else NO_CORRECTION
         settings = choices.settings(None)
         if choices.check:
             return self._drift(samples, before, settings)
@@ -149,7 +149,7 @@ class CalibrationRun:
                 own_calibration.discard(session.module)
         return self._report(measured, done)
 
-    def _measured(self, samples: Samples, before: ActiveSet, settings: Settings) -> Measurement:
+    def _measured(self, samples: Samples, before: Correction, settings: Settings) -> Measurement:
         """Calibrate; what is refused leaves its samples and a report that shows why."""
         found: Measurement = self._judged(
             samples, lambda: measure(samples, settings, before, self._steps.part)
@@ -182,7 +182,7 @@ class CalibrationRun:
             step=steps.step,
         )
 
-    def _drift(self, samples: Samples, active: ActiveSet, settings: Settings) -> Account:
+    def _drift(self, samples: Samples, active: Correction, settings: Settings) -> Account:
         """How far the encoder has moved away from its table."""
         found = self._judged(samples, lambda: check(samples, active, settings, self._steps.part))
         if self._choices.out:

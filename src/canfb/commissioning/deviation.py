@@ -12,9 +12,9 @@ from canfb.calibration.blocks import Blocks, cut
 from canfb.calibration.evaluate import peak, root_mean
 from canfb.calibration.recording import BINS, Recording, check_clipped, coverage, recording
 from canfb.calibration.result import LOCKED
-from canfb.commissioning.active import ActiveSet
 from canfb.commissioning.samples import Samples
 from canfb.errors import CalibrationError
+from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray, raw_phases
 
 # A few samples may be faulty; they do not belong to what the table does.
@@ -75,7 +75,7 @@ class Deviation:
 
 
 def best_deviation(
-    samples: Samples, used: ActiveSet, before: ActiveSet, block_samples: int, adc_bits: int | None = None
+    samples: Samples, used: Correction, before: Correction, block_samples: int, adc_bits: int | None = None
 ) -> Deviation:
     """:func:`deviation`, also with shorter blocks: the motion may be less smooth than it was before."""
     lengths = sorted(
@@ -85,7 +85,7 @@ def best_deviation(
 
 
 def deviation(
-    samples: Samples, used: ActiveSet, before: ActiveSet, block_samples: int, adc_bits: int | None = None
+    samples: Samples, used: Correction, before: Correction, block_samples: int, adc_bits: int | None = None
 ) -> Deviation:
     """Deviation of ``samples`` from a cubic in each block of ``block_samples``.
 
@@ -136,7 +136,7 @@ def deviation(
     )
 
 
-def _phases(record: Recording, used: ActiveSet) -> FloatArray:
+def _phases(record: Recording, used: Correction) -> FloatArray:
     """Phases of all samples, cycles."""
     raw = raw_phases(*used.conditioning.apply(record.sine, record.cosine))
     return raw if used.table is None else used.table.correct_array(raw)

@@ -7,12 +7,12 @@ from typing import Any
 
 from canfb.calibration.drift import drift
 from canfb.calibration.result import Calibration
-from canfb.commissioning.active import ActiveSet
 from canfb.commissioning.deviation import Deviation
 from canfb.commissioning.own_calibration import ModuleDrift
 from canfb.commissioning.procedure import Heard, Settings, measure
 from canfb.commissioning.samples import Samples
 from canfb.commissioning.summary import Circumstances, percent, table_words, where_words
+from canfb.signal.correction import Correction
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class DriftCheck:
 
     rms: float
     peak: float
-    active: ActiveSet
+    active: Correction
     calibration: Calibration
     on_samples: Deviation
 
@@ -35,14 +35,14 @@ class DriftCheck:
         return self.rms > 2.0 * self.calibration.uncertainty_rms
 
 
-def check(samples: Samples, active: ActiveSet, settings: Settings, heard: Heard) -> DriftCheck:
+def check(samples: Samples, active: Correction, settings: Settings, heard: Heard) -> DriftCheck:
     """Measure again, with the conditioning in force, and compare. Errors as for a calibration."""
     measured = measure(samples, settings, active, heard, active.conditioning)
     found = drift(measured.calibration, active.table, active.conditioning)
     return DriftCheck(found.rms, found.peak, active, measured.calibration, measured.on_samples)
 
 
-def module_drift_lines(found: ModuleDrift, active: ActiveSet, where: Circumstances) -> list[str]:
+def module_drift_lines(found: ModuleDrift, active: Correction, where: Circumstances) -> list[str]:
     """What the module itself says, for people."""
     return [
         f"{'table in force':24}{table_words(active)}",
@@ -53,7 +53,7 @@ def module_drift_lines(found: ModuleDrift, active: ActiveSet, where: Circumstanc
     ]
 
 
-def module_drift_json(found: ModuleDrift, active: ActiveSet, where: Circumstances) -> dict[str, Any]:
+def module_drift_json(found: ModuleDrift, active: Correction, where: Circumstances) -> dict[str, Any]:
     """The same for programs; cycles."""
     return {
         **where_words(where),

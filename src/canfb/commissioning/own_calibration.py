@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from canfb import objects as od
 from canfb.calibration.result import REASONS
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
-from canfb.commissioning.active import ActiveSet, read_active
+from canfb.commissioning.active import read_active
 from canfb.commissioning.deviation import best_deviation
 from canfb.commissioning.listening import Listener
 from canfb.commissioning.pdo_layout import PdoLayout
@@ -18,6 +18,7 @@ from canfb.commissioning.samples import Samples
 from canfb.errors import CalibrationError, CanfbError
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
+from canfb.signal.correction import Correction
 
 FIGURES = (
     od.MEASUREMENT_DRIFT_RMS,
@@ -87,7 +88,7 @@ def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Mea
     return with_table(measured, read_active(module), settings)
 
 
-def with_table(measured: Measurement, found: ActiveSet, settings: Settings) -> Measurement:
+def with_table(measured: Measurement, found: Correction, settings: Settings) -> Measurement:
     """The same measurement with another table, whose figures are those on the same samples."""
     if found.table is None:
         raise CommissioningError("the module says that its table is active, and has none")

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from canfb.calibration.evaluate import root_mean
 from canfb.calibration.recording import BINS
 from canfb.calibration.result import Calibration
-from canfb.commissioning.active import ActiveSet
 from canfb.commissioning.deviation import Deviation
 from canfb.commissioning.plot import Plot, Scale, nice_limit
 from canfb.commissioning.samples import Samples
+from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray
 
 SHOWN_SAMPLES = 4000
@@ -34,7 +34,7 @@ class TrackLimits:
     amplitude_high: float
 
 
-def lissajous(samples: Samples, used: ActiveSet, limits: TrackLimits | None) -> str:
+def lissajous(samples: Samples, used: Correction, limits: TrackLimits | None) -> str:
     """Raw and conditioned samples, the circles of the amplitude limits, the ends of the converter.
 
     Each sample is a dot; more than 4000 are shown by their density, so that none is left out.
@@ -151,7 +151,7 @@ def coverage(found: Deviation) -> str:
     return plot.svg()
 
 
-def table_curve(calibration: Calibration, before: ActiveSet) -> str:
+def table_curve(calibration: Calibration, before: Correction) -> str:
     """The correction itself: phase less raw phase, of the new table and of the one before."""
     place = np.arange(513) / 512.0
     curves = [("after", "new table", calibration.table)]

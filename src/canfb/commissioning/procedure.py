@@ -10,11 +10,12 @@ from canfb.calibration.motion import calibrate_from_motion
 from canfb.calibration.result import Calibration
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.commissioning.access import CommissioningError, NodeAccess
-from canfb.commissioning.active import ActiveSet, put_back, put_in_force, save
+from canfb.commissioning.active import put_back, put_in_force, save
 from canfb.commissioning.deviation import Deviation, best_deviation
 from canfb.commissioning.samples import Samples
 from canfb.errors import CanfbError
 from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import Correction
 
 MOTION, ZERO_CROSSINGS = "motion", "zero-crossings"
 METHODS = {MOTION: calibrate_from_motion, ZERO_CROSSINGS: calibrate_from_zero_crossings}
@@ -52,13 +53,13 @@ class Measurement:
 
     samples: Samples
     calibration: Calibration
-    before: ActiveSet
+    before: Correction
     on_samples: Deviation
 
     @property
-    def found(self) -> ActiveSet:
+    def found(self) -> Correction:
         """Table and conditioning that were found."""
-        return ActiveSet(self.calibration.table, self.calibration.conditioning)
+        return self.calibration.correction
 
 
 @dataclass
@@ -106,7 +107,7 @@ class Guard:
 def measure(
     samples: Samples,
     settings: Settings,
-    before: ActiveSet,
+    before: Correction,
     heard: Heard,
     conditioning: Conditioning | None = None,
 ) -> Measurement:
@@ -126,7 +127,7 @@ def measure(
         )
     except ValueError as error:
         raise CommissioningError(f"the samples cannot be used: {error}") from error
-    found = ActiveSet(calibration.table, calibration.conditioning)
+    found = calibration.correction
     block = block_of(calibration)
     on_samples = best_deviation(samples, found, before, block, settings.adc_bits)
     return Measurement(samples, calibration, before, on_samples)
@@ -209,7 +210,7 @@ def _save(module: NodeAccess, done: Installation) -> None:
         )
 
 
-def _undo(module: NodeAccess, before: ActiveSet, saving: bool) -> tuple[bool, str]:
+def _undo(module: NodeAccess, before: Correction, saving: bool) -> tuple[bool, str]:
     """Put the old set back; if that worked, and what there is to say about it."""
     try:
         put_back(module, before)

@@ -7,7 +7,6 @@ from html import escape
 
 from canfb.calibration.recording import BINS
 from canfb.commissioning import pictures
-from canfb.commissioning.active import NOTHING_ACTIVE, ActiveSet
 from canfb.commissioning.pictures import TrackLimits
 from canfb.commissioning.procedure import Installation, Measurement
 from canfb.commissioning.samples import Samples
@@ -21,6 +20,7 @@ from canfb.commissioning.summary import (
     verdict,
 )
 from canfb.errors import CalibrationError
+from canfb.signal.correction import NO_CORRECTION, Correction
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1c2126; --soft: #5b656e; --paper: #ffffff; --panel: #f6f7f8;
@@ -115,7 +115,7 @@ def refusal_html(
     return _page(
         where,
         said,
-        f'<div class="top"><div>{_rows(rows)}</div>\n{_lissajous(samples, NOTHING_ACTIVE, limits)}</div>\n'
+        f'<div class="top"><div>{_rows(rows)}</div>\n{_lissajous(samples, NO_CORRECTION, limits)}</div>\n'
         f"{_origins(where)}",
         good=False,
     )
@@ -175,7 +175,7 @@ def _rows(listed: list[tuple[str, str]], title: str = "Measurement", style: str 
     return f"<h2>{title}</h2>\n{table}<tbody>\n{rows}</tbody></table>\n"
 
 
-def _lissajous(samples: Samples, used: ActiveSet, limits: TrackLimits | None) -> str:
+def _lissajous(samples: Samples, used: Correction, limits: TrackLimits | None) -> str:
     picture = pictures.lissajous(samples, used, limits)
     seen = len(samples) - samples.missed
     shown = f"all {seen} samples, darker where more fall" if pictures.is_dense(samples) else f"{seen} samples"

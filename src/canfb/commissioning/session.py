@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 from canfb import objects as od
 from canfb.commissioning.access import CommissioningError, Master, NodeAccess
-from canfb.commissioning.active import ActiveSet, read_active
+from canfb.commissioning.active import read_active
 from canfb.commissioning.listening import Listener, listen
 from canfb.commissioning.pdo_layout import PdoLayout, agreed_layout, module_layout
 from canfb.commissioning.pictures import TrackLimits
 from canfb.commissioning.recorder import record
 from canfb.commissioning.samples import Samples
+from canfb.signal.correction import Correction
 
 Heard = Callable[[float], None]
 Source = Callable[[float, int, Heard], Samples]
@@ -43,7 +44,7 @@ class Session:
     master: Master
     module: NodeAccess
     interface: NodeAccess
-    active: ActiveSet
+    active: Correction
     cycles_per_revolution: int
     limits: TrackLimits
     samples_itself: bool = False

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from canfb.calibration.result import Calibration
-from canfb.commissioning.active import ActiveSet
 from canfb.commissioning.procedure import Installation, Measurement
 from canfb.commissioning.table_file import conditioning_words
+from canfb.signal.correction import Correction
 
 ARC_SECONDS = 360.0 * 3600.0
 PERCENT = 100.0
@@ -237,12 +237,12 @@ def percent(cycles: float, where: Circumstances) -> str:
     return words if arc is None else f"{words} ({arc:.2g}″)"
 
 
-def table_words(used: ActiveSet) -> str:
+def table_words(used: Correction) -> str:
     """A table in a word or two."""
     return "none" if used.table is None else f"{used.crc32:08X}h, {len(used.table)} entries"
 
 
-def _conditioning(used: ActiveSet) -> str:
+def _conditioning(used: Correction) -> str:
     conditioning = used.conditioning
     if conditioning.is_identity:
         return "none"

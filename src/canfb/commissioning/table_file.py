@@ -8,12 +8,11 @@ from typing import Any
 import yaml
 
 from canfb.commissioning.access import CommissioningError
-from canfb.commissioning.active import ActiveSet
 from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.correction import CorrectionTable
+from canfb.signal.correction import Correction, CorrectionTable
 
 
-def as_yaml(used: ActiveSet, meta: dict[str, Any]) -> str:
+def as_yaml(used: Correction, meta: dict[str, Any]) -> str:
     """The set as YAML: what is known of it first, then the entries, in cycles."""
     table = used.table or CorrectionTable.identity()
     content = {
@@ -36,7 +35,7 @@ def conditioning_words(conditioning: Conditioning) -> dict[str, float]:
     return {name: float(value) for name, value in conditioning.words.items()}
 
 
-def read_table(path: str | Path) -> ActiveSet:
+def read_table(path: str | Path) -> Correction:
     """A table file, YAML or the bytes of 2020:01 (which know no conditioning).
 
     CommissioningError, in one line, for anything else.
@@ -53,11 +52,11 @@ def read_table(path: str | Path) -> ActiveSet:
         raise CommissioningError(f"{path}: this is no correction table: {said}") from None
 
 
-def _from_bytes(data: bytes) -> ActiveSet:
-    return ActiveSet(CorrectionTable.from_bytes(data), IDENTITY)
+def _from_bytes(data: bytes) -> Correction:
+    return Correction(CorrectionTable.from_bytes(data), IDENTITY)
 
 
-def _from_yaml(data: bytes) -> ActiveSet:
+def _from_yaml(data: bytes) -> Correction:
     content = yaml.safe_load(data)
     if not isinstance(content, dict) or "entries" not in content:
         raise ValueError("a mapping with 'entries' is wanted")
@@ -69,4 +68,4 @@ def _from_yaml(data: bytes) -> ActiveSet:
     unknown = set(words) - set(IDENTITY.words)
     if unknown:
         raise ValueError(f"unknown key {sorted(unknown)[0]!r} in conditioning")
-    return ActiveSet(table, Conditioning(**words))
+    return Correction(table, Conditioning(**words))

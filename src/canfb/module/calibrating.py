@@ -20,6 +20,7 @@ from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
 from canfb.objects import Multiplexer
 from canfb.signal.chain import SignalChain
+from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
 from canfb.signal.recorder import SampleRecording
 from canfb.signal.sample import Sample
@@ -157,7 +158,7 @@ class Calibrating:
     def _accept(self) -> None:
         if self.state is not State.READY or self._calibration is None:
             raise SdoAbort(AbortCode.DEVICE_STATE)
-        self._tables.take_over(self._calibration.table, self._calibration.conditioning)
+        self._tables.take_over(self._calibration.correction)
         self._enter(State.ACCEPTED)
 
     def _forget(self, capacity: int) -> None:
@@ -170,7 +171,7 @@ class Calibrating:
         self._job: CalibrationJob | None = None
         self._calibration = None
         self._reason = USABLE
-        self._compared: tuple[object, object, Drift] | None = None
+        self._compared: tuple[Correction, Drift] | None = None
 
     def _enter(self, state: State) -> None:
         self.state = state
@@ -232,12 +233,11 @@ class Calibrating:
         """The measurement against what is in force now; computed when it is asked for."""
         if self._calibration is None or self._reason != USABLE:
             return UNKNOWN
-        table, conditioning = self._chain.table, self._chain.conditioning
-        known = self._compared
-        if known is None or known[0] is not table or known[1] is not conditioning:
-            found = drift(self._calibration, table, conditioning)
-            known = self._compared = (table, conditioning, found)
-        return known[2]
+        active, known = self._chain.correction, self._compared
+        if known is None or known[0] is not active:
+            found = drift(self._calibration, active.table, active.conditioning)
+            known = self._compared = (active, found)
+        return known[1]
 
 
 def _left_out(status: int) -> bool:

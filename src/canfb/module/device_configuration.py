@@ -123,7 +123,7 @@ class DeviceConfiguration:
 
 def configuration_of(module: FeedbackModule) -> DeviceConfiguration:
     """What is in force in a module that was started."""
-    table = module.chain.table
+    table = module.chain.correction.table
     return _collect(module, Entry.current, b"" if table is None else table.to_bytes())
 
 

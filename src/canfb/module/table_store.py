@@ -11,7 +11,7 @@ from canfb.device.entry import Entry
 from canfb.device.storage import Storage
 from canfb.signal.chain import SignalChain
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import CorrectionTable
+from canfb.signal.correction import Correction, CorrectionTable
 
 
 class TableStore:
@@ -44,17 +44,18 @@ class TableStore:
         self._forget_restored()
         self._put_in_force(CorrectionTable.from_bytes(stored) if stored else None)
 
-    def take_over(self, table: CorrectionTable, conditioning: Conditioning) -> None:
+    def take_over(self, correction: Correction) -> None:
         """Put both in force together, between two samples. 2002h shows the conditioning then; what
         is staged stays staged.
         """
-        for entry, value in zip(self._conditioned, conditioning.values, strict=True):
+        for entry, value in zip(self._conditioned, correction.conditioning.values, strict=True):
             entry.value = value
-        self._put_in_force(table)
+        self._put_in_force(correction.table)
         self._storage.configuration_changed()
 
     def _saved(self) -> bytes:
-        return b"" if self._chain.table is None else self._chain.table.to_bytes()
+        table = self._chain.correction.table
+        return b"" if table is None else table.to_bytes()
 
     def _forget_restored(self) -> None:
         self._restored.value = b""
@@ -67,21 +68,23 @@ class TableStore:
         self._dictionary.entry(*od.TABLE_STAGED_CRC).value = self._staged.crc32
 
     def _read_active(self) -> bytes:
-        return (self._chain.table or CorrectionTable.identity()).to_bytes()
+        return (self._chain.correction.table or CorrectionTable.identity()).to_bytes()
 
     def _activate(self, crc32: int) -> None:
+        active = self._chain.correction.table
         if crc32 == 0:
             self._put_in_force(None)
         elif self._staged is not None and crc32 == self._staged.crc32:
             self._put_in_force(self._staged)
-        elif self._chain.table is not None and crc32 == self._chain.table.crc32:
-            self._put_in_force(self._chain.table)
+        elif active is not None and crc32 == active.crc32:
+            self._put_in_force(active)
         else:
             raise SdoAbort(AbortCode.INVALID_VALUE)
 
     def _put_in_force(self, table: CorrectionTable | None) -> None:
-        self._chain.activate(table, self._conditioning())
-        self._dictionary.entry(*od.TABLE_ACTIVE_CRC).value = 0 if table is None else table.crc32
+        correction = Correction(table, self._conditioning())
+        self._chain.activate(correction)
+        self._dictionary.entry(*od.TABLE_ACTIVE_CRC).value = correction.crc32
         self._dictionary.entry(*od.TABLE_ACTIVE_ENTRIES).value = 0 if table is None else len(table)
         self._dictionary.entry(*od.TABLE_STAGED_CRC).value = 0 if self._staged is None else self._staged.crc32
 

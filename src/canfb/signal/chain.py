@@ -9,9 +9,8 @@ import numpy.typing as npt
 
 from canfb.signal.blocks import Scratch
 from canfb.signal.coarse import CoarseTrack
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.config import ChainConfig, check_config
-from canfb.signal.correction import CorrectionTable, check_table
+from canfb.signal.correction import Correction, CorrectionTable, check_table
 from canfb.signal.feedback import Feedback
 from canfb.signal.frozen import FrozenInput
 from canfb.signal.phase import FloatArray, raw_phase
@@ -67,17 +66,12 @@ class SignalChain:
         self._before: Track | None = None  # the sample before, if it was taken
         self._make_reference(config.cycles_per_revolution, config.full_scale_counts)
         self._reference.coarse.limit_revolutions = config.coarse_limit_revolutions
-        self.activate(table, config.conditioning)
+        self.activate(Correction(table, config.conditioning))
 
     @property
-    def table(self) -> CorrectionTable | None:
-        """The active correction table, None for the identity."""
-        return self._table
-
-    @property
-    def conditioning(self) -> Conditioning:
-        """The active conditioning."""
-        return self._conditioning
+    def correction(self) -> Correction:
+        """The active correction."""
+        return self._correction
 
     @property
     def reference(self) -> Reference:
@@ -151,13 +145,13 @@ class SignalChain:
         self._recovery.on_lost = self._reference.position_lost
         self._referenced = 0
 
-    def activate(self, table: CorrectionTable | None, conditioning: Conditioning) -> None:
-        """Take a table (None: the identity) and a conditioning together, between two samples."""
-        check_table(table)
-        self._table = table
-        self._conditioning = conditioning
-        self._coefficients = conditioning.coefficients()
-        self._base_status = 0 if table is None else TABLE_ACTIVE
+    def activate(self, correction: Correction) -> None:
+        """Take another ``correction``, between two samples. TypeError if its table is none."""
+        check_table(correction.table)
+        self._correction = correction
+        self._table = correction.table  # for the hot path
+        self._coefficients = correction.conditioning.coefficients()
+        self._base_status = 0 if correction.table is None else TABLE_ACTIVE
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
         """Forget the position: the next good sample starts with this cycle count and speed.

@@ -1,15 +1,17 @@
-"""The individual correction table: phase as a function of raw phase (paper, section 2)."""
+"""The individual correction: phase as a function of raw phase (paper, section 2), and of counts."""
 
 from __future__ import annotations
 
 import math
 import zlib
+from dataclasses import dataclass
 from typing import Any, Self, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.blocks import Scratch, blocks
+from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.phase import SCALARS, FloatArray, real_array, wrap_block
 
 MIN_ENTRIES = 16
@@ -138,6 +140,28 @@ class CorrectionTable:
         wrap_block(out, scratch)
         if self._first[0] < 0.0:  # then a phase just below 0 may have become 1.0
             wrap_block(out, scratch)
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What makes phase of counts: conditioning and correction table, which belong together.
+
+    They come of one reference measurement and take effect together (2020:03).
+
+    table          None: the identity
+    conditioning   2002h; default: the identity
+    """
+
+    table: CorrectionTable | None = None
+    conditioning: Conditioning = IDENTITY
+
+    @property
+    def crc32(self) -> int:
+        """As object 2020:04 has it: 0 for the identity."""
+        return 0 if self.table is None else self.table.crc32
+
+
+NO_CORRECTION = Correction()
 
 
 def check_table(table: object) -> None:
