@@ -18,7 +18,6 @@ from canfb.commissioning.active import NOTHING_ACTIVE, ActiveSet
 from canfb.commissioning.artefacts import prepare, write, write_refusal
 from canfb.commissioning.deviation import Deviation, deviation
 from canfb.commissioning.pictures import TrackLimits
-from canfb.commissioning.plot import Plot, Scale
 from canfb.commissioning.procedure import Installation, Measurement, Settings, block_of
 from canfb.commissioning.report import refusal_html, report_html
 from canfb.commissioning.sample_files import read_npz
@@ -26,6 +25,7 @@ from canfb.commissioning.samples import Samples
 from canfb.commissioning.summary import Circumstances, comparison
 from canfb.commissioning.table_file import read_table
 from canfb.errors import CalibrationError
+from canfb.report.plot import Plot, Scale
 from canfb.signal.conditioning import IDENTITY
 from canfb.simulation.encoder import Encoder
 

@@ -12,8 +12,8 @@ from canfb.calibration.recording import BINS
 from canfb.calibration.result import Calibration
 from canfb.commissioning.active import ActiveSet
 from canfb.commissioning.deviation import Deviation
-from canfb.commissioning.plot import Plot, Scale, nice_limit
 from canfb.commissioning.samples import Samples
+from canfb.report.plot import Plot, Scale, nice_limit
 from canfb.signal.phase import FloatArray
 
 SHOWN_SAMPLES = 4000
