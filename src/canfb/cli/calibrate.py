@@ -39,7 +39,6 @@ from canfb.commissioning.drift_check import (
     module_drift_lines,
 )
 from canfb.commissioning.lock import LockWatch
-from canfb.commissioning.pictures import TrackLimits
 from canfb.commissioning.procedure import Guard, Installation, Measurement, Settings, install, measure
 from canfb.commissioning.samples import Samples
 from canfb.commissioning.session import Session, Source
@@ -47,6 +46,7 @@ from canfb.commissioning.summary import Circumstances, as_json, comparison, fact
 from canfb.commissioning.table_file import read_table
 from canfb.configuration import Config, load_config
 from canfb.errors import BusError, CalibrationError
+from canfb.signal.supervision import SampleLimits
 
 LEAST_FRESH = 1500
 
@@ -176,7 +176,7 @@ class _Job:
             version=version("canfb"),
             command=getattr(options, "line", ""),
         )
-        self.limits: TrackLimits | None = None
+        self.limits: SampleLimits | None = None
         self.options = options
         self.progress = progress
 

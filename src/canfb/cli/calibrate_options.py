@@ -9,13 +9,13 @@ from pathlib import Path
 from canfb.cli.calibrate_combinations import refuse_combinations
 from canfb.cli.options import add_bus_options, whole_number
 from canfb.commissioning.access import CommissioningError
-from canfb.commissioning.pictures import TrackLimits
 from canfb.commissioning.procedure import MOTION, ZERO_CROSSINGS, Settings
 from canfb.commissioning.sample_files import read_npz
 from canfb.commissioning.samples import Samples
 from canfb.configuration import Config
 from canfb.errors import ConfigError
 from canfb.signal.source import SourceEnded
+from canfb.signal.supervision import SampleLimits
 from canfb.simulation.sources import RecordingLayout, RecordingSource
 
 PDO, RECORDING, MODULE = "pdo", "recording", "module"
@@ -154,11 +154,11 @@ def check_options(options: argparse.Namespace) -> None:
         raise ConfigError("--source module: the module has the method motion only")
 
 
-def settings_of(options: argparse.Namespace, limits: TrackLimits | None) -> Settings:
+def settings_of(options: argparse.Namespace, limits: SampleLimits | None) -> Settings:
     """How to calibrate; the converter's bits from the module, unless given."""
     bits = options.adc_bits
-    if bits is None and limits is not None and limits.full_scale.bit_count() == 1:
-        bits = limits.full_scale.bit_length()
+    if bits is None and limits is not None and limits.full_scale_counts.bit_count() == 1:
+        bits = limits.full_scale_counts.bit_length()
     return Settings(options.method, "fit" if options.conditioning == "fit" else None, options.entries, bits)
 
 

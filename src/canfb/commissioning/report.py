@@ -6,9 +6,7 @@ import math
 from html import escape
 
 from canfb.calibration.recording import BINS
-from canfb.commissioning import pictures
 from canfb.commissioning.active import NOTHING_ACTIVE, ActiveSet
-from canfb.commissioning.pictures import TrackLimits
 from canfb.commissioning.procedure import Installation, Measurement
 from canfb.commissioning.samples import Samples
 from canfb.commissioning.summary import (
@@ -21,6 +19,9 @@ from canfb.commissioning.summary import (
     verdict,
 )
 from canfb.errors import CalibrationError
+from canfb.report import pictures
+from canfb.report.lissajous import is_dense, lissajous
+from canfb.signal.supervision import SampleLimits
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1c2126; --soft: #5b656e; --paper: #ffffff; --panel: #f6f7f8;
@@ -93,7 +94,7 @@ ANGLES = " Angles (″) are those of the shaft."
 
 
 def report_html(
-    measured: Measurement, done: Installation, where: Circumstances, limits: TrackLimits | None = None
+    measured: Measurement, done: Installation, where: Circumstances, limits: SampleLimits | None = None
 ) -> str:
     """The page. It refers to nothing outside of itself and runs no script."""
     said = [verdict(measured), _sentence(outcome(measured, done, where))]
@@ -107,7 +108,7 @@ def report_html(
 
 
 def refusal_html(
-    samples: Samples, refused: CalibrationError, where: Circumstances, limits: TrackLimits | None = None
+    samples: Samples, refused: CalibrationError, where: Circumstances, limits: SampleLimits | None = None
 ) -> str:
     """The page of a measurement that was refused: why, and what the tracks look like."""
     said = [f"Refused: {refused}.", "Nothing was written to the module."]
@@ -175,10 +176,10 @@ def _rows(listed: list[tuple[str, str]], title: str = "Measurement", style: str 
     return f"<h2>{title}</h2>\n{table}<tbody>\n{rows}</tbody></table>\n"
 
 
-def _lissajous(samples: Samples, used: ActiveSet, limits: TrackLimits | None) -> str:
-    picture = pictures.lissajous(samples, used, limits)
+def _lissajous(samples: Samples, used: ActiveSet, limits: SampleLimits | None) -> str:
+    picture = lissajous(samples.sine, samples.cosine, used.conditioning, limits)
     seen = len(samples) - samples.missed
-    shown = f"all {seen} samples, darker where more fall" if pictures.is_dense(samples) else f"{seen} samples"
+    shown = f"all {seen} samples, darker where more fall" if is_dense(samples.sine) else f"{seen} samples"
     return _figure("Lissajous picture", f"should be a circle within the limits; {shown}", picture)
 
 
@@ -196,12 +197,12 @@ def _pictures(measured: Measurement, done: Installation) -> str:
         (
             "Correction table",
             "phase less raw phase; Table 1 alone wants four waves of 1.1 %",
-            pictures.table_curve(calibration, measured.before),
+            pictures.table_curve(calibration.table, measured.before.table),
         ),
         (
             "Coverage",
             f"every phase must be met{coverage_warning(measured)}",
-            pictures.coverage(on_samples),
+            pictures.coverage(on_samples.samples_over_phase()),
         ),
         ("Error over the phase", "mean in each 1/64 cycle, before and after", curves),
         ("What is left of it", f"on a scale of its own; noise alone gives {noise:.2g} % rms", left),
@@ -209,7 +210,7 @@ def _pictures(measured: Measurement, done: Installation) -> str:
         (
             "Deviation of single samples",
             f"{len(shown.error)} samples {which}",
-            pictures.histogram(shown, calibration.noise_cycles),
+            pictures.histogram(shown.error, shown.rms, calibration.noise_cycles),
         ),
     ]
     return "".join(_figure(name, text, svg) for name, text, svg in listed)
