@@ -11,7 +11,7 @@ The master's side, between the buses and the calculation::
     procedure          all of it in the right order; nothing half done
     drift_check        how far an encoder has moved away from its table
     session            both nodes on a bus, read once
-    summary, report    figures and the page for people; its pictures are those of canfb.report
+    summary            figures for people; calibration_page: the page, from canfb.report
     artefacts          the files of a measurement; table_file: tables as YAML
 
 ``access.Master`` is what it needs of a bus: frames, an SDO client, a clock and a way to wait.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from canfb.commissioning.access import CommissioningError
+from canfb.commissioning.calibration_page import refusal_html, report_html
 from canfb.commissioning.procedure import Installation, Measurement
-from canfb.commissioning.report import refusal_html, report_html
 from canfb.commissioning.sample_files import write_npz
 from canfb.commissioning.samples import Samples
 from canfb.commissioning.summary import Circumstances, as_json

@@ -14,9 +14,9 @@ from commissioning_kit import Bench
 from test_calibrate_on_a_bus import calibrate
 
 from canfb.commissioning.artefacts import write
+from canfb.commissioning.calibration_page import refusal_html, report_html
 from canfb.commissioning.deviation import Deviation
 from canfb.commissioning.procedure import Installation, Measurement
-from canfb.commissioning.report import refusal_html, report_html
 from canfb.commissioning.summary import Circumstances, as_json, bound_words, facts
 from canfb.errors import CalibrationError
 
@@ -90,7 +90,7 @@ def test_a_spike_of_the_coverage_is_said(measured: Measurement) -> None:
     words = dict(facts(bad, Installation(), WHERE))["coverage"]
     assert re.search(r"; spiky: \d\.\d times the mean at phase 0\.30, another speed is better$", words)
     page = report_html(bad, Installation(), WHERE)
-    assert "every phase must be met; spiky: " in page
+    assert "every phase must be covered; spiky: " in page
     assert as_json(bad, Installation(), WHERE)["coverage_spike"] == pytest.approx(5.0, rel=0.2)
     assert "spiky" not in report_html(measured, Installation(), WHERE)
 

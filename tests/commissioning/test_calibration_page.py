@@ -11,9 +11,9 @@ import pytest
 from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.active import ActiveSet
 from canfb.commissioning.artefacts import prepare, write, write_refusal
+from canfb.commissioning.calibration_page import refusal_html, report_html
 from canfb.commissioning.deviation import deviation
 from canfb.commissioning.procedure import Installation, Measurement, Settings, block_of
-from canfb.commissioning.report import refusal_html, report_html
 from canfb.commissioning.sample_files import read_npz
 from canfb.commissioning.samples import Samples
 from canfb.commissioning.summary import Circumstances, comparison
