@@ -52,7 +52,7 @@ socketcan: $(INSTALLED_TEST) ## Run the tests on a real SocketCAN: this kernel's
 lowest: $(LOWEST)/.installed ## Run a part of the tests with the lowest versions that pyproject.toml allows
 	$(LOWEST)/bin/python -m pytest tests/bus/test_opening.py tests/bus/test_runner.py tests/cli/test_main.py \
 		tests/cli/test_config_command.py tests/cli/test_simulate_command.py tests/module/test_feedback_module.py \
-		tests/commissioning/test_report.py tests/test_exports.py
+		tests/commissioning/test_calibration_page.py tests/test_exports.py
 
 pythons: ## Run the unit tests with every Python from 3.11 that is there
 	@$(PYTHON) -m tools.suite.pythons unit

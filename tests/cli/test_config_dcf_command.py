@@ -15,7 +15,7 @@ from canfb.bus.state_files import StateFiles
 from canfb.cli.main import main
 from canfb.commissioning.module_objects import ModuleObjects
 from canfb.configuration import load_config
-from canfb.demo.plant import EmbeddedNetwork
+from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.concise import decode_concise
 from canfb.device.storage import Store
 from canfb.eds_files import eds_path

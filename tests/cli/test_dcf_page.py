@@ -16,7 +16,7 @@ from canfb.cia301.frame import Frame
 from canfb.cli import config_dcf
 from canfb.cli.main import main
 from canfb.configuration import load_config
-from canfb.demo.plant import EmbeddedNetwork
+from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage import MemoryStore
 from canfb.module.config import ModuleConfig
 from canfb.module.device_configuration import configuration_of

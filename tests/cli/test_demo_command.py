@@ -14,7 +14,7 @@ import pytest
 
 from canfb.cli import demo
 from canfb.cli.main import main
-from canfb.demo.figures import fault_samples
+from canfb.demo.demo_pictures import fault_samples
 from canfb.demo.story import FAULTS, LOST_SAMPLE, Story
 
 PICTURES = ["tracks.png", "error-over-phase.png", "residual-over-time.png"]
@@ -82,7 +82,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
     def too_late() -> None:
         raise AssertionError("the work has begun")
 
-    monkeypatch.setattr(demo, "Plant", too_late)
+    monkeypatch.setattr(demo, "DemoNetwork", too_late)
 
 
 @pytest.mark.usefixtures("no_work")
@@ -132,7 +132,7 @@ def test_a_story_that_does_not_hold_is_exit_code_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     story = Story(checks={"it flies": False, "it floats": True})
-    monkeypatch.setattr(demo, "tell", lambda plant: story)
+    monkeypatch.setattr(demo, "tell", lambda network: story)
     monkeypatch.setattr(demo, "as_json", lambda told: {"held": told.held, "checks": told.checks})
     assert main(["demo", "--json"]) == 1
     said = json.loads(capsys.readouterr().out)
@@ -142,8 +142,8 @@ def test_a_story_that_does_not_hold_is_exit_code_1(
 def test_the_samples_that_are_labelled_are_those_of_the_faults() -> None:
     numbers = list(range(1000))
     numbers.remove(900 + LOST_SAMPLE)  # it is not in the log
-    plant: Any = SimpleNamespace(adc=SimpleNamespace(sine=numbers, cosine=[-n for n in numbers]))
-    found = fault_samples(plant, Story(fault_window=(900, 980)))
+    network: Any = SimpleNamespace(adc=SimpleNamespace(sine=numbers, cosine=[-n for n in numbers]))
+    found = fault_samples(network, Story(fault_window=(900, 980)))
     assert found == [
         (name, 900 + place, -900 - place) for place, (name, _) in FAULTS.items() if place != LOST_SAMPLE
     ]

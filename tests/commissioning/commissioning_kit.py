@@ -14,7 +14,7 @@ from canopen.sdo.exceptions import SdoCommunicationError
 from canfb.cia301.frame import Frame
 from canfb.commissioning.access import NodeAccess
 from canfb.commissioning.samples import Samples
-from canfb.demo.plant import EmbeddedNetwork
+from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage import Store
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule

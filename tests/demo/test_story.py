@@ -11,15 +11,15 @@ import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.demo import story as story_module
-from canfb.demo.plant import (
+from canfb.demo.account import account
+from canfb.demo.demo_network import (
     BIT_RATE,
     CYCLES_PER_REVOLUTION,
     OTHER_LOAD,
     SYNC_PERIOD_S,
-    Plant,
+    DemoNetwork,
     demo_motion,
 )
-from canfb.demo.report import report
 from canfb.demo.story import (
     FAULT_SAMPLES,
     FAULTS,
@@ -51,7 +51,7 @@ NOISY = Encoder(amplitude_counts=1500.0, noise_lsb=15.0)
 
 
 class Told(NamedTuple):
-    plant: Plant
+    network: DemoNetwork
     story: Story
     track_samples: int
     reference_samples: int
@@ -61,8 +61,8 @@ def told(encoder: Encoder, seed: int, track_samples: int, reference_samples: int
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(story_module, "TRACK_SAMPLES", track_samples)
         patch.setattr(story_module, "REFERENCE_SAMPLES", reference_samples)
-        plant = Plant(encoder, seed)
-        return Told(plant, tell(plant), track_samples, reference_samples)
+        network = DemoNetwork(encoder, seed)
+        return Told(network, tell(network), track_samples, reference_samples)
 
 
 # The demo as it is; the others are shorter, for the time it takes.
@@ -99,7 +99,7 @@ def test_the_machine_turns_as_told(case: Told) -> None:
 
 def test_the_error_before_is_that_of_table_1_and_of_the_encoder(case: Told) -> None:
     """Computed once more from the tracks without noise, for phases all over the cycle."""
-    encoder = case.plant.encoder
+    encoder = case.network.encoder
     phase = np.arange(20_000) / 20_000
     error = phase_in_cycle(*encoder.tracks(phase)) - phase
     error -= np.rint(error)
@@ -118,7 +118,7 @@ def noise_cycles(encoder: Encoder) -> float:
 
 
 def test_the_error_with_the_table_is_the_noise_of_single_samples_and_not_less(case: Told) -> None:
-    noise = noise_cycles(case.plant.encoder)
+    noise = noise_cycles(case.network.encoder)
     after = case.story.error_after
     rms = math.sqrt(np.mean(after**2))
     assert 0.85 * noise < rms < 1.2 * noise
@@ -132,11 +132,11 @@ def test_the_calibration_knows_how_good_it_is(case: Told) -> None:
     assert calibration is not None
     assert calibration.accepted
     assert 0.99 <= calibration.coverage <= 1.0
-    assert case.story.table_crc32 == calibration.table.crc32 == case.plant.master.sdo[0x2020][4].raw
-    noise = noise_cycles(case.plant.encoder)
+    assert case.story.table_crc32 == calibration.table.crc32 == case.network.master.sdo[0x2020][4].raw
+    noise = noise_cycles(case.network.encoder)
     assert 0.01 * noise < calibration.uncertainty_peak < 0.5 * noise
     truth = np.arange(1000) / 1000
-    table = calibration.table(phase_in_cycle(*case.plant.encoder.tracks(truth))) - truth
+    table = calibration.table(phase_in_cycle(*case.network.encoder.tracks(truth))) - truth
     table -= np.rint(table)
     table -= table.mean()
     # What it says of itself against the truth, which it does not know.
@@ -155,7 +155,7 @@ def test_counts_are_right_and_faults_are_flagged_at_once(case: Told) -> None:
 
 
 def test_status_and_residual_tell_of_the_faults_and_of_nothing_else(case: Told) -> None:
-    consumed = case.plant.drive.consumed
+    consumed = case.network.drive.consumed
     numbers = [number - 1 for number in consumed.sync_number]
     first, last = case.story.fault_window
     valid = {
@@ -181,17 +181,17 @@ def test_the_load_of_the_bus_is_that_of_its_frames(case: Told) -> None:
 
 def test_time_is_that_of_a_real_bus() -> None:
     """The SYNC is late by its producer, by the frame on the wire; the samples are taken when it is heard."""
-    plant, heard = Plant(seed=4), list[float]()
-    plant.bus.taps.append(lambda frame, now: heard.append(now) if frame.can_id == 0x80 else None)
-    for node in (plant.master, plant.interface_master):
+    network, heard = DemoNetwork(seed=4), list[float]()
+    network.bus.taps.append(lambda frame, now: heard.append(now) if frame.can_id == 0x80 else None)
+    for node in (network.master, network.interface_master):
         node.nmt.state = "OPERATIONAL"
-    plant.drive.start_sync(plant.bus.now)
-    plant.run(3000)
+    network.drive.start_sync(network.bus.now)
+    network.run(3000)
     times = np.array(heard)
     off_us = 1e6 * (times - np.polyval(np.polyfit(np.arange(len(times)), times, 1), np.arange(len(times))))
     assert 100 < np.abs(off_us).max() < 300
     assert 50 < off_us.std() < 80
-    truth = np.array(plant.source.truth_cycles)
+    truth = np.array(network.source.truth_cycles)
     motion = demo_motion()
     at = CYCLES_PER_REVOLUTION * np.array([motion.revolutions(time - times[0]) for time in times])
     # 20 ns of aperture jitter at 83 cycles per ms, and no more.
@@ -210,7 +210,7 @@ def test_the_figures_for_programs_are_plain_and_complete(case: Told) -> None:
 
 
 def test_the_account_for_people_has_the_figures(case: Told) -> None:
-    text = report(case.story)
+    text = account(case.story)
     lines = text.splitlines()
     assert all(len(line) <= 110 for line in lines)
     assert 20 <= len(lines) <= 40
@@ -227,7 +227,7 @@ def test_with_an_encoder_too_noisy_the_story_does_not_hold_and_says_so() -> None
     assert not story.held
     failed = {name for name, held in story.checks.items() if not held}
     assert failed == {"error at least 50 times smaller", "error below 0.05 % of a cycle"}
-    assert report(story).count("  FAILED  ") == 2
+    assert account(story).count("  FAILED  ") == 2
     assert as_json(story)["held"] is False
 
 
@@ -236,16 +236,16 @@ def test_with_a_module_that_calls_everything_valid_the_story_does_not_hold(
 ) -> None:
     monkeypatch.setattr(story_module, "TRACK_SAMPLES", 500)
     monkeypatch.setattr(story_module, "REFERENCE_SAMPLES", 3000)
-    plant = Plant(BETTER, 5)
-    receive = plant.drive.receive
+    network = DemoNetwork(BETTER, 5)
+    receive = network.drive.receive
 
     def gullible(frame: Frame, now: float) -> list[Frame]:
         answer = receive(frame, now)
-        plant.drive.consumed.status[-1:] = [status | 1 for status in plant.drive.consumed.status[-1:]]
+        network.drive.consumed.status[-1:] = [status | 1 for status in network.drive.consumed.status[-1:]]
         return answer
 
-    monkeypatch.setattr(plant.drive, "receive", gullible)
-    story = tell(plant)
+    monkeypatch.setattr(network.drive, "receive", gullible)
+    story = tell(network)
     assert not story.held
     assert story.faults.flagged_at_once == story.faults.flagged_samples == 0
     assert not story.checks["every fault flagged in the same sample"]
@@ -254,4 +254,4 @@ def test_with_a_module_that_calls_everything_valid_the_story_does_not_hold(
 def test_an_untold_story_does_not_hold() -> None:
     assert not Story().held
     with pytest.raises(ValueError, match="has not been told"):
-        report(Story())
+        account(Story())

@@ -12,7 +12,7 @@ import network_file
 from canfb.bus.simulating import fed_module
 from canfb.cia301.frame import Frame
 from canfb.configuration import load_config
-from canfb.demo.plant import EmbeddedNetwork
+from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.background_traffic import BackgroundTraffic
 from canfb.simulation.embedded_bus import EmbeddedBus

@@ -6,7 +6,7 @@ import struct
 import canopen
 
 from canfb.cia301.frame import Frame
-from canfb.demo.plant import EmbeddedNetwork
+from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage import Store
 from canfb.eds_files import eds_path
 from canfb.module.config import ModuleConfig

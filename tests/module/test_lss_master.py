@@ -6,7 +6,7 @@ import canopen
 import canopen.lss
 import pytest
 
-from canfb.demo.plant import EmbeddedNetwork
+from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.module.config import ModuleConfig

@@ -10,7 +10,7 @@ import canopen.lss
 import pytest
 
 from canfb.cia301.frame import Frame
-from canfb.demo.plant import EmbeddedNetwork
+from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage import MemoryStore
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import canfb
-from canfb.demo.plant import EmbeddedNetwork
+from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.eds_files import eds_path
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus

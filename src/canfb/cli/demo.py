@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 
 from canfb.cli.options import Commands, add_command
-from canfb.demo.figures import prepare, write_figures
-from canfb.demo.plant import Plant
-from canfb.demo.report import report
+from canfb.demo.account import account
+from canfb.demo.demo_network import DemoNetwork
+from canfb.demo.demo_pictures import prepare, write_figures
 from canfb.demo.story import as_json, tell
 
 
@@ -32,14 +32,14 @@ def demo(options: argparse.Namespace) -> int:
     """Tell the story; 0 if everything held, else 1."""
     if options.out:
         prepare(options.out)
-    plant = Plant()
+    network = DemoNetwork()
     show = None if options.json or not sys.stderr.isatty() else _progress
-    story = tell(plant, show) if show else tell(plant)
-    pictures = write_figures(plant, story, options.out) if options.out else []
+    story = tell(network, show) if show else tell(network)
+    pictures = write_figures(network, story, options.out) if options.out else []
     if options.json:
         print(json.dumps(as_json(story) | {"figures": [str(path) for path in pictures]}, indent=2))
     else:
-        print(report(story))
+        print(account(story))
         for path in pictures:
             print(f"  picture  {path}")
     return 0 if story.held else 1

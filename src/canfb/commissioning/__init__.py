@@ -14,7 +14,7 @@ The master's side, between the buses and the calculation::
     drift_check        how far an encoder has moved away from its table
     session            both nodes on a bus, read once
     module_objects     the objects of a module, for its configuration
-    summary, report    figures and pictures (pictures, plot) for people
+    summary            figures for people; calibration_page: the page, from canfb.report
     artefacts          the files of a measurement; table_file: tables as YAML
 
 ``access.Master`` is what it needs of a bus: frames, an SDO client, a clock and a way to wait.

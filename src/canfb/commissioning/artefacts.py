@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from canfb.commissioning.access import CommissioningError
-from canfb.commissioning.pictures import TrackLimits
+from canfb.commissioning.calibration_page import refusal_html, report_html
 from canfb.commissioning.procedure import Installation, Measurement
-from canfb.commissioning.report import refusal_html, report_html
 from canfb.commissioning.sample_files import write_npz
 from canfb.commissioning.samples import Samples
 from canfb.commissioning.summary import Circumstances, as_json
 from canfb.commissioning.table_file import as_yaml
 from canfb.errors import CalibrationError
+from canfb.signal.supervision import SampleLimits
 
 TABLE_YAML, TABLE_BIN, SAMPLES, REPORT = "table.yaml", "table.bin", "samples.npz", "report.html"
 # What is in the YAML beyond crc32, conditioning and entries.
@@ -56,7 +56,7 @@ def write(
     measured: Measurement,
     done: Installation,
     where: Circumstances,
-    limits: TrackLimits | None = None,
+    limits: SampleLimits | None = None,
 ) -> list[Path]:
     """Write everything; the paths. CommissioningError if that does not work."""
     figures = as_json(measured, done, where)
@@ -86,7 +86,7 @@ def write_refusal(
     samples: Samples,
     refused: CalibrationError,
     where: Circumstances,
-    limits: TrackLimits | None = None,
+    limits: SampleLimits | None = None,
 ) -> list[Path]:
     """Samples and report of a measurement that was refused: they show why. There is no table."""
     try:

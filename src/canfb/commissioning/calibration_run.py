@@ -20,7 +20,6 @@ from canfb.commissioning.drift_check import (
     module_drift_lines,
 )
 from canfb.commissioning.lock import LockWatch
-from canfb.commissioning.pictures import TrackLimits
 from canfb.commissioning.procedure import Guard, Installation, Measurement, Settings, install, measure
 from canfb.commissioning.samples import Samples
 from canfb.commissioning.session import Session, Source
@@ -28,6 +27,7 @@ from canfb.commissioning.summary import Circumstances, as_json, comparison, fact
 from canfb.commissioning.table_file import read_table
 from canfb.errors import CalibrationError
 from canfb.signal.correction import NO_CORRECTION, Correction
+from canfb.signal.supervision import SampleLimits
 
 LEAST_FRESH = 1500
 
@@ -76,7 +76,7 @@ class CalibrationRun:
             version=version("canfb"),
             command=choices.line,
         )
-        self._limits: TrackLimits | None = None
+        self._limits: SampleLimits | None = None
         self._choices = choices
         self._steps = steps
         self._refused = refused

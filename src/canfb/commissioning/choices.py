@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from canfb.commissioning.access import CommissioningError
-from canfb.commissioning.pictures import TrackLimits
 from canfb.commissioning.procedure import MOTION, ZERO_CROSSINGS, Settings
 from canfb.commissioning.sample_files import read_npz
 from canfb.commissioning.samples import Samples
 from canfb.errors import ConfigError
+from canfb.signal.supervision import SampleLimits
 from canfb.sources.recording_source import RecordingLayout, RecordingSource
 
 PDO, RECORDING, MODULE = "pdo", "recording", "module"
@@ -97,11 +97,11 @@ class Choices:
         if self.samples_from == MODULE and self.method != MOTION:
             raise ConfigError("--source module: the module has the method motion only")
 
-    def settings(self, limits: TrackLimits | None) -> Settings:
+    def settings(self, limits: SampleLimits | None) -> Settings:
         """How to calibrate; the converter's bits from the module, unless given."""
         bits = self.adc_bits
-        if bits is None and limits is not None and limits.full_scale.bit_count() == 1:
-            bits = limits.full_scale.bit_length()
+        if bits is None and limits is not None and limits.full_scale_counts.bit_count() == 1:
+            bits = limits.full_scale_counts.bit_length()
         return Settings(self.method, "fit" if self.conditioning == "fit" else None, self.entries, bits)
 
     def nodes(self, configured: Iterable[tuple[int, int | None]]) -> tuple[int, int | None]:

@@ -11,10 +11,10 @@ from canfb.commissioning.access import CommissioningError, Master, NodeAccess
 from canfb.commissioning.active import read_active
 from canfb.commissioning.listening import Listener, listen
 from canfb.commissioning.pdo_layout import PdoLayout, agreed_layout, module_layout
-from canfb.commissioning.pictures import TrackLimits
 from canfb.commissioning.recorder import record
 from canfb.commissioning.samples import Samples
 from canfb.signal.correction import Correction
+from canfb.signal.supervision import SampleLimits
 
 Heard = Callable[[float], None]
 Source = Callable[[float, int, Heard], Samples]
@@ -46,7 +46,7 @@ class Session:
     interface: NodeAccess
     active: Correction
     cycles_per_revolution: int
-    limits: TrackLimits
+    limits: SampleLimits
     samples_itself: bool = False
     named: bool = False
     identity: tuple[int, ...] | None = None
@@ -63,7 +63,7 @@ class Session:
         high = module.integer(*od.ENCODER_HIGHEST_AMPLITUDE, "H")
         named = interface_id if interface_id is not None else _interface_of(module)
         interface = NodeAccess(master, named or DEFAULT_INTERFACE, "encoder interface")
-        limits = TrackLimits(full_scale, low, high)
+        limits = SampleLimits(full_scale, low, high)
         return cls(
             master,
             module,

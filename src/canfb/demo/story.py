@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from canfb.calibration.motion import calibrate_from_motion
 from canfb.calibration.result import Calibration
-from canfb.demo.plant import (
+from canfb.demo.demo_network import (
     BIT_RATE,
     CLOCK_DRIFT_PPM,
     SYNC_PERIOD_S,
     TIMING,
     UNITS_PER_REVOLUTION,
+    DemoNetwork,
     Fault,
-    Plant,
 )
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
@@ -80,26 +80,26 @@ class Story:
         return bool(self.checks) and all(self.checks.values())
 
 
-def tell(plant: Plant, progress: Callable[[str], None] = lambda text: None) -> Story:
-    """Run all chapters on ``plant``; ``progress`` gets a line at the start of each."""
+def tell(network: DemoNetwork, progress: Callable[[str], None] = lambda text: None) -> Story:
+    """Run all chapters on ``network``; ``progress`` gets a line at the start of each."""
     story = Story()
     progress("starting the network")
-    _start_network(plant, story)
+    _start_network(network, story)
     progress("tracking")
-    _track(plant, story)
+    _track(network, story)
     progress("reference measurement")
-    _calibrate(plant, story)
+    _calibrate(network, story)
     progress("verifying")
-    _verify(plant, story)
+    _verify(network, story)
     progress("provoking faults")
-    _provoke_faults(plant, story)
-    _finish(plant, story)
+    _provoke_faults(network, story)
+    _finish(network, story)
     return story
 
 
-def _start_network(plant: Plant, story: Story) -> None:
+def _start_network(network: DemoNetwork, story: Story) -> None:
     """As a master does: link the PDOs by SDO, set the scaling, start the nodes, start the SYNC."""
-    sdo, interface_sdo = plant.master.sdo, plant.interface_master.sdo
+    sdo, interface_sdo = network.master.sdo, network.interface_master.sdo
     adc_cob_id = interface_sdo[0x1800][1].raw & 0x7FF
     sdo[0x1400][1].raw = INVALID | adc_cob_id
     sdo[0x1400][1].raw = adc_cob_id
@@ -108,35 +108,35 @@ def _start_network(plant: Plant, story: Story) -> None:
     sdo[0x6000].raw = SCALING_ON
     sdo[0x1006].raw = round(SYNC_PERIOD_S * 1e6)
     story.checks["RPDO linked by SDO"] = sdo[0x1400][1].raw == adc_cob_id
-    plant.master.nmt.state = "OPERATIONAL"
-    plant.interface_master.nmt.state = "OPERATIONAL"
-    plant.drive.start_sync(plant.bus.now)
+    network.master.nmt.state = "OPERATIONAL"
+    network.interface_master.nmt.state = "OPERATIONAL"
+    network.drive.start_sync(network.bus.now)
 
 
-def _track(plant: Plant, story: Story) -> None:
+def _track(network: DemoNetwork, story: Story) -> None:
     """Up to 2000 rpm, then on at 83 cycles per sample, without a table."""
-    plant.run(RUN_UP_SAMPLES)
-    plant.run(TRACK_SAMPLES)
-    truth = plant.source.truth_cycles
+    network.run(RUN_UP_SAMPLES)
+    network.run(TRACK_SAMPLES)
+    truth = network.source.truth_cycles
     story.cycles_per_sample = (truth[-1] - truth[-TRACK_SAMPLES]) / (TRACK_SAMPLES - 1)
-    story.error_before, story.phase_before = _error(plant, RUN_UP_SAMPLES, RUN_UP_SAMPLES + TRACK_SAMPLES)
-    story.checks["one position PDO for each sample"] = len(plant.drive.consumed.status) == len(truth)
+    story.error_before, story.phase_before = _error(network, RUN_UP_SAMPLES, RUN_UP_SAMPLES + TRACK_SAMPLES)
+    story.checks["one position PDO for each sample"] = len(network.drive.consumed.status) == len(truth)
 
 
-def _calibrate(plant: Plant, story: Story) -> None:
+def _calibrate(network: DemoNetwork, story: Story) -> None:
     """Fast recording of the interface at speed, upload by segmented SDO, check of the CRC, activation.
 
     The recording is triggered by a timer of the interface: the jitter of the SYNC does not concern it.
     """
-    recording = plant.interface_master.sdo[0x2050]
+    recording = network.interface_master.sdo[0x2050]
     recording[4].raw = REFERENCE_HZ
     recording[1].raw = RECORD
-    plant.run(round(REFERENCE_SAMPLES / REFERENCE_HZ / SYNC_PERIOD_S))
+    network.run(round(REFERENCE_SAMPLES / REFERENCE_HZ / SYNC_PERIOD_S))
     recording[1].raw = STOP
-    counts = np.frombuffer(plant.interface_master.sdo.upload(0x2050, 3), "<i2").reshape(-1, 2)
+    counts = np.frombuffer(network.interface_master.sdo.upload(0x2050, 3), "<i2").reshape(-1, 2)
     story.calibration = calibrate_from_motion(counts[:, 0], counts[:, 1])
     table = story.calibration.table
-    sdo = plant.master.sdo
+    sdo = network.master.sdo
     sdo.download(0x2020, 1, table.to_bytes())
     story.checks["the module has the table that was sent"] = sdo[0x2020][2].raw == table.crc32
     sdo[0x2020][3].raw = table.crc32
@@ -144,21 +144,21 @@ def _calibrate(plant: Plant, story: Story) -> None:
     story.checks["the table is active"] = story.table_crc32 == table.crc32
 
 
-def _verify(plant: Plant, story: Story) -> None:
+def _verify(network: DemoNetwork, story: Story) -> None:
     """The same motion, measured with the table."""
-    plant.run(20)
-    first = len(plant.source.truth_cycles)
-    plant.run(TRACK_SAMPLES)
-    story.error_after, story.phase_after = _error(plant, first, first + TRACK_SAMPLES)
+    network.run(20)
+    first = len(network.source.truth_cycles)
+    network.run(TRACK_SAMPLES)
+    story.error_after, story.phase_after = _error(network, first, first + TRACK_SAMPLES)
 
 
-def _provoke_faults(plant: Plant, story: Story) -> None:
+def _provoke_faults(network: DemoNetwork, story: Story) -> None:
     """Open tracks, inverted tracks, a clipped track and a lost sample, at full speed."""
-    first = len(plant.source.truth_cycles)
-    plant.source.faults = {first + place: act for place, (_, act) in FAULTS.items()}
+    first = len(network.source.truth_cycles)
+    network.source.faults = {first + place: act for place, (_, act) in FAULTS.items()}
     story.fault_window = (first, first + FAULT_SAMPLES)
-    plant.run(FAULT_SAMPLES)
-    consumed = plant.drive.consumed
+    network.run(FAULT_SAMPLES)
+    consumed = network.drive.consumed
     numbers = np.array(consumed.sync_number) - 1
     story.residual_number = numbers[numbers >= first] - first
     story.residual = np.array(consumed.residual_cycles)[numbers >= first]
@@ -167,30 +167,30 @@ def _provoke_faults(plant: Plant, story: Story) -> None:
     faults = story.faults
     faults.provoked = len(FAULTS)
     # A sample that never came can be missed only when the next SYNC comes.
-    faults.flagged_at_once = sum((n + 1 if n == lost else n) in flagged for n in plant.source.faults)
+    faults.flagged_at_once = sum((n + 1 if n == lost else n) in flagged for n in network.source.faults)
     faults.flagged_samples = sum(n in flagged for n in range(first, first + FAULT_SAMPLES))
 
 
-def _error(plant: Plant, first: int, last: int) -> tuple[FloatArray, FloatArray]:
+def _error(network: DemoNetwork, first: int, last: int) -> tuple[FloatArray, FloatArray]:
     """Position error about its mean, and the true phase, of the samples first..last-1.
 
     The mean is where the encoder's zero is, not an error of the position.
     """
-    error = plant.errors_cycles(first, last)
-    return error - error.mean(), np.mod(np.array(plant.source.truth_cycles[first:last]), 1.0)
+    error = network.errors_cycles(first, last)
+    return error - error.mean(), np.mod(np.array(network.source.truth_cycles[first:last]), 1.0)
 
 
-def _finish(plant: Plant, story: Story) -> None:
+def _finish(network: DemoNetwork, story: Story) -> None:
     """Counts over the whole run, the load of the bus, the verdict."""
-    story.samples = len(plant.source.truth_cycles)
-    error = plant.errors_cycles(0, story.samples)
-    valid = np.array(plant.drive.consumed.status) & VALID != 0
+    story.samples = len(network.source.truth_cycles)
+    error = network.errors_cycles(0, story.samples)
+    valid = np.array(network.drive.consumed.status) & VALID != 0
     zero = float(np.median(error))
     wrong = np.abs(error - zero) > 0.25
     story.wrong_counts = int(np.count_nonzero(np.rint(error - zero)[valid]))
     story.faults.wrong_and_valid = int(np.count_nonzero(wrong & valid))
     story.faults.wrong_counts_after = int(np.count_nonzero(wrong[-10:]))
-    story.bus_load = plant.bus.bits / BIT_RATE / plant.bus.now
+    story.bus_load = network.bus.bits / BIT_RATE / network.bus.now
     before, after = np.abs(story.error_before).max(), np.abs(story.error_after).max()
     story.checks |= {
         "no wrong cycle count": story.wrong_counts == 0,

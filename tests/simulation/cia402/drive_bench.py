@@ -12,7 +12,7 @@ from canopen.pdo.base import PdoMap
 from canopen.profiles.p402 import BaseNode402
 
 from canfb.cia301.frame import Frame
-from canfb.demo.plant import EmbeddedNetwork
+from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.eds_files import eds_path
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule

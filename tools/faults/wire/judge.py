@@ -2,10 +2,10 @@
 
 The rules, by what made the module send (times in T, true receive times):
 
-J1  an ADC PDO: the position is that of the sample in it, or of the newest sample heard.
+J1  an ADC PDO: the position is that of the sample in it, of the newest sample heard, or of the last SYNC.
 J2  SYNC s (synchronous TPDOs and RPDOs), or a foreign PDO after it: that of the sample of SYNC s-1, or of s.
     Where a late host and an unheard SYNC look alike (P2 in wire_physics), also that of the newest one heard.
-    With 2013h, that at the SYNC itself.
+    With 2013h, that at the SYNC itself, or one period after the sample (docs/latency.md).
 J3  a timer, an SDO read, NMT: that of the newest sample heard, if it is no older than FRESH; else the true
     position at that very moment. So a frozen position is wrong once the machine has moved on.
 J4  a sample time that is off by no more than the wire can be (P4): also the position at the time it names.
@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 from tools.faults.wire.host import Sent
 from tools.faults.wire.line import Line, Plan
-from tools.faults.wire.physics import host_may_be_late, stamp_tolerance
+from tools.faults.wire.physics import answers_another, host_may_be_late, is_smooth, stamp_tolerance
 from tools.faults.wire.setups import (
     CYCLES_PER_REVOLUTION,
     EMCY_ID,
@@ -37,6 +37,8 @@ VALID, LOST, EXTRAPOLATED = 1 << 0, 1 << 2, 1 << 12
 FRESH = 3.0  # 2010:06 is 2 periods; one more for a late SYNC, the delay of the PDO and the host
 START = 12.0  # until then nothing has to be valid: a coarse track is found at rest
 ACCELERATION_MARGIN = 0.15  # cycles/T^2
+RESIDUAL_LIMIT = 1.0 / 3.0  # 2010:01 as delivered
+LIMIT_MARGIN = 0.06  # cycles/T^2: that of a narrowed limit, and the noise
 MEMORY = 8  # samples whose accelerations 2011:09 may hold
 ACCELERATION_ID = 0x380 + 32
 EMCY_WINDOW_S, EMCY_LIMIT = 0.1, 10
@@ -53,6 +55,7 @@ class Shown:
     residual: float
     error: float
     truth: float
+    cause_time: float = -1.0  # when the ADC PDO was received that made the module send it
 
 
 @dataclass
@@ -79,6 +82,11 @@ class Judge:
         start = line.positions[0] if line.positions else 0.0
         self._base = start - start % 1.0  # the module begins at cycle count 0
         self._rebased = 0.0
+        syncs = [event for event in line.events if event.what == "sync"]
+        self._sync_times, self._sync_slots = (
+            [event.time for event in syncs],
+            [event.number for event in syncs],
+        )
         self._lost = False
         self._tolerance = stamp_tolerance(plan.setup, plan.options.interval_s) if plan.setup.times else 0.0
         self._status: int | None = None  # of an SDO read
@@ -113,11 +121,23 @@ class Judge:
         ended_valid = bool(positions) and bool(positions[-1].status & VALID)
         verdict.right_at_end = ended_valid and abs(positions[-1].error) <= self._plan.tolerance
         if verdict.wrong:
-            verdict.outcome = "physics" if self._plan.note.startswith("P") else "wrong"
+            verdict.outcome = "physics" if self._plan.note.startswith("P") or self._is_p5() else "wrong"
         elif self._lost or not ended_valid:
             verdict.outcome = "lost"
         elif verdict.not_valid:
             verdict.outcome = "flagged"
+
+    def _is_p5(self) -> bool:
+        """A PDO answered another SYNC, and a machine that keeps the limits moves as was shown."""
+        if self._plan.setup.times or not answers_another(self._line):
+            return False
+        limit = self._plan.options.limit or RESIDUAL_LIMIT
+        shown = [
+            (self._last_sync(one.cause_time), one.position)
+            for one in self.shown
+            if one.what == "TPDO" and one.status & VALID and one.cause_time >= 0.0
+        ]
+        return is_smooth(shown, limit + LIMIT_MARGIN, RANGE_CYCLES)
 
     def _see_sdo(self, one: Sent, data: bytes) -> None:
         _, index, subindex = struct.unpack_from("<BHB", data)
@@ -142,7 +162,9 @@ class Judge:
             and (self._plan.options.extra or self._plan.options.coarse)
         ):
             error = self._after_loss(error)
-        shown = Shown(one.now, what, position, status, residual, error, truth)
+        cause = one.cause
+        upon = cause.time if cause is not None and cause.what == "pdo" else -1.0
+        shown = Shown(one.now, what, position, status, residual, error, truth, upon)
         self.shown.append(shown)
         verdict.shown += 1
         if not valid:
@@ -177,7 +199,7 @@ class Judge:
         """True positions at the instants of rules J1 to J4."""
         line, cause = self._line, one.cause
         if cause is not None and cause.what in ("pdo", "extra"):
-            samples = {cause.number, one.newest}
+            samples = {cause.number, one.newest, *self._samples_of(self._last_sync(cause.time))}
             return [line.positions[n] for n in samples] + self._named(samples)
         if cause is not None and cause.what in ("sync", "foreign"):
             first = bisect_left(line.sample_slots, cause.number - 1)
@@ -188,12 +210,22 @@ class Judge:
                 newest = line.sample_times[one.newest]
                 true += [line.positions[one.newest], float(plan.motion.at([newest + 1.0])[0])]
             if plan.options.predict:
-                true.append(float(plan.motion.at([cause.time])[0]))
+                after = [line.sample_times[n] + 1.0 for n in range(first, last)]
+                true += plan.motion.at([cause.time, *after]).tolist()
             return true + self._named(range(first, last))
         at = one.now if cause is None else cause.time
         if one.newest >= 0 and at - line.sample_times[one.newest] <= FRESH:
             return [line.positions[one.newest], *self._named([one.newest])]
         return [float(self._plan.motion.at([one.now])[0])]
+
+    def _last_sync(self, time: float) -> int:
+        """The slot of the last SYNC that the module heard up to this time."""
+        place = bisect_right(self._sync_times, time) - 1
+        return self._sync_slots[place] if place >= 0 else -1
+
+    def _samples_of(self, slot: int) -> range:
+        slots = self._line.sample_slots
+        return range(bisect_left(slots, slot), bisect_right(slots, slot))
 
     def _named(self, samples: Iterable[int]) -> list[float]:
         """Rule J4."""

@@ -13,6 +13,10 @@ P3  No sample times. Each PDO is late by one whole period from some slot on.
     Proof: sample k comes in interval k + 1, at its usual place there. A machine whose sample k - 1 was lost
     gives the same frames at the same times if the speed is a whole number of cycles per T; the positions
     differ by v. (At other speeds the residual tells them apart.)
+P5  No sample times. The first PDO after a SYNC answers an earlier one, and comes when the answer is due.
+    Proof: the PDO carries no mark of its SYNC. Take the machine that moves as the module has it: this
+    PDO is in time there, and the one of the earlier SYNC was lost. Frames, order and times are the same;
+    the machine is healthy as long as its motion keeps the limits (:func:`is_smooth`).
 P4  A sample time is off by e, no more than SYNC and receive times can be (:func:`stamp_tolerance`).
     Proof: a healthy machine whose SYNC came later by e, and whose sample was taken then, at v e cycles from
     here: if that is a whole number, counts and time are the same. A position is right if it is that of the
@@ -21,7 +25,10 @@ P4  A sample time is off by e, no more than SYNC and receive times can be (:func
 
 from __future__ import annotations
 
-from tools.faults.wire.line import Plan, Slot
+import itertools
+from collections.abc import Sequence
+
+from tools.faults.wire.line import Line, Plan, Slot
 from tools.faults.wire.setups import Setup
 
 LATEST_HOST_S = 5e-3
@@ -73,3 +80,29 @@ def _runs(bits: list[bool]) -> list[int]:
             lengths.append(run)
             run = 0
     return lengths
+
+
+def answers_another(line: Line) -> bool:
+    """The first PDO after some SYNC holds the sample of an earlier one (P5)."""
+    slot, first = -1, False
+    for event in line.events:
+        if event.what == "sync":
+            slot, first = event.number, True
+        elif event.what == "pdo":
+            if first and line.sample_slots[event.number] < slot:
+                return True
+            first = False
+    return False
+
+
+def is_smooth(shown: Sequence[tuple[int, float]], limit: float, whole: float) -> bool:
+    """Whether a motion within ``limit`` (cycles/T^2) goes through all (slot, position); modulo ``whole``."""
+    speeds = []
+    for (slot, position), (next_slot, next_position) in itertools.pairwise(shown):
+        if next_slot > slot:
+            moved = (next_position - position + whole / 2) % whole - whole / 2
+            speeds.append((moved / (next_slot - slot), next_slot - slot))
+    return all(
+        abs(speed - before) <= limit * (intervals + earlier) / 2
+        for (before, earlier), (speed, intervals) in itertools.pairwise(speeds)
+    )

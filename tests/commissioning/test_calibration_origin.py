@@ -1,4 +1,4 @@
-"""What the report says of where it comes from, and what its pictures leave out: nothing."""
+"""What the report says of where it comes from, and what its coverage lacks."""
 
 from __future__ import annotations
 
@@ -13,15 +13,12 @@ import yaml
 from commissioning_kit import Bench
 from test_calibrate_on_a_bus import calibrate
 
-from canfb.commissioning import pictures
 from canfb.commissioning.artefacts import write
+from canfb.commissioning.calibration_page import refusal_html, report_html
 from canfb.commissioning.deviation import Deviation
 from canfb.commissioning.procedure import Installation, Measurement
-from canfb.commissioning.report import refusal_html, report_html
-from canfb.commissioning.samples import Samples
 from canfb.commissioning.summary import Circumstances, as_json, bound_words, facts
 from canfb.errors import CalibrationError
-from canfb.signal.correction import NO_CORRECTION
 
 WHERE = Circumstances(
     "2026-03-01",
@@ -76,38 +73,6 @@ def test_the_identities_are_read_from_the_nodes(capsys: pytest.CaptureFixture[st
     assert figures["time"] is None
 
 
-def dots_of(svg: str) -> list[tuple[float, float]]:
-    paths = re.findall(r'class="dots [^"]*"[^>]* d="([^"]*)"', svg)
-    return [(float(x), float(y)) for path in paths for x, y in re.findall(r"M([-\d.]+) ([-\d.]+)h0", path)]
-
-
-def ring(n: int, noise: float = 0.5) -> Samples:
-    rng = np.random.default_rng(1)
-    angle = rng.uniform(0, 2 * np.pi, n)
-    tracks = (1000 * f(angle) + noise * rng.standard_normal(n) for f in (np.sin, np.cos))
-    return Samples.of(*tracks, 1000.0, "a ring")
-
-
-@pytest.mark.parametrize("n", [100, 4000])
-def test_a_few_thousand_samples_are_drawn_each(n: int) -> None:
-    assert len(dots_of(pictures.lissajous(ring(n), NO_CORRECTION, None))) == n
-
-
-@pytest.mark.parametrize("noise", [0.5, 300.0])
-def test_more_are_drawn_by_their_density_and_none_is_left_out(noise: float) -> None:
-    samples = ring(60_000, noise)
-    samples.sine[31_234], samples.cosine[31_234] = 0.0, 0.0  # one fault
-    samples.sine[777] = np.nan
-    svg = pictures.lissajous(samples, NO_CORRECTION, None)
-    dots = np.array(dots_of(svg))
-    assert 300 < len(dots) <= pictures.SHOWN_SAMPLES
-    assert len(svg) < 90_000
-    assert len(set(re.findall(r"stroke-opacity:([\d.]+)", svg))) == pictures.SHADES
-    centre = (dots.min(axis=0) + dots.max(axis=0)) / 2
-    nearest = np.abs(dots - centre).max(axis=1).min()
-    assert nearest < 12.0, "the fault in the middle of the ring"
-
-
 def deviation_at(phase: np.ndarray) -> Deviation:
     nothing = np.zeros(len(phase))
     return Deviation(1e-4, 1e-3, 1e-2, 2e-2, phase, nothing, nothing, 0)
@@ -125,7 +90,7 @@ def test_a_spike_of_the_coverage_is_said(measured: Measurement) -> None:
     words = dict(facts(bad, Installation(), WHERE))["coverage"]
     assert re.search(r"; spiky: \d\.\d times the mean at phase 0\.30, another speed is better$", words)
     page = report_html(bad, Installation(), WHERE)
-    assert "every phase must be met; spiky: " in page
+    assert "every phase must be covered; spiky: " in page
     assert as_json(bad, Installation(), WHERE)["coverage_spike"] == pytest.approx(5.0, rel=0.2)
     assert "spiky" not in report_html(measured, Installation(), WHERE)
 

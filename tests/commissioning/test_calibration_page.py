@@ -3,65 +3,28 @@
 from __future__ import annotations
 
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commissioning_kit import recorded
-from hypothesis import given
-from hypothesis import strategies as st
 
-from canfb.commissioning import pictures
 from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.artefacts import prepare, write, write_refusal
-from canfb.commissioning.deviation import Deviation, deviation
-from canfb.commissioning.pictures import TrackLimits
-from canfb.commissioning.plot import Plot, Scale
+from canfb.commissioning.calibration_page import refusal_html, report_html
+from canfb.commissioning.deviation import deviation
 from canfb.commissioning.procedure import Installation, Measurement, Settings, block_of
-from canfb.commissioning.report import refusal_html, report_html
 from canfb.commissioning.sample_files import read_npz
 from canfb.commissioning.samples import Samples
 from canfb.commissioning.summary import Circumstances, comparison
 from canfb.commissioning.table_file import read_table
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import IDENTITY
-from canfb.signal.correction import NO_CORRECTION, Correction
-from canfb.simulation.encoder import Encoder
+from canfb.signal.correction import Correction
+from canfb.signal.supervision import SampleLimits
+from html_page import Page
 
 WHERE = Circumstances("2026-03-01", 32, 16, "ROD <486> & co", 2500)
-LIMITS = TrackLimits(2048, 600.0, 2300.0)
-VOID = {"meta", "path", "br", "circle", "rect"}
-
-
-class Page(HTMLParser):
-    """Checks that what is opened is closed; keeps tags, attributes and text."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.tags: list[str] = []
-        self.attributes: list[tuple[str, str | None]] = []
-        self.text = ""
-        self.feed(text)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.attributes += attrs
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.attributes += attrs
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
+LIMITS = SampleLimits(2048, 600.0, 2300.0)
 
 
 @pytest.fixture(scope="module")
@@ -200,59 +163,3 @@ def test_a_changed_entry_is_noticed(measured: Measurement, done: Installation, t
     path.write_text(re.sub(r"entries: \[0.0", "entries: [0.0001", path.read_text()))
     with pytest.raises(CommissioningError, match="an entry was changed"):
         read_table(path)
-
-
-@given(st.floats(-100, 100), st.floats(1e-3, 1e6))
-def test_ticks_are_round_inside_and_a_few(low: float, span: float) -> None:
-    scale = Scale(low, low + span, 0.0, 100.0)
-    ticks = scale.ticks()
-    assert 2 <= len(ticks) <= 12
-    assert all(scale.low - 1e-6 * span <= one <= scale.high + 1e-6 * span for one in ticks)
-    assert 0.0 <= scale(low + span / 2) <= 100.0
-
-
-def test_places_on_the_picture() -> None:
-    scale = Scale(0.0, 10.0, 100.0, 0.0)
-    assert [scale(value) for value in (0.0, 5.0, 10.0)] == [100.0, 50.0, 0.0]
-    assert scale(1e9) == pytest.approx(-2.0), "held at the edge"
-    log = Scale(1e-3, 1e1, 0.0, 4.0, log=True)
-    assert [log(value) for value in (1e-3, 1e-1, 10.0)] == pytest.approx([0.0, 2.0, 4.0])
-    assert log.ticks() == pytest.approx([1e-3, 1e-2, 1e-1, 1.0, 10.0])
-    assert log(0.0) == 0.0
-
-
-def test_a_line_is_broken_where_there_is_no_value() -> None:
-    plot = Plot("x", (0.0, 3.0), (0.0, 1.0), ("a", "b"))
-    plot.line(np.arange(4.0), np.array([0.0, np.nan, 1.0, 1.0]), "after")
-    assert len(re.findall("M", re.findall(r'class="line after" d="([^"]*)"', plot.svg())[0])) == 2
-
-
-def test_the_harmonics_are_those_that_are_there() -> None:
-    """Orders 1, 3 and 20 of known size, means over bins: what the bars are made of."""
-    fine = np.arange(64 * 200) / (64 * 200)
-    sizes = {1: 0.01, 3: 0.004, 20: 0.001}
-    error = sum(size * np.cos(2 * np.pi * order * fine + order) for order, size in sizes.items())
-    curve = np.asarray(error).reshape(64, 200).mean(axis=1)
-    found = pictures._amplitudes(curve)
-    for order, size in sizes.items():
-        assert found[order] == pytest.approx(size, rel=1e-3)
-    curve[5] = np.nan
-    assert pictures._amplitudes(curve)[1] == pytest.approx(0.01, rel=0.05)
-    assert not pictures._amplitudes(np.full(64, np.nan)).any()
-
-
-def test_pictures_of_nothing_and_of_perfection() -> None:
-    """Edges of what can be drawn: no sample at all, no error at all."""
-    nothing = Samples.of([np.nan] * 5, [np.nan] * 5, None, "nothing")
-    flat = np.zeros(64)
-    for svg in (
-        pictures.lissajous(nothing, NO_CORRECTION, LIMITS),
-        pictures.lissajous(recorded(Encoder(noise_lsb=0.0), 50), NO_CORRECTION, None),
-        pictures.harmonics(flat, flat, 0.0, 1),
-        pictures.error_over_phase(flat, np.full(64, np.nan), "x"),
-        pictures.remaining_error(flat, 0.0),
-        pictures.coverage(Deviation(0.0, 0.0, 0.0, 0.0, flat[:0], flat[:0], flat[:0], 0)),
-    ):
-        Page(svg)
-        assert "nan" not in svg
-        assert "inf" not in svg

@@ -2,71 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
+import numpy.typing as npt
 
 from canfb.calibration.evaluate import root_mean
 from canfb.calibration.recording import BINS
-from canfb.calibration.result import Calibration
-from canfb.commissioning.deviation import Deviation
-from canfb.commissioning.plot import Plot, Scale, nice_limit
-from canfb.commissioning.samples import Samples
-from canfb.signal.correction import Correction
+from canfb.report.plot import Plot
+from canfb.report.scale import nice_limit
+from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import FloatArray
 
-SHOWN_SAMPLES = 4000
-DENSITY_CELLS = (300, 150, 60)  # to the side of the picture; the first that makes no more dots than that
-SHADES, FAINTEST = 5, 0.3
 HIGHEST_ORDER = 20
 PERCENT = 100.0
 HISTOGRAM_BINS = 48
 SIGMAS = 5.0
-
-
-@dataclass(frozen=True)
-class TrackLimits:
-    """Limits of the module's checks, counts: 2001:02, 2001:03, 2001:04."""
-
-    full_scale: int
-    amplitude_low: float
-    amplitude_high: float
-
-
-def lissajous(samples: Samples, used: Correction, limits: TrackLimits | None) -> str:
-    """Raw and conditioned samples, the circles of the amplitude limits, the ends of the converter.
-
-    Each sample is a dot; more than 4000 are shown by their density, so that none is left out.
-    """
-    seen = np.isfinite(samples.sine)
-    sine, cosine = samples.sine[seen], samples.cosine[seen]
-    s, c = used.conditioning.apply(sine, cosine)
-    extent = [nice_limit(values) for values in (sine, cosine, s, c)]
-    if limits is not None:
-        extent += [1.02 * limits.full_scale]
-    most = max(extent)
-    plot = Plot(
-        "Lissajous picture: sine over cosine, raw and conditioned, with the limits of the amplitude",
-        (-most, most),
-        (-most, most),
-        ("cosine, ADC counts", "sine, ADC counts"),
-        (480.0, 460.0),
-    )
-    if limits is not None:
-        _box(plot, float(limits.full_scale))
-        _circle(plot, limits.amplitude_low, "limit dashed", "amplitude limits")
-        _circle(plot, limits.amplitude_high, "limit dashed", None)
-    if not used.conditioning.is_identity:
-        _cloud(plot, cosine, sine, "before", "raw")
-    name = "raw" if used.conditioning.is_identity else "conditioned"
-    _cloud(plot, np.asarray(c), np.asarray(s), "after", name)
-    return plot.svg()
-
-
-def is_dense(samples: Samples) -> bool:
-    """Whether :func:`lissajous` shows their density in place of each sample."""
-    return len(samples) - samples.missed > SHOWN_SAMPLES
 
 
 def error_over_phase(before: FloatArray, after: FloatArray, title: str) -> str:
@@ -116,11 +65,14 @@ def harmonics(before: FloatArray, after: FloatArray, noise_rms: float, samples: 
     return plot.svg()
 
 
-def histogram(found: Deviation, noise_cycles: float) -> str:
-    """Deviation of single samples with the table, and what noise alone would give."""
-    span = SIGMAS * max(found.rms, noise_cycles, 1e-9)
+def histogram(error: FloatArray, rms: float, noise_cycles: float) -> str:
+    """Deviation of single samples with the table, and what noise alone would give.
+
+    ``error`` in cycles, shape (n,); ``rms`` is theirs, corrected for what the smooth motion took with it.
+    """
+    span = SIGMAS * max(rms, noise_cycles, 1e-9)
     # A cubic through each block takes some of the noise with it: the same factor as in the rms.
-    error = found.error * (found.rms / max(root_mean(found.error), 1e-15))
+    error = error * (rms / max(root_mean(error), 1e-15))
     count, edges = np.histogram(error, HISTOGRAM_BINS, (-span, span))
     middle = np.asarray((edges[:-1] + edges[1:]) / 2.0, np.float64)
     width = float(edges[1] - edges[0])
@@ -137,9 +89,9 @@ def histogram(found: Deviation, noise_cycles: float) -> str:
     return plot.svg()
 
 
-def coverage(found: Deviation) -> str:
-    """Samples in each 1/64 of the cycle."""
-    count = found.samples_over_phase().astype(np.float64)
+def coverage(samples: npt.NDArray[np.int64]) -> str:
+    """Samples in each 1/64 of the cycle, shape (64,)."""
+    count = samples.astype(np.float64)
     plot = Plot(
         "Samples over the phase",
         (0.0, 1.0),
@@ -147,16 +99,16 @@ def coverage(found: Deviation) -> str:
         ("phase, cycles", "samples in 1/64 cycle"),
     )
     plot.bars((np.arange(BINS) + 0.5) / BINS, count, 0.9 / BINS, "after", "used")
-    plot.level(len(found.phase) / BINS, "limit dashed", "even coverage")
+    plot.level(float(count.sum()) / BINS, "limit dashed", "even coverage")
     return plot.svg()
 
 
-def table_curve(calibration: Calibration, before: Correction) -> str:
+def table_curve(table: CorrectionTable, before: CorrectionTable | None) -> str:
     """The correction itself: phase less raw phase, of the new table and of the one before."""
     place = np.arange(513) / 512.0
-    curves = [("after", "new table", calibration.table)]
-    if before.table is not None:
-        curves.insert(0, ("before", "table before", before.table))
+    curves = [("after", "new table", table)]
+    if before is not None:
+        curves.insert(0, ("before", "table before", before))
     lines = [
         (style, name, PERCENT * _correction(table(place[:-1]), place[:-1])) for style, name, table in curves
     ]
@@ -190,43 +142,3 @@ def _amplitudes(curve: FloatArray) -> FloatArray:
 def _gauss(values: FloatArray, sigma: float) -> FloatArray:
     width = max(sigma, 1e-12)
     return np.asarray(np.exp(-0.5 * (values / width) ** 2) / (width * np.sqrt(2.0 * np.pi)), np.float64)
-
-
-def _cloud(plot: Plot, x: FloatArray, y: FloatArray, style: str, name: str) -> None:
-    """Each sample as a dot, or, of many, one for each small cell that has samples: darker for more."""
-    if len(x) <= SHOWN_SAMPLES:
-        plot.dots(x, y, style, name)
-        return
-    for cells in DENSITY_CELLS:
-        place = _cell(x, plot.x, cells) * cells + _cell(y, plot.y, cells)
-        _, place, count = np.unique(place, return_inverse=True, return_counts=True)
-        if len(count) <= SHOWN_SAMPLES:
-            break
-    x, y = np.bincount(place, x) / count, np.bincount(place, y) / count
-    level = np.ceil(SHADES * np.log1p(count) / np.log1p(count.max()))
-    for shade in range(1, SHADES + 1):
-        chosen = level == shade
-        opacity = FAINTEST + (1.0 - FAINTEST) * shade / SHADES
-        plot.dots(x[chosen], y[chosen], style, name if shade == SHADES else None, opacity)
-
-
-def _cell(values: FloatArray, scale: Scale, cells: int) -> NDArray[np.int64]:
-    """Number of the cell along one axis, 0..cells - 1."""
-    part = (values - scale.low) / (scale.high - scale.low)
-    return np.clip((part * cells).astype(np.int64), 0, cells - 1)
-
-
-def _circle(plot: Plot, radius: float, style: str, name: str | None) -> None:
-    angle = np.linspace(0.0, 2.0 * np.pi, 361)
-    x, y = radius * np.cos(angle), radius * np.sin(angle)
-    outside = np.maximum(np.abs(x), np.abs(y)) > plot.x.high
-    plot.line(x, np.where(outside, np.nan, y), style, name)
-
-
-def _box(plot: Plot, half: float) -> None:
-    plot.line(
-        np.array([-half, half, half, -half, -half]),
-        np.array([-half, -half, half, half, -half]),
-        "limit",
-        "ends of the converter",
-    )

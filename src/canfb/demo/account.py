@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from canfb.demo.plant import CLOCK_DRIFT_PPM, TIMING
+from canfb.demo.demo_network import CLOCK_DRIFT_PPM, TIMING
 from canfb.demo.story import FAULTS, REFERENCE_HZ, REFERENCE_SAMPLES, Story
 from canfb.signal.phase import FloatArray
 
 
-def report(story: Story) -> str:
+def account(story: Story) -> str:
     """A short readable account, one line a fact."""
     calibration = story.calibration
     if calibration is None:

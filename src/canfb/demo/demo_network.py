@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.cia301.frame import Frame
+from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.eds_files import eds_path
 from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
@@ -43,28 +44,6 @@ POSITION_COB_ID = 0x180 + NODE_ID
 ADC_COB_ID = 0x180 + INTERFACE_ID
 ADC_PDO = struct.Struct("<hhI")  # 6401:01, 6401:02, 2000:01
 BEFORE_SYNC_S = 50e-6
-
-
-class EmbeddedNetwork(canopen.Network):
-    """python canopen's master on an embedded bus: no thread, no waiting, the answer is there at once."""
-
-    def __init__(self, bus: EmbeddedBus) -> None:
-        super().__init__()
-        self._embedded = bus
-        self._own: list[tuple[int, bytes, bool]] = []  # sent, and not yet heard
-        bus.taps.append(self._hear)
-
-    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Put a frame on the embedded bus."""
-        frame = Frame(can_id, bytes(data), remote)
-        self._own.append(frame[:3])
-        self._embedded.send(frame)
-
-    def _hear(self, frame: Frame, now: float) -> None:
-        if self._own and frame[:3] in self._own:  # a controller does not receive what it sends
-            self._own.remove(frame[:3])
-        elif not frame.rtr:
-            self.notify(frame.can_id, bytearray(frame.data), now)
 
 
 Fault = Callable[[Sample], Sample | None]
@@ -120,7 +99,7 @@ class AdcLog:
             self.cosine.append(cosine)
 
 
-class Plant:
+class DemoNetwork:
     """The network, powered on but not yet started.
 
     Its time is that of a real bus: frames take time and wait for each other and for those of other nodes,
@@ -132,7 +111,7 @@ class Plant:
         self.bus = EmbeddedBus(BIT_RATE)
         self.adc = AdcLog()
         self.bus.taps.append(self.adc.hear)
-        self.network = EmbeddedNetwork(self.bus)
+        self.canopen = EmbeddedNetwork(self.bus)
         self.source = FaultySource(
             MotionSource(
                 ShaftEncoder(self.encoder, CYCLES_PER_REVOLUTION, seed, APERTURE_JITTER_S),
@@ -149,8 +128,8 @@ class Plant:
         others = BackgroundTraffic(OTHER_LOAD, BIT_RATE, seed)
         self.master = canopen.RemoteNode(NODE_ID, str(eds_path("canfb-module")))
         self.interface_master = canopen.RemoteNode(INTERFACE_ID, str(eds_path("encoder-interface")))
-        self.network.add_node(self.master)
-        self.network.add_node(self.interface_master)
+        self.canopen.add_node(self.master)
+        self.canopen.add_node(self.interface_master)
         for participant in (self.module, self.interface, self.drive, others):
             self.bus.attach(participant)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from canfb.demo.plant import Plant
+from canfb.demo.demo_network import DemoNetwork
 from canfb.demo.story import FAULTS, LOST_SAMPLE, Story
 from canfb.errors import CanfbError
 from canfb.signal.tracker import RESIDUAL_LIMIT
@@ -32,14 +32,16 @@ def prepare(folder: Path) -> None:
         raise CanfbError(f"cannot write figures to {folder}: {error.strerror}") from None
 
 
-def write_figures(plant: Plant, story: Story, folder: Path) -> list[Path]:
+def write_figures(network: DemoNetwork, story: Story, folder: Path) -> list[Path]:
     """Write the pictures into ``folder``; their paths. CanfbError as :func:`prepare`."""
     prepare(folder)
     from matplotlib.figure import Figure
 
     try:
         return [
-            _save(_tracks(Figure(figsize=(6, 6), layout="constrained"), plant, story), folder / "tracks.png"),
+            _save(
+                _tracks(Figure(figsize=(6, 6), layout="constrained"), network, story), folder / "tracks.png"
+            ),
             _save(
                 _error(Figure(figsize=(8, 5.5), layout="constrained"), story), folder / "error-over-phase.png"
             ),
@@ -64,15 +66,15 @@ def _axes(figure: Figure, *place: int) -> Any:
     return axes
 
 
-def _tracks(figure: Figure, plant: Plant, story: Story) -> Figure:
+def _tracks(figure: Figure, network: DemoNetwork, story: Story) -> Figure:
     axes = _axes(figure, 1, 1, 1)
-    sine, cosine = (np.array(track[-SHOWN_SAMPLES:]) for track in (plant.adc.sine, plant.adc.cosine))
+    sine, cosine = (np.array(track[-SHOWN_SAMPLES:]) for track in (network.adc.sine, network.adc.cosine))
     angle = np.linspace(0.0, 2.0 * np.pi, 400)
-    radius = plant.encoder.amplitude_counts
+    radius = network.encoder.amplitude_counts
     axes.plot(radius * np.cos(angle), radius * np.sin(angle), color=LIMIT, linewidth=1, label="ideal tracks")
     axes.plot(cosine, sine, ".", markersize=1.5, color=AFTER, label="ADC samples")
-    _name_faults(axes, fault_samples(plant, story))
-    full = 1 << (plant.encoder.adc_bits - 1)
+    _name_faults(axes, fault_samples(network, story))
+    full = 1 << (network.encoder.adc_bits - 1)
     axes.set(
         xlim=(-1.1 * full, 1.1 * full), ylim=(-1.1 * full, 1.1 * full), aspect="equal",
         title="Encoder tracks (Lissajous picture)",
@@ -85,7 +87,7 @@ def _tracks(figure: Figure, plant: Plant, story: Story) -> Figure:
     return figure
 
 
-def fault_samples(plant: Plant, story: Story) -> list[tuple[str, int, int]]:
+def fault_samples(network: DemoNetwork, story: Story) -> list[tuple[str, int, int]]:
     """What each provoked fault made of its sample: name, sine and cosine, counts. A lost one is not there."""
     first, found, lost = story.fault_window[0], [], 0
     for place, (name, _) in sorted(FAULTS.items()):
@@ -93,7 +95,7 @@ def fault_samples(plant: Plant, story: Story) -> list[tuple[str, int, int]]:
             lost += 1
         else:
             number = first + place - lost
-            found.append((name, plant.adc.sine[number], plant.adc.cosine[number]))
+            found.append((name, network.adc.sine[number], network.adc.cosine[number]))
     return found
 
 

@@ -3,44 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from html import escape
 
 import numpy as np
 
+from canfb.report.scale import Scale, tick_words
 from canfb.signal.phase import FloatArray
 
 LEFT, RIGHT, TOP, BOTTOM = 72.0, 14.0, 12.0, 44.0
-TICK_COUNT = 5
 
 
-class Scale:
-    """From values to places on the picture, linear or logarithmic (base 10)."""
-
-    def __init__(self, low: float, high: float, start: float, stop: float, log: bool = False) -> None:
-        if not high > low:
-            high = low + (abs(low) or 1.0)
-        self.low, self.high, self.log = low, high, log
-        self._start, self._stop = start, stop
-
-    def __call__(self, value: float) -> float:
-        """The place, held within a margin of the picture."""
-        if self.log:
-            part = math.log10(max(value, self.low) / self.low) / math.log10(self.high / self.low)
-        else:
-            part = (value - self.low) / (self.high - self.low)
-        return self._start + min(max(part, -0.02), 1.02) * (self._stop - self._start)
-
-    def ticks(self) -> list[float]:
-        """Round values."""
-        if self.log:
-            first, last = math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9)
-            return [10.0**power for power in range(first, last + 1)]
-        rough = (self.high - self.low) / TICK_COUNT
-        power = 10.0 ** math.floor(math.log10(rough))
-        step = next(one * power for one in (1.0, 2.0, 2.5, 5.0, 10.0) if one * power >= rough * 0.999)
-        first = math.ceil(self.low / step - 1e-9)
-        return [n * step for n in range(first, math.floor(self.high / step + 1e-9) + 1)]
+def size_around(width: float, height: float) -> tuple[float, float]:
+    """Size of a picture with this much room within its axes."""
+    return width + LEFT + RIGHT, height + TOP + BOTTOM
 
 
 class Plot:
@@ -125,11 +100,15 @@ class Plot:
         for value in self.x.ticks():
             at = self.x(value)
             parts.append(f'<path class="grid" d="M{at:.1f} {bottom:.1f}V{top:.1f}"/>')
-            parts.append(f'<text x="{at:.1f}" y="{bottom + 16:.1f}" class="tick mid">{_words(value)}</text>')
+            parts.append(
+                f'<text x="{at:.1f}" y="{bottom + 16:.1f}" class="tick mid">{tick_words(value)}</text>'
+            )
         for value in self.y.ticks():
             at = self.y(value)
             parts.append(f'<path class="grid" d="M{left:.1f} {at:.1f}H{right:.1f}"/>')
-            parts.append(f'<text x="{left - 6:.1f}" y="{at + 4:.1f}" class="tick end">{_words(value)}</text>')
+            parts.append(
+                f'<text x="{left - 6:.1f}" y="{at + 4:.1f}" class="tick end">{tick_words(value)}</text>'
+            )
         parts.append(f'<path class="axis" d="M{left:.1f} {top:.1f}V{bottom:.1f}H{right:.1f}"/>')
         return "".join(parts)
 
@@ -137,8 +116,7 @@ class Plot:
         middle = (self.y(self.y.low) + self.y(self.y.high)) / 2.0
         across = (self.x(self.x.low) + self.x(self.x.high)) / 2.0
         return (
-            f'<text x="{across:.1f}" y="{self.height - 8:.1f}" class="label mid">'
-            f"{escape(self._labels[0])}</text>"
+            f"{_text(across, self.height - 8.0, 'label mid', self._labels[0])}"
             f'<text transform="translate(13 {middle:.1f}) rotate(-90)" class="label mid">'
             f"{escape(self._labels[1])}</text>"
         )
@@ -153,18 +131,5 @@ class Plot:
         return f'<div class="legend">{items}</div>'
 
 
-def nice_limit(values: Sequence[float] | FloatArray, least: float = 0.0) -> float:
-    """A little more than the largest size of the values that are numbers, at least ``least``."""
-    sizes = np.abs(np.asarray(values, np.float64))
-    sizes = sizes[np.isfinite(sizes)]
-    return max(1.1 * float(sizes.max()) if len(sizes) else 0.0, least, 1e-12)
-
-
-def _words(value: float) -> str:
-    """A tick in few characters."""
-    if value == 0.0:
-        return "0"
-    if 1e-4 <= abs(value) < 1e5:
-        return f"{value:.6g}"
-    power = math.floor(math.log10(abs(value)) + 1e-9)
-    return f"{value / 10.0**power:.3g}e{power}"
+def _text(x: float, y: float, style: str, words: str) -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" class="{style}">{escape(words)}</text>'

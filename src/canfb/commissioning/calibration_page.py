@@ -1,0 +1,124 @@
+"""The report of a reference measurement: one HTML file that stands alone."""
+
+from __future__ import annotations
+
+import math
+
+from canfb.calibration.recording import BINS
+from canfb.commissioning.procedure import Installation, Measurement
+from canfb.commissioning.samples import Samples
+from canfb.commissioning.summary import (
+    Circumstances,
+    comparison,
+    coverage_warning,
+    facts,
+    origins,
+    outcome,
+    verdict,
+)
+from canfb.errors import CalibrationError
+from canfb.report import pictures
+from canfb.report.lissajous import is_dense, lissajous
+from canfb.report.page import beside, comparison_table, facts_table, figure, gallery, page
+from canfb.signal.correction import NO_CORRECTION, Correction
+from canfb.signal.supervision import SampleLimits
+
+FOOTER = (
+    "Made by canfb calibrate. Deviation: how far single samples are from smooth motion, noise included, on "
+    "samples not used for the table that they are measured with."
+)
+MEASUREMENT = "Measurement"
+ANGLES = " Angles (″) are those of the shaft."
+
+
+def report_html(
+    measured: Measurement, done: Installation, where: Circumstances, limits: SampleLimits | None = None
+) -> str:
+    """The page. It refers to nothing outside of itself and runs no script."""
+    said = [verdict(measured), _sentence(outcome(measured, done, where))]
+    rows = [(row.name, row.before, row.after) for row in comparison(measured, done, where)]
+    tables = comparison_table("Before and after", ("before", "after"), rows)
+    tables += facts_table(MEASUREMENT, facts(measured, done, where))
+    return _page(
+        where,
+        said,
+        beside(tables, _lissajous(measured.samples, measured.found, limits))
+        + gallery("Pictures", _pictures(measured, done))
+        + _origins(where),
+    )
+
+
+def refusal_html(
+    samples: Samples, refused: CalibrationError, where: Circumstances, limits: SampleLimits | None = None
+) -> str:
+    """The page of a measurement that was refused: why, and what the tracks look like."""
+    said = [f"Refused: {refused}.", "Nothing was written to the module."]
+    rows = [("samples", f"{len(samples)}; {samples.origin}"), ("missed", str(samples.missed))]
+    tables = facts_table(MEASUREMENT, rows)
+    body = beside(tables, _lissajous(samples, NO_CORRECTION, limits)) + _origins(where)
+    return _page(where, said, body, good=False)
+
+
+def _page(where: Circumstances, said: list[str], body: str, good: bool = True) -> str:
+    title = f"Reference measurement{f', encoder {where.encoder}' if where.encoder else ''}"
+    footer = f"{FOOTER}{ANGLES if where.cycles_per_revolution else ''}"
+    return page(title, _place(where), said, body, footer, good)
+
+
+def _place(where: Circumstances) -> str:
+    words = [f"{where.date} {where.time}".strip()]
+    if where.module is not None:
+        words.append(f"module {where.module} ({where.module:02X}h)")
+    if where.encoder_interface is not None:
+        words.append(f"encoder interface {where.encoder_interface} ({where.encoder_interface:02X}h)")
+    if where.cycles_per_revolution is not None:
+        words.append(f"{where.cycles_per_revolution} cycles per revolution")
+    return " · ".join(words)
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def _origins(where: Circumstances) -> str:
+    return facts_table("Origin", origins(where), "origin") if origins(where) else ""
+
+
+def _lissajous(samples: Samples, used: Correction, limits: SampleLimits | None) -> str:
+    picture = lissajous(samples.sine, samples.cosine, used.conditioning, limits)
+    seen = len(samples) - samples.missed
+    shown = f"all {seen} samples, stronger where more fall" if is_dense(samples.sine) else f"{seen} samples"
+    return figure("Lissajous picture", f"should be a circle within the limits; {shown}", picture)
+
+
+def _pictures(measured: Measurement, done: Installation) -> list[str]:
+    calibration, on_samples = measured.calibration, measured.on_samples
+    before, after = on_samples.mean_over_phase(before=True), calibration.curve.after
+    noise = 100.0 * calibration.residual_rms * math.sqrt(BINS / max(1, calibration.samples_used))
+    shown, which = (
+        (on_samples, "of the measurement") if done.fresh is None else (done.fresh, "taken after it")
+    )
+    curves = pictures.error_over_phase(before, after, "Mean error over the phase, before and after")
+    left = pictures.remaining_error(after, calibration.uncertainty_peak)
+    orders = pictures.harmonics(before, after, calibration.residual_rms, calibration.samples_used)
+    listed = [
+        (
+            "Correction table",
+            "phase less raw phase; Table 1 alone needs four waves of 1.1 %",
+            pictures.table_curve(calibration.table, measured.before.table),
+        ),
+        (
+            "Coverage",
+            f"every phase must be covered{coverage_warning(measured)}",
+            pictures.coverage(on_samples.samples_over_phase()),
+        ),
+        ("Error over the phase", "mean in each 1/64 cycle, before and after", curves),
+        ("What is left of it", f"on a scale of its own; noise alone gives {noise:.2g} % rms", left),
+        ("Harmonics of the error", "1: offset; 2: gain and phase error; 4, 8, 12: Table 1 itself", orders),
+        (
+            "Deviation of single samples",
+            f"{len(shown.error)} samples {which}",
+            pictures.histogram(shown.error, shown.rms, calibration.noise_cycles),
+        ),
+    ]
+    return [figure(name, text, svg) for name, text, svg in listed]

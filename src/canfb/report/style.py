@@ -1,0 +1,75 @@
+"""The CSS of pages and pictures: light, dark and print."""
+
+from __future__ import annotations
+
+COLOURS = """
+:root { color-scheme: light dark; --ink: #1c2126; --soft: #5b656e; --paper: #ffffff; --panel: #f6f7f8;
+  --rule: #d8dcdf; --before: #b5472f; --after: #14708c; --limit: #6d757c; --good: #1d6b3a; --bad: #a8261b; }
+@media (prefers-color-scheme: dark) { :root { --ink: #e4e7e9; --soft: #a3acb3; --paper: #15181b;
+  --panel: #1e2226; --rule: #3a4046; --before: #f0846a; --after: #5cc0dd; --limit: #9aa3aa; --good: #6fcf8e;
+  --bad: #ff8a7d; } }
+@media print { :root { color-scheme: light; --ink: #000; --soft: #444; --paper: #fff; --panel: #fff;
+  --rule: #bbb; --before: #b5472f; --after: #14708c; --limit: #666; --good: #1d6b3a; --bad: #a8261b; }
+}
+"""
+
+DRAWING = """
+svg { font-family: system-ui, "Segoe UI", Roboto, sans-serif; }
+svg text { fill: var(--soft); font-size: 12px; }
+svg .label { fill: var(--ink); }
+.mid { text-anchor: middle; } .end { text-anchor: end; }
+.grid { stroke: var(--rule); stroke-width: .6; } .axis { fill: none; stroke: var(--soft); stroke-width: 1; }
+.line { fill: none; stroke-width: 1.7; stroke-linejoin: round; }
+.dots { fill: none; stroke-width: 2.6; stroke-linecap: round; stroke-opacity: .55; }
+.line.before, .dots.before { stroke: var(--before); } .line.after, .dots.after { stroke: var(--after); }
+.line.limit { stroke: var(--limit); stroke-width: 1.1; } .dashed { stroke-dasharray: 5 4; }
+.bar { stroke: none; } .bar.before { fill: var(--before); } .bar.after { fill: var(--after); }
+"""
+
+PAGE = """
+body { background: var(--paper); color: var(--ink); font: 15px/1.45 system-ui, "Segoe UI", Roboto, sans-serif;
+  margin: 2em auto; max-width: 1120px; padding: 0 1.2em; }
+h1 { font-size: 1.5em; margin: 0 0 .2em; }
+h2 { font-size: 1.1em; margin: 1.6em 0 .5em; }
+.where { color: var(--soft); margin: 0 0 1em; }
+.verdict { border-left: 5px solid var(--good); background: var(--panel); padding: .7em 1em; margin: 0 0 .4em;
+  font-size: 1.08em; }
+.verdict.bad { border-color: var(--bad); }
+.verdict p { margin: .15em 0; }
+table { border-collapse: collapse; margin: 0 0 1em; }
+th, td { text-align: left; padding: .28em 1.4em .28em 0; border-bottom: 1px solid var(--rule);
+  vertical-align: top; }
+td { font-variant-numeric: tabular-nums; }
+.origin td { overflow-wrap: anywhere; }
+.top table { width: 100%; } .top th, .top td { padding-right: .9em; }
+.top thead + tbody td:nth-child(2) { white-space: nowrap; }
+thead th { color: var(--soft); font-weight: 600; }
+tbody th { font-weight: 500; white-space: nowrap; }
+.pictures { display: grid; gap: 1.1em;
+  grid-template-columns: repeat(auto-fit, minmax(min(430px, 100%), 1fr)); }
+.top { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(430px, 100%), 1fr)); gap: 0 1.6em;
+  align-items: start; }
+.top figure { margin-top: 1.6em; }
+figure { margin: 0; background: var(--panel); border: 1px solid var(--rule); border-radius: 6px;
+  padding: .7em .8em .6em; }
+figcaption { font-weight: 600; margin-bottom: .35em; }
+figcaption small { display: block; font-weight: 400; color: var(--soft); }
+svg { width: 100%; height: auto; display: block; }
+.legend { display: flex; flex-wrap: wrap; gap: .1em 1.3em; color: var(--soft); font-size: .87em;
+  margin: .1em 0 0 3.6em; }
+.legend span { display: inline-flex; align-items: center; gap: .45em; }
+.legend i { display: inline-block; width: 20px; height: 0; border-top: 2px solid; }
+.legend i.bar-key { height: 10px; width: 12px; border: 0; background: currentColor; }
+.legend i.dot-key { height: 7px; width: 7px; border: 0; border-radius: 50%; background: currentColor; }
+.legend i.dashed { border-top-style: dashed; }
+i.before { color: var(--before); } i.after { color: var(--after); } i.limit { color: var(--limit); }
+footer { color: var(--soft); font-size: .87em; margin: 2em 0; }
+@media (max-width: 560px) {
+  body { margin: 1em auto; padding: 0 .8em; } .top th, .top td { padding-right: .6em; }
+  tbody th, .top thead + tbody td:nth-child(2) { white-space: normal; } .legend { margin-left: .4em; }
+  figure { padding: .6em .3em .5em; } figcaption { padding: 0 .4em; } svg text { font-size: 15px; }
+}
+@media print { body { margin: 0; padding: 0; font-size: 11px; } figure { break-inside: avoid; }
+  h2 { break-after: avoid; } .top, .pictures { grid-template-columns: 1fr 1fr; gap: .6em; }
+  figure { padding: .4em; } .top figure { margin-top: .6em; } footer { margin: 1em 0 0; } }
+"""
