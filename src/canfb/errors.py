@@ -24,7 +24,7 @@ class CanfbError(Exception):
 class CalibrationError(CanfbError):
     """A reference measurement that was refused.
 
-    reason        a short stable word, one of ``canfb.calibration.result.REASONS``
+    reason        a short stable word, one of :class:`canfb.calibration.result.Reason`
     calibration   the refused :class:`canfb.calibration.result.Calibration`, for diagnosis
                   only, where there is one; else None
     """

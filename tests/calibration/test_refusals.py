@@ -7,7 +7,7 @@ import pytest
 from measurements import random_encoder, table_error, wandering
 
 from canfb.calibration.motion import calibrate_from_motion
-from canfb.calibration.result import REASONS
+from canfb.calibration.result import Reason
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.errors import CalibrationError, CanfbError
 from canfb.signal.phase import FloatArray
@@ -21,7 +21,7 @@ def _reason(sine, cosine, method=calibrate_from_motion, **options) -> str:
         method(sine, cosine, **options)
     error = refused.value
     assert isinstance(error, CanfbError)
-    assert error.reason in REASONS
+    assert error.reason in list(Reason)
     assert len(str(error)) > 20
     if error.calibration is not None:
         assert not error.calibration.accepted

@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from canfb.calibration.result import ACCEPTED, REASONS, error_harmonics
+from canfb.calibration.result import Reason, error_harmonics
 
 
 def test_reasons_keep_their_numbers():
     # Object 2030:07 holds the number.
-    assert list(REASONS) == [
+    assert list(Reason) == [
         "accepted",
         "samples",
         "clipped",
@@ -22,7 +22,9 @@ def test_reasons_keep_their_numbers():
         "interrupted",
         "failed",
     ]
-    assert next(iter(REASONS)) == ACCEPTED
+    assert [Reason.of_number(n) for n in range(len(Reason))] == list(Reason)
+    assert [reason.number for reason in Reason] == list(range(len(Reason)))
+    assert Reason.of_number(len(Reason)) is Reason.FAILED
 
 
 def test_harmonics_of_the_error_are_found_and_sorted():

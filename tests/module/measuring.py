@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 from module_bench import Bench
 
-from canfb.calibration.result import REASONS
+from canfb.calibration.result import Reason
 from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
@@ -27,7 +27,7 @@ ENCODER = Encoder(
     harmonics=(Harmonic(2, 0.008, 0.006, 0.4, 1.1), Harmonic(3, 0.01, 0.012)),
     noise_lsb=0.5,
 )
-NUMBER = {reason: number for number, reason in enumerate(REASONS)}
+NUMBER = {reason: reason.number for reason in Reason}
 SAMPLES = 3000
 DEVICE_STATE, INVALID_VALUE = 0x08000022, 0x06090030
 Counts = tuple[int, int]
@@ -84,7 +84,7 @@ class Measuring(Bench):
 
     @property
     def reason(self) -> str:
-        return list(REASONS)[self.sdo[0x2030][7].raw]
+        return list(Reason)[self.sdo[0x2030][7].raw]
 
     def figures(self) -> list[float]:
         """Residual rms and peak, drift rms and peak, cycles."""

@@ -24,6 +24,7 @@ from measuring import (
 )
 
 from canfb.calibration.drift import drift
+from canfb.calibration.result import Reason
 from canfb.cia301.frame import Frame
 from canfb.device.storage import MemoryStore
 from canfb.module import calibrating
@@ -216,7 +217,7 @@ def test_the_figures_of_a_refused_measurement_are_there_for_diagnosis() -> None:
     bench.command(Command.FINISH)
     calibration = good_outcome().calibration
     assert calibration is not None
-    bench.finish_with(Outcome("noise", replace(calibration, reason="noise"), "refused"))
+    bench.finish_with(Outcome(Reason.NOISE, replace(calibration, reason=Reason.NOISE), "refused"))
     assert bench.figures()[:2] == pytest.approx([calibration.residual_rms, calibration.residual_peak])
     assert all(math.isnan(figure) for figure in bench.figures()[2:])
 

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from canfb.signal.phase import wrap
+
 try:
     import canfb
 except ImportError as error:
@@ -146,7 +148,7 @@ def true_phases(encoder: Encoder, n: int, conditioning: Conditioning) -> FloatAr
 def error_of(table: CorrectionTable, encoder: Encoder, conditioning: Conditioning) -> FloatArray:
     """Error over the raw phase, cycles, its mean taken off."""
     error = table(np.arange(GRID) / GRID) - true_phases(encoder, GRID, conditioning)
-    error = (error - error[0] + 0.5) % 1.0 - 0.5
+    error = wrap(error - error[0])
     alone: FloatArray = error - error.mean()
     return alone
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from canfb import CalibrationError, CorrectionTable, calibrate_from_zero_crossings, phase_in_cycle
+from canfb.signal.phase import wrap
 from canfb.simulation.encoder import Encoder
 from tools.paper.claim import Claim, Effort, Verdict, grouped, percent, verdict
 from tools.paper.plant import (
@@ -19,7 +20,6 @@ from tools.paper.plant import (
     exact_table,
     phase_error,
     positions_over_raw_phase,
-    within_half,
 )
 
 GRID = 1 << 18
@@ -159,10 +159,9 @@ def conclusion(effort: Effort) -> Iterator[Claim]:
     sine, cosine = _circle(position)
     raw = phase_in_cycle(sine, cosine)
     common = max(
-        float(np.abs(within_half(phase_in_cycle(k * sine, k * cosine) - raw)).max())
-        for k in (0.1, 0.5, 1.3, 7)
+        float(np.abs(wrap(phase_in_cycle(k * sine, k * cosine) - raw)).max()) for k in (0.1, 0.5, 1.3, 7)
     )
-    single = float(np.abs(within_half(phase_in_cycle(1.1 * sine, cosine) - raw)).max())
+    single = float(np.abs(wrap(phase_in_cycle(1.1 * sine, cosine) - raw)).max())
     yield Claim(
         "common-amplitude",
         "section 5",
@@ -220,12 +219,12 @@ def calibrated_error(encoder: Encoder, way: FloatArray) -> float:
     except CalibrationError:
         return np.inf
     n = 4096
-    off = within_half(found.table(np.arange(n) / n) - positions_over_raw_phase(encoder, n))
+    off = wrap(found.table(np.arange(n) / n) - positions_over_raw_phase(encoder, n))
     return float(np.abs(off - off.mean()).max())
 
 
 def _largest(difference: FloatArray) -> float:
-    return float(np.abs(within_half(difference)).max())
+    return float(np.abs(wrap(difference)).max())
 
 
 def _circle(position: FloatArray, amplitude: float = 1.0) -> tuple[FloatArray, FloatArray]:

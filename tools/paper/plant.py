@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb import CorrectionTable, TrackResult, phase_in_cycle, track
+from canfb.signal.phase import wrap
 from canfb.simulation.encoder import Encoder, Harmonic
 
 FloatArray = npt.NDArray[np.float64]
@@ -61,14 +62,9 @@ def exact_table(encoder: Encoder, entries: int = 1024) -> CorrectionTable:
     return CorrectionTable(positions_over_raw_phase(encoder, entries))
 
 
-def within_half(difference: FloatArray) -> FloatArray:
-    """Differences of phases, -0.5..0.5."""
-    return np.asarray((difference + 0.5) % 1.0 - 0.5, np.float64)
-
-
 def phase_error(raw: FloatArray, position: FloatArray) -> FloatArray:
     """Error of phases, its mean taken off: where phase 0 lies is a convention."""
-    off = within_half(raw - position)
+    off = wrap(raw - position)
     return np.asarray(off - off.mean(), np.float64)
 
 

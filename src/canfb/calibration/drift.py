@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from canfb.calibration.circular import about_mean
 from canfb.calibration.result import Calibration
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import CorrectionTable, check_table
-from canfb.signal.phase import FloatArray, raw_phases
+from canfb.signal.phase import FloatArray, raw_phases, wrap
 
 
 class Drift(NamedTuple):
@@ -64,13 +65,12 @@ def drift(fresh: Calibration, table: CorrectionTable | None, conditioning: Condi
 
 def _compared(active: FloatArray, fresh: FloatArray) -> Drift:
     """Two phases of the same places, once around; straight between the places."""
-    way = np.abs((np.diff(fresh) + 0.5) % 1.0 - 0.5)
+    way = np.abs(wrap(np.diff(fresh)))
     weights = (np.append(way, 0.0) + np.append(0.0, way)) / 2.0
     off = active - fresh
     nowhere = np.isnan(off)  # the tracks as conditioned go through zero: no phase at all
     off[nowhere] = 0.0
-    middle = np.angle(np.average(np.exp(2j * np.pi * off), weights=weights)) / (2.0 * np.pi)
-    off = (off - middle + 0.5) % 1.0 - 0.5
+    off = about_mean(off, weights=weights)
     off -= np.average(off, weights=weights)
     off[nowhere] = 0.5
     first, last = off[:-1], off[1:]

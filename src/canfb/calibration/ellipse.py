@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.phase import FloatArray
@@ -49,7 +50,7 @@ def fit_ellipse(
         use &= np.ravel(np.asarray(valid, np.bool_))
     s, c = s[use], c[use]
     if len(s) < 16:
-        raise CalibrationError(f"{len(s)} usable samples are too few for an ellipse", "samples")
+        raise CalibrationError(f"{len(s)} usable samples are too few for an ellipse", Reason.SAMPLES)
     return _robust_fit(s, c)
 
 
@@ -70,7 +71,7 @@ def _robust_fit(s: FloatArray, c: FloatArray) -> Conditioning:
             best, most = start.conditioning(fit), part
     if best is None:
         raise CalibrationError(
-            "the samples lie on no ellipse: a dead track, noise, or too short a way", "ellipse"
+            "the samples lie on no ellipse: a dead track, noise, or too short a way", Reason.ELLIPSE
         )
     return best
 
@@ -82,19 +83,20 @@ def _thinned(s: FloatArray, c: FloatArray) -> npt.NDArray[np.int64]:
         raise CalibrationError(
             "the tracks hardly change: the machine stands still, or goes through a whole number of "
             "cycles per sample",
-            "coverage",
+            Reason.COVERAGE,
         )
     if not (box.half.min() > 2.0 and box.half.max() / box.half.min() < LARGEST_RATIO):
         raise CalibrationError(
             f"the tracks span {2 * box.half[0]:.0f} and {2 * box.half[1]:.0f} counts: no ellipse. "
             "Check the wiring of the tracks, and let the machine move",
-            "ellipse",
+            Reason.ELLIPSE,
         )
     place = _places(*box.scaled(s, c))
     counts = np.bincount(place)
     if np.sum(counts > max(1, len(s) // 2000)) < MIN_PLACES:
         raise CalibrationError(
-            "the samples lie in a few places only: the motion is locked to them. Change the speed", "locked"
+            "the samples lie in a few places only: the motion is locked to them. Change the speed",
+            Reason.LOCKED,
         )
     order = np.argsort(place, kind="stable")
     first = np.cumsum(counts) - counts
@@ -165,7 +167,9 @@ class _Box:
                 )
             )
         except ValueError as error:
-            raise CalibrationError(f"the ellipse of the tracks is too narrow: {error}", "ellipse") from None
+            raise CalibrationError(
+                f"the ellipse of the tracks is too narrow: {error}", Reason.ELLIPSE
+            ) from None
 
 
 def _conic(x: FloatArray, y: FloatArray) -> FloatArray | None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from canfb.calibration.blocks import Blocks
+from canfb.calibration.circular import about_mean
 from canfb.calibration.joint import JointFit, bound_covariance, fit_jointly
 from canfb.calibration.judgement import judge
 from canfb.calibration.recording import BINS, Recording, coverage
-from canfb.calibration.result import TRACK_POINTS, Calibration, ErrorCurve, Harmonic, error_harmonics
+from canfb.calibration.result import TRACK_POINTS, Calibration, ErrorCurve, Harmonic, Method, error_harmonics
 from canfb.calibration.solver import Solution
 from canfb.calibration.waveform import (
     Waveform,
@@ -62,7 +63,7 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
     found = Calibration(
         table=table_of(curve, entries),
         conditioning=conditioning,
-        method="motion",
+        method=Method.MOTION,
         coverage=coverage(position[use]),
         cycles_used=cycles,
         samples_used=blocks.samples,
@@ -155,8 +156,7 @@ def _deviations(
 def _from_smooth(blocks: Blocks, phase: FloatArray, position: FloatArray) -> FloatArray:
     """Deviation of phases from the polynomial of least squares through them in each block."""
     off = (phase - position) % 1.0
-    middle = np.angle(np.mean(np.exp(2j * np.pi * off[blocks.used]))) / (2.0 * np.pi)
-    off = (off - middle + 0.5) % 1.0 - 0.5
+    off = about_mean(off, of=off[blocks.used])
     return np.asarray(off - blocks.evaluate(blocks.smooth(off)), np.float64)
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from canfb.calibration import result as reasons
-from canfb.calibration.result import Calibration
+from canfb.calibration.result import Calibration, Reason
 from canfb.errors import CalibrationError
 
 MIN_COVERAGE = 0.95
@@ -30,13 +29,13 @@ def check_way(coverage: float, cycles: float) -> None:
         locked = cycles >= MIN_CYCLES
         raise CalibrationError(
             f"only {100 * coverage:.0f} % of the cycle was sampled: {CHANGE_SPEED}",
-            reasons.LOCKED if locked else reasons.COVERAGE,
+            Reason.LOCKED if locked else Reason.COVERAGE,
         )
     if cycles < MIN_CYCLES:
         raise CalibrationError(
             f"{cycles:.1f} cycles are too few: at least {MIN_CYCLES:.0f} are needed, as the samples tell "
             f"them; {CHANGE_SPEED}",
-            reasons.CYCLES,
+            Reason.CYCLES,
         )
 
 
@@ -52,10 +51,10 @@ def no_fit(what: str, loss: float) -> CalibrationError:
     ``loss``: how many times the uncertainty grows because the motion has to be found as well.
     """
     if loss > LOCKED_LOSS:
-        return CalibrationError(f"{what}: the motion is too close to locked; {CHANGE_SPEED}", reasons.LOCKED)
+        return CalibrationError(f"{what}: the motion is too close to locked; {CHANGE_SPEED}", Reason.LOCKED)
     return CalibrationError(
         f"{what}: noise, too much acceleration between samples, or uneven sample times that are not known",
-        reasons.NOISE,
+        Reason.NOISE,
     )
 
 
@@ -66,6 +65,6 @@ def judge(found: Calibration, loss: float = 1.0) -> Calibration:
         if found.uncertainty_rms > MAX_UNCERTAINTY_CYCLES:
             raise no_fit(f"the table would be uncertain by {found.uncertainty_rms:.1e} cycle rms", loss)
     except CalibrationError as error:
-        refused = replace(found, reason=error.reason)
+        refused = replace(found, reason=Reason(error.reason))
         raise CalibrationError(str(error), error.reason, refused) from None
     return found

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from canfb.calibration.blocks import BoolArray, IntArray
 from canfb.calibration.following import positions
+from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.objects import MISSED_COUNTS
 from canfb.signal.phase import FloatArray
@@ -80,8 +81,10 @@ def recording(
     usable &= ~clipped
     if usable.sum() < MIN_SAMPLES:
         if clipped.sum() > usable.sum():
-            raise CalibrationError("most samples are at the ends of the converter's range", "clipped")
-        raise CalibrationError(f"{usable.sum()} usable samples: at least {MIN_SAMPLES} are needed", "samples")
+            raise CalibrationError("most samples are at the ends of the converter's range", Reason.CLIPPED)
+        raise CalibrationError(
+            f"{usable.sum()} usable samples: at least {MIN_SAMPLES} are needed", Reason.SAMPLES
+        )
     time, uneven = _intervals(time_s, len(s))
     at = np.flatnonzero(usable)
     breaks = at[1:][np.diff(time[at]) > BREAK_INTERVALS]
@@ -156,7 +159,7 @@ def check_clipped(record: Recording, angle: FloatArray) -> None:
     if count > CLIPPED_PART * seen.sum() or (worst > CLIPPED_PART_OF_BIN and count > 6):
         raise CalibrationError(
             f"{count} samples are at the ends of the converter's range: reduce the amplitude of the tracks",
-            "clipped",
+            Reason.CLIPPED,
         )
 
 

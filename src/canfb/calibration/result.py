@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -11,34 +12,53 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.phase import FloatArray
 
-ACCEPTED = "accepted"
-SAMPLES = "samples"
-CLIPPED = "clipped"
-ELLIPSE = "ellipse"
-COVERAGE = "coverage"
-CYCLES = "cycles"
-LOCKED = "locked"
-NOISE = "noise"
-MONOTONIC = "monotonic"
-SPEED = "speed"
-INTERRUPTED = "interrupted"
-FAILED = "failed"
 
-REASONS = {
-    ACCEPTED: "the measurement can be used",
-    SAMPLES: "too few samples that can be used",
-    CLIPPED: "the tracks reach the ends of the converter's range",
-    ELLIPSE: "the tracks form no ellipse: a dead track, noise, too short a way",
-    COVERAGE: "parts of the cycle were never or hardly sampled",
-    CYCLES: "too few cycles",
-    LOCKED: "the motion is locked to the samples: too few different phases close together",
-    NOISE: "noise of tracks or motion leaves the table too uncertain",
-    MONOTONIC: "raw phase does not rise through the cycle, or is too far from the phase",
-    SPEED: "too few samples in each cycle for this method: too fast",
-    INTERRUPTED: "the samples ended before there were enough: the module left OPERATIONAL",
-    FAILED: "the computation itself failed",
-}
-"""Every reason, in the order of their numbers in object 2030:07 (0 = accepted)."""
+class Reason(StrEnum):
+    """Why a reference measurement is refused, or that it is accepted; `.text` says it in a sentence."""
+
+    text: str
+
+    def __new__(cls, word: str, text: str = "") -> Reason:
+        """Make the member with its text."""
+        member = str.__new__(cls, word)
+        member._value_ = word
+        member.text = text
+        return member
+
+    ACCEPTED = "accepted", "the measurement can be used"
+    SAMPLES = "samples", "too few samples that can be used"
+    CLIPPED = "clipped", "the tracks reach the ends of the converter's range"
+    ELLIPSE = "ellipse", "the tracks form no ellipse: a dead track, noise, too short a way"
+    COVERAGE = "coverage", "parts of the cycle were never or hardly sampled"
+    CYCLES = "cycles", "too few cycles"
+    LOCKED = "locked", "the motion is locked to the samples: too few different phases close together"
+    NOISE = "noise", "noise of tracks or motion leaves the table too uncertain"
+    MONOTONIC = "monotonic", "raw phase does not rise through the cycle, or is too far from the phase"
+    SPEED = "speed", "too few samples in each cycle for this method: too fast"
+    INTERRUPTED = (
+        "interrupted",
+        "the samples ended before there were enough: the module left OPERATIONAL",
+    )
+    FAILED = "failed", "the computation itself failed"
+
+    @property
+    def number(self) -> int:
+        """The value of object 2030:07."""
+        return list(Reason).index(self)
+
+    @classmethod
+    def of_number(cls, number: int) -> Reason:
+        """What 2030:07 says; a number that is none is FAILED."""
+        members = list(cls)
+        return members[number] if number < len(members) else cls.FAILED
+
+
+class Method(StrEnum):
+    """How a table was made."""
+
+    MOTION = "motion"
+    ZERO_CROSSINGS = "zero crossings"
+
 
 TRACK_POINTS = 1024
 
@@ -72,8 +92,8 @@ class Calibration:
 
     table            correction table; phase 0 at the positive zero crossing of the conditioned sine
     conditioning     to be activated together with the table
-    method           "motion" or "zero crossings"
-    reason           "accepted", else the reason of the refusal, one of ``REASONS``
+    method           a ``Method``: "motion" or "zero crossings"
+    reason           a ``Reason``: "accepted", else why it is refused
     coverage         part of the cycle that has samples, 0..1
     cycles_used      cycles that the samples used went through, as far as samples can tell it
     samples_used     samples used; samples_rejected: usable ones left out as faults
@@ -102,8 +122,8 @@ class Calibration:
 
     table: CorrectionTable
     conditioning: Conditioning
-    method: str
-    reason: str = ACCEPTED
+    method: Method
+    reason: Reason = Reason.ACCEPTED
     coverage: float
     cycles_used: float
     samples_used: int
@@ -133,13 +153,13 @@ class Calibration:
     @property
     def accepted(self) -> bool:
         """True if the measurement can be used."""
-        return self.reason == ACCEPTED
+        return self.reason == Reason.ACCEPTED
 
     @property
     def verdict(self) -> str:
         """One line for people."""
         return (
-            f"{'accepted' if self.accepted else 'refused'}: {REASONS[self.reason]}; "
+            f"{'accepted' if self.accepted else 'refused'}: {self.reason.text}; "
             f"deviation from smooth motion {100 * self.before_rms:.3g} % -> {100 * self.residual_rms:.3g} % "
             f"of a cycle rms, table good to {100 * self.uncertainty_peak:.2g} %, "
             f"{self.cycles_used:.0f} cycles, coverage {100 * self.coverage:.0f} %"

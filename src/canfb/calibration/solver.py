@@ -12,6 +12,7 @@ from canfb.calibration.blocks import CUBIC, Blocks, cut
 from canfb.calibration.joint import JointFit, fit_jointly, information_loss, initial_waveform
 from canfb.calibration.judgement import LOCKED_LOSS, MAX_OFF_CYCLES, check_smooth, check_way, no_fit
 from canfb.calibration.recording import MIN_SAMPLES, Recording, coverage
+from canfb.calibration.result import Reason
 from canfb.calibration.selection import (
     MIN_BLOCKS,
     reject,
@@ -202,7 +203,7 @@ class Solver:
         """First fit from tracked positions, without what is far off."""
         record = self.record
         if len(blocks) < MIN_BLOCKS:
-            raise CalibrationError("too few samples in one piece", "samples")
+            raise CalibrationError("too few samples in one piece", Reason.SAMPLES)
         motion, waveform = blocks.smooth(start.position[blocks.index]), start.waveform
         if waveform is None:
             waveform = initial_waveform(blocks, record.sine, record.cosine, motion, FIRST_ORDERS)

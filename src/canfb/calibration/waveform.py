@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import MAX_DEVIATION_CYCLES, CorrectionTable
@@ -93,7 +94,7 @@ def raw_phase_curve(waveform: Waveform, conditioning: Conditioning) -> FloatArra
         raise CalibrationError(
             "raw phase does not rise through the cycle: the tracks do not circle the origin once. "
             'Fit the ellipse first (conditioning="fit"), and check the tracks',
-            "monotonic",
+            Reason.MONOTONIC,
         )
     return raw
 
@@ -131,13 +132,13 @@ def table_from_phases(phase: FloatArray) -> CorrectionTable:
         raise CalibrationError(
             "raw phase is further than 0.25 cycle from the phase: too much for a table. "
             'Fit the ellipse first (conditioning="fit")',
-            "monotonic",
+            Reason.MONOTONIC,
         )
     shift = min(0.0, LARGEST_DEVIATION - high) + max(0.0, -LARGEST_DEVIATION - low)
     try:
         return CorrectionTable(phase + shift)
     except ValueError as error:
-        raise CalibrationError(f"the measurement gives no usable table: {error}", "monotonic") from None
+        raise CalibrationError(f"the measurement gives no usable table: {error}", Reason.MONOTONIC) from None
 
 
 def table_sensitivity(waveform: Waveform, conditioning: Conditioning, points: int = 256) -> FloatArray:

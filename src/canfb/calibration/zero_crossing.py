@@ -15,11 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.calibration.blocks import BoolArray, IntArray
+from canfb.calibration.circular import about_mean
 from canfb.calibration.ellipse import angle_cycles, as_real32, fit_ellipse
 from canfb.calibration.evaluate import error_curve, peak, root_mean
 from canfb.calibration.judgement import judge
 from canfb.calibration.recording import Recording, check_clipped, coverage, recording
-from canfb.calibration.result import CYCLES, SPEED, TRACK_POINTS, Calibration, Harmonic, error_harmonics
+from canfb.calibration.result import TRACK_POINTS, Calibration, Harmonic, Method, Reason, error_harmonics
 from canfb.calibration.solver import Progress, no_progress
 from canfb.calibration.waveform import grid_phases, table_from_phases
 from canfb.errors import CalibrationError
@@ -71,7 +72,7 @@ def calibrate_from_zero_crossings(
     curves = _resample(passage, cycles, nodes)
     good = _agreeing(curves)
     if good.sum() < MIN_CYCLES:
-        raise CalibrationError(f"{good.sum()} cycles agree: at least {MIN_CYCLES} are needed", CYCLES)
+        raise CalibrationError(f"{good.sum()} cycles agree: at least {MIN_CYCLES} are needed", Reason.CYCLES)
     report(0.9)
     found = _finish(passage, cycles.take(good), nodes, curves[good], chosen, record)
     report(1.0)
@@ -171,14 +172,14 @@ def _find_cycles(passage: _Passage) -> _Cycles:
         raise CalibrationError(
             f"{len(rows)} whole cycles without a fault: at least {MIN_CYCLES} are needed. "
             "Record longer, at a steady slow speed",
-            CYCLES if _is_slow(passage) else SPEED,
+            Reason.CYCLES if _is_slow(passage) else Reason.SPEED,
         )
     samples = np.diff(at)[rows + 1]
     if np.sum(samples >= MIN_SAMPLES_PER_CYCLE) < MIN_CYCLES:
         raise CalibrationError(
             f"{np.median(samples):.0f} samples in a cycle: at least {MIN_SAMPLES_PER_CYCLE} are needed. "
             "Go slower, sample faster, or calibrate from motion",
-            SPEED,
+            Reason.SPEED,
         )
     rows = rows[samples >= MIN_SAMPLES_PER_CYCLE]
     rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_CYCLES)).astype(np.int64)]
@@ -262,12 +263,12 @@ def _finish(
     position = _positions(passage, cycles, inside, owner)
     raw = passage.raw[inside]
     after = np.where(owner % 2 == 0, tables[1].correct_array(raw), tables[0].correct_array(raw))
-    before, after = _centred(raw - position), _centred(after - position)
+    before, after = about_mean(raw - position), about_mean(after - position)
     noise = root_mean(after)
     found = Calibration(
         table=table_from_phases(mean - mean[0]),
         conditioning=conditioning,
-        method="zero crossings",
+        method=Method.ZERO_CROSSINGS,
         coverage=coverage(position),
         cycles_used=float(len(cycles)),
         samples_used=len(inside),
@@ -313,12 +314,6 @@ def _mean_tracks(counts: FloatArray, phase: FloatArray) -> FloatArray:
     seen = np.flatnonzero(number)
     means = [np.bincount(place, track, TRACK_POINTS)[seen] / number[seen] for track in counts]
     return np.array([np.interp(np.arange(TRACK_POINTS), seen, one, period=TRACK_POINTS) for one in means])
-
-
-def _centred(off: FloatArray) -> FloatArray:
-    """Deviations within half a cycle about their mean."""
-    middle = np.angle(np.mean(np.exp(2j * np.pi * off))) / (2.0 * np.pi)
-    return np.asarray((off - middle + 0.5) % 1.0 - 0.5, np.float64)
 
 
 def _harmonics(nodes: FloatArray, phase: FloatArray, uncertainty: float) -> tuple[Harmonic, ...]:

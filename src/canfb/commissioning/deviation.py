@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canfb.calibration.blocks import Blocks, cut
+from canfb.calibration.circular import about_mean
 from canfb.calibration.evaluate import peak, root_mean
 from canfb.calibration.recording import BINS, Recording, check_clipped, coverage, recording
-from canfb.calibration.result import LOCKED
+from canfb.calibration.result import Reason
 from canfb.commissioning.samples import Samples
 from canfb.errors import CalibrationError
 from canfb.signal.correction import Correction
@@ -107,7 +108,7 @@ def deviation(
         raise CalibrationError(
             "the machine stands still, or its motion is locked to the samples: nothing can be said of the "
             "table. Let it turn at another speed, or collect for longer",
-            LOCKED,
+            Reason.LOCKED,
         )
     followed = position[blocks.index]
     smooth = blocks.evaluate(blocks.smooth(followed))
@@ -121,7 +122,7 @@ def deviation(
     blocks, followed, smooth = blocks.take(sound), followed[sound], smooth[sound]
     error, use = followed - smooth, blocks.used
     old = np.where(use, _phases(record, before)[blocks.index], 0.0) - smooth
-    old = _about_mean(old, use)
+    old = about_mean(old, of=old[use])
     old = old - blocks.evaluate(blocks.smooth(old))
     correct = float(np.sqrt(blocks.samples / max(1, blocks.freedom)))
     return Deviation(
@@ -156,8 +157,3 @@ def _sound_blocks(blocks: Blocks, error: FloatArray) -> np.ndarray[tuple[int, ..
     bad = size > FAULTY_BLOCK * float(np.median(size))
     few = bad.sum() <= max(1.0, FAULTY_BLOCKS_PART * len(blocks))
     return np.asarray(~bad if few else np.ones_like(bad), np.bool_)
-
-
-def _about_mean(off: FloatArray, use: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> FloatArray:
-    middle = np.angle(np.mean(np.exp(2j * np.pi * off[use]))) / (2.0 * np.pi)
-    return np.asarray((off - middle + 0.5) % 1.0 - 0.5, np.float64)

@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from canfb.calibration.result import COVERAGE, LOCKED
+from canfb.calibration.result import Reason
 from canfb.commissioning.samples import Samples
 from canfb.errors import CalibrationError
 from canfb.signal.phase import FloatArray
@@ -116,14 +116,14 @@ class LockWatch:
             return CalibrationError(
                 "the tracks hardly change: the machine stands still, or goes through a whole number of "
                 f"cycles per sample. Let it turn {faster}",
-                COVERAGE,
+                Reason.COVERAGE,
             )
         known = "" if speed < HALF_CYCLE else f", at {(_near(speed, lock) + step) * rpm:.5g} rpm for one"
         count = "a whole number" if lock.denominator == 1 else f"n + {lock.numerator}/{lock.denominator}"
         return CalibrationError(
             f"the motion is locked to the samples: {count} of cycles per sample, so that the same phases "
             f"come again and again. Let it turn {faster}{known}",
-            LOCKED,
+            Reason.LOCKED,
         )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from canfb import objects as od
-from canfb.calibration.result import REASONS
+from canfb.calibration.result import Reason
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
 from canfb.commissioning.active import read_active
 from canfb.commissioning.deviation import best_deviation
@@ -145,10 +145,8 @@ def _wait(module: NodeAccess, wanted: int, heard: Callable[[float], None], look:
         if state == wanted:
             return
         if state == State.REFUSED:
-            number = module.integer(*od.MEASUREMENT_REASON, "B")
-            words = list(REASONS)
-            reason = words[number] if number < len(words) else words[-1]
-            raise CalibrationError(f"{module.name} refuses its measurement: {REASONS[reason]}", reason)
+            reason = Reason.of_number(module.integer(*od.MEASUREMENT_REASON, "B"))
+            raise CalibrationError(f"{module.name} refuses its measurement: {reason.text}", reason)
         if state not in (State.RECORDING, State.COMPUTING):
             raise CommissioningError(f"{module.name} has ended its measurement (2030:02 is {state})")
         if state == State.RECORDING:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from canfb.calibration.motion import calibrate_from_motion
-from canfb.calibration.result import Calibration
+from canfb.calibration.result import Calibration, Method
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.commissioning.access import CommissioningError, NodeAccess
 from canfb.commissioning.active import put_back, put_in_force, save
@@ -135,7 +135,7 @@ def measure(
 
 def block_of(calibration: Calibration) -> int:
     """Samples over which to take the motion for smooth."""
-    if calibration.method == "motion":
+    if calibration.method == Method.MOTION:
         return calibration.block_samples
     return BLOCK_CYCLES * calibration.block_samples
 

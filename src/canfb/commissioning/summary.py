@@ -181,10 +181,10 @@ def as_json(measured: Measurement, done: Installation, where: Circumstances) -> 
     spike = measured.on_samples.spike
     return {
         "accepted": calibration.accepted,
-        "reason": calibration.reason,
+        "reason": calibration.reason.value,
         "verdict": calibration.verdict,
         **where_words(where),
-        "method": calibration.method,
+        "method": calibration.method.value,
         "samples": len(samples),
         "samples_missed": samples.missed,
         "samples_rejected": calibration.samples_rejected,

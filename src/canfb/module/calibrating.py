@@ -9,8 +9,7 @@ from collections.abc import Callable
 from canfb import objects as od
 from canfb.calibration.drift import Drift, drift
 from canfb.calibration.recording import BINS, NO_TIME, covered
-from canfb.calibration.result import ACCEPTED as USABLE
-from canfb.calibration.result import FAILED, INTERRUPTED, REASONS, Calibration
+from canfb.calibration.result import Calibration, Reason
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.module.calibration_job import CalibrationJob, Outcome
@@ -28,7 +27,6 @@ from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL
 
 RECORDING_PART = 80.0  # per cent of the progress; the rest is the computation
 COMPUTING_PART = 99.0
-NUMBERS = {reason: number for number, reason in enumerate(REASONS)}
 UNKNOWN = Drift(math.nan, math.nan)
 TICKS = 1 << 32
 
@@ -74,7 +72,7 @@ class Calibrating:
             od.MEASUREMENT_COVERAGE: lambda: int(100.0 * self._coverage()),
             od.MEASUREMENT_RESIDUAL_RMS: lambda: self._figure("residual_rms"),
             od.MEASUREMENT_RESIDUAL_PEAK: lambda: self._figure("residual_peak"),
-            od.MEASUREMENT_REASON: lambda: NUMBERS[self._reason],
+            od.MEASUREMENT_REASON: lambda: self._reason.number,
             od.MEASUREMENT_DRIFT_RMS: lambda: self._drift().rms,
             od.MEASUREMENT_DRIFT_PEAK: lambda: self._drift().peak,
         }
@@ -90,7 +88,7 @@ class Calibrating:
     def interrupted(self) -> None:
         """There are no more samples for now: a recording has a gap of unknown length, and is refused."""
         if self.state is State.RECORDING:
-            self._refuse(INTERRUPTED)
+            self._refuse(Reason.INTERRUPTED)
 
     @property
     def pending_job(self) -> CalibrationJob | None:
@@ -104,10 +102,10 @@ class Calibrating:
         if job is not self._job:
             return
         if not isinstance(result, Outcome):
-            self._refuse(FAILED)
+            self._refuse(Reason.FAILED)
             return
         self._calibration = result.calibration
-        if result.reason == USABLE:
+        if result.reason == Reason.ACCEPTED:
             self._enter(State.CHECKED if self._task is Command.CHECK else State.READY)
         else:
             self._refuse(result.reason)
@@ -170,7 +168,7 @@ class Calibrating:
         self._part = 0.0
         self._job: CalibrationJob | None = None
         self._calibration = None
-        self._reason = USABLE
+        self._reason = Reason.ACCEPTED
         self._compared: tuple[Correction, Drift] | None = None
 
     def _enter(self, state: State) -> None:
@@ -183,7 +181,7 @@ class Calibrating:
             self._job = None
         self._working(state in AT_WORK)
 
-    def _refuse(self, reason: str) -> None:
+    def _refuse(self, reason: Reason) -> None:
         self._reason = reason
         self._enter(State.REFUSED)
 
@@ -231,7 +229,7 @@ class Calibrating:
 
     def _drift(self) -> Drift:
         """The measurement against what is in force now; computed when it is asked for."""
-        if self._calibration is None or self._reason != USABLE:
+        if self._calibration is None or self._reason != Reason.ACCEPTED:
             return UNKNOWN
         active, known = self._chain.correction, self._compared
         if known is None or known[0] is not active:

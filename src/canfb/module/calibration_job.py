@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from canfb.calibration.motion import calibrate_from_motion
 from canfb.calibration.recording import recorded_tracks, timed_tracks
-from canfb.calibration.result import ACCEPTED, Calibration
+from canfb.calibration.result import Calibration, Reason
 from canfb.calibration.solver import no_progress
 from canfb.errors import CalibrationError
 
@@ -16,12 +16,12 @@ from canfb.errors import CalibrationError
 class Outcome(NamedTuple):
     """What came out of a :class:`CalibrationJob`.
 
-    reason        one of :data:`canfb.calibration.result.REASONS`
+    reason        a :class:`canfb.calibration.result.Reason`
     calibration   the measurement; if it was refused, for diagnosis only, and None where there is none
     text          one line for people
     """
 
-    reason: str
+    reason: Reason
     calibration: Calibration | None
     text: str
 
@@ -52,5 +52,5 @@ class CalibrationJob:
                 sine, cosine, "fit", time_s=time_s, adc_bits=self.adc_bits, progress=progress
             )
         except CalibrationError as error:
-            return Outcome(error.reason, error.calibration, str(error))
-        return Outcome(ACCEPTED, found, found.verdict)
+            return Outcome(Reason(error.reason), error.calibration, str(error))
+        return Outcome(Reason.ACCEPTED, found, found.verdict)

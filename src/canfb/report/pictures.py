@@ -10,7 +10,7 @@ from canfb.calibration.recording import BINS
 from canfb.report.plot import Plot
 from canfb.report.scale import nice_limit
 from canfb.signal.correction import CorrectionTable
-from canfb.signal.phase import FloatArray
+from canfb.signal.phase import FloatArray, wrap
 
 HIGHEST_ORDER = 20
 PERCENT = 100.0
@@ -109,9 +109,7 @@ def table_curve(table: CorrectionTable, before: CorrectionTable | None) -> str:
     curves = [("after", "new table", table)]
     if before is not None:
         curves.insert(0, ("before", "table before", before))
-    lines = [
-        (style, name, PERCENT * _correction(table(place[:-1]), place[:-1])) for style, name, table in curves
-    ]
+    lines = [(style, name, PERCENT * wrap(table(place[:-1]) - place[:-1])) for style, name, table in curves]
     most = nice_limit(np.concatenate([line for _, _, line in lines]))
     plot = Plot(
         "Correction over the raw phase",
@@ -122,10 +120,6 @@ def table_curve(table: CorrectionTable, before: CorrectionTable | None) -> str:
     for style, name, line in lines:
         plot.line(place[:-1], line, style, name)
     return plot.svg()
-
-
-def _correction(phase: FloatArray, raw: FloatArray) -> FloatArray:
-    return np.asarray((phase - raw + 0.5) % 1.0 - 0.5, np.float64)
 
 
 def _amplitudes(curve: FloatArray) -> FloatArray:

@@ -50,6 +50,11 @@ def real_array(name: str, values: npt.ArrayLike) -> FloatArray:
     return np.asarray(values, dtype=np.float64)
 
 
+def wrap(cycles: FloatArray) -> FloatArray:
+    """Differences of phases to -0.5..0.5 cycle: the nearest of all that differ by whole cycles."""
+    return np.asarray((cycles + 0.5) % 1.0 - 0.5, np.float64)
+
+
 def raw_phase(s: float, c: float) -> float:
     """Table 1 for one sample; NaN when both tracks are zero, or one is not a number."""
     if c > 0.0 and -c <= s <= c:
