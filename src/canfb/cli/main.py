@@ -23,7 +23,7 @@ from canfb.cli.examples import examples_of
 from canfb.cli.printing import printed_log
 from canfb.errors import CanfbError, ConfigError
 
-DONE, FAILED, WRONG_USE = 0, 1, 2
+FAILED, WRONG_USE = 1, 2
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 COMMANDS = (demo, run, simulate, nmt_command, calibrate, config_file)
 

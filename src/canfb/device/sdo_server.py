@@ -54,7 +54,6 @@ class SdoServer(Timed):
         self._counters = counters
         self._timeout_s = timeout_s
         self._transfer: Transfer | None = None
-        self._silent_until = NEVER
         self._begin: dict[int, Callable[[bytes], Transfer | None]] = {
             INITIATE_DOWNLOAD: self._download,
             INITIATE_UPLOAD: self._upload,

@@ -57,9 +57,6 @@ class Control(IntFlag):
     HALT = 0x0100
 
 
-STATE_MASK = 0x6F
-"""The bits of the statusword that tell the state."""
-
 POWERED = frozenset({State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE})
 """Where the motor may have torque."""
 
