@@ -23,7 +23,7 @@ MUTATED ?= $(addprefix src/canfb/signal/,supervision.py frozen.py coarse.py zero
 help: ## Show the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-demo: $(INSTALLED) ## Run the whole story on an in-process bus; pictures and report in build/demo
+demo: $(INSTALLED) ## Run the whole story on an in-process bus; pictures in build/demo/report.html
 	$(VENV)/bin/canfb demo --out $(DEMO_OUT)
 
 # Each part has its own verdict, whatever becomes of the others; make fails if one of them does. The tests on
@@ -78,7 +78,7 @@ $(PY):
 
 $(INSTALLED): pyproject.toml | $(PY)
 	@echo "installing canfb into $(VENV)"
-	@$(PIP) --editable '.[plot]'
+	@$(PIP) --editable .
 	@touch $@
 
 $(INSTALLED_TEST): pyproject.toml | $(PY)
@@ -91,5 +91,5 @@ $(LOWEST)/.installed: pyproject.toml tools/suite/lowest.py
 	@$(PYTHON) -m venv --clear $(LOWEST)
 	@$(PYTHON) -m tools.suite.lowest >$(LOWEST)/constraints.txt
 	@$(LOWEST)/bin/python -m pip install --quiet --quiet --disable-pip-version-check \
-		--constraint $(LOWEST)/constraints.txt --editable '.[plot]' pytest hypothesis
+		--constraint $(LOWEST)/constraints.txt --editable . pytest hypothesis
 	@touch $@

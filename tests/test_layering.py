@@ -64,7 +64,7 @@ FOREIGN: dict[str, set[str]] = {
     "report": {"numpy"},
     "commissioning": {"numpy", "canopen", "can", "yaml"},
     "bus": {"can", "canopen"},
-    "demo": {"numpy", "canopen", "matplotlib"},
+    "demo": {"numpy", "canopen"},
     "cli": {"can"},
 }
 # Clocks, threads and sockets have one place.

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import json
-import struct
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import pytest
 
 from canfb.cli import demo
 from canfb.cli.main import main
-from canfb.demo.demo_pictures import fault_samples
-from canfb.demo.story import FAULTS, LOST_SAMPLE, Story
+from canfb.demo.story import Story
+from html_page import Page
 
-PICTURES = ["tracks.png", "error-over-phase.png", "residual-over-time.png"]
+PICTURES = ["tracks.svg", "error-over-phase.svg", "residual-over-time.svg"]
 
 
 class Run(NamedTuple):
@@ -56,23 +55,33 @@ def test_it_tells_the_same_each_time(run: Run, capsys: pytest.CaptureFixture[str
     assert said.err == ""
     again = json.loads(said.out)
     assert again.pop("figures") == []
-    assert again == {key: value for key, value in run.figures.items() if key != "figures"}
+    assert again == {key: value for key, value in run.figures.items() if key not in ("figures", "report")}
 
 
-def test_three_pictures_are_written(run: Run) -> None:
-    from matplotlib.image import imread
-
+def test_three_pictures_and_a_page_are_written(run: Run) -> None:
     assert run.figures["figures"] == [str(run.folder / name) for name in PICTURES]
-    assert sorted(path.name for path in run.folder.iterdir()) == sorted(PICTURES)
+    assert run.figures["report"] == str(run.folder / "report.html")
+    assert sorted(path.name for path in run.folder.iterdir()) == sorted([*PICTURES, "report.html"])
     for name in PICTURES:
-        data = (run.folder / name).read_bytes()
-        assert data.startswith(b"\x89PNG\r\n\x1a\n")
-        width, height = struct.unpack(">II", data[16:24])
-        assert width >= 600
-        assert height >= 400
-        pixels = imread(run.folder / name)[..., :3].reshape(-1, 3)
-        coloured = (pixels.max(axis=1) - pixels.min(axis=1) > 0.2).mean()
-        assert 0.001 < coloured < 0.5, "something is drawn, and it is not all ink"
+        picture = ElementTree.fromstring((run.folder / name).read_bytes())
+        assert picture.tag == "{http://www.w3.org/2000/svg}svg"
+        drawn = sum(len(one.get("d", "")) for one in picture.iter("{http://www.w3.org/2000/svg}path"))
+        assert 2000 < drawn < 200_000
+        assert "nan" not in {one.get("d") for one in picture.iter()}
+
+
+def test_the_page_stands_alone_and_has_the_figures(run: Run) -> None:
+    text = (run.folder / "report.html").read_text(encoding="utf-8")
+    assert len(text) < 300_000
+    page = Page(text)
+    assert not {"script", "link", "img", "iframe", "object", "embed", "base"} & set(page.tags)
+    assert not {"src", "href", "data"} & {name for name, _ in page.attributes}
+    assert page.tags.count("svg") == page.tags.count("figure") == 4
+    for check in run.figures["checks"]:
+        assert check in page.text
+    assert f"{run.figures['samples']} samples" in page.text
+    assert f"CRC-32 {run.figures['table_crc32']}h" in page.text
+    assert f"{100 * run.figures['error_rms_after_cycles']:.4f}" in page.text
 
 
 @pytest.fixture
@@ -83,37 +92,6 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("the work has begun")
 
     monkeypatch.setattr(demo, "DemoNetwork", too_late)
-
-
-@pytest.mark.usefixtures("no_work")
-def test_without_matplotlib_it_says_so_before_the_work(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    assert main(["demo", "--out", str(tmp_path / "pictures")]) == 1
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err == "canfb: figures need matplotlib: pip install 'canfb[plot]'\n"
-    assert not (tmp_path / "pictures").exists()
-
-
-def test_matplotlib_is_only_needed_for_pictures() -> None:
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            "import sys; sys.modules['matplotlib'] = None\n"
-            "from canfb.cli.main import main\n"
-            "sys.exit(main(['config', 'example']) or main(['demo', '--out', '/nowhere/at/all']))",
-        ],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert done.returncode == 1
-    assert done.stdout.startswith("# canfb run CONFIG.yaml")
-    assert done.stderr == "canfb: figures need matplotlib: pip install 'canfb[plot]'\n"
 
 
 @pytest.mark.usefixtures("no_work")
@@ -137,14 +115,3 @@ def test_a_story_that_does_not_hold_is_exit_code_1(
     assert main(["demo", "--json"]) == 1
     said = json.loads(capsys.readouterr().out)
     assert said == {"held": False, "checks": {"it flies": False, "it floats": True}, "figures": []}
-
-
-def test_the_samples_that_are_labelled_are_those_of_the_faults() -> None:
-    numbers = list(range(1000))
-    numbers.remove(900 + LOST_SAMPLE)  # it is not in the log
-    network: Any = SimpleNamespace(adc=SimpleNamespace(sine=numbers, cosine=[-n for n in numbers]))
-    found = fault_samples(network, Story(fault_window=(900, 980)))
-    assert found == [
-        (name, 900 + place, -900 - place) for place, (name, _) in FAULTS.items() if place != LOST_SAMPLE
-    ]
-    assert len(found) == 3

@@ -36,3 +36,27 @@ def test_a_line_is_broken_where_there_is_no_value() -> None:
     plot = Plot("x", (0.0, 3.0), (0.0, 1.0), ("a", "b"))
     plot.line(np.arange(4.0), np.array([0.0, np.nan, 1.0, 1.0]), "after")
     assert len(re.findall("M", re.findall(r'class="line after" d="([^"]*)"', plot.svg())[0])) == 2
+
+
+def test_rings_and_notes_are_at_their_points() -> None:
+    plot = Plot("x", (0.0, 10.0), (0.0, 10.0), ("a", "b"))
+    plot.rings(np.array([5.0, 10.0]), np.array([5.0, 10.0]), "before", "rings")
+    plot.note(5.0, 5.0, "here", "before end", (-9.0, 4.0))
+    svg = plot.svg()
+    x, y = plot.x(5.0), plot.y(5.0)
+    assert f'<circle class="ring before" cx="{x:.1f}" cy="{y:.1f}" r="6"/>' in svg
+    assert f'<text x="{x - 9.0:.1f}" y="{y + 4.0:.1f}" class="note before end">here</text>' in svg
+    assert [key.name for key in plot.legend] == ["rings"]
+    assert svg.count("ring-key") == 1
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "ticks"),
+    [
+        (-2.7, 2.7, [-2.0, -1.0, 0.0, 1.0, 2.0]),
+        (0.0, 0.81, [0.0, 0.2, 0.4, 0.6, 0.8]),
+        (0.0, 235.0, [0.0, 50.0, 100.0, 150.0, 200.0]),
+    ],
+)
+def test_ticks_are_enough_to_read_a_value(low: float, high: float, ticks: list[float]) -> None:
+    assert Scale(low, high, 0.0, 1.0).ticks() == pytest.approx(ticks)

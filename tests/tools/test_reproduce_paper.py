@@ -204,7 +204,7 @@ def test_no_figures_without_matplotlib(
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     assert not figures.can_draw()
     assert reproduce.main(["--figures", str(tmp_path / "pictures")]) == 2
-    assert capsys.readouterr().err == "figures need matplotlib: pip install 'canfb[plot]'\n"
+    assert capsys.readouterr().err == "figures need matplotlib: pip install 'canfb[tools]'\n"
     assert not (tmp_path / "pictures").exists()
 
 

@@ -1,4 +1,4 @@
-"""The pictures of the paper's reproduction; they need the extra `canfb[plot]`."""
+"""The pictures of the paper's reproduction; they need the extra `canfb[tools]`."""
 
 from __future__ import annotations
 

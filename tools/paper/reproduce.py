@@ -53,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--figures", type=Path, metavar="DIR", help="write the pictures as PNG")
     options = parser.parse_args(argv)
     if options.figures is not None and not figures.can_draw():
-        print("figures need matplotlib: pip install 'canfb[plot]'", file=sys.stderr)
+        print("figures need matplotlib: pip install 'canfb[tools]'", file=sys.stderr)
         return 2
     found = []
     for claim in claims(FAST if options.fast else FULL):

@@ -1,9 +1,9 @@
 """The lowest versions that pyproject.toml allows, as constraints for pip.
 
     python -m tools.suite.lowest > build/lowest.txt
-    pip install --constraint build/lowest.txt --editable '.[plot]'
+    pip install --constraint build/lowest.txt --editable .
 
-For what canfb needs to run, and for its pictures; not for its tests.
+For what canfb needs to run, not for its tests.
 """
 
 from __future__ import annotations
@@ -14,18 +14,14 @@ import tomllib
 from pathlib import Path
 
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
-EXTRAS = ("plot",)
 BOUND = re.compile(r"(?P<name>[A-Za-z0-9._-]+)>=(?P<version>[0-9.]+)(?:,<[0-9.]+)?")
 
 
 def constraints(text: str) -> list[str]:
     """`name==version` of each requirement; ValueError for one whose lower bound cannot be read."""
     project = tomllib.loads(text)["project"]
-    requirements = list(project["dependencies"])
-    for extra in EXTRAS:
-        requirements += project["optional-dependencies"][extra]
     found = []
-    for requirement in requirements:
+    for requirement in project["dependencies"]:
         match = BOUND.fullmatch(requirement)
         if match is None:
             raise ValueError(f"{requirement!r}: write name>=version; the lowest version is tested")

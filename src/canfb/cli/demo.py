@@ -10,7 +10,7 @@ from pathlib import Path
 from canfb.cli.options import Commands, add_command
 from canfb.demo.account import account
 from canfb.demo.demo_network import DemoNetwork
-from canfb.demo.demo_pictures import prepare, write_figures
+from canfb.demo.demo_page import prepare, write_files
 from canfb.demo.story import as_json, tell
 
 
@@ -23,9 +23,7 @@ def register(commands: Commands) -> None:
         demo,
     )
     parser.add_argument("--json", action="store_true", help="the figures, for programs")
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="write the pictures there (needs canfb[plot])"
-    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write pictures (SVG) and report.html there")
 
 
 def demo(options: argparse.Namespace) -> int:
@@ -35,13 +33,16 @@ def demo(options: argparse.Namespace) -> int:
     network = DemoNetwork()
     show = None if options.json or not sys.stderr.isatty() else _progress
     story = tell(network, show) if show else tell(network)
-    pictures = write_figures(network, story, options.out) if options.out else []
+    pictures, page = write_files(network, story, options.out) if options.out else ([], None)
     if options.json:
-        print(json.dumps(as_json(story) | {"figures": [str(path) for path in pictures]}, indent=2))
+        figures = as_json(story) | {"figures": [str(path) for path in pictures]}
+        print(json.dumps(figures | ({"report": str(page)} if page else {}), indent=2))
     else:
         print(account(story))
         for path in pictures:
             print(f"  picture  {path}")
+        if page:
+            print(f"  report   {page}")
     return 0 if story.held else 1
 
 

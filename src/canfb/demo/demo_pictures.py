@@ -1,90 +1,42 @@
-"""The demo's pictures; they need the extra ``canfb[plot]``."""
+"""The demo's pictures."""
 
 from __future__ import annotations
-
-import importlib
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from canfb.demo.demo_network import DemoNetwork
-from canfb.demo.story import FAULTS, LOST_SAMPLE, Story
-from canfb.errors import CanfbError
+from canfb.demo.story import FAULT_SAMPLES, FAULTS, LOST_SAMPLE, Story
+from canfb.report.lissajous import SHOWN_SAMPLES, circle, cloud, square_plot
+from canfb.report.plot import Plot
+from canfb.report.scale import nice_limit
+from canfb.signal.phase import FloatArray
 from canfb.signal.tracker import RESIDUAL_LIMIT
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-SHOWN_SAMPLES = 4000
-BEFORE, AFTER, LIMIT = "#b04a3a", "#1f6f8b", "#8a8a8a"
+PERCENT = 100.0
+FIRST_NAME, NAMES_APART = 0.75, 0.06  # heights of the names of the faults, above all residuals
 
 
-def prepare(folder: Path) -> None:
-    """Make ``folder``. CanfbError if it cannot be made or matplotlib is missing: before the work starts."""
-    try:
-        importlib.import_module("matplotlib.figure")
-    except ImportError:
-        raise CanfbError("figures need matplotlib: pip install 'canfb[plot]'") from None
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CanfbError(f"cannot write figures to {folder}: {error.strerror}") from None
-
-
-def write_figures(network: DemoNetwork, story: Story, folder: Path) -> list[Path]:
-    """Write the pictures into ``folder``; their paths. CanfbError as :func:`prepare`."""
-    prepare(folder)
-    from matplotlib.figure import Figure
-
-    try:
-        return [
-            _save(
-                _tracks(Figure(figsize=(6, 6), layout="constrained"), network, story), folder / "tracks.png"
-            ),
-            _save(
-                _error(Figure(figsize=(8, 5.5), layout="constrained"), story), folder / "error-over-phase.png"
-            ),
-            _save(
-                _residual(Figure(figsize=(8, 4), layout="constrained"), story),
-                folder / "residual-over-time.png",
-            ),
-        ]
-    except OSError as error:
-        raise CanfbError(f"cannot write figures to {folder}: {error.strerror}") from None
-
-
-def _save(figure: Figure, path: Path) -> Path:
-    figure.savefig(path, dpi=120)
-    return path
-
-
-def _axes(figure: Figure, *place: int) -> Any:
-    axes = figure.add_subplot(*place)
-    axes.grid(True, linewidth=0.4, alpha=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-    return axes
-
-
-def _tracks(figure: Figure, network: DemoNetwork, story: Story) -> Figure:
-    axes = _axes(figure, 1, 1, 1)
-    sine, cosine = (np.array(track[-SHOWN_SAMPLES:]) for track in (network.adc.sine, network.adc.cosine))
-    angle = np.linspace(0.0, 2.0 * np.pi, 400)
-    radius = network.encoder.amplitude_counts
-    axes.plot(radius * np.cos(angle), radius * np.sin(angle), color=LIMIT, linewidth=1, label="ideal tracks")
-    axes.plot(cosine, sine, ".", markersize=1.5, color=AFTER, label="ADC samples")
-    _name_faults(axes, fault_samples(network, story))
-    full = 1 << (network.encoder.adc_bits - 1)
-    axes.set(
-        xlim=(-1.1 * full, 1.1 * full), ylim=(-1.1 * full, 1.1 * full), aspect="equal",
-        title="Encoder tracks (Lissajous picture)",
-        xlabel="cosine, ADC counts", ylabel="sine, ADC counts",
-    )  # fmt: skip
-    legend = axes.legend(loc="lower right")
-    for handle in legend.legend_handles:
-        if handle.get_marker() == ".":
-            handle.set_markersize(9)
-    return figure
+def tracks(network: DemoNetwork, story: Story) -> Plot:
+    """The last samples, and what the provoked faults made of theirs."""
+    sine, cosine = (
+        np.array(one[-SHOWN_SAMPLES:], np.float64) for one in (network.adc.sine, network.adc.cosine)
+    )
+    plot = square_plot(
+        "Lissajous picture: sine over cosine, with the provoked faults",
+        1.1 * (1 << network.encoder.adc_bits - 1),
+    )
+    circle(plot, network.encoder.amplitude_counts, "limit", "ideal tracks")
+    cloud(plot, cosine, sine, "after", "ADC samples")
+    found = fault_samples(network, story)
+    at = np.array([(cosine, sine) for _, sine, cosine in found], np.float64).reshape(-1, 2)
+    plot.dots(at[:, 0], at[:, 1], "after large")
+    plot.rings(at[:, 0], at[:, 1], "before", "provoked faults")
+    for number, (name, sine_counts, cosine_counts) in enumerate(found):
+        # Towards the middle, above and below in turn.
+        left, down = cosine_counts > 0, 20.0 if number % 2 else -9.0
+        style = "before end" if left else "before"
+        plot.note(cosine_counts, sine_counts, name, style, (-9.0 if left else 9.0, down))
+    return plot
 
 
 def fault_samples(network: DemoNetwork, story: Story) -> list[tuple[str, int, int]]:
@@ -99,58 +51,43 @@ def fault_samples(network: DemoNetwork, story: Story) -> list[tuple[str, int, in
     return found
 
 
-def _name_faults(axes: Any, samples: list[tuple[str, int, int]]) -> None:
-    """A ring around each fault, and its name beside it: towards the middle, above and below in turn."""
-    for n, (name, sine, cosine) in enumerate(samples):
-        label = "provoked faults" if n == 0 else None
-        axes.plot([cosine], [sine], "o", markersize=7, fillstyle="none", color=BEFORE, label=label)
-        left = cosine > 0
-        axes.annotate(
-            name, (cosine, sine), (-9 if left else 9, -14 if n % 2 else 8), textcoords="offset points",
-            ha="right" if left else "left", color=BEFORE, fontsize=8,
-        )  # fmt: skip
+def error_before(story: Story) -> Plot:
+    """Position error of each sample over the phase, without a table."""
+    return _error(story.phase_before, story.error_before, "before", "without a table")
 
 
-def _error(figure: Figure, story: Story) -> Figure:
-    panels = (
-        (
-            "before the table: Table 1 and the errors of the encoder",
-            story.phase_before,
-            story.error_before,
-            BEFORE,
-        ),
-        (
-            "with the correction table: noise of single 12-bit samples",
-            story.phase_after,
-            story.error_after,
-            AFTER,
-        ),
+def error_after(story: Story) -> Plot:
+    """Position error of each sample over the phase, with the table, on a scale of its own."""
+    return _error(story.phase_after, story.error_after, "after", "with the table")
+
+
+def _error(phase: FloatArray, error: FloatArray, style: str, which: str) -> Plot:
+    most = PERCENT * nice_limit(error)
+    plot = Plot(
+        f"Position error over the phase, {which}",
+        (0.0, 1.0),
+        (-most, most),
+        ("phase, cycles", "error, % of a cycle"),
     )
-    sizes = [float(np.abs(error).max()) for _, _, error, _ in panels]
-    for row, (title, phase, error, colour) in enumerate(panels, start=1):
-        axes = _axes(figure, 2, 1, row)
-        axes.plot(phase, 100.0 * error, ".", markersize=1.5, color=colour)
-        if row == 2:
-            title += f"\n(scale {sizes[0] / sizes[1]:.0f} times finer than above)"
-        axes.set(title=title, ylabel="error, % of a cycle", xlim=(0.0, 1.0))
-    axes.set_xlabel("phase within the cycle")
-    return figure
+    plot.dots(phase, PERCENT * error, style)
+    return plot
 
 
-def _residual(figure: Figure, story: Story) -> Figure:
-    axes = _axes(figure, 1, 1, 1)
-    axes.plot(
-        story.residual_number, story.residual, ".-", color=AFTER, linewidth=0.8, label="residual (eq. 12)"
+def residual(story: Story) -> Plot:
+    """The residual of each position PDO while faults are provoked, and the limit."""
+    plot = Plot(
+        "Residual while faults are provoked at 2000 rpm",
+        (0.0, float(FAULT_SAMPLES)),
+        (0.0, FIRST_NAME + NAMES_APART),
+        ("sample", "residual, cycles"),
     )
-    axes.axhline(RESIDUAL_LIMIT, color=LIMIT, linestyle="--", linewidth=1, label="limit 1/3")
-    for place, (name, _) in FAULTS.items():
-        axes.axvline(place, color=BEFORE, linewidth=0.8)
-        axes.text(place + 0.5, 0.52, name, color=BEFORE, fontsize=8)
-    axes.set(
-        title="Residual while faults are provoked at 2000 rpm",
-        xlabel="sample",
-        ylabel="residual, cycles",
-        ylim=(0, 0.56),
-    )
-    axes.legend(loc="center right")
-    return figure
+    for row, (place, (name, _)) in enumerate(sorted(FAULTS.items())):
+        # Each name is below the one before it: no line crosses a name.
+        height = FIRST_NAME - NAMES_APART * row
+        plot.line(np.array([place, place], np.float64), np.array([0.0, height]), "before thin")
+        plot.note(place, height, name, "before", (5.0, 6.0))
+    number = story.residual_number.astype(np.float64)
+    plot.line(number, story.residual, "after thin", "residual (eq. 12)")
+    plot.dots(number, story.residual, "after large")
+    plot.level(RESIDUAL_LIMIT, "limit dashed", "limit 1/3")
+    return plot

@@ -212,10 +212,10 @@ def as_json(story: Story) -> dict[str, Any]:
         "samples": story.samples,
         "cycles_per_sample": story.cycles_per_sample,
         "wrong_cycle_counts": story.wrong_counts,
-        "error_peak_before_cycles": _peak(story.error_before),
-        "error_peak_after_cycles": _peak(story.error_after),
-        "error_rms_before_cycles": _rms(story.error_before),
-        "error_rms_after_cycles": _rms(story.error_after),
+        "error_peak_before_cycles": peak(story.error_before),
+        "error_peak_after_cycles": peak(story.error_after),
+        "error_rms_before_cycles": rms(story.error_before),
+        "error_rms_after_cycles": rms(story.error_after),
         "table_crc32": f"{story.table_crc32:08X}",
         "table_uncertainty_peak_cycles": None if calibration is None else calibration.uncertainty_peak,
         "faults_provoked": story.faults.provoked,
@@ -227,9 +227,11 @@ def as_json(story: Story) -> dict[str, Any]:
     }
 
 
-def _peak(error: FloatArray) -> float:
+def peak(error: FloatArray) -> float:
+    """Largest size, cycles."""
     return float(np.abs(error).max())
 
 
-def _rms(error: FloatArray) -> float:
+def rms(error: FloatArray) -> float:
+    """Root of the mean square, cycles."""
     return float(np.sqrt(np.mean(error**2)))

@@ -1,16 +1,26 @@
-"""Small plots as SVG, for a page that stands alone: no library, no network, colours from the page's CSS."""
+"""Small plots as SVG, without a library; the colours are those of :mod:`canfb.report.style`."""
 
 from __future__ import annotations
 
 import math
 from html import escape
+from typing import NamedTuple
 
 import numpy as np
 
 from canfb.report.scale import Scale, tick_words
 from canfb.signal.phase import FloatArray
 
-LEFT, RIGHT, TOP, BOTTOM = 72.0, 14.0, 12.0, 44.0
+LEFT, RIGHT, TOP, BOTTOM = 78.0, 14.0, 12.0, 44.0
+RING_RADIUS = 6.0
+
+
+class Key(NamedTuple):
+    """One line of the legend: its text, the CSS class, and "line", "dot", "bar" or "ring"."""
+
+    name: str
+    style: str
+    kind: str
 
 
 def size_around(width: float, height: float) -> tuple[float, float]:
@@ -33,10 +43,10 @@ class Plot:
         self.width, self.height = size
         self.x = Scale(*x, LEFT, self.width - RIGHT)
         self.y = Scale(*y, self.height - BOTTOM, TOP, log_y)
-        self._title = title
+        self.title = title
+        self.legend: list[Key] = []
         self._labels = labels
         self._parts: list[str] = []
-        self._legend: list[tuple[str, str, str]] = []
 
     def line(self, xs: FloatArray, ys: FloatArray, style: str, name: str | None = None) -> None:
         """A line through points, broken where a value is not a number; ``style`` is a CSS class."""
@@ -80,18 +90,32 @@ class Plot:
         if self.y.low <= value <= self.y.high:
             self.line(np.array([self.x.low, self.x.high]), np.array([value, value]), style, name)
 
+    def rings(self, xs: FloatArray, ys: FloatArray, style: str, name: str | None = None) -> None:
+        """A ring around each point."""
+        for one, other in zip(xs.tolist(), ys.tolist(), strict=True):
+            place = f'cx="{self.x(one):.1f}" cy="{self.y(other):.1f}" r="{RING_RADIUS:g}"'
+            self._draw(f'<circle class="ring {style}" {place}/>', style, name, "ring")
+            name = None
+
+    def note(self, x: float, y: float, words: str, style: str, offset: tuple[float, float]) -> None:
+        """Words beside a point, ``offset`` from it to the right and down; they end there with style "end"."""
+        self._parts.append(_text(self.x(x) + offset[0], self.y(y) + offset[1], f"note {style}", words))
+
     def svg(self) -> str:
-        """The picture."""
+        """The picture, with its legend, for a page of HTML."""
         return (
             f'<svg viewBox="0 0 {self.width:g} {self.height:g}" role="img" '
-            f'aria-label="{escape(self._title)}">'
-            f"{self._grid()}{''.join(self._parts)}{self._axis_labels()}</svg>{self._legend_html()}"
+            f'aria-label="{escape(self.title)}">{self.drawing()}</svg>{self._legend_html()}'
         )
+
+    def drawing(self) -> str:
+        """The elements within the SVG: axes and all that was drawn, without the legend."""
+        return f"{self._grid()}{''.join(self._parts)}{self._axis_labels()}"
 
     def _draw(self, part: str, style: str, name: str | None, kind: str) -> None:
         self._parts.append(part)
         if name:
-            self._legend.append((name, style, kind))
+            self.legend.append(Key(name, style, kind))
 
     def _grid(self) -> str:
         bottom, top = self.y(self.y.low), self.y(self.y.high)
@@ -100,15 +124,11 @@ class Plot:
         for value in self.x.ticks():
             at = self.x(value)
             parts.append(f'<path class="grid" d="M{at:.1f} {bottom:.1f}V{top:.1f}"/>')
-            parts.append(
-                f'<text x="{at:.1f}" y="{bottom + 16:.1f}" class="tick mid">{tick_words(value)}</text>'
-            )
+            parts.append(_text(at, bottom + 16.0, "tick mid", tick_words(value)))
         for value in self.y.ticks():
             at = self.y(value)
             parts.append(f'<path class="grid" d="M{left:.1f} {at:.1f}H{right:.1f}"/>')
-            parts.append(
-                f'<text x="{left - 6:.1f}" y="{at + 4:.1f}" class="tick end">{tick_words(value)}</text>'
-            )
+            parts.append(_text(left - 6.0, at + 4.0, "tick end", tick_words(value)))
         parts.append(f'<path class="axis" d="M{left:.1f} {top:.1f}V{bottom:.1f}H{right:.1f}"/>')
         return "".join(parts)
 
@@ -122,11 +142,11 @@ class Plot:
         )
 
     def _legend_html(self) -> str:
-        if not self._legend:
+        if not self.legend:
             return ""
         items = "".join(
-            f'<span><i class="{kind}-key {style}"></i>{escape(name)}</span>'
-            for name, style, kind in self._legend
+            f'<span><i class="{key.kind}-key {key.style}"></i>{escape(key.name)}</span>'
+            for key in self.legend
         )
         return f'<div class="legend">{items}</div>'
 

@@ -10,6 +10,7 @@ import numpy as np
 from canfb.signal.phase import FloatArray
 
 TICK_COUNT = 5
+FEWER = 0.8  # of a step: rather seven ticks than three
 
 
 class Scale:
@@ -36,7 +37,7 @@ class Scale:
             return [10.0**power for power in range(first, last + 1)]
         rough = (self.high - self.low) / TICK_COUNT
         power = 10.0 ** math.floor(math.log10(rough))
-        step = next(one * power for one in (1.0, 2.0, 2.5, 5.0, 10.0) if one * power >= rough * 0.999)
+        step = next(one * power for one in (1.0, 2.0, 2.5, 5.0, 10.0) if one * power >= rough * FEWER)
         first = math.ceil(self.low / step - 1e-9)
         return [n * step for n in range(first, math.floor(self.high / step + 1e-9) + 1)]
 

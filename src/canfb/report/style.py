@@ -20,9 +20,16 @@ svg .label { fill: var(--ink); }
 .mid { text-anchor: middle; } .end { text-anchor: end; }
 .grid { stroke: var(--rule); stroke-width: .6; } .axis { fill: none; stroke: var(--soft); stroke-width: 1; }
 .line { fill: none; stroke-width: 1.7; stroke-linejoin: round; }
-.dots { fill: none; stroke-width: 2.6; stroke-linecap: round; stroke-opacity: .55; }
+.dots { fill: none; stroke-width: 2.6; stroke-linecap: round; stroke-opacity: .8; }
 .line.before, .dots.before { stroke: var(--before); } .line.after, .dots.after { stroke: var(--after); }
-.line.limit { stroke: var(--limit); stroke-width: 1.1; } .dashed { stroke-dasharray: 5 4; }
+.line.limit { stroke: var(--limit); } .line.limit, .line.thin { stroke-width: 1.1; }
+.dashed { stroke-dasharray: 5 4; }
+.dots.large { stroke-width: 4.5; stroke-opacity: 1; }
+.ring { fill: none; stroke-width: 1.6; } .ring.before { stroke: var(--before); }
+svg .note { paint-order: stroke; stroke: var(--panel); stroke-width: 3px; stroke-linejoin: round; }
+svg .note.before { fill: var(--before); }
+svg .heading { fill: var(--ink); font-size: 14px; font-weight: 600; }
+.panel { fill: var(--panel); }
 .bar { stroke: none; } .bar.before { fill: var(--before); } .bar.after { fill: var(--after); }
 """
 
@@ -61,13 +68,14 @@ svg { width: 100%; height: auto; display: block; }
 .legend i { display: inline-block; width: 20px; height: 0; border-top: 2px solid; }
 .legend i.bar-key { height: 10px; width: 12px; border: 0; background: currentColor; }
 .legend i.dot-key { height: 7px; width: 7px; border: 0; border-radius: 50%; background: currentColor; }
+.legend i.ring-key { height: 8px; width: 8px; border: 2px solid; border-radius: 50%; }
 .legend i.dashed { border-top-style: dashed; }
 i.before { color: var(--before); } i.after { color: var(--after); } i.limit { color: var(--limit); }
 footer { color: var(--soft); font-size: .87em; margin: 2em 0; }
 @media (max-width: 560px) {
   body { margin: 1em auto; padding: 0 .8em; } .top th, .top td { padding-right: .6em; }
   tbody th, .top thead + tbody td:nth-child(2) { white-space: normal; } .legend { margin-left: .4em; }
-  figure { padding: .6em .3em .5em; } figcaption { padding: 0 .4em; } svg text { font-size: 15px; }
+  figure { padding: .6em .3em .5em; } figcaption { padding: 0 .4em; } svg text { font-size: 14px; }
 }
 @media print { body { margin: 0; padding: 0; font-size: 11px; } figure { break-inside: avoid; }
   h2 { break-after: avoid; } .top, .pictures { grid-template-columns: 1fr 1fr; gap: .6em; }
