@@ -182,14 +182,16 @@ def test_the_end_of_a_recording_is_told_and_the_node_stays(
     tracks.write_text("a,b\n" + "2048,3500\n" * 20)
     process = run(f"{{kind: recording, file: {tracks}, columns: [a, b], mid_scale: 2048}}")
     heard(bus, 0x720, process)
-    status = VALID
-    syncs = 0
-    producer = Producer(bus)
-    while status & VALID:
+    producer, statuses = Producer(bus), []
+    for _ in range(20):
         producer.send()
-        status = struct.unpack_from("<H", heard(bus, 0x1A0, process), 4)[0]
-        syncs += 1
-    assert 20 < syncs <= 25
+        statuses.append(struct.unpack_from("<H", heard(bus, 0x1A0, process), 4)[0])
+    # Not all of them: a SYNC that a busy machine sends late takes the valid bit for a while.
+    assert any(status & VALID for status in statuses)
+    producer.send()
+    assert not struct.unpack_from("<H", heard(bus, 0x1A0, process), 4)[0] & VALID
+    for _ in range(5):  # lost after three of them, and then there is nothing to send
+        producer.send()
     returncode, _, errors = ended(process)
     assert (returncode, errors) == (0, "canfb: node 32: the source has ended: no more samples\n")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -34,6 +35,7 @@ from processes import Process
 QUARTERS = ((0, 1500), (1500, 0), (0, -1500), (-1500, 0))
 QUARTER_UNITS = 2048
 PERIODS = 12
+LATE_PART, MEMORY = 0.25, 4  # of a period; SYNCs
 
 
 def sample(number: int, period_s: float) -> can.Message:
@@ -67,9 +69,15 @@ def check(
         bus.send(message)
     at_sync = tpdo == 1
     timer = Timer(pace)
+    late, sent_s = (
+        0,
+        time.monotonic(),
+    )  # a SYNC that a busy machine sends late takes the valid bit for a while
     for number in range(PERIODS):
         timer.wait()
         bus.send(SYNC)
+        before_s, sent_s = sent_s, time.monotonic()
+        late = MEMORY if abs(sent_s - before_s - timer.period_s) > LATE_PART * timer.period_s else late - 1
         if at_sync:  # before there is another sample
             data = next_frame(bus, pace, POSITION_COB_ID)
         bus.send(sample(number, timer.period_s))
@@ -79,4 +87,4 @@ def check(
             position, status, _ = position_fields(data)
             assert position == (number - behind) * QUARTER_UNITS, case
             assert bool(status & StatusBit.EXTRAPOLATED) == bool(predict and at_sync), case
-            assert status & StatusBit.VALID, case
+            assert status & StatusBit.VALID or late > 0, case
