@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 
 from canfb import objects as od
-from canfb.cia301.cob import is_valid
 from canfb.cia301.codes import EmergencyCode
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
@@ -13,7 +12,6 @@ from canfb.device.dictionary import Dictionary
 from canfb.device.image import ParameterGroup
 from canfb.device.moment import NEVER
 from canfb.device.node import Node
-from canfb.device.pdo import EVENT_DRIVEN
 from canfb.device.storage import Store
 from canfb.eds_files import eds_path
 from canfb.module.calibrating import Calibrating
@@ -24,30 +22,20 @@ from canfb.module.interval import IntervalEstimate
 from canfb.module.jitter_watch import JitterWatch
 from canfb.module.local_source import LocalSource
 from canfb.module.operating_time import OperatingTime
-from canfb.module.pairing import Findings, Pairing
 from canfb.module.parameters import Limits, apply_defaults, configured_defaults, without_adc_pdo
-from canfb.module.position_alarm import REGISTER, PositionAlarm
-from canfb.module.prediction import Prediction
-from canfb.module.profile import EncoderProfile
-from canfb.module.profile_warnings import Warnings
-from canfb.module.publication import Publication
+from canfb.module.position_alarm import REGISTER
+from canfb.module.publishing import Publishing
 from canfb.module.recorder import Recorder
 from canfb.module.sample_input import SampleInput
+from canfb.module.sampling import Sampling
 from canfb.module.table_store import TableStore
 from canfb.module.tap import Taps
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
-from canfb.signal.sample import Sample
-from canfb.signal.supervision import COASTING, VALID
 from canfb.sources.protocol import Source
 
 EDS = "canfb-module"
-MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge
-SAME_INTERVAL = 0.02
-CONFIRMING_SAMPLES = 4  # after a pause in which the machine may have begun to move
 COMMANDS = (od.MEASUREMENT_COMMAND.object_index, od.RECORDING_COMMAND.object_index)
-TPDOS = (1, 2, 3, 4)
-ON_EVENT = EVENT_DRIVEN | {0}  # transmission types; 0 goes out at the SYNC after the event
 
 
 class FeedbackModule:
@@ -76,18 +64,9 @@ class FeedbackModule:
         source: Source | None = None,
         bit_rates_kbit_s: Collection[int] = (),
     ) -> None:
-        if not isinstance(config, ModuleConfig):
-            raise TypeError(
-                f"config must be a ModuleConfig, not {type(config).__name__}: "
-                "take one of load_config(path).modules, or canfb.ModuleConfig(node_id=32)"
-            )
-        if config.source is not None and source is None:
-            raise ValueError(f"config.source is {config.source.kind!r}: open it, and give it as source=")
+        _check(config, source)
         self.config = config
-        self.dictionary = Dictionary.load(eds_path(EDS), config.node_id)
-        apply_defaults(self.dictionary, configured_defaults(config))
-        if source is not None:
-            apply_defaults(self.dictionary, without_adc_pdo(config))
+        self.dictionary = _dictionary(config, source)
         self.chain = SignalChain(config)
         self.node = Node(
             self.dictionary,
@@ -99,73 +78,68 @@ class FeedbackModule:
         self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None = None
         self.on_source: Callable[[str], None] | None = None
         self.on_warning: Callable[[str], None] | None = None
-        self._interval = IntervalEstimate(self.dictionary.entry(*od.CYCLE_PERIOD))
-        self._limits = Limits(self.dictionary, self.chain, self._interval)
-        self._tables = TableStore(self.dictionary, self.chain, self.node.storage)
-        self._input = SampleInput(self.dictionary, self.node)
-        self._operating_time = OperatingTime(self.dictionary, self.node.storage, lambda: self.node.now)
-        self._source: LocalSource | None = None
+        self._make_chain_around(source)
+        self._make_commands()
+        self._listen_to_node()
+        self._choose_parameters()
+        self._limits.apply()
+
+    def _make_chain_around(self, source: Source | None) -> None:
+        """What feeds the chain, and what its feedback becomes."""
+        dictionary, node, chain = self.dictionary, self.node, self.chain
+        interval = IntervalEstimate(dictionary.entry(*od.CYCLE_PERIOD))
+        self._limits = Limits(dictionary, chain, interval)
+        self._input = SampleInput(dictionary, node)
+        self._source = None
         if source is not None:
-            self._source = LocalSource(source, self.dictionary, self._input, self._tell_of_source)
-        self._profile = EncoderProfile(self.dictionary, self._interval)
-        self._warnings = Warnings(
-            self.dictionary,
-            self.node,
-            lambda: self._feedback,
-            lambda: self._input.expects_pulse,
-            lambda: self._limits.residual_limit_cycles,
-        )
-        self._limits.on_applied = self._warnings.limits_changed
-        CyclicTimer(self.dictionary, self.node.storage)
-        self._prediction = Prediction(
-            self.dictionary, self._profile, self._choose_prediction, lambda: self.chain.unit_s
-        )
-        self._publication = Publication(self.dictionary, self._interval, self.chain, self._input)
+            self._source = LocalSource(source, dictionary, self._input, self._tell_of_source)
         self._taps = Taps()
-        self._recorder = Recorder(self.dictionary, self._interval, self._taps)
-        self._calibrating = Calibrating(
-            self.dictionary, self.chain, self._tables, self._taps, self._publication.calibrating
+        self._publishing = Publishing(
+            dictionary, node, interval, self._limits, chain, self._input, self._choose_sync_hooks
         )
-        self._feedback: Feedback | None = None
-        self._pairing = Pairing(
-            self.dictionary,
-            self.node,
-            self._interval,
+        self._sampling = Sampling(
+            dictionary,
+            node,
+            interval,
+            self._limits,
+            chain,
             self._input,
             self._source,
-            Findings(
-                self._take, self._miss, self._lose_count, self._publication.withhold, self.chain.repeats
-            ),
+            self._taps,
+            self._publishing,
         )
-        self._timeline = self._pairing.timeline
-        self._jitter = JitterWatch(
-            self._timeline,
-            self._interval,
-            self._limits,
-            self.dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION),
-            self._warn,
-        )
+        self._timeline = self._sampling.timeline
+        cycles_per_revolution = dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
+        cycles_per_revolution.on_written = self._encoder_changed
+        self._jitter = JitterWatch(self._timeline, interval, self._limits, cycles_per_revolution, self._warn)
         self._timeline.on_followed = self._watch_jitter
-        self._event_tpdos: list[Callable[[float], None]] = []
-        self._alarm = PositionAlarm(self.node)
-        self._paused_s = 0.0
-        self._unconfirmed = 0  # samples after a pause that are not called valid yet
-        self.node.on_rpdo = self._pairing.on_rpdo if self._source is None else None
-        self._choose_prediction()
-        self.node.accepts_sync = self._pairing.accepts_sync
-        self.node.on_state = self._on_state
-        self.node.on_reset = self._on_reset
-        self.node.on_bad_rpdo = self._on_bad_rpdo
-        self.node.on_configured = self._on_configured
-        self.node.on_parameter_faults = self._on_parameter_faults
-        self._choose_parameters()
-        self.dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION).on_written = self._encoder_changed
-        self._limits.apply()
+        self._recorder = Recorder(dictionary, interval, self._taps)
+
+    def _make_commands(self) -> None:
+        """What SDO starts or reads, beside the feedback: tables, calibration, timers."""
+        dictionary, storage = self.dictionary, self.node.storage
+        self._tables = TableStore(dictionary, self.chain, storage)
+        self._operating_time = OperatingTime(dictionary, storage, lambda: self.node.now)
+        CyclicTimer(dictionary, storage)
+        self._calibrating = Calibrating(
+            dictionary, self.chain, self._tables, self._taps, self._publishing.objects.calibrating
+        )
+
+    def _listen_to_node(self) -> None:
+        node, pairing = self.node, self._sampling.pairing
+        node.on_rpdo = pairing.on_rpdo if self._source is None else None
+        node.accepts_sync = pairing.accepts_sync
+        self._choose_sync_hooks()
+        node.on_state = self._on_state
+        node.on_reset = self._on_reset
+        node.on_bad_rpdo = self._on_bad_rpdo
+        node.on_configured = self._on_configured
+        node.on_parameter_faults = self._on_parameter_faults
 
     @property
     def feedback(self) -> Feedback | None:
         """Every stage of the last sample, None before the first one."""
-        return self._feedback
+        return self._publishing.last
 
     @property
     def state(self) -> NmtState:
@@ -192,13 +166,13 @@ class FeedbackModule:
         """
         until = self._timeline.until
         if now > until and (frame.timestamp is None or frame.timestamp > until):
-            self._publication.withhold()
+            self._publishing.withhold()
         return self.node.receive(frame, now)
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at ``now``; the frames to send."""
         if now >= self._timeline.until:
-            self._overdue(now)
+            self._sampling.overdue(now)
         return self.node.tick(now)
 
     def deadline(self) -> float | None:
@@ -222,9 +196,8 @@ class FeedbackModule:
         A module that stays in OPERATIONAL has lost its position: nobody counts the SYNCs meanwhile.
         """
         frames = self.node.bus_off(now)
-        if self.state is NmtState.OPERATIONAL and self._pairing.sampled:
-            self._publish(self.chain.lose(), now, send=False)
-            self._pairing.begin()
+        if self.state is NmtState.OPERATIONAL:
+            self._sampling.uncounted(now)
         return frames
 
     def bus_back(self, now: float) -> list[Frame]:
@@ -262,79 +235,23 @@ class FeedbackModule:
             if entry.index in COMMANDS and entry.access == "rw":
                 entries.leave_out(entry.index, entry.subindex)
 
-    def _lose_count(self, intervals: float, now: float) -> None:
-        """So many intervals may or may not have passed: the position is lost if the machine moves."""
-        feedback = self.chain.uncertain(intervals)
-        if feedback is not None:
-            self._publish(feedback, now)
-
-    def _take(self, sample: Sample, received_s: float | None, now: float) -> bool:
-        """A sample through the chain, and out; False if it is an earlier one, and nothing happened."""
-        if self._limits.narrowed:
-            self._limits.follow()
-        timed = sample.time_100ns is not None
-        if timed:
-            self._follow_interval()
-        feedback = self.chain.step(sample, received_s)
-        if timed and self._feedback is not None and feedback.samples == self._feedback.samples:
-            return False
-        if feedback.status & VALID:
-            if timed:
-                self._pairing.valid(sample)
-                if self._prediction.follows and sample.time_100ns is not None:
-                    self._prediction.sampled(sample.time_100ns)
-            if self._unconfirmed or (self._timeline.withheld and not timed):
-                feedback = self._withheld(feedback)
-        self._publish(feedback, now)
-        if self._taps.open:
-            self._taps.take(sample, feedback)
-        return True
-
-    def _miss(self, samples: int, now: float) -> None:
-        """So many samples that did not come, reported once."""
-        known_as_lost = self.chain.lost
-        # Of a position that is lost it makes no difference how long it has been.
-        for left in range(min(samples, MOST_MISSED) - 1, -1, -1):
-            self._publish(self.chain.miss(), now, send=not left and not known_as_lost)
-            self._taps.miss()
-
-    def _overdue(self, now: float) -> None:
-        """No SYNC and no sample for 2010:06 periods: what stands there is not the position any more."""
-        if not self._pairing.overdue(now):
-            self._publication.withhold()
-            if self._feedback is not None and not self._alarm.active:
-                self._alarm.report(False, self._feedback.status & ~VALID, now)
-        if self.chain.lost:
-            self._timeline.until = NEVER
-
-    def _withheld(self, feedback: Feedback) -> Feedback:
-        """What may be right, but is not confirmed."""
-        if self._unconfirmed:
-            self._unconfirmed -= 1
-        return feedback._replace(status=feedback.status & ~VALID | COASTING)
-
-    def _follow_interval(self) -> None:
-        """Take the nominal interval along, by which sample times are judged."""
-        seconds = self._interval.seconds
-        if seconds and abs(seconds - self.chain.interval_s) > SAME_INTERVAL * seconds:
-            self.chain.interval_s = seconds
-
     def _on_sync_predicting(self, counter: int | None, now: float) -> None:
-        self._pairing.on_sync(counter, now)
-        if self._feedback is not None:
-            self._prediction.extrapolate(self._feedback)
+        self._sampling.pairing.on_sync(counter, now)
+        self._publishing.extrapolate()
 
-    def _choose_prediction(self) -> None:
-        """With or without it (2013h). The sample of a source belongs to this very SYNC."""
-        wanted = self._prediction.wanted and self._source is None
-        self._prediction.forget()
-        self.node.on_sync = self._on_sync_predicting if wanted else self._pairing.on_sync
-        self.node.on_synchronised = self._prediction.withdraw if wanted else None
+    def _choose_sync_hooks(self) -> None:
+        """With or without prediction (2013h). The sample of a source belongs to this very SYNC."""
+        prediction = self._publishing.prediction
+        wanted = prediction.wanted and self._source is None
+        prediction.forget()
+        self.node.on_sync = self._on_sync_predicting if wanted else self._sampling.pairing.on_sync
+        self.node.on_synchronised = prediction.withdraw if wanted else None
 
     def _watch_jitter(self, now: float, proved: bool) -> None:
         """Sample times know each interval; a time of the call is not that of the SYNC."""
-        if proved and self._feedback is not None and not self._pairing.timed:
-            self._jitter.look(self._feedback, now)
+        last = self._publishing.last
+        if proved and last is not None and not self._sampling.pairing.timed:
+            self._jitter.look(last, now)
 
     def _warn(self, text: str) -> None:
         if self.on_warning is not None:
@@ -344,72 +261,36 @@ class FeedbackModule:
         if self.on_source is not None:
             self.on_source(text)
 
-    def _publish(self, feedback: Feedback, now: float, send: bool = True) -> None:
-        """Into the dictionary, and out if there is something new to say."""
-        self._feedback = feedback
-        self._publication.publish(feedback)
-        self._profile.publish(feedback)
-        if self._prediction.follows:
-            self._prediction.shift(feedback)
-        status, warnings = feedback.status, self._warnings
-        if self._alarm.active or not status & VALID:
-            self._alarm.report(bool(status & VALID), status, now)
-        if send:
-            for trigger in self._event_tpdos:
-                trigger(now)
-        if (
-            status != warnings.status
-            or feedback.residual > warnings.near_cycles
-            or feedback.amplitude < warnings.reserve_counts
-        ):
-            warnings.follow(feedback, now)
-
     def _on_state(self, old: NmtState, new: NmtState, now: float) -> None:
         if new is NmtState.OPERATIONAL:
-            self._pairing.begin()
-            self._resume(now)
+            self._sampling.resume(now)
         elif old is NmtState.OPERATIONAL:
-            timeline = self._timeline
-            self._paused_s = timeline.synced_s if timeline.begun else now
-            timeline.pause()
+            self._sampling.pause(now)
             self._recorder.stop()
             self._calibrating.interrupted()
             self._operating_time.keep(now)
 
-    def _resume(self, now: float) -> None:
-        """OPERATIONAL, for the first time or again: nobody has counted meanwhile."""
-        interval_s = self._interval.settled_s or self._interval.seconds
-        self._unconfirmed = CONFIRMING_SAMPLES if self.chain.begun and not self.chain.lost else 0
-        self.chain.resume((now - self._paused_s) / interval_s if interval_s else NEVER)
-        self._interval.pause()
-        self._prediction.pause(self._feedback)
-        self._publication.withhold()
-
     def _encoder_changed(self) -> None:
         """2001:01 was written: every cycle is another part of a revolution."""
-        self._profile.rescale()
+        self._publishing.profile.rescale()
         self._limits.apply()
 
     def _on_reset(self, communication_only: bool, now: float) -> None:
         self._operating_time.begin(now)
-        self._alarm.reset()
-        self._warnings.reset()
-        self._interval.reset()
-        self.chain.interval_s = 0.0  # another master may send SYNC at another rate
+        self._publishing.reset_alarms()
+        self._sampling.forget_interval()
         if communication_only:
             return
         self.chain.restart()
-        self._feedback = None
-        self._choose_prediction()
+        self._publishing.reset()
+        self._choose_sync_hooks()
         self._limits.reset()
         self._tables.reset()
-        self._profile.reset()
-        self._publication.reset()
         self._recorder.reset()
         self._calibrating.reset()
 
     def _on_parameter_faults(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
-        self._profile.alarm_parameters(bool(faults))
+        self._publishing.profile.alarm_parameters(bool(faults))
         if faults:
             self.node.emergency(EmergencyCode.DATA_SET, REGISTER, bytes(sorted(faults))[:5], now)
         else:
@@ -420,14 +301,26 @@ class FeedbackModule:
     def _on_configured(self) -> None:
         """A sample comes in whichever RPDOs carry its parts; some TPDOs go out with it."""
         self._input.configure()
-        self._warnings.look_again()
-        self._event_tpdos = [
-            self.node.tpdo_trigger(number) for number in TPDOS if self._is_event_tpdo(number)
-        ]
-
-    def _is_event_tpdo(self, number: int) -> bool:
-        cob_id, kind = (self.dictionary.entry(od.TPDO + number - 1, subindex).value for subindex in (1, 2))
-        return is_valid(cob_id) and kind in ON_EVENT
+        self._publishing.configured()
 
     def _on_bad_rpdo(self, number: int, received: int, mapped: int, now: float) -> None:
-        self._pairing.count_bad_frame()
+        self._sampling.pairing.count_bad_frame()
+
+
+def _check(config: ModuleConfig, source: Source | None) -> None:
+    if not isinstance(config, ModuleConfig):
+        raise TypeError(
+            f"config must be a ModuleConfig, not {type(config).__name__}: "
+            "take one of load_config(path).modules, or canfb.ModuleConfig(node_id=32)"
+        )
+    if config.source is not None and source is None:
+        raise ValueError(f"config.source is {config.source.kind!r}: open it, and give it as source=")
+
+
+def _dictionary(config: ModuleConfig, source: Source | None) -> Dictionary:
+    """The objects of the EDS, with the defaults of this configuration."""
+    dictionary = Dictionary.load(eds_path(EDS), config.node_id)
+    apply_defaults(dictionary, configured_defaults(config))
+    if source is not None:
+        apply_defaults(dictionary, without_adc_pdo(config))
+    return dictionary

@@ -1,0 +1,117 @@
+"""What becomes of a feedback: objects, alarm, warnings, and the PDOs that go out with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from canfb import objects as od
+from canfb.cia301.cob import is_valid
+from canfb.device.dictionary import Dictionary
+from canfb.device.node import Node
+from canfb.device.pdo import EVENT_DRIVEN
+from canfb.module.interval import IntervalEstimate
+from canfb.module.parameters import Limits
+from canfb.module.position_alarm import PositionAlarm
+from canfb.module.prediction import Prediction
+from canfb.module.profile import EncoderProfile
+from canfb.module.profile_warnings import Warnings
+from canfb.module.publication import Publication
+from canfb.module.sample_input import SampleInput
+from canfb.signal.chain import SignalChain
+from canfb.signal.feedback import Feedback
+from canfb.signal.supervision import VALID
+
+TPDOS = (1, 2, 3, 4)
+ON_EVENT = EVENT_DRIVEN | {0}  # transmission types; 0 goes out at the SYNC after the event
+
+
+class Publishing:
+    """Takes each :class:`Feedback` of the chain to all who want to know of it, in this order.
+
+    2011h and 2012h (Publication), the encoder profile, the shift to the nominal SYNC (Prediction), EMCY
+    7300h (PositionAlarm), event-driven TPDOs, warnings. ``last`` is the last feedback, None before the
+    first one. ``prediction_chosen()`` is called when 2013h is written.
+    """
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        node: Node,
+        interval: IntervalEstimate,
+        limits: Limits,
+        chain: SignalChain,
+        parts: SampleInput,
+        prediction_chosen: Callable[[], None],
+    ) -> None:
+        self.last: Feedback | None = None
+        self._dictionary, self._node = dictionary, node
+        self.profile = EncoderProfile(dictionary, interval)
+        self.warnings = Warnings(
+            dictionary,
+            node,
+            lambda: self.last,
+            lambda: parts.expects_pulse,
+            lambda: limits.residual_limit_cycles,
+        )
+        limits.on_applied = self.warnings.limits_changed
+        self.prediction = Prediction(dictionary, self.profile, prediction_chosen, lambda: chain.unit_s)
+        self.objects = Publication(dictionary, interval, chain, parts)
+        self.alarm = PositionAlarm(node)
+        self._event_tpdos: list[Callable[[float], None]] = []
+
+    def publish(self, feedback: Feedback, now: float, send: bool = True) -> None:
+        """Into the dictionary, and out if there is something new to say."""
+        self.last = feedback
+        self.objects.publish(feedback)
+        self.profile.publish(feedback)
+        if self.prediction.follows:
+            self.prediction.shift(feedback)
+        status, warnings = feedback.status, self.warnings
+        if self.alarm.active or not status & VALID:
+            self.alarm.report(bool(status & VALID), status, now)
+        if send:
+            for trigger in self._event_tpdos:
+                trigger(now)
+        if (
+            status != warnings.status
+            or feedback.residual > warnings.near_cycles
+            or feedback.amplitude < warnings.reserve_counts
+        ):
+            warnings.follow(feedback, now)
+
+    def withhold(self) -> None:
+        """What the dictionary holds is not valid any more, until the next sample."""
+        self.objects.withhold()
+
+    def outdated(self, now: float) -> None:
+        """What the dictionary holds is not the position any more: not valid, with its alarm."""
+        self.objects.withhold()
+        if self.last is not None and not self.alarm.active:
+            self.alarm.report(False, self.last.status & ~VALID, now)
+
+    def extrapolate(self) -> None:
+        """A SYNC, before its TPDOs are sampled."""
+        if self.last is not None:
+            self.prediction.extrapolate(self.last)
+
+    def configured(self) -> None:
+        """PDO parameters or the NMT state have changed: which TPDOs go out with a sample."""
+        self.warnings.look_again()
+        self._event_tpdos = [
+            self._node.tpdo_trigger(number) for number in TPDOS if self._is_event_tpdo(number)
+        ]
+
+    def _is_event_tpdo(self, number: int) -> bool:
+        cob_id, kind = (self._dictionary.entry(od.TPDO + number - 1, subindex).value for subindex in (1, 2))
+        return is_valid(cob_id) and kind in ON_EVENT
+
+    def reset_alarms(self) -> None:
+        """After a reset, also of the communication only, no error is active."""
+        self.alarm.reset()
+        self.warnings.reset()
+
+    def reset(self) -> None:
+        """After a reset of the node: no feedback."""
+        self.last = None
+        self.profile.reset()
+        self.objects.reset()

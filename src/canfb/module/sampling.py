@@ -1,0 +1,136 @@
+"""From a sample, or its absence, through the chain to what is published."""
+
+from __future__ import annotations
+
+from canfb.device.dictionary import Dictionary
+from canfb.device.moment import NEVER
+from canfb.device.node import Node
+from canfb.module.interval import IntervalEstimate
+from canfb.module.local_source import LocalSource
+from canfb.module.pairing import Findings, Pairing
+from canfb.module.parameters import Limits
+from canfb.module.publishing import Publishing
+from canfb.module.sample_input import SampleInput
+from canfb.module.tap import Taps
+from canfb.signal.chain import SignalChain
+from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Sample
+from canfb.signal.supervision import COASTING, VALID
+
+MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge
+SAME_INTERVAL = 0.02
+CONFIRMING_SAMPLES = 4  # after a pause in which the machine may have begun to move
+
+
+class Sampling:
+    """Gives the chain what the pairing finds, and withholds what is not certain.
+
+    ``pairing`` is fed by the node. ``taps`` see each sample and each one that was missed.
+    """
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        node: Node,
+        interval: IntervalEstimate,
+        limits: Limits,
+        chain: SignalChain,
+        parts: SampleInput,
+        source: LocalSource | None,
+        taps: Taps,
+        publishing: Publishing,
+    ) -> None:
+        self._interval, self._limits, self._chain = interval, limits, chain
+        self._taps, self._publishing, self._prediction = taps, publishing, publishing.prediction
+        self._unconfirmed = 0  # samples after a pause that are not called valid yet
+        self._paused_s = 0.0
+        found = Findings(self._take, self._miss, self._lose_count, publishing.withhold, chain.repeats)
+        self.pairing = Pairing(dictionary, node, interval, parts, source, found)
+        self.timeline = self.pairing.timeline
+
+    def _take(self, sample: Sample, received_s: float | None, now: float) -> bool:
+        """A sample through the chain, and out; False if it is an earlier one, and nothing happened."""
+        if self._limits.narrowed:
+            self._limits.follow()
+        time_100ns = sample.time_100ns
+        if time_100ns is None:
+            feedback = self._chain.step(sample, received_s)
+            if feedback.status & VALID and (self._unconfirmed or self.timeline.withheld):
+                feedback = self._withheld(feedback)
+        else:
+            self._follow_interval()
+            last = self._publishing.last
+            feedback = self._chain.step(sample, received_s)
+            if last is not None and feedback.samples == last.samples:
+                return False
+            if feedback.status & VALID:
+                self.pairing.valid(sample)
+                if self._prediction.follows:
+                    self._prediction.sampled(time_100ns)
+                if self._unconfirmed:
+                    feedback = self._withheld(feedback)
+        self._publishing.publish(feedback, now)
+        if self._taps.open:
+            self._taps.take(sample, feedback)
+        return True
+
+    def _withheld(self, feedback: Feedback) -> Feedback:
+        """What may be right, but is not confirmed."""
+        if self._unconfirmed:
+            self._unconfirmed -= 1
+        return feedback._replace(status=feedback.status & ~VALID | COASTING)
+
+    def _follow_interval(self) -> None:
+        """Take the nominal interval along, by which sample times are judged."""
+        seconds = self._interval.seconds
+        if seconds and abs(seconds - self._chain.interval_s) > SAME_INTERVAL * seconds:
+            self._chain.interval_s = seconds
+
+    def _miss(self, samples: int, now: float) -> None:
+        """So many samples that did not come, reported once."""
+        known_as_lost = self._chain.lost
+        # Of a position that is lost it makes no difference how long it has been.
+        for left in range(min(samples, MOST_MISSED) - 1, -1, -1):
+            self._publishing.publish(self._chain.miss(), now, send=not left and not known_as_lost)
+            self._taps.miss()
+
+    def _lose_count(self, intervals: float, now: float) -> None:
+        """So many intervals may or may not have passed: the position is lost if the machine moves."""
+        feedback = self._chain.uncertain(intervals)
+        if feedback is not None:
+            self._publishing.publish(feedback, now)
+
+    def overdue(self, now: float) -> None:
+        """No SYNC and no sample for 2010:06 periods: what stands there is not the position any more."""
+        if not self.pairing.overdue(now):
+            self._publishing.outdated(now)
+        if self._chain.lost:
+            self.timeline.until = NEVER
+
+    def uncounted(self, now: float) -> None:
+        """The bus is gone: nobody counts the SYNCs, and the position is lost."""
+        if self.pairing.sampled:
+            self._publishing.publish(self._chain.lose(), now, send=False)
+            self.pairing.begin()
+
+    def pause(self, now: float) -> None:
+        """OPERATIONAL ends."""
+        timeline = self.timeline
+        self._paused_s = timeline.synced_s if timeline.begun else now
+        timeline.pause()
+
+    def resume(self, now: float) -> None:
+        """OPERATIONAL, for the first time or again: nobody has counted meanwhile."""
+        chain, interval = self._chain, self._interval
+        self.pairing.begin()
+        interval_s = interval.settled_s or interval.seconds
+        self._unconfirmed = CONFIRMING_SAMPLES if chain.begun and not chain.lost else 0
+        chain.resume((now - self._paused_s) / interval_s if interval_s else NEVER)
+        interval.pause()
+        self._prediction.pause(self._publishing.last)
+        self._publishing.withhold()
+
+    def forget_interval(self) -> None:
+        """After a reset another master may send SYNC at another rate."""
+        self._interval.reset()
+        self._chain.interval_s = 0.0
