@@ -40,6 +40,8 @@ lint: $(INSTALLED_TEST) ## Check style and format
 
 types: $(INSTALLED_TEST) ## Check types
 	$(PY) -m mypy
+	$(PY) -m mypy --config-file tests/mypy.ini
+	set -e; for file in tests/conftest.py tests/*/conftest.py; do $(PY) -m mypy --config-file tests/mypy.ini $$file; done
 
 unit: $(INSTALLED_TEST) ## Run the tests that need no CAN interface
 	$(PYTEST) -n $(WORKERS) --dist worksteal -m "not socketcan"

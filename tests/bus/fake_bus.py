@@ -42,9 +42,10 @@ class FakeBus:
         """Seconds since the start, rounded to what a plan is written in."""
         return round(self.clock.now - self.start, 9)
 
-    def recv(self, timeout: float) -> can.Message | None:
-        self.waits.append(timeout)
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        assert timeout is not None
         assert timeout >= 0.0
+        self.waits.append(timeout)
         if self.plan and self.plan[0][0] <= min(self.at + timeout, self.end_s):
             due, item = self.plan.pop(0)
             self.clock.now = max(self.clock.now, self.start + due)

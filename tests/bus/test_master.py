@@ -6,6 +6,7 @@ import queue
 import re
 from collections.abc import Iterator
 from datetime import datetime, timedelta
+from typing import Any
 
 import can
 import pytest
@@ -17,7 +18,7 @@ from canfb.errors import BusError
 CHANNEL = "canfb-master"
 
 
-def open_virtual(**options: bool) -> can.BusABC:
+def open_virtual(**options: Any) -> can.BusABC:
     return can.Bus(interface="virtual", channel=CHANNEL, **options)
 
 

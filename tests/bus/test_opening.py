@@ -87,7 +87,7 @@ def test_whatever_a_driver_raises_is_a_bus_that_does_not_open(
         open_bus({"channel": "x"})
 
 
-ADVICE = {
+ADVICE: dict[str, tuple[dict[str, Any], Exception, str]] = {
     "no SocketCAN": (
         {"interface": "socketcan", "channel": "vcan0"},
         OSError(97, "Address family not supported by protocol"),

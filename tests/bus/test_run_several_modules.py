@@ -63,7 +63,7 @@ class EndingBus(FakeBus):
         super().__init__(clock, plan)
         self.runner: Runner | None = None
 
-    def recv(self, timeout: float) -> can.Message | None:
+    def recv(self, timeout: float | None = None) -> can.Message | None:
         if self.plan:
             return super().recv(timeout)
         assert self.runner is not None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import can
 import pytest
@@ -62,7 +62,7 @@ def test_a_frame_reaches_every_device_with_the_time_and_answers_go_out() -> None
     quiet = bench.device()
     loud = bench.device(answer=lambda frame: [Frame(0x201, b"\x03"), Frame(0x202, b"", rtr=True)])
     runner = bench.run([quiet, loud], 1.0)
-    want = (1000.5, Frame(0x181, b"\x01\x02", False, pytest.approx(1000.25, abs=1e-6)))
+    want = (1000.5, Frame(0x181, b"\x01\x02", False, cast(float, pytest.approx(1000.25, abs=1e-6))))
     assert quiet.heard[0] == loud.heard[0] == want
     first, second = (sent for _, sent in bench.bus.sent)
     assert (first.arbitration_id, first.data, first.is_remote_frame) == (0x201, b"\x03", False)
@@ -324,6 +324,9 @@ def test_other_devices_hear_a_frame_that_the_bus_refused() -> None:
 class EchoingBus(FakeBus, UdpMulticastBus):
     """As udp_multicast: a sender hears itself, and the channel of a message goes along."""
 
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        return FakeBus.recv(self, timeout)
+
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         super().send(msg)
         self.plan.append((self.at, msg))
@@ -342,6 +345,9 @@ def test_on_a_bus_that_brings_own_frames_back_they_are_left_out() -> None:
 
 class GsUsbBus(FakeBus):
     """As python-can's gs_usb: what was sent comes back, marked."""
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        return FakeBus.recv(self, timeout)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         super().send(msg)
@@ -407,7 +413,7 @@ def test_a_device_that_raises_ends_it_for_all(method: str) -> None:
 def test_a_device_that_raises_at_a_frame_of_another_device() -> None:
     bench = Bench()
     good, bad = bench.device(period_s=0.25), bench.device()
-    bad.receive = breaks  # type: ignore[method-assign]
+    bad.receive = breaks  # type: ignore[assignment, method-assign]
     with pytest.raises(DeviceFailure) as failure:
         bench.run([good, bad], 5.0)
     assert failure.value.device is bad

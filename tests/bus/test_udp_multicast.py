@@ -73,7 +73,7 @@ def frames(bus: can.BusABC, *processes: subprocess.Popen[str]) -> Iterator[can.M
             yield message
         for process in processes:
             if process.poll() is not None:
-                pytest.fail(f"{process.args} has ended: {process.communicate()}")
+                pytest.fail(f"{process.args!r} has ended: {process.communicate()}")
     pytest.fail(f"not what was waited for within {LIMIT_S:g} s")
 
 

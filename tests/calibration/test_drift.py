@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -122,6 +124,7 @@ def test_a_turned_direction_is_as_far_off_as_can_be(measured: Calibration) -> No
 
 
 def test_a_conditioning_that_puts_zero_into_the_middle_of_the_tracks(measured: Calibration) -> None:
+    assert measured.tracks is not None
     far = Conditioning(
         sine_offset_counts=float(measured.tracks[0, 7]), cosine_offset_counts=float(measured.tracks[1, 7])
     )
@@ -137,7 +140,9 @@ def test_other_conditionings_need_the_tracks(measured: Calibration) -> None:
 
 @pytest.mark.parametrize("make", [random_encoder, extreme_encoder])
 @pytest.mark.parametrize("conditioning", [None, "fit"])
-def test_measurements_of_one_encoder_differ_by_their_uncertainty(make, conditioning) -> None:
+def test_measurements_of_one_encoder_differ_by_their_uncertainty(
+    make: Callable[..., Encoder], conditioning: Literal["fit"] | None
+) -> None:
     rng = np.random.default_rng(3)
     encoder = make(rng, 0.5)
     first = calibrate_from_motion(*encoder.sample(wandering(300.0, rng, 8.0), rng), "fit")

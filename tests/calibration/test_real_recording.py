@@ -28,7 +28,7 @@ def samples() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     columns = np.genfromtxt(FILE, delimiter=",", skip_header=1)
     time = columns[:, 0]
     gap = np.diff(time, append=np.inf) > 0.1
-    segment = np.cumsum(gap) - gap
+    segment: FloatArray = np.cumsum(gap) - gap
     return time, columns[:, 1] - MID_SCALE, columns[:, 2] - MID_SCALE, np.where(gap, -1, segment)
 
 
@@ -78,7 +78,7 @@ def test_segments_of_one_direction_give_one_table(samples):
         for part in (1, 3)
     ]
     difference = tables[0].table.entries - tables[1].table.entries
-    expected = np.hypot(*(one.uncertainty_rms for one in tables))
+    expected = np.hypot(tables[0].uncertainty_rms, tables[1].uncertainty_rms)
     assert 0.3 * expected < np.std(difference) < 3.0 * expected
     assert np.std(difference) < 5e-4
 

@@ -98,11 +98,11 @@ def test_broken_tracks():
     for method in (calibrate_from_motion, calibrate_from_zero_crossings):
         assert _reason(sine, 0 * cosine, method) == "ellipse"
         assert _reason(sine, sine, method) == "ellipse"
-        assert _reason(*rng.normal(0.0, 300.0, (2, N)), method) == "ellipse"
+        assert _reason(rng.normal(0.0, 300.0, N), rng.normal(0.0, 300.0, N), method) == "ellipse"
 
 
 def test_too_few_samples():
-    sine, cosine = _tracks(np.arange(N) * 0.31)
+    sine, cosine = _tracks(np.arange(float(N)) * 0.31)
     for method in (calibrate_from_motion, calibrate_from_zero_crossings):
         assert _reason(sine[:150], cosine[:150], method) == "samples"
         assert _reason([], [], method) == "samples"

@@ -24,7 +24,7 @@ def _waveform(encoder: Encoder) -> Waveform:
     """The encoder's tracks as a Fourier series, by least squares over one cycle."""
     position = np.arange(512) / 512
     tracks = np.column_stack(encoder.tracks(position))
-    solution = np.linalg.lstsq(basis(position, ORDERS), tracks, rcond=None)[0]
+    solution = np.linalg.lstsq(basis(position, ORDERS), tracks, rcond=None)[0].astype(np.float64)
     return Waveform(ORDERS, solution[:, 0], solution[:, 1])
 
 

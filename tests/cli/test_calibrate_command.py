@@ -221,11 +221,12 @@ def test_what_is_no_file_of_samples(
 
 
 def test_arrays_that_do_not_belong_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for n, arrays in enumerate(
-        ({"sine": [1]}, {"sine": [1, 2], "cosine": [1]}, {"sine": [[1]], "cosine": [[1]]}, {"other": [1]})
-    ):
+    wrong: tuple[dict[str, Any], ...] = (
+        {"sine": [1]}, {"sine": [1, 2], "cosine": [1]}, {"sine": [[1]], "cosine": [[1]]}, {"other": [1]},
+    )  # fmt: skip
+    for n, arrays in enumerate(wrong):
         path = tmp_path / f"{n}.npz"
-        np.savez(path, **{key: np.array(value) for key, value in arrays.items()})
+        np.savez(path, **arrays)
         code, line = failed(["--samples", str(path)], capsys)
         assert code == 1
         assert line.startswith(f"{path}: ")

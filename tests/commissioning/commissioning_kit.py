@@ -66,7 +66,7 @@ class ChangingSource:
         return None if counts is None else Sample(*counts)
 
 
-class EmbeddedClient(SdoClient):  # type: ignore[misc]
+class EmbeddedClient(SdoClient):
     """canopen's SDO client; simulated time passes while it waits."""
 
     wait: Callable[[float], None]

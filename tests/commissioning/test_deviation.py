@@ -59,8 +59,8 @@ def test_a_sample_that_is_missing_without_a_trace_does_not_count(
     places: list[int], measured: Measurement, fresh: Samples
 ) -> None:
     """A SYNC and its PDO that this computer has not heard."""
-    cut = [np.delete(track, places) for track in (fresh.sine, fresh.cosine)]
-    samples = Samples.of(*cut, fresh.rate_hz, "with lost frames")
+    sine, cosine = (np.delete(track, places) for track in (fresh.sine, fresh.cosine))
+    samples = Samples.of(sine, cosine, fresh.rate_hz, "with lost frames")
     assert found(measured, samples) == pytest.approx(found(measured, fresh), rel=0.15)
 
 

@@ -90,7 +90,7 @@ def test_lost_samples_are_marked() -> None:
     bench = Bench()
     count = [0]
 
-    def every_tenth_lost(counts: tuple[int, int]) -> tuple[int, int] | None:
+    def every_tenth_lost(counts: tuple[float, float]) -> tuple[float, float] | None:
         count[0] += 1
         return None if count[0] % 10 == 0 else counts
 
@@ -125,7 +125,7 @@ def test_more_gaps_than_samples_are_refused() -> None:
     bench = Bench()
     count = [0]
 
-    def rare(counts: tuple[int, int]) -> tuple[int, int] | None:
+    def rare(counts: tuple[float, float]) -> tuple[float, float] | None:
         count[0] += 1
         return None if count[0] % 3 else counts
 

@@ -16,6 +16,9 @@ def hexes(frames: list[Frame]) -> list[str]:
     return [f"{frame.can_id:03X}#{frame.data.hex().upper()}" for frame in frames]
 
 
+ABORT_CODES = {int(code): code for code in AbortCode}
+
+
 class Bench:
     def __init__(
         self, dictionary: Dictionary, *, autostart: bool = False, sdo_timeout_s: float = 1.0
@@ -56,7 +59,7 @@ class Bench:
         raw = bytes.fromhex(answer.removeprefix(response))
         assert raw[1:4] == data[1:4]
         if raw[0] == 0x80:
-            return AbortCode(int.from_bytes(raw[4:], "little"))
+            return ABORT_CODES[int.from_bytes(raw[4:], "little")]
         assert raw == b"\x60" + data[1:4] + bytes(4)
         return OK
 
@@ -68,7 +71,7 @@ class Bench:
         assert raw[1:4] == request[1:4]
         number = int.from_bytes(raw[4:], "little")
         if raw[0] == 0x80:
-            return AbortCode(number)
+            return ABORT_CODES[number]
         assert raw[0] & 0xE3 == 0x43
         return number
 

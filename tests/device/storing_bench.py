@@ -9,6 +9,7 @@ from device_kit import Bench
 from sample_eds import I16, U8, U32
 
 from canfb.device.dictionary import Dictionary
+from canfb.device.image import ParameterGroup
 from canfb.device.node import Node
 from canfb.device.storage import Store
 
@@ -42,7 +43,7 @@ class StoringBench(Bench):
 
     def __init__(self, path: Path, store: Store | None, node_id: int = 32) -> None:
         super().__init__(Dictionary.load(path, node_id))
-        self.faults: list[dict[int, str]] = []
+        self.faults: list[dict[ParameterGroup, str]] = []
         self.node = Node(self.dictionary, node_id, store=store)
         self.node.on_parameter_faults = lambda faults, now: self.faults.append(dict(faults))
 

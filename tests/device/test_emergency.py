@@ -50,7 +50,7 @@ def test_the_remaining_errors_stay_in_the_register(bench: Bench) -> None:
 
 def test_the_history_is_newest_first_and_bounded(bench: Bench) -> None:
     for number in range(6):
-        bench.node.emergency(0x1000 + number, 0, now=0.0)  # type: ignore[arg-type]
+        bench.node.emergency(0x1000 + number, 0, now=0.0)
     assert len(sent(bench)) == 6
     assert bench.read(0x1003) == 4
     assert [bench.read(0x1003, sub) for sub in range(1, 5)] == [0x1005, 0x1004, 0x1003, 0x1002]
@@ -83,7 +83,7 @@ def test_the_inhibit_time(bench: Bench) -> None:
 def test_waiting_frames_are_bounded(bench: Bench) -> None:
     bench.write(0x1015, 0, 1000, 2)
     for number in range(1, 21):
-        bench.node.emergency(0x1000 + number, 0, now=0.0)  # type: ignore[arg-type]
+        bench.node.emergency(0x1000 + number, 0, now=0.0)
     frames = [text for _, text in bench.run(10.0)]
     assert len(frames) == 9
     assert frames[-1].startswith("0A0#1410")

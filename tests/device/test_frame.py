@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import pytest
 
 import canfb
@@ -32,7 +34,7 @@ def test_a_frame_that_is_none_is_refused(
 
 def test_a_checked_frame_is_a_frame() -> None:
     for can_id, data in ((0, b""), (0x7FF, bytes(8)), (0x123, b"\x01")):
-        assert Frame.checked(can_id, bytearray(data)) == Frame(can_id, data)
+        assert Frame.checked(can_id, cast(bytes, bytearray(data))) == Frame(can_id, data)
     frame = Frame.checked(0x701, rtr=True, timestamp=1.5)
     assert (frame, type(frame.data)) == (Frame(0x701, b"", True, 1.5), bytes)
 

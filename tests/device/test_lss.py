@@ -177,7 +177,7 @@ def test_every_service_has_the_new_node_id(bench: LssBench) -> None:
     assert bench.send(0x190, bytes(4)) == []
     assert seen == [1]
     bench.node.trigger_tpdo(1, 0.0)
-    bench.node.emergency(0x7300, 0x20, now=0.0)  # type: ignore[arg-type]
+    bench.node.emergency(0x7300, 0x20, now=0.0)
     assert [text[:3] for text in bench.tick()] == ["1A8", "0A8"]
     assert bench.send(0x628, "2B17100064000000") == ["5A8#6017100000000000"]
     assert [text for _, text in bench.run(0.15)] == ["728#05", "728#05"]
@@ -210,7 +210,7 @@ def test_without_a_node_id_there_is_lss_and_nothing_else(make: Callable[..., Lss
             assert bench.send(can_id, data) == []
     assert bench.send(0x7FF, rtr=True) == []
     assert bench.node.state is NmtState.INITIALISING
-    bench.node.emergency(0x7300, 0x20, now=0.0)  # type: ignore[arg-type]
+    bench.node.emergency(0x7300, 0x20, now=0.0)
     assert bench.run(10.0) == []
     assert bench.configure().lss(0x5E) == ["5EFF"]
 

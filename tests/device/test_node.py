@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from device_kit import ID, OK, Bench
@@ -98,7 +99,7 @@ def test_impossible_sdo_timeouts(bench: Bench, timeout_s: float) -> None:
 
 
 @pytest.mark.parametrize(("timeout_s", "given"), [(1.0, {}), (0.25, {"sdo_timeout_s": 0.25})])
-def test_the_sdo_timeout(sample_path: Path, timeout_s: float, given: dict[str, float]) -> None:
+def test_the_sdo_timeout(sample_path: Path, timeout_s: float, given: dict[str, Any]) -> None:
     bench = Bench(Dictionary.load(sample_path, ID), **given)
     bench.start()
     assert bench.write(0x1201, 2, 0x6D1, 4) == OK

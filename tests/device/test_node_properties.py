@@ -219,10 +219,10 @@ class NodeModel(RuleBasedStateMachine):
     @rule(code=st.sampled_from([0x7300, 0x6310]), comes=st.booleans())
     def error(self, code: int, comes: bool) -> None:
         if comes:
-            self.node.emergency(code, 0x20, b"\x01\x02", self.now)  # type: ignore[arg-type]
+            self.node.emergency(code, 0x20, b"\x01\x02", self.now)
             assert value_of(self.node.dictionary, 0x1001) & 0x21 == 0x21
         else:
-            self.node.clear_emergency(code, self.now)  # type: ignore[arg-type]
+            self.node.clear_emergency(code, self.now)
         self.call(None)
 
     @rule(pause=pauses)

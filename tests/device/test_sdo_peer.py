@@ -39,7 +39,7 @@ def client(bench: Bench, sample_path: Path) -> canopen.sdo.SdoClient:
     wire = Wire(bench)
     dictionary = canopen.import_od(str(sample_path), ID)
     client = canopen.sdo.SdoClient(0x600 + ID, 0x580 + ID, dictionary)
-    client.network = wire
+    client.network = wire  # type: ignore[assignment]
     wire.listener = client.on_response
     return client
 

@@ -240,7 +240,7 @@ def test_process_data_history_and_constants_are_not_kept(
 ) -> None:
     bench = power_on()
     assert bench.write(0x2000, 1, 77, 2) == OK  # rww: process data
-    bench.node.emergency(0x7300, 0x20, now=0.0)  # type: ignore[arg-type]
+    bench.node.emergency(0x7300, 0x20, now=0.0)
     bench.dictionary.entry(0x6001).value = 5  # ro
     bench.save()
     bench = power_on()

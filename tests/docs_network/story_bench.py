@@ -77,7 +77,9 @@ class StoryNetwork(EmbeddedNetwork):
         if not self._dead:
             super().send_message(can_id, data, remote)
 
-    def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> Periodic:
+    def send_periodic(  # type: ignore[override]
+        self, can_id: int, data: bytes, period: float, remote: bool = False
+    ) -> Periodic:
         task = Periodic(Frame(can_id, bytes(data)), period)
         self._bus.attach(task)
         self._tasks.append(task)

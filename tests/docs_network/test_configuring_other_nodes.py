@@ -41,8 +41,8 @@ def test_all_is_written_in_order_and_read_back(tmp_path: Path) -> None:
     configuration = made(nodes, tmp_path)
     configuration.check_identity()
     configuration.apply()
-    assert nodes.module.sdo[0x2001][1].raw == 1024
-    assert nodes.module.sdo[0x1400][1].raw == 0x191
+    assert nodes.module.get_data(0x2001, 1) == (1024).to_bytes(4, "little")
+    assert nodes.module.get_data(0x1400, 1) == (0x191).to_bytes(4, "little")
     pdo = [one for one in nodes.written if one[0] in (0x1800, 0x1A00)]
     assert pdo == [
         (0x1800, 1, 0xC00001A1),
@@ -77,7 +77,8 @@ def refusing(nodes: Nodes, refused: int) -> object:
     def read(index: int, subindex: int) -> bytes:
         if index == refused and nodes.written:
             raise canopen.SdoAbortedError(0x08000021)
-        data: bytes = upload(nodes.network[0x21].sdo, index, subindex)
-        return data
+        client = nodes.network[0x21].sdo
+        assert isinstance(client, canopen.sdo.SdoClient)
+        return upload(client, index, subindex)
 
     return read

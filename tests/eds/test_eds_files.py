@@ -234,6 +234,7 @@ def test_the_contract_is_kept(name: str, line: str) -> None:
 
 def test_the_counters_are_in_the_order_of_the_contract_and_ours_follow() -> None:
     counters = canopen.import_od(str(eds_path(MODULE)), 32)[0x2012]
+    assert isinstance(counters, canopen.objectdictionary.ODRecord)
     assert [counters[sub].name for sub in sorted(counters)[1:]] == [
         *("Missed samples", "Residual faults", "Amplitude faults", "Coasted samples"),
         *("Position lost", "Recovered by coarse track", "Zero pulses", "Bad frames"),
@@ -242,12 +243,18 @@ def test_the_counters_are_in_the_order_of_the_contract_and_ours_follow() -> None
     ]
 
 
+def default(name: str, index: int) -> object:
+    variable = canopen.import_od(str(eds_path(name)), 32)[index]
+    assert isinstance(variable, canopen.objectdictionary.ODVariable)
+    return variable.default
+
+
 def test_versions_agree_with_the_package() -> None:
     version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
     major, minor, _ = version.split(".")
     for name in NAMES:
-        assert canopen.import_od(str(eds_path(name)), 32)[0x100A].default == version
-    software_and_profile = canopen.import_od(str(eds_path(MODULE)), 32)[0x6507].default
+        assert default(name, 0x100A) == version
+    software_and_profile = default(MODULE, 0x6507)
     assert software_and_profile == int(major) << 24 | int(minor) << 16 | 0x0302
 
 

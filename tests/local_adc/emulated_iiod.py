@@ -31,7 +31,9 @@ class Channel:
     output: bool = False
 
     def pack(self, value: int) -> bytes:
-        order, _, bits, storage, repeat, shift = FORMAT.fullmatch(self.format).groups()
+        match = FORMAT.fullmatch(self.format)
+        assert match is not None
+        order, _, bits, storage, repeat, shift = match.groups()
         word = (value & (1 << int(bits)) - 1) << int(shift)
         # What is beside the bits of a number may be anything.
         word |= (1 << int(shift)) - 1
@@ -165,11 +167,13 @@ class EmulatedIiod(socketserver.ThreadingTCPServer):
     def __exit__(self, *args: object) -> None:
         self.close()
 
-    def process_request(self, request: socket.socket, client_address: object) -> None:
+    def process_request(  # type: ignore[override]
+        self, request: socket.socket, client_address: object
+    ) -> None:
         self._connections.add(request)
         super().process_request(request, client_address)
 
-    def shutdown_request(self, request: socket.socket) -> None:
+    def shutdown_request(self, request: socket.socket) -> None:  # type: ignore[override]
         self._connections.discard(request)
         super().shutdown_request(request)
 

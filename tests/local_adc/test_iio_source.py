@@ -6,6 +6,7 @@ import errno
 import re
 import threading
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from emulated_iiod import Channel, EmulatedAdc, EmulatedIiod, time_stamp, voltage
@@ -113,7 +114,7 @@ def test_stated_bits_are_those_of_the_converter(iiod: Iiod, opened: Opened) -> N
         opened(server, adc_bits=12)
 
 
-REFUSED = {
+REFUSED: dict[str, tuple[EmulatedAdc, dict[str, Any], str]] = {
     "device": (EmulatedAdc(), {"device": "max11"}, "source: device: no 'max11' in ip:"),
     "device that is a trigger": (
         EmulatedAdc(), {"device": "tick"}, "there is iio:device0 (ads7950)"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from module_bench import SYNC, Bench
 
@@ -45,7 +45,7 @@ def trapezoid(phase: float) -> float:
 class Timeline:
     """SYNC k at the time k, the ADC PDO with its sample a quarter of a period later."""
 
-    def __init__(self, motion: Motion, **fields: object) -> None:
+    def __init__(self, motion: Motion, **fields: Any) -> None:
         self.bench = Bench(**{"cycles_per_revolution": 1, "adc_bits": 16, **fields})
         self.motion = motion
         self.syncs = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from module_bench import Bench
@@ -66,7 +67,7 @@ def good_outcome() -> Outcome:
 class Measuring(Bench):
     """The bench with object 2030h in the master's words; nothing is computed unless a test says so."""
 
-    def __init__(self, samples: int = SAMPLES, **fields: object) -> None:
+    def __init__(self, samples: int = SAMPLES, **fields: Any) -> None:
         super().__init__(**fields)
         self.bus.computes = False
         self.sdo[0x2030][10].raw = samples

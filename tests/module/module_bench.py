@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 import struct
+from typing import Any
 
 import canopen
 
@@ -19,7 +20,9 @@ SYNC = Frame(0x80, b"")
 class Bench:
     """A module on an embedded bus with python canopen's master, and an encoder interface played by hand."""
 
-    def __init__(self, store: Store | None = None, **fields: object) -> None:
+    place: float  # for tests that turn it in steps
+
+    def __init__(self, store: Store | None = None, **fields: Any) -> None:
         self.bus = EmbeddedBus()
         self.heard: list[Frame] = []
         self.network = EmbeddedNetwork(self.bus)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 import struct
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from measuring import (
     INVALID_VALUE,
     NUMBER,
     SAMPLES,
+    Counts,
     Measuring,
     computed,
     counts_of,
@@ -37,6 +39,11 @@ from canfb.signal.correction import CorrectionTable
 from canfb.simulation.encoder import Encoder, Harmonic
 
 WAVY = CorrectionTable(np.arange(64) / 64 + 0.01 * np.sin(np.arange(64) * np.pi / 32))
+
+
+def any_counts(rng: np.random.Generator) -> Counts:
+    sine, cosine = rng.integers(-2048, 2048, 2).tolist()
+    return sine, cosine
 
 
 def refused(bench: Measuring, command: int, code: int) -> None:
@@ -118,9 +125,11 @@ def test_random_encoders_motions_and_faults(seed: int) -> None:
         phase_error_rad=rng.uniform(-0.1, 0.1),
         harmonics=(Harmonic(3, *rng.uniform(0.0, 0.02, 2), *rng.uniform(0.0, 6.0, 2)),),
     )
-    samples = counts_of(encoder, motion(10.0 ** rng.uniform(-1.5, 2.0), SAMPLES, rng), rng)
+    samples: list[Counts | None] = [
+        *counts_of(encoder, motion(10.0 ** rng.uniform(-1.5, 2.0), SAMPLES, rng), rng)
+    ]
     for place in rng.integers(0, SAMPLES, 60).tolist():
-        samples[place] = None if rng.random() < 0.5 else tuple(rng.integers(-2048, 2048, 2).tolist())
+        samples[place] = None if rng.random() < 0.5 else any_counts(rng)
     start = int(rng.integers(0, SAMPLES - 20))
     samples[start : start + 20] = [None] * 20
     bench = Measuring()
@@ -165,8 +174,8 @@ def test_a_poor_encoder_whose_position_is_lost_is_measured_all_the_same() -> Non
 # --- refusals -------------------------------------------------------------------------------------------
 
 
-def recordings(rng: np.random.Generator, n: int) -> dict[str, list[tuple[int, int] | None]]:
-    time = np.arange(n)
+def recordings(rng: np.random.Generator, n: int) -> dict[str, Sequence[Counts | None]]:
+    time = np.arange(float(n))
     moving = motion(0.31, n, rng)
     good = counts_of(ENCODER, moving, rng)
     large = counts_of(replace(ENCODER, amplitude_counts=2300.0), moving, rng)
@@ -174,7 +183,7 @@ def recordings(rng: np.random.Generator, n: int) -> dict[str, list[tuple[int, in
         "samples": [*good[:150], *[None] * (n - 149)],  # a SYNC tells that the sample before it is missing
         "clipped": large,
         "ellipse": [(sine, 1500) for sine, _ in good],
-        "coverage": counts_of(ENCODER, np.full(n, 0.3), rng),
+        "coverage": counts_of(ENCODER, np.full_like(time, 0.3), rng),
         "cycles": counts_of(ENCODER, time * 5.0 / n, rng),
         "locked": counts_of(ENCODER, 0.125 * time, rng),
         "noise": counts_of(replace(ENCODER, noise_lsb=200.0), moving, rng),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -47,7 +48,7 @@ class Played:
 class Local:
     """A module with a source, and the SYNCs by hand."""
 
-    def __init__(self, source: object, **fields: object) -> None:
+    def __init__(self, source: Any, **fields: Any) -> None:
         self.module = FeedbackModule(ModuleConfig(node_id=NODE, **fields), source=source)
         self.told: list[str] = []
         self.module.on_source = self.told.append
@@ -236,7 +237,8 @@ def test_a_source_that_fails_loses_the_position_and_says_so_once(error: Exceptio
 
 
 def test_a_source_that_flickers_does_not_fill_the_screen() -> None:
-    local = Local(Played(*[at(0.1), SourceError("loose contact")] * 500))
+    flickers: list[Sample | Exception | None] = [at(0.1), SourceError("loose contact")]
+    local = Local(Played(*flickers * 500))
     local.start()
     for _ in range(1000):
         local.sync()
@@ -325,7 +327,9 @@ def test_the_recording_of_the_module_holds_its_samples() -> None:
     local.module.receive(Frame(0x600 + NODE, bytes.fromhex("2f50200101000000")), local.now)
     for _ in range(3):
         local.sync()
-    data = local.module.dictionary.entry(0x2050, 3).on_read()
+    read = local.module.dictionary.entry(0x2050, 3).on_read
+    assert read is not None
+    data = read()
     assert struct.unpack("<6h", data) == (10, 1500, -32768, -32768, 30, 1500)
 
 
@@ -367,9 +371,9 @@ def test_nothing_that_a_source_does_raises(played: list[Sample | Exception | Non
 
 
 def test_a_reset_begins_with_the_next_sample() -> None:
-    resets: list[Callable[[Local], None]] = [
-        lambda local: local.module.receive(Frame(0, bytes([129, NODE])), local.now) and None,
-        lambda local: local.module.receive(Frame(0, bytes([130, NODE])), local.now) and None,
+    resets: list[Callable[[Local], object]] = [
+        lambda local: local.module.receive(Frame(0, bytes([129, NODE])), local.now),
+        lambda local: local.module.receive(Frame(0, bytes([130, NODE])), local.now),
     ]
     withheld = [0, 4]  # after reset communication the cycle count goes on, when it is confirmed
     for reset, unconfirmed in zip(resets, withheld, strict=True):

@@ -105,7 +105,7 @@ def test_one_of_two_is_selected_and_moved(bus: Bus) -> None:
     bus.lss.configure_node_id(40)
     bus.wait()
     assert second.node.node_id == 33
-    bus.network.send_message(0, [0x82, 33])
+    bus.network.send_message(0, bytes([0x82, 33]))
     assert (first.node.node_id, second.node.node_id) == (32, 40)
     sdo = bus.master(40).sdo
     assert sdo[0x1800][1].raw == 0x400001A8

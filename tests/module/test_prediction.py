@@ -245,6 +245,7 @@ def test_of_several_samples_since_a_sync_nobody_knows_the_age() -> None:
     entry(0x1800, 2).store(1)
     entry(0x1006).store(1000)
     module.start(0.0)
+    tick, now = 0, 0.0
 
     def statuses(per_sync: int) -> set[int]:
         nonlocal tick, now
@@ -258,7 +259,6 @@ def test_of_several_samples_since_a_sync_nobody_knows_the_age() -> None:
                 module.receive(Frame(0x190, struct.pack("<hhI", 0, 1500, tick)), now)
         return seen
 
-    tick, now = 0, 0.0
     statuses(1)
     assert statuses(1) == {EXTRAPOLATED}
     statuses(2)

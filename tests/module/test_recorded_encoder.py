@@ -41,7 +41,7 @@ CONDITIONING = Conditioning(
 
 class Row(NamedTuple):
     time_s: float
-    index: int
+    place: int
 
 
 def read_rows() -> list[Row]:
@@ -98,7 +98,7 @@ def test_the_published_cycles_agree_with_the_index_over_every_segment() -> None:
     print("\nsegment  samples  cycles    index   largest deviation, cycles")
     for number, (part, rows) in enumerate(zip(played, segments, strict=True), 1):
         position = np.unwrap([p for p, _ in part], period=2500 * UNITS_PER_CYCLE * 209) / UNITS_PER_CYCLE
-        index = np.unwrap([row.index for row in rows], period=INDEX_RANGE) / INDEX_RANGE
+        index = np.unwrap([row.place for row in rows], period=INDEX_RANGE) / INDEX_RANGE
         deviation = (position - position[0]) - (index - index[0])
         worst = np.abs(deviation - np.median(deviation)).max()
         moved, counted = position[-1] - position[0], index[-1] - index[0]

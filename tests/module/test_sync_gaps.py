@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -19,7 +20,7 @@ SPEED = 0.3  # cycles per SYNC
 class Counted(Bench):
     """A machine at constant speed whose SYNC has a counter, 1 to ``overflow``."""
 
-    def __init__(self, overflow: int = 20, **fields: object) -> None:
+    def __init__(self, overflow: int = 20, **fields: Any) -> None:
         super().__init__(**fields)
         self.overflow = overflow
         self.sdo[0x1019].raw = overflow

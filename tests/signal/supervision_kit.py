@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from typing import Any
 
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
@@ -23,7 +24,7 @@ def above(value: float) -> float:
     return math.nextafter(value, math.inf)
 
 
-def at(position: float, **rest: object) -> Sample:
+def at(position: float, **rest: Any) -> Sample:
     """Ideal tracks without rounding, so that no two samples of a moving machine are equal."""
     angle = 2 * math.pi * position
     return Sample(AMPLITUDE * math.sin(angle), AMPLITUDE * math.cos(angle), **rest)
@@ -40,7 +41,7 @@ def has(got: Iterable[Feedback], bit: StatusBit) -> list[bool]:
 class Drive:
     """A chain that follows a machine; the truth is ``position``, cycles, and starts at standstill."""
 
-    def __init__(self, speed: float = 0.0, **config: object) -> None:
+    def __init__(self, speed: float = 0.0, **config: Any) -> None:
         self.chain = SignalChain(ChainConfig(**config))
         self.position = self.speed = 0.0
         self.step()
@@ -50,7 +51,7 @@ class Drive:
         for _ in range(9):
             assert self.step().valid
 
-    def step(self, **rest: object) -> Feedback:
+    def step(self, **rest: Any) -> Feedback:
         self.position += self.speed
         return self.chain.step(at(self.position, **rest))
 

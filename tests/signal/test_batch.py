@@ -186,7 +186,7 @@ def test_a_speed_that_is_none_is_refused(speed: object) -> None:
 def test_track_and_tracker_start_at_the_same_speed(phases: list[float], speed: float) -> None:
     tracker = Tracker(speed_cycles=speed)
     want = [tracker.update(phase) for phase in phases]
-    assert bits(track(phases, speed_cycles=speed)) == columns([tuple(one) for one in want])
+    assert bits(track(phases, speed_cycles=speed)) == columns([(*one,) for one in want])
     moved = want[1].cycles - want[0].cycles + (want[1].phase - want[0].phase)
     assert abs(moved - speed) <= 0.5 + 1e-9
 
@@ -216,10 +216,10 @@ def test_any_kind_of_number_gives_the_bits_of_its_float64(kind: str, table: Corr
 
 def test_conditioning_is_computed_in_float64() -> None:
     conditioning = Conditioning(0.1, -0.3, 1.01, 0.99, 0.05)
-    numbers = np.random.default_rng(2).integers(-2000, 2000, (2, 500))
-    want = bits(process(*numbers.astype(np.float64), conditioning=conditioning))
+    sines, cosines = np.random.default_rng(2).integers(-2000, 2000, (2, 500))
+    want = bits(process(sines.astype(np.float64), cosines.astype(np.float64), conditioning=conditioning))
     for kind in (np.int16, np.float32):
-        assert bits(process(*numbers.astype(kind), conditioning=conditioning)) == want
+        assert bits(process(sines.astype(kind), cosines.astype(kind), conditioning=conditioning)) == want
 
 
 def test_the_arguments_are_left_as_they_are() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from canfb.signal.sample import Sample
 AMPLITUDE = 1500.0
 
 
-def sample_at(position: float, **rest: object) -> Sample:
+def sample_at(position: float, **rest: Any) -> Sample:
     angle = 2 * math.pi * position
     return Sample(AMPLITUDE * math.sin(angle), AMPLITUDE * math.cos(angle), **rest)
 
@@ -56,7 +57,8 @@ def test_batch_and_single_samples_give_the_same_bits(
         ChainConfig(amplitude_low_counts=0, amplitude_high_counts=65535, residual_limit=0.5), table
     )
     chain.activate(Correction(table, conditioning))
-    result = process(*np.array(counts).T, table, 0.5, conditioning)
+    sines, cosines = np.array(counts).T
+    result = process(sines, cosines, table, 0.5, conditioning)
     for k, (sine, cosine) in enumerate(counts):
         got = chain.step(Sample(sine, cosine))
         if not got.valid:
@@ -185,7 +187,7 @@ def test_the_amplitude_is_checked_after_conditioning() -> None:
         ("conditioning", 3),
     ],
 )  # fmt: skip
-def test_a_bad_parameter_raises_at_once_and_is_named(field: str, value: object) -> None:
+def test_a_bad_parameter_raises_at_once_and_is_named(field: str, value: Any) -> None:
     with pytest.raises(ValueError, match=field):
         ChainConfig(**{field: value})
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 from supervision_kit import above, at, below, flags, has
@@ -239,7 +240,7 @@ def test_the_angle_may_pass_nought_in_both_directions() -> None:
 class Coarse:
     """A chain with a coarse track, at standstill, that has confirmed the position."""
 
-    def __init__(self, **config: object) -> None:
+    def __init__(self, **config: Any) -> None:
         self.chain = SignalChain(
             ChainConfig(cycles_per_revolution=N, coarse_limit_revolutions=0.125, **config)
         )
@@ -363,7 +364,7 @@ WRONG_SPEEDS = [1, -1, 2, -3, 17, -50, 83, -83, 124, -125]
 class Starting:
     """A machine with coarse track, started while it turns; counts samples that are valid and wrong."""
 
-    def __init__(self, speed: float, error: float = 0.008, **config: object) -> None:
+    def __init__(self, speed: float, error: float = 0.008, **config: Any) -> None:
         self.speed, self.error = speed, error
         self.position = 1000.5
         self.chain = SignalChain(ChainConfig(**config))

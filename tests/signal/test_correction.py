@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -85,7 +87,7 @@ def test_arguments_are_taken_modulo_one_and_nan_stays_nan() -> None:
     ],
 )
 @pytest.mark.filterwarnings("ignore:overflow encountered in cast:RuntimeWarning")
-def test_bad_tables_are_refused_with_the_reason(change: object, reason: str) -> None:
+def test_bad_tables_are_refused_with_the_reason(change: Callable[[Any], Any], reason: str) -> None:
     good = np.arange(64) / 64
     with pytest.raises(ValueError, match=reason):
         CorrectionTable(change(good))

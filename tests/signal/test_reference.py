@@ -136,6 +136,8 @@ def test_a_count_that_is_wrong_by_cycles_is_set_right_at_the_zero_pulse_and_not_
 
 
 def shift_coarse(sample: Sample, revolutions: float) -> Sample:
+    assert sample.coarse_sine is not None
+    assert sample.coarse_cosine is not None
     angle = math.atan2(sample.coarse_sine, sample.coarse_cosine) + 2 * math.pi * revolutions
     return sample._replace(coarse_sine=AMPLITUDE * math.sin(angle), coarse_cosine=AMPLITUDE * math.cos(angle))
 

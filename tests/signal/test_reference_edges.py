@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 from supervision_kit import at, flags
@@ -138,6 +139,7 @@ def test_a_pulse_belongs_to_its_place_between_two_samples(
 @pytest.mark.parametrize("apart", [-1, 1])
 def test_a_search_begins_anew_at_a_sample_that_was_not_taken(apart: int) -> None:
     """At rest it takes 8 samples; the one that was not taken is none of them."""
+    time, made = 0.0, reference(Noted(lost=False))
 
     def step(taken: bool) -> bool:
         nonlocal time
@@ -148,7 +150,6 @@ def test_a_search_begins_anew_at_a_sample_that_was_not_taken(apart: int) -> None
         )
         return bool(bits & VALID)
 
-    time, made = 0.0, reference(Noted(lost=False))
     assert [step(True) for _ in range(7)] == [False] * 7
     assert not step(False)
     assert [step(True) for _ in range(8)] == [*[False] * 7, True]
@@ -215,9 +216,12 @@ class Seen:
     def _angle(self) -> float:
         return self.true / self.n % 1.0
 
-    def step(self, bits: int = VALID, **rest: object) -> tuple[int, int]:
+    def step(self, bits: int = VALID, **rest: Any) -> tuple[int, int]:
         angle = 2 * math.pi * self._angle()
-        coarse = {"coarse_sine": 1500 * math.sin(angle), "coarse_cosine": 1500 * math.cos(angle)}
+        coarse: dict[str, Any] = {
+            "coarse_sine": 1500 * math.sin(angle),
+            "coarse_cosine": 1500 * math.cos(angle),
+        }
         self.time += 1.0
         sample = Sample(1.0, 0.0, 1.0, **coarse, **rest)
         here = track(self.counted)
@@ -297,7 +301,7 @@ def test_found_again_without_a_place_of_the_coarse_track_it_is_aligned_as_soon_a
     assert seen.step() == (COARSE | COASTING, 0)
 
 
-def pulse_at(made: Reference, position: float, bits: int, **coarse: float) -> tuple[int, int]:
+def pulse_at(made: Reference, position: float, bits: int, **coarse: Any) -> tuple[int, int]:
     """A pulse in the middle between two samples, the second one at ``position + 0.1``."""
     before, after = track(position - 0.1), track(position + 0.1)
     return made.apply(Sample(1.0, 0.0, zero_pulse=0.5, **coarse), after, bits, before, 1.0, 1.0)
@@ -441,7 +445,7 @@ def test_what_a_pulse_has_set_right_needs_no_proof_of_the_coarse_track() -> None
     recovery = Noted(lost=True)
     made = reference(recovery)
     made._range_known = True  # two pulses have told it
-    angle = {"coarse_sine": 0.0, "coarse_cosine": 1500.0}
+    angle: dict[str, Any] = {"coarse_sine": 0.0, "coarse_cosine": 1500.0}
     assert pulse_at(made, 70.5, LOST, **angle) == (LOST, 0)
     here = track(70.6)
     assert made.apply(Sample(1.0, 0.0, **angle), here, VALID, here, 2.0, 1.0) == (VALID, 0)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -17,6 +19,7 @@ from canfb.objects import StatusBit
 from canfb.signal import supervision
 from canfb.signal.chain import SignalChain
 from canfb.signal.config import ChainConfig
+from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import SampleLimits, Supervision
 from folding import each
@@ -133,7 +136,7 @@ def test_a_small_converter_keeps_its_range(full_scale: int, margin: int) -> None
 
 def test_limits_in_force_cannot_be_changed_behind_the_supervision() -> None:
     with pytest.raises(AttributeError):
-        LIMITS.amplitude_low_counts = 0
+        LIMITS.amplitude_low_counts = 0  # type: ignore[misc]
 
 
 def test_both_faults_of_one_sample_show() -> None:
@@ -192,7 +195,7 @@ def test_the_chain_checks_as_the_supervision_does(pairs: list[tuple[float, float
         assert not (got.status & BOTH and got.valid)
 
 
-QUIET = {"amplitude_low_counts": 400, "amplitude_high_counts": 2000}
+QUIET: dict[str, Any] = {"amplitude_low_counts": 400, "amplitude_high_counts": 2000}
 
 
 @pytest.mark.parametrize(
@@ -286,7 +289,9 @@ def test_a_new_residual_limit_holds_for_the_next_sample_and_a_bad_one_changes_no
     ],
     ids=["amplitude", "clipped", "clipped below", "invalid", "missed", "residual", "residual below"],
 )
-def test_each_fault_alone_at_any_speed(make: object, bits: StatusBit, speed: float) -> None:
+def test_each_fault_alone_at_any_speed(
+    make: Callable[[Drive], Feedback], bits: StatusBit, speed: float
+) -> None:
     drive = Drive(speed)
     bad = make(drive)
     assert flags(bad) == bits | StatusBit.COASTING
@@ -338,7 +343,7 @@ def test_whatever_comes_the_status_word_does_not_contradict_itself(
 class Module:
     """The module with frames in and out, as on a bus."""
 
-    def __init__(self, **config: object) -> None:
+    def __init__(self, **config: Any) -> None:
         self.module = FeedbackModule(ModuleConfig(node_id=32, **config))
         self.now = 0.0
         self.module.start(self.now)
@@ -360,10 +365,10 @@ class Module:
 
 def test_the_counters_of_the_module_are_those_of_the_status_words() -> None:
     module = Module(coast_samples=4)
-    story = [Sample(0, 1500)] * 5 + [DEAD] + [Sample(0, 1500)] * 20  # amplitude
+    story: list[Sample | None] = [*[Sample(0, 1500)] * 5, DEAD, *[Sample(0, 1500)] * 20]  # amplitude
     story += [Sample(2047, 0), DEAD, Sample(-2048, 0)] + [Sample(0, 1500)] * 20  # clipped, amplitude, clipped
     story += [Sample(1450, -450)] + [Sample(0, 1500)] * 20  # a glitch of 0.3 cycle and a bit
-    story += [None, None] + [Sample(0, 1500)] * 20
+    story += [None, None, *[Sample(0, 1500)] * 20]
     story += [DEAD] * 7
     for sample in story:
         module.interval(sample)

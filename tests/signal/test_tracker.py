@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from random import Random
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.signal.limits import max_acceleration, narrowed_residual_limit
-from canfb.signal.tracker import Tracker, track
+from canfb.signal.tracker import Tracker, TrackResult, track
 
 phases = st.floats(0, 1, exclude_max=True)
 limits = st.floats(0.01, 0.5)
@@ -17,10 +18,10 @@ limits = st.floats(0.01, 0.5)
 
 def one_by_one(values: list[float], limit: float) -> list[tuple[int, float, float, bool]]:
     tracker = Tracker(limit)
-    return [tracker.update(value) for value in values]
+    return [(*tracker.update(value),) for value in values]
 
 
-def rows(result: object) -> list[tuple[int, float, float, bool]]:
+def rows(result: TrackResult) -> list[tuple[int, float, float, bool]]:
     return list(
         zip(
             result.cycles.tolist(),
@@ -44,7 +45,7 @@ def test_also_with_samples_that_have_no_phase(values: list[float], limit: float)
 
 @given(st.integers(1, 400), st.integers(-300, 300), st.randoms())
 def test_any_speed_is_followed_exactly_while_the_acceleration_is_bounded(
-    n: int, start_speed: int, random: object
+    n: int, start_speed: int, random: Random
 ) -> None:
     position, speed, truth = Fraction(0), Fraction(start_speed, 1024), []
     for _ in range(n):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -45,7 +48,9 @@ WRONG = {
 
 @pytest.mark.parametrize("take", TAKERS.values(), ids=TAKERS)
 @pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
-def test_what_are_no_tracks_is_refused_in_one_line(take, wrong) -> None:  # type: ignore[no-untyped-def]
+def test_what_are_no_tracks_is_refused_in_one_line(
+    take: Callable[[Any, Any], object], wrong: tuple[Any, Any, str]
+) -> None:
     sine, cosine, words = wrong
     with pytest.raises(ValueError, match=words) as error:
         take(sine, cosine)
@@ -115,13 +120,13 @@ def test_an_offset_may_be_what_the_conditioning_takes_away() -> None:
     assert process(*unsigned, conditioning=offset).ok.all()
     (result,) = process_stream([unsigned], ChainConfig(conditioning=offset, adc_bits=13))
     assert result.valid.all()
-    assert abs(calibrate_from_motion(*MANY, "fit").conditioning.sine_offset_counts - 2048) < 1
+    assert abs(calibrate_from_motion(MANY[0], MANY[1], "fit").conditioning.sine_offset_counts - 2048) < 1
 
 
 @pytest.mark.parametrize(
     "run",
     [
-        lambda: track(np.array([0.5 + 0j])),  # type: ignore[arg-type]
+        lambda: track(np.array([0.5 + 0j])),
         lambda: phase_in_cycle(SINE.astype(complex), COSINE),
         lambda: phase_in_cycle(np.complex128(1j), 1.0),
         lambda: CorrectionTable(np.arange(64) / 64 + 0j),
@@ -129,7 +134,7 @@ def test_an_offset_may_be_what_the_conditioning_takes_away() -> None:
         lambda: CorrectionTable.identity()(np.complex64(0.5)),
     ],
 )
-def test_complex_numbers_are_refused(run) -> None:  # type: ignore[no-untyped-def]
+def test_complex_numbers_are_refused(run: Callable[[], object]) -> None:
     with pytest.raises(ValueError, match="real numbers"):
         run()
 

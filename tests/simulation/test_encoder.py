@@ -84,7 +84,7 @@ def test_the_noise_has_the_strength_that_was_asked_for() -> None:
     want = math.sqrt(0.8**2 + 1 / 12)
     assert np.std(noise, axis=1) == pytest.approx([want, want], rel=0.02)
     assert abs(noise.mean()) < 0.02
-    assert abs(np.corrcoef(noise)[0, 1]) < 0.03, "the tracks have noise of their own"
+    assert abs(np.corrcoef(noise[0], noise[1])[0, 1]) < 0.03, "the tracks have noise of their own"
     assert abs(np.corrcoef(noise[0, 1:], noise[0, :-1])[0, 1]) < 0.03, "white"
     beyond = np.count_nonzero(np.abs(noise) > 3 * want) / noise.size
     assert 0.0005 < beyond < 0.006, "as often beyond three sigma as a Gaussian"

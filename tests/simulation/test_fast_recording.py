@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import canopen
 import numpy as np
 import pytest
@@ -61,7 +63,7 @@ class Bench:
         return np.frombuffer(data, dtype="<i2").reshape(-1, 2)
 
 
-def turning(rpm: float = 15.0, **encoder: float) -> MotionSource:
+def turning(rpm: float = 15.0, **encoder: Any) -> MotionSource:
     shaft = ShaftEncoder(Encoder(amplitude_counts=1400.0, **encoder), 2500)
     return MotionSource(shaft, Motion((), start_rpm=rpm), 1e-3)
 
@@ -82,7 +84,7 @@ def peak_of(bench: Bench, encoder: Encoder) -> float:
     ids=["ideal", "40 % offset, 20 % amplitude"],
 )
 @pytest.mark.parametrize("rpm", [9.0, 20.0])
-def test_the_reference_measurement_of_the_paper(rpm: float, errors: dict[str, float], limit: float) -> None:
+def test_the_reference_measurement_of_the_paper(rpm: float, errors: dict[str, Any], limit: float) -> None:
     bench = Bench(turning(rpm, **errors))
     bench.record(2.0)
     assert bench.sdo[0x2050][2].raw == 100_001

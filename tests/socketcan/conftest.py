@@ -7,7 +7,6 @@ They wait for what happens on the bus, and every limit comes from what this mach
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
@@ -16,6 +15,7 @@ from typing import Any
 
 import can
 import pytest
+from network import skip_unless_required
 from pace import Pace, measure
 
 from processes import Process
@@ -46,13 +46,6 @@ def pytest_runtest_setup() -> None:
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     if MEASURED in config.stash:
         terminalreporter.write_line(str(config.stash[MEASURED]))
-
-
-def skip_unless_required(reason: str) -> None:
-    """Skip the test; where CANFB_REQUIRE_VCAN=1 says that nothing may be missing, fail it."""
-    if os.environ.get("CANFB_REQUIRE_VCAN") == "1":
-        pytest.fail(reason, pytrace=False)
-    pytest.skip(reason)
 
 
 @pytest.fixture(scope="session")
@@ -86,7 +79,7 @@ def commands(patience_s: float) -> Iterator[Callable[..., Process]]:
     with contextlib.ExitStack() as stack:
         yield start
         for one in started:
-            stack.callback(lambda one=one: print(one))
+            stack.callback(print, one)
             stack.callback(one.stop)
 
 

@@ -18,6 +18,7 @@ from network import (
     Timer,
     next_frame,
     position_fields,
+    skip_unless_required,
     tolerate_late_syncs,
     wait_for_boot_up,
     write_config,

@@ -40,7 +40,7 @@ def test_without_the_library(failure: str, on_path: Path) -> None:
 
 def test_a_library_of_another_generation_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     newer = types.ModuleType("iio")
-    newer.version = (1, 0, "v1.0")
+    newer.__dict__["version"] = (1, 0, "v1.0")
     monkeypatch.setitem(sys.modules, "iio", newer)
     with pytest.raises(BusError, match=re.escape("needs libiio 0.x and pylibiio below 1, not v1.0")):
         IioCapture(CONFIG)

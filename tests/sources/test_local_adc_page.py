@@ -34,7 +34,7 @@ def test_it_shows_every_kind() -> None:
 
 def test_its_table_has_all_keys_with_their_defaults() -> None:
     rows = re.findall(r"^\| (`.*?) \| (.*?) \|", PAGE.partition("## Keys")[2], re.MULTILINE)
-    told = {}
+    told: dict[str, str] = {}
     for keys, defaults in rows:
         names = re.findall(r"`(\w+)`", keys)
         values = re.findall(r"`([^`]+)`", defaults) or [defaults.strip()] * len(names)

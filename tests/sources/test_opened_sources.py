@@ -28,7 +28,7 @@ def opened(source: str, more: str = "") -> Source | None:
 
 def played(source: Source | None) -> list[Sample | None]:
     assert source is not None
-    samples = []
+    samples: list[Sample | None] = []
     with contextlib.suppress(SourceEnded):
         while len(samples) < 100:
             samples.append(source.next())

@@ -99,7 +99,7 @@ def test_without_a_time_column_there_are_no_gaps(tmp_path: Path) -> None:
     assert len(played(RecordingSource(written(tmp_path, TIMED), AB))) == 6
 
 
-WRONG = {
+WRONG: dict[str, tuple[str | bytes, str]] = {
     "empty": ("", ":1: there is no line with the names of the columns"),
     "no column": ("x,y\n1,2\n", ":1: there is no column 'a'; there are x, y"),
     "only the names": ("a,b\n", ": there are no samples in it"),

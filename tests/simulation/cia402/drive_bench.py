@@ -47,6 +47,9 @@ class Tampering:
 class DriveBench:
     """All powered on and operational, the drive in Switch on disabled, after 20 SYNCs."""
 
+    speed_rev_s: float
+    place: float
+
     def __init__(
         self,
         *,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from drive_bench import DRIVE_ID, MODULE_ID, SYNC, UNITS, DriveBench
@@ -15,7 +16,7 @@ from canfb.simulation.cia402.state_machine import State
 HEARTBEAT_MS = 20
 
 
-def cruising(speed_rev_s: float = 5.0, **fields: object) -> DriveBench:
+def cruising(speed_rev_s: float = 5.0, **fields: Any) -> DriveBench:
     """At a constant speed, by targets at each SYNC."""
     bench = DriveBench(**fields)
     bench.enable()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ CYCLE = UNITS / 2500
 NO_WINDOW = 0xFFFFFFFF
 
 
-def enabled(mode: str = "CYCLIC SYNCHRONOUS POSITION", **fields: object) -> DriveBench:
+def enabled(mode: str = "CYCLIC SYNCHRONOUS POSITION", **fields: Any) -> DriveBench:
     bench = DriveBench(**fields)
     bench.enable(mode)
     bench.write(0x6065, NO_WINDOW)
@@ -57,13 +58,14 @@ def test_a_profile_of_one_revolution_is_a_trapezoid(synchronous: bool) -> None:
     bench.write(0x607A, bench.read(0x6064) + UNITS)
     bench.control(0x1F)
     assert bench.read(0x6041) & 0x1000
-    truth, reached = [], None
+    track: list[float] = []
+    reached = None
     for count in range(500):
         bench.cycle()
-        truth.append(bench.shaft_units)
+        track.append(bench.shaft_units)
         if reached is None and bench.drive.dictionary.entry(0x6041).value & 0x0400:
             reached = count
-    truth = np.array(truth)
+    truth = np.array(track)
     ideal_ms = 1000 * (1 / 5 + 5 / 50)
     assert ideal_ms - 20 < last_outside(truth, start + UNITS, UNITS / 1000) < ideal_ms + 30
     assert reached is not None
@@ -75,7 +77,7 @@ def test_a_profile_of_one_revolution_is_a_trapezoid(synchronous: bool) -> None:
 
 
 # The friction reverses with the motion, which is most of the error.
-SINES = {
+SINES: dict[str, tuple[dict[str, Any], tuple[float, float], tuple[float, float]]] = {
     "as delivered": ({}, (0.05, 0.25), (0.2, 0.8)),
     "one period later": ({"synchronous": True}, (0.05, 0.25), (0.2, 0.8)),
     "without friction": (

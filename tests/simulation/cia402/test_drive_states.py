@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 import canopen
 import pytest
@@ -49,9 +50,9 @@ def test_the_modes_are_those_of_6502h(bench: DriveBench) -> None:
         bench.master.op_mode = mode
         assert bench.master.op_mode == mode
     assert not bench.master.is_op_mode_supported("HOMING")
-    for mode in (3, 6, 9, -1):
+    for number in (3, 6, 9, -1):
         with pytest.raises(canopen.SdoAbortedError, match="0x06090030"):
-            bench.write(0x6060, mode)
+            bench.write(0x6060, number)
     assert bench.read(0x6061) == 8
     bench.write(0x6060, 0)
     assert bench.read(0x6061) == 0
@@ -101,7 +102,7 @@ def test_before_power_nothing_turns(bench: DriveBench) -> None:
     assert not bench.motor.braked
 
 
-def moving(mode: str = PROFILE, **fields: float) -> DriveBench:
+def moving(mode: str = PROFILE, **fields: Any) -> DriveBench:
     """At 5 revolutions per second on a long way."""
     bench = DriveBench(**fields)
     bench.enable(mode)
@@ -238,8 +239,9 @@ def test_the_parameters_of_a_motor_and_a_module_are_defaults() -> None:
     [("node_id", 0), ("node_id", 128), ("increments_per_revolution", 0), ("total_range", 1 << 32)],
 )
 def test_a_module_that_cannot_be_is_refused(field: str, value: int) -> None:
+    fields: dict[str, Any] = {"node_id": 32, field: value}
     with pytest.raises(ValueError, match=field):
-        FeedbackModuleLink(**{"node_id": 32} | {field: value})
+        FeedbackModuleLink(**fields)
 
 
 def test_a_serial_number_that_does_not_fit_is_refused() -> None:

@@ -130,6 +130,6 @@ def test_what_does_not_fit_is_saturated(value: float, shown: int) -> None:
 
 def test_what_must_last_begins_anew_after_each_break() -> None:
     lasting = Lasting()
-    said = [lasting.update(so, 0.002, 0.001 * n) for n, so in enumerate([1, 1, 1, 0, 1, 1, 1, 1])]
+    said = [lasting.update(bool(so), 0.002, 0.001 * n) for n, so in enumerate([1, 1, 1, 0, 1, 1, 1, 1])]
     assert said == [False, False, True, False, False, False, True, True]
     assert Lasting().update(True, 0.0, 5.0)
