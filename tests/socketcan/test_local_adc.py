@@ -26,7 +26,6 @@ from network import (
 from pace import Pace
 
 from canfb.objects import StatusBit
-from conftest import skip_unless_required
 from processes import Process
 
 TREE = Path(__file__).with_name("emulated_iio_tree.py")

@@ -184,7 +184,7 @@ def test_a_turning_machine_is_followed_to_its_speed() -> None:
     assert turning.flagged == 0
     first, second = turning.chain(), turning.chain()
     assert first is not second
-    assert first.table is HARD.table
+    assert first.correction.table is HARD.table
 
 
 def test_an_episode_without_a_fault_is_clean() -> None:

@@ -181,8 +181,8 @@ class Calibrating:
             self._job = None
         self._working(state in AT_WORK)
 
-    def _refuse(self, reason: Reason) -> None:
-        self._reason = reason
+    def _refuse(self, reason: str) -> None:
+        self._reason = Reason(reason)
         self._enter(State.REFUSED)
 
     def _complete(self) -> None:
