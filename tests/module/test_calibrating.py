@@ -197,9 +197,11 @@ def test_what_cannot_be_used_is_refused_with_its_reason(reason: str) -> None:
     bench.begin()
     bench.feed(recordings(np.random.default_rng(1), SAMPLES)[reason])
     result = bench.compute()
-    assert (bench.state, bench.reason, bench.sdo[0x2030][7].raw) == (State.REFUSED, reason, NUMBER[reason]), (
-        result.text
-    )
+    assert (bench.state, bench.reason, bench.sdo[0x2030][7].raw) == (
+        State.REFUSED,
+        reason,
+        NUMBER[Reason(reason)],
+    ), result.text
     assert not bench.is_calibrating
     assert bench.sdo[0x2030][3].raw == 100
     assert all(math.isnan(figure) for figure in bench.figures()[2:]), "no drift from what is refused"

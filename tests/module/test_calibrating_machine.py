@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 from measuring import DEVICE_STATE, Measuring, good_outcome
 
-from canfb.calibration.result import Calibration
+from canfb.calibration.result import Calibration, Reason
 from canfb.cia301.frame import Frame
 from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.objects import MeasurementCommand as Command
@@ -111,8 +111,8 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
         self.state = State.CHECKED if self.task is Command.CHECK else State.READY
 
     @precondition(lambda self: self.state is State.COMPUTING)
-    @rule(reason=st.sampled_from(["noise", "coverage", "locked"]), figures=st.booleans())
-    def computed_to_no_good(self, reason: str, figures: bool) -> None:
+    @rule(reason=st.sampled_from([Reason.NOISE, Reason.COVERAGE, Reason.LOCKED]), figures=st.booleans())
+    def computed_to_no_good(self, reason: Reason, figures: bool) -> None:
         calibration = replace(measured(), reason=reason) if figures else None
         self.bench.finish_with(Outcome(reason, calibration, "no"))
         self.state, self.reason = State.REFUSED, reason
