@@ -13,7 +13,7 @@ from canopen.sdo.exceptions import SdoCommunicationError
 
 from canfb.cia301.frame import Frame
 from canfb.commissioning.access import NodeAccess
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage import Store
 from canfb.module.config import ModuleConfig
@@ -181,10 +181,10 @@ def recorded(
     start_s: float = 0.0,
     rate_hz: float = RATE_HZ,
     seed: int = 5,
-) -> Samples:
+) -> TrackSamples:
     """Samples of a machine that turns at about ``rpm``, without a bus."""
     motion = Motion((), (Ripple(0.02 * rpm, 0.31), Ripple(0.01 * rpm, 1.7)), rpm)
     times = start_s + np.arange(n) / rate_hz
     position = np.array([motion.revolutions(float(time)) for time in times]) * CYCLES
     sine, cosine = encoder.sample(position, np.random.default_rng(seed))
-    return Samples.of(sine, cosine, rate_hz, "a simulated machine")
+    return TrackSamples.of(sine, cosine, rate_hz, "a simulated machine")

@@ -7,7 +7,7 @@ import pytest
 from commissioning_kit import random_encoder, recorded
 
 from canfb.commissioning.procedure import Measurement, Settings, measure
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
 
@@ -20,12 +20,12 @@ def settings() -> Settings:
 
 
 @pytest.fixture(scope="session")
-def samples() -> Samples:
+def samples() -> TrackSamples:
     return recorded(random_encoder(3), 3000)
 
 
 @pytest.fixture(scope="session")
-def fresh() -> Samples:
+def fresh() -> TrackSamples:
     """The same encoder, a minute later."""
     return recorded(random_encoder(3), 1500, start_s=60.0, seed=9)
 
@@ -39,11 +39,11 @@ def old() -> Correction:
 
 
 @pytest.fixture(scope="session")
-def measured(samples: Samples, old: Correction) -> Measurement:
+def measured(samples: TrackSamples, old: Correction) -> Measurement:
     return measure(samples, SETTINGS, old, lambda part: None)
 
 
 @pytest.fixture(scope="session")
-def measured_first(samples: Samples) -> Measurement:
+def measured_first(samples: TrackSamples) -> Measurement:
     """The same on a module in which nothing was active."""
     return measure(samples, SETTINGS, NO_CORRECTION, lambda part: None)

@@ -14,7 +14,7 @@ from canfb.commissioning.calibration_page import refusal_html, report_html
 from canfb.commissioning.deviation import deviation
 from canfb.commissioning.procedure import Installation, Measurement, Settings, block_of
 from canfb.commissioning.sample_files import read_npz
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.commissioning.summary import Circumstances, comparison
 from canfb.commissioning.table_file import read_table
 from canfb.errors import CalibrationError
@@ -28,7 +28,7 @@ LIMITS = SampleLimits(2048, 600.0, 2300.0)
 
 
 @pytest.fixture(scope="module")
-def done(measured: Measurement, fresh: Samples, settings: Settings) -> Installation:
+def done(measured: Measurement, fresh: TrackSamples, settings: Settings) -> Installation:
     found = deviation(fresh, measured.found, measured.before, block_of(measured.calibration), 12)
     return Installation(found, True, "1010:04")
 
@@ -69,7 +69,7 @@ def test_light_and_dark_and_print_have_every_colour(text: str) -> None:
     assert all(used <= one for one in defined)
 
 
-def test_a_refusal_shows_the_tracks_and_the_reason(samples: Samples) -> None:
+def test_a_refusal_shows_the_tracks_and_the_reason(samples: TrackSamples) -> None:
     error = CalibrationError("the tracks <hardly> change", "coverage")
     page = Page(refusal_html(samples, error, WHERE, LIMITS))
     assert "Refused: the tracks <hardly> change." in page.text

@@ -8,16 +8,16 @@ from commissioning_kit import random_encoder, recorded
 
 from canfb.commissioning.deviation import best_deviation, deviation
 from canfb.commissioning.procedure import Measurement, block_of
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.errors import CalibrationError
 from canfb.signal.correction import Correction, CorrectionTable
 
 
-def found(measured: Measurement, samples: Samples) -> float:
+def found(measured: Measurement, samples: TrackSamples) -> float:
     return best_deviation(samples, measured.found, measured.before, block_of(measured.calibration), 12).rms
 
 
-def test_it_is_the_noise_with_the_right_table(measured: Measurement, fresh: Samples) -> None:
+def test_it_is_the_noise_with_the_right_table(measured: Measurement, fresh: TrackSamples) -> None:
     assert found(measured, fresh) == pytest.approx(measured.calibration.residual_rms, rel=0.15)
 
 
@@ -30,7 +30,7 @@ def test_it_is_so_at_other_speeds(rpm: float, measured: Measurement) -> None:
 @pytest.mark.parametrize("size", [0.0005, 0.002])
 @pytest.mark.parametrize("order", [1, 2, 5])
 def test_a_wrong_table_shows_by_its_error(
-    size: float, order: int, measured: Measurement, fresh: Samples
+    size: float, order: int, measured: Measurement, fresh: TrackSamples
 ) -> None:
     x = np.arange(256) / 256
     wrong = CorrectionTable(measured.calibration.table(x) + size * np.sin(2 * np.pi * order * x))
@@ -41,33 +41,33 @@ def test_a_wrong_table_shows_by_its_error(
     assert got.peak > got.rms
 
 
-def test_the_old_set_is_compared_on_the_same_samples(measured: Measurement, fresh: Samples) -> None:
+def test_the_old_set_is_compared_on_the_same_samples(measured: Measurement, fresh: TrackSamples) -> None:
     got = deviation(fresh, measured.found, measured.found, block_of(measured.calibration), 12)
     assert got.before_rms == pytest.approx(got.rms, rel=1e-9)
     assert np.nanmax(np.abs(got.mean_over_phase() - got.mean_over_phase(before=True))) < 1e-9
 
 
-def test_a_few_faulty_samples_do_not_count(measured: Measurement, fresh: Samples) -> None:
+def test_a_few_faulty_samples_do_not_count(measured: Measurement, fresh: TrackSamples) -> None:
     sine = fresh.sine.copy()
     sine[[100, 700, 701, 1200]] = [900.0, -900.0, 0.0, 1500.0]
-    faulty = Samples.of(sine, fresh.cosine, fresh.rate_hz, "with glitches")
+    faulty = TrackSamples.of(sine, fresh.cosine, fresh.rate_hz, "with glitches")
     assert found(measured, faulty) == pytest.approx(found(measured, fresh), rel=0.1)
 
 
 @pytest.mark.parametrize("places", [[400], [300, 1100]])
 def test_a_sample_that_is_missing_without_a_trace_does_not_count(
-    places: list[int], measured: Measurement, fresh: Samples
+    places: list[int], measured: Measurement, fresh: TrackSamples
 ) -> None:
     """A SYNC and its PDO that this computer has not heard."""
     sine, cosine = (np.delete(track, places) for track in (fresh.sine, fresh.cosine))
-    samples = Samples.of(sine, cosine, fresh.rate_hz, "with lost frames")
+    samples = TrackSamples.of(sine, cosine, fresh.rate_hz, "with lost frames")
     assert found(measured, samples) == pytest.approx(found(measured, fresh), rel=0.15)
 
 
-def test_gaps_do_not_count(measured: Measurement, fresh: Samples) -> None:
+def test_gaps_do_not_count(measured: Measurement, fresh: TrackSamples) -> None:
     sine = fresh.sine.copy()
     sine[200:230] = sine[900:903] = np.nan
-    assert found(measured, Samples.of(sine, fresh.cosine, None, "with gaps")) == pytest.approx(
+    assert found(measured, TrackSamples.of(sine, fresh.cosine, None, "with gaps")) == pytest.approx(
         found(measured, fresh), rel=0.15
     )
 
@@ -77,7 +77,7 @@ def test_nothing_is_said_of_a_machine_that_stands_or_is_locked(speed: float, mea
     position = 0.3 + speed * np.arange(1500)
     sine, cosine = random_encoder(3).sample(position, np.random.default_rng(1))
     with pytest.raises(CalibrationError, match="stands still, or its motion is locked"):
-        found(measured, Samples.of(sine, cosine, None, "locked"))
+        found(measured, TrackSamples.of(sine, cosine, None, "locked"))
 
 
 def test_slow_motion_is_not_taken_for_errors_nor_errors_for_motion(measured: Measurement) -> None:

@@ -14,7 +14,7 @@ from canfb.cia301.frame import Frame
 from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.active import put_back, put_in_force, read_active, save
 from canfb.commissioning.procedure import Guard, Installation, Measurement, Settings, install
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.device.storage import MemoryStore
 from canfb.signal.correction import NO_CORRECTION, Correction
 
@@ -65,9 +65,9 @@ def prepared(old: Correction, **options: Any) -> Bench:
 def run_install(
     bench: Bench,
     measured: Measurement,
-    fresh: Samples,
+    fresh: TrackSamples,
     settings: Settings,
-    collect: Callable[[], Samples] | None = None,
+    collect: Callable[[], TrackSamples] | None = None,
     **options: Any,
 ) -> Installation:
     _, done = install(bench.access, measured, collect or (lambda: fresh), settings, Guard(), **options)
@@ -75,7 +75,7 @@ def run_install(
 
 
 def test_the_new_set_is_in_force_proven_and_saved(
-    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
 ) -> None:
     store = MemoryStore()
     bench = prepared(old, store=store)
@@ -91,7 +91,7 @@ def test_the_new_set_is_in_force_proven_and_saved(
 
 
 def test_without_a_store_it_is_active_and_said_to_be_not_saved(
-    measured_first: Measurement, fresh: Samples, settings: Settings
+    measured_first: Measurement, fresh: TrackSamples, settings: Settings
 ) -> None:
     bench = prepared(NO_CORRECTION)
     done = run_install(bench, measured_first, fresh, settings)
@@ -100,7 +100,9 @@ def test_without_a_store_it_is_active_and_said_to_be_not_saved(
     assert read_active(bench.access) == measured_first.found
 
 
-def test_not_to_save_is_not_to_save(measured_first: Measurement, fresh: Samples, settings: Settings) -> None:
+def test_not_to_save_is_not_to_save(
+    measured_first: Measurement, fresh: TrackSamples, settings: Settings
+) -> None:
     store = MemoryStore()
     done = run_install(prepared(NO_CORRECTION, store=store), measured_first, fresh, settings, keep=False)
     assert done.saved_as is None
@@ -119,7 +121,7 @@ def test_a_refused_write_leaves_the_old_set(
     measured: Measurement,
     measured_first: Measurement,
     old: Correction,
-    fresh: Samples,
+    fresh: TrackSamples,
     settings: Settings,
 ) -> None:
     known, chosen = (old, measured) if before == "a table" else (NO_CORRECTION, measured_first)
@@ -165,7 +167,7 @@ def lying(bench: Bench, index: int, subindex: int, times: int) -> None:
 
 
 def test_a_wrong_crc_of_the_staged_table_activates_nothing(
-    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
 ) -> None:
     bench = prepared(old)
     lying(bench, 0x2020, 2, 1)
@@ -177,7 +179,7 @@ def test_a_wrong_crc_of_the_staged_table_activates_nothing(
 
 @pytest.mark.parametrize("number", range(1, LAST_REQUEST + 1, 2))
 def test_a_lost_request_ends_in_the_new_set_or_in_the_old_one(
-    number: int, measured: Measurement, old: Correction, fresh: Samples, settings: Settings
+    number: int, measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
 ) -> None:
     bench = prepared(old, store=MemoryStore())
     fault = Fault(bench)
@@ -195,7 +197,7 @@ def test_a_lost_request_ends_in_the_new_set_or_in_the_old_one(
 
 
 def test_the_lost_requests_reach_to_the_end(
-    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
 ) -> None:
     bench = prepared(old, store=MemoryStore())
     fault = Fault(bench)
@@ -205,7 +207,7 @@ def test_the_lost_requests_reach_to_the_end(
 
 
 def test_a_module_that_is_gone_is_told_as_it_is(
-    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
 ) -> None:
     bench = prepared(old)
     fault = Fault(bench)
@@ -216,10 +218,10 @@ def test_a_module_that_is_gone_is_told_as_it_is(
 
 
 def test_a_table_that_does_not_keep_its_promise_is_taken_back(
-    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
 ) -> None:
     bench = prepared(old)
-    shifted = Samples.of(fresh.sine + 20.0, fresh.cosine, fresh.rate_hz, "after a knock")
+    shifted = TrackSamples.of(fresh.sine + 20.0, fresh.cosine, fresh.rate_hz, "after a knock")
     with pytest.raises(CommissioningError, match=r"on fresh samples the table leaves .* promised") as error:
         run_install(bench, measured, shifted, settings)
     assert str(error.value).endswith(AS_BEFORE)
@@ -227,7 +229,7 @@ def test_a_table_that_does_not_keep_its_promise_is_taken_back(
 
 
 def test_a_machine_that_has_stopped_proves_nothing(
-    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
 ) -> None:
     bench = prepared(old)
     standing = replace(fresh, sine=fresh.sine * 0.0 + 700.0, cosine=fresh.cosine * 0.0 - 1200.0)
@@ -239,7 +241,7 @@ def test_a_machine_that_has_stopped_proves_nothing(
 
 @pytest.mark.parametrize("number", [1, 12, 40, 55])
 def test_an_interruption_leaves_the_old_set(
-    number: int, measured: Measurement, old: Correction, fresh: Samples, settings: Settings
+    number: int, measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
 ) -> None:
     bench = prepared(old)
     guard, fault, said = Guard(), Fault(bench), list[str]()
@@ -258,11 +260,11 @@ def test_an_interruption_leaves_the_old_set(
 
 
 def test_an_interruption_of_the_proof_leaves_the_old_set(
-    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
 ) -> None:
     bench = prepared(old)
 
-    def collect() -> Samples:
+    def collect() -> TrackSamples:
         assert read_active(bench.access) == measured.found
         raise KeyboardInterrupt
 
@@ -272,7 +274,7 @@ def test_an_interruption_of_the_proof_leaves_the_old_set(
 
 
 def test_a_save_that_fails_is_undone_in_the_store_as_well(
-    measured: Measurement, old: Correction, fresh: Samples, settings: Settings
+    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
 ) -> None:
     """The answer is lost, the save is not: the new set lies in the store, and must not stay there."""
     store = MemoryStore()

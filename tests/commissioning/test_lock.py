@@ -16,7 +16,7 @@ from canfb.cli.progress import Progress
 from canfb.commissioning.active import read_active
 from canfb.commissioning.lock import LARGEST_DENOMINATOR, Lock, away_from, find_lock
 from canfb.commissioning.procedure import Guard
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.configuration import Config
 from canfb.errors import CalibrationError
 from canfb.signal.correction import NO_CORRECTION
@@ -26,11 +26,11 @@ RPM_OF_A_CYCLE = 60.0 * RATE_HZ / CYCLES  # per sample
 N = 1000
 
 
-def tracks(cycles_per_sample: float, n: int = N, lost: float = 0.0) -> Samples:
+def tracks(cycles_per_sample: float, n: int = N, lost: float = 0.0) -> TrackSamples:
     rng = np.random.default_rng(3)
     sine, cosine = random_encoder(1).sample(0.1 + cycles_per_sample * np.arange(n), rng)
     gone = rng.random(n) < lost
-    return Samples.of(np.where(gone, np.nan, sine), np.where(gone, np.nan, cosine), RATE_HZ, "simulated")
+    return TrackSamples.of(np.where(gone, np.nan, sine), np.where(gone, np.nan, cosine), RATE_HZ, "simulated")
 
 
 @pytest.mark.parametrize(

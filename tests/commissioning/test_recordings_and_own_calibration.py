@@ -16,7 +16,7 @@ from canfb.cia301.frame import Frame
 from canfb.commissioning.access import CommissioningError, ObjectAbsentError
 from canfb.commissioning.active import read_active
 from canfb.commissioning.procedure import ZERO_CROSSINGS, Settings, measure, verify
-from canfb.commissioning.recorder import record
+from canfb.commissioning.recording_upload import record
 from canfb.errors import CalibrationError
 from canfb.signal.correction import NO_CORRECTION
 from canfb.simulation.motion import Motion

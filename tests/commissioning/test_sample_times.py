@@ -19,7 +19,7 @@ from canfb.commissioning.listening import PdoRecorder, listen
 from canfb.commissioning.pdo_layout import PdoLayout, agreed_layout
 from canfb.commissioning.procedure import Guard
 from canfb.commissioning.sample_files import read_npz, write_npz
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.configuration import Config
 from canfb.simulation.sync_timing import SyncTiming
 
@@ -77,7 +77,7 @@ def test_a_pdo_without_its_time_has_none() -> None:
 
 
 def test_the_times_are_kept_in_the_file(tmp_path: Path) -> None:
-    plain = Samples.of([1.0, 2.0, 3.0], [4.0, 5.0, 6.0], 1000.0, "here")
+    plain = TrackSamples.of([1.0, 2.0, 3.0], [4.0, 5.0, 6.0], 1000.0, "here")
     write_npz(tmp_path / "plain.npz", plain)
     assert read_npz(tmp_path / "plain.npz").time_s is None
     write_npz(tmp_path / "timed.npz", plain.timed([0xFFFFFFF0, None, 19_990]))

@@ -12,7 +12,7 @@ from canfb.bus.hosting import make_module, open_source
 from canfb.cia301.frame import Frame
 from canfb.cli.printing import printed_log
 from canfb.commissioning.sample_files import write_npz
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.configuration import parse_config
 from canfb.errors import CanfbError
 from canfb.signal.sample import Sample
@@ -71,7 +71,7 @@ def test_a_recording_with_gaps_and_times(tracks: Path) -> None:
 
 def test_a_recording_of_the_tools(tmp_path: Path) -> None:
     path = tmp_path / "samples.npz"
-    write_npz(path, Samples.of([1.0, np.nan, 3.0], [4.0, np.nan, -6.0], 1000.0, "test"))
+    write_npz(path, TrackSamples.of([1.0, np.nan, 3.0], [4.0, np.nan, -6.0], 1000.0, "test"))
     assert played(opened(f"{{kind: recording, file: {path}}}")) == [Sample(1, 4), None, Sample(3, -6)]
 
 

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from canfb.commissioning.sample_files import write_csv, write_npz
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.errors import CanfbError, ConfigError
 from canfb.simulation.sample_recorder import SampleRecorder
 
@@ -27,7 +27,7 @@ def check_record(name: str) -> Path:
 
 def write_record(path: Path, recorder: SampleRecorder, rate_hz: float) -> None:
     """Write what was recorded, at ``rate_hz`` samples per second. CanfbError if the file fails."""
-    samples = Samples.of(*recorder.tracks(), rate_hz, "canfb simulate --record")
+    samples = TrackSamples.of(*recorder.tracks(), rate_hz, "canfb simulate --record")
     try:
         WRITERS[path.suffix](path, samples)
     except OSError as error:

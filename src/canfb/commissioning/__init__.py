@@ -4,7 +4,7 @@ The master's side, between the buses and the calculation::
 
     samples            what was recorded; sample_files: NPZ
     listening          samples of the ADC PDO, SYNC by SYNC; pdo_layout: which PDO it is
-    recorder           samples of object 2050h of either node
+    recording_upload   samples of object 2050h of either node
     own_calibration    the module's own reference measurement, object 2030h
     active             table and conditioning: read, put in force, put back, save
     deviation          how good a table is on samples that it has not seen

@@ -8,7 +8,7 @@ from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.calibration_page import refusal_html, report_html
 from canfb.commissioning.procedure import Installation, Measurement
 from canfb.commissioning.sample_files import write_npz
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.commissioning.summary import Circumstances, as_json
 from canfb.commissioning.table_file import as_yaml
 from canfb.errors import CalibrationError
@@ -72,7 +72,7 @@ def write(
     return [folder / name for name in (TABLE_YAML, TABLE_BIN, SAMPLES, REPORT)]
 
 
-def keep_samples(folder: Path, samples: Samples) -> Path:
+def keep_samples(folder: Path, samples: TrackSamples) -> Path:
     """Write the samples alone; their path. CommissioningError if that does not work."""
     try:
         write_npz(folder / SAMPLES, samples)
@@ -83,7 +83,7 @@ def keep_samples(folder: Path, samples: Samples) -> Path:
 
 def write_refusal(
     folder: Path,
-    samples: Samples,
+    samples: TrackSamples,
     refused: CalibrationError,
     where: Circumstances,
     limits: SampleLimits | None = None,

@@ -6,7 +6,7 @@ import math
 
 from canfb.calibration.recording import BINS
 from canfb.commissioning.procedure import Installation, Measurement
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.commissioning.summary import (
     Circumstances,
     comparison,
@@ -49,7 +49,7 @@ def report_html(
 
 
 def refusal_html(
-    samples: Samples, refused: CalibrationError, where: Circumstances, limits: SampleLimits | None = None
+    samples: TrackSamples, refused: CalibrationError, where: Circumstances, limits: SampleLimits | None = None
 ) -> str:
     """The page of a measurement that was refused: why, and what the tracks look like."""
     said = [f"Refused: {refused}.", "Nothing was written to the module."]
@@ -84,7 +84,7 @@ def _origins(where: Circumstances) -> str:
     return facts_table("Origin", origins(where), "origin") if origins(where) else ""
 
 
-def _lissajous(samples: Samples, used: Correction, limits: SampleLimits | None) -> str:
+def _lissajous(samples: TrackSamples, used: Correction, limits: SampleLimits | None) -> str:
     picture = lissajous(samples.sine, samples.cosine, used.conditioning, limits)
     seen = len(samples) - samples.missed
     shown = f"all {seen} samples, stronger where more fall" if is_dense(samples.sine) else f"{seen} samples"

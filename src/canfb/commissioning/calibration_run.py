@@ -21,7 +21,7 @@ from canfb.commissioning.drift_check import (
 )
 from canfb.commissioning.lock import LockWatch
 from canfb.commissioning.procedure import Guard, Installation, Measurement, Settings, install, measure
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.commissioning.session import Session, Source
 from canfb.commissioning.summary import Circumstances, as_json, comparison, facts, outcome, verdict
 from canfb.commissioning.table_file import read_table
@@ -149,7 +149,7 @@ class CalibrationRun:
                 own_calibration.discard(session.module)
         return self._report(measured, done)
 
-    def _measured(self, samples: Samples, before: Correction, settings: Settings) -> Measurement:
+    def _measured(self, samples: TrackSamples, before: Correction, settings: Settings) -> Measurement:
         """Calibrate; what is refused leaves its samples and a report that shows why."""
         found: Measurement = self._judged(
             samples, lambda: measure(samples, settings, before, self._steps.part)
@@ -168,7 +168,7 @@ class CalibrationRun:
         """Put in force, prove, save."""
         choices, steps = self._choices, self._steps
 
-        def collect() -> Samples:
+        def collect() -> TrackSamples:
             return source(choices.verify_s, min(choices.least_samples, LEAST_FRESH), steps.part)
 
         return install(
@@ -182,7 +182,7 @@ class CalibrationRun:
             step=steps.step,
         )
 
-    def _drift(self, samples: Samples, active: Correction, settings: Settings) -> Account:
+    def _drift(self, samples: TrackSamples, active: Correction, settings: Settings) -> Account:
         """How far the encoder has moved away from its table."""
         found = self._judged(samples, lambda: check(samples, active, settings, self._steps.part))
         if self._choices.out:
@@ -196,7 +196,7 @@ class CalibrationRun:
         figures = as_json(measured, done, self._where) | {"files": [str(path) for path in paths]}
         return Account(figures, _lines(measured, done, self._where, paths))
 
-    def _judged(self, samples: Samples, act: Callable[[], Any]) -> Any:
+    def _judged(self, samples: TrackSamples, act: Callable[[], Any]) -> Any:
         """What ``act`` makes of the samples; what it refuses leaves its samples and a report."""
         self._steps.step(f"calculating from {len(samples)} samples")
         try:

@@ -10,7 +10,7 @@ from pathlib import Path
 from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.procedure import MOTION, ZERO_CROSSINGS, Settings
 from canfb.commissioning.sample_files import read_npz
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.errors import ConfigError
 from canfb.signal.supervision import SampleLimits
 from canfb.sources.recording_source import RecordingLayout, RecordingSource
@@ -119,14 +119,14 @@ class Choices:
             raise ConfigError(f"--encoder-interface {interface}: must be another node than the module")
         return module, interface
 
-    def samples_of_file(self, path: Path) -> Samples:
+    def samples_of_file(self, path: Path) -> TrackSamples:
         """Samples of ``--samples``. CanfbError, with file and line, for a file that cannot be used."""
         if path.suffix == ".npz":
             found = read_npz(path)
-            return Samples(found.sine, found.cosine, self.rate or found.rate_hz, found.origin)
+            return TrackSamples(found.sine, found.cosine, self.rate or found.rate_hz, found.origin)
         sine, cosine = (name.strip() for name in self.columns.split(","))
         recording = RecordingSource(path, RecordingLayout((sine, cosine), self.mid_scale, self.time_column))
         try:
-            return Samples.of(*recording.tracks(), self.rate, f"file {path.name}")
+            return TrackSamples.of(*recording.tracks(), self.rate, f"file {path.name}")
         except ValueError as error:
             raise CommissioningError(f"{path}: {error}") from None

@@ -13,7 +13,7 @@ from canfb.calibration.circular import about_mean
 from canfb.calibration.evaluate import peak, root_mean
 from canfb.calibration.recording import BINS, Recording, check_clipped, coverage, recording
 from canfb.calibration.result import Reason
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.errors import CalibrationError
 from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray, raw_phases
@@ -76,7 +76,11 @@ class Deviation:
 
 
 def best_deviation(
-    samples: Samples, used: Correction, before: Correction, block_samples: int, adc_bits: int | None = None
+    samples: TrackSamples,
+    used: Correction,
+    before: Correction,
+    block_samples: int,
+    adc_bits: int | None = None,
 ) -> Deviation:
     """:func:`deviation`, also with shorter blocks: the motion may be less smooth than it was before."""
     lengths = sorted(
@@ -86,7 +90,11 @@ def best_deviation(
 
 
 def deviation(
-    samples: Samples, used: Correction, before: Correction, block_samples: int, adc_bits: int | None = None
+    samples: TrackSamples,
+    used: Correction,
+    before: Correction,
+    block_samples: int,
+    adc_bits: int | None = None,
 ) -> Deviation:
     """Deviation of ``samples`` from a cubic in each block of ``block_samples``.
 

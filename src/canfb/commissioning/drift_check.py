@@ -10,7 +10,7 @@ from canfb.calibration.result import Calibration
 from canfb.commissioning.deviation import Deviation
 from canfb.commissioning.own_calibration import ModuleDrift
 from canfb.commissioning.procedure import Heard, Settings, measure
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.commissioning.summary import Circumstances, percent, table_words, where_words
 from canfb.signal.correction import Correction
 
@@ -35,7 +35,7 @@ class DriftCheck:
         return self.rms > 2.0 * self.calibration.uncertainty_rms
 
 
-def check(samples: Samples, active: Correction, settings: Settings, heard: Heard) -> DriftCheck:
+def check(samples: TrackSamples, active: Correction, settings: Settings, heard: Heard) -> DriftCheck:
     """Measure again, with the conditioning in force, and compare. Errors as for a calibration."""
     measured = measure(samples, settings, active, heard, active.conditioning)
     found = drift(measured.calibration, active.table, active.conditioning)

@@ -9,7 +9,7 @@ import numpy as np
 
 from canfb.commissioning.access import CommissioningError, Master
 from canfb.commissioning.pdo_layout import PdoLayout
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.objects import MISSED_COUNTS
 
 PATIENCE_S = 2.0  # for the first SYNC, the first sample, and for either to go on
@@ -58,10 +58,10 @@ class PdoRecorder:
         self._stamps[-1] = self._layout.sample_time(data)
         self.samples += 1
 
-    def result(self, origin: str) -> Samples:
+    def result(self, origin: str) -> TrackSamples:
         """What came; the last interval may still be open and is left out."""
         pairs = np.array(self._pairs[:-1], np.float64).reshape(-1, 2)
-        samples = Samples.of(pairs[:, 0], pairs[:, 1], self._rate_hz(), origin)
+        samples = TrackSamples.of(pairs[:, 0], pairs[:, 1], self._rate_hz(), origin)
         return samples if self._layout.time_byte is None else samples.timed(self._stamps[:-1])
 
     def _rate_hz(self) -> float | None:
@@ -120,7 +120,7 @@ class Listener:
         if self._began_s is not None and now - self._last_sample_s > PATIENCE_S:
             raise self._no_samples()
 
-    def result(self) -> Samples:
+    def result(self) -> TrackSamples:
         """What came. CommissioningError if it is full of gaps."""
         can_id = self._layout.can_id
         if not self._recorder.samples:
@@ -147,7 +147,7 @@ def listen(
     least_samples: int = 0,
     heard: Heard = lambda part: None,
     enough: Callable[[Listener], bool] = lambda listener: False,
-) -> Samples:
+) -> TrackSamples:
     """Samples of ``duration_s`` seconds from the first SYNC on, and of more for ``least_samples`` intervals.
 
     ``heard`` gets 0..1 as time goes. It takes no longer than six times ``duration_s``, and ends as soon as

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from canfb.calibration.result import Reason
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.errors import CalibrationError
 from canfb.signal.phase import FloatArray
 
@@ -42,11 +42,11 @@ class Listening(Protocol):
     def intervals(self) -> int:
         """SYNCs that came."""
 
-    def result(self) -> Samples:
+    def result(self) -> TrackSamples:
         """What came."""
 
 
-def find_lock(samples: Samples) -> Lock | None:
+def find_lock(samples: TrackSamples) -> Lock | None:
     """The lock of these samples, None without one, or with fewer than 256.
 
     Locked at p/q, each q-th sample lies at the same place; here for q up to 16, on windows of 256.
@@ -142,10 +142,10 @@ def _near(speed: float, lock: Lock) -> float:
     return round(speed - part) + part
 
 
-def _latest(samples: Samples, from_s: float) -> Samples:
+def _latest(samples: TrackSamples, from_s: float) -> TrackSamples:
     """Those from this time on."""
     first = int(from_s * (samples.rate_hz or 0.0))
     tracks: list[FloatArray] = [samples.sine[first:], samples.cosine[first:]]
     if len(tracks[0]) < WINDOW:
         tracks = [samples.sine[-WINDOW:], samples.cosine[-WINDOW:]]
-    return Samples(tracks[0], tracks[1], samples.rate_hz, samples.origin)
+    return TrackSamples(tracks[0], tracks[1], samples.rate_hz, samples.origin)

@@ -14,7 +14,7 @@ from canfb.commissioning.deviation import best_deviation
 from canfb.commissioning.listening import Listener
 from canfb.commissioning.pdo_layout import PdoLayout
 from canfb.commissioning.procedure import Measurement, Settings, block_of
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.errors import CalibrationError, CanfbError
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
@@ -42,7 +42,7 @@ class ModuleDrift:
     coverage: float
 
 
-def let_measure(module: NodeAccess, layout: PdoLayout, heard: Callable[[float], None]) -> Samples:
+def let_measure(module: NodeAccess, layout: PdoLayout, heard: Callable[[float], None]) -> TrackSamples:
     """Let the module measure until it is ready; the samples that were on the bus in the meantime.
 
     CalibrationError, with the module's reason, if it refuses them; CommissioningError if it cannot measure

@@ -12,7 +12,7 @@ from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.commissioning.access import CommissioningError, NodeAccess
 from canfb.commissioning.active import put_back, put_in_force, save
 from canfb.commissioning.deviation import Deviation, best_deviation
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.errors import CanfbError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
@@ -51,7 +51,7 @@ class Measurement:
     on_samples    deviation of those samples, with the new and with the old set
     """
 
-    samples: Samples
+    samples: TrackSamples
     calibration: Calibration
     before: Correction
     on_samples: Deviation
@@ -105,7 +105,7 @@ class Guard:
 
 
 def measure(
-    samples: Samples,
+    samples: TrackSamples,
     settings: Settings,
     before: Correction,
     heard: Heard,
@@ -143,7 +143,7 @@ def block_of(calibration: Calibration) -> int:
 def install(
     module: NodeAccess,
     measured: Measurement,
-    collect: Callable[[], Samples],
+    collect: Callable[[], TrackSamples],
     settings: Settings,
     guard: Guard,
     *,
@@ -188,7 +188,7 @@ def install(
     return measured, done
 
 
-def verify(samples: Samples, measured: Measurement, settings: Settings) -> Deviation:
+def verify(samples: TrackSamples, measured: Measurement, settings: Settings) -> Deviation:
     """Deviation of fresh samples with the new set. CommissioningError if it is worse than promised."""
     calibration = measured.calibration
     fresh = best_deviation(samples, measured.found, measured.before, block_of(calibration), settings.adc_bits)

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.objects import MISSED_COUNTS
 from canfb.sources.tracks_file import read_tracks
 
 
-def write_npz(path: Path, samples: Samples) -> None:
+def write_npz(path: Path, samples: TrackSamples) -> None:
     """Tracks as INTEGER16, -32768 in both for a missed sample, the rate in Hz, 0 if not known, and time_s."""
     sine, cosine = (
         np.nan_to_num(track, nan=MISSED_COUNTS).astype(np.int16) for track in (samples.sine, samples.cosine)
@@ -30,7 +30,7 @@ def write_npz(path: Path, samples: Samples) -> None:
     )
 
 
-def write_csv(path: Path, samples: Samples) -> None:
+def write_csv(path: Path, samples: TrackSamples) -> None:
     """Columns sine and cosine in counts, before them t_s in seconds where the rate is known.
 
     A missed sample has no row; its time is left out.
@@ -45,10 +45,10 @@ def write_csv(path: Path, samples: Samples) -> None:
                 rows.writerow([*time, *map(int, pair)])
 
 
-def read_npz(path: Path) -> Samples:
+def read_npz(path: Path) -> TrackSamples:
     """An NPZ file with arrays sine and cosine, and rate_hz and time_s if they are known.
 
     CanfbError, in one line, for anything else.
     """
     tracks = read_tracks(path)
-    return Samples(tracks.sine, tracks.cosine, tracks.rate_hz, f"file {path.name}", tracks.time_s)
+    return TrackSamples(tracks.sine, tracks.cosine, tracks.rate_hz, f"file {path.name}", tracks.time_s)

@@ -14,7 +14,7 @@ from canfb.sources.tracks_file import with_gaps
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class TrackSamples:
     """Both tracks in ADC counts, one sample an interval, NaN where a sample was missed.
 
     rate_hz   samples per second, None if not known
@@ -30,17 +30,19 @@ class Samples:
     time_s: FloatArray | None = None
 
     @classmethod
-    def of(cls, sine: npt.ArrayLike, cosine: npt.ArrayLike, rate_hz: float | None, origin: str) -> Samples:
+    def of(
+        cls, sine: npt.ArrayLike, cosine: npt.ArrayLike, rate_hz: float | None, origin: str
+    ) -> TrackSamples:
         """From counts; pairs of -32768 are missed samples. ValueError for arrays of different length."""
         return cls(*with_gaps(sine, cosine), rate_hz, origin)
 
     @classmethod
-    def from_bytes(cls, data: bytes, rate_hz: float | None, origin: str) -> Samples:
+    def from_bytes(cls, data: bytes, rate_hz: float | None, origin: str) -> TrackSamples:
         """From object 2050:03: pairs of INTEGER16, sine and cosine, little-endian."""
         pairs = np.frombuffer(data[: len(data) // 4 * 4], "<i2").reshape(-1, 2)
         return cls.of(pairs[:, 0], pairs[:, 1], rate_hz, origin)
 
-    def timed(self, stamps: Sequence[int | None]) -> Samples:
+    def timed(self, stamps: Sequence[int | None]) -> TrackSamples:
         """With sample times in 100 ns, modulo 2^32, None for a missed sample; as they are if none came."""
         known = [n for n, stamp in enumerate(stamps) if stamp is not None]
         if len(known) < 2:

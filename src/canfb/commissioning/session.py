@@ -11,13 +11,13 @@ from canfb.commissioning.access import CommissioningError, Master, NodeAccess
 from canfb.commissioning.active import read_active
 from canfb.commissioning.listening import Listener, listen
 from canfb.commissioning.pdo_layout import PdoLayout, agreed_layout, module_layout
-from canfb.commissioning.recorder import record
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.recording_upload import record
+from canfb.commissioning.samples import TrackSamples
 from canfb.signal.correction import Correction
 from canfb.signal.supervision import SampleLimits
 
 Heard = Callable[[float], None]
-Source = Callable[[float, int, Heard], Samples]
+Source = Callable[[float, int, Heard], TrackSamples]
 """Collects samples: seconds, least number of samples, and who hears 0..1 as it goes on."""
 IDENTITY = (
     od.IDENTITY_VENDOR_ID,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from canfb import objects as od
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
-from canfb.commissioning.samples import Samples
+from canfb.commissioning.samples import TrackSamples
 from canfb.objects import RecordingCommand as Command
 
 LOOK_S = 0.2
@@ -17,7 +17,7 @@ UPLOAD_PART = 0.5  # of what is told as progress
 
 def record(
     node: NodeAccess, duration_s: float, rate_hz: float | None, heard: Callable[[float], None]
-) -> Samples:
+) -> TrackSamples:
     """Let ``node`` record for ``duration_s`` seconds and upload what it has; ``heard`` gets 0..1.
 
     The rate is that of 2050:04 where the node tells it, else ``rate_hz``. The recording is stopped in any
@@ -37,7 +37,7 @@ def record(
     data = node.upload_domain(
         *od.RECORDING_SAMPLES, lambda part: heard(UPLOAD_PART + (1.0 - UPLOAD_PART) * part)
     )
-    return Samples.from_bytes(data, _rate(node) or rate_hz, f"recording 2050h of {node.name}")
+    return TrackSamples.from_bytes(data, _rate(node) or rate_hz, f"recording 2050h of {node.name}")
 
 
 def _wait(node: NodeAccess, duration_s: float, heard: Callable[[float], None]) -> None:
