@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from commissioning_kit import random_encoder, recorded
 
-from canfb.commissioning.procedure import Measurement, Settings, measure
+from canfb.commissioning.measurement import Measurement, Settings, measure
 from canfb.commissioning.samples import TrackSamples
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable

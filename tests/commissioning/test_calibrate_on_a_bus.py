@@ -17,7 +17,7 @@ from canfb.cli.progress import Progress
 from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.active import read_active
 from canfb.commissioning.artefacts import prepare
-from canfb.commissioning.procedure import Guard
+from canfb.commissioning.guard import Guard
 from canfb.configuration import Config
 from canfb.device.storage import MemoryStore
 from canfb.errors import CalibrationError

@@ -11,11 +11,13 @@ import pytest
 from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.artefacts import prepare, write, write_refusal
 from canfb.commissioning.calibration_page import refusal_html, report_html
+from canfb.commissioning.circumstances import Circumstances
 from canfb.commissioning.deviation import deviation
-from canfb.commissioning.procedure import Installation, Measurement, Settings, block_of
+from canfb.commissioning.measurement import Measurement, Settings, block_of
+from canfb.commissioning.procedure import Installation
 from canfb.commissioning.sample_files import read_npz
 from canfb.commissioning.samples import TrackSamples
-from canfb.commissioning.summary import Circumstances, comparison
+from canfb.commissioning.summary import comparison
 from canfb.commissioning.table_file import read_table
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import IDENTITY

@@ -7,7 +7,7 @@ import pytest
 from commissioning_kit import random_encoder, recorded
 
 from canfb.commissioning.deviation import best_deviation, deviation
-from canfb.commissioning.procedure import Measurement, block_of
+from canfb.commissioning.measurement import Measurement, block_of
 from canfb.commissioning.samples import TrackSamples
 from canfb.errors import CalibrationError
 from canfb.signal.correction import Correction, CorrectionTable

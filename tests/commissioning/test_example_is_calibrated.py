@@ -15,7 +15,7 @@ from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.cli.simulate_options import chosen
 from canfb.commissioning.artefacts import prepare
-from canfb.commissioning.procedure import Guard
+from canfb.commissioning.guard import Guard
 from canfb.configuration import parse_config
 from canfb.errors import CalibrationError
 from canfb.module.feedback_module import FeedbackModule

@@ -12,7 +12,7 @@ from commissioning_kit import CYCLES, RATE_HZ, Bench, random_encoder
 from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
-from canfb.commissioning.procedure import Guard
+from canfb.commissioning.guard import Guard
 from canfb.configuration import Config
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp

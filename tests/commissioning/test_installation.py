@@ -13,7 +13,9 @@ from commissioning_kit import Bench
 from canfb.cia301.frame import Frame
 from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.active import put_back, put_in_force, read_active, save
-from canfb.commissioning.procedure import Guard, Installation, Measurement, Settings, install
+from canfb.commissioning.guard import Guard
+from canfb.commissioning.measurement import Measurement, Settings
+from canfb.commissioning.procedure import Installation, install
 from canfb.commissioning.samples import TrackSamples
 from canfb.device.storage import MemoryStore
 from canfb.signal.correction import NO_CORRECTION, Correction

@@ -14,8 +14,8 @@ from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.commissioning.active import read_active
+from canfb.commissioning.guard import Guard
 from canfb.commissioning.lock import LARGEST_DENOMINATOR, Lock, away_from, find_lock
-from canfb.commissioning.procedure import Guard
 from canfb.commissioning.samples import TrackSamples
 from canfb.configuration import Config
 from canfb.errors import CalibrationError

@@ -17,7 +17,7 @@ from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.commissioning.active import read_active
-from canfb.commissioning.procedure import Guard
+from canfb.commissioning.guard import Guard
 from canfb.configuration import Config
 from canfb.signal.correction import NO_CORRECTION
 

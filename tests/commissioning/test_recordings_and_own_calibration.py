@@ -15,7 +15,8 @@ from test_calibrate_on_a_bus import calibrate
 from canfb.cia301.frame import Frame
 from canfb.commissioning.access import CommissioningError, ObjectAbsentError
 from canfb.commissioning.active import read_active
-from canfb.commissioning.procedure import ZERO_CROSSINGS, Settings, measure, verify
+from canfb.commissioning.measurement import ZERO_CROSSINGS, Settings, measure
+from canfb.commissioning.procedure import verify
 from canfb.commissioning.recording_upload import record
 from canfb.errors import CalibrationError
 from canfb.signal.correction import NO_CORRECTION

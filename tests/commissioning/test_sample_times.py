@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
+from canfb.commissioning.guard import Guard
 from canfb.commissioning.listening import PdoRecorder, listen
 from canfb.commissioning.pdo_layout import PdoLayout, agreed_layout
-from canfb.commissioning.procedure import Guard
 from canfb.commissioning.sample_files import read_npz, write_npz
 from canfb.commissioning.samples import TrackSamples
 from canfb.configuration import Config

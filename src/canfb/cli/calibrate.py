@@ -16,7 +16,7 @@ from canfb.cli.progress import Progress
 from canfb.commissioning.access import Master
 from canfb.commissioning.artefacts import prepare
 from canfb.commissioning.calibration_run import Account, CalibrationRun
-from canfb.commissioning.procedure import Guard
+from canfb.commissioning.guard import Guard
 from canfb.configuration import Config, load_config
 from canfb.errors import CalibrationError
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from canfb.cli.options import BUS_WORDS, add_bus_options, refuse_idle, whole_number
 from canfb.commissioning.choices import LEAST_SAMPLES, MODULE, PDO, RECORDING, Choices
 from canfb.commissioning.combinations import refuse_combinations
-from canfb.commissioning.procedure import MOTION, ZERO_CROSSINGS
+from canfb.commissioning.measurement import MOTION, ZERO_CROSSINGS
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

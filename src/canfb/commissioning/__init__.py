@@ -8,14 +8,17 @@ The master's side, between the buses and the calculation::
     own_calibration    the module's own reference measurement, object 2030h
     active             table and conditioning: read, put in force, put back, save
     deviation          how good a table is on samples that it has not seen
-    procedure          all of it in the right order; nothing half done
+    measurement        samples in, a table out, compared with the one before
+    procedure          the table in force, proven and saved; guard: nothing half done
     choices            what canfb calibrate is asked to do; combinations: options that exclude each other
     calibration_run    the command, from the first sample to the last file
-    drift_check        how far an encoder has moved away from its table
+    drift_check        how far an encoder has moved away from its table; drift_summary: its figures
     session            both nodes on a bus, read once
     module_objects     the objects of a module, for its configuration
+    circumstances      where, when and with what it was measured
     summary            figures for people; calibration_page: the page, from canfb.report
     artefacts          the files of a measurement; table_file: tables as YAML
 
-``access.Master`` is what it needs of a bus: frames, an SDO client, a clock and a way to wait.
+``access.Master`` is what it needs of a bus: frames, an SDO client, a clock and a means to wait;
+``access.NodeAccess`` reads and writes the objects of a node, long ones by domain_transfer.
 """

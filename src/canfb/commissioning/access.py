@@ -1,24 +1,23 @@
-"""What the procedure needs of a bus, and the objects of a node over SDO with errors in one line."""
+"""What commissioning needs of a bus, and the objects of a node over SDO with errors in one line."""
 
 from __future__ import annotations
 
-import io
 import struct
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
 import can
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode
+from canfb.commissioning import domain_transfer
+from canfb.commissioning.domain_transfer import Client
 from canfb.errors import CanfbError
 
 Hear = Callable[[int, bytes, float], None]
-Client = Any  # canopen.sdo.SdoClient, which has no types
 ABSENT = (AbortCode.NO_OBJECT, AbortCode.NO_SUBINDEX)
 SETTLE_S = 0.05  # for frames of an aborted block transfer that are still under way
-SEGMENT = 7
 
 
 class CommissioningError(CanfbError):
@@ -87,7 +86,7 @@ class NodeAccess:
             usual = client.RESPONSE_TIMEOUT
             client.RESPONSE_TIMEOUT = max(usual, answer_within_s or 0.0)
             try:
-                return _send(client, index, subindex, data, False)
+                return domain_transfer.send(client, index, subindex, data, False)
             finally:
                 client.RESPONSE_TIMEOUT = usual
 
@@ -99,21 +98,30 @@ class NodeAccess:
         """A DOMAIN, by block transfer where the server has it, else segmented; ``heard`` gets 0..1."""
         try:
             return self._transfer(
-                "reading", index, subindex, lambda client: _fetch(client, index, subindex, True, heard)
+                "reading",
+                index,
+                subindex,
+                lambda client: domain_transfer.fetch(client, index, subindex, True, heard),
             )
         except ObjectAbsentError:
             raise
         except CommissioningError:
             self.master.wait(SETTLE_S)
         return self._transfer(
-            "reading", index, subindex, lambda client: _fetch(client, index, subindex, False, heard)
+            "reading",
+            index,
+            subindex,
+            lambda client: domain_transfer.fetch(client, index, subindex, False, heard),
         )
 
     def download_domain(self, index: int, subindex: int, data: bytes) -> None:
         """A DOMAIN, by block transfer where the server has it, else segmented."""
         try:
             self._transfer(
-                "writing", index, subindex, lambda client: _send(client, index, subindex, data, True)
+                "writing",
+                index,
+                subindex,
+                lambda client: domain_transfer.send(client, index, subindex, data, True),
             )
         except ObjectAbsentError:
             raise
@@ -151,44 +159,3 @@ class NodeAccess:
         except (AttributeError, RuntimeError, struct.error) as error:
             # What canopen's streams come to on answers that they did not expect.
             raise CommissioningError(f"{what}: the answer makes no sense ({error})") from error
-
-
-def _fetch(client: Client, index: int, subindex: int, block: bool, heard: Callable[[float], None]) -> bytes:
-    def take(stream: Any) -> bytes:
-        chunks: list[bytes] = []
-        while chunk := stream.read(SEGMENT):
-            chunks.append(chunk)
-            if stream.size and len(chunks) % 256 == 0:
-                heard(min(1.0, SEGMENT * len(chunks) / stream.size))
-        data = b"".join(chunks)
-        return data[: stream.size] if stream.size else data
-
-    return _through(client, client.open(index, subindex, "rb", buffering=0, block_transfer=block), take)
-
-
-def _send(client: Client, index: int, subindex: int, data: bytes, block: bool) -> bytes:
-    def give(stream: Any) -> bytes:
-        sent = 0
-        while sent < len(data):
-            sent += stream.write(data[sent : sent + SEGMENT])
-        return b""
-
-    stream = client.open(index, subindex, "wb", size=len(data), buffering=0, block_transfer=block)
-    return _through(client, stream, give)
-
-
-def _through(client: Client, stream: io.RawIOBase, act: Callable[[Any], bytes]) -> bytes:
-    """``act`` on the stream, which is closed after it. When anything goes wrong the transfer is aborted.
-
-    Closing canopen's streams ends the transfer as if all data had been sent: half a table would be
-    taken for a whole one.
-    """
-    try:
-        result = act(stream)
-    except BaseException as error:
-        io.RawIOBase.close(stream)
-        if not isinstance(error, SdoAbortedError):
-            client.abort()
-        raise
-    stream.close()
-    return result

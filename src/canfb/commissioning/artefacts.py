@@ -6,10 +6,12 @@ from pathlib import Path
 
 from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.calibration_page import refusal_html, report_html
-from canfb.commissioning.procedure import Installation, Measurement
+from canfb.commissioning.circumstances import Circumstances
+from canfb.commissioning.measurement import Measurement
+from canfb.commissioning.procedure import Installation
 from canfb.commissioning.sample_files import write_npz
 from canfb.commissioning.samples import TrackSamples
-from canfb.commissioning.summary import Circumstances, as_json
+from canfb.commissioning.summary import as_json
 from canfb.commissioning.table_file import as_yaml
 from canfb.errors import CalibrationError
 from canfb.signal.supervision import SampleLimits

@@ -5,17 +5,11 @@ from __future__ import annotations
 import math
 
 from canfb.calibration.recording import BINS
-from canfb.commissioning.procedure import Installation, Measurement
+from canfb.commissioning.circumstances import Circumstances, origins
+from canfb.commissioning.measurement import Measurement
+from canfb.commissioning.procedure import Installation
 from canfb.commissioning.samples import TrackSamples
-from canfb.commissioning.summary import (
-    Circumstances,
-    comparison,
-    coverage_warning,
-    facts,
-    origins,
-    outcome,
-    verdict,
-)
+from canfb.commissioning.summary import comparison, coverage_warning, facts, outcome, verdict
 from canfb.errors import CalibrationError
 from canfb.report import pictures
 from canfb.report.lissajous import is_dense, lissajous

@@ -12,18 +12,16 @@ from canfb.commissioning import own_calibration
 from canfb.commissioning.access import Master
 from canfb.commissioning.artefacts import keep_samples, write, write_refusal
 from canfb.commissioning.choices import MODULE, Choices
-from canfb.commissioning.drift_check import (
-    check,
-    drift_json,
-    drift_lines,
-    module_drift_json,
-    module_drift_lines,
-)
+from canfb.commissioning.circumstances import Circumstances
+from canfb.commissioning.drift_check import check
+from canfb.commissioning.drift_summary import drift_json, drift_lines, module_drift_json, module_drift_lines
+from canfb.commissioning.guard import Guard
 from canfb.commissioning.lock import LockWatch
-from canfb.commissioning.procedure import Guard, Installation, Measurement, Settings, install, measure
+from canfb.commissioning.measurement import Measurement, Settings, measure
+from canfb.commissioning.procedure import Installation, install
 from canfb.commissioning.samples import TrackSamples
 from canfb.commissioning.session import Session, Source
-from canfb.commissioning.summary import Circumstances, as_json, comparison, facts, outcome, verdict
+from canfb.commissioning.summary import as_json, comparison, facts, outcome, verdict
 from canfb.commissioning.table_file import read_table
 from canfb.errors import CalibrationError
 from canfb.signal.correction import NO_CORRECTION, Correction

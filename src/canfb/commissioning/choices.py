@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from canfb.commissioning.access import CommissioningError
-from canfb.commissioning.procedure import MOTION, ZERO_CROSSINGS, Settings
+from canfb.commissioning.measurement import MOTION, ZERO_CROSSINGS, Settings
 from canfb.commissioning.sample_files import read_npz
 from canfb.commissioning.samples import TrackSamples
 from canfb.errors import ConfigError

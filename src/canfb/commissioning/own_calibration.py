@@ -12,8 +12,8 @@ from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbs
 from canfb.commissioning.active import read_active
 from canfb.commissioning.deviation import best_deviation
 from canfb.commissioning.listening import Listener
+from canfb.commissioning.measurement import Measurement, Settings, block_of
 from canfb.commissioning.pdo_layout import PdoLayout
-from canfb.commissioning.procedure import Measurement, Settings, block_of
 from canfb.commissioning.samples import TrackSamples
 from canfb.errors import CalibrationError, CanfbError
 from canfb.objects import MeasurementCommand as Command

@@ -1,65 +1,22 @@
-"""The procedure in the right order. Whatever goes wrong on the way: the module is left as it was."""
+"""A table in force, proven and saved, in the right order. Whatever fails: the module is left as it was."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from canfb.calibration.motion import calibrate_from_motion
-from canfb.calibration.result import Calibration, Method
-from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.commissioning.access import CommissioningError, NodeAccess
 from canfb.commissioning.active import put_back, put_in_force, save
 from canfb.commissioning.deviation import Deviation, best_deviation
+from canfb.commissioning.guard import Guard
+from canfb.commissioning.measurement import Measurement, Settings, block_of
 from canfb.commissioning.samples import TrackSamples
 from canfb.errors import CanfbError
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
 
-MOTION, ZERO_CROSSINGS = "motion", "zero-crossings"
-METHODS = {MOTION: calibrate_from_motion, ZERO_CROSSINGS: calibrate_from_zero_crossings}
 # Fresh samples may come at another speed; a table that is wrong is worse than this by far.
 WORSE = 1.5
-BLOCK_CYCLES = 4  # of the method of zero crossings
-Heard = Callable[[float], None]
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How to calibrate.
-
-    method         "motion" or "zero-crossings"
-    conditioning   "fit", or None to leave all to the table
-    entries        of the table, 16..4096
-    adc_bits       4..16, None: found from the samples
-    """
-
-    method: str = MOTION
-    conditioning: str | None = "fit"
-    entries: int = 1024
-    adc_bits: int | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Measurement:
-    """A reference measurement, compared with what was active before.
-
-    samples       what it was made of
-    calibration   what it gave
-    before        what was active
-    on_samples    deviation of those samples, with the new and with the old set
-    """
-
-    samples: TrackSamples
-    calibration: Calibration
-    before: Correction
-    on_samples: Deviation
-
-    @property
-    def found(self) -> Correction:
-        """Table and conditioning that were found."""
-        return self.calibration.correction
 
 
 @dataclass
@@ -76,68 +33,6 @@ class Installation:
     active: bool = False
     saved_as: str | None = None
     save_note: str = ""
-
-
-class Guard:
-    """Keeps an interruption (Ctrl-C, SIGTERM, SIGHUP) away from what must not be left half done.
-
-    Call :meth:`interrupt` from a signal handler: it raises KeyboardInterrupt, but not while held, and
-    once only. A second signal, as a shell sends it to its jobs, must not stop what the first one began.
-    """
-
-    def __init__(self) -> None:
-        self._held = self._interrupted = False
-
-    def interrupt(self) -> None:
-        """Somebody wants it to end."""
-        if not self._held and not self._interrupted:
-            self._interrupted = True
-            raise KeyboardInterrupt
-
-    @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
-        """No interruption in here: what is done here is the end anyway."""
-        self._held = True
-        try:
-            yield
-        finally:
-            self._held = False
-
-
-def measure(
-    samples: TrackSamples,
-    settings: Settings,
-    before: Correction,
-    heard: Heard,
-    conditioning: Conditioning | None = None,
-) -> Measurement:
-    """Calibrate; with a ``conditioning``, with this one in place of what the settings say.
-
-    CalibrationError for samples that cannot be used, CommissioningError for wrong settings.
-    """
-    try:
-        calibration = METHODS[settings.method](
-            samples.sine,
-            samples.cosine,
-            settings.conditioning if conditioning is None else conditioning,
-            time_s=samples.time_s,
-            adc_bits=settings.adc_bits,
-            entries=settings.entries,
-            progress=heard,
-        )
-    except ValueError as error:
-        raise CommissioningError(f"the samples cannot be used: {error}") from error
-    found = calibration.correction
-    block = block_of(calibration)
-    on_samples = best_deviation(samples, found, before, block, settings.adc_bits)
-    return Measurement(samples, calibration, before, on_samples)
-
-
-def block_of(calibration: Calibration) -> int:
-    """Samples over which to take the motion for smooth."""
-    if calibration.method == Method.MOTION:
-        return calibration.block_samples
-    return BLOCK_CYCLES * calibration.block_samples
 
 
 def install(
