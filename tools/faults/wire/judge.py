@@ -121,13 +121,13 @@ class Judge:
         ended_valid = bool(positions) and bool(positions[-1].status & VALID)
         verdict.right_at_end = ended_valid and abs(positions[-1].error) <= self._plan.tolerance
         if verdict.wrong:
-            verdict.outcome = "physics" if self._plan.note.startswith("P") or self._is_p5() else "wrong"
+            verdict.outcome = "physics" if self._plan.note.startswith("P") or self._is_p7() else "wrong"
         elif self._lost or not ended_valid:
             verdict.outcome = "lost"
         elif verdict.not_valid:
             verdict.outcome = "flagged"
 
-    def _is_p5(self) -> bool:
+    def _is_p7(self) -> bool:
         """A PDO answered another SYNC, and a machine that keeps the limits moves as was shown."""
         if self._plan.setup.times or not answers_another(self._line):
             return False

@@ -13,7 +13,7 @@ P3  No sample times. Each PDO is late by one whole period from some slot on.
     Proof: sample k comes in interval k + 1, at its usual place there. A machine whose sample k - 1 was lost
     gives the same frames at the same times if the speed is a whole number of cycles per T; the positions
     differ by v. (At other speeds the residual tells them apart.)
-P5  No sample times. The first PDO after a SYNC answers an earlier one, and comes when the answer is due.
+P7  No sample times. The first PDO after a SYNC answers an earlier one, and comes when the answer is due.
     Proof: the PDO carries no mark of its SYNC. Take the machine that moves as the module has it: this
     PDO is in time there, and the one of the earlier SYNC was lost. Frames, order and times are the same;
     the machine is healthy as long as its motion keeps the limits (:func:`is_smooth`).
@@ -83,7 +83,7 @@ def _runs(bits: list[bool]) -> list[int]:
 
 
 def answers_another(line: Line) -> bool:
-    """The first PDO after some SYNC holds the sample of an earlier one (P5)."""
+    """The first PDO after some SYNC holds the sample of an earlier one (P7)."""
     slot, first = -1, False
     for event in line.events:
         if event.what == "sync":
