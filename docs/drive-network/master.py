@@ -89,7 +89,7 @@ class Story:
         )
 
     def recover(self) -> None:
-        """Begin with the feedback anew, at standstill. It counts from here: home a real machine now."""
+        """Restart the feedback at standstill. It counts from here: home a real machine now."""
         nodes, axis = self._nodes, self._axis
         self._pass(BRAKING_S)
         nodes.stop_node("module", "PRE-OPERATIONAL")
@@ -102,7 +102,7 @@ class Story:
 def main(arguments: list[str] | None = None) -> int:
     """The command."""
     options = parse(arguments)
-    logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it logs is told here, too
+    logging.getLogger("canopen").addHandler(logging.NullHandler())  # its messages are printed here, too
     try:
         file = load(options.file)
     except NetworkFileError as error:
@@ -120,7 +120,7 @@ def main(arguments: list[str] | None = None) -> int:
         print("master: ended by a signal; the nodes are PRE-OPERATIONAL", file=sys.stderr)
         return 1
     finally:
-        with contextlib.suppress(can.CanError, OSError):  # it has been told already
+        with contextlib.suppress(can.CanError, OSError):  # already reported
             if network.bus is not None:
                 network.disconnect()
 
@@ -139,7 +139,7 @@ def run(
     print(f"found as expected: {', '.join(map(str, file.nodes.values()))}")
     if options.check:
         differences = configuration.compare()
-        print("\n".join(differences) or "everything is as the file says")
+        print("\n".join(differences) or "all nodes agree with the file")
         return 1 if differences else 0
     print(f"configured: {configuration.apply()} object(s) written, all read back")
     nodes = Nodes(network, file, configuration.remotes, clock, wait, sync)
@@ -157,7 +157,7 @@ def run(
 
 
 def tell_story(nodes: Nodes, file: NetworkFile, remotes: dict[str, Any], options: argparse.Namespace) -> None:
-    """The moves, and the alarm in between when it is wanted."""
+    """The moves, with an alarm in between if requested."""
     missing = {"interface", "module", "drive"} - set(remotes)
     if missing:
         raise FaultError(f"the story needs nodes with the names {', '.join(sorted(missing))}")
@@ -169,7 +169,7 @@ def tell_story(nodes: Nodes, file: NetworkFile, remotes: dict[str, Any], options
         if options.provoke_alarm:
             print(*story.provoke_alarm(options.revolutions), sep="\n")
             story.recover()
-            print("recovered: the position is valid and counts anew; the fault is reset, and back again")
+            print("recovered: the position is valid, counted from zero; the fault is reset; moving back")
             print(*story.move(-options.revolutions), sep="\n")
     finally:
         with contextlib.suppress(can.CanError, OSError):
@@ -185,8 +185,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("file", nargs="?", default="network.yaml")
     parser.add_argument("--mode", choices=MODES, default="profile")
     parser.add_argument("--revolutions", type=float, default=1.0, metavar="N")
-    parser.add_argument("--provoke-alarm", action="store_true", help="the feedback fails in a move")
-    parser.add_argument("--trace", metavar="FILE.csv", help="what came at each SYNC, in revolutions")
+    parser.add_argument("--provoke-alarm", action="store_true", help="let the feedback fail during a move")
+    parser.add_argument("--trace", metavar="FILE.csv", help="values received at each SYNC, in revolutions")
     parser.add_argument("--check", action="store_true", help="only compare")
     return parser.parse_args(arguments)
 

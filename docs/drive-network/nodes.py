@@ -33,7 +33,7 @@ ERRORS = {
 
 
 class Listener(MessageListener):
-    """canopen's listener; a bus that fails is told in one line (``network.check``), not by its thread."""
+    """canopen's listener; a bus failure is reported in one line (``network.check``), not by its thread."""
 
     def on_error(self, exc: Exception) -> None:
         """The reception has ended; python-can keeps the reason."""

@@ -100,7 +100,7 @@ def test_a_second_run_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None
     assert network.run("--check") == 1
     assert "drive (30h) 6067:00 is 00000419h, not 00000080h" in capsys.readouterr().out
     assert network.run() == network.run("--check") == 0
-    assert "everything is as the file says" in capsys.readouterr().out
+    assert "all nodes agree with the file" in capsys.readouterr().out
     assert network.run() == 0
     assert "configured: 0 object(s) written" in capsys.readouterr().out
 

@@ -113,7 +113,7 @@ def conventional(effort: Effort) -> Iterator[Claim]:
         "section 1, Fig. 1",
         "the counter is fitted by ±1 where the quadrants differ",
         "right",
-        f"0.2 cycle apart: {below:.0f} wrong. It bears {bears:.3f} cycle "
+        f"0.2 cycle apart: {below:.0f} wrong. It tolerates {bears:.3f} cycle "
         f"({1e6 * bears / shift_cycles(2000.0, 1.0):.1f} µs at 2000 rpm) with ideal tracks, and down to "
         f"{bears_extreme:.3f} with 40 % offset and 20 % amplitude error; 0.3 cycle apart "
         f"{grouped(beyond)} of 10⁶ are wrong",
