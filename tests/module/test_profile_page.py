@@ -94,7 +94,7 @@ def test_the_alarms_and_warnings_are_those_that_are_supported() -> None:
 
 
 def test_the_aborts_are_those_of_the_program() -> None:
-    told = {int(code, 16) for code in re.findall(r"\b(0[0-9A-F]{7})h\b", PAGE)} - {0x00010302, 0x00040196}
+    told = {int(code, 16) for code in re.findall(r"\b(0[0-9A-F]{7})h\b", PAGE)} - {0x00020302, 0x00040196}
     assert told == {AbortCode.INVALID_VALUE, AbortCode.DEVICE_STATE, AbortCode.NO_OBJECT}
 
 
