@@ -11,20 +11,20 @@ import logging
 from typing import TYPE_CHECKING
 
 from canfb.calibration.drift import Drift, drift
-from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.result import Calibration
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config, load_config
 from canfb.eds_files import eds_path
 from canfb.errors import BusError, CalibrationError, CanfbError, ConfigError
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 from canfb.signal.batch import process
 from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.config import ChainConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.feedback import Feedback
 from canfb.signal.limits import max_acceleration, max_speed

@@ -18,9 +18,9 @@ import yaml
 
 from canfb.checks import flag, integer_in
 from canfb.errors import ConfigError
-from canfb.module.config import UNCONFIGURED, ModuleConfig
+from canfb.module.module_config import UNCONFIGURED, ModuleConfig
 from canfb.signal.conditioning import Conditioning
-from canfb.simulation.cia402.config import DriveConfig
+from canfb.simulation.cia402.drive_config import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
 from canfb.sources.registry import source_kinds
 from canfb.sources.source_config import SourceConfig

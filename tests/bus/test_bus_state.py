@@ -13,8 +13,8 @@ from canfb.bus.bus_state import ERROR_BUS_OFF, ERROR_RESTARTED, LASTING_S, RETRY
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 
 BUS_OFF = message(ERROR_BUS_OFF | 0x200, bytes(8), is_error_frame=True)
 RESTARTED = message(ERROR_RESTARTED, bytes(8), is_error_frame=True)

@@ -19,9 +19,9 @@ from canfb.bus.messages import Inbox, pack
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from canfb.module.calibration_job import CalibrationJob, Outcome
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
-from canfb.signal.recorder import SampleRecording
+from canfb.module.module_config import ModuleConfig
+from canfb.signal.sample_recording import SampleRecording
 from canfb.simulation.encoder import Encoder
 
 PATIENCE_S = 60.0

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canfb.bus.runner import Device, Inhibited, Runner
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 
 POSITION, EMCY = 0x1A0, 0xA0
 INHIBIT_S = 0.010

@@ -18,8 +18,8 @@ from canfb.bus import hosting
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from canfb.cli.main import main
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 
 NODES = (33, 34, 35, 36, 37, 38, 39)

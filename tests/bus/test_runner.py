@@ -14,8 +14,8 @@ from fake_bus import FakeBus, FakeClock, FakeDevice, message
 from canfb.bus.bus_state import RETRY_S, SETTLED_S
 from canfb.bus.runner import LONGEST_BLIND_DRAIN_S, LONGEST_WAIT_S, Device, DeviceFailure, Runner
 from canfb.cia301.frame import Frame
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion

@@ -14,8 +14,8 @@ from canfb.cia301.frame import Frame
 from canfb.cli.main import main
 from canfb.configuration import parse_config
 from canfb.errors import ConfigError
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 
 PAGE = (Path(__file__).parents[2] / "docs" / "several-modules.md").read_text(encoding="utf-8")
 (CONFIG,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.S)

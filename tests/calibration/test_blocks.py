@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from canfb.calibration.blocks import cut
+from canfb.calibration.motion_blocks import cut
 
 NO_BREAKS = np.zeros(0, np.int64)
 

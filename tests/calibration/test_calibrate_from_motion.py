@@ -14,7 +14,7 @@ from measurements import (
     wandering,
 )
 
-from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.result import Calibration
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.phase import FloatArray

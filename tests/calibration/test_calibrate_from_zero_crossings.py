@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from measurements import PERCENT, extreme_encoder, paper_motion, random_encoder, table_error
 
-from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.errors import CalibrationError
 from canfb.simulation.encoder import Encoder

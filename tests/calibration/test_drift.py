@@ -14,7 +14,7 @@ from measurements import extreme_encoder, paper_motion, random_encoder, true_pha
 
 import canfb
 from canfb.calibration.drift import drift
-from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.result import Calibration
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.signal.conditioning import IDENTITY, Conditioning

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from measurements import PERCENT, extreme_encoder, random_encoder, table_error, true_phases, wandering
 
-from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.result import Calibration
 from canfb.signal.phase import raw_phases
 from canfb.simulation.encoder import Encoder, Harmonic

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from measurements import random_encoder, table_error, wandering
 
-from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.recording import recorded_tracks, recording
-from canfb.signal.recorder import SampleRecording
+from canfb.signal.sample_recording import SampleRecording
 
 
 def recorded(sine, cosine, missing) -> SampleRecording:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from measurements import random_encoder, table_error, wandering
 
-from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.result import Reason
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.errors import CalibrationError, CanfbError

@@ -20,9 +20,9 @@ from canfb.device.concise import decode_concise
 from canfb.device.storage import Store
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
-from canfb.module.config import ModuleConfig
 from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.module.read_configuration import read_configuration
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable

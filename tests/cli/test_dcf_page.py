@@ -18,9 +18,9 @@ from canfb.cli.main import main
 from canfb.configuration import load_config
 from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage import MemoryStore
-from canfb.module.config import ModuleConfig
 from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
 
 PAGE = (Path(__file__).parents[2] / "docs" / "dcf.md").read_text(encoding="utf-8")

@@ -10,8 +10,8 @@ import pytest
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.cli.main import main
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 
 CHANNEL = "canfb-nmt"
 BUS = ("-i", "virtual", "-c", CHANNEL)

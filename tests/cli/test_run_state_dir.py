@@ -20,7 +20,7 @@ from canfb.cia301.frame import Frame
 from canfb.cli.main import main
 from canfb.cli.printing import printed_log
 from canfb.eds_files import eds_path
-from canfb.module.config import ModuleConfig
+from canfb.module.module_config import ModuleConfig
 
 LIMIT_S = 30.0
 SAVE = bytes.fromhex("2310100173617665")

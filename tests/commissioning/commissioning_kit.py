@@ -16,8 +16,8 @@ from canfb.commissioning.access import NodeAccess
 from canfb.commissioning.samples import TrackSamples
 from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage import Store
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, Harmonic

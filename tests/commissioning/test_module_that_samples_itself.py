@@ -14,8 +14,8 @@ from canfb.cli.calibrate_options import choices_of
 from canfb.cli.main import build_parser
 from canfb.commissioning.access import CommissioningError
 from canfb.configuration import parse_config
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.sync_producer import SyncProducer
 

@@ -13,8 +13,8 @@ from conformance_eds import Eds
 
 from canfb.cia301.frame import Frame
 from canfb.device.storage import MemoryStore
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder_interface import EncoderInterface
 

@@ -9,8 +9,8 @@ from canfb.cia301.frame import Frame
 from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage import Store
 from canfb.eds_files import eds_path
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder_interface import EncoderInterface

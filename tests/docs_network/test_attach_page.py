@@ -18,8 +18,8 @@ from canfb.cia301.nmt import NmtState
 from canfb.configuration import parse_config
 from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage import MemoryStore
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 from canfb.simulation.embedded_bus import EmbeddedBus, frame_bits
 

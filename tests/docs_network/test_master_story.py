@@ -20,7 +20,7 @@ from story_bench import FOLDER, DriveNetwork
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.simulation import background_traffic
-from canfb.simulation.cia402.errors import DriveError
+from canfb.simulation.cia402.drive_errors import DriveError
 from canfb.simulation.cia402.state_machine import State
 
 TEXT = (FOLDER / "network.yaml").read_text(encoding="utf-8")

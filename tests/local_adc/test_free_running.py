@@ -10,8 +10,8 @@ from iio_kit import deliver, reading
 
 from canfb.bus.captured_source import CapturedSource
 from canfb.cia301.frame import Frame
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.supervision import MISSED, VALID
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp

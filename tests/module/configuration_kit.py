@@ -15,9 +15,9 @@ from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import Frame
 from canfb.device.concise import Write
 from canfb.device.entry import Entry
-from canfb.module.config import ModuleConfig
 from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import CorrectionTable
 
 NODE_ID = 32

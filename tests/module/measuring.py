@@ -15,7 +15,7 @@ from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
 from canfb.objects import StatusBit
 from canfb.signal.phase import FloatArray
-from canfb.signal.recorder import SampleRecording
+from canfb.signal.sample_recording import SampleRecording
 from canfb.simulation.encoder import Encoder, Harmonic
 
 ENCODER = Encoder(

@@ -19,9 +19,9 @@ from module_bench import Bench
 from canfb.device.concise import Write, encode_concise
 from canfb.device.dcf import Commissioning, FileInfo, Reals, dcf_text, real_as_text
 from canfb.eds_files import eds_path
-from canfb.module.config import ModuleConfig
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.conditioning import Conditioning
 
 TABLE = table(256, 0.015)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 
 

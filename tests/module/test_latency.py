@@ -72,8 +72,8 @@ def test_a_missed_sample_is_told_at_the_sync_after_it(rpdo: int, tpdo: int) -> N
 
 def test_a_sample_of_a_source_is_of_the_very_sync() -> None:
     from canfb.cia301.frame import Frame
-    from canfb.module.config import ModuleConfig
     from canfb.module.feedback_module import FeedbackModule
+    from canfb.module.module_config import ModuleConfig
 
     class Source:
         count = -1

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import COASTING, MISSED, VALID
 from canfb.simulation.encoder import Encoder

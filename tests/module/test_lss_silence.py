@@ -11,8 +11,8 @@ import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import CorrectionTable
 
 NODE_ID, RATES = 0x20, (125, 500)

@@ -12,8 +12,8 @@ from module_bench import Bench
 from canfb.cia301.frame import Frame
 from canfb.device.image import ParameterGroup
 from canfb.device.storage import MemoryStore
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 
 HOUR_S = 3600.0
 GROUP = ParameterGroup.OPERATING_TIME

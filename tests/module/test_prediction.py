@@ -15,8 +15,8 @@ from latency_bench import RANGE, UNITS_PER_CYCLE, Timeline
 
 from canfb.cia301.frame import Frame
 from canfb.device.storage import MemoryStore
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.module.prediction import ahead
 from canfb.objects import StatusBit
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.storage import MemoryStore
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.module.position import PositionScale, distinguishable_revolutions, single_turn_resolution
 
 U32 = 0xFFFFFFFF

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from canfb.cia301.frame import Frame
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.embedded_bus import EmbeddedBus

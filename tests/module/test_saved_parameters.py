@@ -16,8 +16,8 @@ from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.image import Identity, ParameterGroup, Record, decode_image, encode_image
 from canfb.device.storage import MemoryStore
 from canfb.eds_files import eds_path
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.sample import Sample

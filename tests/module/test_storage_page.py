@@ -12,8 +12,8 @@ import pytest
 from canfb.cia301.frame import Frame
 from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage import MemoryStore
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
 
 PAGE = (Path(__file__).parents[2] / "docs" / "canopen.md").read_text(encoding="utf-8")

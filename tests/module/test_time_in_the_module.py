@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.supervision import COASTING, LOST, VALID
 
 NODE, INTERFACE = 0x20, 0x10

@@ -16,8 +16,8 @@ from canfb.objects import StatusBit
 from canfb.signal import blocks
 from canfb.signal.batch import process
 from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.config import ChainConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.recovery import COAST_SAMPLES, Recovery

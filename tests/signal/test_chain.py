@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from canfb.objects import StatusBit
 from canfb.signal.batch import process
 from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.config import ChainConfig
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample

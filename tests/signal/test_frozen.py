@@ -10,7 +10,7 @@ from supervision_kit import DEAD, Drive, above, at, below, flags, has
 
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
-from canfb.signal.config import ChainConfig
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.frozen import FrozenInput
 from canfb.signal.sample import Sample
 from folding import each

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.signal.chain import SignalChain
-from canfb.signal.config import ChainConfig
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.gap import Unseen, fitting, sure_acceleration, within
 from canfb.signal.recovery import Recovery
 from canfb.signal.sample import Sample

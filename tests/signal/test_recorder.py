@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.objects import MISSED_COUNTS
-from canfb.signal import recorder
-from canfb.signal.recorder import BYTES_PER_SAMPLE, SampleRecording
+from canfb.signal.sample_recording import BYTES_PER_SAMPLE, SampleRecording
 
 COUNTS = st.integers(-0x8000, 0x7FFF)
 SAMPLES = st.lists(st.one_of(st.none(), st.tuples(COUNTS, COUNTS)), max_size=40)
@@ -39,7 +38,7 @@ def test_what_was_read_does_not_change_any_more() -> None:
 def test_another_byte_order_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = SampleRecording()
     recording.take(0x0102, 0x0304)
-    monkeypatch.setattr(recorder.sys, "byteorder", "big")
+    monkeypatch.setattr(sample_recording.sys, "byteorder", "big")
     assert recording.to_bytes() == b"\x01\x02\x03\x04"
     monkeypatch.undo()
     assert recording.to_bytes() == b"\x02\x01\x04\x03"

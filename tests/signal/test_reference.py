@@ -9,7 +9,7 @@ import pytest
 
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
-from canfb.signal.config import ChainConfig
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 

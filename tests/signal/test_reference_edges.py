@@ -9,8 +9,8 @@ import pytest
 from supervision_kit import at, flags
 
 from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.coarse import CoarseTrack
-from canfb.signal.config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.reference import Reference
 from canfb.signal.sample import Sample

@@ -14,8 +14,8 @@ import canfb
 from canfb.objects import StatusBit
 from canfb.signal.blocks import BLOCK_SAMPLES
 from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.config import ChainConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.sample import Sample
 from canfb.signal.stream import SHORTEST_BLOCK, ChainResult, process_stream

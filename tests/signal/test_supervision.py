@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from supervision_kit import AMPLITUDE, DEAD, Drive, above, at, below, flags, has
 
 from canfb.cia301.frame import Frame
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 from canfb.signal import supervision
 from canfb.signal.chain import SignalChain
-from canfb.signal.config import ChainConfig
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import SampleLimits, Supervision

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from canfb.calibration.drift import drift
-from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.signal.batch import process
 from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.config import ChainConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.stream import process_stream

@@ -10,7 +10,7 @@ from supervision_kit import above, at, below, flags
 
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
-from canfb.signal.config import ChainConfig
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.zero_pulse import ZeroPulse

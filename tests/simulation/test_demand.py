@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.signal.config import ChainConfig
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.limits import max_acceleration
 from canfb.simulation.cia402.motor import MotorConfig
 from canfb.simulation.demand import of_drive, of_motion, of_recording

@@ -11,7 +11,7 @@ import pytest
 from canfb.configuration import parse_config
 from canfb.device.dictionary import Dictionary
 from canfb.eds_files import eds_path
-from canfb.module.config import ModuleConfig
+from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import configured_defaults
 from canfb.simulation.scenario import SimulationConfig
 

@@ -7,8 +7,8 @@ import struct
 import pytest
 
 from canfb.cia301.frame import Frame
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.sample_clock import SampleClock

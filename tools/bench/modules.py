@@ -23,8 +23,8 @@ try:
     import can
 
     from canfb.bus.runner import Runner
-    from canfb.module.config import ModuleConfig
     from canfb.module.feedback_module import FeedbackModule
+    from canfb.module.module_config import ModuleConfig
 except ImportError as error:
     sys.exit(f"{error}: run this file with the Python of the virtual environment")
 

@@ -23,10 +23,10 @@ from canfb.device import pdo
 from canfb.device.dictionary import Dictionary
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.mapping import Direction, resolve_all
-from canfb.device.nmt import COMMUNICATING
+from canfb.device.nmt_slave import COMMUNICATING
 from canfb.device.storage import MemoryStore
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder_interface import EncoderInterface
 from tools.fuzz.client import Follower

@@ -18,8 +18,8 @@ from canfb.bus.state_files import StateFiles
 from canfb.configuration import Config
 from canfb.device.image import ParameterGroup
 from canfb.errors import CanfbError, ConfigError
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.simulation.scenario import SimulationConfig
 from canfb.sources.protocol import Converter, Source
 from canfb.sources.surroundings import Capture, Surroundings

@@ -9,7 +9,7 @@ from canfb.bus.bus_words import check_words
 from canfb.bus.opening import check_device_bus
 from canfb.configuration import Config, line_of
 from canfb.errors import ConfigError
-from canfb.module.config import ModuleConfig
+from canfb.module.module_config import ModuleConfig
 
 
 def check_machine(path: Path, config: Config) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from canfb.bus.saved_parameters import SavedParameters
 from canfb.errors import CanfbError, ConfigError
-from canfb.module.config import UNCONFIGURED, ModuleConfig
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import UNCONFIGURED, ModuleConfig
 
 
 def saved_configuration(config: ModuleConfig) -> DeviceConfiguration:

@@ -13,7 +13,7 @@ from canfb.bus.opening import check_device_bus, describe, open_bus
 from canfb.bus.realtime import apply_realtime
 from canfb.bus.runner import Runner
 from canfb.configuration import RealtimeConfig
-from canfb.module.config import ModuleConfig
+from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import configured_defaults
 from canfb.simulation.fed_module import FedModule
 from canfb.simulation.scenario import SimulationConfig

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from canfb.calibration.blocks import Blocks
 from canfb.calibration.circular import about_mean
 from canfb.calibration.joint import JointFit, bound_covariance, fit_jointly
 from canfb.calibration.judgement import judge
+from canfb.calibration.motion_blocks import Blocks
 from canfb.calibration.recording import BINS, Recording, coverage
 from canfb.calibration.result import TRACK_POINTS, Calibration, ErrorCurve, Harmonic, Method, error_harmonics
 from canfb.calibration.solver import Solution

@@ -12,7 +12,7 @@ import itertools
 
 import numpy as np
 
-from canfb.calibration.blocks import IntArray, cut
+from canfb.calibration.motion_blocks import IntArray, cut
 from canfb.signal.phase import FloatArray
 from canfb.signal.tracker import Tracker, track
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from canfb.calibration.blocks import Blocks, BoolArray, solve_blocks
+from canfb.calibration.motion_blocks import Blocks, BoolArray, solve_blocks
 from canfb.calibration.waveform import Waveform, basis, table_sensitivity
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.phase import FloatArray

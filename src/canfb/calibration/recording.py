@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.blocks import BoolArray, IntArray
 from canfb.calibration.following import positions
+from canfb.calibration.motion_blocks import BoolArray, IntArray
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.objects import MISSED_COUNTS
 from canfb.signal.phase import FloatArray
-from canfb.signal.recorder import BYTES_PER_SAMPLE
+from canfb.signal.sample_recording import BYTES_PER_SAMPLE
 from canfb.signal.tracks import check_counts, pair_of_tracks
 
 MIN_SAMPLES = 200

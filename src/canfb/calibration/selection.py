@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from canfb.calibration.blocks import Blocks, BoolArray
 from canfb.calibration.joint import JointFit
+from canfb.calibration.motion_blocks import Blocks, BoolArray
 from canfb.calibration.waveform import table_sensitivity
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.phase import FloatArray

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from canfb.calibration.blocks import CUBIC, Blocks, cut
 from canfb.calibration.joint import JointFit, fit_jointly, information_loss, initial_waveform
 from canfb.calibration.judgement import LOCKED_LOSS, MAX_OFF_CYCLES, check_smooth, check_way, no_fit
+from canfb.calibration.motion_blocks import CUBIC, Blocks, cut
 from canfb.calibration.recording import MIN_SAMPLES, Recording, coverage
 from canfb.calibration.result import Reason
 from canfb.calibration.selection import (

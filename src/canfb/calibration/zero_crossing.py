@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.blocks import BoolArray, IntArray
 from canfb.calibration.circular import about_mean
 from canfb.calibration.ellipse import angle_cycles, as_real32, fit_ellipse
 from canfb.calibration.evaluate import error_curve, peak, root_mean
 from canfb.calibration.judgement import judge
+from canfb.calibration.motion_blocks import BoolArray, IntArray
 from canfb.calibration.recording import Recording, check_clipped, coverage, recording
 from canfb.calibration.result import TRACK_POINTS, Calibration, Harmonic, Method, Reason, error_harmonics
 from canfb.calibration.solver import Progress, no_progress
@@ -50,7 +50,7 @@ def calibrate_from_zero_crossings(
 ) -> Calibration:
     """Correction table from a slow recording: at least 40 samples in each cycle used (section 2).
 
-    Arguments and errors are those of :func:`canfb.calibration.motion.calibrate_from_motion`.
+    Arguments and errors are those of :func:`canfb.calibration.from_motion.calibrate_from_motion`.
     The speed may vary, also its direction; only cycles passed in the direction in which the
     machine went further are used, and only whole ones without a sample that is not valid.
     """

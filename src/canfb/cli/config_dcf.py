@@ -16,8 +16,8 @@ from canfb.commissioning.module_objects import ModuleObjects
 from canfb.configuration import Config, load_config
 from canfb.device.dcf import Reals
 from canfb.errors import ConfigError
-from canfb.module.config import ModuleConfig
 from canfb.module.configuration_files import ConfigurationFiles, place_names
+from canfb.module.module_config import ModuleConfig
 from canfb.module.read_configuration import read_configuration
 
 INLINE, FILE = "inline", "file"

@@ -12,7 +12,7 @@ from canfb.bus.bus_words import check_interface
 from canfb.cli.examples import examples_of
 from canfb.configuration import Config
 from canfb.errors import ConfigError
-from canfb.module.config import ModuleConfig
+from canfb.module.module_config import ModuleConfig
 
 Commands = Any  # argparse's sub-parser action has no public name
 

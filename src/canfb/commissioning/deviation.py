@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from canfb.calibration.blocks import Blocks, cut
 from canfb.calibration.circular import about_mean
 from canfb.calibration.evaluate import peak, root_mean
+from canfb.calibration.motion_blocks import Blocks, cut
 from canfb.calibration.recording import BINS, Recording, check_clipped, coverage, recording
 from canfb.calibration.result import Reason
 from canfb.commissioning.samples import TrackSamples

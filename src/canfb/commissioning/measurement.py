@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.result import Calibration, Method
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.commissioning.access import CommissioningError

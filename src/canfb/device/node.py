@@ -15,7 +15,7 @@ from canfb.device.emergency import check_error
 from canfb.device.hooks import Hooks
 from canfb.device.lss import REQUEST_ID, UNCONFIGURED, LssSlave, is_node_id
 from canfb.device.moment import NEVER, Moment
-from canfb.device.nmt import Startup
+from canfb.device.nmt_slave import Startup
 from canfb.device.routing import Handler, RemoteHandler
 from canfb.device.rpdo import Rpdo
 from canfb.device.sdo_server import TIMEOUT_S

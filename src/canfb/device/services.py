@@ -17,7 +17,7 @@ from canfb.device.guarding import NodeGuarding
 from canfb.device.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from canfb.device.mapping import Direction
 from canfb.device.moment import Emit, Moment
-from canfb.device.nmt import COMMUNICATING, ErrorBehaviour, Nmt
+from canfb.device.nmt_slave import COMMUNICATING, ErrorBehaviour, Nmt
 from canfb.device.routing import Routes
 from canfb.device.rpdo import Rpdo
 from canfb.device.sdo_channel import SdoChannel, channel_indices

@@ -21,8 +21,8 @@ from canfb.objects import Multiplexer
 from canfb.signal.chain import SignalChain
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
-from canfb.signal.recorder import SampleRecording
 from canfb.signal.sample import Sample
+from canfb.signal.sample_recording import SampleRecording
 from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL
 
 RECORDING_PART = 80.0  # per cent of the progress; the rest is the computation

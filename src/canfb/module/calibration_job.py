@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from canfb.calibration.motion import calibrate_from_motion
+from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.recording import recorded_tracks, timed_tracks
 from canfb.calibration.result import Calibration, Reason
 from canfb.calibration.solver import no_progress

@@ -14,8 +14,8 @@ from canfb.device.concise import Write
 from canfb.device.dcf import Place
 from canfb.device.entry import Entry
 from canfb.device.writing_order import TURNS, switched_off, turn
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 
 OPENING: dict[Place, int] = {od.ENCODER_LOWEST_AMPLITUDE: 0}
 """Values that are always accepted and let others be written: the lower one of two amplitudes."""

@@ -16,11 +16,11 @@ from canfb.device.storage import Store
 from canfb.eds_files import eds_path
 from canfb.module.calibrating import Calibrating
 from canfb.module.calibration_job import CalibrationJob, Outcome
-from canfb.module.config import ModuleConfig
 from canfb.module.cyclic_timer import CyclicTimer
 from canfb.module.interval import IntervalEstimate
 from canfb.module.jitter_watch import JitterWatch
 from canfb.module.local_source import LocalSource
+from canfb.module.module_config import ModuleConfig
 from canfb.module.operating_time import OperatingTime
 from canfb.module.parameters import Limits, apply_defaults, configured_defaults, without_adc_pdo
 from canfb.module.position_alarm import REGISTER

@@ -9,8 +9,8 @@ from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
-from canfb.module.config import ModuleConfig
 from canfb.module.interval import IntervalEstimate
+from canfb.module.module_config import ModuleConfig
 from canfb.module.position import distinguishable_revolutions, single_turn_resolution
 from canfb.signal.chain import SignalChain
 from canfb.signal.limits import cycles_per_interval_squared, narrowed_residual_limit

@@ -8,8 +8,8 @@ from canfb.device.dictionary import Dictionary
 from canfb.module.interval import IntervalEstimate
 from canfb.module.tap import Taps
 from canfb.signal.feedback import Feedback
-from canfb.signal.recorder import SampleRecording
 from canfb.signal.sample import Sample
+from canfb.signal.sample_recording import SampleRecording
 
 
 class Recorder:

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.blocks import Scratch
+from canfb.signal.chain_config import ChainConfig, check_config
 from canfb.signal.coarse import CoarseTrack
-from canfb.signal.config import ChainConfig, check_config
 from canfb.signal.correction import Correction, CorrectionTable, check_table
 from canfb.signal.feedback import Feedback
 from canfb.signal.frozen import FrozenInput

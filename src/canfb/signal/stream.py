@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from canfb.signal.blocks import BLOCK_SAMPLES, Scratch
 from canfb.signal.chain import SignalChain
-from canfb.signal.config import ChainConfig
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import FloatArray, raw_phase_block, wrap_block
 from canfb.signal.sample import Sample

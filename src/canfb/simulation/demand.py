@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from canfb.signal.config import ChainConfig
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.limits import max_acceleration
 from canfb.signal.phase import FloatArray, phase_in_cycle
 from canfb.simulation.cia402.motor import MotorConfig

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from canfb.device.lss import UNCONFIGURED
-from canfb.signal.config import ChainConfig
+from canfb.signal.chain_config import ChainConfig
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,7 @@ import random
 from dataclasses import dataclass, field
 
 from canfb.checks import integer_in, number_in
-from canfb.simulation.cia402.config import DriveConfig
+from canfb.simulation.cia402.drive_config import DriveConfig
 from canfb.simulation.encoder import Encoder, Harmonic
 from canfb.simulation.motion import Motion, Ramp, Ripple
 from canfb.simulation.sample_clock import LARGEST_DRIFT_PPM, SampleClock

@@ -14,8 +14,8 @@ from canopen.profiles.p402 import BaseNode402
 from canfb.cia301.frame import Frame
 from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.eds_files import eds_path
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.motor import Motor, MotorConfig

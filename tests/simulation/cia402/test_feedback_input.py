@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from canfb.device.dictionary import Dictionary
 from canfb.eds_files import eds_path
-from canfb.simulation.cia402.feedback import FeedbackInput, Wrong
+from canfb.simulation.cia402.feedback_input import FeedbackInput, Wrong
 
 DICTIONARY = Dictionary.load(eds_path("drive"), 48)
 FULL = 4_280_320_000

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb import CorrectionTable, SignalChain, phase_in_cycle
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.config import ChainConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder, demo_encoder
 

@@ -29,8 +29,8 @@ from canfb.bus.state_files import StateFiles
 from canfb.cia301.frame import Frame
 from canfb.device.image import ParameterGroup
 from canfb.device.storage import PARAMETERS
-from canfb.module.config import ModuleConfig
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import CorrectionTable
 from tools.faults.saving.traced import NotTraced, killed_at
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.dictionary import Dictionary
 from canfb.device.entry import Entry
-from canfb.simulation.cia402.feedback import FeedbackInput
+from canfb.simulation.cia402.feedback_input import FeedbackInput
 from canfb.simulation.cia402.loop import Demand, Gains, PositionLoop, chosen_gains
 from canfb.simulation.cia402.scaling import Scaling, nearest, saturated, wrapped
 from canfb.simulation.cia402.set_points import SetPoints

@@ -15,9 +15,9 @@ from canfb.device.pdo import EVENT_DRIVEN
 from canfb.device.storage import Store
 from canfb.eds_files import eds_path
 from canfb.simulation.cia402.axis import Axis
-from canfb.simulation.cia402.errors import DriveError
-from canfb.simulation.cia402.feedback import FeedbackInput, Wrong
-from canfb.simulation.cia402.interval import SyncInterval
+from canfb.simulation.cia402.drive_errors import DriveError
+from canfb.simulation.cia402.drive_interval import SyncInterval
+from canfb.simulation.cia402.feedback_input import FeedbackInput, Wrong
 from canfb.simulation.cia402.link import FeedbackModuleLink, apply_defaults
 from canfb.simulation.cia402.plant import Plant
 from canfb.simulation.cia402.scaling import saturated

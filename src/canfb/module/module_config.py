@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from canfb.checks import flag, integer_in
 from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for who reads configurations
-from canfb.signal.config import ChainConfig
+from canfb.signal.chain_config import ChainConfig
 from canfb.sources.source_config import SourceConfig
 
 
