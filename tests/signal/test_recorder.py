@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.objects import MISSED_COUNTS
+from canfb.signal import sample_recording
 from canfb.signal.sample_recording import BYTES_PER_SAMPLE, SampleRecording
 
 COUNTS = st.integers(-0x8000, 0x7FFF)
