@@ -322,7 +322,7 @@ class _Reader:
                     raise self.fail(place, f"drive: node_id {drive.node_id} is the {name} of modules[{n}]")
 
     def _check_distinct_serial_numbers(self, items: Any, config: Config) -> None:
-        """Modules without a node-ID are told apart by LSS, by their serial numbers."""
+        """LSS distinguishes modules without a node-ID by their serial numbers."""
         owner: dict[int, int] = {}
         for n, module in enumerate(config.modules):
             other = owner.setdefault(module.serial_number, n)

@@ -1,12 +1,12 @@
 """The errors of the package, one tree.
 
 CanfbError
-├── ConfigError         a configuration that cannot be used; names key and line
+├── ConfigError         an unusable configuration; names key and line
 ├── CalibrationError    a reference measurement that was refused
-├── BusError            a bus that cannot be opened or that has gone for good
+├── BusError            a bus that cannot be opened or has failed permanently
 ├── StateDirError       a state_dir that cannot be used (canfb.bus.state_files)
-├── SourceError         a source of samples that cannot give one (canfb.sources.protocol)
-└── EdsNotFoundError    an EDS file that is not there (canfb.eds_files)
+├── SourceError         a source that cannot provide samples (canfb.sources.protocol)
+└── EdsNotFoundError    a missing EDS file (canfb.eds_files)
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class CalibrationError(CanfbError):
 
     reason        a short stable word, one of :class:`canfb.calibration.result.Reason`
     calibration   the refused :class:`canfb.calibration.result.Calibration`, for diagnosis
-                  only, where there is one; else None
+                  only, if there is one; else None
     """
 
     def __init__(self, message: str, reason: str, calibration: Calibration | None = None) -> None:
@@ -36,15 +36,15 @@ class CalibrationError(CanfbError):
 
 
 class ConfigError(CanfbError):
-    """A configuration that cannot be used; the text names file, line and key."""
+    """An unusable configuration; the text names file, line and key."""
 
 
 class BusError(CanfbError):
-    """A bus that cannot be opened or that has gone for good."""
+    """A bus that cannot be opened or has failed permanently."""
 
 
 def reason(error: Exception) -> str:
-    """One line on what an error of another library or of the system says."""
+    """One line: the message of an error of another library or of the system."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     text = str(error).strip().splitlines()

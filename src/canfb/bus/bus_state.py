@@ -1,4 +1,4 @@
-"""Whether the bus is there: what its failures and error frames say, told to the devices."""
+"""Whether the bus is there: from its failures and error frames, reported to the devices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The other process: takes one job, computes it, tells how far it is and what came out.
+"""The other process: takes one job, computes it, reports progress and result.
 
     python -m canfb.bus.compute_process
 
@@ -39,7 +39,7 @@ def main() -> None:
         os.nice(NICENESS)
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    with contextlib.suppress(BrokenPipeError), answers:  # nobody wants it any more
+    with contextlib.suppress(BrokenPipeError), answers:  # the result is no longer needed
         compute(sys.stdin.buffer, answers)
 
 

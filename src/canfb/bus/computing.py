@@ -37,7 +37,7 @@ class Computation:
     """The computations of one ``device``, one at a time. The process is started when one comes.
 
     A fresh process, not a fork nor a thread: a fork would take bus and memory along, a thread the
-    time of the SYNC cycle. A process that ends without a result is told to ``report``, and refuses
+    time of the SYNC cycle. A process that ends without a result is reported to ``report``, and refuses
     the measurement. ``command`` is what is started, but for tests.
     """
 

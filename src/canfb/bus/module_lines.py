@@ -22,7 +22,7 @@ COUNTERS = {
 
 def name_of(module: FeedbackModule) -> str:
     """The node-ID that it has, or is going to have; before its start."""
-    module.node.storage.power_on()  # a node-ID that LSS has stored comes before that of the configuration
+    module.node.storage.power_on()  # a node-ID stored by LSS takes precedence over the configuration
     module.node.lss.power_on()
     node_id = module.node.lss.pending_node_id
     if node_id == UNCONFIGURED:

@@ -20,7 +20,7 @@ class RealtimeThread(threading.Thread):
 
 
 def apply_realtime(config: RealtimeConfig, report: Callable[[str], None] = log.warning) -> None:
-    """Ask for what ``config`` wants; what the system refuses is reported, and the program goes on."""
+    """Request what ``config`` sets; a refusal of the system is reported, and the program continues."""
     if config.priority:
         _try("priority", report, lambda: _set_fifo(config.priority))
     if config.lock_memory:

@@ -45,7 +45,7 @@ class Device(Protocol):
         """Do what is due."""
 
     def deadline(self) -> float | None:
-        """When tick is wanted."""
+        """When tick is due."""
 
 
 @runtime_checkable
@@ -87,9 +87,9 @@ class Runner:
     """Runs devices on one bus in the calling thread until :meth:`stop`.
 
     Devices of one process hear each other as well. A bus that fails is tried again; what
-    happened is counted and told to ``report``, one line each time it changes, and the devices
+    happened is counted and reported to ``report``, one line each time it changes, and the devices
     that want to know hear when the bus goes and comes back. A device that raises ends
-    :meth:`run` for all, with DeviceFailure: nobody knows what state it is in.
+    :meth:`run` for all, with DeviceFailure: its state is unknown.
 
     Frames get the time at which the bus received them (:class:`ReceiveTimes`). A runner that comes
     round late takes all frames that wait before it looks at a deadline: SYNC and samples may be among
@@ -247,7 +247,7 @@ class Runner:
                 self._spread(device, self._asked(device, device.tick, now))
 
     def _tell_bus_state(self) -> None:
-        """Tell the devices when the bus has gone, and when it is back."""
+        """Notify the devices when the bus has gone, and when it is back."""
         now = self._clock()
         lost, returned = self._bus_state.lost(), self._bus_state.returned(now)
         for device in self._devices:

@@ -1,8 +1,8 @@
-"""How far an encoder has moved away from the correction table that is in force.
+"""Drift of an encoder from its active correction table.
 
-Dust, wear, heat and a head that has shifted change the tracks slowly. No single sample shows it:
-the position is only a little off, again and again at the same place of the cycle. A fresh reference
-measurement beside the active table shows it early.
+Dust, wear, heat and a shifted head change the tracks slowly. No single sample shows it: the position
+error is small and repeats at the same phase of the cycle. Comparing a new reference measurement with
+the active table shows it early.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from canfb.signal.phase import FloatArray, raw_phases, wrap
 
 
 class Drift(NamedTuple):
-    """Error that a table in force makes now, in cycles, its constant part taken off.
+    """Present error of the active table, in cycles, without its constant part.
 
-    rms    over the cycle, each part of the way alike
+    rms    over the cycle, weighted by distance
     peak   the largest
-    Both hold the uncertainty of the fresh measurement as well
+    Both include the uncertainty of the new measurement
     (``uncertainty_rms`` and ``uncertainty_peak`` of :class:`canfb.Calibration`).
     """
 
@@ -32,13 +32,12 @@ class Drift(NamedTuple):
 
 
 def drift(fresh: Calibration, table: CorrectionTable | None, conditioning: Conditioning = IDENTITY) -> Drift:
-    """How far the encoder, as ``fresh`` has just measured it, is from ``table`` and ``conditioning``.
+    """Drift of the encoder measured by ``fresh`` from ``table`` and ``conditioning``.
 
-    ``table`` and ``conditioning`` are those in force; None is the identity. The constant part of
-    the difference is taken off, because where phase 0 lies is a convention. Conditionings that
-    differ are taken into account: both ways from tracks to phase are compared on the tracks
-    themselves. ValueError where ``fresh`` has another conditioning and no ``tracks``, TypeError
-    for arguments of another type.
+    ``table`` and ``conditioning`` are the active ones; None is the identity. The constant part of
+    the difference is removed, because the origin of the phase is a convention. If the conditionings
+    differ, the phases that both give are compared on the tracks themselves. ValueError if ``fresh``
+    has another conditioning and no ``tracks``, TypeError for arguments of another type.
     """
     check_table(table)
     if not isinstance(fresh, Calibration) or not isinstance(conditioning, Conditioning):

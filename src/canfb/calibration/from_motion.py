@@ -1,9 +1,8 @@
 """Reference measurement from any motion, at any speed, also many cycles per sample.
 
 The position of a machine is smooth over tens of samples, the errors of the encoder repeat
-with every cycle. So both can be told apart in one least-squares fit (:mod:`.joint`), which
-needs neither a constant speed nor many samples per cycle, only that the samples of a block
-meet different phases.
+with every cycle. So one least-squares fit (:mod:`.joint`) separates the two. It needs neither a
+constant speed nor many samples per cycle, only different phases in the samples of a block.
 """
 
 from __future__ import annotations
@@ -32,20 +31,20 @@ def calibrate_from_motion(
 ) -> Calibration:
     """Correction table from samples of any motion, taken at any rate (also below Nyquist).
 
-    sine, cosine    ADC counts, zero at mid-scale but for an offset that ``conditioning`` takes
-                    away, shape (n,), NaN where a sample is missing, or -32768 in both, the
+    sine, cosine    ADC counts, zero at mid-scale except for an offset that ``conditioning``
+                    removes, shape (n,), NaN for a missing sample, or -32768 in both, the
                     mark of a recording (2050:03)
-    conditioning    None leaves all to the table, "fit" fits the ellipse of the tracks first, or
+    conditioning    None: the table corrects all errors, "fit" fits the ellipse of the tracks first, or
                     a :class:`canfb.signal.conditioning.Conditioning` to use
-    time_s          sample times in seconds, rising; None: one sample per interval, none left out
-    valid           False for samples to leave out (missed, faulty)
+    time_s          sample times in seconds, rising; None: one sample per interval, no gaps
+    valid           False for samples to omit (missed, faulty)
     adc_bits        4..16, to find clipped samples; None: 12, 14 or 16, the first that fits
-    entries         length of the table, 16..4096. 1024 keep the error of interpolation below
+    entries         length of the table, 16..4096. with 1024 the interpolation error is below
                     0.001 % of a cycle even for very poor tracks without conditioning
-    progress        called with 0..1 as the work goes on
+    progress        called with 0..1 during the computation
 
     Raises ValueError for wrong arguments, :class:`canfb.errors.CalibrationError` for a
-    measurement that cannot be used, with the reason and what to do.
+    measurement that is refused, with the reason and the remedy.
     """
     if not 16 <= entries <= 4096:
         raise ValueError(f"entries must be 16..4096, not {entries!r}")

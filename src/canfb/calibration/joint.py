@@ -204,7 +204,7 @@ class _System:
         return used / variance, used / across**2
 
     def _held(self, matrix: FloatArray) -> FloatArray:
-        # The data cannot tell where phase 0 lies: a shift of it moves the coefficients by their slope.
+        # The data does not determine phase 0: a shift of it moves the coefficients by their slope.
         origin = np.concatenate([self.slope.sine, self.slope.cosine])
         origin = origin / np.linalg.norm(origin)
         size = float(np.trace(matrix)) / len(matrix)

@@ -46,7 +46,7 @@ def check_smooth(off_cycles: float, loss: float) -> None:
 
 
 def no_fit(what: str, loss: float) -> CalibrationError:
-    """The error for tracks and motion that cannot be told apart.
+    """The error for tracks and motion that cannot be separated.
 
     ``loss``: how many times the uncertainty grows because the motion has to be found as well.
     """

@@ -76,7 +76,7 @@ class ErrorCurve:
     """Mean deviation from smooth motion over the phase, in cycles, on data not used for the fit.
 
     phase    middle of each bin, cycles
-    before   identity table, its mean taken off
+    before   identity table, its mean removed
     after    correction table
     NaN in a bin without samples.
     """
@@ -88,15 +88,15 @@ class ErrorCurve:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """A reference measurement: correction table, conditioning, and how good they are.
+    """A reference measurement: correction table, conditioning, and their quality.
 
     table            correction table; phase 0 at the positive zero crossing of the conditioned sine
     conditioning     to be activated together with the table
     method           a ``Method``: "motion" or "zero crossings"
     reason           a ``Reason``: "accepted", else why it is refused
-    coverage         part of the cycle that has samples, 0..1
-    cycles_used      cycles that the samples used went through, as far as samples can tell it
-    samples_used     samples used; samples_rejected: usable ones left out as faults
+    coverage         fraction of the cycle that has samples, 0..1
+    cycles_used      cycles passed by the samples used, as counted from them
+    samples_used     samples used; samples_rejected: usable ones omitted as faults
     residual_rms     rms deviation of a sample from smooth motion with the table, cycles: noise
                      of the samples included, on data not used for the table it is measured with
     residual_peak    largest such deviation
@@ -105,19 +105,19 @@ class Calibration:
     uncertainty_rms  expected error of the table itself, rms over the cycle, cycles
     uncertainty_peak expected largest error of the table
     noise_counts     rms noise of a track, counts (converter, quantisation)
-    noise_cycles     rms of what the smooth motion leaves, as a phase
+    noise_cycles     rms of the deviation from the smooth motion, as a phase
     bound_rms        Cramer-Rao bound of the table's rms error with noise_counts, cycles; None
                      where it is not computed
     cramer_rao_ratio measured error of the table (from the scatter of tables of independent parts
                      of the data) over that bound; below 1 only by chance. None where it is not computed
-    cramer_rao_scatter  standard deviation of that ratio, as part of it: few tables tell it roughly
+    cramer_rao_scatter  relative standard deviation of that ratio, large for few tables
     track_orders     orders of the tracks' Fourier series that the data supports; empty where
                      the method has none
     harmonics        of the error of the conditioned arc tangent, largest first
     curve            deviation over the phase, before and after
-    block_samples    samples over which motion was taken to be smooth
-    tracks           mean tracks, ADC counts as they come, sine above cosine, at phases n/1024;
-                     None where they are not known
+    block_samples    samples over which the motion was assumed to be smooth
+    tracks           mean tracks, raw ADC counts, sine above cosine, at phases n/1024;
+                     None if unknown
     """
 
     table: CorrectionTable
@@ -147,7 +147,7 @@ class Calibration:
 
     @property
     def correction(self) -> Correction:
-        """Table and conditioning, to be put in force together."""
+        """Table and conditioning, to be activated together."""
         return Correction(self.table, self.conditioning)
 
     @property

@@ -60,7 +60,7 @@ class Solution(NamedTuple):
 
     loss   how many times the unknown motion made the uncertainty larger
     doubt  uncertainty of the table, cycles, where the samples cannot rule out orders that do not
-           show: positions are unsteady, or tell some orders only together. Else 0
+           show: positions are unsteady, or determine some orders only together. Else 0
     """
 
     fit: JointFit
@@ -127,7 +127,7 @@ class Solver:
         return information_loss(blocks, self._circle(), motion)
 
     def _way(self, position: FloatArray) -> float:
-        """Cycles gone through, noise left out, as far as the samples can tell."""
+        """Cycles gone through, without noise, as far as the samples show."""
         seen = position[self.record.valid][::WAY_SAMPLES]
         return float(np.abs(np.diff(seen)).sum())
 

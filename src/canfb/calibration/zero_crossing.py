@@ -1,7 +1,7 @@
 """Reference measurement of the paper (section 2): a slow recording, many samples in each cycle.
 
 A cubic through four positive zero crossings of the sine track gives the position between the
-inner two, whatever the speed does; the samples there are resampled to equidistant raw phases
+inner two at any speed; the samples there are resampled to equidistant raw phases
 and averaged over many cycles. Two things are better than printed at no cost: the crossing
 comes from four samples instead of two, and what is resampled, by a polynomial through six
 samples, is the small difference to the arc tangent, which is smooth, instead of the phase.
@@ -51,8 +51,8 @@ def calibrate_from_zero_crossings(
     """Correction table from a slow recording: at least 40 samples in each cycle used (section 2).
 
     Arguments and errors are those of :func:`canfb.calibration.from_motion.calibrate_from_motion`.
-    The speed may vary, also its direction; only cycles passed in the direction in which the
-    machine went further are used, and only whole ones without a sample that is not valid.
+    Speed and direction may vary; only cycles in the direction with the longer distance are
+    used, and only whole ones without an invalid sample.
     """
     if not 16 <= entries <= 4096:
         raise ValueError(f"entries must be 16..4096, not {entries!r}")

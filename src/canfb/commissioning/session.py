@@ -125,6 +125,6 @@ def _identity_of(node: NodeAccess) -> tuple[int, ...] | None:
 
 
 def _interface_of(module: NodeAccess) -> int | None:
-    """The node from which the module takes its samples, as the COB-ID of its RPDO tells it; None without."""
+    """The node from which the module takes its samples, by the COB-ID of its RPDO; None without."""
     layout = module_layout(module)
     return None if layout is None else layout.sender or DEFAULT_INTERFACE

@@ -1,4 +1,4 @@
-"""Who wants to be called when: the services with a timer, and the earliest of their deadlines."""
+"""When each service is due: the services with a timer, and the earliest of their deadlines."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Agenda:
         self.moved = True
 
     def due(self) -> float:
-        """The earliest deadline, seconds; NEVER when nobody waits."""
+        """The earliest deadline, seconds; NEVER if none waits."""
         if self.moved:
             self._due = min([service.deadline for service in self._services], default=NEVER)
             self.moved = False

@@ -28,7 +28,7 @@ class Entry:
     raises SdoAbort to refuse it. `on_written()` runs after the value is stored. `on_download()` runs
     after an SDO has written it, and after no other write.
 
-    `follows_node_id` tells that the node-ID is part of the default ($NODEID in the EDS).
+    `follows_node_id`: the node-ID is part of the default ($NODEID in the EDS).
     """
 
     __slots__ = (

@@ -67,7 +67,7 @@ class NodeGuarding(Timed):
         return int(self._guard_time.value) * int(self._factor.value) / 1000
 
     def configure(self, now: float) -> None:
-        """Begin anew: toggle bit 0, no error, no life time before the first remote frame."""
+        """Restart: toggle bit 0, no error, no life time before the first remote frame."""
         self._toggle = 0
         self._guarded = False
         self.deadline = NEVER

@@ -102,7 +102,7 @@ class KeptEntries:
     def records(self, group: ParameterGroup, node_id: int) -> list[Record]:
         """The present values of a group on node `node_id`.
 
-        A value beyond its own limits is none that was written: it stays out, and comes with the defaults.
+        A value beyond its own limits was not written: it is not stored, and comes with the defaults.
         """
         values = ((entry, self._value(entry)) for entry in self.of(group))
         return [_record(entry, value, node_id) for entry, value in values if _is_within_limits(entry, value)]

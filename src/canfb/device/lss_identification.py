@@ -109,7 +109,7 @@ class Identification:
 
 
 def _collected(parts: list[int], part: int, number: int) -> list[int]:
-    """The parts so far and this one, if it is their next; the first begins anew."""
+    """The parts so far and this one, if it is their next; the first one restarts."""
     if part == 0:
         return [number]
     return [*parts, number] if len(parts) == part else []

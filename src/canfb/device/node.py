@@ -32,7 +32,7 @@ class Node(Hooks):
     """A CiA 301 slave without I/O.
 
     Frames and times go in, frames and the next deadline come out: `start`, `receive` and `tick`
-    return what is to be sent, in order, and `deadline` says when `tick` is wanted next. `now` is
+    return what is to be sent, in order, and `deadline` says when `tick` is due next. `now` is
     seconds (monotonic) and must not go back. The node is given its object dictionary and takes its
     communication parameters from it; write those by SDO, or before `start`.
 
@@ -40,7 +40,7 @@ class Node(Hooks):
 
     With the node-ID 255 the device has none yet: it stays in INITIALISING and answers LSS only, until
     a master has given it one. A node-ID from LSS is in force from the next reset on; one that was
-    stored comes before that of the program.
+    stored takes precedence over that of the program.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class Node(Hooks):
         self._make_services()
 
     def _make_services(self) -> None:
-        """All services that know the node-ID: anew when it changes."""
+        """All services that know the node-ID: recreated when it changes."""
         links = Links(
             emit=self._outbox.append,
             state_changed=self._state_changed,
@@ -208,7 +208,7 @@ class Node(Hooks):
         return self._sent()
 
     def deadline(self) -> float | None:
-        """When `tick` is wanted next, seconds; None when nothing is waiting."""
+        """When `tick` is due next, seconds; None when nothing is waiting."""
         if self._outbox:
             return self.moment.now
         due = self._agenda.due()

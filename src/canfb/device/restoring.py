@@ -16,7 +16,7 @@ Value = tuple[Entry, Any]
 def restore(entries: KeptEntries, group: ParameterGroup, records: list[Record], node_id: int) -> None:
     """Write all records, or none and raise ImageError.
 
-    Each value passes the checks of an SDO write, in the order that CiA 301 wants of a master: first
+    Each value passes the checks of an SDO write, in the order that CiA 301 requires of a master: first
     everything is switched off (PDOs not valid and without objects, no SYNC, no heartbeat to wait
     for), then comes the rest, at last mappings, periods and COB-IDs. Hooks for what was written do
     not run: the services read their parameters after a reset.

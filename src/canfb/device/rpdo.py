@@ -154,7 +154,7 @@ class Rpdo(Timed):
         self._emergency.report(code, ErrorRegister.COMMUNICATION, manufacturer, now, self._source)
 
     def _supervise(self, now: float) -> None:
-        """A good PDO: errors are over, the time-out starts anew."""
+        """A good PDO: errors are over, the time-out restarts."""
         if self._failed:
             self._clear_errors(now)
             self._supervise_if(self._timeout_s > 0)

@@ -49,7 +49,7 @@ class Links:
 
 
 class Services:
-    """All services of one node-ID; made anew when it changes.
+    """All services of one node-ID; recreated when it changes.
 
     `configure` and `enter` follow the NMT state machine, `routes` says who listens.
     """
@@ -126,7 +126,7 @@ class Services:
         ]
 
     def configure(self, now: float) -> None:
-        """Begin anew with the values in the dictionary, after a reset: no error, no timer, no transfer."""
+        """Restart with the values in the dictionary, after a reset: no error, no timer, no transfer."""
         self.forget()
         self.guarding.configure(now)
         self.consumer.configure(now)

@@ -92,11 +92,11 @@ class Calibrating:
 
     @property
     def pending_job(self) -> CalibrationJob | None:
-        """What is to be computed; the same object until it is done or not wanted any more."""
+        """What is to be computed; the same object until it is done or obsolete."""
         return self._job
 
     def finish(self, job: CalibrationJob, result: Outcome | Exception) -> None:
-        """What ``job`` gave, or how it failed. Nothing happens if it is not wanted any more."""
+        """What ``job`` gave, or how it failed. Nothing happens if it is obsolete."""
         if not isinstance(result, (Outcome, Exception)):
             raise TypeError(f"give what the job returned, or the Exception that it raised, not {result!r}")
         if job is not self._job:
@@ -242,7 +242,7 @@ def _left_out(status: int) -> bool:
     """Whether the supervision calls a sample bad.
 
     Not where it was clipped: too large tracks are to be found out. Nor by the residual while the
-    position is lost: it compares with a count that nothing vouches for.
+    position is lost: it compares with a count that is not guaranteed.
     """
     if status & CLIPPED:
         return False

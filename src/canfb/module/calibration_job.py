@@ -1,4 +1,4 @@
-"""The computation of a reference measurement, to be run where it keeps nobody waiting."""
+"""The computation of a reference measurement, to be run where it delays nothing."""
 
 from __future__ import annotations
 

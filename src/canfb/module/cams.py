@@ -71,7 +71,7 @@ class Cams:
         self._followed: list[Cam] = []
         self._total_range = 1
         self.follows = False
-        """A cam in use has a hysteresis: :meth:`follow` is wanted with each valid sample."""
+        """A cam in use has a hysteresis: :meth:`follow` must see each valid sample."""
         entry(STATE, CHANNEL).on_read = self._state
         self._enable.on_written = self._configure
         for limits in self._limits:

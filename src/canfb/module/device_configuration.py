@@ -152,7 +152,7 @@ def _as_sent(entry: Entry, value: Any) -> Any:
 
 
 def _is_within_limits(setting: Setting) -> bool:
-    """A value beyond its own limits is none that was written, and cannot be."""
+    """A value beyond its own limits was not written, and cannot be."""
     try:
         setting.entry.check_limits(setting.value)
     except SdoAbort:

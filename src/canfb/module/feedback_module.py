@@ -43,17 +43,17 @@ class FeedbackModule:
 
     Time goes in as ``now`` (seconds, monotonic), frames come out; see
     :class:`canfb.device.node.Node` for start, receive, tick and deadline. A frame never
-    raises, whatever it holds.
+    raises, whatever its content.
 
-    ``store`` keeps what 1010h and LSS save; without one nothing is saved. ``on_parameter_faults``
-    is called with the groups of stored parameters that were refused, and why. ``bit_rates_kbit_s``
-    are those that LSS may choose; see ``on_bit_rate`` of the node.
+    ``store`` holds what 1010h and LSS save; without one nothing is saved. ``on_parameter_faults``
+    is called with the groups of stored parameters that were refused, and the reasons.
+    ``bit_rates_kbit_s`` are those that LSS may choose; see ``on_bit_rate`` of the node.
 
-    A ``source`` is asked at each SYNC in OPERATIONAL for the sample of that very SYNC; RPDO1 is off
-    then. ``on_source`` is called with one line when it fails, works again or has ended; ``on_warning``
-    when the speed comes near what the jitter of SYNC allows. ValueError
-    where ``config.source`` speaks of a source and none is given; TypeError for a ``config`` that is
-    no :class:`canfb.ModuleConfig`.
+    A ``source`` provides the sample of each SYNC in OPERATIONAL at that SYNC; RPDO1 is then off.
+    ``on_source`` is called with one line when it fails, works again or has ended; ``on_warning``
+    when the speed approaches the limit set by the SYNC jitter. ValueError if ``config.source``
+    names a source and none is given; TypeError for a ``config`` that is not a
+    :class:`canfb.ModuleConfig`.
     """
 
     def __init__(
@@ -187,13 +187,13 @@ class FeedbackModule:
         self.node.sent(can_id, now)
 
     def end(self, now: float) -> None:
-        """The program ends at ``now``: the operating time is kept."""
+        """The program ends at ``now``: the operating time is stored."""
         self._operating_time.keep(now)
 
     def bus_off(self, now: float) -> list[Frame]:
-        """The bus is gone at ``now``, as 1029h has it; the frames to send, if any.
+        """The bus is lost at ``now``: the reaction of 1029h; the frames to send, if any.
 
-        A module that stays in OPERATIONAL has lost its position: nobody counts the SYNCs meanwhile.
+        A module that stays in OPERATIONAL has lost its position: no SYNCs are counted meanwhile.
         """
         frames = self.node.bus_off(now)
         if self.state is NmtState.OPERATIONAL:
@@ -205,24 +205,24 @@ class FeedbackModule:
         return self.node.bus_back(now)
 
     def pending_job(self) -> CalibrationJob | None:
-        """What takes seconds to compute and waits to be done, None for nothing.
+        """A pending computation of several seconds, or None.
 
-        The module goes on meanwhile. Ask again and again: another job, or None, says that the one
-        before is not wanted any more. Call the job, in another process where frames must not wait,
-        and give what it returns, or the Exception that it raised, to :meth:`finish_job`.
+        The module continues meanwhile. Poll this: another job, or None, means that the previous one
+        is obsolete. Call the job, in another process if frames must not wait, and pass its result,
+        or the Exception that it raised, to :meth:`finish_job`.
         """
         return self._calibrating.pending_job
 
     def finish_job(self, job: CalibrationJob, result: Outcome | Exception, now: float) -> list[Frame]:
         """Take the ``result`` of a ``job`` at ``now``; the frames to send.
 
-        Nothing happens if the job is not wanted any more. An Exception refuses the measurement.
+        Nothing happens if the job is obsolete. An Exception refuses the measurement.
         """
         self._calibrating.finish(job, result)
         return []
 
     def job_progress(self, job: CalibrationJob, part: float) -> None:
-        """So much of the ``job``, ``part`` 0..1, is done: for 2030:03."""
+        """The fraction ``part``, 0..1, of the ``job`` is done: for 2030:03."""
         self._calibrating.computed(job, part)
 
     def _choose_parameters(self) -> None:

@@ -16,7 +16,7 @@ USUAL_LONGEST = 1.0 + LARGEST_STEP  # of the period
 FIRST_INTERVALS = 5  # their median is the first estimate
 AGREEMENT = 0.2  # of the median
 LEAST_HEARD = 4  # to confirm 1006h
-HEARD_INTERVALS = 32  # where only the time is known at which somebody came round to a SYNC
+HEARD_INTERVALS = 32  # where only the time is known at which a SYNC was processed
 HEARD_STEP = 8  # of these, from one look at all of them to the next
 SLOWER_INTERVALS = 8  # so many long ones that agree are another rate, not gaps
 

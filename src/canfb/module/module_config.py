@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from canfb.checks import flag, integer_in
-from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for who reads configurations
+from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for readers of configurations
 from canfb.signal.chain_config import ChainConfig
 from canfb.sources.source_config import SourceConfig
 
@@ -14,23 +14,23 @@ from canfb.sources.source_config import SourceConfig
 class ModuleConfig(ChainConfig):
     """One drive feedback module: the fields of ChainConfig, and its place on the bus.
 
-    node_id                  1..127, required; 255: none yet, an LSS master gives one. One that LSS has
-                             stored in state_dir comes before it
-    serial_number            0..4294967295 (1018:04): with it an LSS master tells equal modules apart
+    node_id                  1..127, required; 255: none yet, an LSS master assigns one. A node-ID stored
+                             by LSS in state_dir takes precedence
+    serial_number            0..4294967295 (1018:04): an LSS master distinguishes equal modules by it
     encoder_interface        1..127: the node whose TPDO1 carries the ADC counts; not node_id. Not used
                              with a source
-    times                    True: the ADC PDO carries the interface's sample time behind sine and cosine
+    times                    True: the ADC PDO carries the interface's sample time after sine and cosine
                              (RPDO1: 2000:01, :02, :05), 8 bytes. Not used with a source
-    source                   where the samples come from in place of the ADC PDO; None: from the PDO
+    source                   source of the samples instead of the ADC PDO; None: the PDO
     max_acceleration_rad_s2  largest acceleration of the machine (2010:02); 0 = not known
     predict                  what synchronous TPDOs send (2013:01): False the measured position, True (or 1)
-                             that at their SYNC if the speed stays, 2 if the acceleration stays
+                             that at their SYNC with constant speed, 2 with constant acceleration
     nominal_sync             True: with ``times`` the position is that of a SYNC without jitter (2013:02)
-    sync_timeout_periods     2..255: so many periods without SYNC or sample, and the position is not valid
+    sync_timeout_periods     2..255 periods without SYNC or sample until the position is not valid
                              (2010:06)
-    state_dir                folder for what `save` (1010h) keeps, made if it is missing; None: nothing
+    state_dir                folder for the data of `save` (1010h), created if missing; None: nothing
                              is saved. `canfb run` uses it; each module has its own
-    autostart                True: operational without a master
+    autostart                True: OPERATIONAL without a master
     """
 
     node_id: int

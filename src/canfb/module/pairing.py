@@ -71,7 +71,7 @@ class Pairing:
         self._tracks_came = False  # since the last SYNC, with the rest of the sample or without
         self._synced = False  # a SYNC came since OPERATIONAL
         self._extra_syncs = False  # a duplicate came since the last SYNC: the interface may answer it
-        self._stale = False  # what synchronous RPDOs hold is of an interval that nobody knows
+        self._stale = False  # what synchronous RPDOs hold is of an unknown interval
         self._unheard = 0  # SYNCs before this one
         self._last_time: int | None = None  # of the last valid sample, 2000:05
         self.timeline.pause()
@@ -110,7 +110,7 @@ class Pairing:
                 self.count_bad_frame()
 
     def accepts_sync(self, counter: int | None, now: float) -> bool:
-        """Before anything is done with a SYNC: is it one, and were there others that nobody heard?"""
+        """Before anything is done with a SYNC: is it a new one, and were others missed?"""
         moment = self._moment
         verdict = self.timeline.sync(moment.received, moment.proved, counter)
         if verdict.duplicate:

@@ -15,7 +15,7 @@ from canfb.signal.supervision import COASTING, EXTRAPOLATED, VALID
 
 OFF, CONSTANT_SPEED, CONSTANT_ACCELERATION = 0, 1, 2
 """What 2013:01 may be."""
-KNOWN_ACCELERATION = 3  # valid samples in a row that tell one
+KNOWN_ACCELERATION = 3  # successive valid samples that determine one
 
 
 class Prediction:
@@ -64,7 +64,7 @@ class Prediction:
         return bool(self._kind.value != OFF)
 
     def pause(self, last: Feedback | None) -> None:
-        """OPERATIONAL begins after ``last``: what was before tells nothing of the speed now."""
+        """OPERATIONAL begins after ``last``: earlier samples say nothing about the speed now."""
         self._before = 0 if last is None else last.samples  # samples before OPERATIONAL
         self.forget()
 
@@ -99,7 +99,7 @@ class Prediction:
         since = None if self._at_sync is None else last.samples - self._at_sync
         self._at_sync = last.samples
         way = self._way(last)
-        # Of several samples since one SYNC nobody knows when the last one was taken.
+        # Of several samples since one SYNC it is unknown when the last one was taken.
         if way is None or last.samples == self._before or (since is not None and since > 1):
             return
         cycles, phase = ahead(last.cycles, last.phase, way)

@@ -40,10 +40,10 @@ class Reporter(Protocol):
 class Warnings:
     """Object 6505h, computed when it is read, and an EMCY for each warning in 2004:01.
 
-    A warning is told once, with the sample that brings it, and is over when it has been away for
-    2004:02 (ms). While the position is not valid, nothing is told: that is the alarm's to say.
+    A warning is reported once, with the sample that causes it, and ends when it was absent for
+    2004:02 (ms). While the position is not valid, nothing is reported: the alarm does that.
 
-    For the hot path: :meth:`follow` is wanted with samples whose residual is above
+    For the hot path: :meth:`follow` must see samples whose residual is above
     :attr:`near_cycles`, whose amplitude is below :attr:`reserve_counts`, or whose status word is not
     :attr:`status`.
     """
@@ -70,24 +70,24 @@ class Warnings:
         self._mask.on_written = self.look_again
 
     def reset(self) -> None:
-        """After an NMT reset no error is active any more: what persists is told again."""
+        """After an NMT reset no error is active any more: what persists is reported again."""
         self._told = 0
         self.limits_changed()
         self.look_again()
 
     def look_again(self) -> None:
-        """What is wired or wanted may have changed: follow the next sample, whatever it is."""
+        """Mapping or mask may have changed: follow the next sample in any case."""
         self.status = NEVER_SEEN
 
     def limits_changed(self) -> None:
         """Take over the residual limit and 2001:03."""
-        # What is told is looked for in each sample, so that its end is seen.
+        # A reported warning is checked in each sample, so that its end is detected.
         following = bool(self._told & EVERY_SAMPLE)
         self.near_cycles = -1.0 if following else NEAR_LIMIT * self._residual_limit()
         self.reserve_counts = AMPLITUDE_RESERVE * self._low.value
 
     def follow(self, feedback: Feedback, now: float) -> None:
-        """Tell what this sample, taken at ``now`` (seconds), brings or ends."""
+        """Report what this sample, taken at ``now`` (seconds), begins or ends."""
         self.status = feedback.status
         if not feedback.status & VALID:
             return

@@ -75,7 +75,7 @@ class Publication:
         self.reset()
 
     def reset(self) -> None:
-        """After a reset: no feedback; counting of losses starts anew."""
+        """After a reset: no feedback; counting of losses restarts."""
         self._last = NOTHING
         self._last_raw = 0.0
         self._lost = False

@@ -34,7 +34,7 @@ class Response:
     missing, only one at the usual time is taken.
 
     For the hot path: a delay from ``low_s`` to ``high_s`` is that of the usual answer. It is not
-    judged, but put into ``taken``; :meth:`learn` is wanted when LEARNED_TOGETHER have come.
+    judged, but put into ``taken``; :meth:`learn` is called when LEARNED_TOGETHER have come.
     """
 
     def __init__(self) -> None:

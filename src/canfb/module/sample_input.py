@@ -91,7 +91,7 @@ class SampleInput:
 
     @property
     def is_ambiguous(self) -> bool:
-        """Several synchronous PDOs with tracks came since the last SYNC: nobody knows which answers it."""
+        """Several synchronous PDOs with tracks since the last SYNC: which of them answers it is unknown."""
         return self._waiting is not None and self._waiting.waiting > 1
 
     @property

@@ -19,7 +19,7 @@ class Tap(Protocol):
 
 
 class Taps:
-    """Those that listen at the moment; usually nobody."""
+    """The present listeners; usually none."""
 
     __slots__ = ("open",)
 

@@ -250,7 +250,7 @@ class Timeline:
         return DOUBT
 
     def _late(self, time_s: float, counter: int | None, period: float, unheard: int, apart: float) -> Verdict:
-        """Late, or some were not heard, and nobody knows: the lock stays where it was."""
+        """Late, or some were missed, which is not known: the lock stays where it was."""
         self.withheld = CONFIRMING_SYNCS
         if apart > HALF:
             self._late_syncs += 1

@@ -16,7 +16,7 @@ OUT_OF_RANGE, OVERFLOW, UNDERFLOW = 1 << 0, 1 << 1, 1 << 2
 def work_area_state(position: int, low: int, high: int, total_range: int) -> int:
     """Bits of 6400h for a position 0 .. ``total_range`` - 1 and two limits (INTEGER32).
 
-    With ``low`` above ``high`` the area goes over the wrap; outside of it the nearer limit tells.
+    With ``low`` above ``high`` the area goes over the wrap; outside of it the nearer limit decides.
     """
     first, last = limit_position(low, total_range), limit_position(high, total_range)
     if first <= last:

@@ -31,23 +31,24 @@ def process(
     """Tracks to positions: conditioning, Table 1, correction table, eq. 9 and eq. 12.
 
     ``sine`` and ``cosine`` have shape (n,), ADC counts, zero at mid-scale. ``table`` None
-    stands for the identity, ``conditioning`` None, too. ``speed_cycles`` is the speed at the
-    first sample, cycles per sample, right to less than half a cycle; default: standstill.
+    and ``conditioning`` None are the identity. ``speed_cycles`` is the speed at the first
+    sample, cycles per sample, with an error of less than half a cycle; default: standstill.
 
     The result is bit for bit that of :class:`canfb.SignalChain` one sample after the other,
-    without limits on amplitude and converter, which belong to the single encoder
+    without limits on amplitude and converter, which depend on the individual encoder
     (:func:`canfb.process_stream` has them). ``ok`` is its status bit 0, position valid:
 
-    - a start at another speed than ``speed_cycles`` is lost from the second sample on, if the
-      residual of that is over the limit. If it is below, no method that sees only phases can
-      tell: speeds of 0.2 and 83.2 cycles per sample look alike. Tell the speed.
+    - after a start at a speed other than ``speed_cycles`` the position is lost from the second
+      sample on, if the residual of that sample is over the limit. If it is below, no method that
+      sees only phases can detect it: speeds of 0.2 and 83.2 cycles per sample look alike. Pass
+      the speed.
     - after a sample over the residual limit, or without a phase (both tracks zero), positions are
-      not ok until the samples determine the count; it is set right with the first that is ok
+      not ok until the samples determine the count; it is corrected at the first that is ok
       again. If they do not, the position is lost: not ok to the end.
 
-    ValueError for arrays that are not such tracks (of another shape, complex, unsigned or never
-    centred, in -1..1) and for a bad limit or speed; TypeError for a table or a conditioning that
-    is of another type.
+    ValueError for arrays that are not such tracks (wrong shape, complex, unsigned or never
+    centred, in -1..1) and for a bad limit or speed; TypeError for a table or a conditioning of
+    another type.
     """
     check_table(table)
     if conditioning is not None and not isinstance(conditioning, Conditioning):

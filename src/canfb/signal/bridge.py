@@ -1,7 +1,7 @@
-"""Where the position is after a gap, if that can be told.
+"""The position after a gap, if it can be determined.
 
-Phases tell place and speed after a gap but for whole cycles. Which whole cycles is a matter of
-how the machine accelerated meanwhile, and nobody saw that. So the accelerations seen before and
+Phases determine place and speed after a gap except for whole cycles. These depend on
+the acceleration of the machine meanwhile, which was not sampled. So the accelerations seen before and
 after the gap bound those within: each way through it needs them to spread over some width at
 least. The way that needs the least is the position, if it needs hardly more than was seen, and
 every other one far more.
@@ -24,7 +24,7 @@ MOST_WIDTH = 0.11  # of all accelerations together: a machine that does more can
 # Any other way must need so many times the width of the accelerations, and some more.
 CLEARLY = 2.0
 CLEARLY_CYCLES = 0.02
-LAST_PLACES = 7  # that tell how the machine accelerated just before a gap
+LAST_PLACES = 7  # that show the acceleration just before a gap
 _BISECTIONS = 20
 
 

@@ -45,7 +45,7 @@ class SignalChain:
     A sample that fails a check is flagged in its own :class:`Feedback` and never moves the
     cycle count; see :mod:`canfb.signal.recovery` for what happens then.
 
-    TypeError for a ``config`` that is no :class:`ChainConfig` and a ``table`` that is no
+    TypeError for a ``config`` that is not a :class:`ChainConfig` and a ``table`` that is not a
     :class:`CorrectionTable` (None: the identity).
     """
 
@@ -75,12 +75,12 @@ class SignalChain:
 
     @property
     def reference(self) -> Reference:
-        """What coarse track and zero pulse have told."""
+        """The state of coarse track and zero pulse."""
         return self._reference
 
     @property
     def interval_s(self) -> float:
-        """Nominal sampling interval, seconds, by which sample times are judged. 0.0: not known."""
+        """Nominal sampling interval, seconds, used to check sample times. 0.0: not known."""
         return self._times.interval_s
 
     @interval_s.setter
@@ -133,7 +133,7 @@ class SignalChain:
         self._reference.coarse.full_scale_counts = limits.full_scale_counts
 
     def set_cycles_per_revolution(self, cycles_per_revolution: int) -> None:
-        """Take an encoder with other ``cycles_per_revolution``; coarse track and zero pulse start anew."""
+        """Take an encoder with other ``cycles_per_revolution``; coarse track and zero pulse are reset."""
         if cycles_per_revolution != self._reference.coarse.cycles_per_revolution:
             limit = self._reference.coarse.limit_revolutions
             self._make_reference(cycles_per_revolution, self._reference.coarse.full_scale_counts)
@@ -188,7 +188,7 @@ class SignalChain:
         return fast or (abs(speed) >= least_cycles and abs(speed) * intervals > LARGEST_SLIP_CYCLES)
 
     def uncertain(self, intervals: float) -> Feedback | None:
-        """Up to so many sampling intervals may have passed uncounted: lost, unless the machine stands still.
+        """Up to so many sampling intervals may have passed uncounted: lost, except at standstill.
 
         None where that makes no difference: each phase is then less than half a cycle from the last.
         """
@@ -202,7 +202,7 @@ class SignalChain:
         return sine == self._sine and cosine == self._cosine
 
     def lose(self) -> Feedback:
-        """The position is lost from now on: nobody has counted."""
+        """The position is lost from now on: no cycles were counted."""
         self._recovery.lose()
         self._reference.slipped()
         track = self._tracker.predict(0.0)
@@ -338,7 +338,7 @@ class SignalChain:
 
     def miss(self) -> Feedback:
         """One sampling interval without a sample: the position coasts, flagged."""
-        if not self._recovery.lost:  # then nobody asks how long it was
+        if not self._recovery.lost:  # then its length does not matter
             self._waited += 1.0
         track, bits = self._recovery.bad(1.0, missed=True)
         self._clock += 1.0
@@ -347,7 +347,7 @@ class SignalChain:
         return self._feedback(math.nan, math.nan, 0.0, math.nan, track, bits | MISSED, 0)
 
     def _restarted(self, sample: Sample) -> Feedback:
-        """The clock of the interface was started again: how long this interval was, nobody knows."""
+        """The clock of the interface was restarted: the length of this interval is unknown."""
         lost = self.uncertain(1.0)
         self._waited = 0.0
         return self.step(sample._replace(time_100ns=None)) if lost is None else lost

@@ -27,10 +27,10 @@ class ChainConfig:
     amplitude_high_counts   highest accepted amplitude (2001:04); None: 1.25 of the full scale
     residual_limit          cycles, 0 < limit <= 0.5 (2010:01, eq. 12)
     coast_samples           0..255 sampling intervals to bridge before the position is lost (2010:03)
-    frozen_samples          0..255 repeats in a row that tell a dead converter from a machine that
-                            moves whole cycles per sample (2010:04): 16 with half a count of noise.
-                            0: the converter may be without noise, equal samples are no fault
-    coarse_limit_revolutions  how far the coarse track may differ, above 0, at most 0.25 (2010:05)
+    frozen_samples          0..255 successive repeats that distinguish a dead converter from a machine
+                            that moves whole cycles per sample (2010:04): 16 with half a count of noise.
+                            0: for a converter without noise, equal samples are not a fault
+    coarse_limit_revolutions  largest difference of the coarse track, above 0, at most 0.25 (2010:05)
     conditioning            offset, gain and phase error of the tracks (2002h)
     """
 

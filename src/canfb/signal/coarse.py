@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 HYSTERESIS = 0.75  # a disagreement ends below this part of the limit
-LOWEST_AMPLITUDE = 0.1  # of the full scale: a coarse track below it tells nothing
+LOWEST_AMPLITUDE = 0.1  # of the full scale: a coarse track below it is ignored
 FIRM = 0.25  # a slope is taken for a whole number of cycles per interval if it is this close
 NOISE_LSB = 4.0  # of the angle
 HARMONIC = 2  # of the revolution, the highest that the error of the coarse track may have
@@ -66,7 +66,7 @@ class CoarseTrack:
         return cycles + round(difference * self.cycles_per_revolution)
 
     def restart_search(self) -> None:
-        """Begin the search for the range of speed anew."""
+        """Restart the search for the range of speed."""
         self._turned = 0.0
         self._last_angle: float | None = None
         self._first: tuple[int, float] | None = None
@@ -76,7 +76,7 @@ class CoarseTrack:
         """Feed a position that eq. 9 counts with a speed wrong by whole cycles per interval.
 
         The number of cycles per interval that its speed lacks, or None as long as the coarse
-        track cannot tell it. Eq. 9 must have counted without a gap since :meth:`restart_search`.
+        track cannot determine it. Eq. 9 must have counted without a gap since :meth:`restart_search`.
         """
         if angle is None:
             self.restart_search()

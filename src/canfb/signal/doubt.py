@@ -181,7 +181,7 @@ class Doubt:
         return [] if found is None else [found]
 
     def decide(self, coast_samples: int) -> list[Place] | None:
-        """The places after the gap; empty if no more samples can tell; None if more may.
+        """The places after the gap; empty if no more samples can decide; None if more may.
 
         Up to ``coast_samples`` and ``doubted`` intervals are bridged, bad samples or none.
         """

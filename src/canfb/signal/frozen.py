@@ -11,8 +11,8 @@ class FrozenInput:
 
     A machine that was slower than the residual limit may have stopped: equal counts prove
     nothing. A faster one cannot stop within one interval, but it may go on with whole cycles per
-    sample and show the same phase each time; then only the noise of the converter tells that it
-    lives. So ``frozen_samples`` (2010:04) repeats in a row are wanted; 0, for a converter
+    sample and show the same phase each time; then only the noise of the converter shows that it
+    works. So ``frozen_samples`` (2010:04) successive repeats are required; 0, for a converter
     without noise: the check is off. ``residual_limit_cycles`` is the limit of eq. 12.
     """
 

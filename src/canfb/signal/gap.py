@@ -1,7 +1,7 @@
 """Which trajectories pass through a gap of missed samples, all samples around it being good.
 
 The phases before and after a gap of n samples leave two whole numbers open: the cycles passed in
-it, and the cycles per interval by which the speed changed. The n + 2 accelerations that nobody saw
+it, and the cycles per interval by which the speed changed. The n + 2 accelerations that were not sampled
 decide them, and they have two known sums. A trajectory fits if accelerations within given bounds
 have these sums. docs/faults.md derives when only one fits.
 """

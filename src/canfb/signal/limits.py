@@ -28,8 +28,9 @@ def max_speed(cycles_per_revolution: float, jitter_s: float, residual_limit: flo
     """Largest speed in rad/s that eq. 9 follows without sample times if SYNC jitters by ``jitter_s``.
 
     An error j of the sampling instant is an error v j of the position, which the second difference of
-    eq. 9 takes four times at worst: 4 v j < ``residual_limit`` (cycles, 0 < limit <= 0.5; less what the
-    acceleration needs). ``cycles_per_revolution`` and ``jitter_s`` are positive. ValueError otherwise.
+    eq. 9 multiplies by up to four: 4 v j < ``residual_limit`` (cycles, 0 < limit <= 0.5; minus the
+    acceleration in cycles per interval squared). ``cycles_per_revolution`` and ``jitter_s`` are
+    positive. ValueError otherwise.
     """
     if not 0.0 < cycles_per_revolution < math.inf:
         raise ValueError(f"cycles_per_revolution must be positive, not {cycles_per_revolution!r}")

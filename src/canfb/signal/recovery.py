@@ -2,7 +2,7 @@
 
 The recursion of eq. 9 never forgets: after one wrong cycle count it runs on with a wrong
 speed. So a sample that fails a check leaves the position in doubt (:mod:`canfb.signal.doubt`)
-until several samples in a row tell it. Eq. 9 runs on beside that, as in the paper: it is right
+until several successive samples determine it. Eq. 9 runs on beside that, as in the paper: it is right
 when not a sample was wrong but the acceleration was beyond the limit.
 """
 
@@ -28,7 +28,7 @@ LARGEST_CERTAIN_CYCLES = (
     0.95  # of deviation from the prediction, in one direction and in the other: 1 less noise
 )
 COAST_SAMPLES = 3  # default of 2010:03
-REMEMBERED_SAMPLES = 16  # tell how smoothly the machine runs
+REMEMBERED_SAMPLES = 16  # show how smoothly the machine runs
 
 
 class Recovery:
@@ -36,7 +36,7 @@ class Recovery:
 
     ``coast_samples`` (2010:03): so many sampling intervals without a good sample are
     bridged; one more, and the position is lost. Lost stays until :meth:`restart` or
-    :meth:`found`: eq. 9 then runs on with the samples, but nothing vouches for its count.
+    :meth:`found`: eq. 9 then runs on with the samples, but its count is not guaranteed.
     """
 
     __slots__ = (

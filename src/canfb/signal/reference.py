@@ -1,7 +1,7 @@
 """What the coarse track and the zero pulse say of the position (paper, section 4).
 
 Eq. 9 started on a turning machine, or after a fault, counts with a speed that lacks whole
-cycles per interval. The coarse track, or two zero pulses, tell how many; the next zero pulse
+cycles per interval. The coarse track, or two zero pulses, determine how many; the next zero pulse
 sets the cycle count right. Every jump of the position is reported.
 
 A pulse that contradicts a valid position may be false. The position is not valid then until
@@ -31,7 +31,7 @@ class Reference:
         self.coarse = coarse
         self.zero = zero
         self.recovered = 0
-        """How often the coarse track told a lost speed."""
+        """Number of speeds recovered by the coarse track."""
         self.set_right = 0
         """How often a zero pulse found the count wrong and set it right."""
         self.restart()

@@ -14,7 +14,7 @@ TICK_S = 1e-7  # 2000:05
 TICKS = 1 << 32
 HALF_TICKS = TICKS // 2
 OLDEST = 64.0  # intervals: a time that lies no further back is that of an earlier sample
-CLOSEST = 0.25  # intervals: samples nearer together would tell the speed too badly
+CLOSEST = 0.25  # intervals: samples closer together would give a poor speed
 EARLIER_TIMES = 3  # in a row that go on with the count of SYNCs, after the first: the clock was set back
 SPARE_BEFORE, SPARE_AFTER = 0.5, 0.95  # intervals, around the number that was counted
 CLOSE = 0.35  # interval: sample time and reception agree, and a late PDO would not
@@ -91,7 +91,7 @@ class SampleTimes:
         agrees = error_s <= SPARE_S + SPARE_PART * unit
         nominal = abs(intervals - counted) <= NOMINAL  # also where a simulation is slower than true time
         in_turn = least <= intervals <= counted + SPARE_AFTER and (agrees or nominal or apart is None)
-        if in_turn or (agrees and intervals > counted):  # or there were SYNCs that nobody heard
+        if in_turn or (agrees and intervals > counted):  # or there were SYNCs that nobody received
             self._accept(time_100ns, received_s)
             return intervals
         if -OLDEST <= intervals < least:

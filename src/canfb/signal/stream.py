@@ -1,9 +1,9 @@
-"""The supervised chain over a stream of arrays: bit for bit what single samples give, faults included.
+"""The supervised chain over a stream of arrays: bit for bit as sample by sample, faults included.
 
 Nearly all samples of a recording are good, and a good sample needs none of the decisions
-that :class:`canfb.signal.chain.SignalChain` is made of. So what depends on one sample alone is
-computed for all of them at once, then eq. 9 from the chain's state up to the first sample that
-a check refuses. That one, and those after it that decide where the position is, go through the
+that :class:`canfb.signal.chain.SignalChain` is made of. So all values of single
+samples are computed at once, then eq. 9 from the chain's state up to the first sample that
+a check rejects. This one, and those after it that decide the position, go through the
 chain one by one.
 """
 

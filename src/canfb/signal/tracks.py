@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-FEW_SAMPLES = 64  # tell nothing about mid-scale and full scale
+FEW_SAMPLES = 64  # too few to check mid-scale and full scale
 LEAST_NORMALISED = 0.05  # peak of tracks in -1..1; below it may be the noise of dead inputs
 LEAST_SPREAD = 0.25  # of counts around a centre that is not zero, against the largest of them
 

@@ -28,7 +28,7 @@ class Participant(Protocol):
         """What is due."""
 
     def deadline(self) -> float | None:
-        """When tick is wanted."""
+        """When tick is due."""
 
 
 @runtime_checkable

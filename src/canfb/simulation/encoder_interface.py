@@ -110,7 +110,7 @@ class EncoderInterface:
         return self._audible(self.node.tick(now))
 
     def deadline(self) -> float | None:
-        """When :meth:`tick` is wanted next, None for not at all."""
+        """When :meth:`tick` is due next, None for not at all."""
         return self.node.deadline()
 
     def sent(self, can_id: int, now: float) -> None:

@@ -24,7 +24,7 @@ class Machine(Protocol):
 
 
 class ShaftEncoder:
-    """Samples an encoder at a position of its shaft, with noise and, if wanted, with aperture jitter.
+    """Samples an encoder at a position of its shaft, with noise and, optionally, aperture jitter.
 
     The coarse track has one cycle per revolution and the amplitude of the others. The zero pulse is where
     the position is a whole number of revolutions. ``aperture_jitter_s`` is the rms of the instant at which

@@ -15,7 +15,7 @@ IN_SLOW_MOTION = ", and the machine turns slower by as much"
 
 
 class SyncRateWatch:
-    """Hears the SYNC, and tells ``report`` in one line when its rate is not ``asked_hz``; sans-I/O.
+    """Receives the SYNC, and calls ``report`` with one line if its rate is not ``asked_hz``; sans-I/O.
 
     ``advice`` is what it says of a computer that does not keep up.
 

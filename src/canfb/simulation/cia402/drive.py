@@ -36,7 +36,7 @@ STOP_TIMEOUT_S = 0.5
 
 
 class _Node(Node):
-    """A node that also tells its program of communication errors."""
+    """A node that also reports communication errors to its program."""
 
     on_communication_error: Callable[[float], None] | None = None
 
@@ -145,7 +145,7 @@ class ServoDrive:
         self.node.sent(can_id, now)
 
     def deadline(self) -> float | None:
-        """When :meth:`tick` is wanted next, None for not at all."""
+        """When :meth:`tick` is due next, None for not at all."""
         times = [time for time in (self.node.deadline(), self._sync_due()) if time is not None]
         return min(times, default=None)
 
