@@ -153,8 +153,10 @@ def test_the_first_session_holds_for_ten_seconds_with_real_processes(
         running[0].terminate()
         assert running[0].wait(LIMIT_S) == 0
         summary = (tmp_path / "run.txt").read_text().splitlines()[-1]
-        assert " missed 0," not in summary, summary
-        pytest.skip(f"this machine is too slow for 100 Hz now, frames were dropped: {summary}")
+        # Frames were dropped, or SYNCs were heard so late that the position was withheld for a while.
+        late = " residual 0, amplitude 0," in summary and ", lost 0" in summary
+        assert late or " missed 0," not in summary, summary
+        pytest.skip(f"this machine is too slow for 100 Hz now: {summary}")
     assert positions[-1][0] > 7 * 2500 * 8192, "more than seven revolutions"
     assert re.search("motion: 61 rpm: up to 25.6 cycles per sample", (tmp_path / "simulate.txt").read_text())
 
