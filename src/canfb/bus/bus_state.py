@@ -39,10 +39,13 @@ class Direction:
         self._trouble = trouble
         self._recovered = recovered
         self._failed_s: float | None = None
+        self.failing = False
+        """It failed, and was not said to be over: :meth:`worked` is to be called."""
 
     def failed(self, error: Exception, now: float) -> bool:
         """Note a failure; True if the one before was only just now."""
         before, self._failed_s = self._failed_s, now
+        self.failing = True
         if before is None:
             self._report(f"{self._trouble}: {reason(error)}")
         return before is not None and now - before < RETRY_S
@@ -51,6 +54,7 @@ class Direction:
         """Note that it worked."""
         if self._failed_s is not None and now - self._failed_s >= SETTLED_S:
             self._failed_s = None
+            self.failing = False
             self._report(self._recovered)
 
 

@@ -26,6 +26,7 @@ from canfb.errors import CanfbError
 
 log = logging.getLogger(__name__)
 
+POLL_S = 0.01  # from one look at the computations to the next
 LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
 LEAST_WAIT_S = 2e-4  # what is not faster than that was waited for
 LONGEST_DRAIN_S = 1.0  # how long frames that wait may put off a deadline
@@ -117,6 +118,7 @@ class Runner:
         self._longest_drain_s = LONGEST_DRAIN_S
         self._put_off_s: float | None = None  # since when frames that wait put off deadlines
         self._asked_s = clock()  # when a frame was asked for
+        self._compute_s = -NEVER  # when to look for computations next
         self._stopped = False
         self._receiving = Direction(report, "the bus fails", "the bus works again")
         self._sending = Direction(report, "a frame could not be sent", "frames can be sent again")
@@ -153,7 +155,8 @@ class Runner:
                     self._emptied()
                 if self._bus_state.gone:
                     self._tell_bus_state()
-                self._compute()
+                if self._asked_s >= self._compute_s:
+                    self._compute()
                 due = self._due()
                 if due <= self._clock() and not self._waits_before(due):
                     self._tick()
@@ -183,8 +186,12 @@ class Runner:
 
     def _due(self) -> float:
         """The earliest deadline of all devices, NEVER for none."""
-        deadlines = [deadline for device in self._devices if (deadline := device.deadline()) is not None]
-        return min(deadlines, default=NEVER)
+        due = NEVER
+        for device in self._devices:
+            deadline = device.deadline()
+            if deadline is not None and deadline < due:
+                due = deadline
+        return due
 
     def _next_message(self, due: float) -> can.Message | None:
         """Wait for a message until `due`, and not longer than a signal may wait."""
@@ -202,7 +209,7 @@ class Runner:
         if self._bus_state.troubled:
             is_frame = message is not None and not message.is_error_frame
             self._bus_state.reading_worked(self._clock(), frame=is_frame)
-        if message is not None:
+        if message is not None and self._receiving.failing:
             self._receiving.worked(self._clock())
         return message
 
@@ -258,7 +265,11 @@ class Runner:
                     self._spread(device, self._asked(device, device.bus_back, now))
 
     def _compute(self) -> None:
-        """Give what a device wants computed to another process, without waiting for it."""
+        """Give what a device wants computed to another process, without waiting for it.
+
+        Few frames start or end a computation that takes seconds: it is looked for at this rate only.
+        """
+        self._compute_s = self._asked_s + POLL_S
         for device, computation in self._computations:
             frames = self._asked(device, computation.poll, self._clock())
             if frames:
@@ -273,7 +284,9 @@ class Runner:
 
     def _spread(self, sender: Device, frames: list[Frame]) -> None:
         """Send frames, and give them to the other devices of this process as well."""
-        queue = deque((sender, frame) for frame in frames)
+        queue: deque[tuple[Device, Frame]] = deque()
+        for frame in frames:
+            queue.append((sender, frame))
         while queue:
             origin, frame = queue.popleft()
             self._send(frame)
@@ -309,7 +322,8 @@ class Runner:
             self.counters.sent += 1
             if self._bus_state.troubled:
                 self._bus_state.sending_worked(self._clock())
-            self._sending.worked(self._clock())
+            if self._sending.failing:
+                self._sending.worked(self._clock())
 
 
 def _in_one_line(error: Exception) -> str:
