@@ -240,7 +240,7 @@ class _Reader:
     def _bus(self, node: yaml.Node) -> dict[str, Any]:
         if not isinstance(node, yaml.MappingNode):
             raise self.fail(
-                node, "'bus' must be a mapping of python-can's parameters, such as {interface: socketcan}"
+                node, "'bus' must be a mapping with python-can's words, such as {interface: socketcan}"
             )
         return {
             key.value: self._plain(value, f"{key.value!r} in bus") for key, value in self._pairs(node, "bus")
@@ -276,7 +276,9 @@ class _Reader:
             raise self.fail(node, f"{what} cannot be read: {error.problem}") from None
         # What SafeLoader lets through for values such as 2001-99-99, 0x_ or !!bool 7.
         except (ValueError, KeyError, IndexError, AttributeError, TypeError, RecursionError):
-            raise self.fail(node, f"{what} cannot be read: {node.value!r}; quote text values") from None
+            raise self.fail(
+                node, f"{what} cannot be read: {node.value!r}; text belongs into quotes"
+            ) from None
         finally:
             loader.dispose()
 

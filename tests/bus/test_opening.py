@@ -96,23 +96,23 @@ ADVICE: dict[str, tuple[dict[str, Any], Exception, str]] = {
     "no interface": (
         {"interface": "socketcan", "channel": "vcan7"},
         OSError(19, "No such device"),
-        "No such device; `ip link` lists the interfaces, docs/vcan.md explains how to create one",
+        "No such device; `ip link` lists the interfaces, docs/vcan.md says how to make one",
     ),
     "no driver": (
         {"interface": "kvaser", "channel": 0},
         NameError("name 'canGetNumberOfChannels' is not defined"),
-        "the driver of kvaser is missing; install it, see python-can's page on kvaser",
+        "the driver of kvaser is not there; install it, see python-can's page on kvaser",
     ),
     "no library": (
         {"interface": "pcan"},
         OSError("pcanbasic library not found."),
-        "the driver of pcan is missing (pcanbasic library not found.); install it, see python-can's page "
+        "the driver of pcan is not there (pcanbasic library not found.); install it, see python-can's page "
         "on pcan",
     ),
     "no module": (
         {"interface": "slcan"},
         can.CanInterfaceNotImplementedError("The serial module is not installed"),
-        "the driver of slcan is missing (The serial module is not installed); install it, see python-can's "
+        "the driver of slcan is not there (The serial module is not installed); install it, see python-can's "
         "page on slcan",
     ),
     "a missing word": (

@@ -185,7 +185,7 @@ WRONG_USE = {
     "name": (["x.yaml", "--name", "a\nb"], "--name 'a\\nb': letters"),
     "one file": (["x.yaml", "--out", "a", "--concise", "a"], "--concise a: must be another file"),
     "no file": (["nothing.yaml"], "nothing.yaml: cannot be read"),
-    "number": (["x.yaml", "--module", "one"], "'one' is not a whole number"),
+    "number": (["x.yaml", "--module", "one"], "'one' is no whole number"),
 }
 
 
@@ -234,9 +234,7 @@ def test_a_live_module_is_read_by_sdo() -> None:
 def test_a_node_that_is_none_of_ours() -> None:
     peer = Peer(ModuleConfig(node_id=5))
     peer.module.dictionary.entry(0x1000).value = 0x00040191
-    with pytest.raises(
-        CanfbError, match=r"node 5 \(05h\) is not a feedback module of canfb: 1000:00 is 40191h"
-    ):
+    with pytest.raises(CanfbError, match=r"node 5 \(05h\) is no feedback module of canfb: 1000:00 is 40191h"):
         read_configuration(ModuleObjects(peer, 5))  # type: ignore[arg-type]
 
 

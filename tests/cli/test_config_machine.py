@@ -42,7 +42,7 @@ WRONG = {
     ),
     "own frames": (
         "bus:\n  interface: virtual\n  receive_own_messages: true\n" + MODULES,
-        ":3: receive_own_messages: leave it out of the bus; a device must not receive its own frames",
+        ":3: receive_own_messages: leave it out of the bus; a device must not hear itself",
     ),
     "recording": (
         MODULES + "    source:\n      kind: recording\n      file: /nowhere/tracks.csv\n",

@@ -56,7 +56,7 @@ def test_parameters_that_are_refused_are_told_in_one_line(
         exchanged(config)
     assert capsys.readouterr().err == (
         f"canfb: node 32: stored manufacturer parameters in {tmp_path} refused: no stored parameters, "
-        "or cut off; the defaults are used\n"
+        "or cut off; the defaults are in force\n"
     )
 
 
@@ -173,7 +173,7 @@ def test_what_was_saved_is_there_after_a_kill(
         assert again.master.sdo[0x2010][3].raw == 9
         assert again.process.stdout is not None
         assert again.process.stdout.readline() == (
-            "node 32 (20h): saved values take precedence over the configuration: 2010h:03\n"
+            "node 32 (20h): saved values come before the configuration: 2010h:03\n"
         )
     finally:
         again.kill()

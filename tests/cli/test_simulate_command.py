@@ -71,8 +71,8 @@ def test_a_speed_that_cannot_be(rpm: str, config: str, capsys: pytest.CaptureFix
 
 
 WRONG_OPTIONS = {
-    "one column": (["--columns", "a"], "--columns a: two columns are required: sine,cosine"),
-    "three columns": (["--columns", "a,b,c"], "--columns a,b,c: two columns are required: sine,cosine"),
+    "one column": (["--columns", "a"], "--columns a: two columns, sine,cosine, are wanted"),
+    "three columns": (["--columns", "a,b,c"], "--columns a,b,c: two columns, sine,cosine, are wanted"),
     "mid-scale": (["--columns", "a,b", "--mid-scale", "nan"], "--mid-scale nan: must be a number of counts"),
     "no gap": (["--columns", "a,b", "--gap", "0"], "--gap 0: must be more than 0 seconds"),
     "a gap without end": (["--columns", "a,b", "--gap", "inf"], "--gap inf: must be more than 0 seconds"),

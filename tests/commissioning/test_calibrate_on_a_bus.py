@@ -82,10 +82,10 @@ def test_the_account_for_people(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     assert out[-1] == f"written  {tmp_path / 'report.html'}"
     assert max(map(len, out)) < 260
     assert said.getvalue().splitlines() == [
-        "... reading the active table",
+        "... reading what is active",
         "... collecting samples for 1.5 s",
         said.getvalue().splitlines()[2],
-        "... activating the table",
+        "... putting the table in force",
         "... verifying on fresh samples",
         "... saving",
     ]
@@ -99,7 +99,7 @@ def test_a_second_measurement_finds_the_first_one_good(capsys: pytest.CaptureFix
     capsys.readouterr()
     calibrate(bench)
     out = capsys.readouterr().out
-    assert "The previous table is equally good: the encoder has not changed." in out
+    assert "The table that was active before is as good: the encoder has not changed." in out
 
 
 def test_a_dry_run_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None:

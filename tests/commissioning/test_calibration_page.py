@@ -153,7 +153,7 @@ def test_what_is_no_table_is_told_in_one_line(name: str, tmp_path: Path) -> None
     path.write_bytes(BAD_TABLES[name])
     with pytest.raises(CommissioningError) as error:
         read_table(path)
-    assert str(error.value).startswith(f"{path}: this is not a correction table: ")
+    assert str(error.value).startswith(f"{path}: this is no correction table: ")
     assert "\n" not in str(error.value)
     with pytest.raises(CommissioningError, match="cannot be read: No such file"):
         read_table(tmp_path / "nothing.bin")

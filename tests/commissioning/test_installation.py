@@ -21,7 +21,7 @@ from canfb.device.storage import MemoryStore
 from canfb.signal.correction import NO_CORRECTION, Correction
 
 SDO_REQUEST, SDO_ANSWER = 0x620, 0x5A0
-AS_BEFORE = "the previous table and conditioning are active in module 32 (20h)"
+AS_BEFORE = "the table and the conditioning from before are active in module 32 (20h)"
 
 
 class Fault:

@@ -87,7 +87,7 @@ def test_a_story_that_did_not_hold_is_shown_as_one(monkeypatch: pytest.MonkeyPat
         )
         for told in (good, bad)
     ]
-    assert "All checks passed." in pages[0].text
+    assert "Everything held." in pages[0].text
     assert ("class", "verdict bad") not in pages[0].attributes
     assert "Failed: it <floats>." in pages[1].text
     assert ("class", "verdict bad") in pages[1].attributes

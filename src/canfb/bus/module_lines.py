@@ -49,7 +49,7 @@ def what_is_saved(module: FeedbackModule) -> list[str]:
     objects = ", ".join(changed)
     if not changed:
         return []
-    return [f"node {name_of(module)}: saved values take precedence over the configuration: {objects}"]
+    return [f"node {name_of(module)}: saved values come before the configuration: {objects}"]
 
 
 def speeds_of(modules: Sequence[FeedbackModule]) -> list[str]:

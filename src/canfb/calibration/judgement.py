@@ -33,8 +33,8 @@ def check_way(coverage: float, cycles: float) -> None:
         )
     if cycles < MIN_CYCLES:
         raise CalibrationError(
-            f"{cycles:.1f} cycles are too few: at least {MIN_CYCLES:.0f} are needed "
-            f"in the samples; {CHANGE_SPEED}",
+            f"{cycles:.1f} cycles are too few: at least {MIN_CYCLES:.0f} are needed, as the samples tell "
+            f"them; {CHANGE_SPEED}",
             Reason.CYCLES,
         )
 
@@ -42,7 +42,7 @@ def check_way(coverage: float, cycles: float) -> None:
 def check_smooth(off_cycles: float, loss: float) -> None:
     """Refuse positions that lie far from any smooth motion."""
     if off_cycles > MAX_OFF_CYCLES:
-        raise no_fit(f"the positions are {off_cycles:.2f} cycle rms away from any smooth motion", loss)
+        raise no_fit(f"the positions are {off_cycles:.2f} cycle rms from any smooth motion", loss)
 
 
 def no_fit(what: str, loss: float) -> CalibrationError:

@@ -25,10 +25,10 @@ class Reason(StrEnum):
         member.text = text
         return member
 
-    ACCEPTED = "accepted", "the measurement is usable"
-    SAMPLES = "samples", "too few usable samples"
+    ACCEPTED = "accepted", "the measurement can be used"
+    SAMPLES = "samples", "too few samples that can be used"
     CLIPPED = "clipped", "the tracks reach the ends of the converter's range"
-    ELLIPSE = "ellipse", "the tracks form no ellipse: a dead track, noise, too short a distance"
+    ELLIPSE = "ellipse", "the tracks form no ellipse: a dead track, noise, too short a way"
     COVERAGE = "coverage", "parts of the cycle were never or hardly sampled"
     CYCLES = "cycles", "too few cycles"
     LOCKED = "locked", "the motion is locked to the samples: too few different phases close together"
@@ -152,7 +152,7 @@ class Calibration:
 
     @property
     def accepted(self) -> bool:
-        """True if the measurement is usable."""
+        """True if the measurement can be used."""
         return self.reason == Reason.ACCEPTED
 
     @property

@@ -26,7 +26,7 @@ def register(commands: Commands) -> None:
     parser = add_command(
         commands,
         "calibrate",
-        "measure the encoder, build its correction table, activate it and save it",
+        "measure the encoder, build its correction table, put it in force and save it",
         calibrate,
     )
     add_options(parser)
@@ -53,7 +53,7 @@ def calibrate(options: argparse.Namespace) -> int:
             return over_bus(master, options, config, progress, guard, date_and_time())
     except KeyboardInterrupt:
         progress.clear()
-        report("interrupted; the module is unchanged")
+        report("interrupted; the module is as it was")
         raise
     finally:
         progress.clear()

@@ -30,18 +30,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--pace",
         choices=PACES,
-        help="the machine turns in real time (time), or by one interval per SYNC, however late (sync)",
+        help="the machine turns in true time (time), or by one interval with each SYNC, however late (sync)",
     )
     parser.add_argument(
-        "--module", type=whole_number, metavar="ID", help="node-ID of the module that it serves (the first)"
+        "--module", type=whole_number, metavar="ID", help="node id of the module it feeds (the first)"
     )
-    parser.add_argument("--rpm", type=float, help="speed after the ramp, instead of the configuration's")
-    parser.add_argument("--autostart", action="store_true", help="enter OPERATIONAL without a master")
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after this time of the machine")
+    parser.add_argument("--rpm", type=float, help="speed after the ramp, in place of the configuration's")
+    parser.add_argument("--autostart", action="store_true", help="operational without a master")
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="end when the machine has moved for so long"
+    )
     parser.add_argument(
         "--record",
         metavar="FILE",
-        help="write the samples to a CSV or NPZ file, to play them (--samples) or to calibrate with them",
+        help="write what was sampled to a CSV or NPZ file, to play it (--samples) or to calibrate with it",
     )
     add_ready_file(parser)
     play = parser.add_argument_group("playing a recording")
@@ -104,7 +106,7 @@ def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfi
 def _layout(options: argparse.Namespace) -> RecordingLayout:
     columns = [name.strip() for name in options.columns.split(",")]
     if len(columns) != 2:
-        raise ConfigError(f"--columns {options.columns}: two columns are required: sine,cosine")
+        raise ConfigError(f"--columns {options.columns}: two columns, sine,cosine, are wanted")
     if not math.isfinite(options.mid_scale):
         raise ConfigError(f"--mid-scale {options.mid_scale:g}: must be a number of counts")
     if not 0.0 < options.gap < math.inf:
@@ -112,6 +114,6 @@ def _layout(options: argparse.Namespace) -> RecordingLayout:
     if options.gap_samples < 1:
         raise ConfigError(f"--gap-samples {options.gap_samples}: must be 1 or more")
     if options.time_column is None:
-        refuse_idle(options, TIMES, "only with --time-column, which contains the gaps")
+        refuse_idle(options, TIMES, "only with --time-column, in which the gaps are")
     names = (columns[0], columns[1])
     return RecordingLayout(names, options.mid_scale, options.time_column, options.gap, options.gap_samples)

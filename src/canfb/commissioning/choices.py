@@ -93,7 +93,7 @@ class Choices:
         if not math.isfinite(self.mid_scale):
             raise ConfigError(f"--mid-scale {self.mid_scale:g}: must be a number of counts")
         if len(self.columns.split(",")) != 2:
-            raise ConfigError(f"--columns {self.columns}: two columns are required: sine,cosine")
+            raise ConfigError(f"--columns {self.columns}: two columns, sine,cosine, are wanted")
         if self.samples_from == MODULE and self.method != MOTION:
             raise ConfigError("--source module: the module has the method motion only")
 

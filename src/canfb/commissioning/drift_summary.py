@@ -14,7 +14,7 @@ from canfb.signal.correction import Correction
 def module_drift_lines(found: ModuleDrift, active: Correction, where: Circumstances) -> list[str]:
     """What the module itself says, for people."""
     return [
-        f"{'active table':24}{table_words(active)}",
+        f"{'table in force':24}{table_words(active)}",
         f"{'its error now, rms':24}{percent(found.rms, where)} of a cycle",
         f"{'its error now, peak':24}{percent(found.peak, where)} of a cycle",
         f"{'noise of a sample':24}{percent(found.residual_rms, where)} rms",
@@ -37,7 +37,7 @@ def module_drift_json(found: ModuleDrift, active: Correction, where: Circumstanc
 def drift_lines(found: DriftCheck, where: Circumstances) -> list[str]:
     """For people."""
     lines = [
-        f"{'active table':24}{table_words(found.active)}",
+        f"{'table in force':24}{table_words(found.active)}",
         f"{'its error now, rms':24}{percent(found.rms, where)} of a cycle",
         f"{'its error now, peak':24}{percent(found.peak, where)} of a cycle",
         f"{'measured to':24}{percent(found.calibration.uncertainty_peak, where)} of a cycle",
@@ -45,7 +45,7 @@ def drift_lines(found: DriftCheck, where: Circumstances) -> list[str]:
         f"{percent(found.calibration.residual_rms, where)} with a new table",
     ]
     if not found.seen:
-        lines.append("no drift within the uncertainty of this measurement")
+        lines.append("the encoder has not moved away from its table, as far as this measurement can tell")
     return lines
 
 

@@ -91,7 +91,7 @@ def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Mea
 def with_table(measured: Measurement, found: Correction, settings: Settings) -> Measurement:
     """The same measurement with another table, whose figures are those on the same samples."""
     if found.table is None:
-        raise CommissioningError("the module reports an active table, but has none")
+        raise CommissioningError("the module says that its table is active, and has none")
     ours = measured.calibration
     on_samples = best_deviation(measured.samples, found, measured.before, block_of(ours), settings.adc_bits)
     calibration = replace(

@@ -53,7 +53,7 @@ def write_files(network: DemoNetwork, story: Story, folder: Path) -> tuple[list[
 
 
 def demo_page(story: Story, seen: Plot, before: Plot, after: Plot, faults: Plot) -> str:
-    """The page: what the account says, with the pictures. ValueError if the demo has not run yet."""
+    """The page: what the account says, with the pictures. ValueError if the story has not been told yet."""
     sizes = story.error_before, story.error_after
     rows = [
         (name, *(f"{100 * size(error):.4f}" for error in sizes))
@@ -89,6 +89,6 @@ def _said(story: Story) -> list[str]:
         return [f"Failed: {', '.join(failed)}."]
     before, after = 100 * rms(story.error_before), 100 * rms(story.error_after)
     return [
-        f"All checks passed. The position error falls from {before:.2g} % to {after:.2g} % of a cycle rms.",
+        f"Everything held. The position error falls from {before:.2g} % to {after:.2g} % of a cycle rms.",
         f"{story.samples} samples at {story.cycles_per_sample:.1f} cycles per sample, no wrong cycle count.",
     ]

@@ -197,7 +197,7 @@ def _finish(network: DemoNetwork, story: Story) -> None:
         f"error at least {MIN_IMPROVEMENT:.0f} times smaller": bool(before > MIN_IMPROVEMENT * after),
         f"error below {100 * MAX_ERROR_AFTER:g} % of a cycle": bool(after < MAX_ERROR_AFTER),
         "every fault flagged in the same sample": story.faults.flagged_at_once == story.faults.provoked,
-        "no wrong position flagged valid": story.faults.wrong_and_valid == 0,
+        "no wrong position called valid": story.faults.wrong_and_valid == 0,
         "position right after the faults": story.faults.wrong_counts_after == 0,
         "the bus is not overloaded": story.bus_load < 0.8,
     }

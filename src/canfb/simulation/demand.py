@@ -70,8 +70,8 @@ class Demand:
         if self.start_cycles >= HALF_CYCLE:
             return (
                 f"{self.what}: it turns by {self.start_cycles:.3g} cycles per sample from the first sample "
-                "on, and the module counts correctly only from standstill, or from less than half a cycle "
-                "per sample: give the motion a ramp_s"
+                "on, and the module counts right only from standstill, or from less than half a cycle per "
+                "sample: give the motion a ramp_s"
             )
         return None
 

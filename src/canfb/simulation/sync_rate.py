@@ -69,6 +69,6 @@ class SyncRateWatch:
         if self._said_s is None or now - self._said_s >= AGAIN_S:
             self._said_s = now
             self._report(
-                f"SYNC: {held_hz:.4g} Hz reached, {self._asked_hz:g} Hz requested: "
-                f"this computer does not keep up{self._advice}"
+                f"SYNC: {held_hz:.4g} Hz held, {self._asked_hz:g} Hz asked: this computer does not keep up"
+                f"{self._advice}"
             )

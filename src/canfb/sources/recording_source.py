@@ -245,7 +245,7 @@ def _row(
     except (IndexError, ValueError, OverflowError):
         raise CanfbError(f"{path}:{line}: not a number in one of the columns asked for") from None
     if not math.isfinite(seconds):
-        raise CanfbError(f"{path}:{line}: {seconds} is not a time in seconds")
+        raise CanfbError(f"{path}:{line}: {seconds} is no time in seconds")
     if not (-32768 <= sine <= 32767 and -32768 <= cosine <= 32767):
         raise CanfbError(f"{path}:{line}: {sine}, {cosine} does not fit INTEGER16; is mid-scale right?")
     return seconds, sine, cosine

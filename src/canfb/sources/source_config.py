@@ -48,7 +48,7 @@ class SourceConfig:
 def text(name: str, value: object) -> None:
     """ValueError unless ``value`` is text that is not empty."""
     if not isinstance(value, str) or not value.strip() or "\0" in value:
-        raise ValueError(f"{name} must be text, not {value!r}")
+        raise ValueError(f"{name} must be a text, not {value!r}")
 
 
 def column(name: str, value: object) -> None:
