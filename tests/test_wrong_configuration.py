@@ -165,12 +165,12 @@ WRONG = {
     "bus as a list": (
         "modules: [{node_id: 3}]\nbus: [socketcan]\n",
         2,
-        "'bus' must be a mapping of python-can's",
+        "'bus' must be a mapping with python-can's",
     ),
     "bus as nothing": (
         "modules: [{node_id: 3}]\nbus:\n",
         2,
-        "'bus' must be a mapping of python-can's parameters",
+        "'bus' must be a mapping with python-can's words",
     ),
     "priority too high": (
         "modules: [{node_id: 3}]\nrealtime: {priority: 100}\n",

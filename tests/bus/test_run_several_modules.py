@@ -244,4 +244,4 @@ def test_a_device_that_would_hear_itself_is_refused(
         "bus: {interface: virtual, channel: echo, receive_own_messages: true}\nmodules: [{node_id: 32}]\n"
     )
     assert main(["run", str(config)]) == 2
-    assert capsys.readouterr().err.startswith("canfb: receive_own_messages: omit it")
+    assert capsys.readouterr().err.startswith("canfb: receive_own_messages: leave it out")
