@@ -129,7 +129,11 @@ class Tracker:
         return self._phase_before, self._phase, self._cycles, self._step
 
     def set_state(self, phase_before: float, phase: float, cycles: int, step: int) -> None:
-        """Set what :meth:`state` gives; the tracker is steady then."""
+        """Set what :meth:`state` gives; the tracker is steady then.
+
+        ``phase_before`` and ``phase`` are those of the last two samples, ``step`` the cycles from one to
+        the other.
+        """
         self._started, self._elapsed, self._gap = True, 1.0, 0.0
         self._phase_before, self._phase, self._cycles, self._step = phase_before, phase, cycles, step
 
