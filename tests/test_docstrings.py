@@ -19,7 +19,6 @@ EVIDENT = {"self", "cls", "args", "kwargs", "message"}
 # Gaps that are known; who closes one takes it from this list.
 KNOWN_GAPS: dict[str, set[str]] = {
     "CorrectionTable.from_bytes": {"data"},
-    "Tracker.set_state": {"phase_before", "step"},
     "Tracker.skip": {"elapsed"},
 }
 
