@@ -1,0 +1,252 @@
+"""Count how far one frame goes through the code: Python calls, and changes from file to file.
+
+    python -m tools.bench.walk [--markdown] [--route NAME]
+
+A call is a function, a lambda or a step of a generator in a file of canfb that begins to run; up to Python
+3.11 also a comprehension. A change of file is a call or a return after which another file of canfb runs.
+Frames come through the runner of `canfb run`: a walk begins when the bus has given the frame, and ends when
+the bus is asked for the next one. --route prints every call of the walks with NAME in their name.
+docs/architecture.md has the figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import statistics
+import struct
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from types import FrameType
+from typing import Any, TypeVar, cast
+
+try:
+    import can
+    import canopen
+
+    import canfb
+    from canfb.bus.runner import Runner
+    from canfb.eds_files import eds_path
+except ImportError as error:
+    sys.exit(f"{error}: run this file with the Python of the virtual environment")
+
+PACKAGE = Path(canfb.__file__).parent
+NODE_ID, ENCODER_INTERFACE = 32, 16
+SYNC, ADC_PDO, SDO = 0x080, 0x180 + ENCODER_INTERFACE, 0x600 + NODE_ID
+INTERVAL_S = 0.001
+SETTLING = 2000  # SYNCs until nothing of the start is left
+WALKED = 200
+TABLE_STAGED = 0x2020, 1
+TABLE_ENTRIES = 256
+REPEAT = 5  # processes, each with a first construction
+T = TypeVar("T")
+
+
+class Walk:
+    """What runs in the files of ``folder`` between :meth:`begin` and :meth:`end`.
+
+    ``calls``    Python calls
+    ``changes``  calls and returns after which another file runs
+    ``route``    each call: how deep, which file, which function
+    """
+
+    def __init__(self, folder: Path = PACKAGE) -> None:
+        self._folder = f"{folder}/"
+        self.changes = 0
+        self.route: list[tuple[int, str, str]] = []
+        self._file: str | None = None
+        self._depth = 0
+
+    @property
+    def calls(self) -> int:
+        return len(self.route)
+
+    @property
+    def files(self) -> int:
+        return len({file for _, file, _ in self.route})
+
+    def begin(self) -> None:
+        """Begin in the file that runs now, if it is one of the folder."""
+        self._file = self._running(sys._getframe(1))
+        sys.setprofile(self._look)
+
+    def end(self) -> None:
+        sys.setprofile(None)
+
+    def _look(self, frame: FrameType, event: str, argument: object) -> None:
+        file = self._inside(frame)
+        if file is None or event not in ("call", "return"):
+            return
+        if event == "call":
+            self.route.append((self._depth, file, frame.f_code.co_qualname))
+            self._depth += 1
+        else:
+            file = self._running(frame.f_back)
+            self._depth = max(0, self._depth - 1)  # what ran before the walk may return
+        if file is not None:
+            self.changes += self._file not in (None, file)
+            self._file = file
+
+    def _inside(self, frame: FrameType) -> str | None:
+        name = frame.f_code.co_filename
+        return name.removeprefix(self._folder) if name.startswith(self._folder) else None
+
+    def _running(self, frame: FrameType | None) -> str | None:
+        """The innermost file of the folder that is being executed."""
+        while frame is not None:
+            if file := self._inside(frame):
+                return file
+            frame = frame.f_back
+        return None
+
+
+def usual(walks: list[Walk]) -> Walk:
+    """The median by calls: now and then a frame looks further ahead."""
+    return sorted(walks, key=lambda walk: (walk.calls, walk.changes))[len(walks) // 2]
+
+
+class WalkedBus:
+    """Hands out messages, and walks with those that have a name. Time stands still between them."""
+
+    def __init__(self, messages: list[tuple[float, str, can.Message]]) -> None:
+        self._messages = iter(messages)
+        self._walk: Walk | None = None
+        self.walks: dict[str, list[Walk]] = {}
+        self.now = 0.0
+        self.over = False
+        self.sent: list[can.Message] = []
+
+    def clock(self) -> float:
+        return self.now
+
+    def recv(self, timeout: float) -> can.Message | None:
+        if self._walk is not None:
+            self._walk.end()
+        self.now, name, message = next(self._messages, (self.now, "", None))
+        self.over = message is None
+        self._walk = Walk() if name else None
+        if self._walk is not None:
+            self.walks.setdefault(name, []).append(self._walk)
+            self._walk.begin()
+        return message
+
+    def send(self, message: can.Message) -> None:
+        self.sent.append(message)
+
+
+def messages(crc32: int) -> list[tuple[float, str, can.Message]]:
+    """(time, name of its walk, message): SYNCs and their ADC PDOs; 2020:03 before and after."""
+
+    def planned(now: float, name: str, can_id: int, data: bytes = b"") -> tuple[float, str, can.Message]:
+        return now, name, can.Message(now, can_id, is_extended_id=False, data=data)
+
+    activate = struct.pack("<BHBI", 0x23, 0x2020, 3, crc32)
+    plan = [planned(0.0, "", SDO, activate)]
+    for cycle in range(SETTLING + WALKED):
+        now, walked = (cycle + 1) * INTERVAL_S, cycle >= SETTLING
+        angle = 2.0 * math.pi * 0.3 * cycle
+        tracks = struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+        plan.append(planned(now, "SYNC" * walked, SYNC))
+        plan.append(planned(now + 0.2 * INTERVAL_S, "ADC PDO to position PDO" * walked, ADC_PDO, tracks))
+    return [*plan, *[planned(now + 0.4 * INTERVAL_S, "activation of a table", SDO, activate)] * 9]
+
+
+def frames() -> dict[str, Walk]:
+    """The walks of frames through the runner and a module that turns with a table."""
+    module = canfb.FeedbackModule(
+        canfb.ModuleConfig(node_id=NODE_ID, encoder_interface=ENCODER_INTERFACE, autostart=True)
+    )
+    table = canfb.CorrectionTable.identity(TABLE_ENTRIES)
+    bus = WalkedBus(messages(table.crc32))
+    runner = Runner(cast(Any, bus), [module], clock=bus.clock, wall=bus.clock)
+    runner.run(
+        finished=lambda: bus.over,
+        ready=lambda: module.dictionary.entry(*TABLE_STAGED).download(table.to_bytes()),
+    )
+    feedback = module.feedback
+    if feedback is None or feedback.status != canfb.StatusBit.VALID | canfb.StatusBit.TABLE_ACTIVE:
+        raise RuntimeError(f"the module does not call its samples valid: {feedback}")
+    return {name: usual(walks) for name, walks in bus.walks.items()}
+
+
+def construction() -> canfb.FeedbackModule:
+    return canfb.FeedbackModule(canfb.ModuleConfig(node_id=NODE_ID))
+
+
+def start_up() -> Walk:
+    """Construction and power-on."""
+    walk = Walk()
+    walk.begin()
+    construction().start(0.0)
+    walk.end()
+    return walk
+
+
+def start_ups() -> dict[str, Walk]:
+    return {"start-up, the first": start_up(), "start-up, the second": start_up()}
+
+
+def seconds(function: Callable[[], object]) -> float:
+    started = time.process_time()
+    function()
+    return time.process_time() - started
+
+
+def ratios() -> tuple[float, float]:
+    """The first and the second construction in this process, each over one `canopen.import_od`."""
+
+    def parse() -> object:
+        return canopen.import_od(str(eds_path("canfb-module")), NODE_ID)
+
+    parse()  # warm up
+    before, first, second, after = map(seconds, (parse, construction, construction, parse))
+    parsed = (before + after) / 2.0
+    return first / parsed, second / parsed
+
+
+def in_new_process(function: Callable[[], T]) -> T:
+    """What is first in a process must have one."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(function).result()
+
+
+def print_text(walks: dict[str, Walk], first: float, second: float, markdown: bool) -> None:
+    row = "| {} | {} | {} | {} |" if markdown else "{:<26}{:>8}{:>8}{:>18}"
+    print(row.format("walk", "calls", "files", "changes of file"))
+    if markdown:
+        print("| --- | --- | --- | --- |")
+    for name, walk in walks.items():
+        print(row.format(name, walk.calls, walk.files, walk.changes))
+    print(f"\nFeedbackModule() over canopen.import_od: first {first:.2f}, second {second:.2f}", end="")
+    print(f" (medians of {REPEAT} processes)")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.bench.walk", description=(__doc__ or "").splitlines()[0]
+    )
+    parser.add_argument("--markdown", action="store_true", help="print the table of docs/architecture.md")
+    parser.add_argument(
+        "--route", metavar="NAME", help="print every call of the walks with this in their name"
+    )
+    options = parser.parse_args(arguments)
+    walks = {**frames(), **in_new_process(start_ups)}
+    if options.route is None:
+        first, second = zip(*(in_new_process(ratios) for _ in range(REPEAT)), strict=True)
+        print_text(walks, statistics.median(first), statistics.median(second), options.markdown)
+        return 0
+    chosen = [walk for name, walk in walks.items() if options.route in name]
+    if not chosen:
+        parser.error(f"no walk has {options.route!r} in its name; there are: {', '.join(walks)}")
+    for walk in chosen:
+        for depth, file, function in walk.route:
+            print(f"{file:<34}{'  ' * depth}{function}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
