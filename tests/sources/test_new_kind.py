@@ -24,10 +24,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from canfb.checks import flag, number
 from canfb.errors import ConfigError
 from canfb.signal.sample import Sample
 from canfb.sources.protocol import Source, SourceEnded
-from canfb.sources.source_config import SourceConfig, flag, number
+from canfb.sources.source_config import SourceConfig
 from canfb.sources.surroundings import Surroundings
 
 

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from canfb.checks import integer_in
+from canfb.checks import flag, integer_in, number, text
 from canfb.sources.iio_capture import IioCapture
 from canfb.sources.protocol import Source
-from canfb.sources.source_config import SourceConfig, flag, number, text
+from canfb.sources.source_config import SourceConfig
 from canfb.sources.surroundings import Surroundings
 
 US = 1e-6

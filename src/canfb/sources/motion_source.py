@@ -9,9 +9,10 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from canfb.checks import number
 from canfb.signal.sample import Sample
 from canfb.sources.protocol import Source
-from canfb.sources.source_config import SourceConfig, number
+from canfb.sources.source_config import SourceConfig
 from canfb.sources.surroundings import Surroundings
 
 RevolutionsAt = Callable[[float], float]

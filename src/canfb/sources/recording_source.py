@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from canfb.checks import integer_in
+from canfb.checks import flag, integer_in, number, text
 from canfb.errors import CanfbError, ConfigError
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import TICK_S
 from canfb.sources.protocol import Source, SourceEnded
-from canfb.sources.source_config import SourceConfig, column, flag, number, text
+from canfb.sources.source_config import SourceConfig, column
 from canfb.sources.surroundings import Surroundings
 from canfb.sources.tracks_file import read_tracks
 

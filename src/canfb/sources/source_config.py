@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -45,25 +44,7 @@ class SourceConfig:
         raise NotImplementedError
 
 
-def text(name: str, value: object) -> None:
-    """ValueError unless ``value`` is text that is not empty."""
-    if not isinstance(value, str) or not value.strip() or "\0" in value:
-        raise ValueError(f"{name} must be a text, not {value!r}")
-
-
 def column(name: str, value: object) -> None:
     """ValueError unless ``value`` is the name or the number of a column."""
     if isinstance(value, bool) or not isinstance(value, (str, int)) or value == "":
         raise ValueError(f"{name} must be a name or a number from 0, not {value!r}")
-
-
-def number(name: str, value: object) -> None:
-    """ValueError unless ``value`` is a finite number."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ValueError(f"{name} must be a number, not {value!r}")
-
-
-def flag(name: str, value: object) -> None:
-    """ValueError unless ``value`` is True or False."""
-    if not isinstance(value, bool):
-        raise ValueError(f"{name} must be true or false, not {value!r}")
