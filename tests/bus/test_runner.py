@@ -12,8 +12,9 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 from fake_bus import FakeBus, FakeClock, FakeDevice, message
 
 from canfb.bus.bus_state import RETRY_S, SETTLED_S
-from canfb.bus.runner import LONGEST_BLIND_DRAIN_S, LONGEST_WAIT_S, Device, DeviceFailure, Runner
+from canfb.bus.runner import LONGEST_BLIND_DRAIN_S, LONGEST_WAIT_S, DeviceFailure, Runner
 from canfb.cia301.frame import Frame
+from canfb.device.hosted import Device
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.simulation.encoder import Encoder

@@ -10,12 +10,13 @@ from pathlib import Path
 import can
 import pytest
 
-from canfb.bus.runner import Device, Runner
+from canfb.bus.runner import Runner
 from canfb.bus.simulating import fed_module
 from canfb.cia301.frame import Frame
 from canfb.cli.main import build_parser, main
 from canfb.cli.simulate_options import chosen
 from canfb.configuration import Config, parse_config
+from canfb.device.hosted import Device
 from canfb.errors import ConfigError
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.cia402.drive_config import DriveConfig

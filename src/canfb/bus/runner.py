@@ -21,6 +21,7 @@ from canfb.bus.computing import Computation, Computing
 from canfb.bus.opening import brings_own_frames_back, marks_own_frames
 from canfb.bus.receive_times import ReceiveTimes
 from canfb.cia301.frame import Frame
+from canfb.device.hosted import Device
 from canfb.device.moment import NEVER
 from canfb.errors import CanfbError
 
@@ -31,22 +32,6 @@ LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
 LEAST_WAIT_S = 2e-4  # what is not faster than that was waited for
 LONGEST_DRAIN_S = 1.0  # how long frames that wait may put off a deadline
 LONGEST_BLIND_DRAIN_S = 0.1  # where they have no receive times, and may have come after it
-
-
-class Device(Protocol):
-    """A sans-I/O device, as FeedbackModule and EncoderInterface are."""
-
-    def start(self, now: float) -> list[Frame]:
-        """Power-on at ``now``."""
-
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Take a frame."""
-
-    def tick(self, now: float) -> list[Frame]:
-        """Do what is due."""
-
-    def deadline(self) -> float | None:
-        """When tick is due."""
 
 
 @runtime_checkable

@@ -7,28 +7,13 @@ from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 from canfb.cia301.frame import Frame
+from canfb.device.hosted import Device
 from canfb.device.moment import NEVER
 from canfb.simulation.wire import Wire, frame_bits
 
-__all__ = ["EmbeddedBus", "Participant", "frame_bits"]
+__all__ = ["EmbeddedBus", "frame_bits"]
 
 LONGEST_WAIT_S = 1.0
-
-
-class Participant(Protocol):
-    """What can be attached: a sans-I/O device."""
-
-    def start(self, now: float) -> list[Frame]:
-        """Power-on."""
-
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """A frame of another participant."""
-
-    def tick(self, now: float) -> list[Frame]:
-        """What is due."""
-
-    def deadline(self) -> float | None:
-        """When tick is due."""
 
 
 @runtime_checkable
@@ -60,13 +45,13 @@ class EmbeddedBus:
         self.frames = 0
         self.computes = True
         self.taps: list[Callable[[Frame, float], None]] = []
-        self._participants: list[Participant] = []
-        self._computing: list[tuple[Participant, Computing]] = []
-        self._queue: deque[tuple[Participant | None, Frame]] = deque()
+        self._participants: list[Device] = []
+        self._computing: list[tuple[Device, Computing]] = []
+        self._queue: deque[tuple[Device | None, Frame]] = deque()
         self._wire = None if bit_rate is None else Wire(bit_rate)
         self._running = False
 
-    def attach(self, participant: Participant) -> None:
+    def attach(self, participant: Device) -> None:
         """Attach a device and power it on."""
         self._participants.append(participant)
         if isinstance(participant, Computing):
@@ -123,7 +108,7 @@ class EmbeddedBus:
             if job is not None and self.computes:
                 self._put(participant, computing.finish_job(job, job(), self.now))
 
-    def _put(self, sender: Participant | None, frames: list[Frame]) -> None:
+    def _put(self, sender: Device | None, frames: list[Frame]) -> None:
         if self._wire is None:
             self._queue.extend((sender, frame) for frame in frames)
         else:
@@ -139,7 +124,7 @@ class EmbeddedBus:
             if not queue:
                 self._compute()
 
-    def _hand_out(self, frame: Frame, sender: Participant | None) -> None:
+    def _hand_out(self, frame: Frame, sender: Device | None) -> None:
         self.frames += 1
         self.bits += frame_bits(len(frame.data))
         for tap in self.taps:

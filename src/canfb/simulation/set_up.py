@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
-from canfb.cia301.frame import Frame
+from canfb.device.hosted import Device
 from canfb.simulation.demand import Demand, of_motion, of_recording
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.fed_module import FedModule
@@ -20,22 +19,6 @@ from canfb.simulation.sync_rate import IN_SLOW_MOTION, IN_TRUE_TIME, SyncRateWat
 from canfb.sources.motion_source import MotionSource
 from canfb.sources.protocol import Source
 from canfb.sources.recording_source import ArraySource, RecordingLayout, RecordingSource, open_recording
-
-
-class Simulated(Protocol):
-    """A sans-I/O device."""
-
-    def start(self, now: float) -> list[Frame]:
-        """Power-on at ``now``."""
-
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Take a frame."""
-
-    def tick(self, now: float) -> list[Frame]:
-        """Do what is due."""
-
-    def deadline(self) -> float | None:
-        """When tick is to be called."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +48,7 @@ class SimulatedNetwork:
     """
 
     interface: EncoderInterface
-    devices: list[Simulated]
+    devices: list[Device]
     axis: SimulatedAxis | None
     demand: Demand | None
     recorder: SampleRecorder
@@ -93,7 +76,7 @@ def set_up(
         clock=simulation.sample_clock(),
     )
     # The machine first: it must have moved when the SYNC comes to the others.
-    devices: list[Simulated] = [interface] if axis is None else [axis.plant, interface, axis.drive]
+    devices: list[Device] = [interface] if axis is None else [axis.plant, interface, axis.drive]
     advice = IN_TRUE_TIME
     if simulation.pace == "sync":
         slow_motion, advice = SlowMotion(interface.dictionary, 1.0 / rate_hz), IN_SLOW_MOTION
