@@ -14,7 +14,7 @@ import can
 import pytest
 from fake_bus import FakeBus, FakeClock, message
 
-from canfb.bus import hosting
+from canfb.bus import on_bus
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from canfb.cli.main import main
@@ -111,8 +111,8 @@ def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
             bus.runner = Runner(bus, devices, clock=clock, sleep=clock.sleep)
             return bus.runner
 
-        monkeypatch.setattr(hosting, "open_bus", lambda words: contextlib.nullcontext(bus))
-        monkeypatch.setattr(hosting, "Runner", make_runner)
+        monkeypatch.setattr(on_bus, "open_bus", lambda words: contextlib.nullcontext(bus))
+        monkeypatch.setattr(on_bus, "Runner", make_runner)
         story = Story(main(["run", str(config), "-i", "socketcan", "-c", "can7"]))
         for _, sent in bus.sent:
             story.sent.setdefault(sent.arbitration_id, []).append(bytes(sent.data))

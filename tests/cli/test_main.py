@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from canfb.bus import hosting
+from canfb.bus import on_bus
 from canfb.cli import main as command_line
 from canfb.cli.main import main
 from canfb.errors import BusError, ConfigError
@@ -191,7 +191,7 @@ def test_the_bus_options_replace_the_words_of_the_configuration(
         opened.append(options)
         raise BusError("no")
 
-    monkeypatch.setattr(hosting, "open_bus", refuse)
+    monkeypatch.setattr(on_bus, "open_bus", refuse)
     assert main(["run", config]) == 1
     assert main(["run", config, "-c", "can3", "-b", "500000"]) == 1
     assert main(["run", config, "-i", "socketcan", "--bus-kwargs", "local_loopback=False", "port=7"]) == 1

@@ -6,16 +6,16 @@ import contextlib
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from canfb.bus.captured_source import CapturedSource
 from canfb.bus.module_lines import name_of, speeds_of, summary_of, title_of, what_is_saved
-from canfb.bus.opening import check_device_bus, describe, open_bus
-from canfb.bus.realtime import apply_realtime
-from canfb.bus.runner import DeviceFailure, Runner
+from canfb.bus.on_bus import OnBus
+from canfb.bus.opening import describe
+from canfb.bus.runner import DeviceFailure
 from canfb.bus.state_files import StateFiles
 from canfb.configuration import Config
+from canfb.device.hosted import Device
 from canfb.device.image import ParameterGroup
 from canfb.errors import CanfbError, ConfigError
 from canfb.module.feedback_module import FeedbackModule
@@ -27,7 +27,7 @@ from canfb.sources.surroundings import Capture, Surroundings
 log = logging.getLogger(__name__)
 
 
-class Hosting:
+class Hosting(OnBus):
     """The modules of a configuration on a bus. Use it as a context manager around :meth:`run`.
 
     ``words`` are python-can's own for the bus (interface, channel, ...), those of the configuration if not
@@ -37,34 +37,16 @@ class Hosting:
     """
 
     def __init__(self, config: Config, words: Mapping[str, Any] | None = None) -> None:
+        super().__init__(config.bus if words is None else words, config.realtime)
         self.config = config
-        self.words = dict(config.bus if words is None else words)
-        check_device_bus(self.words)
         self.modules: list[FeedbackModule] = []
-        self._runner: Runner | None = None
-        self._resources = contextlib.ExitStack()
 
-    def __enter__(self) -> Self:
+    def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
         config = self.config
-        with contextlib.ExitStack() as opened:
-            self.modules = [
-                make_module(module, opened, self.words, config.simulation) for module in config.modules
-            ]
-            bus = opened.enter_context(open_bus(self.words))
-            self._runner = Runner(bus, list(self.modules))
-            apply_realtime(config.realtime)
-            self._resources = opened.pop_all()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._resources.close()
-
-    def stop(self) -> None:
-        """End :meth:`run`; may be called from a signal handler or another thread."""
-        if self._runner is not None:
-            self._runner.stop()
+        self.modules = [
+            make_module(module, resources, self.words, config.simulation) for module in config.modules
+        ]
+        return list(self.modules)
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Serve the modules until :meth:`stop`. ``ready`` is called when they are on the bus.
@@ -73,9 +55,10 @@ class Hosting:
         """
         if self._runner is None:
             raise RuntimeError("use Hosting as a context manager: with Hosting(config) as hosting")
-        nodes = ", ".join(name_of(module) for module in self.modules)
-        saved = [line for module in self.modules for line in what_is_saved(module)]
-        speeds = speeds_of(self.modules)
+        named = [(module, name_of(module)) for module in self.modules]
+        nodes = ", ".join(name for _, name in named)
+        saved = [line for module, name in named for line in what_is_saved(module, name)]
+        speeds = speeds_of(named)
 
         def on_the_bus() -> None:
             for line in (f"running node {nodes} on {describe(self.words)}; end with Ctrl-C", *saved, *speeds):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 from canfb import objects as od
 from canfb.cia301.datatypes import encode
@@ -38,7 +38,7 @@ def title_of(module: FeedbackModule) -> str:
     return f"node {node_id} ({node_id:02X}h)"
 
 
-def what_is_saved(module: FeedbackModule) -> list[str]:
+def what_is_saved(module: FeedbackModule, name: str) -> list[str]:
     """Which values of the configuration are not in force, because others were saved: a line, or none."""
     module.node.storage.restore()  # the start does it again
     changed = []
@@ -49,15 +49,15 @@ def what_is_saved(module: FeedbackModule) -> list[str]:
     objects = ", ".join(changed)
     if not changed:
         return []
-    return [f"node {name_of(module)}: saved values come before the configuration: {objects}"]
+    return [f"node {name}: saved values come before the configuration: {objects}"]
 
 
-def speeds_of(modules: Sequence[FeedbackModule]) -> list[str]:
+def speeds_of(modules: Iterable[tuple[FeedbackModule, str]]) -> list[str]:
     """How fast the encoders may turn for a jitter of SYNC: a line for all modules with the same speeds."""
     names: dict[str, list[str]] = {}
-    for module in modules:
+    for module, name in modules:
         if text := module.speed_limit():
-            names.setdefault(text, []).append(name_of(module))
+            names.setdefault(text, []).append(name)
     return [f"node {', '.join(those)}: {text}" for text, those in names.items()]
 
 

@@ -6,13 +6,12 @@ import contextlib
 import logging
 import math
 from collections.abc import Callable, Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-from canfb.bus.opening import check_device_bus, describe, open_bus
-from canfb.bus.realtime import apply_realtime
-from canfb.bus.runner import Runner
+from canfb.bus.on_bus import OnBus
+from canfb.bus.opening import describe
 from canfb.configuration import RealtimeConfig
+from canfb.device.hosted import Device
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import configured_defaults
 from canfb.simulation.fed_module import FedModule
@@ -36,7 +35,7 @@ def fed_module(config: ModuleConfig) -> FedModule:
     )
 
 
-class Simulating:
+class Simulating(OnBus):
     """A simulation on a bus. Use it as a context manager around :meth:`run`.
 
     ``words`` are python-can's own for the bus. What there is to say goes to the loggers ``canfb.*``.
@@ -54,9 +53,7 @@ class Simulating:
         realtime: RealtimeConfig,
         seconds: float | None = None,
     ) -> None:
-        self._words = dict(words)
-        check_device_bus(self._words)
-        self._realtime = realtime
+        super().__init__(words, realtime)
         self.network: SimulatedNetwork = set_up(simulation, module, play, log.warning)
         self._intervals = math.inf if seconds is None else seconds * self.network.rate_hz
         node = module.encoder_interface
@@ -64,26 +61,9 @@ class Simulating:
         self.network.interface.node.on_duplicate = lambda can_id, now: log.warning(
             f"encoder interface {self._node}: another node sends with this node-ID ({can_id:03X}h)"
         )
-        self._runner: Runner | None = None
-        self._resources = contextlib.ExitStack()
 
-    def __enter__(self) -> Self:
-        with contextlib.ExitStack() as opened:
-            bus = opened.enter_context(open_bus(self._words))
-            self._runner = Runner(bus, list(self.network.devices))
-            apply_realtime(self._realtime)
-            self._resources = opened.pop_all()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._resources.close()
-
-    def stop(self) -> None:
-        """End :meth:`run`; may be called from a signal handler or another thread."""
-        if self._runner is not None:
-            self._runner.stop()
+    def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
+        return list(self.network.devices)
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Serve the interface until the end. ``ready`` is called when it is on the bus."""
@@ -92,7 +72,7 @@ class Simulating:
         network = self.network
 
         def on_the_bus() -> None:
-            log.info(f"encoder interface: node {self._node} on {describe(self._words)}; end with Ctrl-C")
+            log.info(f"encoder interface: node {self._node} on {describe(self.words)}; end with Ctrl-C")
             if network.axis is not None:
                 log.info(network.axis.describe())
             if network.demand is not None:
