@@ -38,23 +38,20 @@ class Direction:
         self._report = report
         self._trouble = trouble
         self._recovered = recovered
-        self._failed_s: float | None = None
-        self.failing = False
-        """It failed, and was not said to be over: :meth:`worked` is to be called."""
+        self.failed_s: float | None = None
+        """When it last failed; None once that was said to be over: :meth:`worked` need not be called."""
 
     def failed(self, error: Exception, now: float) -> bool:
         """Note a failure; True if the one before was only just now."""
-        before, self._failed_s = self._failed_s, now
-        self.failing = True
+        before, self.failed_s = self.failed_s, now
         if before is None:
             self._report(f"{self._trouble}: {reason(error)}")
         return before is not None and now - before < RETRY_S
 
     def worked(self, now: float) -> None:
         """Note that it worked."""
-        if self._failed_s is not None and now - self._failed_s >= SETTLED_S:
-            self._failed_s = None
-            self.failing = False
+        if self.failed_s is not None and now - self.failed_s >= SETTLED_S:
+            self.failed_s = None
             self._report(self._recovered)
 
 

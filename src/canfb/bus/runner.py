@@ -194,7 +194,7 @@ class Runner:
         if self._bus_state.troubled:
             is_frame = message is not None and not message.is_error_frame
             self._bus_state.reading_worked(self._clock(), frame=is_frame)
-        if message is not None and self._receiving.failing:
+        if message is not None and self._receiving.failed_s is not None:
             self._receiving.worked(self._clock())
         return message
 
@@ -307,7 +307,7 @@ class Runner:
             self.counters.sent += 1
             if self._bus_state.troubled:
                 self._bus_state.sending_worked(self._clock())
-            if self._sending.failing:
+            if self._sending.failed_s is not None:
                 self._sending.worked(self._clock())
 
 
