@@ -6,7 +6,6 @@ import math
 from enum import Enum
 
 LEARNED_SAMPLES = 16
-GAIN = 1.0 / LEARNED_SAMPLES
 LEARNED_TOGETHER = 8
 WINDOW_SAMPLES = 128  # the shortest delay is that of one or two of these
 LEAST_PART = 0.7  # of the shortest delay: no PDO answers faster
@@ -55,22 +54,9 @@ class Response:
 
     def learn(self, period_s: float) -> None:
         """The delays in ``taken``, seconds, all at once: nearly each sample brings one."""
-        delays, count = self.taken, len(self.taken)
-        if not count:
-            return
-        mean = sum(delays) / count
-        gain = GAIN * count
-        usual = self.usual_s
-        self._spread_s += (sum(abs(delay - usual) for delay in delays) / count - self._spread_s) * gain
-        self.usual_s += (mean - usual) * gain
-        self._sooner = 0
-        self._follow_least(min(delays), count)
-        delays.clear()
-        self._bound(period_s)
-
-    def _bound(self, period_s: float) -> None:
-        if self._seen >= LEARNED_SAMPLES:
-            self.low_s, self.high_s = self._soonest_s, self.usual_s + SPARE * period_s
+        if self.taken:
+            self._learn(self.taken, period_s)
+            self.taken.clear()
 
     def judge(self, delay_s: float, longest_s: float, period_s: float, after_gap: bool) -> Answer:
         """The first PDO since a SYNC, ``delay_s`` after it, by no means more than ``longest_s``.
@@ -90,9 +76,7 @@ class Response:
             return Answer.LATE
         elif self._is_unclear(delay_s, period_s, after_gap):
             return Answer.UNCLEAR
-        self._sooner = 0
-        self._learn(delay_s)
-        self._bound(period_s)
+        self._learn([delay_s], period_s)
         return Answer.ON_TIME
 
     def _is_unclear(self, delay_s: float, period_s: float, after_gap: bool) -> bool:
@@ -106,15 +90,18 @@ class Response:
         """The next SYNC was due before, and the delay is as usual after that one."""
         return delay_s > NEXT_DUE * period_s and delay_s - self.usual_s > LATER * period_s
 
-    def _learn(self, delay_s: float) -> None:
+    def _learn(self, delays_s: list[float], period_s: float) -> None:
         if not self._seen:
-            self.usual_s = delay_s
-        self._seen = min(self._seen + 1, LEARNED_SAMPLES)
-        error = delay_s - self.usual_s
-        gain = 1.0 / self._seen
-        self.usual_s += error * gain
-        self._spread_s += (abs(error) - self._spread_s) * gain
-        self._follow_least(delay_s, 1)
+            self.usual_s = delays_s[0]
+        count, usual = len(delays_s), self.usual_s
+        self._sooner = 0
+        self._seen = min(self._seen + count, LEARNED_SAMPLES)
+        gain = count / self._seen
+        self._spread_s += (sum(abs(delay - usual) for delay in delays_s) / count - self._spread_s) * gain
+        self.usual_s += (sum(delays_s) / count - usual) * gain
+        self._follow_least(min(delays_s), count)
+        if self._seen >= LEARNED_SAMPLES:
+            self.low_s, self.high_s = self._soonest_s, self.usual_s + SPARE * period_s
 
     def _follow_least(self, delay_s: float, samples: int) -> None:
         """The least delay of these samples; that of all is forgotten after one or two windows."""
