@@ -121,7 +121,7 @@ class Prediction:
             return self._speed_cycles if status & COASTING else None
         self._valid_samples += 1
         after, lock = 1.0, self._lock  # intervals
-        if self._nominal.value and lock.locked:
+        if self.follows and lock.locked:
             after = self._intervals(lock.lead_ticks + lock.period_ticks)
         self._speed_cycles = way = last.speed_cycles * after
         if self._kind.value == CONSTANT_ACCELERATION and self._valid_samples >= KNOWN_ACCELERATION:
