@@ -199,20 +199,22 @@ class Judge:
         """True positions at the instants of rules J1 to J4."""
         line, cause = self._line, one.cause
         if cause is not None and cause.what in ("pdo", "extra"):
-            samples = {cause.number, one.newest, *self._samples_of(self._last_sync(cause.time))}
+            slot = self._last_sync(cause.time)
+            samples = {cause.number, one.newest, *self._samples_of(slot, slot)}
             return [line.positions[n] for n in samples] + self._named(samples)
         if cause is not None and cause.what in ("sync", "foreign"):
-            first = bisect_left(line.sample_slots, cause.number - 1)
-            last = bisect_right(line.sample_slots, cause.number)
-            true = line.positions[first:last] or [float(self._plan.motion.at([cause.time - 1.0])[0])]
+            sampled = self._samples_of(cause.number - 1, cause.number)
+            true = [line.positions[n] for n in sampled] or [
+                float(self._plan.motion.at([cause.time - 1.0])[0])
+            ]
             plan = self._plan
             if one.newest >= 0 and host_may_be_late(plan.setup, plan.options.interval_s):
                 newest = line.sample_times[one.newest]
                 true += [line.positions[one.newest], float(plan.motion.at([newest + 1.0])[0])]
             if plan.options.predict:
-                after = [line.sample_times[n] + 1.0 for n in range(first, last)]
+                after = [line.sample_times[n] + 1.0 for n in sampled]
                 true += plan.motion.at([cause.time, *after]).tolist()
-            return true + self._named(range(first, last))
+            return true + self._named(sampled)
         at = one.now if cause is None else cause.time
         if one.newest >= 0 and at - line.sample_times[one.newest] <= FRESH:
             return [line.positions[one.newest], *self._named([one.newest])]
@@ -223,9 +225,9 @@ class Judge:
         place = bisect_right(self._sync_times, time) - 1
         return self._sync_slots[place] if place >= 0 else -1
 
-    def _samples_of(self, slot: int) -> range:
+    def _samples_of(self, first_slot: int, last_slot: int) -> range:
         slots = self._line.sample_slots
-        return range(bisect_left(slots, slot), bisect_right(slots, slot))
+        return range(bisect_left(slots, first_slot), bisect_right(slots, last_slot))
 
     def _named(self, samples: Iterable[int]) -> list[float]:
         """Rule J4."""
