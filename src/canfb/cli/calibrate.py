@@ -16,6 +16,7 @@ from canfb.cli.progress import Progress
 from canfb.commissioning.access import Master
 from canfb.commissioning.artefacts import prepare
 from canfb.commissioning.calibration_run import Account, CalibrationRun
+from canfb.commissioning.choices import Choices
 from canfb.commissioning.guard import Guard
 from canfb.configuration import Config, load_config
 from canfb.errors import CalibrationError
@@ -41,7 +42,7 @@ def calibrate(options: argparse.Namespace) -> int:
         prepare(choices.out)
     try:
         if choices.samples:
-            run = _run(options, progress, date_and_time())
+            run = _run(choices, options, progress, date_and_time())
             return _say(run.from_file(choices.samples), options, progress)
         choices.nodes(nodes_of(config))  # says what cannot be before there is a bus
         words = bus_options(options, config.bus)
@@ -68,18 +69,18 @@ def over_bus(
     date: str,
 ) -> int:
     """The command on an open bus; the exit code. ``date`` is ISO 8601, the time of day behind a space."""
-    run = _run(options, progress, date)
-    nodes = choices_of(options).nodes(nodes_of(config))
-    return _say(run.over_bus(master, *nodes, guard), options, progress)
+    choices = choices_of(options)
+    run = _run(choices, options, progress, date)
+    return _say(run.over_bus(master, *choices.nodes(nodes_of(config)), guard), options, progress)
 
 
-def _run(options: argparse.Namespace, progress: Progress, date: str) -> CalibrationRun:
+def _run(choices: Choices, options: argparse.Namespace, progress: Progress, date: str) -> CalibrationRun:
     def refused(error: CalibrationError) -> None:
         if options.json:
             refusal = {"accepted": False, "reason": error.reason, "message": str(error)}
             print(json.dumps(refusal | {"active": False, "saved": False}, indent=2))
 
-    return CalibrationRun(choices_of(options), progress, date, refused)
+    return CalibrationRun(choices, progress, date, refused)
 
 
 def nodes_of(config: Config) -> list[tuple[int, int | None]]:

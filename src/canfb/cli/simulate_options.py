@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from canfb.bus.simulating import fed_module
 from canfb.cli.options import add_bus_options, add_ready_file, chosen_module, refuse_idle, whole_number
+from canfb.commissioning.choices import check_mid_scale, two_columns
 from canfb.configuration import Config
 from canfb.errors import ConfigError
 from canfb.simulation.fed_module import FedModule
@@ -104,16 +105,12 @@ def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfi
 
 
 def _layout(options: argparse.Namespace) -> RecordingLayout:
-    columns = [name.strip() for name in options.columns.split(",")]
-    if len(columns) != 2:
-        raise ConfigError(f"--columns {options.columns}: two columns, sine,cosine, are wanted")
-    if not math.isfinite(options.mid_scale):
-        raise ConfigError(f"--mid-scale {options.mid_scale:g}: must be a number of counts")
+    columns = two_columns(options.columns)
+    check_mid_scale(options.mid_scale)
     if not 0.0 < options.gap < math.inf:
         raise ConfigError(f"--gap {options.gap:g}: must be more than 0 seconds")
     if options.gap_samples < 1:
         raise ConfigError(f"--gap-samples {options.gap_samples}: must be 1 or more")
     if options.time_column is None:
         refuse_idle(options, TIMES, "only with --time-column, in which the gaps are")
-    names = (columns[0], columns[1])
-    return RecordingLayout(names, options.mid_scale, options.time_column, options.gap, options.gap_samples)
+    return RecordingLayout(columns, options.mid_scale, options.time_column, options.gap, options.gap_samples)

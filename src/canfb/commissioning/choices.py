@@ -90,10 +90,8 @@ class Choices:
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
                 raise ConfigError(f"--{name.replace('_', '-')} {value:g}: must be {low:g} to {high:g}")
-        if not math.isfinite(self.mid_scale):
-            raise ConfigError(f"--mid-scale {self.mid_scale:g}: must be a number of counts")
-        if len(self.columns.split(",")) != 2:
-            raise ConfigError(f"--columns {self.columns}: two columns, sine,cosine, are wanted")
+        check_mid_scale(self.mid_scale)
+        two_columns(self.columns)
         if self.samples_from == MODULE and self.method != MOTION:
             raise ConfigError("--source module: the module has the method motion only")
 
@@ -124,9 +122,23 @@ class Choices:
         if path.suffix == ".npz":
             found = read_npz(path)
             return TrackSamples(found.sine, found.cosine, self.rate or found.rate_hz, found.origin)
-        sine, cosine = (name.strip() for name in self.columns.split(","))
-        recording = RecordingSource(path, RecordingLayout((sine, cosine), self.mid_scale, self.time_column))
+        layout = RecordingLayout(two_columns(self.columns), self.mid_scale, self.time_column)
+        recording = RecordingSource(path, layout)
         try:
             return TrackSamples.of(*recording.tracks(), self.rate, f"file {path.name}")
         except ValueError as error:
             raise CommissioningError(f"{path}: {error}") from None
+
+
+def two_columns(columns: str) -> tuple[str, str]:
+    """The names in ``--columns``, which are given with a comma between. ConfigError unless there are two."""
+    names = [name.strip() for name in columns.split(",")]
+    if len(names) != 2:
+        raise ConfigError(f"--columns {columns}: two columns, sine,cosine, are wanted")
+    return names[0], names[1]
+
+
+def check_mid_scale(mid_scale: float) -> None:
+    """ConfigError unless ``--mid-scale`` is a number."""
+    if not math.isfinite(mid_scale):
+        raise ConfigError(f"--mid-scale {mid_scale:g}: must be a number of counts")
