@@ -16,7 +16,6 @@ import math
 import statistics
 import struct
 import sys
-import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -31,13 +30,12 @@ try:
     import canfb
     from canfb.bus.runner import Runner
     from canfb.eds_files import eds_path
+    from tools.bench.cycle import ADC_PDO, ENCODER_INTERFACE, INTERVAL_S, NODE_ID, SYNC, seconds
 except ImportError as error:
     sys.exit(f"{error}: run this file with the Python of the virtual environment")
 
 PACKAGE = Path(canfb.__file__).parent
-NODE_ID, ENCODER_INTERFACE = 32, 16
-SYNC, ADC_PDO, SDO = 0x080, 0x180 + ENCODER_INTERFACE, 0x600 + NODE_ID
-INTERVAL_S = 0.001
+SDO = 0x600 + NODE_ID
 SETTLING = 2000  # SYNCs until nothing of the start is left
 WALKED = 200
 TABLE_STAGED = 0x2020, 1
@@ -188,12 +186,6 @@ def start_up() -> Walk:
 
 def start_ups() -> dict[str, Walk]:
     return {"start-up, the first": start_up(), "start-up, the second": start_up()}
-
-
-def seconds(function: Callable[[], object]) -> float:
-    started = time.process_time()
-    function()
-    return time.process_time() - started
 
 
 def ratios() -> tuple[float, float]:

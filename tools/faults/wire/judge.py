@@ -23,7 +23,13 @@ from dataclasses import dataclass
 
 from tools.faults.wire.host import Sent
 from tools.faults.wire.line import Line, Plan
-from tools.faults.wire.physics import answers_another, host_may_be_late, is_smooth, stamp_tolerance
+from tools.faults.wire.physics import (
+    answers_another,
+    host_may_be_late,
+    is_smooth,
+    stamp_tolerance,
+    within_half,
+)
 from tools.faults.wire.setups import (
     CYCLES_PER_REVOLUTION,
     EMCY_ID,
@@ -181,7 +187,7 @@ class Judge:
     def _after_loss(self, error: float) -> float:
         """A zero pulse ends a loss within the revolution only; one that was not known, anywhere."""
         n = CYCLES_PER_REVOLUTION
-        within = (error - self._rebased + n / 2) % n - n / 2
+        within = within_half(error - self._rebased, n)
         if abs(within) > self._plan.tolerance and self._plan.note == "unreferenced" and not self._rebased:
             self._rebased = error
             return 0.0
@@ -190,7 +196,7 @@ class Judge:
     def _nearest(self, one: Sent, position: float) -> tuple[float, float]:
         best = None
         for truth in self._admissible(one):
-            error = (position - (truth - self._base) + RANGE_CYCLES / 2) % RANGE_CYCLES - RANGE_CYCLES / 2
+            error = within_half(position - (truth - self._base), RANGE_CYCLES)
             if best is None or abs(error) < abs(best[1]):
                 best = truth - self._base, error
         return best or (0.0, RANGE_CYCLES)

@@ -95,12 +95,17 @@ def answers_another(line: Line) -> bool:
     return False
 
 
+def within_half(value: float, whole: float) -> float:
+    """``value`` modulo ``whole``, within half of it around 0."""
+    return (value + whole / 2) % whole - whole / 2
+
+
 def is_smooth(shown: Sequence[tuple[int, float]], limit: float, whole: float) -> bool:
     """Whether a motion within ``limit`` (cycles/T^2) goes through all (slot, position); modulo ``whole``."""
     speeds = []
     for (slot, position), (next_slot, next_position) in itertools.pairwise(shown):
         if next_slot > slot:
-            moved = (next_position - position + whole / 2) % whole - whole / 2
+            moved = within_half(next_position - position, whole)
             speeds.append((moved / (next_slot - slot), next_slot - slot))
     return all(
         abs(speed - before) <= limit * (intervals + earlier) / 2
