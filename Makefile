@@ -15,7 +15,8 @@ export OPENBLAS_NUM_THREADS ?= 1
 INSTALLED := $(VENV)/.installed
 INSTALLED_TEST := $(VENV)/.installed-test
 LOWEST := .venv-lowest
-MUTATED ?= $(addprefix src/canfb/signal/,supervision.py frozen.py coarse.py zero_pulse.py reference.py)
+MUTATED ?= $(addprefix src/canfb/signal/,supervision.py frozen.py \
+	recovery/coarse.py recovery/zero_pulse.py recovery/reference.py)
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test lint types unit socketcan lowest pythons mutate bench format clean

@@ -11,7 +11,7 @@ import pytest
 from canfb.bus import saved_parameters
 from canfb.bus.saved_parameters import SavedParameters
 from canfb.bus.state_files import StateFiles
-from canfb.device.image import ParameterGroup
+from canfb.device.storage.image import ParameterGroup
 
 IMAGES: dict[ParameterGroup, bytes | None] = {
     ParameterGroup.COMMUNICATION: b"one",

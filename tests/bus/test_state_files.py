@@ -13,7 +13,7 @@ from crashing_disk import FakeDisk, PowerFailure, RealDisk, Trouble
 
 from canfb.bus import state_files
 from canfb.bus.state_files import PENDING, StateDirError, StateFiles
-from canfb.device.image import ParameterGroup as Group
+from canfb.device.storage.image import ParameterGroup as Group
 from canfb.errors import CanfbError
 
 COMMUNICATION, APPLICATION, MANUFACTURER = Group.COMMUNICATION, Group.APPLICATION, Group.MANUFACTURER

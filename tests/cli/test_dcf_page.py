@@ -17,7 +17,7 @@ from canfb.cli import config_dcf
 from canfb.cli.main import main
 from canfb.configuration import load_config
 from canfb.demo.embedded_network import EmbeddedNetwork
-from canfb.device.storage import MemoryStore
+from canfb.device.storage.storage import MemoryStore
 from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

@@ -19,7 +19,7 @@ from canfb.commissioning.active import read_active
 from canfb.commissioning.artefacts import prepare
 from canfb.commissioning.guard import Guard
 from canfb.configuration import Config
-from canfb.device.storage import MemoryStore
+from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CalibrationError
 from canfb.signal.correction import NO_CORRECTION
 from canfb.signal.supervision import TABLE_ACTIVE

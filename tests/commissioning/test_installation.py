@@ -17,7 +17,7 @@ from canfb.commissioning.guard import Guard
 from canfb.commissioning.measurement import Measurement, Settings
 from canfb.commissioning.procedure import Installation, install
 from canfb.commissioning.samples import TrackSamples
-from canfb.device.storage import MemoryStore
+from canfb.device.storage.storage import MemoryStore
 from canfb.signal.correction import NO_CORRECTION, Correction
 
 SDO_REQUEST, SDO_ANSWER = 0x620, 0x5A0

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 from conformance_eds import Eds
 
 from canfb.cia301.frame import Frame
-from canfb.device.storage import MemoryStore
+from canfb.device.storage.storage import MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample

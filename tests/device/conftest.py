@@ -6,7 +6,7 @@ import pytest
 import sample_eds
 from device_kit import Bench
 
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
 
 
 @pytest.fixture(scope="session")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from canfb.cia301.codes import AbortCode
 from canfb.cia301.frame import Frame
-from canfb.device.dictionary import Dictionary
 from canfb.device.node import Node
+from canfb.device.od.dictionary import Dictionary
 
 ID = 32
 OK = "ok"

@@ -8,8 +8,8 @@ import pytest
 from device_kit import OK, Bench, hexes
 
 from canfb.cia301.nmt import NmtState
-from canfb.device.dictionary import Dictionary
 from canfb.device.node import Node
+from canfb.device.od.dictionary import Dictionary
 
 RECOVERED = ["0A0#4081110000000000", "0A0#0000000000000000"]
 

@@ -9,8 +9,8 @@ import pytest
 
 from canfb.cia301.codes import AbortCode, EmergencyCode
 from canfb.cia301.frame import Frame
-from canfb.device.dictionary import Dictionary
 from canfb.device.node import Node
+from canfb.device.od.dictionary import Dictionary
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "canopen.md").read_text(encoding="utf-8")

@@ -8,7 +8,7 @@ import pytest
 from device_kit import ID, OK, Bench
 
 from canfb.cia301.codes import AbortCode
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
 from folding import each
 
 SHIPPED = Path(__file__).parents[2] / "eds"

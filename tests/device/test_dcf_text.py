@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 import sample_eds
 
-from canfb.device import eds
-from canfb.device.dcf import Commissioning, FileInfo, Place, dcf_text
-from canfb.device.dictionary import Dictionary
+from canfb.device.od import eds
+from canfb.device.od.dcf import Commissioning, FileInfo, Place, dcf_text
+from canfb.device.od.dictionary import Dictionary
 
 INFO = FileInfo(file_name="node.dcf", description="A node", date="11-21-2026", time="08:15PM")
 PLACE = Commissioning(

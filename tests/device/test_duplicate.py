@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.dictionary import Dictionary
 from canfb.device.node import Node
+from canfb.device.od.dictionary import Dictionary
 
 SHIPPED = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
 PRISTINE = Dictionary.load(SHIPPED, ID)

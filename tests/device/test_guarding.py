@@ -10,7 +10,7 @@ from device_kit import ID, OK, Bench
 
 from canfb.cia301.codes import AbortCode
 from canfb.cia301.nmt import NmtState
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
 
 GUARD = 0x700 + ID
 LOST, GOOD = "0A0#3081110000000000", "0A0#0000000000000000"

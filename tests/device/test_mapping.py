@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from canfb.cia301 import datatypes
 from canfb.cia301.datatypes import DataType
-from canfb.device.entry import Entry
-from canfb.device.mapping import AlignedLayout, BitLayout, Slot, compile_layout
+from canfb.device.od.entry import Entry
+from canfb.device.pdo.mapping import AlignedLayout, BitLayout, Slot, compile_layout
 
 MAPPABLE = [code for code in DataType if datatypes.bit_length(code)]
 

@@ -6,8 +6,8 @@ from device_kit import ID, Bench
 
 from canfb.cia301.codes import AbortCode, EmergencyCode
 from canfb.cia301.nmt import NmtState
-from canfb.device.dictionary import Dictionary
-from canfb.device.entry import Entry
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.entry import Entry
 
 
 def minimal() -> Bench:

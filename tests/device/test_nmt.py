@@ -8,7 +8,7 @@ from device_kit import ID, OK, Bench
 
 from canfb.cia301.codes import AbortCode
 from canfb.cia301.nmt import NmtState
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
 
 COMMANDS = {1: NmtState.OPERATIONAL, 2: NmtState.STOPPED, 128: NmtState.PRE_OPERATIONAL}
 STATES = {state: command for command, state in COMMANDS.items()}

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
 
 EDS = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
 DICTIONARY = Dictionary.load(EDS, ID)

@@ -7,8 +7,8 @@ import sample_eds
 from device_kit import ID, OK, Bench
 
 from canfb.cia301.codes import AbortCode
-from canfb.device.dictionary import Dictionary
 from canfb.device.node import Node
+from canfb.device.od.dictionary import Dictionary
 from folding import each
 
 UNSUPPORTED = AbortCode.UNSUPPORTED_ACCESS

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device import pdo
-from canfb.device.dictionary import Dictionary
-from canfb.device.mapping import LONGEST_BITS, Direction, resolve
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.pdo import pdo
+from canfb.device.pdo.mapping import LONGEST_BITS, Direction, resolve
 
 SHIPPED = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
 SERVER = 0x600 + ID

@@ -13,8 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from storing_bench import COMMUNICATION, MANUFACTURER, RESET_NODE, StoringBench, write_eds
 
-from canfb.device.image import Identity, ImageError, ParameterGroup, Record, decode_image, encode_image
-from canfb.device.storage import MemoryStore
+from canfb.device.storage.image import (
+    Identity,
+    ImageError,
+    ParameterGroup,
+    Record,
+    decode_image,
+    encode_image,
+)
+from canfb.device.storage.storage import MemoryStore
 
 GROUP = ParameterGroup.COMMUNICATION
 IDENTITY = Identity(0, 0, 0)  # that of the sample device, whose 1018h has a vendor-ID alone

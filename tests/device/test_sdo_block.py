@@ -6,8 +6,8 @@ import pytest
 from device_kit import ID, OK, Bench
 
 from canfb.cia301.codes import AbortCode
-from canfb.device.sdo_block import BURST, DOWNLOAD_BLOCK, PAUSE_S, crc16
-from canfb.device.sdo_server import TIMEOUT_S
+from canfb.device.sdo.block import BURST, DOWNLOAD_BLOCK, PAUSE_S, crc16
+from canfb.device.sdo.server import TIMEOUT_S
 
 TABLE = "202000"
 NAME = b"a sample device!"

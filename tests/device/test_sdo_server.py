@@ -4,7 +4,7 @@ import pytest
 from device_kit import ID, OK, Bench
 
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.sdo_server import TIMEOUT_S
+from canfb.device.sdo.server import TIMEOUT_S
 
 SERVER = 0x600 + ID
 

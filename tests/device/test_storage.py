@@ -22,8 +22,8 @@ from storing_bench import (
 )
 
 from canfb.cia301.codes import AbortCode
-from canfb.device.image import ParameterGroup
-from canfb.device.storage import MemoryStore
+from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.storage import MemoryStore
 
 EACH = (ALL, COMMUNICATION, APPLICATION, MANUFACTURER)
 

@@ -8,8 +8,8 @@ import pytest
 from device_kit import ID, Bench
 
 from canfb.cia301.codes import AbortCode
-from canfb.device.dictionary import Dictionary
-from canfb.device.sdo_block import crc16
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.sdo.block import crc16
 
 SHIPPED = Path(__file__).parents[2] / "eds"
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import sample_eds
 
-from canfb.device import template
-from canfb.device.dictionary import Dictionary
-from canfb.device.entry import Entry
+from canfb.device.od import template
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.entry import Entry
 
 SHIPPED = sorted((Path(__file__).parents[2] / "eds").glob("*.eds"))
 HOOKS = ("on_read", "on_write", "on_written", "on_download")

@@ -6,7 +6,7 @@ import pytest
 from device_kit import ID, OK, Bench
 
 from canfb.cia301.codes import AbortCode
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
 
 TIME = 0x100
 SHIPPED = Path(__file__).parents[2] / "eds"

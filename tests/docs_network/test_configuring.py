@@ -10,7 +10,7 @@ import pytest
 from network_bench import INTERFACE_ID, MODULE_ID, TEXT, Network, write
 
 from canfb.cia301.nmt import NmtState
-from canfb.device.storage import MemoryStore
+from canfb.device.storage.storage import MemoryStore
 
 
 def configuration(network: Network, folder: Path, text: str = TEXT) -> configuring.Configuration:

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from canfb import FeedbackModule, Frame, ModuleConfig
-from canfb.device.dictionary import Dictionary
-from canfb.device.entry import Entry
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.entry import Entry
 from canfb.eds_files import eds_path
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import ServoDrive

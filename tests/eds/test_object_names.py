@@ -7,7 +7,7 @@ from dataclasses import fields
 from typing import NamedTuple
 
 from canfb import Conditioning, objects
-from canfb.device.eds import read
+from canfb.device.od.eds import read
 from canfb.eds_files import eds_path
 from canfb.objects import Multiplexer
 from folding import each

@@ -7,7 +7,7 @@ import canopen.lss
 import pytest
 
 from canfb.demo.embedded_network import EmbeddedNetwork
-from canfb.device.storage import MemoryStore
+from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

@@ -10,8 +10,8 @@ from canopen import RemoteNode
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame
-from canfb.device.image import ParameterGroup
-from canfb.device.storage import MemoryStore
+from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.storage import MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from latency_bench import RANGE, UNITS_PER_CYCLE, Timeline
 
 from canfb.cia301.frame import Frame
-from canfb.device.storage import MemoryStore
+from canfb.device.storage.storage import MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.module.prediction import ahead
+from canfb.module.objects.prediction import ahead
 from canfb.objects import StatusBit
 
 VALID, EXTRAPOLATED = int(StatusBit.VALID), int(StatusBit.EXTRAPOLATED)

@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from module_bench import Bench
 
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
+from canfb.module.cia406.position import PositionScale
+from canfb.module.cia406.speed import Motion, saturated
 from canfb.module.interval import IntervalEstimate
-from canfb.module.position import PositionScale
-from canfb.module.publication import NOTHING
-from canfb.module.speed import Motion, saturated
+from canfb.module.objects.publication import NOTHING
 
 U32 = st.integers(0, 0xFFFFFFFF)
 CYCLES = st.floats(-1e6, 1e6)

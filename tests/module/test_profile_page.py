@@ -12,11 +12,11 @@ from module_bench import Bench
 
 from canfb.cia301.codes import AbortCode, EmergencyCode
 from canfb.cia301.datatypes import DataType
-from canfb.device.dictionary import Dictionary
-from canfb.device.storage import MemoryStore
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
-from canfb.module import profile_warnings
-from canfb.module.profile import ALARM_PARAMETERS, ALARM_POSITION
+from canfb.module.cia406 import profile_warnings
+from canfb.module.cia406.profile import ALARM_PARAMETERS, ALARM_POSITION
 from folding import each
 
 PAGE = (Path(__file__).parents[2] / "docs" / "encoder-profile.md").read_text(encoding="utf-8")

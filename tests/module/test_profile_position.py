@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.frame import Frame
-from canfb.device.storage import MemoryStore
+from canfb.device.storage.storage import MemoryStore
+from canfb.module.cia406.position import PositionScale, distinguishable_revolutions, single_turn_resolution
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.module.position import PositionScale, distinguishable_revolutions, single_turn_resolution
 
 U32 = 0xFFFFFFFF
 EIGHTHS = [(0, 1000), (1000, 1000), (1000, 0), (1000, -1000), (0, -1000), (-1000, -1000), (-1000, 0),

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from module_bench import Bench
 
-from canfb.module.position import PHASE_UNITS, PositionScale
+from canfb.module.cia406.position import PHASE_UNITS, PositionScale
 from canfb.objects import StatusBit
 
 PER_REVOLUTION = 2500 * 8192

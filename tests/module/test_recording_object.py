@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame
-from canfb.device.kept import RANGES
+from canfb.device.storage.kept import RANGES
 from canfb.objects import MISSED_COUNTS
 
 MISSED = (MISSED_COUNTS, MISSED_COUNTS)

@@ -13,8 +13,8 @@ from module_bench import SYNC
 
 from canfb.cia301.frame import Frame
 from canfb.demo.embedded_network import EmbeddedNetwork
-from canfb.device.image import Identity, ParameterGroup, Record, decode_image, encode_image
-from canfb.device.storage import MemoryStore
+from canfb.device.storage.image import Identity, ParameterGroup, Record, decode_image, encode_image
+from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

@@ -11,7 +11,7 @@ import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.demo.embedded_network import EmbeddedNetwork
-from canfb.device.storage import MemoryStore
+from canfb.device.storage.storage import MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
@@ -65,7 +65,7 @@ def test_the_master_that_sets_a_node_id(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_the_files_that_the_page_names_are_those_of_the_program() -> None:
     from canfb.bus import state_files
-    from canfb.device.image import ParameterGroup
+    from canfb.device.storage.image import ParameterGroup
 
     named = set(re.findall(r"`(\w+\.bin)`", PAGE))
     made = {f"{group.name.lower()}.bin" for group in ParameterGroup}

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.module.interval import IntervalEstimate
 from canfb.module.timeline import (

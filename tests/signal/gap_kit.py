@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from canfb.signal.recovery import Recovery
+from canfb.signal.recovery.recovery import Recovery
 from canfb.signal.tracker import Tracker
 
 Rng = np.random.Generator

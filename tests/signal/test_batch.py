@@ -20,7 +20,7 @@ from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import phase_in_cycle
-from canfb.signal.recovery import COAST_SAMPLES, Recovery
+from canfb.signal.recovery.recovery import COAST_SAMPLES, Recovery
 from canfb.signal.sample import Sample
 from canfb.signal.stream import process_stream
 from canfb.signal.tracker import Tracker, TrackResult, track

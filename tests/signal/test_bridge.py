@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from canfb.signal.bridge import (
+from canfb.signal.recovery.bridge import (
     CLEARLY,
     CLEARLY_CYCLES,
     MOST_WIDTH,

@@ -11,8 +11,8 @@ from supervision_kit import above, at, below, flags, has
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.coarse import CoarseTrack
 from canfb.signal.feedback import Feedback
+from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.sample import Sample
 from folding import each
 

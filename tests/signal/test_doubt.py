@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from canfb.signal.bridge import Place
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.doubt import LONGEST_DOUBT, LONGEST_RUN, SHORTEST_RUN, Doubt
+from canfb.signal.recovery.bridge import Place
+from canfb.signal.recovery.doubt import LONGEST_DOUBT, LONGEST_RUN, SHORTEST_RUN, Doubt
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder
 

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.gap import Unseen, fitting, sure_acceleration, within
-from canfb.signal.recovery import Recovery
+from canfb.signal.recovery.gap import Unseen, fitting, sure_acceleration, within
+from canfb.signal.recovery.recovery import Recovery
 from canfb.signal.sample import Sample
 from canfb.signal.tracker import Tracker
 

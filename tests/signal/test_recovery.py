@@ -14,7 +14,7 @@ from supervision_kit import DEAD, Drive, above, at, below, flags, has
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.recovery import Recovery
+from canfb.signal.recovery.recovery import Recovery
 from canfb.signal.sample import Sample
 from canfb.signal.tracker import Track, Tracker
 from folding import each

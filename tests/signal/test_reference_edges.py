@@ -10,13 +10,13 @@ from supervision_kit import at, flags
 
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.coarse import CoarseTrack
 from canfb.signal.feedback import Feedback
-from canfb.signal.reference import Reference
+from canfb.signal.recovery.coarse import CoarseTrack
+from canfb.signal.recovery.reference import Reference
+from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
 from canfb.signal.tracker import Track
-from canfb.signal.zero_pulse import ZeroPulse
 from folding import each
 
 N = 2500

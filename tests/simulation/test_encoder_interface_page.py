@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from canfb.configuration import parse_config
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import configured_defaults

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.sdo_server import SdoServer
+from canfb.device.sdo.server import SdoServer
 from tools.fuzz import body, inputs
 from tools.fuzz.body import Play
 from tools.fuzz.inputs import NODE_ID, SERVER, Reader, Step

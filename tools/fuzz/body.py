@@ -19,12 +19,12 @@ from canfb.cia301 import cob
 from canfb.cia301.codes import SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device import pdo
-from canfb.device.dictionary import Dictionary
-from canfb.device.lss import UNCONFIGURED
-from canfb.device.mapping import Direction, resolve_all
+from canfb.device.lss.lss import UNCONFIGURED
 from canfb.device.nmt_slave import COMMUNICATING
-from canfb.device.storage import MemoryStore
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.pdo import pdo
+from canfb.device.pdo.mapping import Direction, resolve_all
+from canfb.device.storage.storage import MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample

@@ -37,8 +37,9 @@ def fuzz(arguments: list[str]) -> None:
 
 def names(part: str) -> list[str]:
     """The modules of a part of canfb that is no target: it runs faster when it is not instrumented."""
-    folder = Path(__file__).resolve().parents[2] / "src" / "canfb" / part
-    return [f"canfb.{part}.{path.stem}" for path in folder.glob("*.py")]
+    source = Path(__file__).resolve().parents[2] / "src"
+    files = (source / "canfb" / part).rglob("*.py")
+    return [".".join(path.relative_to(source).with_suffix("").parts) for path in files]
 
 
 def show(path: Path) -> None:

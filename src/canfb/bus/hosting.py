@@ -16,7 +16,7 @@ from canfb.bus.runner import DeviceFailure
 from canfb.bus.state_files import StateFiles
 from canfb.configuration import Config
 from canfb.device.hosted import Device
-from canfb.device.image import ParameterGroup
+from canfb.device.storage.image import ParameterGroup
 from canfb.errors import CanfbError, ConfigError
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from canfb import objects as od
 from canfb.cia301.datatypes import encode
-from canfb.device.lss import UNCONFIGURED
+from canfb.device.lss.lss import UNCONFIGURED
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.parameters import configured_defaults
 

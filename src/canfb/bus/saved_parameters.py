@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from canfb.bus.state_files import Changes, StateFiles
-from canfb.device.image import ParameterGroup
+from canfb.device.storage.image import ParameterGroup
 
 _MOST_READINGS = 10
 

@@ -19,8 +19,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from canfb.device.image import ParameterGroup
-from canfb.device.storage import PARAMETERS
+from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.storage import PARAMETERS
 from canfb.errors import CanfbError
 
 LARGEST_FILE = 1 << 20  # bytes; stored parameters are some ten thousand

@@ -14,7 +14,7 @@ from canfb.cli.options import add_bus_options, bus_options, chosen_module, refus
 from canfb.cli.printing import report
 from canfb.commissioning.module_objects import ModuleObjects
 from canfb.configuration import Config, load_config
-from canfb.device.dcf import Reals
+from canfb.device.od.dcf import Reals
 from canfb.errors import ConfigError
 from canfb.module.configuration_files import ConfigurationFiles, place_names
 from canfb.module.module_config import ModuleConfig

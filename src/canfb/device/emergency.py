@@ -11,9 +11,9 @@ from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.agenda import Timed
 from canfb.device.counters import Counters
-from canfb.device.dictionary import Dictionary
-from canfb.device.entry import Entry
 from canfb.device.moment import NEVER, Emit
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.entry import Entry
 
 _EMERGENCY = struct.Struct("<HB5s")
 _WAITING = 8

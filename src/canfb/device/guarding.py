@@ -9,9 +9,9 @@ from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.agenda import Timed
-from canfb.device.dictionary import Dictionary
 from canfb.device.emergency import Emergency
 from canfb.device.moment import NEVER, Emit, Moment
+from canfb.device.od.dictionary import Dictionary
 
 _TOGGLE = 0x80
 _SOURCE = 0x100C

@@ -10,10 +10,10 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.agenda import Timed
 from canfb.device.counters import Counters
-from canfb.device.dictionary import Dictionary
 from canfb.device.emergency import Emergency
-from canfb.device.entry import Entry
 from canfb.device.moment import NEVER, Emit, Moment
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.entry import Entry
 
 """CAN-ID of boot-up and heartbeat of node 0; the node-ID is added."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from canfb.cia301.nmt import NmtState
-from canfb.device.image import ParameterGroup
+from canfb.device.storage.image import ParameterGroup
 
 
 class Hooks:

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.device.counters import Counters
-from canfb.device.dictionary import Dictionary
-from canfb.device.entry import Entry
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.entry import Entry
 
 COMMUNICATING = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
 """The states with SDO, SYNC and EMCY."""

@@ -7,22 +7,22 @@ from collections.abc import Callable, Collection
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device import pdo
 from canfb.device.agenda import Agenda
 from canfb.device.counters import Counters
-from canfb.device.dictionary import Dictionary
 from canfb.device.emergency import check_error
 from canfb.device.hooks import Hooks
-from canfb.device.lss import REQUEST_ID, UNCONFIGURED, LssSlave, is_node_id
+from canfb.device.lss.lss import REQUEST_ID, UNCONFIGURED, LssSlave, is_node_id
 from canfb.device.moment import NEVER, Moment
 from canfb.device.nmt_slave import Startup
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.pdo import pdo
+from canfb.device.pdo.rpdo import Rpdo
+from canfb.device.pdo.tpdo import Tpdo
 from canfb.device.routing import Handler, RemoteHandler
-from canfb.device.rpdo import Rpdo
-from canfb.device.sdo_server import TIMEOUT_S
+from canfb.device.sdo.server import TIMEOUT_S
 from canfb.device.services import Links, Services, nobody_listens
 from canfb.device.silence import Silence
-from canfb.device.storage import Storage, Store
-from canfb.device.tpdo import Tpdo
+from canfb.device.storage.storage import Storage, Store
 
 LAST_COMMUNICATION_INDEX = 0x1FFF
 _BUS = "bus"

@@ -7,24 +7,24 @@ from dataclasses import dataclass
 
 from canfb.cia301.cob import ERROR_CONTROL
 from canfb.cia301.nmt import NmtState
-from canfb.device import pdo
 from canfb.device.agenda import Timed
 from canfb.device.counters import Counters
-from canfb.device.dictionary import Dictionary
 from canfb.device.duplicate import DuplicateWatch
 from canfb.device.emergency import Emergency
 from canfb.device.guarding import NodeGuarding
 from canfb.device.heartbeat import HeartbeatConsumer, HeartbeatProducer
-from canfb.device.mapping import Direction
 from canfb.device.moment import Emit, Moment
 from canfb.device.nmt_slave import COMMUNICATING, ErrorBehaviour, Nmt
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.pdo import pdo
+from canfb.device.pdo.mapping import Direction
+from canfb.device.pdo.rpdo import Rpdo
+from canfb.device.pdo.tpdo import Tpdo
 from canfb.device.routing import Routes
-from canfb.device.rpdo import Rpdo
-from canfb.device.sdo_channel import SdoChannel, channel_indices
+from canfb.device.sdo.channel import SdoChannel, channel_indices
 from canfb.device.silence import Silence
 from canfb.device.sync import Sync
 from canfb.device.time_stamp import TimeStamp
-from canfb.device.tpdo import Tpdo
 
 NMT_COMMAND = 0x000
 

@@ -10,9 +10,9 @@ from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.agenda import Timed
 from canfb.device.counters import Counters
-from canfb.device.dictionary import Dictionary
 from canfb.device.emergency import Emergency
 from canfb.device.moment import NEVER, Emit, Moment
+from canfb.device.od.dictionary import Dictionary
 
 _SOURCE = 0x1005
 _DEFAULT_COB_ID = 0x080

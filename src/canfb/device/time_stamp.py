@@ -7,7 +7,7 @@ from collections.abc import Callable
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.counters import Counters
-from canfb.device.entry import Entry
+from canfb.device.od.entry import Entry
 
 MILLISECONDS_PER_DAY = 86_400_000
 CONSUME = 1 << 31

@@ -8,27 +8,27 @@ from canfb import objects as od
 from canfb.cia301.codes import EmergencyCode
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.dictionary import Dictionary
-from canfb.device.image import ParameterGroup
 from canfb.device.moment import NEVER
 from canfb.device.node import Node
-from canfb.device.storage import Store
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
-from canfb.module.calibrating import Calibrating
 from canfb.module.calibration_job import CalibrationJob, Outcome
-from canfb.module.cyclic_timer import CyclicTimer
+from canfb.module.cia406.cyclic_timer import CyclicTimer
+from canfb.module.cia406.operating_time import OperatingTime
+from canfb.module.cia406.position_alarm import REGISTER
 from canfb.module.interval import IntervalEstimate
 from canfb.module.jitter_watch import JitterWatch
 from canfb.module.local_source import LocalSource
 from canfb.module.module_config import ModuleConfig
-from canfb.module.operating_time import OperatingTime
+from canfb.module.objects.calibrating import Calibrating
+from canfb.module.objects.recorder import Recorder
+from canfb.module.objects.sample_input import SampleInput
+from canfb.module.objects.table_store import TableStore
 from canfb.module.parameters import Limits, apply_defaults, configured_defaults, without_adc_pdo
-from canfb.module.position_alarm import REGISTER
 from canfb.module.publishing import Publishing
-from canfb.module.recorder import Recorder
-from canfb.module.sample_input import SampleInput
 from canfb.module.sampling import Sampling
-from canfb.module.table_store import TableStore
 from canfb.module.tap import Taps
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback

@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 from collections import deque
 
-from canfb.device.dictionary import Entry
+from canfb.device.od.dictionary import Entry
 
 SECONDS_PER_US = 1e-6
 SMOOTHING = 1.0 / 32.0

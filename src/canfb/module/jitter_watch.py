@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from canfb.device.dictionary import Entry
+from canfb.device.od.dictionary import Entry
 from canfb.module.interval import IntervalEstimate
 from canfb.module.parameters import Limits
 from canfb.module.timeline import Timeline

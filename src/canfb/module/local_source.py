@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from canfb.device.dictionary import Dictionary
-from canfb.module.sample_input import PARTS, PLACES, SAMPLE_INVALID, ZERO_PULSE, SampleInput
+from canfb.device.od.dictionary import Dictionary
+from canfb.module.objects.sample_input import PARTS, PLACES, SAMPLE_INVALID, ZERO_PULSE, SampleInput
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import TICK_S, TICKS
 from canfb.sources.protocol import Source, SourceEnded

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from canfb.checks import flag, integer_in
-from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for readers of configurations
+from canfb.device.lss.lss import UNCONFIGURED as UNCONFIGURED  # for readers of configurations
 from canfb.signal.chain_config import ChainConfig
 from canfb.sources.source_config import SourceConfig
 

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from canfb import objects as od
-from canfb.device.dictionary import Dictionary, Entry
 from canfb.device.moment import NEVER
 from canfb.device.node import Node
+from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.module.interval import IntervalEstimate
 from canfb.module.local_source import LocalSource
-from canfb.module.sample_input import SampleInput
+from canfb.module.objects.sample_input import SampleInput
 from canfb.module.timeline import ON_TIME, Timeline, Verdict
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import TICK_S, TICKS

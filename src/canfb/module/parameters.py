@@ -8,10 +8,10 @@ from typing import Any
 from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
+from canfb.module.cia406.position import distinguishable_revolutions, single_turn_resolution
 from canfb.module.interval import IntervalEstimate
 from canfb.module.module_config import ModuleConfig
-from canfb.module.position import distinguishable_revolutions, single_turn_resolution
 from canfb.signal.chain import SignalChain
 from canfb.signal.limits import cycles_per_interval_squared, narrowed_residual_limit
 from canfb.signal.supervision import SampleLimits

@@ -6,17 +6,17 @@ from collections.abc import Callable
 
 from canfb import objects as od
 from canfb.cia301.cob import is_valid
-from canfb.device.dictionary import Dictionary
 from canfb.device.node import Node
-from canfb.device.pdo import EVENT_DRIVEN
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.pdo.pdo import EVENT_DRIVEN
+from canfb.module.cia406.position_alarm import PositionAlarm
+from canfb.module.cia406.profile import EncoderProfile
+from canfb.module.cia406.profile_warnings import Warnings
 from canfb.module.interval import IntervalEstimate
+from canfb.module.objects.prediction import Prediction
+from canfb.module.objects.publication import Publication
+from canfb.module.objects.sample_input import SampleInput
 from canfb.module.parameters import Limits
-from canfb.module.position_alarm import PositionAlarm
-from canfb.module.prediction import Prediction
-from canfb.module.profile import EncoderProfile
-from canfb.module.profile_warnings import Warnings
-from canfb.module.publication import Publication
-from canfb.module.sample_input import SampleInput
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import VALID

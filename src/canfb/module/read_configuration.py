@@ -7,8 +7,8 @@ from typing import Any, Protocol
 
 from canfb import objects as od
 from canfb.cia301 import datatypes
-from canfb.device.dictionary import Dictionary
-from canfb.device.entry import Entry
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.entry import Entry
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
 from canfb.module.device_configuration import DeviceConfiguration, configuration_read

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from canfb.device.dictionary import Dictionary
 from canfb.device.moment import NEVER
 from canfb.device.node import Node
+from canfb.device.od.dictionary import Dictionary
 from canfb.module.interval import IntervalEstimate
 from canfb.module.local_source import LocalSource
+from canfb.module.objects.sample_input import SampleInput
 from canfb.module.pairing import Findings, Pairing
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
-from canfb.module.sample_input import SampleInput
 from canfb.module.tap import Taps
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback

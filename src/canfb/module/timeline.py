@@ -11,8 +11,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from canfb import objects as od
-from canfb.device.dictionary import Dictionary
 from canfb.device.moment import NEVER
+from canfb.device.od.dictionary import Dictionary
 from canfb.module.interval import IntervalEstimate
 from canfb.module.response import LEARNED_TOGETHER, Answer, Response
 

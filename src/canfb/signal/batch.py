@@ -11,7 +11,7 @@ from canfb.signal.blocks import BLOCK_SAMPLES, Scratch, blocks
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable, check_table
 from canfb.signal.phase import raw_phase_block, wrap_block
-from canfb.signal.recovery import COAST_SAMPLES, Recovery
+from canfb.signal.recovery.recovery import COAST_SAMPLES, Recovery
 from canfb.signal.supervision import VALID
 from canfb.signal.tracker import RESIDUAL_LIMIT, Tracker, TrackResult, continues
 from canfb.signal.tracks import check_counts, pair_of_tracks

@@ -9,13 +9,14 @@ import numpy.typing as npt
 
 from canfb.signal.blocks import Scratch
 from canfb.signal.chain_config import ChainConfig, check_config
-from canfb.signal.coarse import CoarseTrack
 from canfb.signal.correction import Correction, CorrectionTable, check_table
 from canfb.signal.feedback import Feedback
 from canfb.signal.frozen import FrozenInput
 from canfb.signal.phase import FloatArray, raw_phase
-from canfb.signal.recovery import Recovery
-from canfb.signal.reference import Reference
+from canfb.signal.recovery.coarse import CoarseTrack
+from canfb.signal.recovery.recovery import Recovery
+from canfb.signal.recovery.reference import Reference
+from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import REPEATED, SUSPECT, SampleTimes
 from canfb.signal.supervision import (
@@ -30,7 +31,6 @@ from canfb.signal.supervision import (
     Supervision,
 )
 from canfb.signal.tracker import Track, Tracker, TrackResult, check_residual_limit
-from canfb.signal.zero_pulse import ZeroPulse
 
 MISSED_INTERVALS = 1.5  # since the sample before: one was missed
 STANDSTILL_CYCLES = 0.001  # per interval, on average: what noise and a servo at rest may show
@@ -43,7 +43,7 @@ class SignalChain:
     """One encoder, sample by sample.
 
     A sample that fails a check is flagged in its own :class:`Feedback` and never moves the
-    cycle count; see :mod:`canfb.signal.recovery` for what happens then.
+    cycle count; see :mod:`canfb.signal.recovery.recovery` for what happens then.
 
     TypeError for a ``config`` that is not a :class:`ChainConfig` and a ``table`` that is not a
     :class:`CorrectionTable` (None: the identity).

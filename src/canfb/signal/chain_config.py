@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from canfb.checks import integer_in
 from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.recovery import COAST_SAMPLES
+from canfb.signal.recovery.recovery import COAST_SAMPLES
 from canfb.signal.supervision import SampleLimits
 from canfb.signal.tracker import RESIDUAL_LIMIT, check_residual_limit
 

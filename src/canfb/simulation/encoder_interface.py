@@ -8,12 +8,12 @@ from canfb import objects as od
 from canfb.cia301.cob import CAN_ID
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.cia301.frame import Frame
-from canfb.device.dictionary import Dictionary
-from canfb.device.image import ParameterGroup
-from canfb.device.mapping import Direction
 from canfb.device.node import Node
-from canfb.device.pdo import COMMUNICATION, numbers
-from canfb.device.storage import Store
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.pdo.mapping import Direction
+from canfb.device.pdo.pdo import COMMUNICATION, numbers
+from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
 from canfb.signal.sample import Sample
 from canfb.simulation.fast_recording import FastRecorder

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
 
 BLOCK_SAMPLES = 1 << 16
 

@@ -8,7 +8,7 @@ from canfb import objects as od
 from canfb.checks import number_in
 from canfb.cia301.cob import CAN_ID
 from canfb.cia301.frame import Frame
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
 
 OLDEST_S = 10.0
 SECONDS_PER_US = 1e-6

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.simulation.cia402.feedback_input import FeedbackInput, Wrong
 

@@ -27,8 +27,8 @@ import numpy as np
 
 from canfb.bus.state_files import StateFiles
 from canfb.cia301.frame import Frame
-from canfb.device.image import ParameterGroup
-from canfb.device.storage import PARAMETERS
+from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.storage import PARAMETERS
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import CorrectionTable

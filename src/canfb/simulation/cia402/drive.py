@@ -8,11 +8,11 @@ from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.dictionary import Dictionary
-from canfb.device.image import ParameterGroup
 from canfb.device.node import Node
-from canfb.device.pdo import EVENT_DRIVEN
-from canfb.device.storage import Store
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.pdo.pdo import EVENT_DRIVEN
+from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
 from canfb.simulation.cia402.axis import Axis
 from canfb.simulation.cia402.drive_errors import DriveError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from enum import IntFlag
 
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
 
 U32_RANGE = 1 << 32
 SENSOR_CODES = 0x7300

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from canfb import objects as od
 from canfb.checks import integer_in
 from canfb.cia301 import cob
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
 from canfb.simulation.cia402.motor import MotorConfig
 
 U32 = 0xFFFFFFFF

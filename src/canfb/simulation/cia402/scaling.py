@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from canfb.device.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary
 
 _HALF, _FULL = 1 << 31, 1 << 32
 

@@ -1,0 +1,198 @@
+"""LSS slave: node-ID and bit rate are set by a master over the bus (CiA 305)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from enum import IntEnum
+
+from canfb.cia301.frame import Frame
+from canfb.device.counters import Counters
+from canfb.device.lss.identification import Identification
+from canfb.device.moment import Emit
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.storage.image import ParameterGroup, Record
+from canfb.device.storage.storage import Storage
+
+REQUEST_ID, RESPONSE_ID = 0x7E5, 0x7E4
+UNCONFIGURED = 255
+"""The node-ID of a device that has none yet."""
+
+BIT_RATES_KBIT_S = {0: 1000, 1: 800, 2: 500, 3: 250, 4: 125, 6: 50, 7: 20, 8: 10}
+"""The standard table of bit timings; 5 is reserved."""
+
+_LENGTH = 8
+_NODE_ID_RECORD, _BIT_RATE_RECORD = (0, 1), (0, 2)
+_NO_BIT_RATE = 0xFF
+
+
+class LssState(IntEnum):
+    """The state of the slave, with the value of the service "switch state global"."""
+
+    WAITING = 0
+    CONFIGURATION = 1
+
+
+class Command(IntEnum):
+    """Command specifiers of the services beside identification."""
+
+    SWITCH_STATE_GLOBAL = 0x04
+    CONFIGURE_NODE_ID = 0x11
+    CONFIGURE_BIT_TIMING = 0x13
+    ACTIVATE_BIT_TIMING = 0x15
+    STORE_CONFIGURATION = 0x17
+    INQUIRE_IDENTITY = 0x5A
+    """5Ah to 5Dh: vendor-ID, product code, revision number, serial number."""
+    INQUIRE_NODE_ID = 0x5E
+
+
+class Error(IntEnum):
+    """What a service answers; 1 is its own kind of refusal."""
+
+    NONE = 0
+    NOT_POSSIBLE = 1
+    STORE_FAILED = 2
+
+
+def is_node_id(value: int) -> bool:
+    """Whether a device may have this node-ID: 1 to 127, or 255 for none."""
+    return 1 <= value <= 127 or value == UNCONFIGURED
+
+
+class LssSlave:
+    """Answers the LSS master, in every NMT state.
+
+    `pending_node_id` is what the next reset of the communication makes the node-ID, and what is
+    stored. `active_node_id()` is the present one. `bit_rates_kbit_s` are those that the bus can be
+    set to. `activate(kbit_s, delay_s)` is called for "activate bit timing" with the bit rate
+    configured before: the device is to be silent for `delay_s` seconds, then the bit rate changes,
+    then it is to be silent for `delay_s` again. Without a bit rate that the bus can be set to the
+    service is refused; it has no answer, and nothing happens. `configured(now)` is called when the
+    master leaves the configuration state.
+    """
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        storage: Storage,
+        counters: Counters,
+        emit: Emit,
+        *,
+        active_node_id: Callable[[], int],
+        bit_rates_kbit_s: Collection[int],
+        activate: Callable[[int, float], None],
+        configured: Callable[[float], None],
+    ) -> None:
+        self.state = LssState.WAITING
+        self.pending_node_id = self._own_node_id = active_node_id()
+        self.bit_rate_kbit_s: int | None = None
+        """The bit rate that was configured or stored, None for none."""
+        self._storage = storage
+        self._counters = counters
+        self._emit = emit
+        self._active_node_id = active_node_id
+        self._bit_rates_kbit_s = frozenset(bit_rates_kbit_s)
+        self._activate = activate
+        self._configured = configured
+        self._identification = Identification(dictionary)
+        self._services: dict[int, Callable[[bytes], None]] = {
+            Command.CONFIGURE_NODE_ID: self._configure_node_id,
+            Command.CONFIGURE_BIT_TIMING: self._configure_bit_timing,
+            Command.ACTIVATE_BIT_TIMING: self._activate_bit_timing,
+            Command.STORE_CONFIGURATION: self._store,
+            Command.INQUIRE_NODE_ID: self._inquire_node_id,
+            **{Command.INQUIRE_IDENTITY + part: self._inquire_identity for part in range(4)},
+        }
+
+    def power_on(self) -> None:
+        """Take what is stored, or else the node-ID that the program gave."""
+        self.pending_node_id, self.bit_rate_kbit_s = self._own_node_id, None
+        records = self._storage.records(ParameterGroup.LSS)
+        if records is None:
+            return
+        values = {(record.index, record.subindex): record.data for record in records}
+        node_id = int.from_bytes(values.get(_NODE_ID_RECORD, b""), "little")
+        timing = int.from_bytes(values.get(_BIT_RATE_RECORD, b""), "little")
+        if not is_node_id(node_id):
+            self._storage.refuse(ParameterGroup.LSS, f"{node_id} is no node-ID")
+            return
+        self.pending_node_id = node_id
+        self.bit_rate_kbit_s = BIT_RATES_KBIT_S.get(timing)
+
+    def reset(self) -> None:
+        """The state after an NMT reset."""
+        self.state = LssState.WAITING
+        self._identification.reset()
+
+    def handle(self, data: bytes, now: float) -> None:
+        """A frame of the master; one that is not 8 bytes long is dropped."""
+        if len(data) != _LENGTH:
+            self._counters.malformed_frames += 1
+        elif data[0] == Command.SWITCH_STATE_GLOBAL:
+            self._switch_state(data[1], now)
+        elif data[0] in self._services:
+            if self.state is LssState.CONFIGURATION:
+                self._services[data[0]](data)
+        else:
+            self._identify(data)
+
+    def _switch_state(self, mode: int, now: float) -> None:
+        if mode == LssState.CONFIGURATION:
+            self.state = LssState.CONFIGURATION
+        elif mode == LssState.WAITING and self.state is LssState.CONFIGURATION:
+            self.state = LssState.WAITING
+            self._configured(now)
+
+    def _identify(self, data: bytes) -> None:
+        unconfigured = self._active_node_id() == self.pending_node_id == UNCONFIGURED
+        waiting = self.state is LssState.WAITING
+        answer = self._identification.handle(data, unconfigured=unconfigured, waiting=waiting)
+        if answer is None:
+            return
+        if answer.selected:
+            self.state = LssState.CONFIGURATION
+        self._answer(bytes([answer.command]))
+
+    def _answer(self, data: bytes) -> None:
+        self._emit(Frame(RESPONSE_ID, data.ljust(_LENGTH, b"\x00")))
+
+    def _configure_node_id(self, data: bytes) -> None:
+        good = is_node_id(data[1])
+        if good:
+            self.pending_node_id = data[1]
+        self._answer(bytes([data[0], Error.NONE if good else Error.NOT_POSSIBLE]))
+
+    def _configure_bit_timing(self, data: bytes) -> None:
+        table, index = data[1:3]
+        kbit_s = BIT_RATES_KBIT_S.get(index)
+        good = table == 0 and kbit_s in self._bit_rates_kbit_s
+        if good:
+            self.bit_rate_kbit_s = kbit_s
+        self._answer(bytes([data[0], Error.NONE if good else Error.NOT_POSSIBLE]))
+
+    def _activate_bit_timing(self, data: bytes) -> None:
+        """There is no answer. Nothing happens without a bit rate that was configured and is possible."""
+        if self.bit_rate_kbit_s is not None and self.bit_rate_kbit_s in self._bit_rates_kbit_s:
+            self._activate(self.bit_rate_kbit_s, int.from_bytes(data[1:3], "little") / 1000)
+
+    def _store(self, data: bytes) -> None:
+        timing = next(
+            (index for index, rate in BIT_RATES_KBIT_S.items() if rate == self.bit_rate_kbit_s), _NO_BIT_RATE
+        )
+        records = [
+            Record(*_NODE_ID_RECORD, False, bytes([self.pending_node_id])),
+            Record(*_BIT_RATE_RECORD, False, bytes([timing])),
+        ]
+        error = Error.NONE if self._storage.is_there else Error.NOT_POSSIBLE
+        if self._storage.is_there:
+            try:
+                self._storage.save_records(ParameterGroup.LSS, records)
+            except OSError:
+                error = Error.STORE_FAILED
+        self._answer(bytes([data[0], error]))
+
+    def _inquire_node_id(self, data: bytes) -> None:
+        self._answer(bytes([data[0], self._active_node_id()]))
+
+    def _inquire_identity(self, data: bytes) -> None:
+        number = self._identification.address[data[0] - Command.INQUIRE_IDENTITY]
+        self._answer(bytes([data[0]]) + number.to_bytes(4, "little"))

@@ -1,0 +1,173 @@
+"""A device configuration file (CiA 306): an EDS with the values of one device, and its place on the bus."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from configparser import RawConfigParser
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from canfb.cia301 import datatypes
+from canfb.cia301.datatypes import DataType
+from canfb.device.od import eds
+
+COMMISSIONING = "DeviceComissioning"
+"""The section as CiA 306 spells it."""
+LINE_END = "\r\n"
+_PLAIN = 1e9
+REFUSE_ON_DOWNLOAD = 0x1
+"""Bit 0 of ObjFlags: not to be written when a configuration is loaded."""
+
+Place = tuple[int, int]
+
+
+class Reals(Enum):
+    """How REAL32 and REAL64 are written: CiA 306 does not say it, and readers differ."""
+
+    DECIMAL = "decimal"
+    IEEE754 = "ieee754"
+    """The bits of the number, in hexadecimal."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Commissioning:
+    """Section [DeviceComissioning]. `bit_rate_kbit_s` None: not known, and left out."""
+
+    node_id: int
+    node_name: str
+    bit_rate_kbit_s: int | None
+    network_name: str
+    serial_number: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileInfo:
+    """What is new in section [FileInfo]; dates as mm-dd-yyyy, times as hh:mm with AM or PM."""
+
+    file_name: str
+    description: str
+    date: str
+    time: str
+
+
+def dcf_text(
+    path: Path,
+    info: FileInfo,
+    commissioning: Commissioning,
+    values: Mapping[Place, Any],
+    *,
+    reals: Reals = Reals.DECIMAL,
+    files: Mapping[Place, str] | None = None,
+) -> str:
+    """The DCF from the EDS at `path`, with `values` by index and sub-index as its ParameterValue.
+
+    Values are written as numbers, without $NODEID, in the way in which the EDS writes the default.
+    `files` are names of files with the bytes of a DOMAIN, for DownloadFile. An object that has a value
+    may be written (ObjFlags). ValueError for a value or a file of an entry that the EDS does not have.
+    """
+    parser = eds.read(path)
+    sections = eds.sections(parser)
+    for place, value in values.items():
+        section = _section(sections, place)
+        parser.set(section, "ParameterValue", _written(parser, section, value, reals))
+        _allow_download(parser, section)
+    for place, name in (files or {}).items():
+        section = _section(sections, place)
+        parser.set(section, "DownloadFile", name)
+        _allow_download(parser, section)
+    _set_file_info(parser, path.name, info)
+    return _as_text(parser, _commissioning(commissioning))
+
+
+def real_as_text(data_type: int, value: float, reals: Reals) -> str:
+    """A REAL32 or REAL64: the shortest decimal number that is it, or its bits."""
+    data = datatypes.encode(data_type, value)
+    if reals is Reals.IEEE754:
+        return f"0x{data[::-1].hex().upper()}"
+    plain = [str(int(value))] if abs(value) < _PLAIN else []  # some readers know whole numbers only
+    texts = [*plain, *(f"{value:.{digits}g}" for digits in range(1, 18))]
+    return next((text for text in texts if _is_text_of(text, data_type, data)), repr(float(value)))
+
+
+def _is_text_of(text: str, data_type: int, data: bytes) -> bool:
+    try:
+        return datatypes.encode(data_type, float(text)) == data
+    except ValueError:  # rounded up beyond the largest number
+        return False
+
+
+def _section(sections: Mapping[Place, str], place: Place) -> str:
+    found = sections.get(place)
+    if found is None:
+        raise ValueError(f"{place[0]:04X}h:{place[1]:02X} is not in the EDS")
+    return found
+
+
+def _written(parser: RawConfigParser, section: str, value: Any, reals: Reals) -> str:
+    data_type = int(parser.get(section, "DataType"), 0)
+    if data_type in datatypes.FLOATS:
+        return real_as_text(data_type, value, reals)
+    if data_type in datatypes.STRINGS:
+        return str(value)
+    if data_type in (DataType.OCTET_STRING, DataType.DOMAIN, *datatypes.FIXED_BYTES):
+        return bytes(value).hex().upper()
+    default = parser.get(section, "DefaultValue", fallback="").lower()
+    if "0x" not in default or value < 0:
+        return str(int(value))
+    return f"0x{int(value):0{2 * datatypes.byte_length(data_type)}X}"
+
+
+def _allow_download(parser: RawConfigParser, section: str) -> None:
+    flags = int(parser.get(section, "ObjFlags", fallback="") or "0", 0)
+    if flags & REFUSE_ON_DOWNLOAD:
+        parser.set(section, "ObjFlags", f"0x{flags & ~REFUSE_ON_DOWNLOAD:X}")
+
+
+def _set_file_info(parser: RawConfigParser, eds_name: str, info: FileInfo) -> None:
+    if not parser.has_section("FileInfo"):
+        parser.add_section("FileInfo")
+    for option, text in {
+        "FileName": info.file_name,
+        "FileVersion": "1",
+        "FileRevision": "1",
+        "EDSVersion": parser.get("FileInfo", "EDSVersion", fallback="4.0"),
+        "Description": info.description,
+        "CreationTime": info.time,
+        "CreationDate": info.date,
+        "CreatedBy": "canfb",
+        "ModificationTime": info.time,
+        "ModificationDate": info.date,
+        "ModifiedBy": "canfb",
+        "LastEDS": eds_name,
+    }.items():
+        parser.set("FileInfo", option, text)
+
+
+def _commissioning(commissioning: Commissioning) -> dict[str, str]:
+    rate = commissioning.bit_rate_kbit_s
+    return {
+        "NodeID": f"0x{commissioning.node_id:02X}",
+        "NodeName": commissioning.node_name,
+        **({} if rate is None else {"Baudrate": str(rate)}),
+        "NetNumber": "0",
+        "NetworkName": commissioning.network_name,
+        "CANopenManager": "0",
+        "LSS_SerialNumber": str(commissioning.serial_number),
+    }
+
+
+def _as_text(parser: RawConfigParser, commissioning: Mapping[str, str]) -> str:
+    """All sections, [DeviceComissioning] after [DeviceInfo]."""
+    blocks = []
+    for section in parser.sections():
+        blocks.append(_block(section, dict(parser.items(section))))
+        if section == "DeviceInfo":
+            blocks.append(_block(COMMISSIONING, commissioning))
+    return LINE_END.join(blocks)
+
+
+def _block(section: str, options: Mapping[str, str]) -> str:
+    lines = [f"[{section}]", *(f"{option}={text}" for option, text in options.items())]
+    return "".join(f"{line}{LINE_END}" for line in lines)

@@ -1,0 +1,155 @@
+"""SDO server: one channel of 1200h to 127Fh (CiA 301, 7.2.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.cia301.frame import Frame
+from canfb.device.agenda import Timed
+from canfb.device.counters import Counters
+from canfb.device.moment import NEVER, Emit
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.entry import Entry
+from canfb.device.sdo.block import CRC_SUPPORTED, BlockDownload, BlockUpload
+from canfb.device.sdo.segment import SegmentedDownload, SegmentedUpload
+from canfb.device.sdo.transfer import (
+    ABORT,
+    ABORT_COMMAND,
+    BLOCK_DOWNLOAD,
+    BLOCK_UPLOAD,
+    INITIATE_DOWNLOAD,
+    INITIATE_UPLOAD,
+    Transfer,
+    expedited_data,
+    expedited_upload,
+)
+
+TIMEOUT_S = 1.0
+"""How long a client may be silent within a transfer, seconds."""
+
+_FRAME_LENGTH = 8
+
+
+class SdoServer(Timed):
+    """Serves one client at a time; each channel has its own transfer, toggle bits and time-out.
+
+    A request that is not 8 bytes long is ignored. A new request within a transfer gives the old
+    one up and is served.
+    """
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        emit: Emit,
+        counters: Counters,
+        response_id: int,
+        *,
+        timeout_s: float = TIMEOUT_S,
+    ) -> None:
+        self.deadline = NEVER
+        self.response_id = response_id
+        self._dictionary = dictionary
+        self._emit = emit
+        self._counters = counters
+        self._timeout_s = timeout_s
+        self._transfer: Transfer | None = None
+        self._begin: dict[int, Callable[[bytes], Transfer | None]] = {
+            INITIATE_DOWNLOAD: self._download,
+            INITIATE_UPLOAD: self._upload,
+            BLOCK_UPLOAD: self._block_upload,
+            BLOCK_DOWNLOAD: self._block_download,
+        }
+
+    def drop(self) -> None:
+        """Give the running transfer up without a word (NMT reset or stop)."""
+        self._transfer = None
+        self.deadline = NEVER
+
+    def handle(self, data: bytes, now: float) -> None:
+        """A frame of the client."""
+        if len(data) != _FRAME_LENGTH:
+            self._counters.malformed_frames += 1
+            return
+        transfer, self._transfer = self._transfer, None
+        multiplexer = data[1:4] if transfer is None else transfer.multiplexer
+        try:
+            if transfer is not None and transfer.accepts(data[0]):
+                if transfer.handle(data):
+                    self._transfer = transfer
+            elif data[0] >> 5 != ABORT:
+                begin = self._begin.get(data[0] >> 5)
+                if begin is None:
+                    raise SdoAbort(AbortCode.COMMAND)
+                multiplexer = data[1:4]
+                self._transfer = begin(data)
+        except SdoAbort as abort:
+            self._abort(multiplexer, abort.code)
+        self._schedule(now)
+
+    def tick(self, now: float) -> None:
+        """Send what a block upload has to send next, or give a silent client up."""
+        transfer = self._transfer
+        if transfer is None or now < self.deadline:
+            return
+        if transfer.pause < NEVER:
+            transfer.proceed()
+        else:
+            self._transfer = None
+            self._abort(transfer.multiplexer, AbortCode.TIMEOUT)
+        self._schedule(now)
+
+    def _schedule(self, now: float) -> None:
+        transfer = self._transfer
+        self.deadline = NEVER if transfer is None else now + min(transfer.pause, self._timeout_s)
+
+    def _reply(self, payload: bytes) -> None:
+        self._emit(Frame(self.response_id, payload.ljust(_FRAME_LENGTH, b"\x00")))
+
+    def _abort(self, multiplexer: bytes, code: AbortCode) -> None:
+        self._counters.sdo_aborts += 1
+        self._reply(bytes([ABORT_COMMAND]) + multiplexer + code.to_bytes(4, "little"))
+
+    def _entry(self, data: bytes) -> Entry:
+        return self._dictionary.lookup(data[1] | data[2] << 8, data[3])
+
+    def _download(self, data: bytes) -> Transfer | None:
+        entry = self._entry(data)
+        entry.check_writable()
+        command, multiplexer = data[0], data[1:4]
+        if command & 0x02:
+            entry.download(expedited_data(entry, data))
+            self._reply(b"\x60" + multiplexer)
+            return None
+        announced = int.from_bytes(data[4:8], "little") if command & 0x01 else None
+        return SegmentedDownload(multiplexer, entry, announced, self._reply)
+
+    def _upload(self, data: bytes) -> Transfer | None:
+        content = self._entry(data).upload()
+        return self._answer_upload(data[1:4], content)
+
+    def _answer_upload(self, multiplexer: bytes, content: bytes) -> Transfer | None:
+        if 1 <= len(content) <= 4:
+            self._reply(expedited_upload(multiplexer, content))
+            return None
+        return SegmentedUpload(multiplexer, content, self._reply)
+
+    def _block_upload(self, data: bytes) -> Transfer | None:
+        command, block_size, switch_at = data[0], data[4], data[5]
+        if command & 0x03:
+            raise SdoAbort(AbortCode.COMMAND)
+        content = self._entry(data).upload()
+        if switch_at and len(content) <= switch_at:  # the protocol switch threshold, 0 for never
+            return self._answer_upload(data[1:4], content)
+        with_crc = bool(command & CRC_SUPPORTED)
+        return BlockUpload(data[1:4], content, block_size, with_crc=with_crc, reply=self._reply)
+
+    def _block_download(self, data: bytes) -> Transfer | None:
+        command = data[0]
+        if command & 0x01:
+            raise SdoAbort(AbortCode.COMMAND)
+        entry = self._entry(data)
+        entry.check_writable()
+        announced = int.from_bytes(data[4:8], "little") if command & 0x02 else None
+        with_crc = bool(command & CRC_SUPPORTED)
+        return BlockDownload(data[1:4], entry, announced, with_crc=with_crc, reply=self._reply)

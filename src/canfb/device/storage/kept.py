@@ -1,0 +1,150 @@
+"""Which entries are stored parameters, and the values that are kept of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from canfb.cia301 import datatypes
+from canfb.cia301.codes import SdoAbort
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.entry import Entry
+from canfb.device.storage.image import ParameterGroup, Record
+
+RANGES = {
+    ParameterGroup.COMMUNICATION: range(0x1000, 0x2000),
+    ParameterGroup.MANUFACTURER: range(0x2000, 0x6000),
+    ParameterGroup.APPLICATION: range(0x6000, 0xA000),
+}
+"""The indices of each group (CiA 301, 7.5.2.13)."""
+
+NO_PARAMETERS = frozenset({0x1003, 0x1010, 0x1011})
+"""Objects that SDO reads and writes, and that are commands."""
+
+_CAN_ID = 0x1FFFFFFF
+_FLAGS_AND_ID = 0xFFFFFFFF
+
+Check = Callable[[Any], None]
+
+
+class KeptEntries:
+    """The stored parameters of a device.
+
+    Every entry of a group that SDO may read and write is one (access rw), unless `leave_out` says
+    otherwise; those with rww and rwr hold process data. `keep` adds others. `written()` is called
+    after each SDO write to a stored parameter.
+    """
+
+    def __init__(self, dictionary: Dictionary, written: Callable[[], None]) -> None:
+        self._dictionary = dictionary
+        self._written = written
+        self._saved_value: dict[tuple[int, int], Callable[[], Any]] = {}
+        self._check: dict[tuple[int, int], Check] = {}
+        self._places = {
+            (entry.index, entry.subindex)
+            for entry in dictionary
+            if entry.access == "rw" and entry.index not in NO_PARAMETERS and _group(entry) is not None
+        }
+        for place in self._places:
+            dictionary.lookup(*place).on_download = written
+
+    def leave_out(self, index: int, subindex: int = 0) -> None:
+        """This entry is a command or process data, no parameter. KeyError when there is none."""
+        self._places.discard((index, subindex))
+        self._dictionary.entry(index, subindex).on_download = None
+
+    def keep(
+        self,
+        index: int,
+        subindex: int = 0,
+        *,
+        saved: Callable[[], Any] | None = None,
+        check: Check | None = None,
+    ) -> None:
+        """Store this entry, whatever its access. KeyError when there is none.
+
+        `saved()` gives the value to save in place of `value`, and `check(value)` raises SdoAbort for
+        one that must not be restored, in place of `on_write`, which may act on what it is given.
+        """
+        entry = self._dictionary.entry(index, subindex)
+        self._places.add((index, subindex))
+        self._check[index, subindex] = check if check is not None else _accept
+        if saved is not None:
+            self._saved_value[index, subindex] = saved
+        if entry.access == "rw":
+            entry.on_download = self._written
+
+    def of(self, group: ParameterGroup) -> Iterator[Entry]:
+        """The entries of a group, in ascending order."""
+        indices = RANGES[group]
+        for index, subindex in sorted(self._places):
+            if index in indices:
+                yield self._dictionary.lookup(index, subindex)
+
+    def settings(self) -> Iterator[Entry]:
+        """The parameters that SDO sets as it finds them, in ascending order: without those of `keep`."""
+        for index, subindex in sorted(self._places - self._check.keys()):
+            yield self._dictionary.lookup(index, subindex)
+
+    def find(self, group: ParameterGroup, index: int, subindex: int) -> Entry | None:
+        """The entry, None when it is no stored parameter of the group."""
+        if (index, subindex) not in self._places or index not in RANGES[group]:
+            return None
+        return self._dictionary.lookup(index, subindex)
+
+    def check(self, entry: Entry, value: Any) -> None:
+        """SdoAbort for a value that SDO could not write, or that `keep` refuses."""
+        entry.check_limits(value)
+        check = self._check.get((entry.index, entry.subindex), entry.on_write)
+        if check is not None:
+            check(value)
+
+    def records(self, group: ParameterGroup, node_id: int) -> list[Record]:
+        """The present values of a group on node `node_id`.
+
+        A value beyond its own limits was not written: it is not stored, and comes with the defaults.
+        """
+        values = ((entry, self._value(entry)) for entry in self.of(group))
+        return [_record(entry, value, node_id) for entry, value in values if _is_within_limits(entry, value)]
+
+    def _value(self, entry: Entry) -> Any:
+        saved = self._saved_value.get((entry.index, entry.subindex))
+        return entry.value if saved is None else saved()
+
+
+def _record(entry: Entry, value: Any, node_id: int) -> Record:
+    relative = _has_default_can_id(entry, value)
+    if relative:
+        value = (value - node_id) & _FLAGS_AND_ID
+    return Record(entry.index, entry.subindex, relative, datatypes.encode(entry.data_type, value))
+
+
+def restored_value(entry: Entry, record: Record, node_id: int) -> Any:
+    """The value of a record on node `node_id`. SdoAbort when its size is wrong, or its limits."""
+    if not record.relative:
+        return entry.decode(record.data)
+    value = (int.from_bytes(record.data, "little") + node_id) & _FLAGS_AND_ID
+    return entry.decode(value.to_bytes(len(record.data), "little"))
+
+
+def _is_within_limits(entry: Entry, value: Any) -> bool:
+    try:
+        entry.check_limits(value)
+    except SdoAbort:
+        return False
+    return True
+
+
+def _has_default_can_id(entry: Entry, value: Any) -> bool:
+    """Whether a COB-ID follows the node-ID: its default does, and flags are all that was changed."""
+    if not entry.follows_node_id or entry.byte_length != 4:
+        return False
+    return not (int(value) ^ int(entry.default)) & _CAN_ID
+
+
+def _group(entry: Entry) -> ParameterGroup | None:
+    return next((group for group, indices in RANGES.items() if entry.index in indices), None)
+
+
+def _accept(value: Any) -> None:
+    """Whatever fits the type and the limits."""

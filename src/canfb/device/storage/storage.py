@@ -1,0 +1,209 @@
+"""Saving and restoring of parameters: 1010h, 1011h and 1020h (CiA 301, 7.5.2.13, 7.5.2.14, 7.5.2.23)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.storage.image import (
+    Identity,
+    ImageError,
+    ParameterGroup,
+    Record,
+    decode_image,
+    encode_image,
+)
+from canfb.device.storage.kept import KeptEntries
+from canfb.device.storage.restoring import restore
+
+SAVE, LOAD, VERIFY = 0x1010, 0x1011, 0x1020
+ALL_PARAMETERS = 1
+SAVE_SIGNATURE = int.from_bytes(b"save", "little")
+LOAD_SIGNATURE = int.from_bytes(b"load", "little")
+SAVES_ON_COMMAND = RESTORES = 1
+
+PARAMETERS = (ParameterGroup.COMMUNICATION, ParameterGroup.APPLICATION, ParameterGroup.MANUFACTURER)
+"""The groups of 1010h and 1011h."""
+
+
+class Store(Protocol):
+    """Memory that outlives the power. What it keeps are bytes, which the device makes and checks."""
+
+    def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
+        """What is kept, by group; an OSError for a group that is there and cannot be read."""
+
+    def save(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
+        """Keep these groups, or forget those that are None: all of them or, with an OSError, none."""
+
+
+class MemoryStore:
+    """A store in the memory of the program, for tests and simulations: it outlives a device, no more."""
+
+    def __init__(self) -> None:
+        self.images: dict[ParameterGroup, bytes] = {}
+
+    def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
+        """What is kept."""
+        return dict(self.images)
+
+    def save(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
+        """Keep or forget."""
+        for group, image in changes.items():
+            if image is None:
+                self.images.pop(group, None)
+            else:
+                self.images[group] = image
+
+
+class Storage:
+    """The parameters of one device in a `Store`.
+
+    Stored parameters are the entries that SDO may read and write and no PDO carries, without 1003h,
+    1010h and 1011h; `entries` knows exceptions. `node_id()` is the present node-ID. `changed(faults)`
+    is called when a save or a load has ended or brought about a fault.
+
+    `faults` says by group why stored parameters were refused; the defaults are in force in their
+    place. A fault lasts until the group is saved or its defaults are loaded.
+
+    Without a store nothing is kept: 1010h reads 0 and refuses with 08000020h. 1011h works then, too:
+    after the next reset the defaults are in force, as after every reset.
+    """
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        store: Store | None,
+        node_id: Callable[[], int],
+        changed: Callable[[], None],
+    ) -> None:
+        self.entries = KeptEntries(dictionary, self.configuration_changed)
+        self.faults: dict[ParameterGroup, str] = {}
+        self._dictionary = dictionary
+        self._store = store
+        self._node_id = node_id
+        self._changed = changed
+        self._images: dict[ParameterGroup, bytes] = {}
+        found = (dictionary.find(VERIFY, subindex) for subindex in (1, 2))
+        self._verify = [entry for entry in found if entry is not None]
+        self._install(SAVE, SAVES_ON_COMMAND if store is not None else 0, self._save_command)
+        self._install(LOAD, RESTORES, self._load_command)
+        for entry in self._verify:
+            entry.on_download = None
+
+    @property
+    def is_there(self) -> bool:
+        """Whether there is a store."""
+        return self._store is not None
+
+    def power_on(self) -> None:
+        """Ask the store for what it keeps."""
+        self._images, self.faults = {}, {}
+        if self._store is None:
+            return
+        try:
+            kept = self._store.load()
+        except OSError as error:
+            kept = dict.fromkeys(PARAMETERS, error)
+        for group, image in kept.items():
+            if isinstance(image, OSError):
+                self.faults[group] = f"cannot be read: {image.strerror or image}"
+            else:
+                self._images[group] = image
+
+    def restore(self, *, communication_only: bool = False) -> None:
+        """Put stored values over those of the dictionary, each group as a whole or not at all."""
+        groups = (ParameterGroup.COMMUNICATION,) if communication_only else PARAMETERS
+        for group in groups:
+            records = self.records(group)
+            if records is None:
+                continue
+            try:
+                restore(self.entries, group, records, self._node_id())
+            except ImageError as error:
+                self.refuse(group, str(error))
+
+    def records(self, group: ParameterGroup) -> list[Record] | None:
+        """The stored records of a group, None when there are none that can be used."""
+        image = self._images.get(group)
+        if image is None:
+            return None
+        try:
+            return decode_image(image, group, self._identity())
+        except ImageError as error:
+            self.refuse(group, str(error))
+            return None
+
+    def save_records(self, group: ParameterGroup, records: list[Record]) -> None:
+        """Keep records of the caller's own. OSError when the store fails or when there is none."""
+        self._keep({group: encode_image(group, self._identity(), records)})
+
+    def configuration_changed(self) -> None:
+        """What the next power-on would bring is another configuration now: 1020h becomes 0."""
+        for entry in self._verify:
+            entry.value = 0
+
+    def refuse(self, group: ParameterGroup, reason: str) -> None:
+        """Do not use the stored parameters of this group."""
+        del self._images[group]
+        self.faults[group] = reason
+
+    def _identity(self) -> Identity:
+        found = (self._dictionary.find(0x1018, subindex) for subindex in (1, 2, 3))
+        return Identity(*(0 if entry is None else int(entry.value) for entry in found))
+
+    def _install(self, index: int, ability: int, command: Callable[[int], Callable[[Any], None]]) -> None:
+        for subindex in (ALL_PARAMETERS, *PARAMETERS):
+            if (index, subindex) in self._dictionary:
+                entry = self._dictionary.entry(index, subindex)
+                entry.on_read = lambda: ability
+                entry.on_write = command(subindex)
+
+    def _save_command(self, subindex: int) -> Callable[[int], None]:
+        def save(value: int) -> None:
+            if value != SAVE_SIGNATURE or self._store is None:
+                raise SdoAbort(AbortCode.NOT_STORED)
+            self._command({group: self._image(group) for group in _groups(subindex)})
+
+        return save
+
+    def _load_command(self, subindex: int) -> Callable[[int], None]:
+        def load(value: int) -> None:
+            if value != LOAD_SIGNATURE:
+                raise SdoAbort(AbortCode.NOT_STORED)
+            there = [group for group in _groups(subindex) if group in self._images or group in self.faults]
+            self._command(dict.fromkeys(there))
+            self.configuration_changed()
+
+        return load
+
+    def _image(self, group: ParameterGroup) -> bytes | None:
+        """The present values of a group; None for a device without parameters in it."""
+        records = self.entries.records(group, self._node_id())
+        return encode_image(group, self._identity(), records) if records else None
+
+    def _command(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
+        try:
+            self._keep(changes)
+        except OSError:
+            raise SdoAbort(AbortCode.HARDWARE) from None
+
+    def _keep(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
+        if not changes:
+            return
+        if self._store is None:
+            raise OSError("there is no store")
+        self._store.save(changes)
+        mended = [group for group in changes if self.faults.pop(group, None)]
+        for group, image in changes.items():
+            if image is None:
+                self._images.pop(group, None)
+            else:
+                self._images[group] = image
+        if mended:
+            self._changed()
+
+
+def _groups(subindex: int) -> tuple[ParameterGroup, ...]:
+    return PARAMETERS if subindex == ALL_PARAMETERS else (ParameterGroup(subindex),)

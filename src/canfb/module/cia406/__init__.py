@@ -1,0 +1,1 @@
+"""The encoder profile CiA 406: its objects, alarms and warnings."""

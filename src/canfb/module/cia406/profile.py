@@ -1,0 +1,143 @@
+"""The encoder profile CiA 406 of one channel: see docs/encoder-profile.md for all of its objects."""
+
+from __future__ import annotations
+
+from canfb import objects as od
+from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.device.od.dictionary import Dictionary
+from canfb.module.cia406.cams import Cams
+from canfb.module.cia406.position import (
+    CODE_SEQUENCE,
+    SCALING,
+    PositionScale,
+    distinguishable_revolutions,
+    single_turn_resolution,
+)
+from canfb.module.cia406.speed import Motion
+from canfb.module.cia406.work_area import WorkArea
+from canfb.module.interval import IntervalEstimate
+from canfb.signal.feedback import Feedback
+from canfb.signal.supervision import VALID
+
+ALARM_POSITION, ALARM_PARAMETERS = 1 << 0, 1 << 12  # 6503h
+STANDSTILL_CYCLES = 0.05  # per sample: what counts as standstill for a preset
+
+
+class EncoderProfile:
+    """Objects 6000h to 650Bh over the feedback of a signal chain.
+
+    What the default PDOs do not hold is computed when it is read, because few samples are asked for
+    it. Cams, work area, speed and acceleration hold the last valid position. The warnings 6505h are
+    those of :class:`canfb.module.cia406.profile_warnings.Warnings`.
+    """
+
+    def __init__(self, dictionary: Dictionary, interval: IntervalEstimate) -> None:
+        entry = dictionary.entry
+        self._operating = entry(*od.OPERATING_PARAMETERS)
+        self._units_per_rev, self._range = entry(*od.UNITS_PER_REVOLUTION), entry(*od.TOTAL_RANGE)
+        self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
+        self._status, self._alarms = entry(0x6500), entry(0x6503)
+        self._resolution = entry(*od.SINGLE_TURN_RESOLUTION)
+        self._revolutions = entry(*od.DISTINGUISHABLE_REVOLUTIONS)
+        self._offset = entry(*od.OFFSET_VALUE)
+        self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
+        self._last: Feedback | None = None
+        self._last_valid: Feedback | None = None
+        self._standing_alarms = 0
+        """Bits of 6503h that no sample ends."""
+        self._presets = entry(*od.PRESET_VALUE), entry(*od.HIGH_PRECISION_PRESET)
+        for preset in self._presets:
+            preset.on_write = self._preset
+        entry(0x600C).on_read = self._raw_position
+        self._operating.on_write = self._check_operating
+        for changed in (self._operating, self._units_per_rev, self._range):
+            changed.on_written = self.rescale
+        self._module_range = entry(0x650A, 2), entry(0x650A, 3)
+        self._cams = Cams(dictionary, self._valid_position)
+        WorkArea(dictionary, self._valid_position, lambda: self._scale.total_range)
+        Motion(dictionary, interval, lambda: self._last_valid, lambda: self._scale)
+        self.reset()
+
+    def reset(self) -> None:
+        """No position, no alarm; the preset is that of 6509h."""
+        self._last = self._last_valid = None
+        self._standing_alarms = self._alarms.value = 0
+        self.rescale()
+
+    def rescale(self) -> None:
+        """Take over 2001:01, 6000h, 6001h, 6002h and 6509h; the position is the new one at once."""
+        cycles = self._cycles_per_revolution.value
+        self._resolution.value = resolution = single_turn_resolution(cycles)
+        self._revolutions.value = revolutions = distinguishable_revolutions(resolution)
+        scaling = self._operating.value & SCALING
+        self._scale = PositionScale(
+            cycles,
+            self._units_per_rev.value if scaling else resolution,
+            self._range.value if scaling else resolution * revolutions,
+            bool(self._operating.value & CODE_SEQUENCE),
+            self._offset.value,
+        )
+        self._raw_scale = PositionScale(cycles, resolution, resolution * revolutions, False, 0)
+        self._status.value = self._operating.value
+        # INTEGER32 objects for a range that needs 32 bits without sign: saturated, not wrapped.
+        self._module_range[0].value = 0
+        self._module_range[1].value = min(self._scale.total_range - 1, 0x7FFFFFFF)
+        self._moved()
+
+    def _moved(self) -> None:
+        """Every position has another value now."""
+        self._cams.configure(self._scale.total_range)
+        if self._last is not None:
+            self.publish(self._last)
+
+    def publish(self, feedback: Feedback) -> None:
+        """Write the position objects and the alarm."""
+        self._last = feedback
+        scale = self._scale
+        if scale.binary:
+            units = feedback.cycles * scale.binary + int(feedback.phase * scale.binary_factor)
+        else:
+            units = scale.units(feedback.cycles, feedback.phase)
+        self._position.value = self._fine.value = position = (units + scale.offset) % scale.total_range
+        if feedback.status & VALID:
+            self._last_valid = feedback
+            self._alarms.value = self._standing_alarms
+            if self._cams.follows:
+                self._cams.follow(position)
+        else:
+            self._alarms.value = self._standing_alarms | ALARM_POSITION
+
+    def alarm_parameters(self, refused: bool) -> None:
+        """Bit 12 of 6503h: stored parameters were refused, the defaults are in force."""
+        self._standing_alarms = ALARM_PARAMETERS if refused else 0
+        self._alarms.value = self._alarms.value & ~ALARM_PARAMETERS | self._standing_alarms
+
+    def position_at(self, cycles: int, phase: float) -> int:
+        """What 6004h is at this place: cycle count and phase, 0 <= phase < 1."""
+        return self._scale.position(cycles, phase)
+
+    def _valid_position(self) -> int | None:
+        last = self._last_valid
+        return None if last is None else self._scale.position(last.cycles, last.phase)
+
+    def _raw_position(self) -> int:
+        last, scale = self._last, self._raw_scale
+        if last is None:
+            return 0
+        return scale.units(last.cycles, last.phase) % scale.total_range
+
+    def _check_operating(self, value: int) -> None:
+        if value & ~(CODE_SEQUENCE | SCALING):
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+
+    def _preset(self, value: int) -> None:
+        if value >= self._scale.total_range:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+        last = self._last
+        if last is None or not last.valid or abs(last.speed_cycles) > STANDSTILL_CYCLES:
+            raise SdoAbort(AbortCode.DEVICE_STATE)
+        units = self._scale.units(last.cycles, last.phase)
+        self._offset.value = self._scale.offset = self._scale.offset_for(units, value)
+        for preset in self._presets:  # one value, in 32 and in 64 bits
+            preset.value = value
+        self._moved()

@@ -1,0 +1,123 @@
+"""Warnings: the position is valid, but not by much (CiA 406, 6505h and 6506h), and their EMCY."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from canfb import objects as od
+from canfb.cia301.codes import EmergencyCode, ErrorRegister
+from canfb.device.od.dictionary import Dictionary
+from canfb.signal.feedback import Feedback
+from canfb.signal.supervision import REFERENCED, VALID
+
+FREQUENCY, AMPLITUDE_LOW, NOT_REFERENCED = 1 << 0, 1 << 1, 1 << 5  # 6505h
+EVERY_SAMPLE = FREQUENCY | AMPLITUDE_LOW
+"""Warnings that each sample can bring or end."""
+CODES = {
+    FREQUENCY: EmergencyCode.DEVICE_SPECIFIC + 0x10,
+    AMPLITUDE_LOW: EmergencyCode.DEVICE_SPECIFIC + 0x11,
+    NOT_REFERENCED: EmergencyCode.DEVICE_SPECIFIC + 0x15,
+}
+"""EMCY of each warning: FF10h plus the number of its bit."""
+REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE
+NEAR_LIMIT = 0.8  # residual over this part of the limit
+AMPLITUDE_RESERVE = 1.15  # amplitude below this multiple of the lowest accepted one
+WARNINGS = 0x6505
+NEVER_SEEN = -1  # no status word
+
+
+class Reporter(Protocol):
+    """Who sends EMCY: the node."""
+
+    def emergency(self, code: int, register_bits: int, manufacturer: bytes, now: float, /) -> None:
+        """An error appeared."""
+
+    def clear_emergency(self, code: int, now: float, /) -> None:
+        """It is gone."""
+
+
+class Warnings:
+    """Object 6505h, computed when it is read, and an EMCY for each warning in 2004:01.
+
+    A warning is reported once, with the sample that causes it, and ends when it was absent for
+    2004:02 (ms). While the position is not valid, nothing is reported: the alarm does that.
+
+    For the hot path: :meth:`follow` must see samples whose residual is above
+    :attr:`near_cycles`, whose amplitude is below :attr:`reserve_counts`, or whose status word is not
+    :attr:`status`.
+    """
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        reporter: Reporter,
+        last: Callable[[], Feedback | None],
+        expects_pulse: Callable[[], bool],
+        residual_limit: Callable[[], float],
+    ) -> None:
+        """``expects_pulse()``: a zero pulse is wired. ``residual_limit()``: that in force, in cycles."""
+        self._reporter, self._last = reporter, last
+        self._expects_pulse, self._residual_limit = expects_pulse, residual_limit
+        self._low = dictionary.entry(*od.ENCODER_LOWEST_AMPLITUDE)
+        self._mask = dictionary.entry(*od.WARNINGS_BY_EMCY)
+        self._hold_ms = dictionary.entry(*od.WARNING_OVER_TIME)
+        self._told = 0
+        self._seen_s = dict.fromkeys(CODES, 0.0)
+        self.near_cycles = self.reserve_counts = 0.0
+        self.status = NEVER_SEEN
+        dictionary.entry(WARNINGS).on_read = lambda: self._present(self._last())
+        self._mask.on_written = self.look_again
+
+    def reset(self) -> None:
+        """After an NMT reset no error is active any more: what persists is reported again."""
+        self._told = 0
+        self.limits_changed()
+        self.look_again()
+
+    def look_again(self) -> None:
+        """Mapping or mask may have changed: follow the next sample in any case."""
+        self.status = NEVER_SEEN
+
+    def limits_changed(self) -> None:
+        """Take over the residual limit and 2001:03."""
+        # A reported warning is checked in each sample, so that its end is detected.
+        following = bool(self._told & EVERY_SAMPLE)
+        self.near_cycles = -1.0 if following else NEAR_LIMIT * self._residual_limit()
+        self.reserve_counts = AMPLITUDE_RESERVE * self._low.value
+
+    def follow(self, feedback: Feedback, now: float) -> None:
+        """Report what this sample, taken at ``now`` (seconds), begins or ends."""
+        self.status = feedback.status
+        if not feedback.status & VALID:
+            return
+        present = self._present(feedback)
+        wanted = present & self._mask.value
+        for bit, code in CODES.items():
+            if wanted & bit:
+                self._seen_s[bit] = now
+                if not self._told & bit:
+                    self._told |= bit
+                    self._reporter.emergency(code, REGISTER, present.to_bytes(2, "little"), now)
+            elif self._told & bit and self._is_over(bit, now):
+                self._told &= ~bit
+                self._reporter.clear_emergency(code, now)
+        self.limits_changed()
+
+    def _is_over(self, bit: int, now: float) -> bool:
+        """A zero pulse does not come and go; nor is there a reason to wait where nothing is wanted."""
+        if bit == NOT_REFERENCED or not self._mask.value & bit:
+            return True
+        hold_s: float = self._hold_ms.value / 1000.0
+        return now - self._seen_s[bit] >= hold_s
+
+    def _present(self, last: Feedback | None) -> int:
+        warnings = 0
+        if last is not None and last.valid:
+            if last.residual > NEAR_LIMIT * self._residual_limit():
+                warnings = FREQUENCY
+            if last.amplitude < AMPLITUDE_RESERVE * self._low.value:
+                warnings |= AMPLITUDE_LOW
+        if self._expects_pulse() and not (last is not None and last.status & REFERENCED):
+            warnings |= NOT_REFERENCED
+        return warnings

@@ -1,0 +1,249 @@
+"""Object 2030h: a reference measurement from the module's own samples, while it goes on publishing."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable
+
+from canfb import objects as od
+from canfb.calibration.drift import Drift, drift
+from canfb.calibration.recording import BINS, NO_TIME, covered
+from canfb.calibration.result import Calibration, Reason
+from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.device.od.dictionary import Dictionary
+from canfb.module.calibration_job import CalibrationJob, Outcome
+from canfb.module.objects.table_store import TableStore
+from canfb.module.tap import Taps
+from canfb.objects import MeasurementCommand as Command
+from canfb.objects import MeasurementState as State
+from canfb.objects import Multiplexer
+from canfb.signal.chain import SignalChain
+from canfb.signal.correction import Correction
+from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Sample
+from canfb.signal.sample_recording import SampleRecording
+from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL
+
+RECORDING_PART = 80.0  # per cent of the progress; the rest is the computation
+COMPUTING_PART = 99.0
+UNKNOWN = Drift(math.nan, math.nan)
+TICKS = 1 << 32
+
+
+AT_WORK = frozenset({State.RECORDING, State.COMPUTING})
+
+
+class Calibrating:
+    """Records, lets compute, and puts the result in force when a master says so; not before.
+
+    ``working`` is called with True and False, for bit 10 of the status word.
+    """
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        chain: SignalChain,
+        tables: TableStore,
+        taps: Taps,
+        working: Callable[[bool], None],
+    ) -> None:
+        self._chain = chain
+        self._tables = tables
+        self._taps = taps
+        self._working = working
+        self._wanted = dictionary.entry(*od.MEASUREMENT_SAMPLES)
+        self._full_scale = dictionary.entry(*od.ENCODER_FULL_SCALE)
+        self._calibration: Calibration | None = None
+        self._commands: dict[int, Callable[[], None]] = {
+            Command.START: lambda: self._start(Command.START),
+            Command.STOP: self.reset,
+            Command.ACCEPT: self._accept,
+            Command.CHECK: lambda: self._start(Command.CHECK),
+            Command.FINISH: self._finish,
+        }
+        self.reset()
+        command = dictionary.entry(*od.MEASUREMENT_COMMAND)
+        command.on_write = self._command
+        command.on_read = lambda: int(self._task) if self.state in AT_WORK else 0
+        live: dict[Multiplexer, Callable[[], float]] = {
+            od.MEASUREMENT_STATE: lambda: int(self.state),
+            od.MEASUREMENT_PROGRESS: self._progress,
+            od.MEASUREMENT_COVERAGE: lambda: int(100.0 * self._coverage()),
+            od.MEASUREMENT_RESIDUAL_RMS: lambda: self._figure("residual_rms"),
+            od.MEASUREMENT_RESIDUAL_PEAK: lambda: self._figure("residual_peak"),
+            od.MEASUREMENT_REASON: lambda: self._reason.number,
+            od.MEASUREMENT_DRIFT_RMS: lambda: self._drift().rms,
+            od.MEASUREMENT_DRIFT_PEAK: lambda: self._drift().peak,
+        }
+        for place, on_read in live.items():
+            dictionary.entry(*place).on_read = on_read
+
+    def reset(self) -> None:
+        """Idle: nothing is recorded, computed or known; what is in force stays so."""
+        self._task = Command.START
+        self._forget(1)
+        self._enter(State.IDLE)
+
+    def interrupted(self) -> None:
+        """There are no more samples for now: a recording has a gap of unknown length, and is refused."""
+        if self.state is State.RECORDING:
+            self._refuse(Reason.INTERRUPTED)
+
+    @property
+    def pending_job(self) -> CalibrationJob | None:
+        """What is to be computed; the same object until it is done or obsolete."""
+        return self._job
+
+    def finish(self, job: CalibrationJob, result: Outcome | Exception) -> None:
+        """What ``job`` gave, or how it failed. Nothing happens if it is obsolete."""
+        if not isinstance(result, (Outcome, Exception)):
+            raise TypeError(f"give what the job returned, or the Exception that it raised, not {result!r}")
+        if job is not self._job:
+            return
+        if not isinstance(result, Outcome):
+            self._refuse(Reason.FAILED)
+            return
+        self._calibration = result.calibration
+        if result.reason == Reason.ACCEPTED:
+            self._enter(State.CHECKED if self._task is Command.CHECK else State.READY)
+        else:
+            self._refuse(result.reason)
+
+    def computed(self, job: CalibrationJob, part: float) -> None:
+        """So much of ``job``, 0..1, is done."""
+        if job is self._job:
+            self._part = min(max(part, 0.0), 1.0)
+
+    def take(self, sample: Sample, feedback: Feedback) -> None:
+        """One sample of a recording; one that the supervision flags is left out."""
+        status = feedback.status
+        self._add_time(sample.time_100ns)
+        if sample.invalid or _left_out(status):
+            self._samples.miss()
+        else:
+            self._samples.take(self._held(sample.sine), self._held(sample.cosine))
+            if feedback.raw_phase == feedback.raw_phase:
+                self._bins[int(feedback.raw_phase * BINS) % BINS] += 1
+        self._complete()
+
+    def miss(self) -> None:
+        """A SYNC without a sample."""
+        self._times.append(NO_TIME)
+        self._samples.miss()
+        self._complete()
+
+    def _command(self, value: int) -> None:
+        command = self._commands.get(value)
+        if command is None:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+        command()
+
+    def _start(self, task: Command) -> None:
+        self._task = task
+        self._forget(self._wanted.value)
+        bits = (max(self._full_scale.value, 1) - 1).bit_length() + 1
+        self._adc_bits = min(max(bits, 4), 16)
+        # Where the converter's range is no power of two, its ends count as those of the next one.
+        self._lowest, self._highest = 1 - self._full_scale.value, self._full_scale.value - 2
+        self._enter(State.RECORDING)
+
+    def _finish(self) -> None:
+        if self.state is not State.RECORDING:
+            raise SdoAbort(AbortCode.DEVICE_STATE)
+        self._compute()
+
+    def _accept(self) -> None:
+        if self.state is not State.READY or self._calibration is None:
+            raise SdoAbort(AbortCode.DEVICE_STATE)
+        self._tables.take_over(self._calibration.correction)
+        self._enter(State.ACCEPTED)
+
+    def _forget(self, capacity: int) -> None:
+        self._samples = SampleRecording(capacity)
+        self._times = array("q")
+        self._timed = True
+        self._last_tick: int | None = None
+        self._bins = [0] * BINS
+        self._part = 0.0
+        self._job: CalibrationJob | None = None
+        self._calibration = None
+        self._reason = Reason.ACCEPTED
+        self._compared: tuple[Correction, Drift] | None = None
+
+    def _enter(self, state: State) -> None:
+        self.state = state
+        if state is State.RECORDING:
+            self._taps.add(self)
+        else:
+            self._taps.remove(self)
+        if state is not State.COMPUTING:
+            self._job = None
+        self._working(state in AT_WORK)
+
+    def _refuse(self, reason: str) -> None:
+        self._reason = Reason(reason)
+        self._enter(State.REFUSED)
+
+    def _complete(self) -> None:
+        if self._samples.is_full:
+            self._compute()
+
+    def _compute(self) -> None:
+        times = self._times.tobytes() if self._timed and len(self._times) else None
+        self._job = CalibrationJob(self._samples.to_bytes(), times, self._adc_bits)
+        self._enter(State.COMPUTING)
+
+    def _add_time(self, time_100ns: int | None) -> None:
+        """Sample times without their wrap; all samples have one, or none is used."""
+        if time_100ns is None:
+            self._timed = False
+            self._times.append(NO_TIME)
+            return
+        last = self._last_tick
+        self._last_tick = time_100ns if last is None else last + (time_100ns - last) % TICKS
+        self._times.append(self._last_tick)
+
+    def _held(self, counts: float) -> int:
+        """Counts; those at or beyond the ends of the converter's range at the ends of its bits."""
+        if self._lowest <= counts <= self._highest:
+            return int(counts)
+        full: int = 1 << (self._adc_bits - 1)
+        return -full if counts < 0 else full - 1
+
+    def _progress(self) -> int:
+        if self.state is State.IDLE:
+            return 0
+        if self.state is State.RECORDING:
+            return int(RECORDING_PART * len(self._samples) / self._samples.capacity)
+        if self.state is State.COMPUTING:
+            return int(RECORDING_PART + (COMPUTING_PART - RECORDING_PART) * self._part)
+        return 100
+
+    def _coverage(self) -> float:
+        return covered(self._bins) if self._calibration is None else self._calibration.coverage
+
+    def _figure(self, name: str) -> float:
+        """A figure of the measurement in cycles; NaN while there is none, never a wrong 0."""
+        return math.nan if self._calibration is None else float(getattr(self._calibration, name))
+
+    def _drift(self) -> Drift:
+        """The measurement against what is in force now; computed when it is asked for."""
+        if self._calibration is None or self._reason != Reason.ACCEPTED:
+            return UNKNOWN
+        active, known = self._chain.correction, self._compared
+        if known is None or known[0] is not active:
+            found = drift(self._calibration, active.table, active.conditioning)
+            known = self._compared = (active, found)
+        return known[1]
+
+
+def _left_out(status: int) -> bool:
+    """Whether the supervision calls a sample bad.
+
+    Not where it was clipped: too large tracks are to be found out. Nor by the residual while the
+    position is lost: it compares with a count that is not guaranteed.
+    """
+    if status & CLIPPED:
+        return False
+    return bool(status & (AMPLITUDE | FROZEN)) or status & (RESIDUAL | LOST) == RESIDUAL

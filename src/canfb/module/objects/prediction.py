@@ -1,0 +1,137 @@
+"""Object 2013h: the position at the SYNC that sends it, or at the nominal SYNC, in place of the sample's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from canfb import objects as od
+from canfb.device.od.dictionary import Dictionary
+from canfb.module.cia406.profile import EncoderProfile
+from canfb.module.nominal_sync import NominalSync
+from canfb.signal.feedback import Feedback
+from canfb.signal.sample_times import TICK_S
+from canfb.signal.supervision import COASTING, EXTRAPOLATED, VALID
+
+OFF, CONSTANT_SPEED, CONSTANT_ACCELERATION = 0, 1, 2
+"""What 2013:01 may be."""
+KNOWN_ACCELERATION = 3  # successive valid samples that determine one
+
+
+class Prediction:
+    """Extrapolates 6004h and 6008h by one sampling interval, for synchronous TPDOs only.
+
+    At SYNC k+1 the newest sample is that of SYNC k, whatever the types of the PDOs. With x the
+    position, v = x(k) - x(k-1) and a = v(k) - v(k-1), all in cycles and intervals:
+
+        1  constant speed         x(k) + v       error at most |acceleration| T^2,   noise times sqrt(5)
+        2  constant acceleration  x(k) + v + a   error at most |jerk| T^3,           noise times sqrt(19)
+
+    v is the speed of half an interval ago, so a counts whole, not half. docs/latency.md has more.
+
+    :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled, :meth:`withdraw` after it: whoever
+    else reads the objects finds the measured position. Bit 12 of the status word stands for as long as
+    the extrapolated position does. Bit 0 is never set by it. While coasting the position goes on at the
+    last valid speed; a lost one stays as eq. 9 counts it. ``chosen()`` is called when 2013h is written.
+
+    With 2013:02 and sample times the position belongs to the nominal SYNC of its sample, d intervals
+    after it: x + v d. :meth:`shift` puts it into the objects for good, once the lock is good enough. From
+    there to the next nominal SYNC formula 1 adds v (d + p), formula 2 v (d + p) + a (d + p)(d + p + 1)/2,
+    with p the period of the lock in intervals. ``interval_s()`` is the interval of the speeds, seconds.
+    """
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        profile: EncoderProfile,
+        chosen: Callable[[], None],
+        interval_s: Callable[[], float],
+    ) -> None:
+        entry = dictionary.entry
+        self._kind, self._nominal = entry(*od.PREDICTION_POSITION), entry(*od.PREDICTION_NOMINAL_SYNC)
+        self._kind.on_written = self._nominal.on_written = chosen
+        self._interval_s = interval_s
+        self._lock = NominalSync()
+        self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
+        self._status = entry(*od.FEEDBACK_STATUS)
+        self._profile = profile
+        self._measured: tuple[int, int, int] | None = None
+        self.pause(None)
+
+    @property
+    def wanted(self) -> bool:
+        """2013:01 is not 0."""
+        return bool(self._kind.value != OFF)
+
+    def pause(self, last: Feedback | None) -> None:
+        """OPERATIONAL begins after ``last``: earlier samples say nothing about the speed now."""
+        self._before = 0 if last is None else last.samples  # samples before OPERATIONAL
+        self.forget()
+
+    def forget(self) -> None:
+        """No SYNC was seen: it is switched on, or OPERATIONAL begins."""
+        self._at_sync: int | None = None  # samples up to the last SYNC
+        self._speed_cycles = 0.0  # of the last valid sample
+        self._valid_samples = 0  # in a row
+        self._lock.forget()
+        self.follows = bool(self._nominal.value)
+        """2013:02 is 1: :meth:`sampled` and :meth:`shift` are to be called."""
+
+    def sampled(self, time_100ns: int) -> None:
+        """A valid sample with its time (2000:05), before :meth:`shift`."""
+        self._lock.sample(time_100ns)
+
+    def shift(self, last: Feedback) -> None:
+        """``last`` was published: from now on its position is that at its nominal SYNC."""
+        if not last.status & VALID or not self._lock.locked:
+            return
+        cycles, phase = ahead(
+            last.cycles, last.phase, last.speed_cycles * self._intervals(self._lock.lead_ticks)
+        )
+        self._position.value = self._fine.value = self._profile.position_at(cycles, phase)
+        self._status.value |= EXTRAPOLATED
+
+    def _intervals(self, ticks: float) -> float:
+        return ticks * TICK_S / self._interval_s()
+
+    def extrapolate(self, last: Feedback) -> None:
+        """A SYNC, after what it brings was processed: ``last`` belongs to the SYNC before."""
+        since = None if self._at_sync is None else last.samples - self._at_sync
+        self._at_sync = last.samples
+        way = self._way(last)
+        # Of several samples since one SYNC it is unknown when the last one was taken.
+        if way is None or last.samples == self._before or (since is not None and since > 1):
+            return
+        cycles, phase = ahead(last.cycles, last.phase, way)
+        self._measured = self._position.value, self._fine.value, self._status.value
+        self._position.value = self._fine.value = self._profile.position_at(cycles, phase)
+        self._status.value |= EXTRAPOLATED
+
+    def withdraw(self) -> None:
+        """The TPDOs of the SYNC are sampled: the measured position again."""
+        if self._measured is not None:
+            self._position.value, self._fine.value, self._status.value = self._measured
+            self._measured = None
+
+    def _way(self, last: Feedback) -> float | None:
+        """Cycles from the last sample to this SYNC; None without a position to go on from."""
+        status = last.status
+        if not status & VALID:
+            self._valid_samples = 0
+            return self._speed_cycles if status & COASTING else None
+        self._valid_samples += 1
+        after, lock = 1.0, self._lock  # intervals
+        if self.follows and lock.locked:
+            after = self._intervals(lock.lead_ticks + lock.period_ticks)
+        self._speed_cycles = way = last.speed_cycles * after
+        if self._kind.value == CONSTANT_ACCELERATION and self._valid_samples >= KNOWN_ACCELERATION:
+            way += last.acceleration_cycles * after * (after + 1.0) / 2.0
+        return way
+
+
+def ahead(cycles: int, phase: float, way_cycles: float) -> tuple[int, float]:
+    """Cycle count and phase (0 <= phase < 1) ``way_cycles`` further on; the count stays an integer."""
+    whole = math.floor(way_cycles)
+    position = phase + (way_cycles - whole)  # 0 to 2, and 2 where it is rounded
+    turns = math.floor(position)
+    return cycles + whole + turns, position - turns

@@ -1,0 +1,74 @@
+"""Object 2050h: the samples as they come, for upload."""
+
+from __future__ import annotations
+
+from canfb import objects as od
+from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.device.od.dictionary import Dictionary
+from canfb.module.interval import IntervalEstimate
+from canfb.module.tap import Taps
+from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Sample
+from canfb.signal.sample_recording import SampleRecording
+
+
+class Recorder:
+    """Records raw counts, one pair for each sampling interval, from the next sample on.
+
+    Start (2050:01 = 1) drops what was recorded, stop (2) keeps it; when the memory is full
+    (2050:02 = 2050:05) the recording ends by itself, and so it does when the module leaves
+    OPERATIONAL, because time would be lost. 2050:03 gives the samples so far at any time.
+    """
+
+    def __init__(self, dictionary: Dictionary, interval: IntervalEstimate, taps: Taps) -> None:
+        self._interval = interval
+        self._taps = taps
+        self._recording = SampleRecording(dictionary.entry(*od.RECORDING_CAPACITY).value)
+        command = dictionary.entry(*od.RECORDING_COMMAND)
+        command.on_write = self._command
+        command.on_read = lambda: int(self.is_recording)
+        dictionary.entry(*od.RECORDING_RECORDED).on_read = lambda: len(self._recording)
+        dictionary.entry(*od.RECORDING_SAMPLES).on_read = self._recording.to_bytes
+        dictionary.entry(*od.RECORDING_RATE).on_read = self._rate
+
+    @property
+    def is_recording(self) -> bool:
+        """True while samples are taken."""
+        return self in self._taps.open
+
+    def reset(self) -> None:
+        """Nothing is recorded, and nothing was."""
+        self.stop()
+        self._recording.clear()
+
+    def stop(self) -> None:
+        """No more samples; those that there are stay."""
+        self._taps.remove(self)
+
+    def take(self, sample: Sample, feedback: Feedback) -> None:
+        """One sample, whatever the checks say of it; what the encoder interface calls invalid is none."""
+        if sample.invalid:
+            self._recording.miss()
+        else:
+            self._recording.take(int(sample.sine), int(sample.cosine))
+        if self._recording.is_full:
+            self.stop()
+
+    def miss(self) -> None:
+        """A SYNC without a sample."""
+        self._recording.miss()
+        if self._recording.is_full:
+            self.stop()
+
+    def _command(self, value: int) -> None:
+        if value == od.RecordingCommand.START:
+            self._recording.clear()
+            self._taps.add(self)
+        elif value == od.RecordingCommand.STOP:
+            self.stop()
+        else:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+
+    def _rate(self) -> int:
+        interval_s = self._interval.seconds
+        return min(round(1.0 / interval_s), 0xFFFFFFFF) if interval_s > 0.0 else 0

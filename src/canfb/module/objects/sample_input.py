@@ -1,0 +1,123 @@
+"""Object 2000h: a sample put together from the RPDOs that carry its parts."""
+
+from __future__ import annotations
+
+from canfb import objects as od
+from canfb.device.node import Node
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.pdo.rpdo import Rpdo
+from canfb.signal.sample import Sample
+
+PARTS = (
+    od.SAMPLE_SINE,
+    od.SAMPLE_COSINE,
+    od.SAMPLE_COARSE_SINE,
+    od.SAMPLE_COARSE_COSINE,
+    od.SAMPLE_TIME,
+    od.SAMPLE_FLAGS,
+    od.SAMPLE_ZERO_PULSE_PLACE,
+)
+# Plain integers for the hot path.
+ZERO_PULSE, SAMPLE_INVALID = int(od.SampleFlag.ZERO_PULSE), int(od.SampleFlag.INVALID)
+PLACES = 65536.0  # 2000:07 counts the interval in 1/65536
+
+
+class SampleInput:
+    """Waits for all RPDOs that bring a part of 2000h, then gives the sample.
+
+    Both tracks must come in one RPDO: they belong to one instant. What no RPDO brings is not used.
+    """
+
+    def __init__(self, dictionary: Dictionary, node: Node) -> None:
+        self._node = node
+        self._sine, self._cosine, self._coarse_sine, self._coarse_cosine, *rest = (
+            dictionary.entry(*part) for part in PARTS
+        )
+        self._time, self._flags, self._place = rest
+        self._wanted = 0  # bit n: RPDO n
+        self.arrived = 0
+        """RPDOs of this sample that have come, bit n: RPDO n."""
+        self.alone: int | None = None
+        """The RPDO that brings the whole sample, if one does: no need to wait for others."""
+        self.timed = False
+        """Each sample brings its time."""
+        self.judged: int | None = None
+        """The RPDO with the tracks, if only its own arrival says to which SYNC they belong."""
+        self.is_synchronous = False
+        """The tracks are taken over at the SYNC after they came."""
+        self._waiting: Rpdo | None = None
+        self._with_flags = False
+        self.pulses = 0
+        """Zero pulses seen."""
+
+    @property
+    def expects_pulse(self) -> bool:
+        """An RPDO carries 2000:06, which brings the zero pulse."""
+        return self._with_flags
+
+    def configure(self) -> None:
+        """Find out which RPDOs bring what; called when PDO parameters or the NMT state change."""
+        with_ = self._node.rpdo_with
+        tracks = with_(od.SAMPLE_SINE, od.SAMPLE_COSINE)
+        coarse = with_(od.SAMPLE_COARSE_SINE, od.SAMPLE_COARSE_COSINE)
+        time, flags, place = with_(od.SAMPLE_TIME), with_(od.SAMPLE_FLAGS), with_(od.SAMPLE_ZERO_PULSE_PLACE)
+        self._wanted = 0
+        if tracks is not None:
+            parts = {number for number in (tracks, coarse, time, flags, place) if number is not None}
+            self._wanted = sum(1 << number for number in parts)
+        self.alone = tracks if tracks is not None and self._wanted == 1 << tracks else None
+        self._plain = tracks is not None and coarse is time is None
+        self._with_coarse, self.timed = coarse is not None, time is not None
+        self._with_flags, self._with_place = flags is not None, place is not None
+        self.arrived = 0
+        self._waiting = None if tracks is None else self._node.synchronous_rpdo(tracks)
+        self.is_synchronous = self._waiting is not None
+        self.judged = None if self.timed or self.is_synchronous else tracks
+
+    def take(self, number: int) -> bool:
+        """RPDO ``number`` has come; True if the sample is complete with it."""
+        if not self._wanted >> number & 1:
+            return False
+        self.arrived |= 1 << number
+        if self.arrived != self._wanted:
+            return False
+        self.arrived = 0
+        return True
+
+    def give_up(self) -> bool:
+        """The interval is over; True if parts of a sample came, but not all."""
+        parts, self.arrived = self.arrived, 0
+        return parts != 0
+
+    @property
+    def is_ambiguous(self) -> bool:
+        """Several synchronous PDOs with tracks since the last SYNC: which of them answers it is unknown."""
+        return self._waiting is not None and self._waiting.waiting > 1
+
+    @property
+    def tracks(self) -> tuple[int, int]:
+        """Sine and cosine as they stand in the dictionary, counts."""
+        return self._sine.value, self._cosine.value
+
+    def sample(self) -> Sample:
+        """The sample of the parts that have come."""
+        flags = self._flags.value
+        invalid = flags & SAMPLE_INVALID != 0
+        if self._plain and not self._with_flags:  # the usual sample, made without its slow constructor
+            return tuple.__new__(
+                Sample, (self._sine.value, self._cosine.value, 1.0, invalid, None, None, None, None)
+            )
+        pulse = None
+        if self._with_flags and flags & ZERO_PULSE:
+            self.pulses += 1
+            pulse = self._place.value / PLACES if self._with_place else 1.0
+        return Sample(
+            self._sine.value,
+            self._cosine.value,
+            1.0,
+            invalid,
+            self._coarse_sine.value if self._with_coarse else None,
+            self._coarse_cosine.value if self._with_coarse else None,
+            pulse,
+            self._time.value if self.timed else None,
+        )

@@ -1,0 +1,110 @@
+"""Staging and activation of correction table and conditioning (2020h with 2002h)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from canfb import objects as od
+from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.entry import Entry
+from canfb.device.storage.storage import Storage
+from canfb.signal.chain import SignalChain
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import Correction, CorrectionTable
+
+
+class TableStore:
+    """Object 2020h: a table is staged by 2020:01 and takes effect, with 2002h, by 2020:03.
+
+    `save` keeps the active table, as the content of 2020:01; it is active again after a reset.
+    """
+
+    def __init__(self, dictionary: Dictionary, chain: SignalChain, storage: Storage) -> None:
+        self._dictionary = dictionary
+        self._chain = chain
+        self._storage = storage
+        self._staged: CorrectionTable | None = None
+        self._restored = staged = dictionary.entry(*od.TABLE_STAGED)
+        activate = dictionary.entry(*od.TABLE_ACTIVATE)
+        self._conditioned = [dictionary.entry(*place) for place in od.CONDITIONING]
+        staged.on_write = self._stage
+        staged.on_written = self._forget_restored
+        staged.on_read = self._read_active
+        activate.on_write = self._activate
+        activate.on_download = storage.configuration_changed
+        storage.entries.keep(*od.TABLE_STAGED, saved=self._saved, check=_check_saved)
+        for entry in self._conditioned:
+            entry.on_write = self._checker(entry)
+
+    def reset(self) -> None:
+        """Nothing staged, the stored table active or none, the conditioning of 2002h in force."""
+        self._staged = None
+        stored: bytes = self._restored.value
+        self._forget_restored()
+        self._put_in_force(CorrectionTable.from_bytes(stored) if stored else None)
+
+    def take_over(self, correction: Correction) -> None:
+        """Put both in force together, between two samples. 2002h shows the conditioning then; what
+        is staged stays staged.
+        """
+        for entry, value in zip(self._conditioned, correction.conditioning.values, strict=True):
+            entry.value = value
+        self._put_in_force(correction.table)
+        self._storage.configuration_changed()
+
+    def _saved(self) -> bytes:
+        table = self._chain.correction.table
+        return b"" if table is None else table.to_bytes()
+
+    def _forget_restored(self) -> None:
+        self._restored.value = b""
+
+    def _stage(self, data: bytes) -> None:
+        try:
+            self._staged = CorrectionTable.from_bytes(data)
+        except ValueError:
+            raise SdoAbort(AbortCode.INVALID_VALUE) from None
+        self._dictionary.entry(*od.TABLE_STAGED_CRC).value = self._staged.crc32
+
+    def _read_active(self) -> bytes:
+        return (self._chain.correction.table or CorrectionTable.identity()).to_bytes()
+
+    def _activate(self, crc32: int) -> None:
+        active = self._chain.correction.table
+        if crc32 == 0:
+            self._put_in_force(None)
+        elif self._staged is not None and crc32 == self._staged.crc32:
+            self._put_in_force(self._staged)
+        elif active is not None and crc32 == active.crc32:
+            self._put_in_force(active)
+        else:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+
+    def _put_in_force(self, table: CorrectionTable | None) -> None:
+        correction = Correction(table, self._conditioning())
+        self._chain.activate(correction)
+        self._dictionary.entry(*od.TABLE_ACTIVE_CRC).value = correction.crc32
+        self._dictionary.entry(*od.TABLE_ACTIVE_ENTRIES).value = 0 if table is None else len(table)
+        self._dictionary.entry(*od.TABLE_STAGED_CRC).value = 0 if self._staged is None else self._staged.crc32
+
+    def _conditioning(self, changed: Entry | None = None, value: float = 0.0) -> Conditioning:
+        return Conditioning(*(value if entry is changed else entry.value for entry in self._conditioned))
+
+    def _checker(self, entry: Entry) -> Callable[[float], None]:
+        def check(value: float) -> None:
+            try:
+                self._conditioning(entry, value)
+            except ValueError:
+                raise SdoAbort(AbortCode.INVALID_VALUE) from None
+
+        return check
+
+
+def _check_saved(data: bytes) -> None:
+    """Refuse a stored table that could not be staged; none at all is the identity."""
+    try:
+        if data:
+            CorrectionTable.from_bytes(data)
+    except ValueError:
+        raise SdoAbort(AbortCode.INVALID_VALUE) from None

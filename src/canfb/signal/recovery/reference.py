@@ -1,0 +1,226 @@
+"""What the coarse track and the zero pulse say of the position (paper, section 4).
+
+Eq. 9 started on a turning machine, or after a fault, counts with a speed that lacks whole
+cycles per interval. The coarse track, or two zero pulses, determine how many; the next zero pulse
+sets the cycle count right. Every jump of the position is reported.
+
+A pulse that contradicts a valid position may be false. The position is not valid then until
+another pulse settles it: by agreeing with the position, or with the first one.
+"""
+
+from __future__ import annotations
+
+import math
+
+from canfb.signal.recovery.coarse import CoarseTrack
+from canfb.signal.recovery.recovery import Recovery
+from canfb.signal.recovery.zero_pulse import Verdict, ZeroPulse
+from canfb.signal.sample import Sample
+from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
+from canfb.signal.tracker import Track
+
+DISAGREEING_SAMPLES = 3  # so many in a row, and the position is lost
+EXACT_CYCLES = 0.5  # a coarse track better than that needs no zero pulse
+
+
+class Reference:
+    """Joins coarse track and zero pulse to a :class:`Recovery`."""
+
+    def __init__(self, recovery: Recovery, coarse: CoarseTrack, zero: ZeroPulse) -> None:
+        self._recovery = recovery
+        self.coarse = coarse
+        self.zero = zero
+        self.recovered = 0
+        """Number of speeds recovered by the coarse track."""
+        self.set_right = 0
+        """How often a zero pulse found the count wrong and set it right."""
+        self.restart()
+
+    def restart(self, keep: bool = False) -> None:
+        """After a start: the machine may be turning. ``keep``: the position goes on from before."""
+        if not keep:
+            self.coarse.forget()
+            self.zero.forget()
+            self.in_doubt = False
+            """Zero pulses contradict the position, or each other: :meth:`apply` is to see every sample."""
+        self._proven = False  # the coarse track has confirmed the range of speed since the start
+        self._range_known = False  # ... since the position was lost
+        self._begin_search()
+
+    def apply(
+        self, sample: Sample, track: Track, bits: int, before: Track | None, time: float, elapsed: float
+    ) -> tuple[int, int]:
+        """Status bits and jump in cycles after this sample; the jump shows in the next position.
+
+        ``track`` and ``bits`` are what the chain made of ``sample``, at ``time`` intervals since
+        the start, ``elapsed`` after the one ``before``. That is None if either of the two was
+        not taken.
+        """
+        was_lost = self._recovery.lost
+        jump = 0
+        angle: float | None = None
+        if sample.coarse_sine is not None and sample.coarse_cosine is not None:
+            angle = self.coarse.angle(sample.coarse_sine, sample.coarse_cosine)
+            bits, jump = self._compare(angle, track, bits, elapsed if before else 0.0)
+        if sample.zero_pulse is not None and before is not None and jump == 0:
+            place = sample.zero_pulse
+            cycles, phase = _between(before, track, place)
+            bits, jump = self._pulse(cycles, phase, time - (1.0 - place) * elapsed, track, bits, angle)
+        if self._recovery.lost and not was_lost:
+            self.position_lost()
+        if self.in_doubt and bits & VALID:
+            bits = bits & ~VALID | COASTING
+        return bits, jump
+
+    def position_lost(self) -> None:
+        """The position has been lost: what pulses said of its count does not matter any more."""
+        self.in_doubt = False
+        self.zero.forget_doubts()
+        self._begin_search()
+
+    def missed(self) -> None:
+        """A sample did not come."""
+        self.slipped() if self._recovery.lost else self.coarse.restart_search()
+
+    def slipped(self) -> None:
+        """A sample of a lost position was not taken, or over the limit: its speed is not known any more."""
+        self._begin_search()
+
+    def _begin_search(self) -> None:
+        self._range_known = self._range_from_zero = False
+        self._disagreeing = 0
+        self._first_pulse: tuple[float, int, float] | None = None
+        self.coarse.restart_search()
+
+    def _compare(self, angle: float | None, track: Track, bits: int, elapsed: float) -> tuple[int, int]:
+        lost = self._recovery.lost
+        if self._proven and not lost:
+            return self._check(angle, track, bits), 0
+        jump = 0
+        if elapsed == 0.0:  # this sample was not taken
+            self.coarse.restart_search()
+        elif not (lost and self._range_known):
+            missing = self.coarse.search(angle, track.cycles, track.phase, elapsed)
+            if missing is not None and angle is not None:
+                if (
+                    not lost
+                    and self.coarse.aligned
+                    and self.coarse.disagrees(angle, track.cycles, track.phase)
+                ):
+                    return self._contradicted(bits), 0  # it did not stand still in the pause
+                jump = self._range_found(missing, angle, track)
+        # Before the coarse track has confirmed the speed, a turning machine looks like one at rest.
+        return (bits if self._proven else bits & ~VALID), jump
+
+    def _range_found(self, missing: int, angle: float, track: Track) -> int:
+        coarse = self.coarse
+        jump = coarse.nearest_cycles(angle, track.cycles, track.phase) - track.cycles if coarse.aligned else 0
+        if missing or (jump and self._recovery.lost):
+            self._recovery.found(jump if self._recovery.lost else 0, missing)
+        if missing or self._recovery.lost:
+            self.recovered += 1
+        self._range_known = self._proven = True
+        if not self._recovery.lost:
+            coarse.align(angle, track.cycles, track.phase)
+            return 0
+        exact = coarse.limit_revolutions * coarse.cycles_per_revolution < EXACT_CYCLES
+        if exact or not (coarse.aligned or self.zero.referenced):
+            self._recovery.vouch()  # or there was no position yet that could be lost
+        return jump
+
+    def _check(self, angle: float | None, track: Track, bits: int) -> int:
+        if not bits & VALID:
+            return bits
+        if angle is not None and not self.coarse.aligned and not self.in_doubt:
+            self.coarse.align(angle, track.cycles, track.phase)
+        if not self.coarse.disagrees(angle, track.cycles, track.phase):
+            self._disagreeing = 0
+            return bits
+        self._disagreeing += 1
+        if self._disagreeing >= DISAGREEING_SAMPLES:
+            return self._contradicted(bits)
+        return bits & ~VALID | COARSE | COASTING
+
+    def _contradicted(self, bits: int) -> int:
+        self._disagreeing = 0
+        self._recovery.lose()
+        return bits & ~(VALID | COASTING) | COARSE | LOST
+
+    def _pulse(
+        self, cycles: int, phase: float, time: float, track: Track, bits: int, angle: float | None
+    ) -> tuple[int, int]:
+        """A zero pulse at this position and time."""
+        if bits & VALID:
+            return self._pulse_of_valid(cycles, phase, track, bits, angle)
+        if not self._recovery.lost:
+            return bits, 0
+        if not self._range_known:
+            self._range_from_pulses(time, cycles, phase)
+            return bits, 0
+        jump = -self.zero.error_cycles(cycles, phase)
+        if self._refutes(angle, track, jump):
+            return bits, 0
+        if not self.zero.referenced:
+            if self._range_from_zero:  # two pulses before were whole revolutions from this one
+                self.zero.set_place(cycles, phase)
+            else:
+                self.zero.weigh(cycles, phase)
+        self.set_right += jump != 0
+        self._recovery.found(jump, 0)
+        self._recovery.vouch()
+        if angle is not None:
+            self.coarse.align(angle, track.cycles + jump, track.phase)
+        self._proven = True
+        return bits, jump
+
+    def _pulse_of_valid(
+        self, cycles: int, phase: float, track: Track, bits: int, angle: float | None
+    ) -> tuple[int, int]:
+        error = self.zero.error_cycles(cycles, phase)
+        if self._refutes(angle, track, -error):
+            return bits, 0
+        verdict = self.zero.weigh(cycles, phase)
+        self.in_doubt = verdict is Verdict.CONTRADICTS
+        if verdict is Verdict.WRONG:
+            self.set_right += 1
+            self._recovery.found(-error, 0)
+            return bits & ~VALID | COASTING, -error
+        if verdict is Verdict.SLIPPED:  # what was counted before is not certain, what is counted from here is
+            self._recovery.lose()
+            self._recovery.vouch()
+            if angle is not None:
+                self.coarse.align(angle, track.cycles, track.phase)
+            return bits & ~VALID | LOST, 0
+        return bits, 0
+
+    def _refutes(self, angle: float | None, track: Track, jump: int) -> bool:
+        """True if the coarse track shows that the pulse that asks for this jump is false."""
+        if not jump or angle is None or not self.coarse.aligned:
+            return False
+        cycles = track.cycles + jump
+        away = self.coarse.nearest_cycles(angle, cycles, track.phase) - cycles
+        return abs(away) > self.coarse.limit_revolutions * self.coarse.cycles_per_revolution
+
+    def _range_from_pulses(self, time: float, cycles: int, phase: float) -> None:
+        """Between two pulses lies a revolution, either way, or none; the samples counted what they saw."""
+        first, self._first_pulse = self._first_pulse, (time, cycles, phase)
+        if first is None or time - first[0] < 1.0:
+            return
+        intervals = time - first[0]
+        counted = (cycles - first[1]) + (phase - first[2])
+        found = set()
+        for turns in (-1, 0, 1):
+            missing = (turns * self.zero.cycles_per_revolution - counted) / intervals
+            if abs(missing - round(missing)) * intervals < 1.0:
+                found.add(round(missing))
+        if len(found) == 1:
+            self._recovery.found(0, found.pop())
+            self._range_known = self._range_from_zero = True
+
+
+def _between(before: Track, track: Track, place: float) -> tuple[int, float]:
+    """Position at ``place`` (0..1) of the way from one sample to the next."""
+    way = (track.cycles - before.cycles) + (track.phase - before.phase)
+    position = before.phase + place * way
+    turns = math.floor(position)
+    return before.cycles + turns, position - turns
