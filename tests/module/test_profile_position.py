@@ -65,9 +65,7 @@ class Model:
         if not self.sampled or self.step:
             return AbortCode.DEVICE_STATE
         offset = (value - self.units()) % self.total_range
-        self.objects[0x6509] = offset if 2 * offset <= self.total_range else offset - self.total_range
-        if self.objects[0x6509] == 2**31:  # only with a range of 2^32, where both are the same place
-            self.objects[0x6509] = -(2**31)
+        self.objects[0x6509] = offset if 2 * offset < self.total_range else offset - self.total_range
         return None
 
     def reset(self) -> None:
@@ -162,11 +160,21 @@ STEPS = st.one_of(
     st.tuples(st.just("far"), st.integers(-(2**45), 2**45)),
 )
 STILL = ("sample", 0)
+# A preset half a range away: both signs of the offset are the same place.
+HALF = [
+    ("set", 0x6001, 2, 4),
+    ("set", 0x6002, 12, 4),
+    ("set", 0x6000, 4, 2),
+    STILL,
+    STILL,
+    ("preset", 0x6003, 6, 4),
+]
 
 
 @settings(max_examples=150, deadline=None)
 @given(st.sampled_from([1, 2, 3, 16, 1000, 2500]), st.lists(STEPS, max_size=40))
 @example(16, [STILL, STILL, ("preset", 0x6003, 2**31, 4)])  # half of the largest range
+@example(1, HALF)
 @example(2500, [STILL, STILL, ("preset", 0x6009, 1, 8), ("save",), ("reset",), STILL])
 def test_any_sequence_gives_the_position_of_the_model(cycles: int, steps: list[tuple[object, ...]]) -> None:
     pair = Pair(cycles)

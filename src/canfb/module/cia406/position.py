@@ -79,9 +79,9 @@ class PositionScale:
         return (self.units(cycles, phase) + self.offset) % self.total_range
 
     def offset_for(self, units: int, preset: int) -> int:
-        """The offset that makes these units the position ``preset``, nearest to zero.
+        """The offset that makes these units the position ``preset``; -R/2 <= offset < R/2, R ``total_range``.
 
         It is an INTEGER32 (6509h) for every range up to 2^32, and no saturation can make it wrong.
         """
         offset = (preset - units) % self.total_range
-        return offset - self.total_range if offset > (self.total_range - 1) // 2 else offset
+        return offset - self.total_range if 2 * offset >= self.total_range else offset
