@@ -7,7 +7,7 @@ import logging
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -45,6 +45,9 @@ class Ending(Protocol):
 @runtime_checkable
 class Inhibited(Protocol):
     """A device with inhibit times, as FeedbackModule is."""
+
+    inhibited: Mapping[int | None, object]
+    """By CAN-ID: the frames of which it wants to know."""
 
     def sent(self, can_id: int, now: float) -> None:
         """A frame of its own with this CAN-ID has left."""
@@ -111,7 +114,8 @@ class Runner:
         self._computations = [
             (device, Computation(device, report)) for device in devices if isinstance(device, Computing)
         ]
-        self._inhibited = {id(device): device.sent for device in devices if isinstance(device, Inhibited)}
+        self._inhibited = {id(device): device for device in devices if isinstance(device, Inhibited)}
+        self._alone = len(devices) == 1
         # Such a bus carries the channel of a message along: it shows which frames are ours.
         self._mark = uuid4().hex if brings_own_frames_back(bus) else None
         self._echoes = marks_own_frames(bus)
@@ -131,8 +135,15 @@ class Runner:
             for device in self._devices:
                 self._spread(device, self._asked(device, device.start, self._clock()))
             ready()
-            due = self._due()
             while not self._stopped and not finished():
+                due = NEVER  # as _due(), at each frame
+                for device in self._devices:
+                    deadline = device.deadline()
+                    if deadline is not None and deadline < due:
+                        due = deadline
+                if due <= self._clock() and not self._waits_before(due):
+                    self._tick()
+                    due = self._due()
                 message = self._next_message(due)
                 if message is not None:
                     self._take(message)
@@ -142,10 +153,6 @@ class Runner:
                     self._tell_bus_state()
                 if self._asked_s >= self._compute_s:
                     self._compute()
-                due = self._due()
-                if due <= self._clock() and not self._waits_before(due):
-                    self._tick()
-                    due = self._due()
         finally:
             for _, computation in self._computations:
                 computation.close()
@@ -228,7 +235,10 @@ class Runner:
                 answers = device.receive(frame, now)
             except Exception as error:
                 raise DeviceFailure(device, error) from error
-            if answers:
+            if self._alone:
+                for answer in answers:
+                    self._send(device, answer)
+            elif answers:
                 self._spread(device, answers)
 
     def _tick(self) -> None:
@@ -274,11 +284,8 @@ class Runner:
             queue.append((sender, frame))
         while queue:
             origin, frame = queue.popleft()
-            self._send(frame)
+            self._send(origin, frame)
             now = self._clock()
-            has_left = self._inhibited.get(id(origin))
-            if has_left is not None:
-                has_left(frame.can_id, now)
             for device in self._devices:
                 if device is not origin:
                     try:
@@ -288,7 +295,7 @@ class Runner:
                     if answers:
                         queue.extend((device, answer) for answer in answers)
 
-    def _send(self, frame: Frame) -> None:
+    def _send(self, sender: Device, frame: Frame) -> None:
         message = can.Message(
             arbitration_id=frame.can_id,
             data=frame.data,
@@ -309,6 +316,9 @@ class Runner:
                 self._bus_state.sending_worked(self._clock())
             if self._sending.failed_s is not None:
                 self._sending.worked(self._clock())
+        inhibited = self._inhibited.get(id(sender))
+        if inhibited is not None and frame.can_id in inhibited.inhibited:
+            inhibited.sent(frame.can_id, self._clock())
 
 
 def _in_one_line(error: Exception) -> str:

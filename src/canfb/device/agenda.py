@@ -15,13 +15,13 @@ class Agenda:
     until a service says that its own has moved.
     """
 
-    __slots__ = ("_due", "_services", "moved")
+    __slots__ = ("_services", "earliest", "moved")
 
     def __init__(self) -> None:
         self._services: tuple[Timed, ...] = ()
-        self._due = NEVER
+        self.earliest = NEVER
+        """The earliest deadline, seconds, unless one has :attr:`moved` since."""
         self.moved = True
-        """Whether a deadline has moved since the earliest was looked for."""
 
     def fill(self, services: Iterable[Timed]) -> None:
         """The services from now on."""
@@ -33,9 +33,9 @@ class Agenda:
     def due(self) -> float:
         """The earliest deadline, seconds; NEVER if none waits."""
         if self.moved:
-            self._due = min([service.deadline for service in self._services], default=NEVER)
+            self.earliest = min([service.deadline for service in self._services], default=NEVER)
             self.moved = False
-        return self._due
+        return self.earliest
 
     def tick(self, now: float) -> None:
         """Call the services that are due at `now` (seconds, monotonic)."""

@@ -78,7 +78,8 @@ class Node(Hooks):
         self._agenda = Agenda()
         self._routes: dict[int, Handler] = {}
         self._remote_routes: dict[int, RemoteHandler] = {}
-        self._inhibited: dict[int | None, Callable[[float], None]] = {}
+        self.inhibited: dict[int | None, Callable[[float], None]] = {}
+        """By CAN-ID: what `sent` calls; the same mapping for the life of the node."""
         self._sync_rpdos: list[Rpdo] = []
         self._sync_tpdos: list[Tpdo] = []
         self._startup = Startup(dictionary.find(0x1F80), autostart=autostart)
@@ -178,6 +179,9 @@ class Node(Hooks):
         can_id, data, rtr, timestamp = frame
         if timestamp is None:
             moment.received, moment.proved = now, False
+        elif moment.stamp <= timestamp <= now:  # as usual: later than the last
+            moment.received = moment.stamp = timestamp
+            moment.proved = True
         else:
             moment.stamped(timestamp)
         if rtr:
@@ -211,7 +215,8 @@ class Node(Hooks):
         """When `tick` is due next, seconds; None when nothing is waiting."""
         if self._outbox:
             return self.moment.now
-        due = self._agenda.due()
+        agenda = self._agenda
+        due = agenda.due() if agenda.moved else agenda.earliest
         return None if due == NEVER else due
 
     def sent(self, can_id: int, now: float) -> None:
@@ -220,7 +225,7 @@ class Node(Hooks):
         Inhibit times count from there; a host that never says so counts them from the call that gave
         the frame.
         """
-        follow = self._inhibited.get(can_id)
+        follow = self.inhibited.get(can_id)
         if follow is not None:
             follow(now)
 
@@ -403,7 +408,8 @@ class Node(Hooks):
         routes = self._services.routes()
         routes.add(REQUEST_ID, self.lss.handle)
         self._routes, self._remote_routes = routes.data, routes.remote
-        self._inhibited = self._services.inhibited()
+        self.inhibited.clear()
+        self.inhibited.update(self._services.inhibited())
 
     def rpdo_with(self, *objects: tuple[int, int]) -> int | None:
         """Number of the first valid RPDO whose mapping holds all these objects (index, sub-index)."""

@@ -78,6 +78,8 @@ class FeedbackModule:
         self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None = None
         self.on_source: Callable[[str], None] | None = None
         self.on_warning: Callable[[str], None] | None = None
+        self.inhibited = self.node.inhibited
+        """By CAN-ID: frames of which the node wants to know when they have left; see :meth:`sent`."""
         self._make_chain_around(source)
         self._make_commands()
         self._listen_to_node()

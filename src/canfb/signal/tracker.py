@@ -68,6 +68,7 @@ class Tracker:
         "_started",
         "_step",
         "residual_limit",
+        "step_cycles",
     )
 
     def __init__(self, residual_limit: float = RESIDUAL_LIMIT, speed_cycles: float = 0.0) -> None:
@@ -87,16 +88,20 @@ class Tracker:
         self._elapsed = 1.0  # intervals between samples k-2 and k-1
         self._gap = 0.0  # intervals since sample k-1 that brought no phase
         self._started = False
+        self.step_cycles = 0.0
+        """Speed between the last two samples, in cycles per sampling interval."""
 
     def halt(self) -> None:
         """Keep the position and forget the speed: the next phase is less than half a cycle away."""
         self._step, self._phase_before = 0, self._phase
         self._elapsed, self._gap = 1.0, 0.0
+        self._find_speed()
 
     def rescale(self, factor: float) -> None:
         """Count intervals in another unit: all are ``factor`` times as many of it. Nothing else changes."""
         self._elapsed *= factor
         self._gap *= factor
+        self._find_speed()
 
     @property
     def started(self) -> bool:
@@ -115,11 +120,6 @@ class Tracker:
         return self._elapsed
 
     @property
-    def step_cycles(self) -> float:
-        """Speed between the last two samples, in cycles per sampling interval."""
-        return (self._step + (self._phase - self._phase_before)) / self._elapsed
-
-    @property
     def is_steady(self) -> bool:
         """True if the next sample is one interval after two that were one interval apart."""
         return self._started and self._gap == 0.0 and self._elapsed == 1.0
@@ -136,16 +136,19 @@ class Tracker:
         """
         self._started, self._elapsed, self._gap = True, 1.0, 0.0
         self._phase_before, self._phase, self._cycles, self._step = phase_before, phase, cycles, step
+        self._find_speed()
 
     def set_places(self, before: Track, last: Track, elapsed: float) -> None:
         """Go on from two samples, ``before`` and ``last``, ``elapsed`` intervals apart."""
         self.set_state(before.phase, last.phase, last.cycles, last.cycles - before.cycles)
         self._elapsed = elapsed
+        self._find_speed()
 
     def shift(self, cycles: int, step_cycles: int) -> None:
         """Add ``cycles`` to the cycle count, and ``step_cycles`` per interval to the speed."""
         self._cycles += cycles
         self._step += round(step_cycles * self._elapsed)
+        self._find_speed()
 
     def update(self, phase: float, elapsed: float = 1.0) -> Track:
         """Take one phase, ``elapsed`` sampling intervals after the one before, and track it.
@@ -203,8 +206,9 @@ class Tracker:
         residual = abs(turns - c)
         if not residual < self.residual_limit:
             return None
-        self._step += turns
-        self._cycles = cycles = self._cycles + self._step
+        self._step = step = self._step + turns
+        self._cycles = cycles = self._cycles + step
+        self.step_cycles = step + (phase - before)
         self._phase_before = before
         self._phase = phase
         return _new(Track, (cycles, phase, residual, True))
@@ -222,6 +226,7 @@ class Tracker:
         self._cycles = track.cycles
         self._phase = track.phase
         self._gap = 0.0
+        self._find_speed()
 
     def skip(self, elapsed: float = 1.0) -> None:
         """Step over a sample without a usable phase; the next prediction spans the gap."""
@@ -235,6 +240,9 @@ class Tracker:
         whole, part = self._carry(elapsed + self._gap)
         turns, phase = split(self._phase + part)
         return Track(self._cycles + whole + turns, phase, 0.5, False)
+
+    def _find_speed(self) -> None:
+        self.step_cycles = (self._step + (self._phase - self._phase_before)) / self._elapsed
 
     def _carry(self, elapsed: float) -> tuple[int, float]:
         """Way at the last speed over ``elapsed`` intervals: whole cycles and a small rest."""

@@ -64,6 +64,7 @@ class EncoderInterface:
             mapping = self.dictionary.entry(*place)
             mapping.default = mapping.value = value
         self.node = Node(self.dictionary, node_id, autostart=autostart, store=store)
+        self.inhibited = self.node.inhibited
         self.node.on_sync = self._on_sync
         self.node.on_parameter_faults = self._on_parameter_faults
         self.node.on_reset = self._on_reset

@@ -56,6 +56,7 @@ class Tpdo(Timed):
         self._inhibit_s = 0.0
         self._timer_s = 0.0
         self._limited = False
+        self._pack_at_once: Callable[[], bytes] | None = None  # at an event that nothing delays
         self._not_before = -NEVER
         self._timer_end = NEVER
         self._event = False
@@ -92,6 +93,7 @@ class Tpdo(Timed):
         self._inhibit_s = _value(self._inhibit) / 10_000
         self._timer_s = _value(self._event_timer) / 1000 if self._event_driven else 0.0
         self._limited = self._inhibit_s > 0 or self._timer_s > 0
+        self._pack_at_once = self._pack if self._event_driven and not self._limited else None
         if not self._inhibit_s:
             self._not_before = -NEVER
         self._timer_end = now + self._timer_s if self._timer_s else NEVER
@@ -104,7 +106,10 @@ class Tpdo(Timed):
 
     def trigger(self, now: float) -> None:
         """An event of the application; without effect while the TPDO is not active."""
-        if self._event_driven:
+        pack = self._pack_at_once
+        if pack is not None:
+            self._emit(_new(Frame, (self._can_id, pack(), False, None)))
+        elif self._event_driven:
             if self._limited and now < self._not_before:
                 self._event = True
                 self._schedule()

@@ -72,6 +72,7 @@ class ServoDrive:
         apply_defaults(self.dictionary, plant.motor.config, feedback, serial_number)
         self.plant = plant
         self.node = _Node(self.dictionary, node_id, autostart=autostart, store=store)
+        self.inhibited = self.node.inhibited
         self.feedback = FeedbackInput(self.dictionary)
         self.axis = Axis(self.dictionary, self.feedback)
         self._machine = StateMachine()
