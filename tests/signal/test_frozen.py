@@ -123,10 +123,9 @@ def test_at_rest_equal_samples_are_good(standstill: float) -> None:
 def test_the_number_of_samples_can_be_changed_while_it_runs() -> None:
     drive = Drive(5.0, coast_samples=255, frozen_samples=16)
     last = drive.converter_dies()
-    limits = ChainConfig().limits
-    drive.chain.set_limits(limits, 1 / 3, 255, 4, 0.03)
+    drive.chain.set_limits(ChainConfig(coast_samples=255, frozen_samples=4).chain_limits)
     assert [bool(drive.spoil(last).status & StatusBit.FROZEN) for _ in range(5)] == [False] * 3 + [True] * 2
-    drive.chain.set_limits(limits, 1 / 3, 255, 0, 0.03)
+    drive.chain.set_limits(ChainConfig(coast_samples=255, frozen_samples=0).chain_limits)
     assert not drive.spoil(last).status & StatusBit.FROZEN
 
 

@@ -472,8 +472,7 @@ def test_a_new_number_of_samples_to_coast_holds_at_once() -> None:
     drive = Drive(5.5, coast_samples=3)
     for _ in range(3):
         drive.spoil()
-    config = ChainConfig()
-    drive.chain.set_limits(config.limits, config.residual_limit, 5, 0, 0.1)
+    drive.chain.set_limits(ChainConfig(coast_samples=5).chain_limits)
     assert has([drive.spoil() for _ in range(3)], StatusBit.LOST) == [False, False, True]
 
 

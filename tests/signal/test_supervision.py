@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -267,10 +268,11 @@ def test_a_new_residual_limit_holds_for_the_next_sample_and_a_bad_one_changes_no
     chain = SignalChain(ChainConfig())
     for _ in range(4):
         chain.step(Sample(0.0, 1000.0))
+    limits = ChainConfig(coast_samples=3, frozen_samples=16).chain_limits
     with pytest.raises(ValueError, match="residual_limit"):
-        chain.set_limits(SampleLimits(2048, 1100, 1200), 0.51, 3, 16, 0.1)
+        chain.set_limits(replace(limits, residual_limit=0.51))
     assert chain.step(Sample(0.0, 1000.0)).valid
-    chain.set_limits(SampleLimits(2048, 400, 2000), 0.125, 3, 16, 0.1)
+    chain.set_limits(replace(limits, residual_limit=0.125))
     assert chain.step(Sample(0.0, 1000.0)).valid
     assert flags(chain.step(Sample(1000.0, 1000.0))) & StatusBit.RESIDUAL
 

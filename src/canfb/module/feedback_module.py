@@ -31,6 +31,7 @@ from canfb.module.publishing import Publishing
 from canfb.module.sampling import Sampling
 from canfb.module.tap import Taps
 from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.sources.protocol import Source
 
@@ -67,7 +68,7 @@ class FeedbackModule:
         _check(config, source)
         self.config = config
         self.dictionary = _dictionary(config, source)
-        self.chain = SignalChain(config)
+        self.chain = SignalChain(ChainConfig())  # limits and correction are those of the dictionary
         self.node = Node(
             self.dictionary,
             config.node_id,
@@ -85,6 +86,7 @@ class FeedbackModule:
         self._listen_to_node()
         self._choose_parameters()
         self._limits.apply()
+        self._tables.reset()
 
     def _make_chain_around(self, source: Source | None) -> None:
         """What feeds the chain, and what its feedback becomes."""

@@ -13,6 +13,7 @@ from canfb.module.cia406.position import distinguishable_revolutions, single_tur
 from canfb.module.interval import IntervalEstimate
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainLimits
 from canfb.signal.limits import cycles_per_interval_squared, narrowed_residual_limit
 from canfb.signal.supervision import SampleLimits
 
@@ -127,12 +128,17 @@ class Limits:
             acceleration = cycles_per_interval_squared(self._acceleration.value, cycles, interval_s)
         self.residual_limit_cycles, self.acceleration_cycles = limit, acceleration or 0.0
         self._applied_s, self.narrowed = interval_s, self._acceleration.value > 0.0
-        limits = SampleLimits(self._full_scale.value, self._low.value, self._high.value)
-        coarse_limit = self._coarse.value / LIMIT_UNITS
         self._chain.set_limits(
-            limits, limit, self._coast.value, self._frozen.value, coarse_limit, acceleration
+            ChainLimits(
+                sample=SampleLimits(self._full_scale.value, self._low.value, self._high.value),
+                cycles_per_revolution=cycles,
+                residual_limit=limit,
+                coast_samples=self._coast.value,
+                frozen_samples=self._frozen.value,
+                coarse_limit_revolutions=self._coarse.value / LIMIT_UNITS,
+                acceleration=acceleration,
+            )
         )
-        self._chain.set_cycles_per_revolution(cycles)
         if self.on_applied is not None:
             self.on_applied()
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.blocks import Scratch
-from canfb.signal.chain_config import ChainConfig, check_config
+from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
 from canfb.signal.correction import Correction, CorrectionTable, check_table
 from canfb.signal.feedback import Feedback
 from canfb.signal.frozen import FrozenInput
@@ -27,10 +27,9 @@ from canfb.signal.supervision import (
     RESIDUAL,
     TABLE_ACTIVE,
     VALID,
-    SampleLimits,
     Supervision,
 )
-from canfb.signal.tracker import Track, Tracker, TrackResult, check_residual_limit
+from canfb.signal.tracker import Track, Tracker, TrackResult
 
 MISSED_INTERVALS = 1.5  # since the sample before: one was missed
 STANDSTILL_CYCLES = 0.001  # per interval, on average: what noise and a servo at rest may show
@@ -64,8 +63,8 @@ class SignalChain:
         self._waited = 0.0  # intervals without a sample since the last one with a sample time
         self._clock = 0.0  # intervals since the start
         self._before: Track | None = None  # the sample before, if it was taken
-        self._make_reference(config.cycles_per_revolution, config.full_scale_counts)
-        self._reference.coarse.limit_revolutions = config.coarse_limit_revolutions
+        self._make_reference(config.chain_limits)
+        self.set_limits(config.chain_limits)
         self.activate(Correction(table, config.conditioning))
 
     @property
@@ -106,42 +105,22 @@ class SignalChain:
         """True from the moment the position is lost until :meth:`restart`."""
         return self._recovery.lost
 
-    def set_limits(
-        self,
-        limits: SampleLimits,
-        residual_limit: float,
-        coast_samples: int,
-        frozen_samples: int,
-        coarse_limit_revolutions: float,
-        acceleration_limit: float | None = None,
-    ) -> None:
-        """Take new limits, between two samples.
+    def set_limits(self, limits: ChainLimits) -> None:
+        """Take new limits, between two samples. Another encoder resets coarse track and zero pulse."""
+        self._tracker.residual_limit = self._frozen.residual_limit_cycles = limits.residual_limit
+        self._supervision.set_limits(limits.sample)
+        self._recovery.coast_samples = limits.coast_samples
+        self._recovery.acceleration_limit = limits.acceleration
+        self._frozen.frozen_samples = limits.frozen_samples
+        if limits.cycles_per_revolution != self._reference.coarse.cycles_per_revolution:
+            self._make_reference(limits)
+        self._reference.coarse.limit_revolutions = limits.coarse_limit_revolutions
+        self._reference.coarse.full_scale_counts = limits.sample.full_scale_counts
 
-        ``limits`` are those of one sample; ``residual_limit``, ``coast_samples``,
-        ``frozen_samples`` and ``coarse_limit_revolutions`` as in :class:`ChainConfig`.
-        ``acceleration_limit`` is the largest acceleration of the machine, cycles per interval
-        squared, if it is known (2010:02).
-        ValueError for a bad ``residual_limit``, and nothing is changed then.
-        """
-        self._tracker.residual_limit = check_residual_limit(residual_limit)
-        self._supervision.set_limits(limits)
-        self._recovery.coast_samples = coast_samples
-        self._recovery.acceleration_limit = acceleration_limit
-        self._frozen.frozen_samples = frozen_samples
-        self._frozen.residual_limit_cycles = self._tracker.residual_limit
-        self._reference.coarse.limit_revolutions = coarse_limit_revolutions
-        self._reference.coarse.full_scale_counts = limits.full_scale_counts
-
-    def set_cycles_per_revolution(self, cycles_per_revolution: int) -> None:
-        """Take an encoder with other ``cycles_per_revolution``; coarse track and zero pulse are reset."""
-        if cycles_per_revolution != self._reference.coarse.cycles_per_revolution:
-            limit = self._reference.coarse.limit_revolutions
-            self._make_reference(cycles_per_revolution, self._reference.coarse.full_scale_counts)
-            self._reference.coarse.limit_revolutions = limit
-
-    def _make_reference(self, cycles_per_revolution: int, full_scale_counts: int) -> None:
-        coarse = CoarseTrack(cycles_per_revolution, full_scale_counts, 0.25)
-        self._reference = Reference(self._recovery, coarse, ZeroPulse(cycles_per_revolution))
+    def _make_reference(self, limits: ChainLimits) -> None:
+        n = limits.cycles_per_revolution
+        coarse = CoarseTrack(n, limits.sample.full_scale_counts, limits.coarse_limit_revolutions)
+        self._reference = Reference(self._recovery, coarse, ZeroPulse(n))
         self._recovery.on_lost = self._reference.position_lost
         self._referenced = 0
 

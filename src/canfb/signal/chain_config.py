@@ -17,6 +17,27 @@ AMPLITUDE_HIGH = 1.25
 
 
 @dataclass(frozen=True, kw_only=True)
+class ChainLimits:
+    """What a sample is held against; it may change between two samples (2001h, 2010h).
+
+    ``sample`` are the limits of one sample, counts; ``acceleration`` is the largest acceleration of the
+    machine, cycles per interval squared, None if it is not known (2010:02). The others are those of
+    :class:`ChainConfig`. ValueError for a bad ``residual_limit``.
+    """
+
+    sample: SampleLimits
+    cycles_per_revolution: int
+    residual_limit: float
+    coast_samples: int
+    frozen_samples: int
+    coarse_limit_revolutions: float
+    acceleration: float | None = None
+
+    def __post_init__(self) -> None:
+        check_residual_limit(self.residual_limit)
+
+
+@dataclass(frozen=True, kw_only=True)
 class ChainConfig:
     """Parameters of the signal chain. Every field has a default; ValueError for a bad one.
 
@@ -68,12 +89,24 @@ class ChainConfig:
 
     @property
     def limits(self) -> SampleLimits:
-        """The limits of one sample, with the defaults filled in."""
+        """The limits of one sample, counts, with the defaults filled in."""
         full, low, high = self.full_scale_counts, self.amplitude_low_counts, self.amplitude_high_counts
         return SampleLimits(
             full,
             round(AMPLITUDE_LOW * full) if low is None else low,
             round(AMPLITUDE_HIGH * full) if high is None else high,
+        )
+
+    @property
+    def chain_limits(self) -> ChainLimits:
+        """All limits; the acceleration is not known."""
+        return ChainLimits(
+            sample=self.limits,
+            cycles_per_revolution=self.cycles_per_revolution,
+            residual_limit=self.residual_limit,
+            coast_samples=self.coast_samples,
+            frozen_samples=self.frozen_samples,
+            coarse_limit_revolutions=self.coarse_limit_revolutions,
         )
 
 

@@ -124,14 +124,7 @@ class Turning:
                 self._chain.step(Sample(s, c)) for s, c in zip(sine.tolist(), cosine.tolist(), strict=True)
             ]
             valid = all(one.valid for one in published)
-        config = setting.config
-        self._chain.set_limits(
-            config.limits,
-            config.residual_limit,
-            config.coast_samples,
-            config.frozen_samples,
-            config.coarse_limit_revolutions,
-        )
+        self._chain.set_limits(setting.config.chain_limits)
         self.position = float(positions[-1])
         self.offset = round(self.position - published[-1].cycles - published[-1].phase)
 
