@@ -206,6 +206,18 @@ def test_files_stay_small(file: Path) -> None:
     assert len(file.read_text(encoding="utf-8").splitlines()) <= LONGEST_FILE
 
 
+def test_no_name_stands_twice() -> None:
+    """Neither of a file nor of a class: what is read about one is not meant for the other."""
+    files = [file.stem for file in FILES if file.stem != "__init__"]
+    classes = [
+        node.name
+        for file in FILES
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    ]
+    assert [name for names in (files, classes) for name in set(names) if names.count(name) > 1] == []
+
+
 # A command parses, calls and prints; what it does has a room of its own.
 LONGEST_COMMAND = 120
 

@@ -14,10 +14,11 @@ from fake_bus import FakeBus, FakeClock
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.bus.computing import COMMAND, Computation, Computing
+from canfb.bus.computing import COMMAND, Computation
 from canfb.bus.messages import Inbox, pack
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
+from canfb.device.hosted import Computing
 from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

@@ -13,8 +13,8 @@ from fake_bus import FakeBus, FakeClock, message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canfb.bus.runner import Inhibited, Runner
-from canfb.device.hosted import Device
+from canfb.bus.runner import Runner
+from canfb.device.hosted import Device, Inhibited
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 

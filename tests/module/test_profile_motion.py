@@ -13,7 +13,7 @@ from module_bench import Bench
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.module.cia406.position import PositionScale
-from canfb.module.cia406.speed import Motion, saturated
+from canfb.module.cia406.speed import MotionObjects, saturated
 from canfb.module.interval import IntervalEstimate
 from canfb.module.objects.publication import NOTHING
 
@@ -50,7 +50,7 @@ def test_speed_and_acceleration_are_scaled_and_saturated(
         dictionary.entry(0x2003, subindex).value = factor
     last = NOTHING._replace(speed_cycles=speed, acceleration_cycles=acceleration)
     scale = PositionScale(cycles, units, 0xFFFFFFFF, reverse, 0)
-    Motion(dictionary, IntervalEstimate(dictionary.entry(0x1006)), lambda: last, lambda: scale)
+    MotionObjects(dictionary, IntervalEstimate(dictionary.entry(0x1006)), lambda: last, lambda: scale)
     period, sign = Fraction(period_us, 1_000_000), -1 if reverse else 1
     for index, value, time, factor, divisor in (
         (0x6030, speed, period, factors[0], factors[1]),

@@ -8,7 +8,7 @@ import pytest
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.recovery.bridge import Place
-from canfb.signal.recovery.doubt import LONGEST_DOUBT, LONGEST_RUN, SHORTEST_RUN, Doubt
+from canfb.signal.recovery.doubt import LONGEST_DOUBT, LONGEST_RUN, SHORTEST_RUN, Doubt, Undecided
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder
 
@@ -26,7 +26,7 @@ def doubt_at(position: float, rough: float = 0.0, doubted: int = 3) -> Doubt:
     return Doubt(before, doubted, 1 / 3)
 
 
-def meet(doubt: Doubt, position: float, elapsed: float = 1.0, coast: int = 3) -> list[Place] | None:
+def meet(doubt: Doubt, position: float, elapsed: float = 1.0, coast: int = 3) -> list[Place] | Undecided:
     doubt.meet(position % 1.0, elapsed)
     return doubt.decide(coast)
 
@@ -35,9 +35,9 @@ def test_four_samples_of_a_steady_machine_are_proof() -> None:
     doubt = doubt_at(100.2)
     doubt.wait(1.0)
     for k in range(2, SHORTEST_RUN + 1):
-        assert meet(doubt, 100.2 + k * SPEED) is None
+        assert meet(doubt, 100.2 + k * SPEED) is Undecided.YET
     places = meet(doubt, 100.2 + (SHORTEST_RUN + 1) * SPEED)
-    assert places is not None
+    assert not isinstance(places, Undecided)
     assert [place.cycles + place.phase for place in places] == pytest.approx(
         [100.2 + k * SPEED for k in range(2, SHORTEST_RUN + 2)]
     )
@@ -49,9 +49,10 @@ def test_a_rough_machine_needs_more_of_them(rough: float, samples: int) -> None:
     doubt = doubt_at(100.2, rough)
     doubt.wait(1.0)
     k = 1
-    while (places := meet(doubt, 100.2 + (k + 1) * SPEED + rough * (k % 2))) is None:
+    while (places := meet(doubt, 100.2 + (k + 1) * SPEED + rough * (k % 2))) is Undecided.YET:
         k += 1
     assert k == samples
+    assert not isinstance(places, Undecided)
     assert len(places) == samples
 
 
@@ -60,8 +61,8 @@ def test_a_run_rougher_than_the_machine_was_is_no_proof(rough: float) -> None:
     doubt = doubt_at(100.2)
     doubt.wait(1.0)
     found = [meet(doubt, 100.2 + (k + 2) * SPEED + rough * (k % 2)) for k in range(LONGEST_RUN)]
-    assert found[:-1] == [None] * (LONGEST_RUN - 1)
-    assert found[-1] == [], "and never will be"
+    assert found[:-1] == [Undecided.YET] * (LONGEST_RUN - 1)
+    assert found[-1] is Undecided.FOR_EVER, "and never will be"
 
 
 @pytest.mark.parametrize("jitter", [0.0, 1e-3, -0.01, 0.2])
@@ -73,7 +74,7 @@ def test_samples_at_uneven_times_are_a_run(jitter: float) -> None:
         elapsed = 1.0 - jitter if k % 2 else 1.0 + jitter
         time += elapsed
         places = meet(doubt, 100.2 + time * SPEED, elapsed)
-    assert places is not None
+    assert not isinstance(places, Undecided)
     assert places[-1].cycles + places[-1].phase == pytest.approx(100.2 + time * SPEED)
 
 
@@ -81,8 +82,8 @@ def test_all_of_a_smooth_run_is_taken() -> None:
     """A fault that looks like a machine: to leave out its first samples would give it any way."""
     doubt = doubt_at(100.2)
     found = [meet(doubt, 100.2 + k * SPEED + 0.45 + 0.2 * k) for k in range(1, 8)]
-    assert [] in found
-    assert not any(found)
+    assert Undecided.FOR_EVER in found
+    assert all(isinstance(one, Undecided) for one in found)
 
 
 def test_it_is_over_when_no_good_sample_comes() -> None:
@@ -99,7 +100,7 @@ def test_samples_that_contradict_each_other_are_not_good_ones() -> None:
     for seed in range(20):
         doubt, samples = doubt_at(100.2), 0
         for phase in np.random.default_rng(seed).uniform(size=50).tolist():
-            assert not meet(doubt, phase)
+            assert isinstance(meet(doubt, phase), Undecided)
             samples += 1
             if doubt.is_over(3):
                 break
@@ -113,7 +114,7 @@ def test_good_samples_that_are_never_enough_end_it_too() -> None:
     time = 0
     while not doubt.is_over(3):
         doubt.wait(1.0)
-        assert meet(doubt, 100.2 + (time + 2) * SPEED) is None
+        assert meet(doubt, 100.2 + (time + 2) * SPEED) is Undecided.YET
         time += 2
     assert time == 3 + LONGEST_DOUBT + 1
 

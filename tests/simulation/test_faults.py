@@ -25,8 +25,8 @@ ALL: tuple[Fault, ...] = (
     faults.JoinedTracks(),
     faults.SwappedTracks(),
     *(faults.InvertedTracks(signal) for signal in Signal),
-    faults.Drift(sine_offset=900.0, ramp_samples=10),
-    faults.Drift(cosine_gain=0.2, phase_rad=0.8, ramp_samples=10),
+    faults.TrackDrift(sine_offset=900.0, ramp_samples=10),
+    faults.TrackDrift(cosine_gain=0.2, phase_rad=0.8, ramp_samples=10),
     *(faults.Oscillation(signal, 700.0, 0.13, 0.4) for signal in Signal),
     *(faults.ExcessNoise(signal, 300.0) for signal in Signal),
     faults.PhaseGlitch(1500.0),
@@ -136,16 +136,16 @@ def test_an_inverted_track_keeps_the_ends_of_the_converter() -> None:
 
 def test_a_drift_is_a_ramp_that_ends() -> None:
     still = Samples.of([100] * 30, [1000] * 30)
-    offset = injected(faults.Drift(sine_offset=50.0, ramp_samples=5), still, 10, 20).sine
+    offset = injected(faults.TrackDrift(sine_offset=50.0, ramp_samples=5), still, 10, 20).sine
     assert offset[9:21].tolist() == [100, 110, 120, 130, 140, 150, 150, 150, 150, 150, 150, 100]
-    gain = injected(faults.Drift(cosine_gain=0.5, ramp_samples=5), still, 10, 20).cosine
+    gain = injected(faults.TrackDrift(cosine_gain=0.5, ramp_samples=5), still, 10, 20).cosine
     assert gain[9:16].tolist() == [1000, 900, 800, 700, 600, 500, 500]
 
 
 def test_a_phase_drift_turns_the_cosine_track() -> None:
     x = 2.0 * math.pi * np.arange(LENGTH) / 17.0
     samples = Samples.of(np.rint(1500 * np.sin(x)), np.rint(1500 * np.cos(x)))
-    after = injected(faults.Drift(phase_rad=0.3, ramp_samples=1), samples)
+    after = injected(faults.TrackDrift(phase_rad=0.3, ramp_samples=1), samples)
     assert np.abs(after.cosine[SPAN] - 1500 * np.cos(x - 0.3)[SPAN]).max() < 2.0
     assert np.array_equal(after.sine, samples.sine)
 
@@ -210,7 +210,7 @@ def test_wrong_arguments_are_refused() -> None:
     with pytest.raises(ValueError, match="adc_bits"):
         Samples.of([1], [1], adc_bits=3)
     with pytest.raises(ValueError, match="ramp_samples"):
-        faults.Drift(ramp_samples=0)
+        faults.TrackDrift(ramp_samples=0)
     with pytest.raises(ValueError, match="times"):
         faults.RepeatedSamples(1)
     with pytest.raises(ValueError, match="intervals"):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from canfb.errors import BusError
-from canfb.sources.iio_capture import IioCapture, Scaling
+from canfb.sources.iio_capture import ChannelScaling, IioCapture
 from canfb.sources.iio_source import IioSourceConfig
 
 CONFIG = IioSourceConfig(device="ads7950")
@@ -60,7 +60,7 @@ def test_nothing_loads_the_binding_before_it_is_used() -> None:
 @pytest.mark.parametrize("bits", [4, 8, 12, 16, 18, 24, 32])
 @pytest.mark.parametrize("signed", [True, False])
 def test_both_ends_of_the_range_and_its_middle(bits: int, signed: bool) -> None:
-    scaling = Scaling(bits, signed, None)
+    scaling = ChannelScaling(bits, signed, None)
     full_scale = 1 << min(bits, 16) - 1
     lowest = -(1 << bits - 1) if signed else 0
     readings = lowest, lowest + (1 << bits - 1), lowest + (1 << bits) - 1
@@ -69,7 +69,7 @@ def test_both_ends_of_the_range_and_its_middle(bits: int, signed: bool) -> None:
 
 @pytest.mark.parametrize("mid_scale", [-1e9, 0.0, 100.5, 4095.0, 1e9])
 def test_wherever_mid_scale_is_counts_stay_within_their_bits(mid_scale: float) -> None:
-    scaling = Scaling(12, False, mid_scale)
+    scaling = ChannelScaling(12, False, mid_scale)
     counts = [scaling.counts(reading) for reading in range(4096)]
     assert counts == sorted(counts)
     assert (counts[0], counts[-1]) == (-2048, 2047)

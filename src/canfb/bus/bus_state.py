@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
 
-from canfb.cia301.frame import Frame
 from canfb.errors import reason
 
 RETRY_S = 0.2  # between attempts on a bus that is down
@@ -20,18 +18,7 @@ ERROR_RESTARTED = 0x100
 INTERFACE_DOWN = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO})
 
 
-@runtime_checkable
-class BusWatching(Protocol):
-    """A device that wants to know when the bus goes and comes back, as FeedbackModule does."""
-
-    def bus_off(self, now: float) -> list[Frame]:
-        """The bus is gone."""
-
-    def bus_back(self, now: float) -> list[Frame]:
-        """The bus is back."""
-
-
-class Direction:
+class FailureWatch:
     """Sending or receiving: reports a failure once, and that it is over once that has lasted."""
 
     def __init__(self, report: Callable[[str], None], trouble: str, recovered: str) -> None:

@@ -8,29 +8,16 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable
-from typing import IO, Any, Protocol, runtime_checkable
+from typing import IO, Any
 
 from canfb.bus.messages import Inbox
 from canfb.cia301.frame import Frame
+from canfb.device.hosted import Computing
 
 log = logging.getLogger(__name__)
 
 COMMAND = (sys.executable, "-m", "canfb.bus.compute_process")
 PIECE_BYTES = 1 << 16
-
-
-@runtime_checkable
-class Computing(Protocol):
-    """A device with something to compute now and then, as FeedbackModule is."""
-
-    def pending_job(self) -> Any:
-        """What is to be computed, None for nothing."""
-
-    def finish_job(self, job: Any, result: Any, now: float) -> list[Frame]:
-        """What came out, or an Exception."""
-
-    def job_progress(self, job: Any, part: float) -> None:
-        """How far it is, 0..1."""
 
 
 class Computation:

@@ -7,21 +7,20 @@ import logging
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Protocol, runtime_checkable
 from uuid import uuid4
 
 import can
 
-from canfb.bus.bus_state import RETRY_S, BusState, BusWatching, Direction
-from canfb.bus.computing import Computation, Computing
+from canfb.bus.bus_state import RETRY_S, BusState, FailureWatch
+from canfb.bus.computing import Computation
 from canfb.bus.opening import brings_own_frames_back, marks_own_frames
 from canfb.bus.receive_times import ReceiveTimes
 from canfb.cia301.frame import Frame
-from canfb.device.hosted import Device
+from canfb.device.hosted import BusWatching, Computing, Device, Ending, Inhibited
 from canfb.device.moment import NEVER
 from canfb.errors import CanfbError
 
@@ -32,25 +31,6 @@ LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
 LEAST_WAIT_S = 2e-4  # what is not faster than that was waited for
 LONGEST_DRAIN_S = 1.0  # how long frames that wait may put off a deadline
 LONGEST_BLIND_DRAIN_S = 0.1  # where they have no receive times, and may have come after it
-
-
-@runtime_checkable
-class Ending(Protocol):
-    """A device that has something to do when the program ends, as FeedbackModule has."""
-
-    def end(self, now: float) -> None:
-        """The program ends."""
-
-
-@runtime_checkable
-class Inhibited(Protocol):
-    """A device with inhibit times, as FeedbackModule is."""
-
-    inhibited: Mapping[int | None, object]
-    """By CAN-ID: the frames of which it wants to know."""
-
-    def sent(self, can_id: int, now: float) -> None:
-        """A frame of its own with this CAN-ID has left."""
 
 
 class DeviceFailure(CanfbError):
@@ -108,8 +88,8 @@ class Runner:
         self._asked_s = clock()  # when a frame was asked for
         self._compute_s = -NEVER  # when to look for computations next
         self._stopped = False
-        self._receiving = Direction(report, "the bus fails", "the bus works again")
-        self._sending = Direction(report, "a frame could not be sent", "frames can be sent again")
+        self._receiving = FailureWatch(report, "the bus fails", "the bus works again")
+        self._sending = FailureWatch(report, "a frame could not be sent", "frames can be sent again")
         self._bus_state = BusState(report)
         self._computations = [
             (device, Computation(device, report)) for device in devices if isinstance(device, Computing)

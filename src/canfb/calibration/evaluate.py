@@ -9,7 +9,14 @@ from canfb.calibration.joint import JointFit, bound_covariance, fit_jointly
 from canfb.calibration.judgement import judge
 from canfb.calibration.motion_blocks import Blocks
 from canfb.calibration.recording import BINS, Recording, coverage
-from canfb.calibration.result import TRACK_POINTS, Calibration, ErrorCurve, Harmonic, Method, error_harmonics
+from canfb.calibration.result import (
+    TRACK_POINTS,
+    Calibration,
+    ErrorCurve,
+    ErrorHarmonic,
+    Method,
+    error_harmonics,
+)
 from canfb.calibration.solver import Solution
 from canfb.calibration.waveform import (
     Waveform,
@@ -172,7 +179,7 @@ def error_curve(position: FloatArray, before: FloatArray, after: FloatArray) -> 
 
 def _harmonics(
     waveform: Waveform, conditioning: Conditioning, origin: float, expected: float
-) -> tuple[Harmonic, ...]:
+) -> tuple[ErrorHarmonic, ...]:
     phase = grid_phases(1024)[:-1]
     s, c = conditioning.apply(*waveform.tracks(phase + origin))
     angle = np.unwrap(np.arctan2(s, c) / (2.0 * np.pi), period=1.0)

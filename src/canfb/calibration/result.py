@@ -63,7 +63,7 @@ class Method(StrEnum):
 TRACK_POINTS = 1024
 
 
-class Harmonic(NamedTuple):
+class ErrorHarmonic(NamedTuple):
     """One harmonic of the error: amplitude cos(2 pi order phase + angle), amplitude in cycles."""
 
     order: int
@@ -140,7 +140,7 @@ class Calibration:
     cramer_rao_ratio: float | None = None
     cramer_rao_scatter: float | None = None
     track_orders: tuple[int, ...] = ()
-    harmonics: tuple[Harmonic, ...] = ()
+    harmonics: tuple[ErrorHarmonic, ...] = ()
     curve: ErrorCurve
     block_samples: int
     tracks: FloatArray | None = None
@@ -168,11 +168,11 @@ class Calibration:
 
 def error_harmonics(
     phase: FloatArray, angle: FloatArray, smallest_cycles: float, highest: int = 64
-) -> tuple[Harmonic, ...]:
+) -> tuple[ErrorHarmonic, ...]:
     """Harmonics of ``angle - phase`` at equidistant ``phase`` (cycles), those above ``smallest_cycles``."""
     spectrum = np.fft.rfft(angle - phase) / len(phase)
     found = [
-        Harmonic(order, 2.0 * float(abs(spectrum[order])), float(np.angle(spectrum[order])))
+        ErrorHarmonic(order, 2.0 * float(abs(spectrum[order])), float(np.angle(spectrum[order])))
         for order in range(1, min(highest, len(spectrum) - 1) + 1)
     ]
     return tuple(

@@ -20,7 +20,7 @@ from canfb.calibration.evaluate import error_curve, peak, root_mean
 from canfb.calibration.judgement import judge
 from canfb.calibration.motion_blocks import BoolArray, IntArray
 from canfb.calibration.recording import Recording, check_clipped, coverage, recording
-from canfb.calibration.result import TRACK_POINTS, Calibration, Harmonic, Method, Reason, error_harmonics
+from canfb.calibration.result import TRACK_POINTS, Calibration, ErrorHarmonic, Method, Reason, error_harmonics
 from canfb.calibration.solver import Progress, no_progress
 from canfb.calibration.waveform import grid_phases, table_from_phases
 from canfb.errors import CalibrationError
@@ -316,7 +316,7 @@ def _mean_tracks(counts: FloatArray, phase: FloatArray) -> FloatArray:
     return np.array([np.interp(np.arange(TRACK_POINTS), seen, one, period=TRACK_POINTS) for one in means])
 
 
-def _harmonics(nodes: FloatArray, phase: FloatArray, uncertainty: float) -> tuple[Harmonic, ...]:
+def _harmonics(nodes: FloatArray, phase: FloatArray, uncertainty: float) -> tuple[ErrorHarmonic, ...]:
     even = grid_phases(1024)[:-1]
     ahead = np.concatenate([phase - 1.0, phase, phase + 1.0])
     angle = np.interp(even, ahead, np.concatenate([nodes - 1.0, nodes, nodes + 1.0]))

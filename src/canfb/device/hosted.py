@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Mapping
+from typing import Any, Protocol, runtime_checkable
 
 from canfb.cia301.frame import Frame
 
@@ -21,3 +22,47 @@ class Device(Protocol):
 
     def deadline(self) -> float | None:
         """When tick is due."""
+
+
+@runtime_checkable
+class Ending(Protocol):
+    """A device that has something to do when the program ends, as FeedbackModule has."""
+
+    def end(self, now: float) -> None:
+        """The program ends."""
+
+
+@runtime_checkable
+class Inhibited(Protocol):
+    """A device with inhibit times, as FeedbackModule is: they count from when its frames leave."""
+
+    inhibited: Mapping[int | None, object]
+    """By CAN-ID: the frames for which ``sent`` is called."""
+
+    def sent(self, can_id: int, now: float) -> None:
+        """A frame of its own with this CAN-ID has left."""
+
+
+@runtime_checkable
+class BusWatching(Protocol):
+    """A device that wants to know when the bus goes and comes back, as FeedbackModule does."""
+
+    def bus_off(self, now: float) -> list[Frame]:
+        """The bus is gone."""
+
+    def bus_back(self, now: float) -> list[Frame]:
+        """The bus is back."""
+
+
+@runtime_checkable
+class Computing(Protocol):
+    """A device with something to compute now and then, as FeedbackModule is."""
+
+    def pending_job(self) -> Any:
+        """What is to be computed, None for nothing."""
+
+    def finish_job(self, job: Any, result: Any, now: float) -> list[Frame]:
+        """What came out, or an Exception."""
+
+    def job_progress(self, job: Any, part: float) -> None:
+        """How far it is, 0..1."""

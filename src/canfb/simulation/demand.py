@@ -19,7 +19,7 @@ LEFT_FOR_MOTION = 0.85
 
 
 @dataclass(frozen=True)
-class Demand:
+class MotionDemand:
     """The largest speed and acceleration of a motion, and the module that has to follow them.
 
     what                  what moves, for people
@@ -76,7 +76,7 @@ class Demand:
         return None
 
 
-def of_motion(motion: MotionConfig, module: ChainConfig, rate_hz: float) -> Demand:
+def of_motion(motion: MotionConfig, module: ChainConfig, rate_hz: float) -> MotionDemand:
     """Standstill, ramp and ripple of the configuration."""
     cycles = module.cycles_per_revolution / 60.0 / rate_hz  # per sample, for one rpm
     top = abs(motion.rpm) + abs(motion.ripple_rpm)
@@ -84,7 +84,7 @@ def of_motion(motion: MotionConfig, module: ChainConfig, rate_hz: float) -> Dema
     # A ramp that is shorter than an interval is a step of the speed between two samples.
     steepest = 0.0 if in_motion else min(rate_hz, 1.0 / motion.ramp_s if motion.ramp_s else math.inf)
     ripple = 2.0 * math.pi * motion.ripple_hz * abs(motion.ripple_rpm)
-    return Demand(
+    return MotionDemand(
         f"motion: {motion.rpm:g} rpm",
         module,
         rate_hz,
@@ -95,11 +95,11 @@ def of_motion(motion: MotionConfig, module: ChainConfig, rate_hz: float) -> Dema
     )
 
 
-def of_drive(motor: MotorConfig, module: ChainConfig, rate_hz: float, revolutions_s: float) -> Demand:
+def of_drive(motor: MotorConfig, module: ChainConfig, rate_hz: float, revolutions_s: float) -> MotionDemand:
     """A motor, which may accelerate, or brake, with all its torque; ``revolutions_s`` is its speed."""
     able = (motor.rated_torque_nm + motor.coulomb_friction_nm) / motor.inertia_kg_m2
     speed = revolutions_s * module.cycles_per_revolution / rate_hz
-    demand = Demand("drive", module, rate_hz, speed, able)
+    demand = MotionDemand("drive", module, rate_hz, speed, able)
     followed = demand.part * demand.allowed_rad_s2 * motor.inertia_kg_m2  # torque, Nm
     share = (followed - motor.coulomb_friction_nm) / motor.rated_torque_nm
     advice = f"write {int(1000 * share)} or less to 6072h" if share > 0.001 else "less friction and torque"
@@ -108,7 +108,7 @@ def of_drive(motor: MotorConfig, module: ChainConfig, rate_hz: float, revolution
 
 def of_recording(
     sine: FloatArray, cosine: FloatArray, module: ChainConfig, rate_hz: float, name: str
-) -> Demand:
+) -> MotionDemand:
     """Tracks in counts, NaN where a sample is missing; the speed is counted from the first samples on.
 
     Phases alone leave an acceleration open by whole cycles per sample squared: the smallest is taken.
@@ -123,7 +123,7 @@ def of_recording(
     largest = float(np.abs(bend).max(initial=0.0))
     acceleration = 2.0 * math.pi * largest * rate_hz**2 / module.cycles_per_revolution
     what = f"recording {name}, with the errors of its tracks"
-    return Demand(what, module, rate_hz, float(speed.max()), acceleration, part=1.0)
+    return MotionDemand(what, module, rate_hz, float(speed.max()), acceleration, part=1.0)
 
 
 def _up(rate_hz: float) -> str:

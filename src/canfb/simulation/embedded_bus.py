@@ -4,27 +4,15 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
 
 from canfb.cia301.frame import Frame
-from canfb.device.hosted import Device
+from canfb.device.hosted import Computing, Device
 from canfb.device.moment import NEVER
 from canfb.simulation.wire import Wire, frame_bits
 
 __all__ = ["EmbeddedBus", "frame_bits"]
 
 LONGEST_WAIT_S = 1.0
-
-
-@runtime_checkable
-class Computing(Protocol):
-    """A participant with something to compute now and then, as the module is."""
-
-    def pending_job(self) -> Any:
-        """What is to be computed, None for nothing."""
-
-    def finish_job(self, job: Any, result: Any, now: float) -> list[Frame]:
-        """What came out."""
 
 
 class EmbeddedBus:

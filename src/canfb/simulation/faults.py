@@ -188,7 +188,7 @@ class InvertedTracks:
 
 
 @dataclass(frozen=True)
-class Drift:
+class TrackDrift:
     """Offset, gain and phase of the tracks drift: a slow ramp that ends at these values.
 
     sine_offset, cosine_offset   counts, added

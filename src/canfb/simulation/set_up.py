@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from canfb.device.hosted import Device
-from canfb.simulation.demand import Demand, of_motion, of_recording
+from canfb.simulation.demand import MotionDemand, of_motion, of_recording
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.fed_module import FedModule
 from canfb.simulation.hearing import SlowMotion
@@ -50,7 +50,7 @@ class SimulatedNetwork:
     interface: EncoderInterface
     devices: list[Device]
     axis: SimulatedAxis | None
-    demand: Demand | None
+    demand: MotionDemand | None
     recorder: SampleRecorder
     rate_hz: float
 
@@ -121,7 +121,7 @@ def source_of(simulation: SimulationConfig, module: FedModule, play: Play) -> So
     return MotionSource(shaft, simulation.motion.motion(), interval_s)
 
 
-def _demand(simulation: SimulationConfig, module: FedModule, play: Play, source: Source) -> Demand:
+def _demand(simulation: SimulationConfig, module: FedModule, play: Play, source: Source) -> MotionDemand:
     """What the motion, or the recording, asks of the module."""
     rate_hz = sync_rate(simulation, play.rate_hz)
     if isinstance(source, (RecordingSource, ArraySource)):

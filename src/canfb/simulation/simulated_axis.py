@@ -8,7 +8,7 @@ from canfb.errors import ConfigError
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.motor import Motor
 from canfb.simulation.cia402.plant import Plant, PlantSource
-from canfb.simulation.demand import Demand, of_drive
+from canfb.simulation.demand import MotionDemand, of_drive
 from canfb.simulation.fed_module import FedModule
 from canfb.simulation.scenario import SimulationConfig
 
@@ -23,7 +23,7 @@ class SimulatedAxis:
     source: PlantSource
     drive: ServoDrive
     module_id: int
-    demand: Demand | None = None
+    demand: MotionDemand | None = None
     """What it asks of the module, None without a known SYNC rate."""
 
     def describe(self) -> str:

@@ -25,7 +25,7 @@ TIMEOUT_MS = 2000
 NS_PER_100NS = 100
 
 
-class Scaling:
+class ChannelScaling:
     """From the readings of a channel to ADC counts of ``adc_bits``, 4..16.
 
     A converter of more than 16 bits loses the last ones. A reading at either end of its range is a
@@ -175,7 +175,7 @@ def _timestamp(device: Any) -> Any:
     return channel
 
 
-def _scaling(sine: Any, cosine: Any, config: IioSourceConfig) -> Scaling:
+def _scaling(sine: Any, cosine: Any, config: IioSourceConfig) -> ChannelScaling:
     formats = [channel.data_format for channel in (sine, cosine)]
     for key, channel in zip(("sine", "cosine"), formats, strict=True):
         if channel.repeat > 1:
@@ -187,7 +187,7 @@ def _scaling(sine: Any, cosine: Any, config: IioSourceConfig) -> Scaling:
     (bits, signed), other = ((one.bits, bool(one.is_signed)) for one in formats)
     if (bits, signed) != other:
         raise ConfigError(f"source: cosine: {config.cosine!r} has another format than {config.sine!r}")
-    scaling = Scaling(bits, signed, config.mid_scale)
+    scaling = ChannelScaling(bits, signed, config.mid_scale)
     if config.adc_bits not in (None, scaling.adc_bits):
         raise ConfigError(f"adc_bits is {config.adc_bits}, but the converter of {config.device!r} has {bits}")
     return scaling

@@ -35,7 +35,7 @@ class Shaft(Protocol):
         """Both tracks at these positions, shape (n, 2), ADC counts; ``seed`` is that of the noise."""
 
 
-class Trajectory(Protocol):
+class ShaftMotion(Protocol):
     """Position of a shaft over time, see :class:`canfb.simulation.motion.Motion`."""
 
     def revolutions(self, time_s: float) -> float:
@@ -72,7 +72,7 @@ class MotionSource:
     interval passes with every sample. Use one of the two.
     """
 
-    def __init__(self, shaft: Shaft, motion: Trajectory, interval_s: float) -> None:
+    def __init__(self, shaft: Shaft, motion: ShaftMotion, interval_s: float) -> None:
         self._shaft = shaft
         self._motion = motion
         self._interval_s = interval_s

@@ -52,20 +52,20 @@ def _offset_drift(rng: Rng) -> Fault:
     size = float(rng.uniform(0.3, 1.5)) * A * float(rng.choice((-1.0, 1.0)))
     ramp = int(rng.integers(20, 201))
     if _one_track(rng) is Signal.SINE:
-        return faults.Drift(sine_offset=size, ramp_samples=ramp)
-    return faults.Drift(cosine_offset=size, ramp_samples=ramp)
+        return faults.TrackDrift(sine_offset=size, ramp_samples=ramp)
+    return faults.TrackDrift(cosine_offset=size, ramp_samples=ramp)
 
 
 def _gain_drift(rng: Rng) -> Fault:
     gain, ramp = float(rng.uniform(-0.2, 1.4)), int(rng.integers(20, 201))
     if _one_track(rng) is Signal.SINE:
-        return faults.Drift(sine_gain=gain, ramp_samples=ramp)
-    return faults.Drift(cosine_gain=gain, ramp_samples=ramp)
+        return faults.TrackDrift(sine_gain=gain, ramp_samples=ramp)
+    return faults.TrackDrift(cosine_gain=gain, ramp_samples=ramp)
 
 
 def _phase_drift(rng: Rng) -> Fault:
     size = float(rng.uniform(0.1, 1.0)) * math.pi * float(rng.choice((-1.0, 1.0)))
-    return faults.Drift(phase_rad=size, ramp_samples=int(rng.integers(20, 201)))
+    return faults.TrackDrift(phase_rad=size, ramp_samples=int(rng.integers(20, 201)))
 
 
 def _oscillation(rng: Rng) -> Fault:

@@ -21,7 +21,7 @@ _CONFIRM = 128  # of the fastscan: is there any device without a node-ID?
 _PARTS = 4
 
 
-class Response(IntEnum):
+class LssResponse(IntEnum):
     """Command specifiers of the slave's answers."""
 
     SELECTED = 0x44
@@ -29,10 +29,10 @@ class Response(IntEnum):
     NON_CONFIGURED = 0x50
 
 
-class Answer(NamedTuple):
+class LssReply(NamedTuple):
     """What to send, and whether the slave is selected by it: it goes to the configuration state."""
 
-    command: Response
+    command: LssResponse
     selected: bool = False
 
 
@@ -57,7 +57,7 @@ class Identification:
         )
         return vendor, product, revision, serial
 
-    def handle(self, data: bytes, *, unconfigured: bool, waiting: bool) -> Answer | None:
+    def handle(self, data: bytes, *, unconfigured: bool, waiting: bool) -> LssReply | None:
         """A frame of 8 bytes; what to answer, if anything.
 
         `unconfigured`: the device has no node-ID. `waiting`: it is in the waiting state.
@@ -68,19 +68,19 @@ class Identification:
         if command in IDENTIFY:
             return self._identify(command - IDENTIFY.start, number)
         if command == IDENTIFY_NON_CONFIGURED:
-            return Answer(Response.NON_CONFIGURED) if unconfigured else None
+            return LssReply(LssResponse.NON_CONFIGURED) if unconfigured else None
         if command == FASTSCAN and unconfigured and waiting:
             return self._fastscan(number, *data[5:8])
         return None
 
-    def _select(self, part: int, number: int) -> Answer | None:
+    def _select(self, part: int, number: int) -> LssReply | None:
         self._selection = _collected(self._selection, part, number)
         if tuple(self._selection) != self.address:
             return None
         self._selection = []
-        return Answer(Response.SELECTED, selected=True)
+        return LssReply(LssResponse.SELECTED, selected=True)
 
-    def _identify(self, part: int, number: int) -> Answer | None:
+    def _identify(self, part: int, number: int) -> LssReply | None:
         self._range = _collected(self._range, part, number)
         if len(self._range) < len(IDENTIFY):
             return None
@@ -92,20 +92,20 @@ class Identification:
             and revision_low <= revision <= revision_high
             and serial_low <= serial <= serial_high
         )
-        return Answer(Response.IDENTIFIED) if found else None
+        return LssReply(LssResponse.IDENTIFIED) if found else None
 
-    def _fastscan(self, number: int, bit: int, part: int, following: int) -> Answer | None:
+    def _fastscan(self, number: int, bit: int, part: int, following: int) -> LssReply | None:
         """Compare the part down to `bit`; the master goes on with the part `following`."""
         if bit == _CONFIRM:
             self._scanned = 0
-            return Answer(Response.IDENTIFIED)
+            return LssReply(LssResponse.IDENTIFIED)
         if bit > 31 or part >= _PARTS or following >= _PARTS or part != self._scanned:
             return None
         if (number ^ self.address[part]) >> bit:
             return None
         self._scanned = following
         complete = bit == 0 and following < part
-        return Answer(Response.IDENTIFIED, selected=complete)
+        return LssReply(LssResponse.IDENTIFIED, selected=complete)
 
 
 def _collected(parts: list[int], part: int, number: int) -> list[int]:

@@ -32,7 +32,7 @@ class LssState(IntEnum):
     CONFIGURATION = 1
 
 
-class Command(IntEnum):
+class LssCommand(IntEnum):
     """Command specifiers of the services beside identification."""
 
     SWITCH_STATE_GLOBAL = 0x04
@@ -95,12 +95,12 @@ class LssSlave:
         self._configured = configured
         self._identification = Identification(dictionary)
         self._services: dict[int, Callable[[bytes], None]] = {
-            Command.CONFIGURE_NODE_ID: self._configure_node_id,
-            Command.CONFIGURE_BIT_TIMING: self._configure_bit_timing,
-            Command.ACTIVATE_BIT_TIMING: self._activate_bit_timing,
-            Command.STORE_CONFIGURATION: self._store,
-            Command.INQUIRE_NODE_ID: self._inquire_node_id,
-            **{Command.INQUIRE_IDENTITY + part: self._inquire_identity for part in range(4)},
+            LssCommand.CONFIGURE_NODE_ID: self._configure_node_id,
+            LssCommand.CONFIGURE_BIT_TIMING: self._configure_bit_timing,
+            LssCommand.ACTIVATE_BIT_TIMING: self._activate_bit_timing,
+            LssCommand.STORE_CONFIGURATION: self._store,
+            LssCommand.INQUIRE_NODE_ID: self._inquire_node_id,
+            **{LssCommand.INQUIRE_IDENTITY + part: self._inquire_identity for part in range(4)},
         }
 
     def power_on(self) -> None:
@@ -127,7 +127,7 @@ class LssSlave:
         """A frame of the master; one that is not 8 bytes long is dropped."""
         if len(data) != _LENGTH:
             self._counters.malformed_frames += 1
-        elif data[0] == Command.SWITCH_STATE_GLOBAL:
+        elif data[0] == LssCommand.SWITCH_STATE_GLOBAL:
             self._switch_state(data[1], now)
         elif data[0] in self._services:
             if self.state is LssState.CONFIGURATION:
@@ -194,5 +194,5 @@ class LssSlave:
         self._answer(bytes([data[0], self._active_node_id()]))
 
     def _inquire_identity(self, data: bytes) -> None:
-        number = self._identification.address[data[0] - Command.INQUIRE_IDENTITY]
+        number = self._identification.address[data[0] - LssCommand.INQUIRE_IDENTITY]
         self._answer(bytes([data[0]]) + number.to_bytes(4, "little"))

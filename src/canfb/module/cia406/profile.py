@@ -13,7 +13,7 @@ from canfb.module.cia406.position import (
     distinguishable_revolutions,
     single_turn_resolution,
 )
-from canfb.module.cia406.speed import Motion
+from canfb.module.cia406.speed import MotionObjects
 from canfb.module.cia406.work_area import WorkArea
 from canfb.module.interval import IntervalEstimate
 from canfb.signal.feedback import Feedback
@@ -55,7 +55,7 @@ class EncoderProfile:
         self._module_range = entry(0x650A, 2), entry(0x650A, 3)
         self._cams = Cams(dictionary, self._valid_position)
         WorkArea(dictionary, self._valid_position, lambda: self._scale.total_range)
-        Motion(dictionary, interval, lambda: self._last_valid, lambda: self._scale)
+        MotionObjects(dictionary, interval, lambda: self._last_valid, lambda: self._scale)
         self.reset()
 
     def reset(self) -> None:

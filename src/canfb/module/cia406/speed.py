@@ -23,7 +23,7 @@ def saturated(value: float) -> int:
     return round(max(float(LOWEST), min(value, float(HIGHEST))))
 
 
-class Motion:
+class MotionObjects:
     """Objects 6030h and 6040h of channel 1, computed when they are read.
 
     Measuring units per second, or per second squared, times 2003:01 over 2003:02, or 2003:03 over

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from enum import Enum
 from typing import NamedTuple
 
 from canfb.signal.recovery.bridge import (
@@ -45,6 +46,13 @@ RUN_WIDTH_CYCLES = 0.01
 CHANCE = 1e-5
 # How close to the prediction a sample is counted from it, cycles, one interval after the last.
 CLOSE_CYCLES = 0.055
+
+
+class Undecided(Enum):
+    """Why the samples after a gap do not say where the position is."""
+
+    YET = "more samples may decide"
+    FOR_EVER = "no more samples can decide"
 
 
 class _Sample(NamedTuple):
@@ -123,8 +131,8 @@ class Doubt:
         self._anchor, self._anchored = place, self._now
         return Track(place.cycles, phase, residual, True)
 
-    def settle(self, known: float | None) -> list[Place] | None:
-        """Where the position is if samples were missing and nothing else was wrong: see :meth:`decide`.
+    def settle(self, known: float | None) -> list[Place] | Undecided:
+        """The places after the gap if samples were missing and nothing else was wrong.
 
         ``known``: the largest acceleration of the machine, cycles per interval squared; None: not
         known. A single place is the first one after the gap; the speed is not certain yet then.
@@ -133,27 +141,29 @@ class Doubt:
         even = self._even(run)
         if max(map(abs, run_accelerations(even)), default=0.0) >= self._limit:
             self._only_missed = False  # something else is wrong
-            return None
+            return Undecided.YET
         start, unseen = self._unseen(even, run)
         most = self._limit if known is None else min(known, self._limit)
         if len(run) == 1:
             cycles = passed(unseen, most)
-            return [Place(start + cycles[0], run[0].phase, run[0].time)] if len(cycles) == 1 else None
+            if len(cycles) != 1:
+                return Undecided.YET
+            return [Place(start + cycles[0], run[0].phase, run[0].time)]
         found = fitting(unseen, within(most, unseen.intervals))
         if not found:
             self._only_missed = False  # no machine within the limits can do that
-            return None
+            return Undecided.YET
         if len(found) > 1:
             if known is not None and unseen.intervals > SURE_INTERVALS:
-                return []
+                return Undecided.FOR_EVER
             if len(run) < SHORTEST_RUN:
-                return None
+                return Undecided.YET
             if known is None:
                 found = fitting(unseen, within(USED_PART * most, unseen.intervals))
             if len(found) != 1:
                 found = self._alike(even, unseen, most, known is not None)
         if not found:
-            return []
+            return Undecided.FOR_EVER
         cycles_passed, step = found[0]
         places = self._places(run, even, Way(start + cycles_passed, step, 0.0))
         return [places[0]._replace(elapsed=run[0].time), *places[1:]]
@@ -180,29 +190,25 @@ class Doubt:
         found = alike(unseen, before, after, limit, known)
         return [] if found is None else [found]
 
-    def decide(self, coast_samples: int) -> list[Place] | None:
-        """The places after the gap; empty if no more samples can decide; None if more may.
+    def decide(self, coast_samples: int) -> list[Place] | Undecided:
+        """The places after the gap.
 
         Up to ``coast_samples`` and ``doubted`` intervals are bridged, bad samples or none.
         """
         if len(self._run) < SHORTEST_RUN:
-            return None
+            return Undecided.YET
         even = self._even(self._run)
         length = self._smooth(even)
         run, even = self._run[-length:], even[-length:]
         if length < SHORTEST_RUN or length < _enough(_width(run_accelerations(even))):
-            return [] if len(self._run) >= LONGEST_RUN else None
+            return Undecided.FOR_EVER if len(self._run) >= LONGEST_RUN else Undecided.YET
         left_out = self._left_out + len(self._run) - length
         if left_out > self._doubted or run[0].time - 1.0 > coast_samples + self._doubted:
-            return []  # more than a glitch: what comes then is not to be trusted either
+            return Undecided.FOR_EVER  # more than a glitch: what comes then is not to be trusted either
         way = bridge(self._before, even, run[0].time, self._doubted, self._limit)
-        if way is None:
-            return []
-        if self._leads_elsewhere(run, even, way):
-            return []
-        if length >= _enough(way.width):
-            return self._places(run, even, way)
-        return None
+        if way is None or self._leads_elsewhere(run, even, way):
+            return Undecided.FOR_EVER
+        return self._places(run, even, way) if length >= _enough(way.width) else Undecided.YET
 
     def _leads_elsewhere(self, run: Sequence[_Sample], even: Sequence[float], way: Way) -> bool:
         """True if good samples all around the bad ones would lead to another position."""

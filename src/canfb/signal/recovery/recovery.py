@@ -18,7 +18,7 @@ import numpy.typing as npt
 from canfb.signal.blocks import Scratch
 from canfb.signal.phase import FloatArray
 from canfb.signal.recovery.bridge import Place, accelerations
-from canfb.signal.recovery.doubt import Doubt
+from canfb.signal.recovery.doubt import Doubt, Undecided
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.tracker import RESIDUAL_LIMIT, Track, Tracker, TrackResult, steady_run
 
@@ -262,14 +262,14 @@ class Recovery:
         doubt = self._doubted()
         coasted = doubt.meet(followed.phase, elapsed)
         if doubt.only_missed:
-            places = doubt.settle(self.acceleration_limit)
-            if places:
-                return self._go_on(places), VALID
+            found = doubt.settle(self.acceleration_limit)
+            if not isinstance(found, Undecided):
+                return self._go_on(found), VALID
         else:
-            places = doubt.decide(self.coast_samples)
-            if places:
-                return self._adopt(places), VALID
-        if places is not None or doubt.is_over(self.coast_samples):
+            found = doubt.decide(self.coast_samples)
+            if not isinstance(found, Undecided):
+                return self._adopt(found), VALID
+        if found is Undecided.FOR_EVER or doubt.is_over(self.coast_samples):
             self.lose()
             return followed, LOST if followed.ok else LOST | RESIDUAL
         if coasted is not None:

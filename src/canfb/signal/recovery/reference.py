@@ -14,7 +14,7 @@ import math
 
 from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.recovery import Recovery
-from canfb.signal.recovery.zero_pulse import Verdict, ZeroPulse
+from canfb.signal.recovery.zero_pulse import PulseVerdict, ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
 from canfb.signal.tracker import Track
@@ -180,12 +180,12 @@ class Reference:
         if self._refutes(angle, track, -error):
             return bits, 0
         verdict = self.zero.weigh(cycles, phase)
-        self.in_doubt = verdict is Verdict.CONTRADICTS
-        if verdict is Verdict.WRONG:
+        self.in_doubt = verdict is PulseVerdict.CONTRADICTS
+        if verdict is PulseVerdict.WRONG:
             self.set_right += 1
             self._recovery.found(-error, 0)
             return bits & ~VALID | COASTING, -error
-        if verdict is Verdict.SLIPPED:  # what was counted before is not certain, what is counted from here is
+        if verdict is PulseVerdict.SLIPPED:  # what is counted from here is certain again
             self._recovery.lose()
             self._recovery.vouch()
             if angle is not None:

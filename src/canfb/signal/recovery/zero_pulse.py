@@ -11,7 +11,7 @@ from enum import Enum
 REMEMBERED = 3  # pulses that nothing has confirmed
 
 
-class Verdict(Enum):
+class PulseVerdict(Enum):
     """What a pulse says of a position that was valid up to here."""
 
     NOTHING = "there is no other one to compare it with"
@@ -49,11 +49,11 @@ class ZeroPulse:
         self._place = pulse_cycles % self.cycles_per_revolution + pulse_phase
         self.forget_doubts()
 
-    def weigh(self, pulse_cycles: int, pulse_phase: float) -> Verdict:
+    def weigh(self, pulse_cycles: int, pulse_phase: float) -> PulseVerdict:
         """Take a pulse of a position that was valid up to here, seen at this count."""
         if self.referenced and self.error_cycles(pulse_cycles, pulse_phase) == 0:
             self.forget_doubts()
-            return Verdict.AGREES
+            return PulseVerdict.AGREES
         here = pulse_cycles, pulse_phase
         for number, seen in enumerate(self._seen):
             if self._is_turns_from(seen, here):
@@ -64,15 +64,15 @@ class ZeroPulse:
                 del self._seen[0]
                 self._has_first = False
         is_first = not self.referenced and self._has_first and len(self._seen) == 1
-        return Verdict.NOTHING if is_first else Verdict.CONTRADICTS
+        return PulseVerdict.NOTHING if is_first else PulseVerdict.CONTRADICTS
 
-    def _confirmed(self, number: int, here: tuple[int, float]) -> Verdict:
+    def _confirmed(self, number: int, here: tuple[int, float]) -> PulseVerdict:
         is_first = number == 0 and self._has_first
         if self.referenced:
             self.forget_doubts()
-            return Verdict.WRONG
+            return PulseVerdict.WRONG
         self.set_place(*here)
-        return Verdict.AGREES if is_first else Verdict.SLIPPED
+        return PulseVerdict.AGREES if is_first else PulseVerdict.SLIPPED
 
     def error_cycles(self, pulse_cycles: int, pulse_phase: float) -> int:
         """How many cycles the count is too high at a pulse seen at this position: 0 if all is well.
