@@ -13,10 +13,10 @@ import yaml
 from commissioning_kit import Bench
 from test_calibrate_on_a_bus import calibrate
 
+from canfb.calibration.deviation import Deviation
 from canfb.commissioning.artefacts import write
 from canfb.commissioning.calibration_page import refusal_html, report_html
 from canfb.commissioning.circumstances import Circumstances
-from canfb.commissioning.deviation import Deviation
 from canfb.commissioning.measurement import Measurement
 from canfb.commissioning.procedure import Installation
 from canfb.commissioning.summary import as_json, bound_words, facts

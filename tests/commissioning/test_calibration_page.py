@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canfb.calibration.deviation import deviation
 from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.artefacts import prepare, write, write_refusal
 from canfb.commissioning.calibration_page import refusal_html, report_html
 from canfb.commissioning.circumstances import Circumstances
-from canfb.commissioning.deviation import deviation
 from canfb.commissioning.measurement import Measurement, Settings, block_of
 from canfb.commissioning.procedure import Installation
 from canfb.commissioning.sample_files import read_npz
@@ -31,7 +31,7 @@ LIMITS = SampleLimits(2048, 600.0, 2300.0)
 
 @pytest.fixture(scope="module")
 def done(measured: Measurement, fresh: TrackSamples, settings: Settings) -> Installation:
-    found = deviation(fresh, measured.found, measured.before, block_of(measured.calibration), 12)
+    found = deviation(fresh.recording(12), measured.found, measured.before, block_of(measured.calibration))
     return Installation(found, True, "1010:04")
 
 

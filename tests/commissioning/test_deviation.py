@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from commissioning_kit import random_encoder, recorded
 
-from canfb.commissioning.deviation import best_deviation, deviation
+from canfb.calibration.deviation import best_deviation, deviation
 from canfb.commissioning.measurement import Measurement, block_of
 from canfb.commissioning.samples import TrackSamples
 from canfb.errors import CalibrationError
@@ -14,7 +14,9 @@ from canfb.signal.correction import Correction, CorrectionTable
 
 
 def found(measured: Measurement, samples: TrackSamples) -> float:
-    return best_deviation(samples, measured.found, measured.before, block_of(measured.calibration), 12).rms
+    return best_deviation(
+        samples.recording(12), measured.found, measured.before, block_of(measured.calibration)
+    ).rms
 
 
 def test_it_is_the_noise_with_the_right_table(measured: Measurement, fresh: TrackSamples) -> None:
@@ -35,14 +37,14 @@ def test_a_wrong_table_shows_by_its_error(
     x = np.arange(256) / 256
     wrong = CorrectionTable(measured.calibration.table(x) + size * np.sin(2 * np.pi * order * x))
     used = Correction(wrong, measured.found.conditioning)
-    got = best_deviation(fresh, used, measured.before, block_of(measured.calibration), 12)
+    got = best_deviation(fresh.recording(12), used, measured.before, block_of(measured.calibration))
     want = np.hypot(size / np.sqrt(2), measured.calibration.residual_rms)
     assert got.rms == pytest.approx(want, rel=0.25)
     assert got.peak > got.rms
 
 
 def test_the_old_set_is_compared_on_the_same_samples(measured: Measurement, fresh: TrackSamples) -> None:
-    got = deviation(fresh, measured.found, measured.found, block_of(measured.calibration), 12)
+    got = deviation(fresh.recording(12), measured.found, measured.found, block_of(measured.calibration))
     assert got.before_rms == pytest.approx(got.rms, rel=1e-9)
     assert np.nanmax(np.abs(got.mean_over_phase() - got.mean_over_phase(before=True))) < 1e-9
 
@@ -83,6 +85,6 @@ def test_nothing_is_said_of_a_machine_that_stands_or_is_locked(speed: float, mea
 def test_slow_motion_is_not_taken_for_errors_nor_errors_for_motion(measured: Measurement) -> None:
     """At 150 samples a cycle a short block would follow the errors of the encoder."""
     samples = recorded(random_encoder(3), 6000, rpm=0.16, seed=4)
-    right = deviation(samples, measured.found, measured.before, 16, 12)
+    right = deviation(samples.recording(12), measured.found, measured.before, 16)
     assert right.rms == pytest.approx(measured.calibration.residual_rms, rel=0.3)
     assert right.before_rms > 0.5 * measured.on_samples.before_rms

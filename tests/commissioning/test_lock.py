@@ -10,12 +10,12 @@ import pytest
 from commissioning_kit import CYCLES, RATE_HZ, Bench, random_encoder
 
 import canfb
+from canfb.calibration.lock import LARGEST_DENOMINATOR, Lock, away_from, find_lock
 from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.commissioning.active import read_active
 from canfb.commissioning.guard import Guard
-from canfb.commissioning.lock import LARGEST_DENOMINATOR, Lock, away_from, find_lock
 from canfb.commissioning.samples import TrackSamples
 from canfb.configuration import Config
 from canfb.errors import CalibrationError
@@ -33,6 +33,10 @@ def tracks(cycles_per_sample: float, n: int = N, lost: float = 0.0) -> TrackSamp
     return TrackSamples.of(np.where(gone, np.nan, sine), np.where(gone, np.nan, cosine), RATE_HZ, "simulated")
 
 
+def lock_of(samples: TrackSamples) -> Lock | None:
+    return find_lock(samples.sine, samples.cosine)
+
+
 @pytest.mark.parametrize(
     ("speed", "lock"),
     [
@@ -48,30 +52,30 @@ def tracks(cycles_per_sample: float, n: int = N, lost: float = 0.0) -> TrackSamp
     ],
 )
 def test_small_fractions_are_found(speed: float, lock: Lock) -> None:
-    assert find_lock(tracks(speed)) == lock
-    assert find_lock(tracks(speed, lost=0.03)) == lock
+    assert lock_of(tracks(speed)) == lock
+    assert lock_of(tracks(speed, lost=0.03)) == lock
 
 
 @pytest.mark.parametrize("speed", [0.382, 25.41, 83.5 + 0.004, 1.003, 0.02, 83.34])
 def test_what_is_far_enough_from_them_is_no_lock(speed: float) -> None:
-    assert find_lock(tracks(speed)) is None
+    assert lock_of(tracks(speed)) is None
 
 
 def test_too_few_samples_say_nothing() -> None:
-    assert find_lock(tracks(1.0, 255)) is None
+    assert lock_of(tracks(1.0, 255)) is None
 
 
 def test_one_dead_track_is_no_lock() -> None:
     """It is the wiring, and the measurement says so."""
     samples = tracks(0.382)
     samples.cosine[:] = 0.0
-    assert find_lock(samples) is None
+    assert lock_of(samples) is None
 
 
 def test_the_step_that_is_named_leads_away_from_every_lock() -> None:
     for q in range(1, LARGEST_DENOMINATOR + 1):
         for p in range(q):
-            assert find_lock(tracks(p / q + away_from(p / q))) is None
+            assert lock_of(tracks(p / q + away_from(p / q))) is None
 
 
 def refused(bench: Bench, *arguments: str) -> tuple[CalibrationError, float]:

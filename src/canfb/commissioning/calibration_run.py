@@ -16,7 +16,7 @@ from canfb.commissioning.circumstances import Circumstances
 from canfb.commissioning.drift_check import check
 from canfb.commissioning.drift_summary import drift_json, drift_lines, module_drift_json, module_drift_lines
 from canfb.commissioning.guard import Guard
-from canfb.commissioning.lock import LockWatch
+from canfb.commissioning.lock_watch import LockWatch
 from canfb.commissioning.measurement import Measurement, Settings, measure
 from canfb.commissioning.procedure import Installation, install
 from canfb.commissioning.samples import TrackSamples

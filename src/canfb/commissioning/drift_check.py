@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from canfb.calibration.deviation import Deviation
 from canfb.calibration.drift import drift
 from canfb.calibration.result import Calibration
-from canfb.commissioning.deviation import Deviation
 from canfb.commissioning.measurement import Heard, Settings, measure
 from canfb.commissioning.samples import TrackSamples
 from canfb.signal.correction import Correction

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.result import Calibration, Method
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.commissioning.access import CommissioningError
-from canfb.commissioning.deviation import Deviation, best_deviation
 from canfb.commissioning.samples import TrackSamples
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
@@ -82,7 +82,7 @@ def measure(
         raise CommissioningError(f"the samples cannot be used: {error}") from error
     found = calibration.correction
     block = block_of(calibration)
-    on_samples = best_deviation(samples, found, before, block, settings.adc_bits)
+    on_samples = best_deviation(samples.recording(settings.adc_bits), found, before, block)
     return Measurement(samples, calibration, before, on_samples)
 
 

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from canfb import objects as od
+from canfb.calibration.deviation import best_deviation
 from canfb.calibration.result import Reason
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
 from canfb.commissioning.active import read_active
-from canfb.commissioning.deviation import best_deviation
 from canfb.commissioning.listening import Listener
 from canfb.commissioning.measurement import Measurement, Settings, block_of
 from canfb.commissioning.pdo_layout import PdoLayout
@@ -93,7 +93,9 @@ def with_table(measured: Measurement, found: Correction, settings: Settings) -> 
     if found.table is None:
         raise CommissioningError("the module says that its table is active, and has none")
     ours = measured.calibration
-    on_samples = best_deviation(measured.samples, found, measured.before, block_of(ours), settings.adc_bits)
+    on_samples = best_deviation(
+        measured.samples.recording(settings.adc_bits), found, measured.before, block_of(ours)
+    )
     calibration = replace(
         ours,
         table=found.table,

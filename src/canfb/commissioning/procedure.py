@@ -6,9 +6,9 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.commissioning.access import CommissioningError, NodeAccess
 from canfb.commissioning.active import put_back, put_in_force, save
-from canfb.commissioning.deviation import Deviation, best_deviation
 from canfb.commissioning.guard import Guard
 from canfb.commissioning.measurement import Measurement, Settings, block_of
 from canfb.commissioning.samples import TrackSamples
@@ -86,7 +86,9 @@ def install(
 def verify(samples: TrackSamples, measured: Measurement, settings: Settings) -> Deviation:
     """Deviation of fresh samples with the new set. CommissioningError if it is worse than promised."""
     calibration = measured.calibration
-    fresh = best_deviation(samples, measured.found, measured.before, block_of(calibration), settings.adc_bits)
+    fresh = best_deviation(
+        samples.recording(settings.adc_bits), measured.found, measured.before, block_of(calibration)
+    )
     limit = WORSE * calibration.residual_rms + calibration.uncertainty_rms
     if fresh.rms > limit:
         raise CommissioningError(

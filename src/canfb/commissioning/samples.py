@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from canfb.calibration.recording import Recording, recording
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample_times import TICK_S, TICKS
 from canfb.sources.tracks_file import with_gaps
@@ -54,6 +55,10 @@ class TrackSamples:
         ends = [-1, *known, len(stamps)]
         times = [-step * (known[0] + 1), *passed, passed[-1] + step * (len(stamps) - known[-1])]
         return replace(self, time_s=np.interp(np.arange(len(stamps)), ends, times) * TICK_S)
+
+    def recording(self, adc_bits: int | None) -> Recording:
+        """As a recording of this converter, for :mod:`canfb.calibration`."""
+        return recording(self.sine, self.cosine, self.time_s, None, adc_bits)
 
     def __len__(self) -> int:
         return len(self.sine)

@@ -4,31 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
-import numpy as np
-
+from canfb.calibration.lock import WINDOW, Lock, away_from, find_lock
 from canfb.calibration.result import Reason
 from canfb.commissioning.samples import TrackSamples
 from canfb.errors import CalibrationError
 from canfb.signal.phase import FloatArray
 
-WINDOW = 256  # samples; a reference measurement needs that the phases move within about so many
-LARGEST_DENOMINATOR = 16
-DRIFT_CYCLES = 0.36  # over the window, times the denominator: less is too close to locked
 FIRST_S = 1.0
 STANDSTILL_S = 3.0  # somebody may be about to let the machine turn
 HALF_CYCLE = 0.5
-# Steps in cycles per sample, far from simple fractions; the first that leads away from them is taken.
-STEPS = (0.382, 0.276, 0.171, 0.236, 0.118, 0.073, 0.045)
-FAR = 0.03
-
-
-class Lock(NamedTuple):
-    """So many cycles per sample: numerator / denominator, and an unknown whole number."""
-
-    numerator: int
-    denominator: int
 
 
 class Listening(Protocol):
@@ -44,29 +30,6 @@ class Listening(Protocol):
 
     def result(self) -> TrackSamples:
         """What came."""
-
-
-def find_lock(samples: TrackSamples) -> Lock | None:
-    """The lock of these samples, None without one, or with fewer than 256.
-
-    Locked at p/q, each q-th sample lies at the same place; here for q up to 16, on windows of 256.
-    """
-    z = samples.cosine + 1j * samples.sine
-    windows = len(z) // WINDOW
-    if not windows:
-        return None
-    rows = z[: windows * WINDOW].reshape(windows, WINDOW)
-    power = np.nanmean(np.abs(rows) ** 2)
-    for q in range(1, LARGEST_DENOMINATOR + 1):
-        length = WINDOW // q * q
-        places = rows[:, :length].reshape(windows, length // q, q)
-        seen = ~np.isnan(places)
-        mean = np.where(seen, places, 0.0).sum(axis=1) / np.maximum(1, seen.sum(axis=1))
-        if np.mean(np.abs(mean) ** 2) > power * np.sinc(DRIFT_CYCLES / q) ** 2:
-            turn = z[1:] * np.conj(z[:-1])
-            step = float(np.angle(np.nansum(turn))) / (2.0 * math.pi)
-            return Lock(round(step * q) % q, q)
-    return None
 
 
 class LockWatch:
@@ -87,7 +50,7 @@ class LockWatch:
         if listening.elapsed_s < self._next_s or listening.intervals <= WINDOW:
             return False
         samples = listening.result()
-        lock = find_lock(_latest(samples, self._next_s - FIRST_S))
+        lock = find_lock(*_latest(samples, self._next_s - FIRST_S))
         if lock is None:
             self._next_s = math.inf
             return False
@@ -127,25 +90,13 @@ class LockWatch:
         )
 
 
-def away_from(fraction: float) -> float:
-    """What to add to these cycles per sample so that they are no simple fraction."""
-    for step in STEPS:
-        multiples = [q * (fraction + step) for q in range(1, LARGEST_DENOMINATOR + 1)]
-        if all(abs(one - round(one)) >= FAR for one in multiples):
-            return step
-    return STEPS[0]
-
-
 def _near(speed: float, lock: Lock) -> float:
     """The module's speed, averaged over little, put on the lock."""
     part = lock.numerator / lock.denominator
     return round(speed - part) + part
 
 
-def _latest(samples: TrackSamples, from_s: float) -> TrackSamples:
-    """Those from this time on."""
-    first = int(from_s * (samples.rate_hz or 0.0))
-    tracks: list[FloatArray] = [samples.sine[first:], samples.cosine[first:]]
-    if len(tracks[0]) < WINDOW:
-        tracks = [samples.sine[-WINDOW:], samples.cosine[-WINDOW:]]
-    return TrackSamples(tracks[0], tracks[1], samples.rate_hz, samples.origin)
+def _latest(samples: TrackSamples, from_s: float) -> tuple[FloatArray, FloatArray]:
+    """Both tracks from this time on."""
+    first = min(int(from_s * (samples.rate_hz or 0.0)), max(0, len(samples) - WINDOW))
+    return samples.sine[first:], samples.cosine[first:]

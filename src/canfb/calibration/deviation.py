@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from canfb.calibration.circular import about_mean
 from canfb.calibration.evaluate import peak, root_mean
 from canfb.calibration.motion_blocks import Blocks, cut
-from canfb.calibration.recording import BINS, Recording, check_clipped, coverage, recording
+from canfb.calibration.recording import BINS, Recording, check_clipped, coverage
 from canfb.calibration.result import Reason
-from canfb.commissioning.samples import TrackSamples
 from canfb.errors import CalibrationError
 from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray, raw_phases
@@ -75,34 +74,21 @@ class Deviation:
             return np.asarray(np.bincount(bins, values, BINS) / np.where(count, count, np.nan), np.float64)
 
 
-def best_deviation(
-    samples: TrackSamples,
-    used: Correction,
-    before: Correction,
-    block_samples: int,
-    adc_bits: int | None = None,
-) -> Deviation:
+def best_deviation(record: Recording, used: Correction, before: Correction, block_samples: int) -> Deviation:
     """:func:`deviation`, also with shorter blocks: the motion may be less smooth than it was before."""
     lengths = sorted(
         {block_samples, max(LEAST_BLOCK, block_samples // 2), max(LEAST_BLOCK, block_samples // 4)}
     )
-    return min((deviation(samples, used, before, n, adc_bits) for n in lengths), key=lambda found: found.rms)
+    return min((deviation(record, used, before, n) for n in lengths), key=lambda found: found.rms)
 
 
-def deviation(
-    samples: TrackSamples,
-    used: Correction,
-    before: Correction,
-    block_samples: int,
-    adc_bits: int | None = None,
-) -> Deviation:
-    """Deviation of ``samples`` from a cubic in each block of ``block_samples``.
+def deviation(record: Recording, used: Correction, before: Correction, block_samples: int) -> Deviation:
+    """Deviation of the samples of ``record`` from a cubic in each block of ``block_samples``.
 
     ``used`` decides the positions; ``before`` is compared on the same samples. Blocks in which the
     machine stands still or is locked to the samples say nothing and are left out. CalibrationError
     when too little is left.
     """
-    record = recording(samples.sine, samples.cosine, samples.time_s, None, adc_bits)
     phase = _phases(record, used)
     check_clipped(record, np.where(np.isnan(phase), 0.0, phase))
     position = record.positions(np.where(record.valid, phase, np.nan))
