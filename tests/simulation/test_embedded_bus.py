@@ -217,6 +217,9 @@ class Computer:
         self.job = None
         return [Frame(result, b"")]
 
+    def job_progress(self, job: Callable[[], int], part: float) -> None:
+        raise AssertionError("it is computed at once")
+
 
 def test_what_a_participant_wants_computed_is_computed_after_the_frames_of_this_instant() -> None:
     bus, heard = EmbeddedBus(), list[int]()

@@ -22,15 +22,16 @@ COUNTERS = (od.COUNTER_BAD_FRAMES, od.COUNTER_DUPLICATE_SYNCS, od.COUNTER_SYNCS_
 class Findings(NamedTuple):
     """What is done with what was found.
 
-    take(sample, received_s, now) a sample, and when it was received, seconds, None if that is not
-                                  known; False if it was an earlier one again
+    take(sample, received_s, synced_s, now)
+                                  a sample, and when it and its SYNC were received, seconds, None if that is
+                                  not known; False if it was an earlier one again
     miss(samples, now)            so many samples did not come
     lose_count(intervals, now)    so many intervals may or may not have passed
     withhold()                    what stands in the dictionary is not valid any more
     repeats(sine, cosine)         whether these are the counts of the last sample
     """
 
-    take: Callable[[Sample, float | None, float], bool]
+    take: Callable[[Sample, float | None, float | None, float], bool]
     miss: Callable[[int, float], None]
     lose_count: Callable[[float, float], None]
     withhold: Callable[[], None]
@@ -71,6 +72,7 @@ class Pairing:
         self._tracks_came = False  # since the last SYNC, with the rest of the sample or without
         self._synced = False  # a SYNC came since OPERATIONAL
         self._extra_syncs = False  # a duplicate came since the last SYNC: the interface may answer it
+        self._sync_s: float | None = None  # when the SYNC before was received, if that is known
         self._stale = False  # what synchronous RPDOs hold is of an unknown interval
         self._unheard = 0  # SYNCs before this one
         self._last_time: int | None = None  # of the last valid sample, 2000:05
@@ -104,7 +106,7 @@ class Pairing:
             self.sampled = True
             sample = parts.sample()
             received_s = None if sample.time_100ns is None else self._received_s()
-            if self._findings.take(sample, received_s, now):
+            if self._findings.take(sample, received_s, received_s and self._sync_s, now):
                 self._sample_came = True
             else:
                 self.count_bad_frame()
@@ -117,6 +119,7 @@ class Pairing:
             _count(self._duplicate_syncs)
             self._extra_syncs = True
             return False
+        self._sync_s = moment.received if moment.proved else None
         parts = self._input
         if parts.is_synchronous and parts.is_ambiguous and not parts.timed:
             self.count_bad_frame()
@@ -200,6 +203,7 @@ class Pairing:
 
     def _pass_unheard(self, syncs: int, now: float) -> None:
         """So many SYNCs were not heard, and these tracks answer the last of them."""
+        self._sync_s = None
         if self._input.give_up():
             self.count_bad_frame()
         _count(self._unheard_syncs, syncs)
@@ -234,7 +238,7 @@ class Pairing:
             self._sample_came = True
             if source.timed_s is not None:  # far more regular than the time at which a SYNC is heard
                 self._interval.event(source.timed_s)
-            if not self._findings.take(sample, None, now):
+            if not self._findings.take(sample, None, None, now):
                 self.count_bad_frame()
 
     def _received_s(self) -> float | None:

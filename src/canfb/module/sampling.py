@@ -48,19 +48,19 @@ class Sampling:
         self.pairing = Pairing(dictionary, node, interval, parts, source, found)
         self.timeline = self.pairing.timeline
 
-    def _take(self, sample: Sample, received_s: float | None, now: float) -> bool:
+    def _take(self, sample: Sample, received_s: float | None, synced_s: float | None, now: float) -> bool:
         """A sample through the chain, and out; False if it is an earlier one, and nothing happened."""
         if self._limits.narrowed:
             self._limits.follow()
         time_100ns = sample.time_100ns
         if time_100ns is None:
-            feedback = self._chain.step(sample, received_s)
+            feedback = self._chain.step(sample)
             if feedback.status & VALID and (self._unconfirmed or self.timeline.withheld):
                 feedback = self._withheld(feedback)
         else:
             self._follow_interval()
             last = self._publishing.last
-            feedback = self._chain.step(sample, received_s)
+            feedback = self._chain.step(sample, received_s, synced_s)
             if last is not None and feedback.samples == last.samples:
                 return False
             if feedback.status & VALID:

@@ -197,22 +197,27 @@ class SignalChain:
         self._speed = 0.0
         self._was_valid = 0
 
-    def step(self, sample: Sample, received_s: float | None = None) -> Feedback:
+    def step(
+        self, sample: Sample, received_s: float | None = None, synced_s: float | None = None
+    ) -> Feedback:
         """Take one sample through the whole chain. A bad sample is flagged, it never raises.
 
         A sample with the time of the one before, or of an earlier one, comes too late: the same
         Feedback, the same object, is returned, and nothing changes. Times must agree
-        with the receptions where ``received_s`` says them, seconds. One whose time fits nothing is a
+        with the receptions, of this sample at ``received_s`` and of the SYNC that it answers at
+        ``synced_s``, seconds, None where that is not known. One whose time fits nothing is a
         bad sample; see :class:`canfb.signal.sample_times.SampleTimes`.
         """
         sine, cosine, elapsed, bad, coarse, _, zero_pulse, time_100ns = sample
-        next_one = False
+        next_one = unplaced = False
         if time_100ns is not None:
-            passed = self._times.elapsed(time_100ns, elapsed + self._waited, received_s)
+            passed = self._times.elapsed(
+                time_100ns, elapsed + self._waited, received_s, synced_s, self._tracker.step_cycles
+            )
             if passed <= 0.0:
                 if passed == REPEATED and self._last is not None:
                     return self._last
-                bad = True
+                bad = unplaced = True
                 if passed != SUSPECT:
                     return self._restarted(sample)
                 self._waited += elapsed
@@ -245,7 +250,7 @@ class SignalChain:
             phase = raw if table is None else table.correct(raw)
             track, bits = self._recovery.good(phase, elapsed, next_one)
         else:
-            track, bits = self._recovery.bad(elapsed)
+            track, bits = self._recovery.bad(elapsed, missed=unplaced)
         reference = self._reference
         if bits & LOST and (not measured or bits & RESIDUAL):
             reference.slipped()

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import math
 
+from canfb.signal.usual_scatter import UsualScatter
+
 TICK_S = 1e-7  # 2000:05
 TICKS = 1 << 32
 HALF_TICKS = TICKS // 2
@@ -20,6 +22,10 @@ SPARE_BEFORE, SPARE_AFTER = 0.5, 0.95  # intervals, around the number that was c
 CLOSE = 0.35  # interval: sample time and reception agree, and a late PDO would not
 NOMINAL = 0.05  # interval: so near to what was counted, no reception is asked
 SPARE_S, SPARE_PART = 0.5e-3, 0.3  # seconds and intervals: a bus and a host delay a PDO so much
+# A time may be wrong by no more than this, in cycles at the speed of the machine, without a second opinion:
+# with the residual limit of 1/3 it is less than half a cycle.
+SLIP_CYCLES = 0.15
+LARGEST_LEARNED = 0.5  # interval: what is beyond is a wrong time, and no jitter
 REPEATED, SUSPECT, RESTARTED = -1.0, -2.0, -3.0
 
 
@@ -35,21 +41,29 @@ class SampleTimes:
         "_earlier_counted",
         "_earlier_times",
         "_first_s",
+        "_heard",
+        "_jitter",
         "_last",
+        "_odd_s",
         "_received_s",
         "_suspect",
         "_suspected",
+        "_synced_s",
         "interval_s",
     )
 
     def __init__(self) -> None:
         self.interval_s = 0.0
+        self._jitter = UsualScatter()  # of the sample times
+        self._heard = UsualScatter()  # of the sample times against the receptions of SYNC
         self.forget()
 
     def forget(self) -> None:
         """The next time is the first one."""
         self._last: int | None = None
         self._received_s: float | None = None  # when that was received
+        self._synced_s: float | None = None  # when its SYNC was
+        self._odd_s: float | None = None  # a time after that was off by so much
         self._suspect: int | None = None
         self._suspected = 0.0  # intervals counted up to it
         self._earlier: int | None = None  # the last time that was REPEATED
@@ -62,18 +76,27 @@ class SampleTimes:
         """The interval in which elapsed times are given, seconds; 0.0 before it is known."""
         return self.interval_s or self._first_s
 
-    def elapsed(self, time_100ns: int, counted: float, received_s: float | None = None) -> float:
+    def elapsed(
+        self,
+        time_100ns: int,
+        counted: float,
+        received_s: float | None = None,
+        synced_s: float | None = None,
+        speed_cycles: float = 0.0,
+    ) -> float:
         """Intervals since the last sample that was taken, above 0; or what is wrong with this time.
 
         ``counted`` intervals have passed by the count of SYNCs; the sample was received at
-        ``received_s``, seconds, None if that is not known. REPEATED: it is that of the last
+        ``received_s`` and the SYNC that it answers at ``synced_s``, seconds, None if that is not known.
+        ``speed_cycles`` is that of the machine, cycles per interval: a time that is off by more than
+        usual is a bad one only where this would cost the cycle count. REPEATED: it is that of the last
         sample or of one before. SUSPECT: it fits nothing, the next time must show whether it or the
         clock is wrong; the sample is not to be used. RESTARTED: the clock was, and how long the
         interval was cannot be known.
         """
         last = self._last
         if last is None:
-            self._accept(time_100ns, received_s)
+            self._accept(time_100ns, received_s, synced_s)
             return counted
         ticks = (time_100ns - last) % TICKS
         if ticks >= HALF_TICKS:
@@ -92,7 +115,14 @@ class SampleTimes:
         nominal = abs(intervals - counted) <= NOMINAL  # also where a simulation is slower than true time
         in_turn = least <= intervals <= counted + SPARE_AFTER and (agrees or nominal or apart is None)
         if in_turn or (agrees and intervals > counted):  # or there were SYNCs that nobody received
-            self._accept(time_100ns, received_s)
+            whole = round(intervals) if agrees and intervals > counted + 0.5 else counted
+            uneven_s = (intervals - whole) * unit
+            odd = self._judge(uneven_s, ticks, synced_s, SLIP_CYCLES * unit, abs(speed_cycles))
+            if odd == RESTARTED:
+                self._accept(time_100ns, received_s, synced_s)
+            if odd:
+                return odd
+            self._accept(time_100ns, received_s, synced_s)
             return intervals
         if -OLDEST <= intervals < least:
             return self._repeated(time_100ns, counted, unit, received_s)
@@ -102,8 +132,46 @@ class SampleTimes:
         """Seconds between the receptions of the last sample that was taken and of this one."""
         return None if received_s is None or self._received_s is None else received_s - self._received_s
 
-    def _accept(self, time_100ns: int, received_s: float | None) -> None:
+    def _judge(
+        self, uneven_s: float, ticks: int, synced_s: float | None, slip: float, speed_cycles: float
+    ) -> float:
+        """Is a time off by more than usual, and would that cost the count? 0.0: no; SUSPECT or RESTARTED.
+
+        By its distance from the last one, ``uneven_s`` from a whole number of intervals, or by the
+        receptions of both SYNCs, whichever is the sharper witness. A second one that is off by as much
+        as the one before: the clock was set.
+        """
+        jitter, heard, before = self._jitter, self._heard, self._odd_s
+        off_s, limit_s, witness = uneven_s, jitter.limit_s, jitter
+        if synced_s is not None and self._synced_s is not None:
+            error_s = ticks * TICK_S - (synced_s - self._synced_s)
+            if heard.limit_s <= limit_s:
+                off_s, limit_s, witness = error_s, heard.limit_s, heard
+            else:
+                heard.learn(min(abs(error_s), self._most_s))
+        if not abs(off_s) > limit_s or abs(off_s) * speed_cycles <= slip:
+            if before is not None:  # it was alone
+                witness.learn(min(abs(before), self._most_s))
+                self._odd_s = None
+            jitter.learn(min(abs(uneven_s), self._most_s))
+            if witness is heard:
+                heard.learn(min(abs(off_s), self._most_s))
+            return 0.0
+        self._odd_s = off_s
+        if before is None:
+            return SUSPECT
+        if abs(off_s - before) <= limit_s:
+            return RESTARTED
+        witness.learn(min(max(abs(off_s), abs(before)), self._most_s))
+        return SUSPECT
+
+    @property
+    def _most_s(self) -> float:
+        return LARGEST_LEARNED * self.unit_s
+
+    def _accept(self, time_100ns: int, received_s: float | None, synced_s: float | None = None) -> None:
         self._last, self._received_s, self._suspect = time_100ns, received_s, None
+        self._synced_s, self._odd_s = synced_s, None
 
     def _repeated(self, time_100ns: int, counted: float, unit: float, received_s: float | None) -> float:
         """An earlier sample; unless all that come are earlier ones, and as far apart as they are counted."""
