@@ -154,10 +154,10 @@ class Emergency(Timed):
 
     def _install(self) -> None:
         if self._cob_id is not None:
-            self._cob_id.on_write = self._check_cob_id
+            self._cob_id.on_check = self._check_cob_id
             self._cob_id.on_written = self._changed
         if self._history_count is not None:
-            self._history_count.on_write = _check_clear
+            self._history_count.on_check = _check_clear
         for entry in self._history:
             self._install_history(entry)
 

@@ -194,7 +194,7 @@ class HeartbeatConsumer(Timed):
             self._schedule()
             self._changed()
 
-        monitor.entry.on_write = check
+        monitor.entry.on_check = check
         monitor.entry.on_written = written
 
 

@@ -85,7 +85,7 @@ class Startup:
         self._entry = entry
         self._autostart = autostart
         if entry is not None:
-            entry.on_write = _check_startup
+            entry.on_check = _check_startup
             if autostart:
                 entry.default = (entry.default or 0) & ~WAIT_FOR_MASTER
                 entry.value &= ~WAIT_FOR_MASTER
@@ -111,7 +111,7 @@ class ErrorBehaviour:
         self._entry = dictionary.find(0x1029, 1)
         for entry in dictionary:
             if entry.index == 0x1029 and entry.subindex:
-                entry.on_write = _check_behaviour
+                entry.on_check = _check_behaviour
 
     def reaction(self, state: NmtState) -> NmtState:
         """The state to enter from `state`; 0 of 1029h, also its absence, is Pre-operational."""

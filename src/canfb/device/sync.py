@@ -157,9 +157,9 @@ class Sync(Timed):
 
     def _install(self) -> None:
         if self._cob_id is not None:
-            self._cob_id.on_write = self._check_cob_id
+            self._cob_id.on_check = self._check_cob_id
         if self._overflow is not None:
-            self._overflow.on_write = self._check_overflow
+            self._overflow.on_check = self._check_overflow
         for entry in (self._cob_id, self._period):
             if entry is not None:
                 entry.on_written = self._restart

@@ -37,7 +37,7 @@ class TimeStamp:
         self._counters = counters
         self._heard = heard
         if entry is not None:
-            entry.on_write = lambda value: _check(value, entry.value)
+            entry.on_check = lambda value: _check(value, entry.value)
             entry.on_written = changed
 
     @property

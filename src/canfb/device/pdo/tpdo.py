@@ -198,9 +198,9 @@ class Tpdo(Timed):
 
     def _install(self) -> None:
         if self._inhibit is not None:
-            self._inhibit.on_write = self._parameters.refuse_while_valid
+            self._inhibit.on_check = self._parameters.refuse_while_valid
         if self._start_value is not None:
-            self._start_value.on_write = self._check_start_value
+            self._start_value.on_check = self._check_start_value
         if self._event_timer is not None:
             self._event_timer.on_written = self._written
 

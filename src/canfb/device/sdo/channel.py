@@ -81,7 +81,7 @@ class SdoChannel:
             self.configure()
             self._changed()
 
-        entry.on_write = check
+        entry.on_check = check
         entry.on_written = written
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from functools import partial
+from typing import Protocol
 
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary
@@ -87,8 +88,8 @@ class Storage:
         self._images: dict[ParameterGroup, bytes] = {}
         found = (dictionary.find(VERIFY, subindex) for subindex in (1, 2))
         self._verify = [entry for entry in found if entry is not None]
-        self._install(SAVE, SAVES_ON_COMMAND if store is not None else 0, self._save_command)
-        self._install(LOAD, RESTORES, self._load_command)
+        self._install(SAVE, SAVES_ON_COMMAND if store is not None else 0, self._check_save, self._save)
+        self._install(LOAD, RESTORES, _check_load, self._load)
         for entry in self._verify:
             entry.on_download = None
 
@@ -153,30 +154,27 @@ class Storage:
         found = (self._dictionary.find(0x1018, subindex) for subindex in (1, 2, 3))
         return Identity(*(0 if entry is None else int(entry.value) for entry in found))
 
-    def _install(self, index: int, ability: int, command: Callable[[int], Callable[[Any], None]]) -> None:
+    def _install(
+        self, index: int, ability: int, check: Callable[[int], None], command: Callable[[int], None]
+    ) -> None:
         for subindex in (ALL_PARAMETERS, *PARAMETERS):
             if (index, subindex) in self._dictionary:
                 entry = self._dictionary.entry(index, subindex)
                 entry.on_read = lambda: ability
-                entry.on_write = command(subindex)
+                entry.on_check = check
+                entry.on_written = partial(command, subindex)
 
-    def _save_command(self, subindex: int) -> Callable[[int], None]:
-        def save(value: int) -> None:
-            if value != SAVE_SIGNATURE or self._store is None:
-                raise SdoAbort(AbortCode.NOT_STORED)
-            self._command({group: self._image(group) for group in _groups(subindex)})
+    def _check_save(self, value: int) -> None:
+        if value != SAVE_SIGNATURE or self._store is None:
+            raise SdoAbort(AbortCode.NOT_STORED)
 
-        return save
+    def _save(self, subindex: int) -> None:
+        self._command({group: self._image(group) for group in _groups(subindex)})
 
-    def _load_command(self, subindex: int) -> Callable[[int], None]:
-        def load(value: int) -> None:
-            if value != LOAD_SIGNATURE:
-                raise SdoAbort(AbortCode.NOT_STORED)
-            there = [group for group in _groups(subindex) if group in self._images or group in self.faults]
-            self._command(dict.fromkeys(there))
-            self.configuration_changed()
-
-        return load
+    def _load(self, subindex: int) -> None:
+        there = [group for group in _groups(subindex) if group in self._images or group in self.faults]
+        self._command(dict.fromkeys(there))
+        self.configuration_changed()
 
     def _image(self, group: ParameterGroup) -> bytes | None:
         """The present values of a group; None for a device without parameters in it."""
@@ -203,6 +201,11 @@ class Storage:
                 self._images[group] = image
         if mended:
             self._changed()
+
+
+def _check_load(value: int) -> None:
+    if value != LOAD_SIGNATURE:
+        raise SdoAbort(AbortCode.NOT_STORED)
 
 
 def _groups(subindex: int) -> tuple[ParameterGroup, ...]:

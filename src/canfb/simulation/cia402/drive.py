@@ -98,7 +98,7 @@ class ServoDrive:
         self._emergency_id, self._sync_timeout = entry(0x2110, 7), entry(0x2110, 8)
         self._controlword = entry(0x6040)
         self._controlword.on_written = self._controlled
-        self._quick_option.on_write = _check_quick_stop_option
+        self._quick_option.on_check = _check_quick_stop_option
         self.axis.on_mode = self._show
         self._connect()
 
