@@ -143,7 +143,7 @@ def test_hooks_run_around_the_store(dictionary: Dictionary) -> None:
     entry = dictionary.entry(0x2025)
     entry.value = 3
     seen: list[object] = []
-    entry.on_write = lambda value: seen.append(("before", value, entry.value))
+    entry.on_check = lambda value: seen.append(("before", value, entry.value))
     entry.on_written = lambda: seen.append(("after", entry.value))
     entry.download(b"\x09")
     assert seen == [("before", 9, 3), ("after", 9)]
@@ -156,10 +156,38 @@ def test_a_refusing_hook_leaves_the_value(dictionary: Dictionary) -> None:
     def refuse(value: object) -> None:
         raise SdoAbort(AbortCode.DEVICE_STATE)
 
-    entry.on_write = refuse
+    entry.on_check = refuse
     entry.on_written = lambda: pytest.fail("the value was refused")
     assert abort_of(entry.download, b"\x09") is AbortCode.DEVICE_STATE
     assert entry.value == 3
+
+
+def test_an_act_that_is_not_possible_leaves_the_value(dictionary: Dictionary) -> None:
+    entry = dictionary.entry(0x2025)
+    entry.value = 3
+    seen: list[int] = []
+
+    def act() -> None:
+        seen.append(entry.value)
+        raise SdoAbort(AbortCode.DEVICE_STATE)
+
+    entry.on_written = act
+    entry.on_download = lambda: pytest.fail("the write was refused")
+    assert abort_of(entry.download, b"\x09") is AbortCode.DEVICE_STATE
+    assert seen == [9]
+    assert entry.value == 3
+
+
+def test_a_check_has_no_effect(dictionary: Dictionary) -> None:
+    entry = dictionary.entry(0x2025)
+    entry.value, entry.high = 3, 10
+    seen: list[int] = []
+    entry.on_check = seen.append
+    entry.on_written = lambda: pytest.fail("nothing was written")
+    entry.check(9)
+    assert (seen, entry.value) == ([9], 3)
+    assert abort_of(entry.check, 11) is AbortCode.VALUE_TOO_HIGH
+    assert seen == [9]
 
 
 def test_on_read_gives_the_live_value(dictionary: Dictionary) -> None:

@@ -85,6 +85,20 @@ def test_a_lost_heartbeat(bench: Bench) -> None:
     assert bench.run(0.9) == []
 
 
+def test_the_program_hears_of_the_loss_before_the_state_changes(bench: Bench) -> None:
+    heard: list[tuple[float, NmtState]] = []
+    bench.node.on_communication_error = lambda now: heard.append((now, bench.node.state))
+    bench.write(0x1016, 1, watch(5, 100), 4)
+    bench.operational()
+    bench.send(0x705, b"\x05")
+    start = bench.now
+    bench.run(1.0)
+    assert heard == [(start + 0.1, NmtState.OPERATIONAL)]
+    assert bench.node.state is NmtState.PRE_OPERATIONAL
+    bench.node.bus_off(bench.now)
+    assert heard[1:] == [(bench.now, NmtState.PRE_OPERATIONAL)]
+
+
 def test_good_heartbeats_keep_it_quiet(bench: Bench) -> None:
     bench.write(0x1016, 2, watch(0x47, 1000), 4)
     bench.operational()

@@ -259,11 +259,11 @@ class NodeModel(RuleBasedStateMachine):
             mapping_or_fixed = entry.index & 0xFE00 in (0x1600, 0x1A00) or (
                 entry.index & 0xFF00 == 0x1800 and entry.subindex in (3, 6)
             )
-            if entry.on_write is None or mapping_or_fixed:
+            if entry.on_check is None or mapping_or_fixed:
                 continue
             if entry.index not in PROCEDURE:
                 try:
-                    entry.on_write(entry.value)
+                    entry.on_check(entry.value)
                 except SdoAbort as abort:
                     raise AssertionError(f"{entry} would be refused: {abort}") from abort
 

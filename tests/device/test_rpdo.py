@@ -237,7 +237,7 @@ def test_a_mapped_entry_may_refuse(bench: Bench) -> None:
     def refuse(value: int) -> None:
         raise SdoAbort(AbortCode.INVALID_VALUE)
 
-    bench.dictionary.entry(0x2000, 1).on_write = refuse
+    bench.dictionary.entry(0x2000, 1).on_check = refuse
     bench.operational()
     bench.send(RPDO, "05000600")
     assert sine(bench) == 0

@@ -108,7 +108,7 @@ def test_segmented_both_ways(bench: Bench, text: str) -> None:
 def test_a_domain_of_16_kib_both_ways(bench: Bench, announce: bool) -> None:
     content = bytes(place * 7 & 0xFF for place in range(16384))
     seen: list[bytes] = []
-    bench.dictionary.entry(0x2020).on_write = seen.append
+    bench.dictionary.entry(0x2020).on_check = seen.append
     assert download(bench, "202000", content, announce=announce) == OK
     assert seen == [content]
     bench.dictionary.entry(0x2020).on_read = lambda: content[::-1]
@@ -214,7 +214,7 @@ def test_a_refusing_hook_aborts_with_its_code(bench: Bench) -> None:
     def refuse(value: bytes) -> None:
         raise SdoAbort(AbortCode.INVALID_VALUE)
 
-    bench.dictionary.entry(0x2020).on_write = refuse
+    bench.dictionary.entry(0x2020).on_check = refuse
     assert download(bench, "202000", bytes(9)) == abort("202000", AbortCode.INVALID_VALUE)[0]
     assert bench.dictionary.entry(0x2020).value == b""
 
@@ -223,7 +223,7 @@ def test_a_raising_program_leaves_the_server_usable(bench: Bench) -> None:
     def broken(value: int) -> None:
         raise RuntimeError("a mistake in the program")
 
-    bench.dictionary.entry(0x2025).on_write = broken
+    bench.dictionary.entry(0x2025).on_check = broken
     with pytest.raises(RuntimeError):
         bench.sdo("2F25200009")
     assert bench.read(0x1000) == 0x40191

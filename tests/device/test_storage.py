@@ -170,6 +170,26 @@ def test_reset_communication_restores_communication_parameters_alone(
     assert values(bench) == [500, 1234, 99]
 
 
+def test_stored_values_are_checked_and_nothing_acts_on_them(power_on: Callable[..., StoringBench]) -> None:
+    bench = power_on()
+    change(bench)
+    bench.save()
+    checked: list[int] = []
+    entry = bench.dictionary.entry(0x2025)
+    entry.on_check = checked.append
+    entry.on_written = lambda: pytest.fail("the reset hook takes the values over")
+    bench.nmt(RESET_NODE)
+    assert checked == [111]
+    assert values(bench) == CHANGED
+
+
+def test_a_store_that_fails_leaves_the_entry_as_it_was(path: Path) -> None:
+    bench = StoringBench(path, BrokenStore())
+    bench.start()
+    assert bench.save() is AbortCode.HARDWARE
+    assert bench.dictionary.entry(SAVE, ALL).value == 0
+
+
 def test_a_restored_heartbeat_runs_from_the_one_boot_up_on(power_on: Callable[..., StoringBench]) -> None:
     bench = power_on()
     bench.write(0x1017, 0, 500, 2)

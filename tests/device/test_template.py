@@ -12,7 +12,7 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.device.od.entry import Entry
 
 SHIPPED = sorted((Path(__file__).parents[2] / "eds").glob("*.eds"))
-HOOKS = ("on_read", "on_write", "on_written", "on_download")
+HOOKS = ("on_read", "on_check", "on_written", "on_download")
 
 
 def facts(entry: Entry) -> tuple[object, ...]:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
-from canfb.device.counters import Counters
-from canfb.device.emergency import Emergency
+from canfb.device.core import Core
 from canfb.device.routing import Handler
 
 _SOURCE = "duplicate node-ID"
@@ -17,16 +14,14 @@ class DuplicateWatch:
 
     A CAN controller does not hear itself, so a data frame there comes from another node: one that
     was given the same node-ID, or the same COB-ID (CiA 301, 7.3.5: a CAN-ID has one sender). Each
-    is counted. The first after a reset gives EMCY 8150h, with the CAN-ID in bytes 3 and 4, and
-    `noticed(can_id, now)`. The NMT state stays: a single stray frame must not stop a machine.
+    is counted. The first after a reset gives EMCY 8150h, with the CAN-ID in bytes 3 and 4, and goes to
+    the hook `on_duplicate`. The NMT state stays: a single stray frame must not stop a machine.
     """
 
-    def __init__(
-        self, counters: Counters, emergency: Emergency, noticed: Callable[[int, float], None]
-    ) -> None:
-        self._counters = counters
-        self._emergency = emergency
-        self._noticed = noticed
+    def __init__(self, core: Core) -> None:
+        self._counters = core.counters
+        self._emergency = core.emergency
+        self._hooks = core.hooks
         self._reported = False
 
     def reset(self) -> None:
@@ -52,4 +47,5 @@ class DuplicateWatch:
             now,
             _SOURCE,
         )
-        self._noticed(can_id, now)
+        if self._hooks.on_duplicate is not None:
+            self._hooks.on_duplicate(can_id, now)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.agenda import Timed
-from canfb.device.counters import Counters
-from canfb.device.moment import NEVER, Emit
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.core import Core
+from canfb.device.moment import NEVER
 from canfb.device.od.entry import Entry
 
 _EMERGENCY = struct.Struct("<HB5s")
@@ -27,26 +26,19 @@ class Emergency(Timed):
 
     An error is known by its code and its source, so that two RPDOs that are both too short are two
     errors. Frames that may not go out now (inhibit time 1015h, NMT state) wait, up to eight.
-    `changed` is called when 1014h was written.
     """
 
-    def __init__(
-        self,
-        dictionary: Dictionary,
-        node_id: int,
-        emit: Emit,
-        counters: Counters,
-        changed: Callable[[], None],
-    ) -> None:
+    def __init__(self, core: Core) -> None:
+        dictionary = core.dictionary
         self.deadline = NEVER
-        self._emit = emit
-        self._counters = counters
-        self._changed = changed
+        self._emit = core.emit
+        self._counters = core.counters
+        self._changed = core.reactions.routes_changed
         self._register = dictionary.find(0x1001)
         self._history_count = dictionary.find(0x1003)
         self._history = [entry for entry in dictionary if entry.index == 0x1003 and entry.subindex]
         self._cob_id = dictionary.find(0x1014)
-        self._default_cob_id = cob.EMERGENCY + node_id
+        self._default_cob_id = cob.EMERGENCY + core.node_id
         self._inhibit = dictionary.find(0x1015)
         self._active: dict[tuple[int, Hashable], int] = {}
         self._waiting: deque[bytes] = deque()
@@ -154,10 +146,10 @@ class Emergency(Timed):
 
     def _install(self) -> None:
         if self._cob_id is not None:
-            self._cob_id.on_write = self._check_cob_id
+            self._cob_id.on_check = self._check_cob_id
             self._cob_id.on_written = self._changed
         if self._history_count is not None:
-            self._history_count.on_write = _check_clear
+            self._history_count.on_check = _check_clear
         for entry in self._history:
             self._install_history(entry)
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from canfb.cia301.cob import ERROR_CONTROL
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.device.agenda import Timed
-from canfb.device.emergency import Emergency
-from canfb.device.moment import NEVER, Emit, Moment
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.core import Core
+from canfb.device.heartbeat import HeartbeatProducer
+from canfb.device.moment import NEVER
 
 _TOGGLE = 0x80
 _SOURCE = 0x100C
@@ -22,32 +19,18 @@ class NodeGuarding(Timed):
 
     The toggle bit is 0 in the first answer after a reset, then alternates. The life time, 100Ch
     milliseconds times 100Dh, runs from the first remote frame on; 0 is none. When it is over:
-    EMCY 8130h and `lost(now)`, once; the next remote frame ends the error. There is no guarding
-    while there is a heartbeat (`heartbeat()` is true), nor on a device without 100Ch.
+    EMCY 8130h and a communication error, once; the next remote frame ends the error. There is no
+    guarding while there is a `heartbeat`, nor on a device without 100Ch.
     """
 
-    def __init__(
-        self,
-        dictionary: Dictionary,
-        node_id: int,
-        emit: Emit,
-        moment: Moment,
-        emergency: Emergency,
-        *,
-        state: Callable[[], NmtState],
-        heartbeat: Callable[[], bool],
-        lost: Callable[[float], None],
-    ) -> None:
+    def __init__(self, core: Core, heartbeat: HeartbeatProducer) -> None:
         self.deadline = NEVER
-        self._can_id = ERROR_CONTROL + node_id
-        self._emit = emit
-        self._moment = moment
-        self._emergency = emergency
-        self._state = state
+        self._core = core
+        self._can_id = ERROR_CONTROL + core.node_id
+        self._emergency = core.emergency
         self._heartbeat = heartbeat
-        self._lost = lost
-        self._guard_time = dictionary.find(0x100C)
-        self._factor = dictionary.find(0x100D)
+        self._guard_time = core.dictionary.find(0x100C)
+        self._factor = core.dictionary.find(0x100D)
         self._toggle = 0
         self._guarded = False
         for entry in (self._guard_time, self._factor):
@@ -57,7 +40,7 @@ class NodeGuarding(Timed):
     @property
     def can_id(self) -> int | None:
         """The CAN-ID on which it answers remote frames now, None when it does not."""
-        return None if self._guard_time is None or self._heartbeat() else self._can_id
+        return None if self._guard_time is None or self._heartbeat.is_active else self._can_id
 
     @property
     def life_time_s(self) -> float:
@@ -75,7 +58,7 @@ class NodeGuarding(Timed):
 
     def request(self, now: float) -> None:
         """A remote frame of the master."""
-        self._emit(Frame(self._can_id, bytes([self._toggle | self._state()])))
+        self._core.emit(Frame(self._can_id, bytes([self._toggle | self._core.state])))
         self._toggle ^= _TOGGLE
         self._guarded = True
         self._start(now)
@@ -87,7 +70,7 @@ class NodeGuarding(Timed):
         self.deadline = NEVER
         self._guarded = False  # the next remote frame starts the life time again
         self._emergency.report(EmergencyCode.HEARTBEAT, ErrorRegister.COMMUNICATION, b"", now, _SOURCE)
-        self._lost(now)
+        self._core.reactions.communication_error(now)
 
     def _start(self, now: float) -> None:
         life_time = self.life_time_s
@@ -97,4 +80,4 @@ class NodeGuarding(Timed):
     def _written(self) -> None:
         """Another life time holds from now on; none ends an error."""
         if self._guarded or not self.life_time_s:
-            self._start(self._moment.now)
+            self._start(self._core.moment.now)

@@ -7,42 +7,25 @@ from collections.abc import Callable
 from canfb.cia301.cob import ERROR_CONTROL
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.device.agenda import Timed
-from canfb.device.counters import Counters
-from canfb.device.emergency import Emergency
-from canfb.device.moment import NEVER, Emit, Moment
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.core import Core
+from canfb.device.moment import NEVER
 from canfb.device.od.entry import Entry
-
-"""CAN-ID of boot-up and heartbeat of node 0; the node-ID is added."""
 
 
 class HeartbeatProducer(Timed):
     """Sends the NMT state every 1017h milliseconds; 0 is off.
 
     The boot-up counts as the first heartbeat. A new period starts with a heartbeat at once.
-    `changed` is called when 1017h was written: guarding is off while there is a heartbeat.
     """
 
-    def __init__(
-        self,
-        entry: Entry | None,
-        node_id: int,
-        emit: Emit,
-        moment: Moment,
-        state: Callable[[], NmtState],
-        changed: Callable[[], None],
-    ) -> None:
+    def __init__(self, core: Core) -> None:
         self.deadline = NEVER
-        self._entry = entry
-        self._can_id = ERROR_CONTROL + node_id
-        self._emit = emit
-        self._moment = moment
-        self._state = state
-        self._changed = changed
-        if entry is not None:
-            entry.on_written = self._written
+        self._core = core
+        self._can_id = ERROR_CONTROL + core.node_id
+        self._entry = core.dictionary.find(0x1017)
+        if self._entry is not None:
+            self._entry.on_written = self._written
 
     @property
     def is_active(self) -> bool:
@@ -55,7 +38,7 @@ class HeartbeatProducer(Timed):
 
     def boot_up(self, now: float) -> None:
         """Send the boot-up message and begin the period."""
-        self._emit(Frame(self._can_id, b"\x00"))
+        self._core.emit(Frame(self._can_id, b"\x00"))
         period = self._period_s
         self.deadline = now + period if period else NEVER
 
@@ -67,31 +50,25 @@ class HeartbeatProducer(Timed):
         """Send the heartbeat that is due. What was missed by a late tick is left out."""
         if now < self.deadline:
             return
-        self._emit(Frame(self._can_id, bytes([self._state()])))
+        self._core.emit(Frame(self._can_id, bytes([self._core.state])))
         period = self._period_s
         following = self.deadline + period if period else NEVER
         self.deadline = following if following > now else now + period
 
     def _written(self) -> None:
-        self.deadline = self._moment.now if self._period_s else NEVER
-        self._changed()
+        self.deadline = self._core.moment.now if self._period_s else NEVER
+        self._core.reactions.heartbeat_changed()
 
 
 class HeartbeatMonitor:
     """One sub-index of 1016h: watches one node from its first heartbeat on."""
 
-    def __init__(
-        self,
-        entry: Entry,
-        counters: Counters,
-        emergency: Emergency,
-        lost: Callable[[float], None],
-    ) -> None:
+    def __init__(self, core: Core, entry: Entry) -> None:
         self.entry = entry
         self.deadline = NEVER
-        self._counters = counters
-        self._emergency = emergency
-        self._lost = lost
+        self._counters = core.counters
+        self._emergency = core.emergency
+        self._lost = core.reactions.communication_error
 
     @property
     def node_id(self) -> int:
@@ -131,22 +108,13 @@ class HeartbeatMonitor:
 
 
 class HeartbeatConsumer(Timed):
-    """Object 1016h. `changed()` is called when other nodes are to be watched."""
+    """Object 1016h: watches the heartbeats of other nodes."""
 
-    def __init__(
-        self,
-        dictionary: Dictionary,
-        moment: Moment,
-        counters: Counters,
-        emergency: Emergency,
-        lost: Callable[[float], None],
-        changed: Callable[[], None],
-    ) -> None:
+    def __init__(self, core: Core) -> None:
         self.deadline = NEVER
-        self._moment = moment
-        self._changed = changed
-        entries = [entry for entry in dictionary if entry.index == 0x1016 and entry.subindex]
-        self._monitors = [HeartbeatMonitor(entry, counters, emergency, lost) for entry in entries]
+        self._core = core
+        entries = [entry for entry in core.dictionary if entry.index == 0x1016 and entry.subindex]
+        self._monitors = [HeartbeatMonitor(core, entry) for entry in entries]
         for monitor in self._monitors:
             self._install(monitor)
 
@@ -190,11 +158,11 @@ class HeartbeatConsumer(Timed):
                 raise SdoAbort(AbortCode.PARAMETER_INCOMPATIBLE)
 
         def written() -> None:
-            monitor.forget(self._moment.now)
+            monitor.forget(self._core.moment.now)
             self._schedule()
-            self._changed()
+            self._core.reactions.routes_changed()
 
-        monitor.entry.on_write = check
+        monitor.entry.on_check = check
         monitor.entry.on_written = written
 
 

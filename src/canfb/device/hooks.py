@@ -15,7 +15,7 @@ class Hooks:
     `trigger_tpdo`, `emergency` and `clear_emergency`, but not `receive` or `tick`. What they raise
     comes out of the call: it is a mistake in the program.
 
-    on_rpdo(number, now): the data of RPDO `number` stands in the dictionary.
+    on_rpdo(number, now): the data of RPDO `number` stands in the dictionary (a property of the node).
     on_time(days, milliseconds, now): a TIME, with the days since 1984-01-01 and the milliseconds of
     the day, while 1012h says that it is consumed.
     accepts_sync(counter, now): whether a SYNC in OPERATIONAL counts as one, before anything is done
@@ -32,6 +32,8 @@ class Hooks:
     on_duplicate(can_id, now): another node sends with a CAN-ID that belongs to this one, most likely
     with the same node-ID. For the first such frame after each reset; `counters` counts them all.
     on_bad_rpdo(number, received, mapped, now): an RPDO too short, in bytes; its data was dropped.
+    on_communication_error(now): a heartbeat or the guarding master is lost, or the bus, before the NMT
+    state changes as 1029h says.
     on_configured(): PDO parameters or the NMT state have changed; mappings may be others now.
     on_bit_rate(kbit_s, delay_s, now): LSS activates this bit rate. Change it at `now` + `delay_s`; the
     node by itself sends nothing up to `now` + 2 `delay_s`. What waits in a driver's queue is yours.
@@ -47,17 +49,6 @@ class Hooks:
         self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str], float], None] | None = None
         self.on_duplicate: Callable[[int, float], None] | None = None
         self.on_bad_rpdo: Callable[[int, int, int, float], None] | None = None
+        self.on_communication_error: Callable[[float], None] | None = None
         self.on_configured: Callable[[], None] | None = None
         self.on_bit_rate: Callable[[int, float, float], None] | None = None
-
-    def _time_heard(self, days: int, milliseconds: int, now: float) -> None:
-        if self.on_time is not None:
-            self.on_time(days, milliseconds, now)
-
-    def _rpdo_too_short(self, number: int, received: int, mapped: int, now: float) -> None:
-        if self.on_bad_rpdo is not None:
-            self.on_bad_rpdo(number, received, mapped, now)
-
-    def _duplicate(self, can_id: int, now: float) -> None:
-        if self.on_duplicate is not None:
-            self.on_duplicate(can_id, now)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.nmt import NmtCommand, NmtState
-from canfb.device.counters import Counters
+from canfb.device.core import Core
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.od.entry import Entry
 
@@ -34,44 +32,33 @@ WAIT_FOR_MASTER = 1 << 2
 
 
 class Nmt:
-    """The NMT state of the node. `changed(old, new, now)` and `reset(communication_only, now)`
-    are called for what a command asks.
-    """
+    """Obeys the NMT master: changes the NMT state, or asks for a reset."""
 
-    def __init__(
-        self,
-        node_id: int,
-        counters: Counters,
-        changed: Callable[[NmtState, NmtState, float], None],
-        reset: Callable[[bool, float], None],
-    ) -> None:
-        self.state = NmtState.INITIALISING
-        self._node_id = node_id
-        self._counters = counters
-        self._changed = changed
-        self._reset = reset
+    def __init__(self, core: Core) -> None:
+        self._core = core
 
     def handle(self, data: bytes, now: float) -> None:
         """An NMT command; one for another node, an unknown or a malformed one changes nothing."""
         if len(data) != 2:
-            self._counters.malformed_frames += 1
+            self._core.counters.malformed_frames += 1
             return
         command, node_id = data
-        if node_id not in (0, self._node_id):
+        if node_id not in (0, self._core.node_id):
             return
         if command in NEXT_STATE:
             self.enter(NEXT_STATE[NmtCommand(command)], now)
         elif command in COMMUNICATION_ONLY:
-            self._reset(COMMUNICATION_ONLY[NmtCommand(command)], now)
+            self._core.reactions.reset(COMMUNICATION_ONLY[NmtCommand(command)], now)
         else:
-            self._counters.malformed_frames += 1
+            self._core.counters.malformed_frames += 1
 
     def enter(self, state: NmtState, now: float) -> None:
         """Go to a state; nothing happens when the node is in it."""
-        old = self.state
+        core = self._core
+        old = core.state
         if state is not old:
-            self.state = state
-            self._changed(old, state, now)
+            core.state = state
+            core.reactions.state_changed(old, state, now)
 
 
 class Startup:
@@ -85,7 +72,7 @@ class Startup:
         self._entry = entry
         self._autostart = autostart
         if entry is not None:
-            entry.on_write = _check_startup
+            entry.on_check = _check_startup
             if autostart:
                 entry.default = (entry.default or 0) & ~WAIT_FOR_MASTER
                 entry.value &= ~WAIT_FOR_MASTER
@@ -111,7 +98,7 @@ class ErrorBehaviour:
         self._entry = dictionary.find(0x1029, 1)
         for entry in dictionary:
             if entry.index == 0x1029 and entry.subindex:
-                entry.on_write = _check_behaviour
+                entry.on_check = _check_behaviour
 
     def reaction(self, state: NmtState) -> NmtState:
         """The state to enter from `state`; 0 of 1029h, also its absence, is Pre-operational."""

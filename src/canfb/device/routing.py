@@ -11,11 +11,24 @@ RemoteHandler = Callable[[float], None]
 
 
 class Routes:
-    """The listeners of one NMT state, by CAN-ID: `data` and `remote` for the two kinds of frames."""
+    """The listeners of the present NMT state, by CAN-ID: `data` and `remote` for the two kinds of frames.
+
+    `sent` are those that want to know when a frame of the node itself has left: an inhibit time counts
+    from there. The three tables stay the same objects, whatever they hold.
+    """
+
+    __slots__ = ("data", "remote", "sent")
 
     def __init__(self) -> None:
         self.data: dict[int, Handler] = {}
         self.remote: dict[int, RemoteHandler] = {}
+        self.sent: dict[int | None, Callable[[float], None]] = {}
+
+    def clear(self) -> None:
+        """Nobody listens."""
+        self.data.clear()
+        self.remote.clear()
+        self.sent.clear()
 
     def add(self, can_id: int | None, handler: Handler) -> None:
         """One more listener; None for one that listens to nothing now. Two on one CAN-ID both hear."""
@@ -27,6 +40,11 @@ class Routes:
         """Who answers remote frames; None for one that does not now. The last one added does."""
         if can_id is not None:
             self.remote[can_id] = handler
+
+    def add_sent(self, can_id: int | None, follow: Callable[[float], None]) -> None:
+        """Who follows the frames that leave; None for one that sends nothing now. The last one added does."""
+        if can_id is not None:
+            self.sent[can_id] = follow
 
 
 def _both(first: Handler, second: Handler) -> Handler:

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from canfb.device.agenda import Timed
+from canfb.device.core import Core
 from canfb.device.moment import NEVER
 
 
 class Silence(Timed):
-    """Whether the device is silent, and until when. `ended(now)` is called at the end.
+    """Whether the device is silent, and until when.
 
     `boot_up_owed` is for a boot-up that fell into it: it is sent at the end.
     """
 
-    def __init__(self, ended: Callable[[float], None]) -> None:
+    def __init__(self, core: Core) -> None:
         self.active = False
         self.boot_up_owed = False
         self.deadline = NEVER
-        self._ended = ended
+        self._reactions = core.reactions
 
     def begin(self, until: float) -> None:
         """Silent from now on, until this time (seconds); one that is running lasts to the later end."""
@@ -30,5 +29,5 @@ class Silence(Timed):
         if now >= self.deadline:
             self.deadline = NEVER
             self.active = False
-            self._ended(now)
+            self._reactions.silence_ended(now)
             self.boot_up_owed = False

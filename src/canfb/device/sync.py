@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.agenda import Timed
-from canfb.device.counters import Counters
-from canfb.device.emergency import Emergency
-from canfb.device.moment import NEVER, Emit, Moment
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.core import Core
+from canfb.device.moment import NEVER
+from canfb.device.pdo.pdos import Pdos
 
 _SOURCE = 0x1005
 _DEFAULT_COB_ID = 0x080
@@ -20,31 +18,22 @@ _LONGEST_COUNTER = 240
 
 
 class Sync(Timed):
-    """SYNC as the node sees it; `synchronise(counter, now)` is called at each one.
+    """SYNC as the node sees it; it goes to the `pdos`.
 
     The counter is None while 1019h is 0. A SYNC of the wrong length gives EMCY 8240h once and does
     not count as a SYNC. A node that produces SYNC acts on its own and drops what others send on
     the same CAN-ID. The first own SYNC comes one period after the start, with counter 1.
     """
 
-    def __init__(
-        self,
-        dictionary: Dictionary,
-        emit: Emit,
-        moment: Moment,
-        counters: Counters,
-        emergency: Emergency,
-        synchronise: Callable[[int | None, float], None],
-        changed: Callable[[], None],
-    ) -> None:
+    def __init__(self, core: Core, pdos: Pdos) -> None:
+        dictionary = core.dictionary
         self.deadline = NEVER
         self.can_id = _DEFAULT_COB_ID
-        self._emit = emit
-        self._moment = moment
-        self._counters = counters
-        self._emergency = emergency
-        self._synchronise = synchronise
-        self._changed = changed
+        self._core = core
+        self._emit = core.emit
+        self._counters = core.counters
+        self._emergency = core.emergency
+        self._synchronise = pdos.synchronise
         self._cob_id = dictionary.find(0x1005)
         self._period = dictionary.find(0x1006)
         self._window = dictionary.find(0x1007)
@@ -55,14 +44,14 @@ class Sync(Timed):
         self._length_error = False
         self._plain = False
         self._window_s = 0.0
-        self._window_end = NEVER
+        core.window_end = NEVER
         self._counter = 0
         self._install()
         self._read()
 
     def configure(self) -> None:
         """Read the parameters again, after a reset."""
-        self._window_end = NEVER
+        self._core.window_end = NEVER
         self._length_error = False
         self._read()
 
@@ -70,12 +59,8 @@ class Sync(Timed):
         """Whether the NMT state allows SYNC; a producer starts or stops."""
         if enabled != self._enabled:
             self._enabled = enabled
-            self._window_end = NEVER
+            self._core.window_end = NEVER
             self._start(now)
-
-    def window_open(self, now: float) -> bool:
-        """Whether a synchronous RPDO still belongs to the last SYNC (1007h)."""
-        return now <= self._window_end
 
     def handle(self, data: bytes, now: float) -> None:
         """A SYNC from the bus."""
@@ -121,7 +106,7 @@ class Sync(Timed):
 
     def _take(self, counter: int | None, now: float) -> None:
         if self._window_s:
-            self._window_end = now + self._window_s
+            self._core.window_end = now + self._window_s
         self._synchronise(counter, now)
 
     def _clear_length_error(self, now: float) -> None:
@@ -142,7 +127,7 @@ class Sync(Timed):
         self._length = 1 if self._value(self._overflow) > 1 else 0
         self._window_s = self._value(self._window) / 1e6
         if not self._window_s:
-            self._window_end = NEVER
+            self._core.window_end = NEVER
         self._look()
 
     def _look(self) -> None:
@@ -157,9 +142,9 @@ class Sync(Timed):
 
     def _install(self) -> None:
         if self._cob_id is not None:
-            self._cob_id.on_write = self._check_cob_id
+            self._cob_id.on_check = self._check_cob_id
         if self._overflow is not None:
-            self._overflow.on_write = self._check_overflow
+            self._overflow.on_check = self._check_overflow
         for entry in (self._cob_id, self._period):
             if entry is not None:
                 entry.on_written = self._restart
@@ -169,8 +154,8 @@ class Sync(Timed):
 
     def _restart(self) -> None:
         self._read()
-        self._start(self._moment.now)
-        self._changed()
+        self._start(self._core.moment.now)
+        self._core.reactions.routes_changed()
 
     def _check_cob_id(self, value: int) -> None:
         old = _DEFAULT_COB_ID if self._cob_id is None else self._cob_id.value

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.counters import Counters
-from canfb.device.od.entry import Entry
+from canfb.device.core import Core
 
 MILLISECONDS_PER_DAY = 86_400_000
 CONSUME = 1 << 31
@@ -20,25 +17,19 @@ _MILLISECONDS = 0x0FFFFFFF
 
 
 class TimeStamp:
-    """Hears the time of day: `heard(days, milliseconds, now)`, days since 1984-01-01.
+    """Hears the time of day, for the hook `on_time`: days since 1984-01-01, and milliseconds.
 
     A TIME of another length than 6 bytes, or with more milliseconds than a day has, is dropped and
-    counted. `changed` is called when 1012h was written.
+    counted.
     """
 
-    def __init__(
-        self,
-        entry: Entry | None,
-        counters: Counters,
-        heard: Callable[[int, int, float], None],
-        changed: Callable[[], None],
-    ) -> None:
-        self._entry = entry
-        self._counters = counters
-        self._heard = heard
+    def __init__(self, core: Core) -> None:
+        self._entry = entry = core.dictionary.find(0x1012)
+        self._counters = core.counters
+        self._hooks = core.hooks
         if entry is not None:
-            entry.on_write = lambda value: _check(value, entry.value)
-            entry.on_written = changed
+            entry.on_check = lambda value: _check(value, entry.value)
+            entry.on_written = core.reactions.routes_changed
 
     @property
     def can_id(self) -> int | None:
@@ -53,7 +44,8 @@ class TimeStamp:
         if len(data) != _LENGTH or milliseconds >= MILLISECONDS_PER_DAY:
             self._counters.malformed_frames += 1
             return
-        self._heard(int.from_bytes(data[4:], "little"), milliseconds, now)
+        if self._hooks.on_time is not None:
+            self._hooks.on_time(int.from_bytes(data[4:], "little"), milliseconds, now)
 
 
 def _check(value: int, old: int) -> None:

@@ -233,7 +233,7 @@ class FeedbackModule:
         """What `save` keeps beside the entries that it keeps anyway, and what is no parameter."""
         entries = self.node.storage.entries
         for preset in (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET):
-            entries.keep(*preset)  # without the preset that a write of it would set
+            entries.keep(*preset)  # its value alone: 6509h is what it led to
         entries.keep(*od.OFFSET_VALUE)
         for entry in self.dictionary:
             if entry.index in COMMANDS and entry.access == "rw":

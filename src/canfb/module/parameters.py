@@ -91,9 +91,9 @@ class Limits:
         """The largest acceleration (2010:02), cycles per interval squared; 0.0 if it is not known."""
         self.on_applied: Callable[[], None] | None = None
         self._upper_is_old = False
-        self._low.on_write = self._check(lambda low: low < self._high.value or self._upper_is_old)
-        self._high.on_write = self._check(lambda high: high > self._low.value)
-        self._acceleration.on_write = self._check(lambda value: 0.0 <= value <= 1e9)
+        self._low.on_check = self._check(lambda low: low < self._high.value or self._upper_is_old)
+        self._high.on_check = self._check(lambda high: high > self._low.value)
+        self._acceleration.on_check = self._check(lambda value: 0.0 <= value <= 1e9)
         for changed in (
             self._full_scale,
             self._low,

@@ -13,6 +13,7 @@ from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary
 
 BLOCK_SAMPLES = 1 << 16
+COMMANDS = frozenset(od.RecordingCommand)
 
 Block = npt.NDArray[np.int16]
 """Sine and cosine in ADC counts, shape (n, 2)."""
@@ -41,15 +42,16 @@ class FastRecorder:
     def __init__(self, dictionary: Dictionary, source: object, now: Callable[[], float]) -> None:
         self._source = source if isinstance(source, Continuous) else None
         self._now = now
-        command = dictionary.entry(*od.RECORDING_COMMAND)
-        command.on_write = self._command
+        self._command = command = dictionary.entry(*od.RECORDING_COMMAND)
+        command.on_check = _check_command
+        command.on_written = self._obey
         command.on_read = lambda: int(self.is_recording)
         dictionary.entry(*od.RECORDING_RECORDED).on_read = lambda: self.count
         dictionary.entry(*od.RECORDING_SAMPLES).on_read = self.to_bytes
         self._rate, self._capacity = (
             dictionary.entry(*place) for place in (od.RECORDING_RATE, od.RECORDING_CAPACITY)
         )
-        self._rate.on_write = self._refuse_while_recording
+        self._rate.on_check = self._refuse_while_recording
         self._number = 0
         self.reset()
 
@@ -92,13 +94,11 @@ class FastRecorder:
         block = self._source.fast_samples(self._first_s + places / self._rate_hz, (self._number, number))
         return block.astype("<i2").tobytes()
 
-    def _command(self, value: int) -> None:
-        if value == od.RecordingCommand.START:
+    def _obey(self) -> None:
+        if self._command.value == od.RecordingCommand.START:
             self._start()
-        elif value == od.RecordingCommand.STOP:
-            self._kept, self._began_s = self.count, None
         else:
-            raise SdoAbort(AbortCode.INVALID_VALUE)
+            self._kept, self._began_s = self.count, None
 
     def _start(self) -> None:
         if self._source is None:
@@ -112,3 +112,8 @@ class FastRecorder:
     def _refuse_while_recording(self, value: int) -> None:
         if self.is_recording:
             raise SdoAbort(AbortCode.DEVICE_STATE)
+
+
+def _check_command(value: int) -> None:
+    if value not in COMMANDS:
+        raise SdoAbort(AbortCode.INVALID_VALUE)

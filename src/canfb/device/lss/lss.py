@@ -6,10 +6,8 @@ from collections.abc import Callable, Collection
 from enum import IntEnum
 
 from canfb.cia301.frame import Frame
-from canfb.device.counters import Counters
+from canfb.device.core import Core
 from canfb.device.lss.identification import Identification
-from canfb.device.moment import Emit
-from canfb.device.od.dictionary import Dictionary
 from canfb.device.storage.image import ParameterGroup, Record
 from canfb.device.storage.storage import Storage
 
@@ -62,38 +60,19 @@ class LssSlave:
     """Answers the LSS master, in every NMT state.
 
     `pending_node_id` is what the next reset of the communication makes the node-ID, and what is
-    stored. `active_node_id()` is the present one. `bit_rates_kbit_s` are those that the bus can be
-    set to. `activate(kbit_s, delay_s)` is called for "activate bit timing" with the bit rate
-    configured before: the device is to be silent for `delay_s` seconds, then the bit rate changes,
-    then it is to be silent for `delay_s` again. Without a bit rate that the bus can be set to the
-    service is refused; it has no answer, and nothing happens. `configured(now)` is called when the
-    master leaves the configuration state.
+    stored. `bit_rates_kbit_s` are those that the bus can be set to. "Activate bit timing" takes the bit
+    rate configured before; it has no answer. Without one that the bus can be set to nothing happens.
     """
 
-    def __init__(
-        self,
-        dictionary: Dictionary,
-        storage: Storage,
-        counters: Counters,
-        emit: Emit,
-        *,
-        active_node_id: Callable[[], int],
-        bit_rates_kbit_s: Collection[int],
-        activate: Callable[[int, float], None],
-        configured: Callable[[float], None],
-    ) -> None:
+    def __init__(self, core: Core, storage: Storage, bit_rates_kbit_s: Collection[int]) -> None:
         self.state = LssState.WAITING
-        self.pending_node_id = self._own_node_id = active_node_id()
+        self.pending_node_id = self._own_node_id = core.node_id
         self.bit_rate_kbit_s: int | None = None
         """The bit rate that was configured or stored, None for none."""
+        self._core = core
         self._storage = storage
-        self._counters = counters
-        self._emit = emit
-        self._active_node_id = active_node_id
         self._bit_rates_kbit_s = frozenset(bit_rates_kbit_s)
-        self._activate = activate
-        self._configured = configured
-        self._identification = Identification(dictionary)
+        self._identification = Identification(core.dictionary)
         self._services: dict[int, Callable[[bytes], None]] = {
             LssCommand.CONFIGURE_NODE_ID: self._configure_node_id,
             LssCommand.CONFIGURE_BIT_TIMING: self._configure_bit_timing,
@@ -126,7 +105,7 @@ class LssSlave:
     def handle(self, data: bytes, now: float) -> None:
         """A frame of the master; one that is not 8 bytes long is dropped."""
         if len(data) != _LENGTH:
-            self._counters.malformed_frames += 1
+            self._core.counters.malformed_frames += 1
         elif data[0] == LssCommand.SWITCH_STATE_GLOBAL:
             self._switch_state(data[1], now)
         elif data[0] in self._services:
@@ -140,10 +119,10 @@ class LssSlave:
             self.state = LssState.CONFIGURATION
         elif mode == LssState.WAITING and self.state is LssState.CONFIGURATION:
             self.state = LssState.WAITING
-            self._configured(now)
+            self._core.reactions.lss_left(now)
 
     def _identify(self, data: bytes) -> None:
-        unconfigured = self._active_node_id() == self.pending_node_id == UNCONFIGURED
+        unconfigured = self._core.node_id == self.pending_node_id == UNCONFIGURED
         waiting = self.state is LssState.WAITING
         answer = self._identification.handle(data, unconfigured=unconfigured, waiting=waiting)
         if answer is None:
@@ -153,7 +132,7 @@ class LssSlave:
         self._answer(bytes([answer.command]))
 
     def _answer(self, data: bytes) -> None:
-        self._emit(Frame(RESPONSE_ID, data.ljust(_LENGTH, b"\x00")))
+        self._core.emit(Frame(RESPONSE_ID, data.ljust(_LENGTH, b"\x00")))
 
     def _configure_node_id(self, data: bytes) -> None:
         good = is_node_id(data[1])
@@ -172,7 +151,8 @@ class LssSlave:
     def _activate_bit_timing(self, data: bytes) -> None:
         """There is no answer. Nothing happens without a bit rate that was configured and is possible."""
         if self.bit_rate_kbit_s is not None and self.bit_rate_kbit_s in self._bit_rates_kbit_s:
-            self._activate(self.bit_rate_kbit_s, int.from_bytes(data[1:3], "little") / 1000)
+            delay_s = int.from_bytes(data[1:3], "little") / 1000
+            self._core.reactions.bit_rate_activated(self.bit_rate_kbit_s, delay_s)
 
     def _store(self, data: bytes) -> None:
         timing = next(
@@ -191,7 +171,7 @@ class LssSlave:
         self._answer(bytes([data[0], error]))
 
     def _inquire_node_id(self, data: bytes) -> None:
-        self._answer(bytes([data[0], self._active_node_id()]))
+        self._answer(bytes([data[0], self._core.node_id]))
 
     def _inquire_identity(self, data: bytes) -> None:
         number = self._identification.address[data[0] - LssCommand.INQUIRE_IDENTITY]

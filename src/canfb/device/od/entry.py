@@ -24,9 +24,10 @@ class Entry:
     `low` and `high` are the limits for values from the bus, None where there is none.
 
     Hooks: `on_read()` gives a live value (bytes for a DOMAIN) in place of `value`, and may raise
-    SdoAbort. `on_write(value)` runs after all generic checks and before the value is stored, and
-    raises SdoAbort to refuse it. `on_written()` runs after the value is stored. `on_download()` runs
-    after an SDO has written it, and after no other write.
+    SdoAbort. `on_check(value)` runs after all generic checks and raises SdoAbort for a value that the
+    object cannot have; it has no effect. `on_written()` acts on the new `value`; it raises SdoAbort
+    when that is not possible now, and the write is then refused. `on_download()` runs after an SDO has
+    written the entry, and after no other write.
 
     `follows_node_id`: the node-ID is part of the default ($NODEID in the EDS).
     """
@@ -40,9 +41,9 @@ class Entry:
         "index",
         "low",
         "name",
+        "on_check",
         "on_download",
         "on_read",
-        "on_write",
         "on_written",
         "pdo_mappable",
         "subindex",
@@ -82,7 +83,7 @@ class Entry:
         self.pdo_mappable = pdo_mappable
         self.follows_node_id = follows_node_id
         self.on_read: Callable[[], Any] | None = None
-        self.on_write: Callable[[Any], None] | None = None
+        self.on_check: Callable[[Any], None] | None = None
         self.on_written: Callable[[], None] | None = None
         self.on_download: Callable[[], None] | None = None
         self.reset()
@@ -103,7 +104,7 @@ class Entry:
         copy.high = self.high
         copy.pdo_mappable = self.pdo_mappable
         copy.follows_node_id = self.follows_node_id
-        copy.on_read = copy.on_write = copy.on_written = copy.on_download = None
+        copy.on_read = copy.on_check = copy.on_written = copy.on_download = None
         copy.reset()
         return copy
 
@@ -149,6 +150,12 @@ class Entry:
         if self.low is not None and not value >= self.low:
             raise SdoAbort(AbortCode.VALUE_TOO_LOW if value < self.low else AbortCode.INVALID_VALUE)
 
+    def check(self, value: Any) -> None:
+        """SdoAbort for a value that the object cannot have: limits and `on_check`. No effect."""
+        self.check_limits(value)
+        if self.on_check is not None:
+            self.on_check(value)
+
     def check_readable(self) -> None:
         """SdoAbort unless SDO may read the entry."""
         if self.access not in READABLE:
@@ -160,16 +167,20 @@ class Entry:
             raise SdoAbort(AbortCode.READ_ONLY)
 
     def store(self, value: Any) -> None:
-        """Take over a value from the bus: limits, `on_write`, the value, `on_written`.
+        """Take over a value from the bus: limits, `on_check`, the value, `on_written`.
 
-        SdoAbort when it is refused; the value is then untouched.
+        SdoAbort when it is refused; the value is then what it was.
         """
         self.check_limits(value)
-        if self.on_write is not None:
-            self.on_write(value)
-        self.value = value
+        if self.on_check is not None:
+            self.on_check(value)
+        before, self.value = self.value, value
         if self.on_written is not None:
-            self.on_written()
+            try:
+                self.on_written()
+            except SdoAbort:
+                self.value = before
+                raise
 
     def upload(self) -> bytes:
         """What an SDO read gives; SdoAbort when it is refused."""

@@ -228,7 +228,7 @@ def _letter(slot: Slot) -> str:
 
 def _is_plain(entry: Entry) -> bool:
     no_limits = entry.low is None and entry.high is None
-    return no_limits and entry.on_write is None and entry.on_written is None
+    return no_limits and entry.on_check is None and entry.on_written is None
 
 
 def _store(entry: Entry, value: Any) -> bool:

@@ -103,11 +103,11 @@ class PdoParameters:
             raise SdoAbort(AbortCode.INVALID_VALUE)
 
     def _install(self, changed: Callable[[], None]) -> None:
-        self.cob_id.on_write = self._check_cob_id
-        self.type.on_write = self._check_type
-        self.count.on_write = self._check_count
+        self.cob_id.on_check = self._check_cob_id
+        self.type.on_check = self._check_type
+        self.count.on_check = self._check_count
         for entry in self.mapped:
-            entry.on_write = self._check_mapping
+            entry.on_check = self._check_mapping
         for entry in (self.cob_id, self.type):
             entry.on_written = changed
 

@@ -6,10 +6,8 @@ from collections.abc import Callable
 
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.device.agenda import Timed
-from canfb.device.counters import Counters
-from canfb.device.emergency import Emergency
-from canfb.device.moment import NEVER, Moment
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.core import Core
+from canfb.device.moment import NEVER
 from canfb.device.pdo.mapping import Direction, Layout
 from canfb.device.pdo.pdo import SYNCHRONOUS, PdoParameters
 
@@ -20,36 +18,21 @@ ERRORS = (EmergencyCode.RPDO_LENGTH, EmergencyCode.RPDO_LENGTH_EXCEEDED, Emergen
 class Rpdo(Timed):
     """Takes data into the dictionary: at once (types FEh, FFh) or at the next SYNC (0 to F0h).
 
-    `delivered(number, now)`, which may be replaced at any time, is called when the data stands in the
-    dictionary, `too_short(number, received, mapped, now)` for a PDO that was kept out because it is
-    too short (EMCY 8210h). One that is too long is used as far as it is mapped (EMCY 8220h).
+    The hook `on_rpdo` is called when the data stands in the dictionary, `on_bad_rpdo` for a PDO that was
+    kept out because it is too short (EMCY 8210h). One that is too long is used as far as it is mapped
+    (EMCY 8220h).
     Sub-index 5 is the time-out in milliseconds: it runs from the first PDO on and gives EMCY 8250h.
     Each error is reported once; a PDO of the mapped length ends it.
     """
 
-    def __init__(
-        self,
-        dictionary: Dictionary,
-        number: int,
-        *,
-        moment: Moment,
-        counters: Counters,
-        emergency: Emergency,
-        window_open: Callable[[float], bool],
-        delivered: Callable[[int, float], None],
-        too_short: Callable[[int, int, int, float], None],
-        changed: Callable[[], None],
-    ) -> None:
+    def __init__(self, core: Core, number: int) -> None:
         self.number = number
         self.deadline = NEVER
-        self._moment = moment
-        self._counters = counters
-        self._emergency = emergency
-        self._window_open = window_open
-        self.delivered = delivered
-        self._too_short = too_short
-        self._changed = changed
-        self._parameters = PdoParameters(dictionary, number, Direction.RECEIVE, self._written)
+        self._core = core
+        self._counters = core.counters
+        self._emergency = core.emergency
+        self.listen()
+        self._parameters = PdoParameters(core.dictionary, number, Direction.RECEIVE, self._written)
         self._timeout = self._parameters.find(5)
         if self._timeout is not None:
             self._timeout.on_written = self._written
@@ -75,6 +58,11 @@ class Rpdo(Timed):
         """The CAN-ID it has, in any NMT state; None while it is not valid."""
         return self._parameters.can_id if self._parameters.is_valid else None
 
+    def listen(self) -> None:
+        """Take over the hook `on_rpdo`."""
+        hook = self._core.on_rpdo
+        self._delivered = _nobody_listens if hook is None else hook
+
     def enable(self, operational: bool, now: float) -> None:
         """Whether the NMT state allows PDOs. The mapping is compiled here."""
         self._operational = operational
@@ -90,7 +78,7 @@ class Rpdo(Timed):
         store = self._store
         if store is not None and len(data) == self._length:
             store(data)
-            self.delivered(self.number, now)
+            self._delivered(self.number, now)
         else:
             self._handle_any(data, now)
 
@@ -106,7 +94,7 @@ class Rpdo(Timed):
         elif self._supervised:
             self._supervise(now)
         if self.is_synchronous:
-            if self._window_open(now):
+            if now <= self._core.window_end:
                 self._pending = data
                 self.waiting += 1
             else:
@@ -132,13 +120,14 @@ class Rpdo(Timed):
         refused = layout.unpack(data)
         if refused:
             self._counters.refused_rpdo_values += refused
-        self.delivered(self.number, now)
+        self._delivered(self.number, now)
 
     def _refuse(self, received: int, mapped: int, now: float) -> None:
         self._counters.short_rpdos += 1
         self._report(EmergencyCode.RPDO_LENGTH, bytes([self.number & 0xFF, received, mapped]), now)
         self._clear(EmergencyCode.RPDO_LENGTH_EXCEEDED, now)
-        self._too_short(self.number, received, mapped, now)
+        if self._core.hooks.on_bad_rpdo is not None:
+            self._core.hooks.on_bad_rpdo(self.number, received, mapped, now)
 
     def _accept_long(self, received: int, mapped: int, now: float) -> None:
         """The data is there, and in time; only its length is an error."""
@@ -184,6 +173,11 @@ class Rpdo(Timed):
         return "RPDO", self.number
 
     def _written(self) -> None:
-        self._clear_errors(self._moment.now)
-        self.enable(self._operational, self._moment.now)
-        self._changed()
+        now = self._core.moment.now
+        self._clear_errors(now)
+        self.enable(self._operational, now)
+        self._core.reactions.pdo_changed()
+
+
+def _nobody_listens(number: int, now: float) -> None:
+    """In place of a hook that is not there."""

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.agenda import Timed
-from canfb.device.moment import NEVER, Emit, Moment
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.core import Core
+from canfb.device.moment import NEVER
 from canfb.device.od.entry import Entry
 from canfb.device.pdo.mapping import Direction, Layout
 from canfb.device.pdo.pdo import EVENT_DRIVEN, SYNC_REMOTE, SYNCHRONOUS, PdoParameters
@@ -29,20 +29,11 @@ class Tpdo(Timed):
     Synchronous TPDOs go out with the SYNC itself, so that the window of 1007h always holds.
     """
 
-    def __init__(
-        self,
-        dictionary: Dictionary,
-        number: int,
-        *,
-        emit: Emit,
-        moment: Moment,
-        changed: Callable[[], None],
-    ) -> None:
+    def __init__(self, core: Core, number: int) -> None:
         self.deadline = NEVER
-        self._emit = emit
-        self._moment = moment
-        self._changed = changed
-        self._parameters = PdoParameters(dictionary, number, Direction.TRANSMIT, self._written)
+        self._core = core
+        self._emit = core.emit
+        self._parameters = PdoParameters(core.dictionary, number, Direction.TRANSMIT, self._written)
         self._inhibit = self._parameters.find(3)
         self._event_timer = self._parameters.find(5)
         self._start_value = self._parameters.find(6)
@@ -198,9 +189,9 @@ class Tpdo(Timed):
 
     def _install(self) -> None:
         if self._inhibit is not None:
-            self._inhibit.on_write = self._parameters.refuse_while_valid
+            self._inhibit.on_check = self._parameters.refuse_while_valid
         if self._start_value is not None:
-            self._start_value.on_write = self._check_start_value
+            self._start_value.on_check = self._check_start_value
         if self._event_timer is not None:
             self._event_timer.on_written = self._written
 
@@ -210,8 +201,8 @@ class Tpdo(Timed):
             raise SdoAbort(AbortCode.INVALID_VALUE)
 
     def _written(self) -> None:
-        self.enable(self._operational, self._moment.now)
-        self._changed()
+        self.enable(self._operational, self._core.moment.now)
+        self._core.reactions.pdo_changed()
 
 
 def _value(entry: Entry | None) -> int:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.counters import Counters
-from canfb.device.moment import Emit
+from canfb.device.core import Core
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.od.entry import Entry
-from canfb.device.sdo.server import TIMEOUT_S, SdoServer
+from canfb.device.sdo.server import SdoServer
 
 FIRST_INDEX = 0x1200
 LAST_INDEX = 0x127F
@@ -21,27 +18,15 @@ _DYNAMIC = 1 << 30
 class SdoChannel:
     """One SDO server with its two COB-IDs. It exists while both are valid.
 
-    The first channel is always there: 600h and 580h plus node-ID. `changed` is called when a
-    further one gets other CAN-IDs.
+    The first channel is always there: 600h and 580h plus node-ID.
     """
 
-    def __init__(
-        self,
-        dictionary: Dictionary,
-        index: int,
-        node_id: int,
-        emit: Emit,
-        counters: Counters,
-        changed: Callable[[], None],
-        *,
-        timeout_s: float = TIMEOUT_S,
-    ) -> None:
+    def __init__(self, core: Core, index: int) -> None:
+        self._core = core
         self._index = index
-        self._node_id = node_id
-        self._changed = changed
-        self._request = dictionary.find(index, 1)
-        self._response = dictionary.find(index, 2)
-        self.server = SdoServer(dictionary, emit, counters, cob.SDO_RESPONSE + node_id, timeout_s=timeout_s)
+        self._request = core.dictionary.find(index, 1)
+        self._response = core.dictionary.find(index, 2)
+        self.server = SdoServer(core)
         if index != FIRST_INDEX:
             for entry in (self._request, self._response):
                 if entry is not None:
@@ -52,7 +37,7 @@ class SdoChannel:
     def request_id(self) -> int | None:
         """The CAN-ID that the server listens to, None while the channel does not exist."""
         if self._index == FIRST_INDEX:
-            return cob.SDO_REQUEST + self._node_id
+            return cob.SDO_REQUEST + self._core.node_id
         if self._request is None or self._response is None:
             return None
         if not (cob.is_valid(self._request.value) and cob.is_valid(self._response.value)):
@@ -79,9 +64,9 @@ class SdoChannel:
 
         def written() -> None:
             self.configure()
-            self._changed()
+            self._core.reactions.routes_changed()
 
-        entry.on_write = check
+        entry.on_check = check
         entry.on_written = written
 
 

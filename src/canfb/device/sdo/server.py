@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.agenda import Timed
-from canfb.device.counters import Counters
-from canfb.device.moment import NEVER, Emit
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.core import Core
+from canfb.device.moment import NEVER
 from canfb.device.od.entry import Entry
 from canfb.device.sdo.block import CRC_SUPPORTED, BlockDownload, BlockUpload
 from canfb.device.sdo.segment import SegmentedDownload, SegmentedUpload
@@ -38,21 +38,14 @@ class SdoServer(Timed):
     one up and is served.
     """
 
-    def __init__(
-        self,
-        dictionary: Dictionary,
-        emit: Emit,
-        counters: Counters,
-        response_id: int,
-        *,
-        timeout_s: float = TIMEOUT_S,
-    ) -> None:
+    def __init__(self, core: Core) -> None:
         self.deadline = NEVER
-        self.response_id = response_id
-        self._dictionary = dictionary
-        self._emit = emit
-        self._counters = counters
-        self._timeout_s = timeout_s
+        self.response_id = cob.SDO_RESPONSE + core.node_id
+        """The CAN-ID of the answers; that of the first channel, unless another one is given."""
+        self._dictionary = core.dictionary
+        self._emit = core.emit
+        self._counters = core.counters
+        self._timeout_s = core.sdo_timeout_s
         self._transfer: Transfer | None = None
         self._begin: dict[int, Callable[[bytes], Transfer | None]] = {
             INITIATE_DOWNLOAD: self._download,

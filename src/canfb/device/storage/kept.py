@@ -24,8 +24,6 @@ NO_PARAMETERS = frozenset({0x1003, 0x1010, 0x1011})
 _CAN_ID = 0x1FFFFFFF
 _FLAGS_AND_ID = 0xFFFFFFFF
 
-Check = Callable[[Any], None]
-
 
 class KeptEntries:
     """The stored parameters of a device.
@@ -39,7 +37,7 @@ class KeptEntries:
         self._dictionary = dictionary
         self._written = written
         self._saved_value: dict[tuple[int, int], Callable[[], Any]] = {}
-        self._check: dict[tuple[int, int], Check] = {}
+        self._added: set[tuple[int, int]] = set()
         self._places = {
             (entry.index, entry.subindex)
             for entry in dictionary
@@ -53,22 +51,14 @@ class KeptEntries:
         self._places.discard((index, subindex))
         self._dictionary.entry(index, subindex).on_download = None
 
-    def keep(
-        self,
-        index: int,
-        subindex: int = 0,
-        *,
-        saved: Callable[[], Any] | None = None,
-        check: Check | None = None,
-    ) -> None:
+    def keep(self, index: int, subindex: int = 0, *, saved: Callable[[], Any] | None = None) -> None:
         """Store this entry, whatever its access. KeyError when there is none.
 
-        `saved()` gives the value to save in place of `value`, and `check(value)` raises SdoAbort for
-        one that must not be restored, in place of `on_write`, which may act on what it is given.
+        `saved()` gives the value to save in place of `value`.
         """
         entry = self._dictionary.entry(index, subindex)
         self._places.add((index, subindex))
-        self._check[index, subindex] = check if check is not None else _accept
+        self._added.add((index, subindex))
         if saved is not None:
             self._saved_value[index, subindex] = saved
         if entry.access == "rw":
@@ -83,7 +73,7 @@ class KeptEntries:
 
     def settings(self) -> Iterator[Entry]:
         """The parameters that SDO sets as it finds them, in ascending order: without those of `keep`."""
-        for index, subindex in sorted(self._places - self._check.keys()):
+        for index, subindex in sorted(self._places - self._added):
             yield self._dictionary.lookup(index, subindex)
 
     def find(self, group: ParameterGroup, index: int, subindex: int) -> Entry | None:
@@ -91,13 +81,6 @@ class KeptEntries:
         if (index, subindex) not in self._places or index not in RANGES[group]:
             return None
         return self._dictionary.lookup(index, subindex)
-
-    def check(self, entry: Entry, value: Any) -> None:
-        """SdoAbort for a value that SDO could not write, or that `keep` refuses."""
-        entry.check_limits(value)
-        check = self._check.get((entry.index, entry.subindex), entry.on_write)
-        if check is not None:
-            check(value)
 
     def records(self, group: ParameterGroup, node_id: int) -> list[Record]:
         """The present values of a group on node `node_id`.
@@ -144,7 +127,3 @@ def _has_default_can_id(entry: Entry, value: Any) -> bool:
 
 def _group(entry: Entry) -> ParameterGroup | None:
     return next((group for group, indices in RANGES.items() if entry.index in indices), None)
-
-
-def _accept(value: Any) -> None:
-    """Whatever fits the type and the limits."""

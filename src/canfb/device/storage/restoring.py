@@ -16,10 +16,10 @@ Value = tuple[Entry, Any]
 def restore(entries: KeptEntries, group: ParameterGroup, records: list[Record], node_id: int) -> None:
     """Write all records, or none and raise ImageError.
 
-    Each value passes the checks of an SDO write, in the order that CiA 301 requires of a master: first
-    everything is switched off (PDOs not valid and without objects, no SYNC, no heartbeat to wait
-    for), then comes the rest, at last mappings, periods and COB-IDs. Hooks for what was written do
-    not run: the services read their parameters after a reset.
+    Each value passes the checks of an SDO write (`Entry.check`), in the order that CiA 301 requires
+    of a master: first everything is switched off (PDOs not valid and without objects, no SYNC, no
+    heartbeat to wait for), then comes the rest, at last mappings, periods and COB-IDs. Nothing acts on
+    the values (`on_written`): the services read their parameters after a reset.
     """
     before = [(entry, entry.value) for entry in entries.of(group)]
     try:
@@ -28,7 +28,7 @@ def restore(entries: KeptEntries, group: ParameterGroup, records: list[Record], 
             off = switched_off(entry, value)
             if off is not None:
                 entry.value = off
-        _write(entries, values)
+        _write(values)
     except ImageError:
         for entry, value in before:
             entry.value = value
@@ -49,21 +49,21 @@ def _values(entries: KeptEntries, group: ParameterGroup, records: list[Record], 
     return values
 
 
-def _write(entries: KeptEntries, values: list[Value]) -> None:
+def _write(values: list[Value]) -> None:
     """Write turn by turn; where one value waits for another, as a lower limit for the upper one, again."""
     for this in TURNS:
         waiting = [value for value in values if turn(value[0]) == this]
         while waiting:
-            refused = [(value, reason) for value in waiting if (reason := _refusal(entries, *value))]
+            refused = [(value, reason) for value in waiting if (reason := _refusal(*value))]
             if len(refused) == len(waiting):
                 raise ImageError(refused[0][1])
             waiting = [value for value, _ in refused]
 
 
-def _refusal(entries: KeptEntries, entry: Entry, value: Any) -> str:
+def _refusal(entry: Entry, value: Any) -> str:
     """Write one value; why it is refused, or nothing."""
     try:
-        entries.check(entry, value)
+        entry.check(value)
     except SdoAbort as abort:
         return f"{entry.index:04X}h:{entry.subindex:02X}: {abort}"
     entry.value = value

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from functools import partial
+from typing import Protocol
 
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.core import Core
 from canfb.device.storage.image import (
     Identity,
     ImageError,
@@ -61,34 +62,27 @@ class Storage:
     """The parameters of one device in a `Store`.
 
     Stored parameters are the entries that SDO may read and write and no PDO carries, without 1003h,
-    1010h and 1011h; `entries` knows exceptions. `node_id()` is the present node-ID. `changed(faults)`
-    is called when a save or a load has ended or brought about a fault.
+    1010h and 1011h; `entries` knows exceptions.
 
     `faults` says by group why stored parameters were refused; the defaults are in force in their
-    place. A fault lasts until the group is saved or its defaults are loaded.
+    place. A fault lasts until the group is saved or its defaults are loaded; the hook
+    `on_parameter_faults` is then called.
 
     Without a store nothing is kept: 1010h reads 0 and refuses with 08000020h. 1011h works then, too:
     after the next reset the defaults are in force, as after every reset.
     """
 
-    def __init__(
-        self,
-        dictionary: Dictionary,
-        store: Store | None,
-        node_id: Callable[[], int],
-        changed: Callable[[], None],
-    ) -> None:
+    def __init__(self, core: Core, store: Store | None) -> None:
+        self._core = core
+        self._dictionary = dictionary = core.dictionary
         self.entries = KeptEntries(dictionary, self.configuration_changed)
         self.faults: dict[ParameterGroup, str] = {}
-        self._dictionary = dictionary
         self._store = store
-        self._node_id = node_id
-        self._changed = changed
         self._images: dict[ParameterGroup, bytes] = {}
         found = (dictionary.find(VERIFY, subindex) for subindex in (1, 2))
         self._verify = [entry for entry in found if entry is not None]
-        self._install(SAVE, SAVES_ON_COMMAND if store is not None else 0, self._save_command)
-        self._install(LOAD, RESTORES, self._load_command)
+        self._install(SAVE, SAVES_ON_COMMAND if store is not None else 0, self._check_save, self._save)
+        self._install(LOAD, RESTORES, _check_load, self._load)
         for entry in self._verify:
             entry.on_download = None
 
@@ -120,7 +114,7 @@ class Storage:
             if records is None:
                 continue
             try:
-                restore(self.entries, group, records, self._node_id())
+                restore(self.entries, group, records, self._core.node_id)
             except ImageError as error:
                 self.refuse(group, str(error))
 
@@ -149,38 +143,41 @@ class Storage:
         del self._images[group]
         self.faults[group] = reason
 
+    def report_faults(self) -> None:
+        """Tell the program which groups were refused, and why; none if there are none."""
+        hook = self._core.hooks.on_parameter_faults
+        if hook is not None:
+            hook(dict(self.faults), self._core.moment.now)
+
     def _identity(self) -> Identity:
         found = (self._dictionary.find(0x1018, subindex) for subindex in (1, 2, 3))
         return Identity(*(0 if entry is None else int(entry.value) for entry in found))
 
-    def _install(self, index: int, ability: int, command: Callable[[int], Callable[[Any], None]]) -> None:
+    def _install(
+        self, index: int, ability: int, check: Callable[[int], None], command: Callable[[int], None]
+    ) -> None:
         for subindex in (ALL_PARAMETERS, *PARAMETERS):
             if (index, subindex) in self._dictionary:
                 entry = self._dictionary.entry(index, subindex)
                 entry.on_read = lambda: ability
-                entry.on_write = command(subindex)
+                entry.on_check = check
+                entry.on_written = partial(command, subindex)
 
-    def _save_command(self, subindex: int) -> Callable[[int], None]:
-        def save(value: int) -> None:
-            if value != SAVE_SIGNATURE or self._store is None:
-                raise SdoAbort(AbortCode.NOT_STORED)
-            self._command({group: self._image(group) for group in _groups(subindex)})
+    def _check_save(self, value: int) -> None:
+        if value != SAVE_SIGNATURE or self._store is None:
+            raise SdoAbort(AbortCode.NOT_STORED)
 
-        return save
+    def _save(self, subindex: int) -> None:
+        self._command({group: self._image(group) for group in _groups(subindex)})
 
-    def _load_command(self, subindex: int) -> Callable[[int], None]:
-        def load(value: int) -> None:
-            if value != LOAD_SIGNATURE:
-                raise SdoAbort(AbortCode.NOT_STORED)
-            there = [group for group in _groups(subindex) if group in self._images or group in self.faults]
-            self._command(dict.fromkeys(there))
-            self.configuration_changed()
-
-        return load
+    def _load(self, subindex: int) -> None:
+        there = [group for group in _groups(subindex) if group in self._images or group in self.faults]
+        self._command(dict.fromkeys(there))
+        self.configuration_changed()
 
     def _image(self, group: ParameterGroup) -> bytes | None:
         """The present values of a group; None for a device without parameters in it."""
-        records = self.entries.records(group, self._node_id())
+        records = self.entries.records(group, self._core.node_id)
         return encode_image(group, self._identity(), records) if records else None
 
     def _command(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
@@ -202,7 +199,12 @@ class Storage:
             else:
                 self._images[group] = image
         if mended:
-            self._changed()
+            self.report_faults()
+
+
+def _check_load(value: int) -> None:
+    if value != LOAD_SIGNATURE:
+        raise SdoAbort(AbortCode.NOT_STORED)
 
 
 def _groups(subindex: int) -> tuple[ParameterGroup, ...]:

@@ -15,6 +15,7 @@ class CyclicTimer:
     def __init__(self, dictionary: Dictionary, storage: Storage) -> None:
         timer, alias = dictionary.entry(*EVENT_TIMER), dictionary.entry(CYCLIC_TIMER)
         alias.on_read = timer.current
-        alias.on_write = timer.store
+        alias.on_check = timer.check
+        alias.on_written = lambda: timer.store(alias.value)
         storage.entries.leave_out(CYCLIC_TIMER)  # one value, kept once
         alias.on_download = storage.configuration_changed

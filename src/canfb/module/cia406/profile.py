@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.entry import Entry
 from canfb.module.cia406.cams import Cams
 from canfb.module.cia406.position import (
     CODE_SEQUENCE,
@@ -47,9 +50,9 @@ class EncoderProfile:
         """Bits of 6503h that no sample ends."""
         self._presets = entry(*od.PRESET_VALUE), entry(*od.HIGH_PRECISION_PRESET)
         for preset in self._presets:
-            preset.on_write = self._preset
+            preset.on_written = partial(self._preset, preset)
         entry(0x600C).on_read = self._raw_position
-        self._operating.on_write = self._check_operating
+        self._operating.on_check = self._check_operating
         for changed in (self._operating, self._units_per_rev, self._range):
             changed.on_written = self.rescale
         self._module_range = entry(0x650A, 2), entry(0x650A, 3)
@@ -130,7 +133,9 @@ class EncoderProfile:
         if value & ~(CODE_SEQUENCE | SCALING):
             raise SdoAbort(AbortCode.INVALID_VALUE)
 
-    def _preset(self, value: int) -> None:
+    def _preset(self, written: Entry) -> None:
+        """Move the position. A preset that `save` has kept does not: 6509h holds what it led to."""
+        value = written.value
         if value >= self._scale.total_range:
             raise SdoAbort(AbortCode.INVALID_VALUE)
         last = self._last

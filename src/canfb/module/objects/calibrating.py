@@ -63,8 +63,9 @@ class Calibrating:
             Command.FINISH: self._finish,
         }
         self.reset()
-        command = dictionary.entry(*od.MEASUREMENT_COMMAND)
-        command.on_write = self._command
+        self._command = command = dictionary.entry(*od.MEASUREMENT_COMMAND)
+        command.on_check = self._check_command
+        command.on_written = self._obey
         command.on_read = lambda: int(self._task) if self.state in AT_WORK else 0
         live: dict[Multiplexer, Callable[[], float]] = {
             od.MEASUREMENT_STATE: lambda: int(self.state),
@@ -133,11 +134,12 @@ class Calibrating:
         self._samples.miss()
         self._complete()
 
-    def _command(self, value: int) -> None:
-        command = self._commands.get(value)
-        if command is None:
+    def _check_command(self, value: int) -> None:
+        if value not in self._commands:
             raise SdoAbort(AbortCode.INVALID_VALUE)
-        command()
+
+    def _obey(self) -> None:
+        self._commands[self._command.value]()
 
     def _start(self, task: Command) -> None:
         self._task = task

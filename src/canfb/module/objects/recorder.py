@@ -11,6 +11,8 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.sample_recording import SampleRecording
 
+COMMANDS = frozenset(od.RecordingCommand)
+
 
 class Recorder:
     """Records raw counts, one pair for each sampling interval, from the next sample on.
@@ -24,8 +26,9 @@ class Recorder:
         self._interval = interval
         self._taps = taps
         self._recording = SampleRecording(dictionary.entry(*od.RECORDING_CAPACITY).value)
-        command = dictionary.entry(*od.RECORDING_COMMAND)
-        command.on_write = self._command
+        self._command = command = dictionary.entry(*od.RECORDING_COMMAND)
+        command.on_check = _check_command
+        command.on_written = self._obey
         command.on_read = lambda: int(self.is_recording)
         dictionary.entry(*od.RECORDING_RECORDED).on_read = lambda: len(self._recording)
         dictionary.entry(*od.RECORDING_SAMPLES).on_read = self._recording.to_bytes
@@ -60,15 +63,18 @@ class Recorder:
         if self._recording.is_full:
             self.stop()
 
-    def _command(self, value: int) -> None:
-        if value == od.RecordingCommand.START:
+    def _obey(self) -> None:
+        if self._command.value == od.RecordingCommand.START:
             self._recording.clear()
             self._taps.add(self)
-        elif value == od.RecordingCommand.STOP:
-            self.stop()
         else:
-            raise SdoAbort(AbortCode.INVALID_VALUE)
+            self.stop()
 
     def _rate(self) -> int:
         interval_s = self._interval.seconds
         return min(round(1.0 / interval_s), 0xFFFFFFFF) if interval_s > 0.0 else 0
+
+
+def _check_command(value: int) -> None:
+    if value not in COMMANDS:
+        raise SdoAbort(AbortCode.INVALID_VALUE)

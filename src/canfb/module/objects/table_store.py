@@ -25,23 +25,24 @@ class TableStore:
         self._chain = chain
         self._storage = storage
         self._staged: CorrectionTable | None = None
-        self._restored = staged = dictionary.entry(*od.TABLE_STAGED)
-        activate = dictionary.entry(*od.TABLE_ACTIVATE)
+        self._content = staged = dictionary.entry(*od.TABLE_STAGED)
+        """Its value is a table that was restored, or one that is just written; else empty."""
+        self._activation = activate = dictionary.entry(*od.TABLE_ACTIVATE)
         self._conditioned = [dictionary.entry(*place) for place in od.CONDITIONING]
-        staged.on_write = self._stage
-        staged.on_written = self._forget_restored
+        staged.on_check = _check_table
+        staged.on_written = self._stage
         staged.on_read = self._read_active
-        activate.on_write = self._activate
+        activate.on_written = self._activate
         activate.on_download = storage.configuration_changed
-        storage.entries.keep(*od.TABLE_STAGED, saved=self._saved, check=_check_saved)
+        storage.entries.keep(*od.TABLE_STAGED, saved=self._saved)
         for entry in self._conditioned:
-            entry.on_write = self._checker(entry)
+            entry.on_check = self._checker(entry)
 
     def reset(self) -> None:
         """Nothing staged, the stored table active or none, the conditioning of 2002h in force."""
         self._staged = None
-        stored: bytes = self._restored.value
-        self._forget_restored()
+        stored: bytes = self._content.value
+        self._content.value = b""
         self._put_in_force(CorrectionTable.from_bytes(stored) if stored else None)
 
     def take_over(self, correction: Correction) -> None:
@@ -57,20 +58,19 @@ class TableStore:
         table = self._chain.correction.table
         return b"" if table is None else table.to_bytes()
 
-    def _forget_restored(self) -> None:
-        self._restored.value = b""
-
-    def _stage(self, data: bytes) -> None:
-        try:
-            self._staged = CorrectionTable.from_bytes(data)
-        except ValueError:
-            raise SdoAbort(AbortCode.INVALID_VALUE) from None
+    def _stage(self) -> None:
+        data: bytes = self._content.value
+        if not data:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+        self._staged = CorrectionTable.from_bytes(data)
+        self._content.value = b""
         self._dictionary.entry(*od.TABLE_STAGED_CRC).value = self._staged.crc32
 
     def _read_active(self) -> bytes:
         return (self._chain.correction.table or CorrectionTable.identity()).to_bytes()
 
-    def _activate(self, crc32: int) -> None:
+    def _activate(self) -> None:
+        crc32 = self._activation.value
         active = self._chain.correction.table
         if crc32 == 0:
             self._put_in_force(None)
@@ -101,8 +101,8 @@ class TableStore:
         return check
 
 
-def _check_saved(data: bytes) -> None:
-    """Refuse a stored table that could not be staged; none at all is the identity."""
+def _check_table(data: bytes) -> None:
+    """Refuse what is not a table. `save` keeps the identity as nothing at all; that cannot be staged."""
     try:
         if data:
             CorrectionTable.from_bytes(data)

@@ -51,10 +51,10 @@ class Axis:
         self._error_window, self._error_time = entry(0x6065), entry(0x6066)
         self._target.on_written = self._target_written
         self._supported = entry(0x6502)
-        self._mode.on_write = self._check_mode
+        self._mode.on_check = self._check_mode
         self._mode.on_written = self._mode_written
         for gain in (*self._gains[:4], self._gains[5]):
-            gain.on_write = _check_gain
+            gain.on_check = _check_gain
         self.start()
 
     @property

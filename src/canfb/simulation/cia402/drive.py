@@ -35,18 +35,6 @@ STOP_TIMEOUT_S = 0.5
 """After a ramp the shaft has so long to come to rest; then the power goes off."""
 
 
-class _Node(Node):
-    """A node that also reports communication errors to its program."""
-
-    on_communication_error: Callable[[float], None] | None = None
-
-    def communication_error(self, now: float) -> None:
-        """A lost heartbeat or guarding: the program first, then the NMT state."""
-        if self.on_communication_error is not None:
-            self.on_communication_error(now)
-        super().communication_error(now)
-
-
 class ServoDrive:
     """A drive, sans-I/O, that turns the motor of ``plant`` by the positions of a feedback module.
 
@@ -71,7 +59,7 @@ class ServoDrive:
         self.dictionary = Dictionary.load(eds_path(EDS), node_id)
         apply_defaults(self.dictionary, plant.motor.config, feedback, serial_number)
         self.plant = plant
-        self.node = _Node(self.dictionary, node_id, autostart=autostart, store=store)
+        self.node = Node(self.dictionary, node_id, autostart=autostart, store=store)
         self.inhibited = self.node.inhibited
         self.feedback = FeedbackInput(self.dictionary)
         self.axis = Axis(self.dictionary, self.feedback)
@@ -98,7 +86,7 @@ class ServoDrive:
         self._emergency_id, self._sync_timeout = entry(0x2110, 7), entry(0x2110, 8)
         self._controlword = entry(0x6040)
         self._controlword.on_written = self._controlled
-        self._quick_option.on_write = _check_quick_stop_option
+        self._quick_option.on_check = _check_quick_stop_option
         self.axis.on_mode = self._show
         self._connect()
 

@@ -1,0 +1,160 @@
+"""From power-on to OPERATIONAL: the NMT state, resets, the node-ID, and what else follows from the bus."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from canfb.cia301.nmt import NmtState
+from canfb.device.core import Core, Reactions
+from canfb.device.hooks import Hooks
+from canfb.device.lss.lss import REQUEST_ID, UNCONFIGURED, LssSlave
+from canfb.device.nmt_slave import Startup
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.services import Services
+from canfb.device.silence import Silence
+from canfb.device.storage.storage import Storage, Store
+
+LAST_COMMUNICATION_INDEX = 0x1FFF
+
+
+class LifeCycle(Reactions):
+    """Makes the core and all services of a node, and reacts to what they notice.
+
+    LSS, storage and silence are there from the beginning; `services` are others with each node-ID.
+    """
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        node_id: int,
+        hooks: Hooks,
+        *,
+        autostart: bool,
+        sdo_timeout_s: float,
+        store: Store | None,
+        bit_rates_kbit_s: Collection[int],
+    ) -> None:
+        self.core = core = Core(dictionary, node_id, hooks, self, sdo_timeout_s=sdo_timeout_s)
+        self._hooks = hooks
+        self.storage = Storage(core, store)
+        self.startup = Startup(dictionary.find(0x1F80), autostart=autostart)
+        self.silence = Silence(core)
+        self.lss = LssSlave(core, self.storage, bit_rates_kbit_s)
+        self._make_services()
+
+    def _make_services(self) -> None:
+        self.services = Services(self.core, self.silence)
+        self.core.agenda.fill(self.services.timed())
+
+    def power_on(self, now: float) -> None:
+        """To the boot-up, with what the store keeps; see `Node.start`."""
+        self.storage.power_on()
+        self.lss.power_on()
+        self._change_node_id(now)
+        self._power_up(now)
+
+    def enter(self, state: NmtState, now: float) -> None:
+        """Go to an NMT state; nothing happens when the node is in it."""
+        self.services.nmt.enter(state, now)
+
+    def _power_up(self, now: float) -> None:
+        """With a node-ID: to the boot-up. Without one there is LSS only (CiA 305)."""
+        self.enter(NmtState.INITIALISING, now)
+        if self.core.node_id == UNCONFIGURED:
+            self._wait_for_node_id()
+            return
+        self.storage.restore()
+        self._begin(False, now)
+
+    def _wait_for_node_id(self) -> None:
+        self.services.forget()
+        self.lss.reset()
+        self.routes_changed()
+
+    def _change_node_id(self, now: float) -> None:
+        """Take over the node-ID of LSS."""
+        old, new = self.core.node_id, self.lss.pending_node_id
+        if new == old:
+            return
+        self.enter(NmtState.INITIALISING, now)
+        self.core.node_id = new
+        self.core.dictionary.change_node_id(old, new)
+        self._make_services()
+
+    def _begin(self, communication_only: bool, now: float) -> None:
+        """INITIALISING, from the values in the dictionary, up to the state after the boot-up."""
+        self.enter(NmtState.INITIALISING, now)
+        self.services.configure(now)
+        self.lss.reset()
+        if self._hooks.on_reset is not None:
+            self._hooks.on_reset(communication_only, now)
+        if self.storage.faults:
+            self.storage.report_faults()
+        self.services.producer.boot_up(now)
+        self.enter(NmtState.PRE_OPERATIONAL, now)
+        if self.startup.autostart:
+            self.enter(NmtState.OPERATIONAL, now)
+
+    # Reactions
+
+    def state_changed(self, old: NmtState, new: NmtState, now: float) -> None:
+        """Services begin or end with the NMT state."""
+        self.services.enter(old, new, now)
+        self.pdo_changed()
+        if self._hooks.on_state is not None:
+            self._hooks.on_state(old, new, now)
+
+    def reset(self, communication_only: bool, now: float) -> None:
+        """To the boot-up again, from the defaults and what is stored."""
+        last = LAST_COMMUNICATION_INDEX if communication_only else 0xFFFF
+        self.core.dictionary.reset(0x1000, last)
+        self._change_node_id(now)
+        if self.core.node_id == UNCONFIGURED:
+            self._wait_for_node_id()
+            return
+        self.storage.restore(communication_only=communication_only)
+        self._begin(communication_only, now)
+
+    def communication_error(self, now: float) -> None:
+        """The NMT state that 1029h:01 names."""
+        if self._hooks.on_communication_error is not None:
+            self._hooks.on_communication_error(now)
+        self.enter(self.services.error_behaviour.reaction(self.core.state), now)
+
+    def heartbeat_changed(self) -> None:
+        """A heartbeat takes the place of guarding."""
+        if self.services.producer.is_active:
+            self.services.guarding.configure(self.core.moment.now)
+        self.routes_changed()
+
+    def pdo_changed(self) -> None:
+        """Other CAN-IDs, and perhaps other mappings."""
+        self.routes_changed()
+        if self._hooks.on_configured is not None:
+            self._hooks.on_configured()
+
+    def routes_changed(self) -> None:
+        """All listeners again; LSS listens in every state."""
+        self.services.route()
+        self.core.routes.add(REQUEST_ID, self.lss.handle)
+
+    def bit_rate_activated(self, kbit_s: int, delay_s: float) -> None:
+        """Silence; the program changes the bit rate."""
+        now = self.core.moment.now
+        if delay_s:
+            self.silence.begin(now + 2 * delay_s)
+            self.services.silenced(now)
+            self.routes_changed()
+        if self._hooks.on_bit_rate is not None:
+            self._hooks.on_bit_rate(kbit_s, delay_s, now)
+
+    def silence_ended(self, now: float) -> None:
+        """The node is back."""
+        self.services.heard_again(now)
+        self.routes_changed()
+
+    def lss_left(self, now: float) -> None:
+        """A first node-ID is in force at once; another one, from the next reset on."""
+        if self.core.node_id == UNCONFIGURED != self.lss.pending_node_id:
+            self._change_node_id(now)
+            self._power_up(now)
