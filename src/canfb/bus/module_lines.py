@@ -49,7 +49,7 @@ def what_is_saved(module: FeedbackModule, name: str) -> list[str]:
     objects = ", ".join(changed)
     if not changed:
         return []
-    return [f"node {name}: saved values come before the configuration: {objects}"]
+    return [f"node {name}: saved values take precedence over the configuration: {objects}"]
 
 
 def speeds_of(modules: Iterable[tuple[FeedbackModule, str]]) -> list[str]:

@@ -48,7 +48,7 @@ def check_device_bus(options: dict[str, Any]) -> None:
     ConfigError for ``receive_own_messages``.
     """
     if options.get("receive_own_messages"):
-        raise ConfigError("receive_own_messages: leave it out of the bus; a device must not hear itself")
+        raise ConfigError("receive_own_messages: omit it; a device must not receive its own frames")
 
 
 def marks_own_frames(bus: can.BusABC) -> bool:
@@ -74,15 +74,13 @@ def _advice(options: dict[str, Any], error: Exception) -> str:
     if number == errno.EAFNOSUPPORT:
         return f"this system has no SocketCAN ({text}); see docs/vcan.md"
     if number in (errno.ENODEV, errno.ENXIO):
-        return f"{text}; `ip link` lists the interfaces, docs/vcan.md says how to make one"
+        return f"{text}; `ip link` lists the interfaces, docs/vcan.md explains how to create one"
     if isinstance(error, TypeError) and (missing := _MISSING.search(text)):
-        return f"the bus needs {missing[1]}, too; see python-can's page on {interface}"
+        return f"the bus also needs {missing[1]}; see python-can's page on {interface}"
     if not isinstance(interface, str) or interface not in can.VALID_INTERFACES:
         return text
     drivers = (NameError, ImportError, can.CanInterfaceNotImplementedError)
     if isinstance(error, drivers) or (isinstance(error, OSError) and "library" in text):
         why = "" if isinstance(error, NameError) else f" ({text})"
-        return (
-            f"the driver of {interface} is not there{why}; install it, see python-can's page on {interface}"
-        )
+        return f"the driver of {interface} is missing{why}; install it, see python-can's page on {interface}"
     return text

@@ -59,7 +59,7 @@ class Simulating(OnBus):
         node = module.encoder_interface
         self._node = f"{node} ({node:02X}h)"
         self.network.interface.node.on_duplicate = lambda can_id, now: log.warning(
-            f"encoder interface {self._node}: another node sends with this node-ID ({can_id:03X}h)"
+            f"encoder interface {self._node}: another node on the bus uses this node-ID ({can_id:03X}h)"
         )
 
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:

@@ -100,8 +100,8 @@ def deviation(record: Recording, used: Correction, before: Correction, block_sam
     blocks = blocks.take(blocks.informative(position[blocks.index])) if len(blocks) else blocks
     if len(blocks) < MIN_BLOCKS or coverage(position[blocks.index][blocks.used]) < MIN_COVERAGE:
         raise CalibrationError(
-            "the machine stands still, or its motion is locked to the samples: nothing can be said of the "
-            "table. Let it turn at another speed, or collect for longer",
+            "the machine is at standstill, or its motion is locked to the samples: the table cannot be "
+            "judged. Let it turn at another speed, or measure for longer",
             Reason.LOCKED,
         )
     followed = position[blocks.index]

@@ -98,7 +98,9 @@ def recorded_tracks(data: bytes) -> tuple[FloatArray, FloatArray]:
     ValueError unless ``data`` is whole samples.
     """
     if len(data) % BYTES_PER_SAMPLE:
-        raise ValueError(f"a recording has {BYTES_PER_SAMPLE} bytes per sample: {len(data)} is no multiple")
+        raise ValueError(
+            f"a recording has {BYTES_PER_SAMPLE} bytes per sample: {len(data)} is not a multiple"
+        )
     counts = np.frombuffer(data, "<i2").astype(np.float64).reshape(-1, 2)
     counts[(counts == MISSED_COUNTS).all(axis=1)] = np.nan
     return counts[:, 0].copy(), counts[:, 1].copy()

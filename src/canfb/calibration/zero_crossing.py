@@ -178,7 +178,7 @@ def _find_cycles(passage: _Passage) -> _Cycles:
     if np.sum(samples >= MIN_SAMPLES_PER_CYCLE) < MIN_CYCLES:
         raise CalibrationError(
             f"{np.median(samples):.0f} samples in a cycle: at least {MIN_SAMPLES_PER_CYCLE} are needed. "
-            "Go slower, sample faster, or calibrate from motion",
+            "Turn slower, sample faster, or calibrate from motion",
             Reason.SPEED,
         )
     rows = rows[samples >= MIN_SAMPLES_PER_CYCLE]

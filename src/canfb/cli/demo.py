@@ -22,8 +22,8 @@ def register(commands: Commands) -> None:
         "start, track, calibrate, upload, verify and survive faults on an in-process bus",
         demo,
     )
-    parser.add_argument("--json", action="store_true", help="the figures, for programs")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write pictures (SVG) and report.html there")
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for pictures (SVG) and report.html")
 
 
 def demo(options: argparse.Namespace) -> int:

@@ -77,15 +77,15 @@ class LockWatch:
         faster = f"{step * rpm:.3g} rpm faster" if rpm else f"by {step} of a cycle per sample faster"
         if lock.denominator == 1 and speed < HALF_CYCLE:
             return CalibrationError(
-                "the tracks hardly change: the machine stands still, or goes through a whole number of "
+                "the tracks hardly change: the machine is at standstill, or moves a whole number of "
                 f"cycles per sample. Let it turn {faster}",
                 Reason.COVERAGE,
             )
-        known = "" if speed < HALF_CYCLE else f", at {(_near(speed, lock) + step) * rpm:.5g} rpm for one"
+        known = "" if speed < HALF_CYCLE else f", for example at {(_near(speed, lock) + step) * rpm:.5g} rpm"
         count = "a whole number" if lock.denominator == 1 else f"n + {lock.numerator}/{lock.denominator}"
         return CalibrationError(
             f"the motion is locked to the samples: {count} of cycles per sample, so that the same phases "
-            f"come again and again. Let it turn {faster}{known}",
+            f"repeat. Let it turn {faster}{known}",
             Reason.LOCKED,
         )
 

@@ -91,7 +91,7 @@ def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Mea
 def with_table(measured: Measurement, found: Correction, settings: Settings) -> Measurement:
     """The same measurement with another table, whose figures are those on the same samples."""
     if found.table is None:
-        raise CommissioningError("the module says that its table is active, and has none")
+        raise CommissioningError("the module reports an active table, but has none")
     ours = measured.calibration
     on_samples = best_deviation(
         measured.samples.recording(settings.adc_bits), found, measured.before, block_of(ours)
@@ -129,7 +129,7 @@ class _Samples:
             node_id = self._module.node_id
             raise CommissioningError(
                 f"{self._module.name} has processed no sample for {STANDING_S:g} s: it must be OPERATIONAL "
-                f"(NMT start, 000h 01 {node_id:02X}), and SYNC and samples must come"
+                f"(NMT start, 000h 01 {node_id:02X}), and must receive SYNC and samples"
             )
 
 

@@ -56,7 +56,7 @@ def install(
     done, before = Installation(), measured.before
     saving = False
     try:
-        step("putting the table in force")
+        step("activating the table")
         if put is None:
             put_in_force(module, measured.found)
         else:
@@ -69,11 +69,11 @@ def install(
             saving = True
             _save(module, done)
         else:
-            done.save_note = "not saved, as asked: the table is lost when the module is switched off"
+            done.save_note = "not saved, as requested: the table is lost when the module is switched off"
     except BaseException as error:
         with guard.held():
             with contextlib.suppress(OSError):  # a terminal that has gone
-                step("putting the old table back")
+                step("restoring the old table")
             undone, said = _undo(module, before, saving)
         if isinstance(error, CanfbError) or not undone:
             raise CommissioningError(f"{str(error) or 'interrupted'}; {said}") from error
@@ -92,8 +92,8 @@ def verify(samples: TrackSamples, measured: Measurement, settings: Settings) -> 
     limit = WORSE * calibration.residual_rms + calibration.uncertainty_rms
     if fresh.rms > limit:
         raise CommissioningError(
-            f"on fresh samples the table leaves {100 * fresh.rms:.3g} % of a cycle rms, promised were "
-            f"{100 * calibration.residual_rms:.3g} %: something has changed since"
+            f"on fresh samples the table leaves {100 * fresh.rms:.3g} % of a cycle rms, "
+            f"{100 * calibration.residual_rms:.3g} % was predicted: something has changed since"
         )
     return fresh
 
@@ -115,4 +115,4 @@ def _undo(module: NodeAccess, before: Correction, saving: bool) -> tuple[bool, s
             save(module)
     except CanfbError as error:
         return False, str(error)
-    return True, f"the table and the conditioning from before are active in {module.name}"
+    return True, f"the previous table and conditioning are active in {module.name}"

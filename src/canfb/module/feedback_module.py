@@ -318,7 +318,7 @@ def _check(config: ModuleConfig, source: Source | None) -> None:
             "take one of load_config(path).modules, or canfb.ModuleConfig(node_id=32)"
         )
     if config.source is not None and source is None:
-        raise ValueError(f"config.source is {config.source.kind!r}: open it, and give it as source=")
+        raise ValueError(f"config.source is {config.source.kind!r}: open it, and pass it as source=")
 
 
 def _dictionary(config: ModuleConfig, source: Source | None) -> Dictionary:

@@ -98,7 +98,7 @@ class Calibrating:
     def finish(self, job: CalibrationJob, result: Outcome | Exception) -> None:
         """What ``job`` gave, or how it failed. Nothing happens if it is obsolete."""
         if not isinstance(result, (Outcome, Exception)):
-            raise TypeError(f"give what the job returned, or the Exception that it raised, not {result!r}")
+            raise TypeError(f"pass what the job returned, or the Exception that it raised, not {result!r}")
         if job is not self._job:
             return
         if not isinstance(result, Outcome):
