@@ -39,7 +39,7 @@ def title_of(module: FeedbackModule) -> str:
 
 
 def what_is_saved(module: FeedbackModule, name: str) -> list[str]:
-    """Which values of the configuration are not in force, because others were saved: a line, or none."""
+    """Which values of the configuration are not used, because others were saved: a line, or none."""
     module.node.storage.restore()  # the start does it again
     changed = []
     for index, subindex in configured_defaults(module.config):

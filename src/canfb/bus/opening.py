@@ -34,10 +34,10 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
 def open_sync_bus(options: dict[str, Any], *, hears_itself: bool) -> can.BusABC:
     """:func:`open_bus`, for a program that counts by the SYNC.
 
-    If it produces the SYNC, the bus ``hears_itself`` if it can be told to.
+    ``hears_itself``: for a program that produces the SYNC, the bus receives its own frames, if it can.
     """
     if hears_itself:
-        with contextlib.suppress(BusError):  # udp_multicast always does, and cannot be told
+        with contextlib.suppress(BusError):  # udp_multicast always does, and has no such option
             return open_bus(options | {"receive_own_messages": True})
     return open_bus(options)
 

@@ -28,7 +28,7 @@ def saved_configuration(config: ModuleConfig) -> DeviceConfiguration:
 
 
 class _NoSource:
-    """In place of a source that nobody asks."""
+    """Stands in for a source that is never read."""
 
     def next(self) -> None:
         """No sample."""

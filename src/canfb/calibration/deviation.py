@@ -24,7 +24,7 @@ FAULTY_PART = 0.01
 FAULTY_BLOCK = 4.0
 FAULTY_BLOCKS_PART = 0.1
 MIN_BLOCKS = 8
-# A bin of the phase with so many times the mean is a spike, if chance does not make it as well.
+# A bin of the phase with this many times the mean is a spike, if chance does not make it as well.
 SPIKE = 2.0
 SPIKE_SIGMAS = 5.0
 MIN_COVERAGE = 0.9

@@ -101,7 +101,7 @@ def _thinned(s: FloatArray, c: FloatArray) -> npt.NDArray[np.int64]:
         )
     order = np.argsort(place, kind="stable")
     first = np.cumsum(counts) - counts
-    # Every so many-th of an overfull place, so that all of the recording has its part.
+    # Every n-th sample of an overfull place, so that all of the recording has its part.
     every = 1 + counts // max(8, len(s) // SQUARES_OF_ELLIPSE * 2)
     rank = np.arange(len(s)) - first[place[order]]
     return np.sort(order[rank % every[place[order]] == 0])

@@ -152,7 +152,7 @@ class Calibration:
 
     @property
     def accepted(self) -> bool:
-        """True if the measurement can be used."""
+        """True if the measurement is usable."""
         return self.reason == Reason.ACCEPTED
 
     @property

@@ -100,7 +100,7 @@ class Solver:
         self.report(0.5)
         many = significant_orders(fit)[-1] > FIRST_ORDERS[-1]
         if many or lively or self.record.uneven or blocks.samples < int(self.record.valid.sum()):
-            # Better phases tell the speed better and follow the motion where the first ones lost
+            # Better phases determine the speed better and follow the motion where the first ones lost
             # it; what the first orders left looked like motion.
             better = self._start(angle, fit.waveform)
             if many or lively:
@@ -191,7 +191,7 @@ class Solver:
             return float("inf"), False
         fit, coarse = self._fit(blocks, start)
         strict = reject(coarse, fit)
-        # A block too long for the motion is rejected: what it does not tell counts as well.
+        # A block too long for the motion is rejected: what it does not show counts as well.
         if 2 * strict.samples <= blocks.samples:
             return float("inf"), False
         fit = self._again(fit, strict, TRIAL_ROUNDS)

@@ -34,7 +34,7 @@ def register(commands: Commands) -> None:
 
 
 def calibrate(options: argparse.Namespace) -> int:
-    """Do all of it; 0 when the table is in force, or when ``--dry-run`` or ``--check`` is done."""
+    """Do all of it; 0 when the table is active, or when ``--dry-run`` or ``--check`` is done."""
     choices = choices_of(options)
     config = load_config(options.config) if options.config else Config()
     progress = Progress(quiet=options.json)

@@ -27,7 +27,7 @@ def register(commands: Commands) -> None:
 
 
 def demo(options: argparse.Namespace) -> int:
-    """Tell the story; 0 if everything held, else 1."""
+    """Run the demo; 0 if everything held, else 1."""
     if options.out:
         prepare(options.out)
     network = DemoNetwork()

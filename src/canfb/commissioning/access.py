@@ -17,7 +17,7 @@ from canfb.errors import CanfbError
 
 Hear = Callable[[int, bytes, float], None]
 ABSENT = (AbortCode.NO_OBJECT, AbortCode.NO_SUBINDEX)
-SETTLE_S = 0.05  # for frames of an aborted block transfer that are still under way
+SETTLE_S = 0.05  # for frames of an aborted block transfer that are still in transit
 
 
 class CommissioningError(CanfbError):

@@ -1,4 +1,4 @@
-"""Table and conditioning of a module: read, put in force, put back, save."""
+"""Table and conditioning of a module: read, activate, restore, save."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SAVE_WITHIN_S = 10.0
 
 
 def read_active(module: NodeAccess) -> Correction:
-    """What is in force. CommissioningError if the node is no feedback module, or the table is not whole."""
+    """The active set. CommissioningError if the node is not a feedback module, or the table is incomplete."""
     try:
         crc32 = module.integer(*od.TABLE_ACTIVE_CRC, "I")
     except ObjectAbsentError:
@@ -63,7 +63,7 @@ def put_in_force(module: NodeAccess, wanted: Correction) -> None:
 
 
 def put_back(module: NodeAccess, before: Correction) -> None:
-    """Put the old set in force again. CommissioningError, which says how things stand, if that fails."""
+    """Activate the old set again. CommissioningError, which says what to do, if that fails."""
     try:
         put_in_force(module, before)
         if read_active(module) != before:
@@ -76,7 +76,7 @@ def put_back(module: NodeAccess, before: Correction) -> None:
 
 
 def is_active(module: NodeAccess, wanted: Correction) -> bool:
-    """True if just this is in force."""
+    """True if exactly this is active."""
     return (
         module.integer(*od.TABLE_ACTIVE_CRC, "I") == wanted.crc32
         and read_conditioning(module) == wanted.conditioning

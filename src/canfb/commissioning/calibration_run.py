@@ -163,7 +163,7 @@ class CalibrationRun:
         guard: Guard,
         put: Callable[[], Measurement] | None = None,
     ) -> tuple[Measurement, Installation]:
-        """Put in force, prove, save."""
+        """Activate, verify, save."""
         choices, steps = self._choices, self._steps
 
         def collect() -> TrackSamples:

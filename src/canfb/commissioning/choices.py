@@ -103,7 +103,7 @@ class Choices:
         return Settings(self.method, "fit" if self.conditioning == "fit" else None, self.entries, bits)
 
     def nodes(self, configured: Iterable[tuple[int, int | None]]) -> tuple[int, int | None]:
-        """Ids of module and encoder interface, None if the module is to say it. ConfigError if both are one.
+        """Ids of module and encoder interface, None if the module determines it. ConfigError if both are one.
 
         ``configured`` are those of the configuration, None for the interface of a module with a source.
         """

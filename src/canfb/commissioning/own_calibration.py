@@ -27,7 +27,7 @@ FIGURES = (
     od.MEASUREMENT_RESIDUAL_PEAK,
 )
 LOOK_S = 0.2
-STANDING_S = 2.0  # no sample for so long: it waits for something that somebody has to do
+STANDING_S = 2.0  # no sample for this long: it waits for somebody to act
 PATIENCE_S = 120.0  # without progress: a slow computer calculates for long
 
 
@@ -77,7 +77,7 @@ def discard(module: NodeAccess) -> None:
 
 
 def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Measurement:
-    """Let the module put its table in force; ``measured`` with this table in place of ours.
+    """Let the module activate its table; ``measured`` with this table instead of ours.
 
     CommissioningError if the module does not take it.
     """

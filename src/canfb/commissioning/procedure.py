@@ -1,4 +1,4 @@
-"""A table in force, proven and saved, in the right order. Whatever fails: the module is left as it was."""
+"""Activate, verify and save a table, in this order. Whatever fails: the module is left unchanged."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Installation:
     """What was done with a measurement.
 
     fresh      deviation of samples taken after the activation, None if nothing was activated
-    active     the new set is in force
+    active     the new set is active
     saved_as   object that saved it, None: not saved
     save_note  why it is not saved, in plain words
     """
@@ -46,12 +46,12 @@ def install(
     keep: bool = True,
     step: Callable[[str], None] = lambda text: None,
 ) -> tuple[Measurement, Installation]:
-    """Put the new set in force, prove it on fresh samples from ``collect``, and save it if ``keep``.
+    """Activate the new set, verify it on fresh samples from ``collect``, and save it if ``keep``.
 
-    ``put`` replaces the upload: it puts another table in force and gives the measurement with it.
+    ``put`` replaces the upload: it activates another table and gives the measurement with it.
 
-    It is saved only when it is proven. If anything goes wrong, or is interrupted, the old set is put
-    back (and saved again, where saving had begun) before the error goes on; the text says so.
+    It is saved only after the verification. If anything fails, or is interrupted, the old set is
+    restored (and saved again, where saving had begun) before the error is raised; its text says so.
     """
     done, before = Installation(), measured.before
     saving = False
@@ -84,7 +84,7 @@ def install(
 
 
 def verify(samples: TrackSamples, measured: Measurement, settings: Settings) -> Deviation:
-    """Deviation of fresh samples with the new set. CommissioningError if it is worse than promised."""
+    """Deviation of fresh samples with the new set. CommissioningError if it is worse than predicted."""
     calibration = measured.calibration
     fresh = best_deviation(
         samples.recording(settings.adc_bits), measured.found, measured.before, block_of(calibration)
@@ -108,7 +108,7 @@ def _save(module: NodeAccess, done: Installation) -> None:
 
 
 def _undo(module: NodeAccess, before: Correction, saving: bool) -> tuple[bool, str]:
-    """Put the old set back; if that worked, and what there is to say about it."""
+    """Restore the old set; whether that worked, and a line about it."""
     try:
         put_back(module, before)
         if saving:

@@ -9,7 +9,7 @@ TITLE = "canfb demo: drive, encoder interface and feedback module on an embedded
 
 
 def account(story: Story) -> str:
-    """A short readable account, one line a fact. ValueError if the story has not been told yet."""
+    """A short readable account, one line a fact. ValueError if the demo has not run yet."""
     before, after = story.error_before, story.error_after
     lines = [
         TITLE,

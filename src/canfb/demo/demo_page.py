@@ -53,7 +53,7 @@ def write_files(network: DemoNetwork, story: Story, folder: Path) -> tuple[list[
 
 
 def demo_page(story: Story, seen: Plot, before: Plot, after: Plot, faults: Plot) -> str:
-    """The page: what the account says, with the pictures. ValueError if the story has not been told yet."""
+    """The page: what the account says, with the pictures. ValueError if the demo has not run yet."""
     sizes = story.error_before, story.error_after
     rows = [
         (name, *(f"{100 * size(error):.4f}" for error in sizes))

@@ -56,7 +56,7 @@ class Faults:
 
 @dataclass
 class Story:
-    """Everything that the report, the figures and ``--json`` tell."""
+    """The content of the report, the figures and ``--json``."""
 
     samples: int = 0
     cycles_per_sample: float = 0.0

@@ -198,7 +198,7 @@ class Services:
         return routes
 
     def inhibited(self) -> dict[int | None, Callable[[float], None]]:
-        """Who wants to know when a frame has left, by CAN-ID: an inhibit time counts from there."""
+        """What to call when a frame has left, by CAN-ID: an inhibit time counts from there."""
         tpdos = {tpdo.configured_can_id: tpdo.sent for tpdo in self.tpdos.values() if tpdo.is_inhibited}
         return {self.emergency.can_id: self.emergency.sent, **tpdos}
 

@@ -230,7 +230,7 @@ class FeedbackModule:
         self._calibrating.computed(job, part)
 
     def _choose_parameters(self) -> None:
-        """What `save` keeps beside the entries that it keeps anyway, and what is no parameter."""
+        """What `save` keeps beside the entries that it keeps anyway, and what is not a parameter."""
         entries = self.node.storage.entries
         for preset in (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET):
             entries.keep(*preset)  # without the preset that a write of it would set

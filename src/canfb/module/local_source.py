@@ -1,4 +1,4 @@
-"""A module that samples itself: a source in place of the ADC PDO, object 2000h filled from it."""
+"""A module with its own ADC: a source instead of the ADC PDO, object 2000h filled from it."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class Objects(Protocol):
 
 
 def read_configuration(objects: Objects) -> DeviceConfiguration:
-    """What is in force in a module on a bus. CanfbError for what does not work, or is no such module."""
+    """The active configuration of a module on a bus. CanfbError if it cannot be read, or is not of canfb."""
     dictionary = Dictionary.load(eds_path(EDS), objects.node_id)
     for place in IDENTITY:
         entry = dictionary.entry(*place)

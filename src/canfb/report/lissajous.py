@@ -1,4 +1,4 @@
-"""The Lissajous picture: sine over cosine."""
+"""The Lissajous figure: sine over cosine."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ EARLIER_TIMES = 3  # in a row that go on with the count of SYNCs, after the firs
 SPARE_BEFORE, SPARE_AFTER = 0.5, 0.95  # intervals, around the number that was counted
 CLOSE = 0.35  # interval: sample time and reception agree, and a late PDO would not
 NOMINAL = 0.05  # interval: so near to what was counted, no reception is asked
-SPARE_S, SPARE_PART = 0.5e-3, 0.3  # seconds and intervals: a bus and a host delay a PDO so much
+SPARE_S, SPARE_PART = 0.5e-3, 0.3  # seconds and intervals: a bus and a host delay a PDO by this much
 REPEATED, SUSPECT, RESTARTED = -1.0, -2.0, -3.0
 
 
@@ -54,7 +54,7 @@ class SampleTimes:
         self._suspected = 0.0  # intervals counted up to it
         self._earlier: int | None = None  # the last time that was REPEATED
         self._earlier_counted = 0.0  # intervals counted up to it
-        self._earlier_times = 0  # so many went on with the count
+        self._earlier_times = 0  # this many continued the count
         self._first_s = 0.0
 
     @property
@@ -91,7 +91,7 @@ class SampleTimes:
         agrees = error_s <= SPARE_S + SPARE_PART * unit
         nominal = abs(intervals - counted) <= NOMINAL  # also where a simulation is slower than true time
         in_turn = least <= intervals <= counted + SPARE_AFTER and (agrees or nominal or apart is None)
-        if in_turn or (agrees and intervals > counted):  # or there were SYNCs that nobody received
+        if in_turn or (agrees and intervals > counted):  # or there were SYNCs that were not received
             self._accept(time_100ns, received_s)
             return intervals
         if -OLDEST <= intervals < least:

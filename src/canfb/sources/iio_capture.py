@@ -217,7 +217,7 @@ def _set_rate(trigger: Any, device: Any, config: IioSourceConfig) -> None:
 
 
 def _choose_clock(device: Any) -> None:
-    """A clock that nobody sets, where there is the choice; the default is that of the calendar."""
+    """A clock that is never set, where there is the choice; the default is the calendar's."""
     if TIMESTAMP_CLOCK in device.attrs:
         with contextlib.suppress(OSError):
             device.attrs[TIMESTAMP_CLOCK].value = "monotonic"

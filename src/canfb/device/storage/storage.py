@@ -64,7 +64,7 @@ class Storage:
     1010h and 1011h; `entries` knows exceptions. `node_id()` is the present node-ID. `changed(faults)`
     is called when a save or a load has ended or brought about a fault.
 
-    `faults` says by group why stored parameters were refused; the defaults are in force in their
+    `faults` says by group why stored parameters were refused; the defaults are used in their
     place. A fault lasts until the group is saved or its defaults are loaded.
 
     Without a store nothing is kept: 1010h reads 0 and refuses with 08000020h. 1011h works then, too:

@@ -35,7 +35,7 @@ AT_WORK = frozenset({State.RECORDING, State.COMPUTING})
 
 
 class Calibrating:
-    """Records, lets compute, and puts the result in force when a master says so; not before.
+    """Records, has the table computed, and activates the result on a master's command only.
 
     ``working`` is called with True and False, for bit 10 of the status word.
     """

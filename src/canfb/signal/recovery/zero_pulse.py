@@ -77,7 +77,7 @@ class ZeroPulse:
     def error_cycles(self, pulse_cycles: int, pulse_phase: float) -> int:
         """How many cycles the count is too high at a pulse seen at this position: 0 if all is well.
 
-        A pulse is as wide as a cycle, so less than half a cycle is no error.
+        A pulse is as wide as a cycle, so less than half a cycle is not an error.
         """
         return 0 if self._place is None else self._away(pulse_cycles, pulse_phase, self._place)
 
