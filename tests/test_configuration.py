@@ -19,7 +19,7 @@ from canfb.simulation.scenario import HarmonicConfig
 
 # The YAML of section 3 of the design, as it stands there.
 DESIGN = """\
-bus: {interface: socketcan, channel: can0, bitrate: 1000000}      # python-can's own words
+bus: {interface: socketcan, channel: can0, bitrate: 1000000}      # python-can's parameters
 modules:                                                          # one process serves several nodes
   - node_id: 0x20
     encoder_interface: 0x10          # the node whose TPDO1 carries the ADC counts
@@ -27,7 +27,7 @@ modules:                                                          # one process 
     adc_bits: 12
     times: true                      # the ADC PDO carries the interface's sample time (2000:05) behind them
     state_dir: /var/lib/canfb/x      # where `save` (1010h) keeps table and parameters
-    autostart: false                 # true: operational without a master
+    autostart: false                 # true: OPERATIONAL without a master
 realtime: {priority: 80, lock_memory: true, cpu: 3}
 """
 

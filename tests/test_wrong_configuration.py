@@ -44,7 +44,7 @@ WRONG = {
     "unknown key, nothing near": (
         "modules: [{node_id: 3}]\nrealtime: {speed: 3}\n",
         2,
-        "unknown key 'speed' in realtime; known are priority, lock_memory, cpu",
+        "unknown key 'speed' in realtime; known: priority, lock_memory, cpu",
     ),
     "unknown key at the top": (
         "module: []\n",
@@ -150,12 +150,12 @@ WRONG = {
     "node_id is that of the interface": (
         "modules:\n- node_id: 16\n",
         2,
-        "encoder_interface must be another node than",
+        "encoder_interface must differ from",
     ),
     "one node_id twice": (
         "modules:\n- node_id: 3\n- node_id: 4\n  encoder_interface: 9\n- node_id: 0x3\n",
         5,
-        "node_id 3 of modules[2] is that of modules[0]",
+        "node_id 3 of modules[2] is also that of modules[0]",
     ),
     "a module for an interface": (
         "modules:\n- node_id: 3\n  encoder_interface: 4\n- node_id: 4\n",
@@ -165,12 +165,12 @@ WRONG = {
     "bus as a list": (
         "modules: [{node_id: 3}]\nbus: [socketcan]\n",
         2,
-        "'bus' must be a mapping with python-can's",
+        "'bus' must be a mapping of python-can's",
     ),
     "bus as nothing": (
         "modules: [{node_id: 3}]\nbus:\n",
         2,
-        "'bus' must be a mapping with python-can's words",
+        "'bus' must be a mapping of python-can's parameters",
     ),
     "priority too high": (
         "modules: [{node_id: 3}]\nrealtime: {priority: 100}\n",

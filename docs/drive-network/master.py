@@ -160,7 +160,7 @@ def tell_story(nodes: Nodes, file: NetworkFile, remotes: dict[str, Any], options
     """The moves, with an alarm in between if requested."""
     missing = {"interface", "module", "drive"} - set(remotes)
     if missing:
-        raise FaultError(f"the story needs nodes with the names {', '.join(sorted(missing))}")
+        raise FaultError(f"this example needs nodes with the names {', '.join(sorted(missing))}")
     drive, module = remotes["drive"], remotes["module"]
     axis = Axis(drive, module, module.sdo[0x6002].raw, nodes.until)
     story = Story(nodes, axis, MODES[options.mode], file.sync_period_us / 1e6)

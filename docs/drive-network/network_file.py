@@ -2,7 +2,7 @@
 
 Every message names the file, the line and the key::
 
-    network.yaml:14: nodes[0]: unknown key 'node-id'; known are eds, expect, heartbeat_ms, ...
+    network.yaml:14: nodes[0]: unknown key 'node-id'; known: eds, expect, heartbeat_ms, ...
 
 Objects are written as index:sub-index in hexadecimal (60E6:01, 6060) or by their names in the EDS
 ("Supervision.Residual limit"). Needs python canopen and pyyaml.
@@ -134,7 +134,7 @@ class Item:
         for key, item in items.items():
             if key not in known:
                 at = Item(None, self.file, item.line, self.where)
-                raise at.error(f"unknown key '{key}'; known are {', '.join(sorted(known))}")
+                raise at.error(f"unknown key '{key}'; known: {', '.join(sorted(known))}")
         for key in required.split():
             if key not in items:
                 raise self.error(f"'{key}' is missing")
@@ -143,31 +143,31 @@ class Item:
     def keys(self) -> dict[str, Item]:
         """Its keys, whatever they are."""
         if not isinstance(self.value, dict):
-            raise self.error("a mapping, key: value, is wanted here")
+            raise self.error("a mapping, key: value, is required here")
         return self.value
 
     def items(self) -> list[Item]:
         """Its list."""
         if not isinstance(self.value, list):
-            raise self.error("a list is wanted here")
+            raise self.error("a list is required here")
         return self.value
 
     def integer(self, low: int, high: int) -> int:
         """A whole number within limits."""
         if type(self.value) is not int or not low <= self.value <= high:
-            raise self.error(f"a whole number {low} to {high} is wanted, not {self.plain()!r}")
+            raise self.error(f"a whole number {low} to {high} is required, not {self.plain()!r}")
         return self.value
 
     def text(self) -> str:
         """One word or a line of text."""
         if not isinstance(self.value, str) or not self.value:
-            raise self.error(f"a word is wanted, not {self.plain()!r}")
+            raise self.error(f"a word is required, not {self.plain()!r}")
         return self.value
 
     def flag(self) -> bool:
         """True or false."""
         if not isinstance(self.value, bool):
-            raise self.error(f"true or false is wanted, not {self.plain()!r}")
+            raise self.error(f"true or false is required, not {self.plain()!r}")
         return self.value
 
     def plain(self) -> Any:
@@ -306,7 +306,7 @@ class _Reader:
         except OSError as error:
             raise keys["eds"].error(f"{path} cannot be read: {error.strerror}") from None
         except Exception as error:  # whatever canopen's reader stumbles over
-            raise keys["eds"].error(f"{path} is no EDS file: {error}") from None
+            raise keys["eds"].error(f"{path} is not an EDS file: {error}") from None
         expect = keys["expect"].mapping("device_type", " ".join(IDENTITY))
         node = Node(
             name, node_id, od, {IDENTITY[key]: value.integer(0, 2**32 - 1) for key, value in expect.items()}
@@ -338,7 +338,7 @@ class _Reader:
         for item in items:
             node_id, name = item.value["node_id"], item.value["name"].value
             if node_id.value in taken:
-                raise node_id.error(f"node-ID {node_id.value} is that of {taken[node_id.value]}")
+                raise node_id.error(f"node-ID {node_id.value} is also that of {taken[node_id.value]}")
             taken[node_id.value] = name
 
     def _watches(self, keys: dict[str, Item], master_id: int) -> None:
@@ -355,7 +355,7 @@ class _Reader:
         keys = item.mapping("name cob_id from", "to")
         cob_id, name = keys["cob_id"].integer(0x181, 0x57F), keys["name"].text()
         if cob_id in self._cob_ids:
-            raise keys["cob_id"].error(f"{cob_id:03X}h is that of {self._cob_ids[cob_id]!r}")
+            raise keys["cob_id"].error(f"{cob_id:03X}h is also that of {self._cob_ids[cob_id]!r}")
         self._cob_ids[cob_id] = name
         sent = 0
         if keys["from"].value != MASTER:
@@ -382,11 +382,11 @@ class _Reader:
             raise keys[word].error(f"{node.name} {why}: {index:04X}h")
         kind = keys["type"].integer(0, 255)
         if kind not in TYPES[base]:
-            raise keys["type"].error(f"{kind} is no transmission type of a {word.upper()}")
+            raise keys["type"].error(f"{kind} is not a transmission type of a {word.upper()}")
         mapping = tuple(_mapped(node, entry, base) for entry in keys["map"].items())
         bits = sum(entry & 0xFF for entry in mapping)
         if not 0 < bits <= 64:
-            raise keys["map"].error(f"{bits} bits are mapped; 1 to 64 are wanted")
+            raise keys["map"].error(f"{bits} bits are mapped; must be 1 to 64")
         if len(mapping) >= len(node.od[index + 0x200]):
             raise keys["map"].error(f"{node.name} maps {len(node.od[index + 0x200]) - 1} objects at most")
         places = {"inhibit_100us": 3, "event_timer_ms": 5, "timeout_ms": 5}
@@ -399,7 +399,7 @@ class _Reader:
     def _start(self, item: Item) -> list[Node]:
         names = [name.text() for name in item.items()]
         if sorted(names) != sorted(self._nodes):
-            raise item.error(f"each node is wanted once: {', '.join(self._nodes)}")
+            raise item.error(f"must list each node once: {', '.join(self._nodes)}")
         return [self._nodes[name] for name in names]
 
 

@@ -32,4 +32,4 @@ def flag(name: str, value: object) -> None:
 def text(name: str, value: object) -> None:
     """ValueError unless ``value`` is a string with more than blanks, and without a NUL."""
     if not isinstance(value, str) or not value.strip() or "\0" in value:
-        raise ValueError(f"{name} must be a text, not {value!r}")
+        raise ValueError(f"{name} must be text, not {value!r}")

@@ -240,7 +240,7 @@ class _Reader:
     def _bus(self, node: yaml.Node) -> dict[str, Any]:
         if not isinstance(node, yaml.MappingNode):
             raise self.fail(
-                node, "'bus' must be a mapping with python-can's words, such as {interface: socketcan}"
+                node, "'bus' must be a mapping of python-can's parameters, such as {interface: socketcan}"
             )
         return {
             key.value: self._plain(value, f"{key.value!r} in bus") for key, value in self._pairs(node, "bus")
@@ -257,10 +257,10 @@ class _Reader:
         known = source_kinds()
         kinds = [value for key, value in self._pairs(node, "source") if key.value == "kind"]
         if not kinds:
-            raise self.fail(node, f"'kind' is missing in source; known are {', '.join(known)}")
+            raise self.fail(node, f"'kind' is missing in source; known: {', '.join(known)}")
         kind = kinds[0].value if isinstance(kinds[0], yaml.ScalarNode) else None
         if kind not in known:
-            raise self.fail(kinds[0], f"unknown kind {kind!r} of source; known are {', '.join(known)}")
+            raise self.fail(kinds[0], f"unknown kind {kind!r} of source; known: {', '.join(known)}")
         return self.read(node, known[kind], "source")
 
     def _single(self, node: yaml.Node, what: str) -> Any:
@@ -276,16 +276,14 @@ class _Reader:
             raise self.fail(node, f"{what} cannot be read: {error.problem}") from None
         # What SafeLoader lets through for values such as 2001-99-99, 0x_ or !!bool 7.
         except (ValueError, KeyError, IndexError, AttributeError, TypeError, RecursionError):
-            raise self.fail(
-                node, f"{what} cannot be read: {node.value!r}; text belongs into quotes"
-            ) from None
+            raise self.fail(node, f"{what} cannot be read: {node.value!r}; quote text values") from None
         finally:
             loader.dispose()
 
     @staticmethod
     def _unknown(key: str, known: list[str], where: str) -> str:
         near = difflib.get_close_matches(key, known, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
+        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
         return f"unknown key {key!r} in {where}; {hint}"
 
     def check_distinct_nodes(self, root: yaml.Node, config: Config) -> None:
@@ -297,7 +295,7 @@ class _Reader:
             other = owner.setdefault(module.node_id, n)
             if other != n and module.node_id != UNCONFIGURED:
                 raise self.fail(
-                    items[n], f"node_id {module.node_id} of modules[{n}] is that of modules[{other}]"
+                    items[n], f"node_id {module.node_id} of modules[{n}] is also that of modules[{other}]"
                 )
         self._check_distinct_folders(items, config)
         for n, module in enumerate(config.modules):
@@ -332,7 +330,8 @@ class _Reader:
                 number = module.serial_number
                 raise self.fail(
                     items[n],
-                    f"serial_number {number} of modules[{n}] is that of modules[{other}]: LSS needs two",
+                    f"serial_number {number} of modules[{n}] is also that of modules[{other}]: "
+                    "LSS needs unique ones",
                 )
 
     def _check_distinct_folders(self, items: Any, config: Config) -> None:
@@ -343,4 +342,4 @@ class _Reader:
                 continue
             other = owner.setdefault(Path(module.state_dir).absolute(), n)
             if other != n:
-                raise self.fail(items[n], f"state_dir of modules[{n}] is that of modules[{other}]")
+                raise self.fail(items[n], f"state_dir of modules[{n}] is also that of modules[{other}]")

@@ -96,29 +96,29 @@ ADVICE: dict[str, tuple[dict[str, Any], Exception, str]] = {
     "no interface": (
         {"interface": "socketcan", "channel": "vcan7"},
         OSError(19, "No such device"),
-        "No such device; `ip link` lists the interfaces, docs/vcan.md says how to make one",
+        "No such device; `ip link` lists the interfaces, docs/vcan.md explains how to create one",
     ),
     "no driver": (
         {"interface": "kvaser", "channel": 0},
         NameError("name 'canGetNumberOfChannels' is not defined"),
-        "the driver of kvaser is not there; install it, see python-can's page on kvaser",
+        "the driver of kvaser is missing; install it, see python-can's page on kvaser",
     ),
     "no library": (
         {"interface": "pcan"},
         OSError("pcanbasic library not found."),
-        "the driver of pcan is not there (pcanbasic library not found.); install it, see python-can's page "
+        "the driver of pcan is missing (pcanbasic library not found.); install it, see python-can's page "
         "on pcan",
     ),
     "no module": (
         {"interface": "slcan"},
         can.CanInterfaceNotImplementedError("The serial module is not installed"),
-        "the driver of slcan is not there (The serial module is not installed); install it, see python-can's "
+        "the driver of slcan is missing (The serial module is not installed); install it, see python-can's "
         "page on slcan",
     ),
     "a missing word": (
         {"interface": "socketcand", "channel": "can0"},
         TypeError("SocketCanDaemonBus.__init__() missing 2 required positional arguments: 'host' and 'port'"),
-        "the bus needs 'host' and 'port', too; see python-can's page on socketcand",
+        "the bus also needs 'host' and 'port'; see python-can's page on socketcand",
     ),
     "anything else": ({"interface": "slcan"}, OSError(13, "Permission denied"), "Permission denied"),
 }
@@ -162,7 +162,7 @@ def test_udp_multicast_brings_own_frames_back() -> None:
 
 def test_a_device_may_not_hear_itself() -> None:
     words = {"interface": "virtual", "channel": "canfb devices"}
-    with pytest.raises(ConfigError, match="receive_own_messages: leave it out"):
+    with pytest.raises(ConfigError, match="receive_own_messages: omit it"):
         check_device_bus({**words, "receive_own_messages": True})
     check_device_bus({**words, "receive_own_messages": False})
     with open_bus(words) as bus:

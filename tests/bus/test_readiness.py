@@ -43,13 +43,13 @@ def test_what_a_killed_program_has_left_does_not_count(tmp_path: Path) -> None:
 def test_another_file_is_not_touched(tmp_path: Path, content: str) -> None:
     path = tmp_path / "feedback.yaml"
     path.write_text(content)
-    with pytest.raises(ConfigError, match=r"feedback\.yaml: there is something else"), Readiness(path):
+    with pytest.raises(ConfigError, match=r"feedback\.yaml: exists, and is not"), Readiness(path):
         pytest.fail("entered")
     assert path.read_text() == content
 
 
 @pytest.mark.parametrize(
-    ("name", "reason"), [("no/such/folder", "No such file"), (".", "something else with this name")]
+    ("name", "reason"), [("no/such/folder", "No such file"), (".", "exists, and is not a ready file")]
 )
 def test_a_file_that_cannot_be_is_refused_at_the_start(tmp_path: Path, name: str, reason: str) -> None:
     with pytest.raises(ConfigError, match=reason), Readiness(tmp_path / name):

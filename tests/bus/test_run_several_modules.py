@@ -196,8 +196,8 @@ def test_two_with_the_same_node_id_are_noticed_and_both_go_on(
         assert story.positions(node) == alone(node)
         assert node == BAD_ENCODER or story.emergencies(node) == []
     assert err.splitlines() == [
-        f"canfb: node {twin} (22h): another node sends with this node-ID (722h)",
-        f"canfb: node {twin} (22h): another node sends with this node-ID (0A2h)",
+        f"canfb: node {twin} (22h): another node on the bus uses this node-ID (722h)",
+        f"canfb: node {twin} (22h): another node on the bus uses this node-ID (0A2h)",
     ]
     summaries = [line for line in out.splitlines() if line.startswith(f"node {twin}: ")]
     assert len(summaries) == 2
@@ -244,4 +244,4 @@ def test_a_device_that_would_hear_itself_is_refused(
         "bus: {interface: virtual, channel: echo, receive_own_messages: true}\nmodules: [{node_id: 32}]\n"
     )
     assert main(["run", str(config)]) == 2
-    assert capsys.readouterr().err.startswith("canfb: receive_own_messages: leave it out")
+    assert capsys.readouterr().err.startswith("canfb: receive_own_messages: omit it")

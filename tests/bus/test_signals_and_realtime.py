@@ -107,7 +107,7 @@ def test_what_is_refused_is_reported_each_in_one_line_and_the_rest_is_still_aske
     assert system.calls == ALL_CALLS
     reason = os.strerror(errno.EPERM)
     assert lines == [
-        f"realtime: {name} is not in force: {reason}" for name in ("priority", "lock_memory", "cpu")
+        f"realtime: {name} could not be set: {reason}" for name in ("priority", "lock_memory", "cpu")
     ]
 
 
@@ -143,12 +143,12 @@ def test_a_system_without_such_calls_is_reported(monkeypatch: pytest.MonkeyPatch
     monkeypatch.delattr(os, "sched_setscheduler")
     apply_realtime(RealtimeConfig(priority=1), lines.append)
     assert len(lines) == 1
-    assert lines[0].startswith("realtime: priority is not in force: ")
+    assert lines[0].startswith("realtime: priority could not be set: ")
 
 
 def test_a_processor_that_there_is_not_is_refused_by_the_real_system() -> None:
     lines: list[str] = []
     before = os.sched_getaffinity(0)
     apply_realtime(RealtimeConfig(cpu=65535), lines.append)
-    assert lines == ["realtime: cpu is not in force: Invalid argument"]
+    assert lines == ["realtime: cpu could not be set: Invalid argument"]
     assert os.sched_getaffinity(0) == before

@@ -141,4 +141,4 @@ def test_a_recording_is_played_to_its_end_and_the_simulator_ends_by_itself(
     assert played == rows
     status, output, errors = ended(simulator)
     assert (status, errors) == (0, "")
-    assert output.splitlines()[-1] == "10 samples sent; the recording is over"
+    assert output.splitlines()[-1] == "10 samples sent; end of the recording"

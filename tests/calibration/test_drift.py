@@ -134,7 +134,7 @@ def test_a_conditioning_that_puts_zero_into_the_middle_of_the_tracks(measured: C
 def test_other_conditionings_need_the_tracks(measured: Calibration) -> None:
     old = replace(measured, tracks=None)
     assert drift(old, measured.table, measured.conditioning) == (0.0, 0.0)
-    with pytest.raises(ValueError, match="measure again with the conditioning"):
+    with pytest.raises(ValueError, match="measure again with the active conditioning"):
         drift(old, measured.table, Conditioning(1.0))
 
 

@@ -62,16 +62,19 @@ WRONG_USE = {
     "module": (["--module", "128"], "--module 128: must be 1 to 127"),
     "one node": (
         ["--module", "0x10", "--encoder-interface", "16"],
-        "--encoder-interface 16: must be another node than the module",
+        "--encoder-interface 16: must differ from the node-ID of the module",
     ),
-    "table": (["--table", "x.yaml"], "--table: only with --samples; over the bus the module tells its table"),
+    "table": (
+        ["--table", "x.yaml"],
+        "--table: only with --samples; over the bus the table is read from the module",
+    ),
     "own method": (
         ["--source", "module", "--method", "zero-crossings"],
-        "--source module: the module has the method motion only",
+        "--source module: the module supports --method motion only",
     ),
     "columns": (
         ["--samples", "x.csv", "--columns", "a"],
-        "--columns a: two columns, sine,cosine, are wanted",
+        "--columns a: two columns are required: sine,cosine",
     ),
     "configuration": (["nothing.yaml"], "nothing.yaml: cannot be read: No such file or directory"),
 }
@@ -92,7 +95,7 @@ def test_a_bus_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_bus_on_which_nobody_is(capsys: pytest.CaptureFixture[str]) -> None:
     code, line = failed(["-i", "virtual", "-c", "empty", "--answer-within", "0.05"], capsys)
     assert code == 1
-    assert line.startswith("module 32 (20h): reading 2020:04: no answer; is the node there")
+    assert line.startswith("module 32 (20h): reading 2020:04: no answer; is the node on the bus")
 
 
 def test_who_produces_the_sync_has_to_hear_it(
@@ -191,7 +194,7 @@ def test_a_refused_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     np.savez(path, sine=np.full(1000, 700), cosine=np.full(1000, -1200))
     code, line = failed(["--samples", str(path)], capsys)
     assert code == 1
-    assert line.startswith("the tracks hardly change: the machine stands still")
+    assert line.startswith("the tracks hardly change: the machine is at standstill")
     assert main(["calibrate", "--samples", str(path), "--json"]) == 1
     said = capsys.readouterr()
     assert json.loads(said.out)["reason"] == "coverage"
@@ -203,8 +206,8 @@ def test_a_refused_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     [
         ("none.npz", None, "cannot be read: No such file or directory"),
         ("none.csv", None, "cannot be read: No such file or directory"),
-        ("text.npz", b"sine,cosine\n1,2\n", "this is no file of samples: "),
-        ("zip.npz", b"PK\x03\x04 and no more", "this is no file of samples: "),
+        ("text.npz", b"sine,cosine\n1,2\n", "this is not a file of samples: "),
+        ("zip.npz", b"PK\x03\x04 and no more", "this is not a file of samples: "),
         ("text.csv", b"t,u\n1,2\n", "there is no column 'sine'; there are t, u"),
     ],
 )

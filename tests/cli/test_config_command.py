@@ -25,7 +25,7 @@ def test_the_example_is_itself_valid(
     path.write_text(example)
     assert main(["config", "check", str(path)]) == 0
     said = capsys.readouterr()
-    assert said.out == f"{path}: good; modules: 20h\n"
+    assert said.out == f"{path}: valid; modules: 20h\n"
     assert said.err == ""
     config = canfb.load_config(path)
     assert config.bus["interface"] == "socketcan"
@@ -60,7 +60,7 @@ def test_several_modules_are_listed(tmp_path: Path, capsys: pytest.CaptureFixtur
     path = tmp_path / "two.yaml"
     path.write_text("modules: [{node_id: 1}, {node_id: 127}]\n")
     assert main(["config", "check", str(path)]) == 0
-    assert capsys.readouterr().out == f"{path}: good; modules: 01h, 7Fh\n"
+    assert capsys.readouterr().out == f"{path}: valid; modules: 01h, 7Fh\n"
 
 
 def test_what_is_wrong_is_one_line_and_exit_code_2(

@@ -140,7 +140,9 @@ def test_what_is_saved_and_damaged_makes_no_dcf(yaml: Path, capsys: pytest.Captu
     yaml.write_text("modules: [{node_id: 0x20, state_dir: state}]\n")
     out, err = said(capsys, str(yaml), code=1)
     assert out == ""
-    assert err == "canfb: stored manufacturer parameters in state refused: no stored parameters, or cut off\n"
+    assert (
+        err == "canfb: stored manufacturer parameters in state refused: no stored parameters, or truncated\n"
+    )
     assert list(Path().glob("*.dcf")) == []
 
 
@@ -177,15 +179,15 @@ def test_one_of_several(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 WRONG_USE = {
-    "nothing": ([], "CONFIG.yaml or --node ID is wanted"),
+    "nothing": ([], "CONFIG.yaml or --node ID is required"),
     "node and module": (["--node", "3", "--module", "1"], "--module: only without --node"),
     "node": (["--node", "0"], "--node 0: must be 1 to 127"),
     "asks nobody": (["x.yaml", "--answer-within", "2"], "--answer-within: only with --node"),
     "time": (["--node", "3", "--answer-within", "0"], "--answer-within 0: must be"),
-    "name": (["x.yaml", "--name", "a\nb"], "--name 'a\\nb': letters"),
-    "one file": (["x.yaml", "--out", "a", "--concise", "a"], "--concise a: must be another file"),
+    "name": (["x.yaml", "--name", "a\nb"], "--name 'a\\nb': must be printable"),
+    "one file": (["x.yaml", "--out", "a", "--concise", "a"], "--concise a: must differ from --out"),
     "no file": (["nothing.yaml"], "nothing.yaml: cannot be read"),
-    "number": (["x.yaml", "--module", "one"], "'one' is no whole number"),
+    "number": (["x.yaml", "--module", "one"], "'one' is not a whole number"),
 }
 
 
@@ -234,7 +236,9 @@ def test_a_live_module_is_read_by_sdo() -> None:
 def test_a_node_that_is_none_of_ours() -> None:
     peer = Peer(ModuleConfig(node_id=5))
     peer.module.dictionary.entry(0x1000).value = 0x00040191
-    with pytest.raises(CanfbError, match=r"node 5 \(05h\) is no feedback module of canfb: 1000:00 is 40191h"):
+    with pytest.raises(
+        CanfbError, match=r"node 5 \(05h\) is not a feedback module of canfb: 1000:00 is 40191h"
+    ):
         read_configuration(ModuleObjects(peer, 5))  # type: ignore[arg-type]
 
 

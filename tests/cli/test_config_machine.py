@@ -42,7 +42,7 @@ WRONG = {
     ),
     "own frames": (
         "bus:\n  interface: virtual\n  receive_own_messages: true\n" + MODULES,
-        ":3: receive_own_messages: leave it out of the bus; a device must not hear itself",
+        ":3: receive_own_messages: omit it; a device must not receive its own frames",
     ),
     "recording": (
         MODULES + "    source:\n      kind: recording\n      file: /nowhere/tracks.csv\n",
@@ -86,7 +86,7 @@ def test_what_cannot_be_on_this_machine(
 def test_what_may_be(bus: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "new" / "state"
     text = f"bus: {bus}\n{MODULES}    state_dir: {folder}\nrealtime: {{cpu: 0}}\n"
-    assert checked(tmp_path / "feedback.yaml", text, capsys) == (0, ": good; modules: 20h")
+    assert checked(tmp_path / "feedback.yaml", text, capsys) == (0, ": valid; modules: 20h")
     assert not folder.exists()
 
 

@@ -56,7 +56,7 @@ def test_parameters_that_are_refused_are_told_in_one_line(
         exchanged(config)
     assert capsys.readouterr().err == (
         f"canfb: node 32: stored manufacturer parameters in {tmp_path} refused: no stored parameters, "
-        "or cut off; the defaults are in force\n"
+        "or truncated; the defaults are used\n"
     )
 
 
@@ -64,7 +64,7 @@ def test_two_modules_in_one_folder_are_refused(tmp_path: Path) -> None:
     config = ModuleConfig(node_id=32, state_dir=str(tmp_path))
     with contextlib.ExitStack() as resources:
         make_module(config, resources, {})
-        with pytest.raises(StateDirError, match="has it"):
+        with pytest.raises(StateDirError, match="uses it"):
             make_module(config, resources, {})
 
 
@@ -84,7 +84,11 @@ def test_a_state_dir_that_cannot_be_used_is_one_line_and_exit_code_1(
         ("- {node_id: 3, state_dir: a}\n- {node_id: 4, state_dir: a/}\n", 3, "state_dir of modules[1] is"),
         ("- {node_id: 3, state_dir: ''}\n", 2, "state_dir must be the name of a folder"),
         ('- {node_id: 3, state_dir: "a\\0"}\n', 2, "state_dir must be the name of a folder"),
-        ("- {node_id: 255}\n- {node_id: 255}\n", 3, "serial_number 0 of modules[1] is that of modules[0]"),
+        (
+            "- {node_id: 255}\n- {node_id: 255}\n",
+            3,
+            "serial_number 0 of modules[1] is also that of modules[0]",
+        ),
         ("- {node_id: 3, serial_number: -1}\n", 2, "serial_number must be a whole number 0..4294967295"),
         ("- {node_id: 255.0}\n", 2, "node_id must be a whole number 1..127, not 255.0"),
     ],
@@ -173,7 +177,7 @@ def test_what_was_saved_is_there_after_a_kill(
         assert again.master.sdo[0x2010][3].raw == 9
         assert again.process.stdout is not None
         assert again.process.stdout.readline() == (
-            "node 32 (20h): saved values come before the configuration: 2010h:03\n"
+            "node 32 (20h): saved values take precedence over the configuration: 2010h:03\n"
         )
     finally:
         again.kill()

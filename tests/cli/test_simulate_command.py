@@ -71,8 +71,8 @@ def test_a_speed_that_cannot_be(rpm: str, config: str, capsys: pytest.CaptureFix
 
 
 WRONG_OPTIONS = {
-    "one column": (["--columns", "a"], "--columns a: two columns, sine,cosine, are wanted"),
-    "three columns": (["--columns", "a,b,c"], "--columns a,b,c: two columns, sine,cosine, are wanted"),
+    "one column": (["--columns", "a"], "--columns a: two columns are required: sine,cosine"),
+    "three columns": (["--columns", "a,b,c"], "--columns a,b,c: two columns are required: sine,cosine"),
     "mid-scale": (["--columns", "a,b", "--mid-scale", "nan"], "--mid-scale nan: must be a number of counts"),
     "no gap": (["--columns", "a,b", "--gap", "0"], "--gap 0: must be more than 0 seconds"),
     "a gap without end": (["--columns", "a,b", "--gap", "inf"], "--gap inf: must be more than 0 seconds"),
@@ -115,9 +115,9 @@ def test_a_recording_that_cannot_be_played(
     ("content", "want"),
     [
         (None, ": cannot be read: No such file or directory"),
-        ("", ":1: there is no line with the names of the columns"),
-        ("sine,cosine\n", ": there are no samples in it"),
-        ("sine,cosine\n1,one\n", ":2: not a number in one of the columns asked for"),
+        ("", ":1: the header line with the names of the columns is missing"),
+        ("sine,cosine\n", ": it contains no samples"),
+        ("sine,cosine\n1,one\n", ":2: a value in one of the selected columns is not a number"),
     ],
     ids=["missing", "empty", "only names", "a word"],
 )
@@ -179,7 +179,7 @@ def test_a_recording_is_played_onto_the_bus_and_ends_by_itself(
         f"encoder interface: node 17 (11h) on virtual {CHANNEL}; end with Ctrl-C",
         f"recording {samples}, with the errors of its tracks: up to 0 cycles per sample, acceleration up to "
         "0 rad/s^2, the module follows 5.24e+03 at 500 Hz (eq. 10)",
-        "4 samples sent; the recording is over",
+        "4 samples sent; end of the recording",
     ]
     assert heard[0] == (0x711, "00")
     sync = (0x80, "")

@@ -154,9 +154,9 @@ def test_the_drive_is_set_up_for_its_module() -> None:
         (1000.0, None),
         (
             500.0,
-            "510 rad/s^2, it follows 209 at 500 Hz: take --rate 850 or more, or write 336 or less to 6072h",
+            "510 rad/s^2, it follows 209 at 500 Hz: set --rate to 850 or more, or write 336 or less to 6072h",
         ),
-        (100.0, "it follows 8.38 at 100 Hz: take --rate 850 or more, or less friction and torque"),
+        (100.0, "it follows 8.38 at 100 Hz: set --rate to 850 or more, or less friction and torque"),
     ],
 )
 def test_a_motor_that_the_module_cannot_follow_is_told(rate: float, words: str | None) -> None:

@@ -93,7 +93,7 @@ def test_a_node_that_is_not_there() -> None:
     bench = Bench(sync=False)
     absent = NodeAccess(bench.master, 99, "module")
     with pytest.raises(
-        CommissioningError, match=r"module 99 \(63h\): reading 1000:00: no answer; is the node there"
+        CommissioningError, match=r"module 99 \(63h\): reading 1000:00: no answer; is the node on the bus"
     ):
         absent.read(0x1000, 0, "I")
     assert not absent.answers()

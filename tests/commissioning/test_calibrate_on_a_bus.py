@@ -82,10 +82,10 @@ def test_the_account_for_people(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     assert out[-1] == f"written  {tmp_path / 'report.html'}"
     assert max(map(len, out)) < 260
     assert said.getvalue().splitlines() == [
-        "... reading what is active",
+        "... reading the active table",
         "... collecting samples for 1.5 s",
         said.getvalue().splitlines()[2],
-        "... putting the table in force",
+        "... activating the table",
         "... verifying on fresh samples",
         "... saving",
     ]
@@ -99,7 +99,7 @@ def test_a_second_measurement_finds_the_first_one_good(capsys: pytest.CaptureFix
     capsys.readouterr()
     calibrate(bench)
     out = capsys.readouterr().out
-    assert "The table that was active before is as good: the encoder has not changed." in out
+    assert "The previous table is equally good: the encoder has not changed." in out
 
 
 def test_a_dry_run_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
@@ -177,9 +177,7 @@ def test_an_encoder_that_changes_in_between_gets_its_old_table_back() -> None:
             bench.source.change = changed
 
     bench.master.on_wait = knock
-    with pytest.raises(
-        CommissioningError, match=r"on fresh samples .*; the table and the conditioning from before"
-    ):
+    with pytest.raises(CommissioningError, match=r"on fresh samples .*; the previous table and conditioning"):
         calibrate(bench)
     assert read_active(bench.access) == NO_CORRECTION
 
@@ -192,9 +190,7 @@ def test_the_machine_may_stop_after_the_measurement_and_nothing_is_half_done() -
             bench.source.change = lambda counts: (700, -1200)
 
     bench.master.on_wait = stop
-    with pytest.raises(
-        CommissioningError, match=r"stands still.*; the table and the conditioning from before"
-    ):
+    with pytest.raises(CommissioningError, match=r"at standstill.*; the previous table and conditioning"):
         calibrate(bench)
     assert read_active(bench.access) == NO_CORRECTION
 

@@ -57,7 +57,7 @@ def test_it_shows_every_picture_and_says_the_verdict_first(text: str, measured: 
     assert page.text.index("Accepted.") < page.text.index("Before and after")
     for wanted in (
         "encoder ROD <486> & co", "2026-03-01", "module 32 (20h)", "2500 cycles per revolution",
-        f"{measured.calibration.table.crc32:08X}h", "Lissajous picture", "Error over the phase",
+        f"{measured.calibration.table.crc32:08X}h", "Lissajous figure", "Error over the phase",
         "Harmonics of the error", "Deviation of single samples", "Coverage", "saved (1010:04)",
     ):  # fmt: skip
         assert wanted in page.text
@@ -153,7 +153,7 @@ def test_what_is_no_table_is_told_in_one_line(name: str, tmp_path: Path) -> None
     path.write_bytes(BAD_TABLES[name])
     with pytest.raises(CommissioningError) as error:
         read_table(path)
-    assert str(error.value).startswith(f"{path}: this is no correction table: ")
+    assert str(error.value).startswith(f"{path}: this is not a correction table: ")
     assert "\n" not in str(error.value)
     with pytest.raises(CommissioningError, match="cannot be read: No such file"):
         read_table(tmp_path / "nothing.bin")

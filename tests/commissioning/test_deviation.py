@@ -78,7 +78,7 @@ def test_gaps_do_not_count(measured: Measurement, fresh: TrackSamples) -> None:
 def test_nothing_is_said_of_a_machine_that_stands_or_is_locked(speed: float, measured: Measurement) -> None:
     position = 0.3 + speed * np.arange(1500)
     sine, cosine = random_encoder(3).sample(position, np.random.default_rng(1))
-    with pytest.raises(CalibrationError, match="stands still, or its motion is locked"):
+    with pytest.raises(CalibrationError, match="at standstill, or its motion is locked"):
         found(measured, TrackSamples.of(sine, cosine, None, "locked"))
 
 

@@ -76,6 +76,6 @@ def test_a_steady_speed_of_a_whole_number_of_cycles_per_sample_is_said_after_a_s
     text = EXAMPLE.replace("rpm: 61, ripple_rpm: 0.5", "rpm: 60, ripple_rpm: 0")
     assert text != EXAMPLE
     with pytest.raises(
-        CalibrationError, match=r"a whole number of cycles per sample.* at 60\.917 rpm for one"
+        CalibrationError, match=r"a whole number of cycles per sample.* for example at 60\.917 rpm"
     ):
         calibrated(text, tmp_path)

@@ -21,7 +21,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.signal.correction import NO_CORRECTION, Correction
 
 SDO_REQUEST, SDO_ANSWER = 0x620, 0x5A0
-AS_BEFORE = "the table and the conditioning from before are active in module 32 (20h)"
+AS_BEFORE = "the previous table and conditioning are active in module 32 (20h)"
 
 
 class Fault:
@@ -109,7 +109,7 @@ def test_not_to_save_is_not_to_save(
     done = run_install(prepared(NO_CORRECTION, store=store), measured_first, fresh, settings, keep=False)
     assert done.saved_as is None
     assert store.images == {}
-    assert done.save_note.startswith("not saved, as asked")
+    assert done.save_note.startswith("not saved, as requested")
 
 
 WRITES = [(0x2002, n) for n in range(1, 6)] + [(0x2020, 1), (0x2020, 3), (0x1010, 4)]
@@ -214,7 +214,7 @@ def test_a_module_that_is_gone_is_told_as_it_is(
     bench = prepared(old)
     fault = Fault(bench)
     fault.spoil = lambda count, frame: [] if count > 20 else None
-    with pytest.raises(CommissioningError, match="could not be put back") as error:
+    with pytest.raises(CommissioningError, match="could not be restored") as error:
         run_install(bench, measured, fresh, settings)
     assert "switch module 32 (20h) off and on" in str(error.value)
 
@@ -224,7 +224,7 @@ def test_a_table_that_does_not_keep_its_promise_is_taken_back(
 ) -> None:
     bench = prepared(old)
     shifted = TrackSamples.of(fresh.sine + 20.0, fresh.cosine, fresh.rate_hz, "after a knock")
-    with pytest.raises(CommissioningError, match=r"on fresh samples the table leaves .* promised") as error:
+    with pytest.raises(CommissioningError, match=r"on fresh samples the table leaves .* predicted") as error:
         run_install(bench, measured, shifted, settings)
     assert str(error.value).endswith(AS_BEFORE)
     assert read_active(bench.access) == old
@@ -235,7 +235,7 @@ def test_a_machine_that_has_stopped_proves_nothing(
 ) -> None:
     bench = prepared(old)
     standing = replace(fresh, sine=fresh.sine * 0.0 + 700.0, cosine=fresh.cosine * 0.0 - 1200.0)
-    with pytest.raises(CommissioningError, match="stands still") as error:
+    with pytest.raises(CommissioningError, match="at standstill") as error:
         run_install(bench, measured, standing, settings)
     assert str(error.value).endswith(AS_BEFORE)
     assert read_active(bench.access) == old
@@ -301,5 +301,5 @@ def test_a_save_that_fails_is_undone_in_the_store_as_well(
 def test_put_back_tells_when_it_is_not_what_it_was(old: Correction, measured: Measurement) -> None:
     bench = prepared(measured.found)
     lying(bench, 0x2020, 4, 100)
-    with pytest.raises(CommissioningError, match="could not be put back"):
+    with pytest.raises(CommissioningError, match="could not be restored"):
         put_back(bench.access, old)

@@ -107,7 +107,7 @@ def test_without_a_sync_it_says_who_has_to_produce_it() -> None:
 
 
 def test_without_samples_it_says_what_to_look_at() -> None:
-    with pytest.raises(CommissioningError, match=r"SYNC comes, the PDO 190h .* OPERATIONAL"):
+    with pytest.raises(CommissioningError, match=r"SYNC is received, but not PDO 190h .* OPERATIONAL"):
         listen(Bench(operational=False).master, LAYOUT, 1.0)
 
 
@@ -116,7 +116,7 @@ def test_samples_that_stop_are_told_and_not_waited_for() -> None:
     bench.master.on_wait = lambda now: (
         setattr(bench.source, "change", lambda counts: None) if now > 1 else None
     )
-    with pytest.raises(CommissioningError, match="SYNC comes, the PDO 190h"):
+    with pytest.raises(CommissioningError, match="SYNC is received, but not PDO 190h"):
         listen(bench.master, LAYOUT, 60.0)
     assert bench.bus.now < 5.0
 
@@ -130,7 +130,7 @@ def test_more_gaps_than_samples_are_refused() -> None:
         return None if count[0] % 3 else counts
 
     bench.source.change = rare
-    with pytest.raises(CommissioningError, match="SYNCs brought no PDO 190h"):
+    with pytest.raises(CommissioningError, match="SYNCs were not followed by PDO 190h"):
         listen(bench.master, LAYOUT, 0.5)
 
 
@@ -168,7 +168,7 @@ def test_a_module_that_listens_elsewhere_is_told() -> None:
     bench.access.write(0x1400, 1, "I", 0x80000000 | 0x191)
     bench.access.write(0x1400, 1, "I", 0x191)
     with pytest.raises(
-        CommissioningError, match=r"takes its samples from the PDO 191h, and .* sends them in 190h"
+        CommissioningError, match=r"receives its samples in PDO 191h, but .* sends them in 190h"
     ):
         agreed_layout(bench.access, bench.interface_access)
 
@@ -197,7 +197,7 @@ def test_a_silent_interface_is_not_taken_for_another_node() -> None:
     other = NodeAccess(bench.master, 0x11, "encoder interface")
     with pytest.raises(
         CommissioningError,
-        match=r"interface 17 \(11h\) does not answer, .* from node 16 \(10h, PDO 190h\): give the right",
+        match=r"interface 17 \(11h\) does not answer, .* from node 16 \(10h, PDO 190h\): set the right",
     ):
         agreed_layout(bench.access, other)
 

@@ -105,7 +105,7 @@ def test_a_lock_is_refused_after_a_second_with_a_speed_that_does(
     assert words in str(error)
     assert {path.name for path in tmp_path.iterdir()} == {"samples.npz", "report.html"}
     assert read_active(bench.access) == NO_CORRECTION
-    named = re.search(r"at ([0-9.]+) rpm for one", str(error))
+    named = re.search(r"for example at ([0-9.]+) rpm", str(error))
     assert named is not None
     rpm = float(named[1])
     assert abs(cycles) * RPM_OF_A_CYCLE < rpm < (abs(cycles) + 0.5) * RPM_OF_A_CYCLE
@@ -118,7 +118,7 @@ def test_standstill_gets_three_seconds_for_somebody_who_is_about_to_start(tmp_pa
     error, took_s = refused(bench)
     assert error.reason == "coverage"
     assert 3.0 <= took_s < 4.0
-    assert str(error).startswith("the tracks hardly change: the machine stands still, or goes through")
+    assert str(error).startswith("the tracks hardly change: the machine is at standstill, or moves")
     assert str(error).endswith("Let it turn 9.17 rpm faster")
 
 

@@ -47,8 +47,8 @@ def test_a_hangup_while_it_is_proven_puts_the_old_table_back() -> None:
     bench.master.on_wait = lambda now: None
     assert read_active(bench.access) == NO_CORRECTION
     assert said.getvalue().splitlines()[-2:] == [
-        "... putting the old table back",
-        "... the table and the conditioning from before are active in module 32 (20h)",
+        "... restoring the old table",
+        "... the previous table and conditioning are active in module 32 (20h)",
     ]
 
 

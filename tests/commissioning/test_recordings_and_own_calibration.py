@@ -206,7 +206,7 @@ def test_a_table_of_the_module_that_does_not_keep_its_promise_is_taken_back() ->
             bench.source.change = lambda counts: (counts[0] + 60, counts[1])
 
     bench.master.on_wait = knock
-    with pytest.raises(CommissioningError, match=r"on fresh samples .*; the table and the conditioning from"):
+    with pytest.raises(CommissioningError, match=r"on fresh samples .*; the previous table and conditioning"):
         calibrate(bench, "--source", "module")
     assert read_active(bench.access) == NO_CORRECTION
 

@@ -87,7 +87,7 @@ def test_a_story_that_did_not_hold_is_shown_as_one(monkeypatch: pytest.MonkeyPat
         )
         for told in (good, bad)
     ]
-    assert "Everything held." in pages[0].text
+    assert "All checks passed." in pages[0].text
     assert ("class", "verdict bad") not in pages[0].attributes
     assert "Failed: it <floats>." in pages[1].text
     assert ("class", "verdict bad") in pages[1].attributes
@@ -96,5 +96,5 @@ def test_a_story_that_did_not_hold_is_shown_as_one(monkeypatch: pytest.MonkeyPat
 
 def test_there_is_no_page_of_a_story_that_has_not_been_told() -> None:
     told = story()
-    with pytest.raises(ValueError, match="has not been told"):
+    with pytest.raises(ValueError, match="has not run"):
         demo_page.demo_page(told, *(residual(told),) * 4)

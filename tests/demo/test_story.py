@@ -253,5 +253,5 @@ def test_with_a_module_that_calls_everything_valid_the_story_does_not_hold(
 
 def test_an_untold_story_does_not_hold() -> None:
     assert not Story().held
-    with pytest.raises(ValueError, match="has not been told"):
+    with pytest.raises(ValueError, match="has not run"):
         account(Story())

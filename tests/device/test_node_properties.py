@@ -206,7 +206,7 @@ class NodeModel(RuleBasedStateMachine):
     @rule(command=st.sampled_from([0x04, 0x5A, 0x5E, 0x4C, 0x51, 0x11]), value=st.integers(0, 2))
     def by_lss(self, command: int, value: int) -> None:
         """In every state, without a change of it; a new node-ID is refused or waits for a reset."""
-        if command != 0x11 or value == 0:  # 0 is no node-ID
+        if command != 0x11 or value == 0:  # 0 is not a node-ID
             sent = self.call(Frame(LSS_REQUEST, bytes([command, value, *bytes(6)])))
             assert {frame.can_id for frame in sent} <= {LSS_RESPONSE}
             assert all(len(frame.data) == 8 for frame in sent)

@@ -80,7 +80,7 @@ def test_every_cut_is_refused(path: Path, saved: MemoryStore) -> None:
         with pytest.raises(ImageError):
             decode_image(image[:length], GROUP, IDENTITY)
     assert is_refused(path, image[:-1], "the CRC is wrong")
-    assert is_refused(path, b"", "cut off")
+    assert is_refused(path, b"", "truncated")
 
 
 def test_every_flipped_bit_is_refused(path: Path, saved: MemoryStore) -> None:
@@ -100,7 +100,7 @@ def test_what_is_appended_is_refused(path: Path, saved: MemoryStore) -> None:
 def test_another_format_version_is_refused(path: Path, saved: MemoryStore) -> None:
     body = bytearray(saved.images[GROUP][:-4])
     body[8] = 2
-    assert is_refused(path, with_crc(bytes(body)), "format version 2, where 1 is known")
+    assert is_refused(path, with_crc(bytes(body)), "format version 2: only 1 is supported")
 
 
 def test_another_group_is_refused(path: Path, saved: MemoryStore) -> None:
@@ -122,16 +122,16 @@ def test_a_body_that_is_not_what_the_header_says_is_refused(path: Path, saved: M
     body = saved.images[GROUP][:-4]
     fewer = bytearray(body)
     fewer[24] += 1
-    assert is_refused(path, with_crc(bytes(fewer)), "not those that the header names")
-    assert is_refused(path, with_crc(body[:-1]), "cut off")
-    assert is_refused(path, with_crc(body + b"\x00"), "cut off")
+    assert is_refused(path, with_crc(bytes(fewer)), "do not match the header")
+    assert is_refused(path, with_crc(body[:-1]), "truncated")
+    assert is_refused(path, with_crc(body + b"\x00"), "truncated")
 
 
 WRONG = {
-    "no such object": (Record(0x1FFF, 0, False, b"\x00"), "1FFFh:00 is no parameter"),
-    "another group": (Record(0x2025, 0, False, b"\x05"), "2025h:00 is no parameter"),
-    "read only": (Record(0x1018, 1, False, bytes(4)), "1018h:01 is no parameter"),
-    "a command": (Record(0x1010, 1, False, bytes(4)), "1010h:01 is no parameter"),
+    "no such object": (Record(0x1FFF, 0, False, b"\x00"), "1FFFh:00 is not a parameter"),
+    "another group": (Record(0x2025, 0, False, b"\x05"), "2025h:00 is not a parameter"),
+    "read only": (Record(0x1018, 1, False, bytes(4)), "1018h:01 is not a parameter"),
+    "a command": (Record(0x1010, 1, False, bytes(4)), "1010h:01 is not a parameter"),
     "too long": (Record(0x1017, 0, False, bytes(3)), "1017h:00: 06070012h"),
     "too short": (Record(0x1017, 0, False, b"\x00"), "1017h:00: 06070013h"),
     "relative and short": (Record(0x1017, 0, True, b"\x00"), "1017h:00: 06070013h"),
@@ -180,7 +180,7 @@ def test_a_fault_is_told_at_each_reset_until_the_group_is_saved(path: Path, save
     bench = StoringBench(path, saved)
     bench.start()
     bench.nmt(RESET_NODE)
-    told = {COMMUNICATION: "no stored parameters, or cut off"}
+    told = {COMMUNICATION: "no stored parameters, or truncated"}
     assert bench.faults == [told, told]
     bench.save(MANUFACTURER)
     assert bench.faults == [told, told]

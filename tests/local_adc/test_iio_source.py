@@ -139,10 +139,10 @@ REFUSED: dict[str, tuple[EmulatedAdc, dict[str, Any], str]] = {
         EmulatedAdc(triggers={}), {"trigger": "ads7950"}, "source: trigger: no 'ads7950' in ip:"),
     "two formats": (
         adc("le:u12/16>>0", "le:u10/16>>0"), {},
-        "source: cosine: 'voltage1' has another format than 'voltage0'"),
+        "source: cosine: the format of 'voltage1' differs from that of 'voltage0'"),
     "signed and not": (
         adc("le:u12/16>>0", "le:s12/16>>0"), {},
-        "source: cosine: 'voltage1' has another format than 'voltage0'"),
+        "source: cosine: the format of 'voltage1' differs from that of 'voltage0'"),
     "several values": (
         adc("le:u12/16X2>>0"), {}, "source: sine: 'voltage0' has 2 values in a scan"),
     "few bits": (adc("le:u3/8>>0"), {}, "source: sine: 'voltage0' has 3 bits, not 4 to 64"),

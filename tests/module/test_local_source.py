@@ -123,11 +123,11 @@ def test_all_of_integer16_fits_and_no_more() -> None:
 @pytest.mark.parametrize(
     ("sample", "words"),
     [
-        (Sample(0, 0, elapsed=math.inf), "elapsed inf is no number of intervals"),
-        (Sample(0, 0, elapsed=0.0), "elapsed 0.0 is no number of intervals"),
-        (Sample(0, 0, elapsed=math.nan), "elapsed nan is no number of intervals"),
-        (Sample(0, 0, zero_pulse=1.01), "zero_pulse 1.01 is no part of the interval"),
-        (Sample(0, 0, zero_pulse=-0.01), "zero_pulse -0.01 is no part of the interval"),
+        (Sample(0, 0, elapsed=math.inf), "elapsed inf is not a number of intervals"),
+        (Sample(0, 0, elapsed=0.0), "elapsed 0.0 is not a number of intervals"),
+        (Sample(0, 0, elapsed=math.nan), "elapsed nan is not a number of intervals"),
+        (Sample(0, 0, zero_pulse=1.01), "zero_pulse 1.01 is not a fraction of the interval"),
+        (Sample(0, 0, zero_pulse=-0.01), "zero_pulse -0.01 is not a fraction of the interval"),
         (Sample(0, 0, coarse_sine=0, coarse_cosine=32768), "coarse_cosine 32768 does not fit INTEGER16"),
     ],
 )

@@ -204,7 +204,7 @@ def test_the_alarm_comes_again_with_each_reset_and_ends_with_load(store: MemoryS
     machine.load()
     assert machine.sdo[0x6503].raw == 0
     assert machine.alarms()[-1] == (0, 0, 0)
-    assert told == [{MANUFACTURER: "no stored parameters, or cut off"}] * 2 + [{}]
+    assert told == [{MANUFACTURER: "no stored parameters, or truncated"}] * 2 + [{}]
     machine.master.nmt.send_command(0x81)
     assert machine.sdo[0x6503].raw == 0
     assert len(machine.alarms()) == 4

@@ -1,4 +1,4 @@
-"""The Lissajous picture leaves out no sample, and a circle is drawn as one."""
+"""The Lissajous figure leaves out no sample, and a circle is drawn as one."""
 
 from __future__ import annotations
 

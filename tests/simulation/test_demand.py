@@ -61,7 +61,7 @@ def test_the_warning_names_a_rate_that_is_enough() -> None:
     warning = of_motion(motion, MODULE, 100.0).warning()
     assert warning == (
         "motion: 600 rpm: the module will lose the position: acceleration 31.4 rad/s^2, it follows 8.38 at "
-        "100 Hz: take --rate 220 or more, or a longer ramp_s"
+        "100 Hz: set --rate to 220 or more, or a longer ramp_s"
     )
     assert of_motion(motion, MODULE, 220.0).warning() is None
     assert of_motion(motion, MODULE, 205.0).warning() is not None

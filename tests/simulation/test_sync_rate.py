@@ -25,7 +25,7 @@ def heard(asked_hz: float, held_hz: float, duration_s: float) -> tuple[SyncRateW
 def test_a_rate_that_is_not_held_is_said_once_with_both_figures(asked: float, held: float) -> None:
     watch, lines = heard(asked, held, 40.0)
     assert len(lines) == 1
-    assert lines[0].startswith(f"SYNC: {held:.4g} Hz held, {asked:g} Hz asked: ")
+    assert lines[0].startswith(f"SYNC: {held:.4g} Hz reached, {asked:g} Hz requested: ")
     assert watch.held_hz == pytest.approx(held)
 
 

@@ -65,8 +65,8 @@ def test_a_table_is_measured_proven_and_reported_and_ctrl_c_takes_it_back(
         interrupted.send(signal.SIGINT)
         assert interrupted.wait() == 1
         assert interrupted.lines[-2:] == [
-            "... the table and the conditioning from before are active in module 32 (20h)",
-            "canfb: interrupted; the module is as it was",
+            "... the previous table and conditioning are active in module 32 (20h)",
+            "canfb: interrupted; the module is unchanged",
         ]
         assert not table_is_active()
 

@@ -147,5 +147,5 @@ def test_a_bus_that_does_not_exist_is_one_line(process: Callable[..., Process], 
     assert run.wait() == 1
     assert run.lines == [
         "canfb: cannot open the bus socketcan vcan77: No such device; `ip link` lists the interfaces, "
-        "docs/vcan.md says how to make one"
+        "docs/vcan.md explains how to create one"
     ]

@@ -97,7 +97,7 @@ def each_gives_its_own_positions(bus: can.BusABC, pace: Pace) -> None:
 def a_twin_is_noticed(eight: Process, bus: can.BusABC, pace: Pace) -> None:
     bus.send(frame(0x700 + NODES[0], b"\x05"))
     assert next_frame(bus, pace, 0x080 + NODES[0]) == bytes.fromhex("5081112107000000")
-    eight.wait_for(r"^canfb: node 33 \(21h\): another node sends with this node-ID \(721h\)$")
+    eight.wait_for(r"^canfb: node 33 \(21h\): another node on the bus uses this node-ID \(721h\)$")
 
 
 def error_frames_report_bus_off(eight: Process, bus: can.BusABC, pace: Pace) -> None:

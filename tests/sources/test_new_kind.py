@@ -99,7 +99,7 @@ def test_the_registry_finds_it() -> None:
         ("", "5: 'steps' is missing in source"),
         (
             "      steps: [1]\n      speed: 7\n",
-            "7: unknown key 'speed' in source; known are kind, steps, absent",
+            "7: unknown key 'speed' in source; known: kind, steps, absent",
         ),
         ("      absent: false\n      steps: [1, two]\n", "7: source: steps must be a number, not 'two'"),
         ("      steps: [1, [2]]\n", "6: a part of 'steps' in source must be a single value"),
@@ -113,7 +113,7 @@ def test_its_mistakes_have_their_line(source: str, message: str) -> None:
 
 
 def test_an_unknown_kind_is_told_of_it() -> None:
-    with pytest.raises(ConfigError, match="known are iio, motion, recording, steady"):
+    with pytest.raises(ConfigError, match="known: iio, motion, recording, steady"):
         parse_config(configuration("").replace("kind: steady", "kind: stead"))
 
 

@@ -100,14 +100,14 @@ def test_without_a_time_column_there_are_no_gaps(tmp_path: Path) -> None:
 
 
 WRONG: dict[str, tuple[str | bytes, str]] = {
-    "empty": ("", ":1: there is no line with the names of the columns"),
+    "empty": ("", ":1: the header line with the names of the columns is missing"),
     "no column": ("x,y\n1,2\n", ":1: there is no column 'a'; there are x, y"),
-    "only the names": ("a,b\n", ": there are no samples in it"),
-    "a word": ("a,b\n1,2\n1,two\n", ":3: not a number in one of the columns asked for"),
-    "a short row": ("a,b\n1,2\n1\n", ":3: not a number in one of the columns asked for"),
-    "not a number": ("a,b\nnan,2\n", ":2: not a number in one of the columns asked for"),
-    "infinite": ("a,b\n1,inf\n", ":2: not a number in one of the columns asked for"),
-    "a number after a quoted line end": ('x,a,b\n"one\ntwo",1,2\n3,4,x\n', ":4: not a number"),
+    "only the names": ("a,b\n", ": it contains no samples"),
+    "a word": ("a,b\n1,2\n1,two\n", ":3: a value in one of the selected columns is not a number"),
+    "a short row": ("a,b\n1,2\n1\n", ":3: a value in one of the selected columns is not a number"),
+    "not a number": ("a,b\nnan,2\n", ":2: a value in one of the selected columns is not a number"),
+    "infinite": ("a,b\n1,inf\n", ":2: a value in one of the selected columns is not a number"),
+    "a number after a quoted line end": ('x,a,b\n"one\ntwo",1,2\n3,4,x\n', ":4: a value in one"),
     "too large": ("a,b\n0,32768\n", ":2: 0, 32768 does not fit INTEGER16; is mid-scale right?"),
     "not text": (b"a,b\n\xff\xfe,2\n", ": this is not a text file with columns"),
     "a field without end": (f"a,b\n1,{'2' * 200_000}\n", ":2: field larger than field limit (131072)"),
@@ -131,7 +131,7 @@ def test_a_file_that_cannot_be_used_gets_one_line(tmp_path: Path, case: str) -> 
 @pytest.mark.parametrize("time", ["nan", "inf", "-inf"])
 def test_a_time_that_there_cannot_be_is_refused(tmp_path: Path, time: str) -> None:
     path = written(tmp_path, f"t,a,b\n0,1,2\n{time},3,4\n")
-    with pytest.raises(CanfbError, match=re.escape(f"{path}:3: {time} is no time in seconds")):
+    with pytest.raises(CanfbError, match=re.escape(f"{path}:3: {time} is not a time in seconds")):
         timed(path, 0.1, 1)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from canfb.errors import reason
 
 RETRY_S = 0.2  # between attempts on a bus that is down
-LASTING_S = 2 * RETRY_S  # reading fails for so long without a break: the bus is gone, not one datagram bad
+LASTING_S = 2 * RETRY_S  # reading fails for this long without a break: the bus is gone, not one datagram bad
 SETTLED_S = 1.0  # without a failure, before a bus is said to work again
 
 # Classes of SocketCAN's error frames (linux/can/error.h).
@@ -26,7 +26,7 @@ class FailureWatch:
         self._trouble = trouble
         self._recovered = recovered
         self.failed_s: float | None = None
-        """When it last failed; None once that was said to be over: :meth:`worked` need not be called."""
+        """When it last failed; None once its end is reported: :meth:`worked` need not be called then."""
 
     def failed(self, error: Exception, now: float) -> bool:
         """Note a failure; True if the one before was only just now."""

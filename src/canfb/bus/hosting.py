@@ -98,11 +98,11 @@ def make_module(
             name = group.name.lower()
             log.warning(
                 f"node {module.node.node_id}: stored {name} parameters in {config.state_dir} refused: {why}; "
-                "the defaults are in force"
+                "the defaults are used"
             )
 
     def tell_duplicate(can_id: int, now: float) -> None:
-        log.warning(f"{title_of(module)}: another node sends with this node-ID ({can_id:03X}h)")
+        log.warning(f"{title_of(module)}: another node on the bus uses this node-ID ({can_id:03X}h)")
 
     module.on_parameter_faults = tell
     module.node.on_duplicate = tell_duplicate

@@ -117,7 +117,7 @@ class _Network(canopen.Network):
         self.listeners = [self.listener]
 
     def subscribe(self, can_id: int, callback: Callable[..., None]) -> None:
-        """As in canopen; each frame that nobody wants costs time at high SYNC rates."""
+        """As in canopen; each frame without a subscriber costs time at high SYNC rates."""
         super().subscribe(can_id, callback)
         self._filter()
 

@@ -39,7 +39,7 @@ def title_of(module: FeedbackModule) -> str:
 
 
 def what_is_saved(module: FeedbackModule, name: str) -> list[str]:
-    """Which values of the configuration are not in force, because others were saved: a line, or none."""
+    """Which values of the configuration are not used, because others were saved: a line, or none."""
     module.node.storage.restore()  # the start does it again
     changed = []
     for index, subindex in configured_defaults(module.config):
@@ -49,7 +49,7 @@ def what_is_saved(module: FeedbackModule, name: str) -> list[str]:
     objects = ", ".join(changed)
     if not changed:
         return []
-    return [f"node {name}: saved values come before the configuration: {objects}"]
+    return [f"node {name}: saved values take precedence over the configuration: {objects}"]
 
 
 def speeds_of(modules: Iterable[tuple[FeedbackModule, str]]) -> list[str]:

@@ -34,10 +34,10 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
 def open_sync_bus(options: dict[str, Any], *, hears_itself: bool) -> can.BusABC:
     """:func:`open_bus`, for a program that counts by the SYNC.
 
-    If it produces the SYNC, the bus ``hears_itself`` if it can be told to.
+    ``hears_itself``: for a program that produces the SYNC, the bus receives its own frames, if it can.
     """
     if hears_itself:
-        with contextlib.suppress(BusError):  # udp_multicast always does, and cannot be told
+        with contextlib.suppress(BusError):  # udp_multicast always does, and has no such option
             return open_bus(options | {"receive_own_messages": True})
     return open_bus(options)
 
@@ -48,7 +48,7 @@ def check_device_bus(options: dict[str, Any]) -> None:
     ConfigError for ``receive_own_messages``.
     """
     if options.get("receive_own_messages"):
-        raise ConfigError("receive_own_messages: leave it out of the bus; a device must not hear itself")
+        raise ConfigError("receive_own_messages: omit it; a device must not receive its own frames")
 
 
 def marks_own_frames(bus: can.BusABC) -> bool:
@@ -74,15 +74,13 @@ def _advice(options: dict[str, Any], error: Exception) -> str:
     if number == errno.EAFNOSUPPORT:
         return f"this system has no SocketCAN ({text}); see docs/vcan.md"
     if number in (errno.ENODEV, errno.ENXIO):
-        return f"{text}; `ip link` lists the interfaces, docs/vcan.md says how to make one"
+        return f"{text}; `ip link` lists the interfaces, docs/vcan.md explains how to create one"
     if isinstance(error, TypeError) and (missing := _MISSING.search(text)):
-        return f"the bus needs {missing[1]}, too; see python-can's page on {interface}"
+        return f"the bus also needs {missing[1]}; see python-can's page on {interface}"
     if not isinstance(interface, str) or interface not in can.VALID_INTERFACES:
         return text
     drivers = (NameError, ImportError, can.CanInterfaceNotImplementedError)
     if isinstance(error, drivers) or (isinstance(error, OSError) and "library" in text):
         why = "" if isinstance(error, NameError) else f" ({text})"
-        return (
-            f"the driver of {interface} is not there{why}; install it, see python-can's page on {interface}"
-        )
+        return f"the driver of {interface} is missing{why}; install it, see python-can's page on {interface}"
     return text

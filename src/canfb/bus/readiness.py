@@ -79,7 +79,9 @@ def _clear(path: Path) -> None:
     try:
         if path.exists() or path.is_symlink():
             if not (path.is_file() and OURS.fullmatch(path.read_bytes()[:16])):
-                raise ConfigError(f"--ready-file {path}: there is something else with this name")
+                raise ConfigError(
+                    f"--ready-file {path}: exists, and is not a ready file; choose another name"
+                )
             path.unlink()
         elif not os.access(path.parent, os.W_OK):
             os.stat(path.parent)  # says so if it is not there

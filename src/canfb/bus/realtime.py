@@ -35,7 +35,7 @@ def _try(name: str, report: Callable[[str], None], action: Callable[[], None]) -
         action()
     except (OSError, AttributeError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        report(f"realtime: {name} is not in force: {reason}")
+        report(f"realtime: {name} could not be set: {reason}")
 
 
 def _set_fifo(priority: int) -> None:

@@ -19,8 +19,8 @@ def saved_configuration(config: ModuleConfig) -> DeviceConfiguration:
     module.start(0.0)
     if module.node.node_id == UNCONFIGURED:
         raise ConfigError(
-            f"the module with serial number {config.serial_number} has no node-ID yet, and a DCF is for one: "
-            "give it a node_id in the configuration, or by LSS"
+            f"the module with serial number {config.serial_number} has no node-ID yet; a DCF needs one: "
+            "set node_id in the configuration, or assign one by LSS"
         )
     for group, why in module.node.storage.faults.items():
         raise CanfbError(f"stored {group.name.lower()} parameters in {config.state_dir} refused: {why}")
@@ -28,7 +28,7 @@ def saved_configuration(config: ModuleConfig) -> DeviceConfiguration:
 
 
 class _NoSource:
-    """In place of a source that nobody asks."""
+    """Stands in for a source that is never read."""
 
     def next(self) -> None:
         """No sample."""

@@ -20,7 +20,7 @@ class SavedParameters(StateFiles):
         self._lock = -1
 
     def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
-        """What is kept, by group. Read until it is the same twice, as a save may be under way."""
+        """What is kept, by group. Read until two readings agree, as a save may be in progress."""
         before = super().load()
         for _ in range(_MOST_READINGS):
             again = super().load()

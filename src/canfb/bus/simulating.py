@@ -39,7 +39,7 @@ class Simulating(OnBus):
     """A simulation on a bus. Use it as a context manager around :meth:`run`.
 
     ``words`` are python-can's own for the bus. What there is to say goes to the loggers ``canfb.*``.
-    ``seconds`` ends it when the machine has moved for so long; else the end of a recording does, or
+    ``seconds`` ends it after this machine time; else the end of a recording does, or
     :meth:`stop`. ConfigError for a bus on which the interface would hear itself, and for a simulation that
     cannot be; CanfbError, on entering, for a bus that cannot be opened.
     """
@@ -59,7 +59,7 @@ class Simulating(OnBus):
         node = module.encoder_interface
         self._node = f"{node} ({node:02X}h)"
         self.network.interface.node.on_duplicate = lambda can_id, now: log.warning(
-            f"encoder interface {self._node}: another node sends with this node-ID ({can_id:03X}h)"
+            f"encoder interface {self._node}: another node on the bus uses this node-ID ({can_id:03X}h)"
         )
 
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:

@@ -60,7 +60,7 @@ class StateFiles:
         except OSError as error:
             os.close(self._lock)
             in_use = error.errno in (errno.EWOULDBLOCK, errno.EACCES)
-            why = "another process, or another module of this one, has it" if in_use else error.strerror
+            why = "another process, or another module of this one, uses it" if in_use else error.strerror
             raise StateDirError(f"state_dir {self.folder} cannot be used: {why}") from None
 
     def __enter__(self) -> Self:
@@ -204,7 +204,7 @@ def _unpack(data: bytes) -> Changes:
             changes[ParameterGroup(group)] = body[offset : offset + size] if kept else None
             offset += size
     except (struct.error, ValueError):
-        raise OSError(errno.EBADMSG, f"{PENDING} is that of another version") from None
+        raise OSError(errno.EBADMSG, f"{PENDING} was written by another version of canfb") from None
     return changes
 
 

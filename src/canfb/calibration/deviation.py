@@ -24,7 +24,7 @@ FAULTY_PART = 0.01
 FAULTY_BLOCK = 4.0
 FAULTY_BLOCKS_PART = 0.1
 MIN_BLOCKS = 8
-# A bin of the phase with so many times the mean is a spike, if chance does not make it as well.
+# A bin of the phase with this many times the mean is a spike, if chance does not make it as well.
 SPIKE = 2.0
 SPIKE_SIGMAS = 5.0
 MIN_COVERAGE = 0.9
@@ -100,8 +100,8 @@ def deviation(record: Recording, used: Correction, before: Correction, block_sam
     blocks = blocks.take(blocks.informative(position[blocks.index])) if len(blocks) else blocks
     if len(blocks) < MIN_BLOCKS or coverage(position[blocks.index][blocks.used]) < MIN_COVERAGE:
         raise CalibrationError(
-            "the machine stands still, or its motion is locked to the samples: nothing can be said of the "
-            "table. Let it turn at another speed, or collect for longer",
+            "the machine is at standstill, or its motion is locked to the samples: the table cannot be "
+            "judged. Let it turn at another speed, or measure for longer",
             Reason.LOCKED,
         )
     followed = position[blocks.index]

@@ -52,8 +52,8 @@ def drift(fresh: Calibration, table: CorrectionTable | None, conditioning: Condi
         return _compared(active(raw), fresh.table(raw))
     if fresh.tracks is None:
         raise ValueError(
-            "the conditionings differ and the fresh measurement has no tracks: "
-            "measure again with the conditioning that is in force"
+            "the conditionings differ and the new measurement has no tracks: "
+            "measure again with the active conditioning"
         )
     sine, cosine = np.append(fresh.tracks, fresh.tracks[:, :1], axis=1)
     return _compared(

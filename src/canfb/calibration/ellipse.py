@@ -71,7 +71,8 @@ def _robust_fit(s: FloatArray, c: FloatArray) -> Conditioning:
             best, most = start.conditioning(fit), part
     if best is None:
         raise CalibrationError(
-            "the samples lie on no ellipse: a dead track, noise, or too short a way", Reason.ELLIPSE
+            "the samples do not lie on an ellipse: a dead track, noise, or too short a distance",
+            Reason.ELLIPSE,
         )
     return best
 
@@ -81,7 +82,7 @@ def _thinned(s: FloatArray, c: FloatArray) -> npt.NDArray[np.int64]:
     box = _Box.of(s, c, MARGINS[0])
     if box.half.max() < STANDSTILL_COUNTS:
         raise CalibrationError(
-            "the tracks hardly change: the machine stands still, or goes through a whole number of "
+            "the tracks hardly change: the machine is at standstill, or moves a whole number of "
             "cycles per sample",
             Reason.COVERAGE,
         )
@@ -95,12 +96,12 @@ def _thinned(s: FloatArray, c: FloatArray) -> npt.NDArray[np.int64]:
     counts = np.bincount(place)
     if np.sum(counts > max(1, len(s) // 2000)) < MIN_PLACES:
         raise CalibrationError(
-            "the samples lie in a few places only: the motion is locked to them. Change the speed",
+            "the samples have only a few different phases: the motion is locked to them. Change the speed",
             Reason.LOCKED,
         )
     order = np.argsort(place, kind="stable")
     first = np.cumsum(counts) - counts
-    # Every so many-th of an overfull place, so that all of the recording has its part.
+    # Every n-th sample of an overfull place, so that all of the recording has its part.
     every = 1 + counts // max(8, len(s) // SQUARES_OF_ELLIPSE * 2)
     rank = np.arange(len(s)) - first[place[order]]
     return np.sort(order[rank % every[place[order]] == 0])

@@ -31,7 +31,7 @@ from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import FloatArray, raw_phases
 
 PEAK_SIGMAS = 4.0
-# The scatter of so many independent tables gives their error to some 15 %, that of two to some 30 %.
+# The scatter of this many independent tables gives their error to some 15 %, that of two to some 30 %.
 PARTS = 8
 SCATTER, SCATTER_OF_TWO = 0.15, 0.3
 MIN_BLOCKS_OF_PART = 24

@@ -18,7 +18,7 @@ MAX_OFF_CYCLES = 0.03
 LOCKED_LOSS = 3.0
 
 CHANGE_SPEED = (
-    "let the machine go through many cycles, at a speed that is not a whole number of cycles per "
+    "run the machine through many cycles, at a speed that is neither a whole number of cycles per "
     "sample nor a simple fraction of one"
 )
 
@@ -33,8 +33,8 @@ def check_way(coverage: float, cycles: float) -> None:
         )
     if cycles < MIN_CYCLES:
         raise CalibrationError(
-            f"{cycles:.1f} cycles are too few: at least {MIN_CYCLES:.0f} are needed, as the samples tell "
-            f"them; {CHANGE_SPEED}",
+            f"the samples cover {cycles:.1f} cycles, too few: at least {MIN_CYCLES:.0f} are needed; "
+            f"{CHANGE_SPEED}",
             Reason.CYCLES,
         )
 
@@ -42,7 +42,7 @@ def check_way(coverage: float, cycles: float) -> None:
 def check_smooth(off_cycles: float, loss: float) -> None:
     """Refuse positions that lie far from any smooth motion."""
     if off_cycles > MAX_OFF_CYCLES:
-        raise no_fit(f"the positions are {off_cycles:.2f} cycle rms from any smooth motion", loss)
+        raise no_fit(f"the positions are {off_cycles:.2f} cycle rms away from any smooth motion", loss)
 
 
 def no_fit(what: str, loss: float) -> CalibrationError:
@@ -51,7 +51,9 @@ def no_fit(what: str, loss: float) -> CalibrationError:
     ``loss``: how many times the uncertainty grows because the motion has to be found as well.
     """
     if loss > LOCKED_LOSS:
-        return CalibrationError(f"{what}: the motion is too close to locked; {CHANGE_SPEED}", Reason.LOCKED)
+        return CalibrationError(
+            f"{what}: the motion is almost locked to the samples; {CHANGE_SPEED}", Reason.LOCKED
+        )
     return CalibrationError(
         f"{what}: noise, too much acceleration between samples, or uneven sample times that are not known",
         Reason.NOISE,

@@ -9,7 +9,7 @@ import numpy as np
 
 from canfb.signal.phase import FloatArray
 
-WINDOW = 256  # samples; a reference measurement needs that the phases move within about so many
+WINDOW = 256  # samples; a reference measurement needs that the phases move within about this many
 LARGEST_DENOMINATOR = 16
 DRIFT_CYCLES = 0.36  # over the window, times the denominator: less is too close to locked
 # Steps in cycles per sample, far from simple fractions; the first that leads away from them is taken.

@@ -64,7 +64,7 @@ def recording(
     may_be_offset: bool = False,
 ) -> Recording:
     """Check the arguments of a reference measurement. ValueError for wrong ones, CalibrationError
-    ("samples") for too few usable samples. The mark of a missed sample (2050:03) is no sample.
+    ("samples") for too few usable samples. The mark of a missed sample (2050:03) is not a sample.
     ``may_be_offset``: a conditioning will take the offset away."""
     tracks = pair_of_tracks(sine, cosine, may_be_offset=may_be_offset)
     s, c = (np.array(track, np.float64) for track in tracks)
@@ -98,7 +98,9 @@ def recorded_tracks(data: bytes) -> tuple[FloatArray, FloatArray]:
     ValueError unless ``data`` is whole samples.
     """
     if len(data) % BYTES_PER_SAMPLE:
-        raise ValueError(f"a recording has {BYTES_PER_SAMPLE} bytes per sample: {len(data)} is no multiple")
+        raise ValueError(
+            f"a recording has {BYTES_PER_SAMPLE} bytes per sample: {len(data)} is not a multiple"
+        )
     counts = np.frombuffer(data, "<i2").astype(np.float64).reshape(-1, 2)
     counts[(counts == MISSED_COUNTS).all(axis=1)] = np.nan
     return counts[:, 0].copy(), counts[:, 1].copy()
@@ -169,6 +171,6 @@ def coverage(phase: FloatArray) -> float:
 
 
 def covered(counts: Sequence[int] | IntArray) -> float:
-    """:func:`coverage` of so many samples in each of the bins."""
+    """:func:`coverage` for this many samples in each of the bins."""
     here = np.asarray(counts)
     return float(np.mean(np.roll(here, 1) + here + np.roll(here, -1) >= MIN_PER_BIN))

@@ -25,13 +25,13 @@ class Reason(StrEnum):
         member.text = text
         return member
 
-    ACCEPTED = "accepted", "the measurement can be used"
-    SAMPLES = "samples", "too few samples that can be used"
+    ACCEPTED = "accepted", "the measurement is usable"
+    SAMPLES = "samples", "too few usable samples"
     CLIPPED = "clipped", "the tracks reach the ends of the converter's range"
-    ELLIPSE = "ellipse", "the tracks form no ellipse: a dead track, noise, too short a way"
+    ELLIPSE = "ellipse", "the tracks form no ellipse: a dead track, noise, too short a distance"
     COVERAGE = "coverage", "parts of the cycle were never or hardly sampled"
     CYCLES = "cycles", "too few cycles"
-    LOCKED = "locked", "the motion is locked to the samples: too few different phases close together"
+    LOCKED = "locked", "the motion is locked to the samples: too few different phases"
     NOISE = "noise", "noise of tracks or motion leaves the table too uncertain"
     MONOTONIC = "monotonic", "raw phase does not rise through the cycle, or is too far from the phase"
     SPEED = "speed", "too few samples in each cycle for this method: too fast"
@@ -152,7 +152,7 @@ class Calibration:
 
     @property
     def accepted(self) -> bool:
-        """True if the measurement can be used."""
+        """True if the measurement is usable."""
         return self.reason == Reason.ACCEPTED
 
     @property

@@ -30,7 +30,7 @@ def significant_orders(fit: JointFit) -> tuple[int, ...]:
     """Orders whose coefficients are more than noise; the fundamental always.
 
     The least significant one goes first and the others are corrected for it: two that the
-    samples can hardly tell apart would else drop each other.
+    samples can hardly separate would otherwise drop each other.
     """
     half, orders = len(fit.waveform.sine), fit.waveform.orders
     places = {
@@ -63,7 +63,7 @@ def reject(blocks: Blocks, fit: JointFit, coarse: bool = False) -> Blocks:
     """Leave out samples far off the curve or the motion, and blocks that do not fit as a whole.
 
     ``coarse``: only what is far off by any measure. Before the harmonics are known, a block that
-    meets all phases fits worse than one at standstill, yet it is the one that tells.
+    meets all phases fits worse than one at standstill, yet it is the one that informs.
     """
     use = blocks.used
     floor = COARSE_CYCLES * float(np.median(fit.speed[use])) if coarse else 0.0

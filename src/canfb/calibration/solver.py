@@ -100,7 +100,7 @@ class Solver:
         self.report(0.5)
         many = significant_orders(fit)[-1] > FIRST_ORDERS[-1]
         if many or lively or self.record.uneven or blocks.samples < int(self.record.valid.sum()):
-            # Better phases tell the speed better and follow the motion where the first ones lost
+            # Better phases determine the speed better and follow the motion where the first ones lost
             # it; what the first orders left looked like motion.
             better = self._start(angle, fit.waveform)
             if many or lively:
@@ -110,13 +110,13 @@ class Solver:
         all_orders = uncertainty(fit, self.ellipse)
         mixed = fit.noise_cycles * float(np.sqrt(len(fit.covariance) / blocks.samples))
         if all_orders > INSEPARABLE * mixed:
-            raise no_fit("the samples meet too few different phases to tell the harmonics apart", np.inf)
+            raise no_fit("the samples have too few different phases to separate the harmonics", np.inf)
         fit, blocks = self._only_significant(fit, blocks)
         doubt = all_orders if all_orders > DOUBTFUL * uncertainty(fit, self.ellipse) else 0.0
         off = max(self._off_cycles(fit), fit.noise.across / (2.0 * np.pi * self.amplitude_counts))
         telling = blocks.used[blocks.informative(blocks.evaluate(fit.motion))].sum()
         if self._curve(fit.waveform) is None or off > MAX_OFF_CYCLES or telling < MIN_SAMPLES:
-            raise no_fit("tracks and motion cannot be told apart", loss)
+            raise no_fit("tracks and motion cannot be separated", loss)
         return Solution(fit, blocks, loss, doubt)
 
     def _off_cycles(self, fit: JointFit) -> float:
@@ -191,7 +191,7 @@ class Solver:
             return float("inf"), False
         fit, coarse = self._fit(blocks, start)
         strict = reject(coarse, fit)
-        # A block too long for the motion is rejected: what it does not tell counts as well.
+        # A block too long for the motion is rejected: what it does not show counts as well.
         if 2 * strict.samples <= blocks.samples:
             return float("inf"), False
         fit = self._again(fit, strict, TRIAL_ROUNDS)
@@ -203,7 +203,7 @@ class Solver:
         """First fit from tracked positions, without what is far off."""
         record = self.record
         if len(blocks) < MIN_BLOCKS:
-            raise CalibrationError("too few samples in one piece", Reason.SAMPLES)
+            raise CalibrationError("too few contiguous samples", Reason.SAMPLES)
         motion, waveform = blocks.smooth(start.position[blocks.index]), start.waveform
         if waveform is None:
             waveform = initial_waveform(blocks, record.sine, record.cosine, motion, FIRST_ORDERS)

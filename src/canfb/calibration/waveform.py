@@ -130,7 +130,7 @@ def table_from_phases(phase: FloatArray) -> CorrectionTable:
     low, high = float(deviation.min()), float(deviation.max())
     if high - low > 2.0 * LARGEST_DEVIATION:
         raise CalibrationError(
-            "raw phase is further than 0.25 cycle from the phase: too much for a table. "
+            "raw phase and phase differ by more than 0.25 cycle: too much for a table. "
             'Fit the ellipse first (conditioning="fit")',
             Reason.MONOTONIC,
         )

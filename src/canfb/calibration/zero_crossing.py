@@ -178,7 +178,7 @@ def _find_cycles(passage: _Passage) -> _Cycles:
     if np.sum(samples >= MIN_SAMPLES_PER_CYCLE) < MIN_CYCLES:
         raise CalibrationError(
             f"{np.median(samples):.0f} samples in a cycle: at least {MIN_SAMPLES_PER_CYCLE} are needed. "
-            "Go slower, sample faster, or calibrate from motion",
+            "Turn slower, sample faster, or calibrate from motion",
             Reason.SPEED,
         )
     rows = rows[samples >= MIN_SAMPLES_PER_CYCLE]
@@ -197,7 +197,7 @@ def _crossing_times(passage: _Passage, at: IntArray) -> FloatArray:
     around = at[:, None] + np.arange(-1, 3)
     sine, time = passage.sine[around], passage.time[around]
     crossing = np.zeros(len(at))
-    with np.errstate(divide="ignore", invalid="ignore"):  # events that are no clean crossing
+    with np.errstate(divide="ignore", invalid="ignore"):  # events that are not a clean crossing
         for one in range(4):
             part = time[:, one] - time[:, 1]
             for other in range(4):

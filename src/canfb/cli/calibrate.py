@@ -27,14 +27,14 @@ def register(commands: Commands) -> None:
     parser = add_command(
         commands,
         "calibrate",
-        "measure the encoder, build its correction table, put it in force and save it",
+        "measure the encoder, build its correction table, activate it and save it",
         calibrate,
     )
     add_options(parser)
 
 
 def calibrate(options: argparse.Namespace) -> int:
-    """Do all of it; 0 when the table is in force, or when ``--dry-run`` or ``--check`` is done."""
+    """Do all of it; 0 when the table is active, or when ``--dry-run`` or ``--check`` is done."""
     choices = choices_of(options)
     config = load_config(options.config) if options.config else Config()
     progress = Progress(quiet=options.json)
@@ -54,7 +54,7 @@ def calibrate(options: argparse.Namespace) -> int:
             return over_bus(master, options, config, progress, guard, date_and_time())
     except KeyboardInterrupt:
         progress.clear()
-        report("interrupted; the module is as it was")
+        report("interrupted; the module is unchanged")
         raise
     finally:
         progress.clear()

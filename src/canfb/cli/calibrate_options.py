@@ -19,22 +19,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "config",
         metavar="CONFIG.yaml",
         nargs="?",
-        help="takes the bus and the ids of the first module from it",
+        help="take the bus and the node-IDs of the first module from this file",
     )
-    parser.add_argument("--module", type=whole_number, metavar="ID", help="node id of the module (32)")
+    parser.add_argument("--module", type=whole_number, metavar="ID", help="node-ID of the module (32)")
     parser.add_argument(
         "--encoder-interface",
         type=whole_number,
         metavar="ID",
-        help="node id (that from which the module has its samples)",
+        help="node-ID of the encoder interface (default: the node that sends the samples to the module)",
     )
-    parser.add_argument("--dry-run", action="store_true", help="measure, and write nothing to the module")
+    parser.add_argument("--dry-run", action="store_true", help="measure only, write nothing to the module")
     parser.add_argument(
-        "--check", action="store_true", help="only say how far the encoder has moved away from its table"
+        "--check", action="store_true", help="only measure how far the encoder has drifted from its table"
     )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write table, samples and report there")
-    parser.add_argument("--json", action="store_true", help="the figures, for programs")
-    parser.add_argument("--no-save", action="store_true", help="do not save (1010h): gone after a restart")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for table, samples and report")
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument("--no-save", action="store_true", help="do not save (1010h): lost at a restart")
     _add_measurement(parser)
     _add_file(parser)
     add_bus_options(parser)
@@ -46,7 +46,7 @@ def _add_measurement(parser: argparse.ArgumentParser) -> None:
         "--method",
         choices=(MOTION, ZERO_CROSSINGS),
         default=MOTION,
-        help="motion (default): any speed, samples at each SYNC; zero-crossings: slow, many samples a cycle",
+        help="motion (default): any speed, one sample per SYNC; zero-crossings: slow, many samples per cycle",
     )
     group.add_argument(
         "--source",
@@ -58,35 +58,33 @@ def _add_measurement(parser: argparse.ArgumentParser) -> None:
         "--recorder",
         choices=("interface", "module"),
         default="interface",
-        help="whose object 2050h records (default: interface)",
+        help="node whose object 2050h records (default: interface)",
     )
     group.add_argument(
-        "--seconds", type=float, metavar="S", help="how long to collect (20; 4 for a recording)"
+        "--seconds", type=float, metavar="S", help="duration of the measurement (20; 4 for a recording)"
     )
     group.add_argument(
         "--least-samples",
         type=int,
         default=LEAST_SAMPLES,
         metavar="N",
-        help=f"collect longer, up to six times, where the SYNC is slow ({LEAST_SAMPLES})",
+        help=f"minimum number of samples; measure up to six times longer to reach it ({LEAST_SAMPLES})",
     )
     group.add_argument(
-        "--verify", type=float, metavar="S", help="how long to collect for the proof (4; 1 for a recording)"
+        "--verify", type=float, metavar="S", help="duration of the verification (4; 1 for a recording)"
     )
     group.add_argument(
         "--conditioning",
         choices=("fit", "none"),
         default="fit",
-        help="fit offset, gain and phase error of the tracks first (default), or leave all to the table",
+        help="fit offset, gain and phase error of the tracks first (default), or correct all by the table",
     )
     group.add_argument("--entries", type=int, default=1024, metavar="N", help="length of the table (1024)")
-    group.add_argument("--adc-bits", type=int, metavar="N", help="of the converter (from 2001:02)")
-    group.add_argument("--rate", type=float, metavar="HZ", help="samples per second, where nothing tells it")
-    group.add_argument("--sync", type=float, metavar="HZ", help="produce the SYNC, on a bus that has none")
-    group.add_argument("--encoder", default="", metavar="NAME", help="name or serial number, for the report")
-    group.add_argument(
-        "--answer-within", type=float, default=1.0, metavar="S", help="time for an SDO answer (1)"
-    )
+    group.add_argument("--adc-bits", type=int, metavar="N", help="bits of the converter (from 2001:02)")
+    group.add_argument("--rate", type=float, metavar="HZ", help="samples per second, if not known otherwise")
+    group.add_argument("--sync", type=float, metavar="HZ", help="produce the SYNC, on a bus without one")
+    group.add_argument("--encoder", default="", metavar="NAME", help="name or serial number of the encoder")
+    group.add_argument("--answer-within", type=float, default=1.0, metavar="S", help="SDO time-out (1)")
 
 
 def _add_file(parser: argparse.ArgumentParser) -> None:
@@ -96,16 +94,16 @@ def _add_file(parser: argparse.ArgumentParser) -> None:
         "--columns", default="sine,cosine", metavar="SINE,COSINE", help="names or numbers of the two columns"
     )
     group.add_argument(
-        "--mid-scale", type=float, default=0.0, metavar="COUNTS", help="the reading that means zero"
+        "--mid-scale", type=float, default=0.0, metavar="COUNTS", help="ADC reading of a zero signal"
     )
     group.add_argument(
-        "--time-column", metavar="NAME", help="column with seconds; gaps become missed samples"
+        "--time-column", metavar="NAME", help="column of times in seconds; gaps become missed samples"
     )
     group.add_argument(
-        "--table", type=Path, metavar="FILE", help="the table in force, YAML or bytes of 2020:01"
+        "--table", type=Path, metavar="FILE", help="the active table, YAML or bytes of 2020:01"
     )
     group.add_argument(
-        "--cycles-per-revolution", type=int, metavar="N", help="to give errors as angles of the shaft"
+        "--cycles-per-revolution", type=int, metavar="N", help="also give errors as angles of the shaft"
     )
 
 

@@ -26,34 +26,32 @@ INLINE, FILE = "inline", "file"
 def add_options(parser: argparse.ArgumentParser) -> None:
     """All options of the command."""
     parser.add_argument(
-        "config", metavar="CONFIG.yaml", nargs="?", help="the module that it configures, without a bus"
+        "config", metavar="CONFIG.yaml", nargs="?", help="configuration of the module; needs no bus"
     )
     parser.add_argument(
         "--module",
         type=whole_number,
         metavar="ID",
-        help="node id of the module, where there are several",
+        help="node-ID of the module, if there are several",
     )
     parser.add_argument("--node", type=whole_number, metavar="ID", help="read this node on the bus instead")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="the DCF (module-20h.dcf); replaced")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="the DCF (module-20h.dcf), overwritten")
     parser.add_argument("--concise", type=Path, metavar="FILE", help="the concise form, for object 1F22h")
     parser.add_argument(
         "--table",
         choices=(INLINE, FILE),
         default=INLINE,
-        help="the correction table: in the DCF and in a file (default), or in the file alone",
+        help="the correction table: in the DCF and in a file (default), or in the file only",
     )
     parser.add_argument(
         "--reals",
         choices=[reals.value for reals in Reals],
         default=Reals.DECIMAL.value,
-        help="numbers of type REAL32: decimal (default), or their bits, as lely's tools read them",
+        help="format of REAL32: decimal (default), or the bits, as lely's tools read them",
     )
     parser.add_argument("--name", default="", help="NodeName of the DCF (module_20h)")
-    parser.add_argument("--json", action="store_true", help="the summary, for programs")
-    parser.add_argument(
-        "--answer-within", type=float, default=1.0, metavar="S", help="time for an SDO answer (1)"
-    )
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
+    parser.add_argument("--answer-within", type=float, default=1.0, metavar="S", help="SDO time-out (1)")
     add_bus_options(parser)
 
 
@@ -88,19 +86,21 @@ def write_dcf(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> None:
     """ConfigError for options that cannot be, alone or together."""
     if options.node is None and options.config is None:
-        raise ConfigError("CONFIG.yaml or --node ID is wanted: a module of a configuration, or one on a bus")
+        raise ConfigError(
+            "CONFIG.yaml or --node ID is required: a module of a configuration, or one on a bus"
+        )
     if options.node is not None and options.module is not None:
         raise ConfigError("--module: only without --node, which names the module")
     if options.node is not None and not 1 <= options.node <= 127:
         raise ConfigError(f"--node {options.node}: must be 1 to 127")
     if options.node is None:
-        refuse_idle(options, ["answer_within"], "only with --node, which is asked over the bus")
+        refuse_idle(options, ["answer_within"], "only with --node, which is read over the bus")
     if not 0.01 <= options.answer_within <= 60.0:
         raise ConfigError(f"--answer-within {options.answer_within:g}: must be 0.01 to 60")
     if not options.name.isascii() or not options.name.isprintable() or ";" in options.name:
-        raise ConfigError(f"--name {options.name!r}: letters, digits and signs of ASCII, without ;")
+        raise ConfigError(f"--name {options.name!r}: must be printable ASCII without ';'")
     if options.out is not None and options.out == options.concise:
-        raise ConfigError(f"--concise {options.concise}: must be another file than --out")
+        raise ConfigError(f"--concise {options.concise}: must differ from --out")
 
 
 def _chosen(config: Config, options: argparse.Namespace) -> ModuleConfig:

@@ -13,7 +13,7 @@ from canfb.configuration import load_config
 
 EXAMPLE = """\
 # canfb run CONFIG.yaml, canfb simulate CONFIG.yaml
-bus: {interface: socketcan, channel: vcan0}     # python-can's own words; add bitrate: 1000000 on a real bus
+bus: {interface: socketcan, channel: vcan0}     # python-can's parameters; add bitrate: 1000000 on a real bus
 
 modules:                                        # one process serves several nodes
   - node_id: 0x20
@@ -23,21 +23,21 @@ modules:                                        # one process serves several nod
     times: true                                 # the ADC PDO carries the time of each sample
     residual_limit: 0.3333                      # cycles; the paper's 1/3
     coast_samples: 3                            # bad samples to bridge before the position is lost
-    autostart: false                            # true: operational without a master
+    autostart: false                            # true: OPERATIONAL without a master
     # predict: true                             # synchronous PDOs carry the position of their SYNC (2013h)
     # nominal_sync: true                        # the position of a SYNC without jitter (2013:02)
-    # state_dir: /var/lib/canfb/x               # keeps what `save` (1010h) saves; without it, nothing is kept
-    # source: {kind: iio, device: ads7950}      # the module's own ADC (Linux IIO) in place of the ADC PDO, or
+    # state_dir: /var/lib/canfb/x               # storage of `save` (1010h); without it, nothing is saved
+    # source: {kind: iio, device: ads7950}      # the module's own ADC (Linux IIO) instead of the ADC PDO, or
     #                                           # {kind: recording, file: tracks.csv}, or {kind: motion}
     # conditioning:                             # offset, gain and phase error of the tracks; default: none
     #   {sine_offset_counts: 0, cosine_offset_counts: 0, sine_gain: 1, cosine_gain: 1, phase_error_rad: 0}
 
-simulation:                                     # what canfb simulate plays in place of a machine
+simulation:                                     # the machine of canfb simulate
   encoder: {amplitude: 0.75, sine_offset: 0.03, cosine_amplitude: 0.97, noise_lsb: 0.5}
-  # At 100 Hz eq. 10 allows 8.4 rad/s^2, and this takes 2.2. The ripple, as every machine has one, shows all
-  # phases of the cycle to canfb calibrate.
+  # At 100 Hz eq. 10 allows 8.4 rad/s^2; this motion needs 2.2. The speed ripple, present in every machine,
+  # gives canfb calibrate all phases of the cycle.
   motion: {standstill_s: 0.5, ramp_s: 3, rpm: 61, ripple_rpm: 0.5, ripple_hz: 0.3}
-  # drive: {node_id: 0x30}                      # a CiA 402 drive moves the machine in place of `motion`
+  # drive: {node_id: 0x30}                      # a CiA 402 drive moves the machine instead of `motion`
 
 # realtime: {priority: 80, lock_memory: true, cpu: 3}
 """
@@ -63,7 +63,7 @@ def check(options: argparse.Namespace) -> int:
     config = load_config(options.config)
     check_machine(Path(options.config), config)
     nodes = ", ".join(f"{module.node_id:02X}h" for module in config.modules)
-    print(f"{options.config}: good; modules: {nodes}")
+    print(f"{options.config}: valid; modules: {nodes}")
     return 0
 
 

@@ -22,12 +22,12 @@ def register(commands: Commands) -> None:
         "start, track, calibrate, upload, verify and survive faults on an in-process bus",
         demo,
     )
-    parser.add_argument("--json", action="store_true", help="the figures, for programs")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write pictures (SVG) and report.html there")
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for pictures (SVG) and report.html")
 
 
 def demo(options: argparse.Namespace) -> int:
-    """Tell the story; 0 if everything held, else 1."""
+    """Run the demo; 0 if everything held, else 1."""
     if options.out:
         prepare(options.out)
     network = DemoNetwork()

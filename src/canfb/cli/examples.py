@@ -4,10 +4,10 @@ from __future__ import annotations
 
 _EXAMPLES = {
     "canfb": """
-  canfb demo                                   the whole story, without a bus
-  canfb config example > feedback.yaml         a configuration to begin with
-  canfb run feedback.yaml                      its module on its bus
-  canfb simulate feedback.yaml --rate 100      an encoder interface with a machine, and the SYNC""",
+  canfb demo                                   a complete demonstration, without a bus
+  canfb config example > feedback.yaml         a configuration to start from
+  canfb run feedback.yaml                      run its module on its bus
+  canfb simulate feedback.yaml --rate 100      simulate encoder interface and machine, produce SYNC""",
     "canfb demo": """
   canfb demo
   canfb demo --json

@@ -48,7 +48,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="canfb",
         description="CANopen drive feedback module for sine/cosine encoders.",
-        epilog=f"{examples_of('canfb')}\n\n'canfb COMMAND --help' has the options and examples of a command.",
+        epilog=f"{examples_of('canfb')}\n\n'canfb COMMAND --help' lists options and examples of a command.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"canfb {version('canfb')}")

@@ -11,10 +11,10 @@ from canfb.cli.options import Commands, add_bus_options, add_command, bus_option
 from canfb.configuration import load_config
 
 WORDS = {
-    "start": (NmtCommand.START, "to OPERATIONAL: PDOs are sent and taken"),
-    "stop": (NmtCommand.STOP, "to STOPPED: only NMT and error control are left"),
+    "start": (NmtCommand.START, "to OPERATIONAL: PDOs are sent and received"),
+    "stop": (NmtCommand.STOP, "to STOPPED: only NMT and error control remain"),
     "preop": (NmtCommand.ENTER_PRE_OPERATIONAL, "to PRE-OPERATIONAL: SDO, no PDO"),
-    "reset": (NmtCommand.RESET_NODE, "reset of the node, as if it were switched off and on"),
+    "reset": (NmtCommand.RESET_NODE, "reset of the node, as by a power cycle"),
     "reset-comm": (NmtCommand.RESET_COMMUNICATION, "reset of the communication parameters (1000h to 1FFFh)"),
 }
 ALL, EVERYBODY = "all", 0
@@ -38,7 +38,7 @@ def register(commands: Commands) -> None:
     parser = commands.add_parser(
         "nmt",
         help="start, stop or reset nodes",
-        description="Send one NMT command. It has no answer: a node shows its state by its heartbeat.",
+        description="Send one NMT command. It is not confirmed: a node reports its state in its heartbeat.",
         epilog="example: canfb nmt start all -i socketcan -c can0",
     )
     parts = parser.add_subparsers(dest="part", required=True, metavar="|".join(WORDS))
@@ -48,7 +48,7 @@ def register(commands: Commands) -> None:
         part.add_argument(
             "nodes", metavar="NODE", nargs="+", type=_node, help="node-IDs such as 32 or 0x20, or all"
         )
-        part.add_argument("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration")
+        part.add_argument("--config", metavar="CONFIG.yaml", help="take the bus from this configuration")
         add_bus_options(part)
 
 

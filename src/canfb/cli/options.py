@@ -42,7 +42,7 @@ def whole_number(text: str) -> int:
     try:
         return int(text, 0)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
 
 
 def chosen_module(options: argparse.Namespace, config: Config) -> ModuleConfig:
@@ -95,5 +95,5 @@ def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict
 def add_ready_file(parser: argparse.ArgumentParser) -> None:
     """``--ready-file``, for :class:`canfb.bus.readiness.Readiness`."""
     parser.add_argument(
-        "--ready-file", metavar="PATH", help="a file that is there while the program is on the bus"
+        "--ready-file", metavar="PATH", help="a file that exists while the program is on the bus"
     )

@@ -45,7 +45,7 @@ class _Printing(logging.Handler):
 
 
 def _print(text: str, stream: TextIO) -> None:
-    """Print at once. A reader or a terminal that has gone is no reason to end: say nothing more there."""
+    """Print at once. A reader or a terminal that has gone does not end the program: no more output there."""
     try:
         print(text, file=stream, flush=True)
     except OSError as error:

@@ -42,7 +42,7 @@ def simulate(options: argparse.Namespace) -> int:
             if record is not None:
                 write_record(record, network.recorder, network.rate_hz)
     interface = network.interface
-    say(f"{interface.samples} samples sent{'; the recording is over' if interface.ended else ''}")
+    say(f"{interface.samples} samples sent{'; end of the recording' if interface.ended else ''}")
     if record is not None:
         say(f"written  {record}")
     if network.axis is not None:

@@ -31,20 +31,21 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--pace",
         choices=PACES,
-        help="the machine turns in true time (time), or by one interval with each SYNC, however late (sync)",
+        help="the machine turns in real time (time), or by one interval per SYNC, however late (sync)",
     )
     parser.add_argument(
-        "--module", type=whole_number, metavar="ID", help="node id of the module it feeds (the first)"
+        "--module",
+        type=whole_number,
+        metavar="ID",
+        help="node-ID of the module to serve (the first)",
     )
-    parser.add_argument("--rpm", type=float, help="speed after the ramp, in place of the configuration's")
-    parser.add_argument("--autostart", action="store_true", help="operational without a master")
-    parser.add_argument(
-        "--seconds", type=float, metavar="S", help="end when the machine has moved for so long"
-    )
+    parser.add_argument("--rpm", type=float, help="speed after the ramp, instead of the configuration's")
+    parser.add_argument("--autostart", action="store_true", help="enter OPERATIONAL without a master")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after this machine time")
     parser.add_argument(
         "--record",
         metavar="FILE",
-        help="write what was sampled to a CSV or NPZ file, to play it (--samples) or to calibrate with it",
+        help="write the samples to a CSV or NPZ file, to play them back (--samples) or to calibrate",
     )
     add_ready_file(parser)
     play = parser.add_argument_group("playing a recording")
@@ -60,14 +61,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="names or numbers (from 0) of the two columns",
     )
     play.add_argument(
-        "--mid-scale", type=float, default=0.0, metavar="COUNTS", help="the reading that means zero"
+        "--mid-scale", type=float, default=0.0, metavar="COUNTS", help="ADC reading of a zero signal"
     )
     play.add_argument(
-        "--time-column", metavar="NAME", help="column with seconds; gaps in it become lost samples"
+        "--time-column", metavar="NAME", help="column of times in seconds; gaps in it become lost samples"
     )
-    play.add_argument(
-        "--gap", type=float, default=0.1, metavar="S", help="a longer step of time is a gap (0.1)"
-    )
+    play.add_argument("--gap", type=float, default=0.1, metavar="S", help="a longer time step is a gap (0.1)")
     play.add_argument(
         "--gap-samples", type=int, default=20, metavar="N", help="samples lost at each gap (20)"
     )
@@ -88,7 +87,9 @@ def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfi
     simulation = config.simulation
     for option in ("samples", "rpm") if simulation.drive is not None else ():
         if getattr(options, option) is not None:
-            raise ConfigError(f"--{option}: the drive of the configuration moves the encoder; leave out one")
+            raise ConfigError(
+                f"--{option}: the drive of the configuration moves the encoder; omit one of the two"
+            )
     if options.rpm is not None:
         try:
             simulation = replace(simulation, motion=replace(simulation.motion, rpm=options.rpm))
@@ -112,5 +113,5 @@ def _layout(options: argparse.Namespace) -> RecordingLayout:
     if options.gap_samples < 1:
         raise ConfigError(f"--gap-samples {options.gap_samples}: must be 1 or more")
     if options.time_column is None:
-        refuse_idle(options, TIMES, "only with --time-column, in which the gaps are")
+        refuse_idle(options, TIMES, "only with --time-column, which contains the gaps")
     return RecordingLayout(columns, options.mid_scale, options.time_column, options.gap, options.gap_samples)

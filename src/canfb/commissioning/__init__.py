@@ -6,10 +6,10 @@ The master's side, between the buses and the calculation::
     listening          samples of the ADC PDO, SYNC by SYNC; pdo_layout: which PDO it is
     recording_upload   samples of object 2050h of either node
     own_calibration    the module's own reference measurement, object 2030h
-    active             table and conditioning: read, put in force, put back, save
+    active             table and conditioning: read, activate, restore, save
     deviation          how good a table is on samples that it has not seen
     measurement        samples in, a table out, compared with the one before
-    procedure          the table in force, proven and saved; guard: nothing half done
+    procedure          table activated, verified and saved; guard: nothing half done
     choices            what canfb calibrate is asked to do; combinations: options that exclude each other
     calibration_run    the command, from the first sample to the last file
     drift_check        how far an encoder has moved away from its table; drift_summary: its figures

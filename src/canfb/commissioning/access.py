@@ -17,7 +17,7 @@ from canfb.errors import CanfbError
 
 Hear = Callable[[int, bytes, float], None]
 ABSENT = (AbortCode.NO_OBJECT, AbortCode.NO_SUBINDEX)
-SETTLE_S = 0.05  # for frames of an aborted block transfer that are still under way
+SETTLE_S = 0.05  # for frames of an aborted block transfer that are still in transit
 
 
 class CommissioningError(CanfbError):
@@ -152,10 +152,10 @@ class NodeAccess:
             self.master.wait(0.0)  # says so if it is the bus that has failed
             said = str(error).rstrip(".")
             if said == "No SDO response received":
-                said = "no answer; is the node there, and is it the right bit rate?"
+                said = "no answer; is the node on the bus, and is the bit rate right?"
             raise CommissioningError(f"{what}: {said}") from None
         except (can.CanError, OSError) as error:
             raise CommissioningError(f"{what}: {' '.join(str(error).split())}") from error
         except (AttributeError, RuntimeError, struct.error) as error:
             # What canopen's streams come to on answers that they did not expect.
-            raise CommissioningError(f"{what}: the answer makes no sense ({error})") from error
+            raise CommissioningError(f"{what}: the response is invalid ({error})") from error

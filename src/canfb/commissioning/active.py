@@ -1,4 +1,4 @@
-"""Table and conditioning of a module: read, put in force, put back, save."""
+"""Table and conditioning of a module: read, activate, restore, save."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ SAVE_WITHIN_S = 10.0
 
 
 def read_active(module: NodeAccess) -> Correction:
-    """What is in force. CommissioningError if the node is no feedback module, or the table is not whole."""
+    """The active set. CommissioningError if the node is not a feedback module, or the table is incomplete."""
     try:
         crc32 = module.integer(*od.TABLE_ACTIVE_CRC, "I")
     except ObjectAbsentError:
         raise CommissioningError(
-            f"{module.name} has no correction table (2020h): no feedback module; use --module"
+            f"{module.name} has no correction table (2020h): not a feedback module; set --module"
         ) from None
     conditioning = read_conditioning(module)
     if crc32 == 0:
@@ -30,10 +30,10 @@ def read_active(module: NodeAccess) -> Correction:
     try:
         table = CorrectionTable.from_bytes(module.upload_domain(*od.TABLE_STAGED))
     except ValueError as error:
-        raise CommissioningError(f"{module.name}: 2020:01 is no correction table: {error}") from None
+        raise CommissioningError(f"{module.name}: 2020:01 is not a correction table: {error}") from None
     if table.crc32 != crc32:
         raise CommissioningError(
-            f"{module.name}: the table read has the CRC {table.crc32:08X}h, the active one {crc32:08X}h"
+            f"{module.name}: the table read has CRC {table.crc32:08X}h, the active table {crc32:08X}h"
         )
     return Correction(table, conditioning)
 
@@ -63,20 +63,20 @@ def put_in_force(module: NodeAccess, wanted: Correction) -> None:
 
 
 def put_back(module: NodeAccess, before: Correction) -> None:
-    """Put the old set in force again. CommissioningError, which says how things stand, if that fails."""
+    """Activate the old set again. CommissioningError, which says what to do, if that fails."""
     try:
         put_in_force(module, before)
         if read_active(module) != before:
-            raise CommissioningError(f"{module.name}: what is active now is not what was before")
+            raise CommissioningError(f"{module.name}: the previous table and conditioning are not active")
     except CanfbError as error:
         raise CommissioningError(
-            f"the table and the conditioning from before could not be put back ({error}): switch "
+            f"the previous table and conditioning could not be restored ({error}): switch "
             f"{module.name} off and on, or write 0 to 2020:03"
         ) from error
 
 
 def is_active(module: NodeAccess, wanted: Correction) -> bool:
-    """True if just this is in force."""
+    """True if exactly this is active."""
     return (
         module.integer(*od.TABLE_ACTIVE_CRC, "I") == wanted.crc32
         and read_conditioning(module) == wanted.conditioning
@@ -106,7 +106,9 @@ def _write_conditioning(module: NodeAccess, wanted: Conditioning) -> None:
         module.write(*place, "f", value)
     written = (struct.unpack("<f", struct.pack("<f", value))[0] for value in wanted.values)
     if read_conditioning(module) != Conditioning(*written):
-        raise CommissioningError(f"{module.name}: the conditioning read back (2002h) is not what was written")
+        raise CommissioningError(
+            f"{module.name}: the conditioning read back (2002h) differs from what was written"
+        )
 
 
 def _check_crc(module: NodeAccess, place: od.Multiplexer, which: str, wanted: int) -> None:

@@ -18,8 +18,8 @@ from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.supervision import SampleLimits
 
 FOOTER = (
-    "Made by canfb calibrate. Deviation: how far single samples are from smooth motion, noise included, on "
-    "samples not used for the table that they are measured with."
+    "Made by canfb calibrate. Deviation: difference of single samples from smooth motion, noise included. "
+    "No table is judged by the samples from which it was calculated."
 )
 MEASUREMENT = "Measurement"
 ANGLES = " Angles (″) are those of the shaft."
@@ -81,8 +81,8 @@ def _origins(where: Circumstances) -> str:
 def _lissajous(samples: TrackSamples, used: Correction, limits: SampleLimits | None) -> str:
     picture = lissajous(samples.sine, samples.cosine, used.conditioning, limits)
     seen = len(samples) - samples.missed
-    shown = f"all {seen} samples, stronger where more fall" if is_dense(samples.sine) else f"{seen} samples"
-    return figure("Lissajous picture", f"should be a circle within the limits; {shown}", picture)
+    shown = f"all {seen} samples, shown by their density" if is_dense(samples.sine) else f"{seen} samples"
+    return figure("Lissajous figure", f"should be a circle within the limits; {shown}", picture)
 
 
 def _pictures(measured: Measurement, done: Installation) -> list[str]:
@@ -98,7 +98,7 @@ def _pictures(measured: Measurement, done: Installation) -> list[str]:
     listed = [
         (
             "Correction table",
-            "phase less raw phase; Table 1 alone needs four waves of 1.1 %",
+            "phase minus raw phase; Table 1 alone needs four waves of 1.1 %",
             pictures.table_curve(calibration.table, measured.before.table),
         ),
         (
@@ -107,7 +107,7 @@ def _pictures(measured: Measurement, done: Installation) -> list[str]:
             pictures.coverage(on_samples.samples_over_phase()),
         ),
         ("Error over the phase", "mean in each 1/64 cycle, before and after", curves),
-        ("What is left of it", f"on a scale of its own; noise alone gives {noise:.2g} % rms", left),
+        ("Remaining error", f"on its own scale; noise alone gives {noise:.2g} % rms", left),
         ("Harmonics of the error", "1: offset; 2: gain and phase error; 4, 8, 12: Table 1 itself", orders),
         (
             "Deviation of single samples",

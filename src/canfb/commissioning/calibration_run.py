@@ -92,7 +92,7 @@ class CalibrationRun:
     def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Account:
         """With the nodes of a bus; ``interface`` None if the module is to say it."""
         choices = self._choices
-        self._steps.step("reading what is active")
+        self._steps.step("reading the active table")
         session = Session.open(master, module, interface)
         self._where = replace(
             self._where,
@@ -163,7 +163,7 @@ class CalibrationRun:
         guard: Guard,
         put: Callable[[], Measurement] | None = None,
     ) -> tuple[Measurement, Installation]:
-        """Put in force, prove, save."""
+        """Activate, verify, save."""
         choices, steps = self._choices, self._steps
 
         def collect() -> TrackSamples:

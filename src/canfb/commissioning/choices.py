@@ -93,7 +93,7 @@ class Choices:
         check_mid_scale(self.mid_scale)
         two_columns(self.columns)
         if self.samples_from == MODULE and self.method != MOTION:
-            raise ConfigError("--source module: the module has the method motion only")
+            raise ConfigError("--source module: the module supports --method motion only")
 
     def settings(self, limits: SampleLimits | None) -> Settings:
         """How to calibrate; the converter's bits from the module, unless given."""
@@ -103,7 +103,7 @@ class Choices:
         return Settings(self.method, "fit" if self.conditioning == "fit" else None, self.entries, bits)
 
     def nodes(self, configured: Iterable[tuple[int, int | None]]) -> tuple[int, int | None]:
-        """Ids of module and encoder interface, None if the module is to say it. ConfigError if both are one.
+        """Ids of module and encoder interface, None if the module determines it. ConfigError if both are one.
 
         ``configured`` are those of the configuration, None for the interface of a module with a source.
         """
@@ -114,7 +114,7 @@ class Choices:
         if interface is None and known:
             interface = known[0][1]
         if module == interface:
-            raise ConfigError(f"--encoder-interface {interface}: must be another node than the module")
+            raise ConfigError(f"--encoder-interface {interface}: must differ from the node-ID of the module")
         return module, interface
 
     def samples_of_file(self, path: Path) -> TrackSamples:
@@ -134,7 +134,7 @@ def two_columns(columns: str) -> tuple[str, str]:
     """The names in ``--columns``, which are given with a comma between. ConfigError unless there are two."""
     names = [name.strip() for name in columns.split(",")]
     if len(names) != 2:
-        raise ConfigError(f"--columns {columns}: two columns, sine,cosine, are wanted")
+        raise ConfigError(f"--columns {columns}: two columns are required: sine,cosine")
     return names[0], names[1]
 
 

@@ -36,9 +36,9 @@ def refuse_combinations(choices: Choices, refuse: Refuse, bus_words: Sequence[st
         words = (*_OF_THE_BUS, *bus_words)
         refuse(words, "not with --samples, which needs no bus and writes to no module")
         if choices.samples.suffix == ".npz":
-            refuse(_OF_CSV, f"only for CSV; {choices.samples.name} says it itself")
+            refuse(_OF_CSV, f"only for CSV, not for {choices.samples.name}")
     else:
-        refuse(["table"], "only with --samples; over the bus the module tells its table")
+        refuse(["table"], "only with --samples; over the bus the table is read from the module")
         refuse(_OF_THE_FILE, "only with --samples, which it describes")
     if choices.check:
         refuse(("dry_run", "no_save"), "not with --check, which writes nothing")

@@ -1,4 +1,4 @@
-"""How far an encoder has moved away from the table that is in force: measured, not touched."""
+"""How far an encoder has drifted from the active table; nothing is changed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class DriftCheck:
 
 
 def check(samples: TrackSamples, active: Correction, settings: Settings, heard: Heard) -> DriftCheck:
-    """Measure again, with the conditioning in force, and compare. Errors as for a calibration."""
+    """Measure again, with the active conditioning, and compare. Errors as for a calibration."""
     measured = measure(samples, settings, active, heard, active.conditioning)
     found = drift(measured.calibration, active.table, active.conditioning)
     return DriftCheck(found.rms, found.peak, active, measured.calibration, measured.on_samples)

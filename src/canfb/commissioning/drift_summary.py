@@ -14,7 +14,7 @@ from canfb.signal.correction import Correction
 def module_drift_lines(found: ModuleDrift, active: Correction, where: Circumstances) -> list[str]:
     """What the module itself says, for people."""
     return [
-        f"{'table in force':24}{table_words(active)}",
+        f"{'active table':24}{table_words(active)}",
         f"{'its error now, rms':24}{percent(found.rms, where)} of a cycle",
         f"{'its error now, peak':24}{percent(found.peak, where)} of a cycle",
         f"{'noise of a sample':24}{percent(found.residual_rms, where)} rms",
@@ -37,15 +37,15 @@ def module_drift_json(found: ModuleDrift, active: Correction, where: Circumstanc
 def drift_lines(found: DriftCheck, where: Circumstances) -> list[str]:
     """For people."""
     lines = [
-        f"{'table in force':24}{table_words(found.active)}",
+        f"{'active table':24}{table_words(found.active)}",
         f"{'its error now, rms':24}{percent(found.rms, where)} of a cycle",
         f"{'its error now, peak':24}{percent(found.peak, where)} of a cycle",
-        f"{'measured to':24}{percent(found.calibration.uncertainty_peak, where)} of a cycle",
+        f"{'uncertainty, peak':24}{percent(found.calibration.uncertainty_peak, where)} of a cycle",
         f"{'deviation of samples':24}{percent(found.on_samples.before_rms, where)} rms now, "
         f"{percent(found.calibration.residual_rms, where)} with a new table",
     ]
     if not found.seen:
-        lines.append("the encoder has not moved away from its table, as far as this measurement can tell")
+        lines.append("no drift within the uncertainty of this measurement")
     return lines
 
 

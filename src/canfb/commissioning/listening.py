@@ -128,15 +128,15 @@ class Listener:
         samples = self._recorder.result(f"PDO {can_id:03X}h at each SYNC")
         if samples.missed > PART_MISSED * len(samples):
             raise CommissioningError(
-                f"{samples.missed} of {len(samples)} SYNCs brought no PDO {can_id:03X}h: samples are lost, "
-                "or the PDO is not sent at each SYNC (transmission type 1 is needed)"
+                f"{samples.missed} of {len(samples)} SYNCs were not followed by PDO {can_id:03X}h: "
+                "samples are lost, or the PDO is not sent at each SYNC (transmission type 1 is needed)"
             )
         return samples
 
     def _no_samples(self) -> CommissioningError:
         return CommissioningError(
-            f"SYNC comes, the PDO {self._layout.can_id:03X}h with the samples does not: is the encoder "
-            "interface OPERATIONAL (NMT start), and its id right?"
+            f"SYNC is received, but not PDO {self._layout.can_id:03X}h with the samples: is the encoder "
+            "interface OPERATIONAL (NMT start), and is its node-ID right?"
         )
 
 

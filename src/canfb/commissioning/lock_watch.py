@@ -1,4 +1,4 @@
-"""Motion that is locked to the samples, seen after a second in place of after the whole measurement."""
+"""Motion that is locked to the samples, seen after a second instead of after the whole measurement."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class LockWatch:
     """Looks once, about a second after the first SYNC, whether the motion is locked to the samples.
 
     ``speed_rad_s`` asks the module for its speed; it is 0.0 where the module could not count. Call it as
-    the samples come: it is True when there is no sense in going on, and ``found`` says why.
+    the samples come: it is True when it makes no sense to continue, and ``found`` says why.
     """
 
     def __init__(self, cycles_per_revolution: int, speed_rad_s: Callable[[], float]) -> None:
@@ -57,7 +57,7 @@ class LockWatch:
         speed = 0.0
         if samples.rate_hz:
             speed = self._speed_rad_s() * self._cycles_per_revolution / (2.0 * math.pi) / samples.rate_hz
-            if speed < 0.0:  # backwards is forwards with the tracks the other way round
+            if speed < 0.0:  # backwards is forwards with the tracks exchanged
                 speed, lock = -speed, Lock(-lock.numerator % lock.denominator, lock.denominator)
         if lock.denominator == 1 and speed < HALF_CYCLE and self._next_s < STANDSTILL_S:
             self._next_s = STANDSTILL_S
@@ -77,15 +77,15 @@ class LockWatch:
         faster = f"{step * rpm:.3g} rpm faster" if rpm else f"by {step} of a cycle per sample faster"
         if lock.denominator == 1 and speed < HALF_CYCLE:
             return CalibrationError(
-                "the tracks hardly change: the machine stands still, or goes through a whole number of "
+                "the tracks hardly change: the machine is at standstill, or moves a whole number of "
                 f"cycles per sample. Let it turn {faster}",
                 Reason.COVERAGE,
             )
-        known = "" if speed < HALF_CYCLE else f", at {(_near(speed, lock) + step) * rpm:.5g} rpm for one"
+        known = "" if speed < HALF_CYCLE else f", for example at {(_near(speed, lock) + step) * rpm:.5g} rpm"
         count = "a whole number" if lock.denominator == 1 else f"n + {lock.numerator}/{lock.denominator}"
         return CalibrationError(
             f"the motion is locked to the samples: {count} of cycles per sample, so that the same phases "
-            f"come again and again. Let it turn {faster}{known}",
+            f"repeat. Let it turn {faster}{known}",
             Reason.LOCKED,
         )
 

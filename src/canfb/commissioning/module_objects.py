@@ -29,4 +29,4 @@ class ModuleObjects:
             raise self._other_version(error) from None
 
     def _other_version(self, error: ObjectAbsentError) -> CanfbError:
-        return CanfbError(f"{error}: another version of canfb has made this module")
+        return CanfbError(f"{error}: the module runs another version of canfb")

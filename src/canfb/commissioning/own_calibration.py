@@ -27,7 +27,7 @@ FIGURES = (
     od.MEASUREMENT_RESIDUAL_PEAK,
 )
 LOOK_S = 0.2
-STANDING_S = 2.0  # no sample for so long: it waits for something that somebody has to do
+STANDING_S = 2.0  # no sample for this long: it waits for somebody to act
 PATIENCE_S = 120.0  # without progress: a slow computer calculates for long
 
 
@@ -77,7 +77,7 @@ def discard(module: NodeAccess) -> None:
 
 
 def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Measurement:
-    """Let the module put its table in force; ``measured`` with this table in place of ours.
+    """Let the module activate its table; ``measured`` with this table instead of ours.
 
     CommissioningError if the module does not take it.
     """
@@ -91,7 +91,7 @@ def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Mea
 def with_table(measured: Measurement, found: Correction, settings: Settings) -> Measurement:
     """The same measurement with another table, whose figures are those on the same samples."""
     if found.table is None:
-        raise CommissioningError("the module says that its table is active, and has none")
+        raise CommissioningError("the module reports an active table, but has none")
     ours = measured.calibration
     on_samples = best_deviation(
         measured.samples.recording(settings.adc_bits), found, measured.before, block_of(ours)
@@ -129,7 +129,7 @@ class _Samples:
             node_id = self._module.node_id
             raise CommissioningError(
                 f"{self._module.name} has processed no sample for {STANDING_S:g} s: it must be OPERATIONAL "
-                f"(NMT start, 000h 01 {node_id:02X}), and SYNC and samples must come"
+                f"(NMT start, 000h 01 {node_id:02X}), and must receive SYNC and samples"
             )
 
 

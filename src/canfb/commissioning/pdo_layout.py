@@ -71,13 +71,13 @@ def agreed_layout(module: NodeAccess | None, interface: NodeAccess) -> PdoLayout
     if module is not None and taken is None:
         raise CommissioningError(
             f"{module.name} has no valid RPDO with both tracks (2000:01, 2000:02): map and enable one; for a "
-            "module that samples itself: --source recording --recorder module"
+            "module with its own ADC: --source recording --recorder module"
         )
     if not interface.answers():
         if module is not None and taken is not None and taken.sender not in (None, interface.node_id):
             raise CommissioningError(
-                f"{interface.name} does not answer, and {module.name} takes its samples from node "
-                f"{taken.sender} ({taken.sender:02X}h, PDO {taken.can_id:03X}h): give the right "
+                f"{interface.name} does not answer, and {module.name} receives its samples from node "
+                f"{taken.sender} ({taken.sender:02X}h, PDO {taken.can_id:03X}h): set the right "
                 "--encoder-interface, or link the PDOs (1400:01)"
             )
         return taken or PdoLayout(cob.TPDO1 + interface.node_id)
@@ -88,8 +88,8 @@ def agreed_layout(module: NodeAccess | None, interface: NodeAccess) -> PdoLayout
         )
     if module is not None and taken is not None and taken.can_id != sent.can_id:
         raise CommissioningError(
-            f"{module.name} takes its samples from the PDO {taken.can_id:03X}h, and {interface.name} sends "
-            f"them in {sent.can_id:03X}h: give the right --encoder-interface, or link the PDOs (1400:01)"
+            f"{module.name} receives its samples in PDO {taken.can_id:03X}h, but {interface.name} sends "
+            f"them in {sent.can_id:03X}h: set the right --encoder-interface, or link the PDOs (1400:01)"
         )
     return sent
 

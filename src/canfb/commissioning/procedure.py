@@ -1,4 +1,4 @@
-"""A table in force, proven and saved, in the right order. Whatever fails: the module is left as it was."""
+"""Activate, verify and save a table, in this order. Whatever fails: the module is left unchanged."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Installation:
     """What was done with a measurement.
 
     fresh      deviation of samples taken after the activation, None if nothing was activated
-    active     the new set is in force
+    active     the new set is active
     saved_as   object that saved it, None: not saved
     save_note  why it is not saved, in plain words
     """
@@ -46,17 +46,17 @@ def install(
     keep: bool = True,
     step: Callable[[str], None] = lambda text: None,
 ) -> tuple[Measurement, Installation]:
-    """Put the new set in force, prove it on fresh samples from ``collect``, and save it if ``keep``.
+    """Activate the new set, verify it on fresh samples from ``collect``, and save it if ``keep``.
 
-    ``put`` replaces the upload: it puts another table in force and gives the measurement with it.
+    ``put`` replaces the upload: it activates another table and gives the measurement with it.
 
-    It is saved only when it is proven. If anything goes wrong, or is interrupted, the old set is put
-    back (and saved again, where saving had begun) before the error goes on; the text says so.
+    It is saved only after the verification. If anything fails, or is interrupted, the old set is
+    restored (and saved again, where saving had begun) before the error is raised; its text says so.
     """
     done, before = Installation(), measured.before
     saving = False
     try:
-        step("putting the table in force")
+        step("activating the table")
         if put is None:
             put_in_force(module, measured.found)
         else:
@@ -69,11 +69,11 @@ def install(
             saving = True
             _save(module, done)
         else:
-            done.save_note = "not saved, as asked: the table is lost when the module is switched off"
+            done.save_note = "not saved, as requested: the table is lost when the module is switched off"
     except BaseException as error:
         with guard.held():
             with contextlib.suppress(OSError):  # a terminal that has gone
-                step("putting the old table back")
+                step("restoring the old table")
             undone, said = _undo(module, before, saving)
         if isinstance(error, CanfbError) or not undone:
             raise CommissioningError(f"{str(error) or 'interrupted'}; {said}") from error
@@ -84,7 +84,7 @@ def install(
 
 
 def verify(samples: TrackSamples, measured: Measurement, settings: Settings) -> Deviation:
-    """Deviation of fresh samples with the new set. CommissioningError if it is worse than promised."""
+    """Deviation of fresh samples with the new set. CommissioningError if it is worse than predicted."""
     calibration = measured.calibration
     fresh = best_deviation(
         samples.recording(settings.adc_bits), measured.found, measured.before, block_of(calibration)
@@ -92,8 +92,8 @@ def verify(samples: TrackSamples, measured: Measurement, settings: Settings) -> 
     limit = WORSE * calibration.residual_rms + calibration.uncertainty_rms
     if fresh.rms > limit:
         raise CommissioningError(
-            f"on fresh samples the table leaves {100 * fresh.rms:.3g} % of a cycle rms, promised were "
-            f"{100 * calibration.residual_rms:.3g} %: something has changed since"
+            f"on fresh samples the table leaves {100 * fresh.rms:.3g} % of a cycle rms, "
+            f"{100 * calibration.residual_rms:.3g} % was predicted: something has changed since"
         )
     return fresh
 
@@ -108,11 +108,11 @@ def _save(module: NodeAccess, done: Installation) -> None:
 
 
 def _undo(module: NodeAccess, before: Correction, saving: bool) -> tuple[bool, str]:
-    """Put the old set back; if that worked, and what there is to say about it."""
+    """Restore the old set; whether that worked, and a line about it."""
     try:
         put_back(module, before)
         if saving:
             save(module)
     except CanfbError as error:
         return False, str(error)
-    return True, f"the table and the conditioning from before are active in {module.name}"
+    return True, f"the previous table and conditioning are active in {module.name}"

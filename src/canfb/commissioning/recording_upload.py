@@ -10,9 +10,9 @@ from canfb.commissioning.samples import TrackSamples
 from canfb.objects import RecordingCommand as Command
 
 LOOK_S = 0.2
-STANDING_S = 1.0  # no more samples for so long: the memory of the node is full
-EMPTY_S = 2.0  # none at all for so long: nothing samples
-UPLOAD_PART = 0.5  # of what is told as progress
+STANDING_S = 1.0  # no more samples for this long: the memory of the node is full
+EMPTY_S = 2.0  # none at all for this long: nothing samples
+UPLOAD_PART = 0.5  # of the progress reported
 
 
 def record(
@@ -20,7 +20,7 @@ def record(
 ) -> TrackSamples:
     """Let ``node`` record for ``duration_s`` seconds and upload what it has; ``heard`` gets 0..1.
 
-    The rate is that of 2050:04 where the node tells it, else ``rate_hz``. The recording is stopped in any
+    The rate is that of 2050:04 where the node has it, else ``rate_hz``. The recording is stopped in any
     case. CommissioningError if the node cannot record, or has recorded nothing.
     """
     try:

@@ -32,7 +32,7 @@ DEFAULT_INTERFACE = 0x10
 class Session:
     """Both nodes, read once.
 
-    active                  what is in force in the module
+    active                  the active table and conditioning of the module
     cycles_per_revolution   2001:01
     limits                  2001:02..04
     samples_itself          the module takes no ADC PDO, and no interface was named
@@ -54,7 +54,7 @@ class Session:
 
     @classmethod
     def open(cls, master: Master, module_id: int, interface_id: int | None) -> Session:
-        """Read what there is to know. CommissioningError if the module does not answer, or is none."""
+        """Read both nodes. CommissioningError if the module does not answer, or is not a feedback module."""
         module = NodeAccess(master, module_id, "module")
         active = read_active(module)
         cycles = module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I")

@@ -100,11 +100,11 @@ def bound_words(calibration: Calibration) -> str:
 def outcome(measured: Measurement, done: Installation, where: Circumstances) -> str:
     """One line: what the module computes with now."""
     if where.module is None:
-        return "measured from a file: there is no module to which anything was written"
+        return "measured from a file: nothing was written to a module"
     if not done.active:
         return "dry run: nothing was written to the module"
     saved = f"saved ({done.saved_as})" if done.saved_as else done.save_note
-    return f"table {measured.calibration.table.crc32:08X}h is active and proven on fresh samples; {saved}"
+    return f"table {measured.calibration.table.crc32:08X}h is active and verified on fresh samples; {saved}"
 
 
 def verdict(measured: Measurement) -> str:
@@ -114,11 +114,11 @@ def verdict(measured: Measurement) -> str:
     if factor > 1.5:
         change = (
             f"The error within a cycle falls from {PERCENT * on_samples.before_rms:.2g} % to "
-            f"{PERCENT * calibration.residual_rms:.2g} % of a cycle rms, {factor:.0f} times less; what is "
-            "left is mostly noise of single samples."
+            f"{PERCENT * calibration.residual_rms:.2g} % of a cycle rms, {factor:.0f} times less; the "
+            "rest is mostly noise of single samples."
         )
     else:
-        change = "The table that was active before is as good: the encoder has not changed."
+        change = "The previous table is equally good: the encoder has not changed."
     return f"Accepted. {change} The table itself is good to {PERCENT * calibration.uncertainty_peak:.2g} %."
 
 

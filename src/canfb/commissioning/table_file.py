@@ -49,7 +49,7 @@ def read_table(path: str | Path) -> Correction:
         return _from_yaml(data) if path.suffix in (".yaml", ".yml") else _from_bytes(data)
     except (ValueError, TypeError, yaml.YAMLError, RecursionError) as error:
         said = " ".join(str(error).split())[:200]
-        raise CommissioningError(f"{path}: this is no correction table: {said}") from None
+        raise CommissioningError(f"{path}: this is not a correction table: {said}") from None
 
 
 def _from_bytes(data: bytes) -> Correction:
@@ -59,11 +59,11 @@ def _from_bytes(data: bytes) -> Correction:
 def _from_yaml(data: bytes) -> Correction:
     content = yaml.safe_load(data)
     if not isinstance(content, dict) or "entries" not in content:
-        raise ValueError("a mapping with 'entries' is wanted")
+        raise ValueError("a mapping with 'entries' is required")
     table = CorrectionTable(content["entries"])
     noted = content.get("crc32")
     if noted is not None and str(noted).upper() != f"{table.crc32:08X}":
-        raise ValueError(f"its CRC is {table.crc32:08X}, and {noted} is noted in it: an entry was changed")
+        raise ValueError(f"its CRC is {table.crc32:08X}, but the file states {noted}: an entry was changed")
     words = content.get("conditioning") or {}
     unknown = set(words) - set(IDENTITY.words)
     if unknown:

@@ -9,7 +9,7 @@ TITLE = "canfb demo: drive, encoder interface and feedback module on an embedded
 
 
 def account(story: Story) -> str:
-    """A short readable account, one line a fact. ValueError if the story has not been told yet."""
+    """A short readable account, one line a fact. ValueError if the demo has not run yet."""
     before, after = story.error_before, story.error_after
     lines = [
         TITLE,
@@ -32,17 +32,17 @@ def run_facts(story: Story) -> list[tuple[str, str]]:
     """Names and words: how it was run, and what came of it. ValueError as :func:`account`."""
     calibration = story.calibration
     if calibration is None:
-        raise ValueError("the story has not been told yet")
+        raise ValueError("the demo has not run yet")
     return [
         ("network", "started by NMT, ADC PDO linked by SDO, SYNC 1 kHz"),
         (
             "time",
-            f"SYNC +-{TIMING.sync_jitter_us:.0f} us, and behind the frame on the wire; sample times, by a "
+            f"SYNC +-{TIMING.sync_jitter_us:.0f} us, and behind the frame on the wire; sample times from a "
             f"clock {CLOCK_DRIFT_PPM:.0f} ppm off",
         ),
         (
             "machine",
-            f"2000 rpm, {story.cycles_per_sample:.1f} encoder cycles per sample, speed wanders by 3 %",
+            f"2000 rpm, {story.cycles_per_sample:.1f} encoder cycles per sample, speed varies by 3 %",
         ),
         ("samples", f"{story.samples}, wrong cycle counts {story.wrong_counts}"),
         (
@@ -66,7 +66,8 @@ def fault_facts(story: Story) -> list[tuple[str, str]]:
         ),
         (
             "",
-            f"wrong positions called valid {faults.wrong_and_valid}, cycles lost {faults.wrong_counts_after}",
+            f"wrong positions published as valid {faults.wrong_and_valid}, "
+            f"cycles lost {faults.wrong_counts_after}",
         ),
         ("bus load", f"{100 * story.bus_load:.0f} % of 1 Mbit/s"),
     ]

@@ -134,7 +134,7 @@ class DemoNetwork:
             self.bus.attach(participant)
 
     def run(self, samples: int) -> None:
-        """Let so many SYNC periods pass, and then all PDOs of the last one."""
+        """Let this many SYNC periods pass, and then all PDOs of the last one."""
         self.bus.run_until(self.bus.now + samples * SYNC_PERIOD_S)
         due = self.drive.deadline()
         if due is not None:

@@ -14,7 +14,7 @@ from canfb.report.picture_file import svg_file
 from canfb.report.plot import Plot
 
 REPORT = "report.html"
-FOOTER = "Made by canfb demo: a simulation with fixed seeds, its figures are the same each time."
+FOOTER = "Made by canfb demo: a simulation with fixed seeds; its figures are the same each time."
 RESIDUAL = "Residual while faults are provoked"
 TRACKS = "Encoder tracks"
 BEFORE, AFTER = "Position error before the table", "Position error with the table"
@@ -53,7 +53,7 @@ def write_files(network: DemoNetwork, story: Story, folder: Path) -> tuple[list[
 
 
 def demo_page(story: Story, seen: Plot, before: Plot, after: Plot, faults: Plot) -> str:
-    """The page: what the account says, with the pictures. ValueError if the story has not been told yet."""
+    """The page: what the account says, with the pictures. ValueError if the demo has not run yet."""
     sizes = story.error_before, story.error_after
     rows = [
         (name, *(f"{100 * size(error):.4f}" for error in sizes))
@@ -72,9 +72,7 @@ def demo_page(story: Story, seen: Plot, before: Plot, after: Plot, faults: Plot)
             "Error over the phase",
             [
                 figure(BEFORE, "Table 1 and the errors of the encoder", before.svg()),
-                figure(
-                    AFTER, f"noise of single 12-bit samples, on a scale {finer:.0f} times finer", after.svg()
-                ),
+                figure(AFTER, f"noise of single 12-bit samples, scale {finer:.0f} times finer", after.svg()),
             ],
         )
         + beside(checks, figure(RESIDUAL, "at 2000 rpm; the limit is that of eq. 12", faults.svg())),
@@ -89,6 +87,6 @@ def _said(story: Story) -> list[str]:
         return [f"Failed: {', '.join(failed)}."]
     before, after = 100 * rms(story.error_before), 100 * rms(story.error_after)
     return [
-        f"Everything held. The position error falls from {before:.2g} % to {after:.2g} % of a cycle rms.",
+        f"All checks passed. The position error falls from {before:.2g} % to {after:.2g} % of a cycle rms.",
         f"{story.samples} samples at {story.cycles_per_sample:.1f} cycles per sample, no wrong cycle count.",
     ]

@@ -22,7 +22,7 @@ def tracks(network: DemoNetwork, story: Story) -> Plot:
         np.array(one[-SHOWN_SAMPLES:], np.float64) for one in (network.adc.sine, network.adc.cosine)
     )
     plot = square_plot(
-        "Lissajous picture: sine over cosine, with the provoked faults",
+        "Lissajous figure: sine over cosine, with the provoked faults",
         1.1 * (1 << network.encoder.adc_bits - 1),
     )
     circle(plot, network.encoder.amplitude_counts, "limit", "ideal tracks")

@@ -34,7 +34,7 @@ LOST_SAMPLE = 60
 FAULTS: dict[int, tuple[str, Fault]] = {
     15: ("both tracks open", lambda sample: Sample(0, 0)),
     30: ("tracks inverted", lambda sample: Sample(-sample.sine, -sample.cosine)),
-    45: ("sine track at its stop", lambda sample: Sample(2047, sample.cosine)),
+    45: ("sine track clipped", lambda sample: Sample(2047, sample.cosine)),
     LOST_SAMPLE: ("sample lost", lambda sample: None),
 }
 SCALING_ON = 1 << 2
@@ -56,7 +56,7 @@ class Faults:
 
 @dataclass
 class Story:
-    """Everything that the report, the figures and ``--json`` tell."""
+    """The content of the report, the figures and ``--json``."""
 
     samples: int = 0
     cycles_per_sample: float = 0.0

@@ -49,7 +49,7 @@ class Timed(ABC):
     """A service with a timer: `deadline` is when it wants `tick`, seconds, NEVER for not at all."""
 
     agenda = Agenda()
-    """Where the service is listed; as long as it is nowhere, one that nobody asks."""
+    """Where the service is listed; as long as it is nowhere, one that is never asked."""
     _deadline = NEVER
 
     @property

@@ -28,4 +28,4 @@ class Counters:
     sdo_aborts: int = 0
     """SDO aborts that were sent."""
     lost_emergencies: int = 0
-    """EMCY frames that had to give way to newer ones while sending was not allowed."""
+    """EMCY frames dropped for newer ones while sending was not allowed."""

@@ -182,4 +182,4 @@ def check_error(code: int, register_bits: int, manufacturer: bytes) -> None:
     if len(manufacturer) > 5:
         raise ValueError(f"an EMCY has 5 manufacturer bytes, not {len(manufacturer)}")
     if not 0 < code <= 0xFFFF:
-        raise ValueError(f"{code:#x} is no error code; use clear_emergency to end an error")
+        raise ValueError(f"{code:#x} is not an error code; use clear_emergency to end an error")

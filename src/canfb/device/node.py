@@ -29,7 +29,7 @@ class Node(Hooks):
     seconds (monotonic) and must not go back. The node is given its object dictionary and takes its
     communication parameters from it; write those by SDO, or before `start`.
 
-    What it tells the program are `Hooks`. No frame from the bus raises by itself.
+    It reports to the program by `Hooks`. No frame from the bus raises by itself.
 
     With the node-ID 255 the device has none yet: it stays in INITIALISING and answers LSS only, until
     a master has given it one. A node-ID from LSS is in force from the next reset on; one that was

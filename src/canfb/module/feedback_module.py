@@ -230,7 +230,7 @@ class FeedbackModule:
         self._calibrating.computed(job, part)
 
     def _choose_parameters(self) -> None:
-        """What `save` keeps beside the entries that it keeps anyway, and what is no parameter."""
+        """What `save` keeps beside the entries that it keeps anyway, and what is not a parameter."""
         entries = self.node.storage.entries
         for preset in (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET):
             entries.keep(*preset)  # its value alone: 6509h is what it led to
@@ -318,7 +318,7 @@ def _check(config: ModuleConfig, source: Source | None) -> None:
             "take one of load_config(path).modules, or canfb.ModuleConfig(node_id=32)"
         )
     if config.source is not None and source is None:
-        raise ValueError(f"config.source is {config.source.kind!r}: open it, and give it as source=")
+        raise ValueError(f"config.source is {config.source.kind!r}: open it, and pass it as source=")
 
 
 def _dictionary(config: ModuleConfig, source: Source | None) -> Dictionary:

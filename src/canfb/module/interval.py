@@ -18,7 +18,7 @@ AGREEMENT = 0.2  # of the median
 LEAST_HEARD = 4  # to confirm 1006h
 HEARD_INTERVALS = 32  # where only the time is known at which a SYNC was processed
 HEARD_STEP = 8  # of these, from one look at all of them to the next
-SLOWER_INTERVALS = 8  # so many long ones that agree are another rate, not gaps
+SLOWER_INTERVALS = 8  # this many long ones that agree are another rate, not gaps
 
 
 class IntervalEstimate:
@@ -125,7 +125,7 @@ class IntervalEstimate:
             self._may_be_slower(interval_s)
 
     def _approach(self, interval_s: float, intervals: int = 1) -> None:
-        """It was this long in the mean over so many new ``intervals``."""
+        """It was this long in the mean over this many new ``intervals``."""
         period = self.settled_s
         step = interval_s - period
         largest = LARGEST_STEP * period

@@ -74,7 +74,7 @@ class JitterWatch:
         elif speed > NEAR * largest and not self._near and now >= self._not_before_s:
             self._near, self._not_before_s = True, now + SHORTEST_S
             self._warn(
-                f"SYNC jitters by ±{self.jitter_s * 1e6:.0f} µs, at which {largest * RPM:.3g} rpm can be "
-                f"counted without sample times; the encoder turns at {speed * RPM:.3g} rpm "
+                f"the SYNC jitter of ±{self.jitter_s * 1e6:.0f} µs allows at most {largest * RPM:.3g} rpm "
+                f"without sample times; the encoder turns at {speed * RPM:.3g} rpm "
                 "(remedy: times: true)"
             )

@@ -1,4 +1,4 @@
-"""A module that samples itself: a source in place of the ADC PDO, object 2000h filled from it."""
+"""A module with its own ADC: a source instead of the ADC PDO, object 2000h filled from it."""
 
 from __future__ import annotations
 
@@ -63,11 +63,11 @@ class LocalSource:
         sine, cosine = _counts("sine", sample.sine), _counts("cosine", sample.cosine)
         self._sine.value, self._cosine.value = sine, cosine
         if not 0.0 < sample.elapsed <= TICKS:
-            raise ValueError(f"elapsed {sample.elapsed} is no number of intervals")
+            raise ValueError(f"elapsed {sample.elapsed} is not a number of intervals")
         flags = SAMPLE_INVALID if sample.invalid else 0
         if sample.zero_pulse is not None:
             if not 0.0 <= sample.zero_pulse <= 1.0:
-                raise ValueError(f"zero_pulse {sample.zero_pulse} is no part of the interval")
+                raise ValueError(f"zero_pulse {sample.zero_pulse} is not a fraction of the interval")
             self._input.pulses += 1
             flags |= ZERO_PULSE
             self._place.value = min(int(sample.zero_pulse * PLACES), 0xFFFF)

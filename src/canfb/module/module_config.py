@@ -54,7 +54,7 @@ class ModuleConfig(ChainConfig):
         if self.source is not None and not isinstance(self.source, SourceConfig):
             raise ValueError(f"source must be a configuration of a source, not {self.source!r}")
         if self.source is None and self.encoder_interface == self.node_id:
-            raise ValueError(f"encoder_interface must be another node than node_id {self.node_id}")
+            raise ValueError(f"encoder_interface must differ from node_id {self.node_id}")
         if (
             not isinstance(self.max_acceleration_rad_s2, (int, float))
             or not 0.0 <= self.max_acceleration_rad_s2 <= 1e9

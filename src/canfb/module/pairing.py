@@ -25,8 +25,8 @@ class Findings(NamedTuple):
     take(sample, received_s, synced_s, now)
                                   a sample, and when it and its SYNC were received, seconds, None if that is
                                   not known; False if it was an earlier one again
-    miss(samples, now)            so many samples did not come
-    lose_count(intervals, now)    so many intervals may or may not have passed
+    miss(samples, now)            this many samples are missing
+    lose_count(intervals, now)    this many intervals may or may not have passed
     withhold()                    what stands in the dictionary is not valid any more
     repeats(sine, cosine)         whether these are the counts of the last sample
     """

@@ -56,7 +56,7 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
 
 
 def without_adc_pdo(config: ModuleConfig) -> dict[tuple[int, int], Any]:
-    """What :func:`configured_defaults` becomes for a module that samples itself: RPDO1 is not valid."""
+    """What :func:`configured_defaults` becomes for a module with its own ADC: RPDO1 is not valid."""
     return {(od.RPDO, 1): cob.NOT_VALID | cob.TPDO1 + config.encoder_interface}
 
 

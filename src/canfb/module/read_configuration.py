@@ -36,14 +36,14 @@ class Objects(Protocol):
 
 
 def read_configuration(objects: Objects) -> DeviceConfiguration:
-    """What is in force in a module on a bus. CanfbError for what does not work, or is no such module."""
+    """The active configuration of a module on a bus. CanfbError if it cannot be read, or is not of canfb."""
     dictionary = Dictionary.load(eds_path(EDS), objects.node_id)
     for place in IDENTITY:
         entry = dictionary.entry(*place)
         found = _read(objects, entry)
         if found != entry.value:
             what = f"{place[0]:04X}:{place[1]:02X} is {found:X}h, not {entry.value:X}h"
-            raise CanfbError(f"{objects.name} is no feedback module of canfb: {what}")
+            raise CanfbError(f"{objects.name} is not a feedback module of canfb: {what}")
     serial_number = int(_read(objects, dictionary.entry(*od.IDENTITY_SERIAL_NUMBER)))
     table = _read_table(objects, dictionary)
     return configuration_read(objects.node_id, lambda entry: _read(objects, entry), serial_number, table)

@@ -108,7 +108,7 @@ class Sampling:
             self.timeline.until = NEVER
 
     def uncounted(self, now: float) -> None:
-        """The bus is gone: nobody counts the SYNCs, and the position is lost."""
+        """The bus is gone: SYNCs are not counted, and the position is lost."""
         if self.pairing.sampled:
             self._publishing.publish(self._chain.lose(), now, send=False)
             self.pairing.begin()
@@ -120,7 +120,7 @@ class Sampling:
         timeline.pause()
 
     def resume(self, now: float) -> None:
-        """OPERATIONAL, for the first time or again: nobody has counted meanwhile."""
+        """OPERATIONAL, for the first time or again: nothing was counted meanwhile."""
         chain, interval = self._chain, self._interval
         self.pairing.begin()
         interval_s = interval.settled_s or interval.seconds

@@ -87,7 +87,7 @@ class Timeline:
         self._late_syncs = 0
         self._early_syncs = 0
         self._jitter = FIRST_JITTER  # mean deviation from the lock, periods
-        self._tolerance = JITTERS * FIRST_JITTER  # periods: so much too early a SYNC is none
+        self._tolerance = JITTERS * FIRST_JITTER  # periods: a SYNC this much too early does not count
         self._errors: list[float] = []  # of the lock, seconds, which are not in the jitter yet
         self._period_s = 0.0
         self._low_s, self._high_s = NEVER, 0.0  # error of a SYNC that needs no judgement, seconds

@@ -1,4 +1,4 @@
-"""The Lissajous picture: sine over cosine."""
+"""The Lissajous figure: sine over cosine."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def lissajous(
     if limits is not None:
         extent += [1.02 * limits.full_scale_counts]
     plot = square_plot(
-        "Lissajous picture: sine over cosine, raw and conditioned, with the limits of the amplitude",
+        "Lissajous figure: sine over cosine, raw and conditioned, with the limits of the amplitude",
         max(extent),
     )
     if limits is not None:

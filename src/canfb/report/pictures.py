@@ -39,7 +39,7 @@ def remaining_error(after: FloatArray, uncertainty: float) -> str:
         ("phase, cycles", "error, % of a cycle"),
     )
     plot.line(phase, PERCENT * after, "after", "after, mean of each 1/64 cycle")
-    plot.level(PERCENT * uncertainty, "limit dashed", "what the table is good to")
+    plot.level(PERCENT * uncertainty, "limit dashed", "uncertainty of the table")
     plot.level(-PERCENT * uncertainty, "limit dashed")
     return plot.svg()
 
@@ -61,7 +61,7 @@ def harmonics(before: FloatArray, after: FloatArray, noise_rms: float, samples: 
     )
     plot.bars(place - 0.2, old, 0.36, "before", "before")
     plot.bars(place + 0.2, new, 0.36, "after", "after")
-    plot.level(floor, "limit dashed", "what noise alone leaves")
+    plot.level(floor, "limit dashed", "level of noise alone")
     return plot.svg()
 
 

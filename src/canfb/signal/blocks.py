@@ -12,7 +12,7 @@ BLOCK_SAMPLES = 16384
 
 
 class Scratch:
-    """Arrays for what is computed on the way, of the length of a block, any content.
+    """Arrays for intermediate results, of the length of a block, any content.
 
     They are made once and used for block after block: to get fresh memory for every
     intermediate result takes longer than the arithmetic on it.

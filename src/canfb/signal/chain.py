@@ -161,13 +161,13 @@ class SignalChain:
             self._reference.slipped()
 
     def _could_move(self, intervals: float, least_cycles: float) -> bool:
-        """At the last speeds the machine leaves its cycle in so many intervals."""
+        """At the last speeds the machine leaves its cycle within this many intervals."""
         speed = self._recovery.steady_speed()
         fast = abs(self._tracker.step_cycles) >= FASTEST_STANDSTILL_CYCLES
         return fast or (abs(speed) >= least_cycles and abs(speed) * intervals > LARGEST_SLIP_CYCLES)
 
     def uncertain(self, intervals: float) -> Feedback | None:
-        """Up to so many sampling intervals may have passed uncounted: lost, except at standstill.
+        """Up to this many sampling intervals may have passed uncounted: lost, except at standstill.
 
         None where that makes no difference: each phase is then less than half a cycle from the last.
         """

@@ -59,7 +59,7 @@ class CorrectionTable:
     def from_bytes(cls, data: bytes) -> Self:
         """Table from the bytes of object 2020:01: N x REAL32, little-endian. ValueError if bad."""
         if len(data) % 4:
-            raise ValueError(f"a correction table is N x REAL32: {len(data)} bytes is no multiple of 4")
+            raise ValueError(f"a correction table is N x REAL32: {len(data)} bytes is not a multiple of 4")
         return cls(np.frombuffer(bytes(data), dtype="<f4"))
 
     def to_bytes(self) -> bytes:

@@ -21,7 +21,7 @@ EARLIER_TIMES = 3  # in a row that go on with the count of SYNCs, after the firs
 SPARE_BEFORE, SPARE_AFTER = 0.5, 0.95  # intervals, around the number that was counted
 CLOSE = 0.35  # interval: sample time and reception agree, and a late PDO would not
 NOMINAL = 0.05  # interval: so near to what was counted, no reception is asked
-SPARE_S, SPARE_PART = 0.5e-3, 0.3  # seconds and intervals: a bus and a host delay a PDO so much
+SPARE_S, SPARE_PART = 0.5e-3, 0.3  # seconds and intervals: a bus and a host delay a PDO by this much
 # A time may be wrong by no more than this, in cycles at the speed of the machine, without a second opinion:
 # with the residual limit of 1/3 it is less than half a cycle.
 SLIP_CYCLES = 0.15
@@ -68,7 +68,7 @@ class SampleTimes:
         self._suspected = 0.0  # intervals counted up to it
         self._earlier: int | None = None  # the last time that was REPEATED
         self._earlier_counted = 0.0  # intervals counted up to it
-        self._earlier_times = 0  # so many went on with the count
+        self._earlier_times = 0  # this many continued the count
         self._first_s = 0.0
 
     @property
@@ -114,7 +114,7 @@ class SampleTimes:
         agrees = error_s <= SPARE_S + SPARE_PART * unit
         nominal = abs(intervals - counted) <= NOMINAL  # also where a simulation is slower than true time
         in_turn = least <= intervals <= counted + SPARE_AFTER and (agrees or nominal or apart is None)
-        if in_turn or (agrees and intervals > counted):  # or there were SYNCs that nobody received
+        if in_turn or (agrees and intervals > counted):  # or there were SYNCs that were not received
             whole = round(intervals) if agrees and intervals > counted + 0.5 else counted
             uneven_s = (intervals - whole) * unit
             odd = self._judge(uneven_s, ticks, synced_s, SLIP_CYCLES * unit, abs(speed_cycles))

@@ -79,7 +79,7 @@ def process_stream(
     from block to block and may be 0. The samples are one sampling interval apart, also across
     blocks. The results are bit for bit those of :meth:`canfb.SignalChain.step`, sample by
     sample: a bad sample is flagged in its status, and a lost position stays lost. Memory is
-    bounded by the longest block. At a block that is no such pair the stream ends, with the errors of
+    bounded by the longest block. At a block that is not such a pair the stream ends, with the errors of
     :func:`canfb.process`.
 
     ``config`` None stands for the defaults of :class:`canfb.ChainConfig`, ``table`` None for the identity.
@@ -110,7 +110,7 @@ class _Stream:
         self._good = np.empty(BLOCK_SAMPLES, np.bool_)
 
     def tracks(self, block: tuple[npt.ArrayLike, npt.ArrayLike]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """The arrays of the next block; ValueError if it is no such pair."""
+        """The arrays of the next block; ValueError if it is not such a pair."""
         if not hasattr(block, "__len__"):
             raise ValueError(f"a block must be a pair (sine, cosine), not {type(block).__name__}")
         if len(block) != 2:

@@ -22,7 +22,7 @@ CALIBRATING: Final = int(StatusBit.CALIBRATING)
 FROZEN: Final = int(StatusBit.FROZEN)
 EXTRAPOLATED: Final = int(StatusBit.EXTRAPOLATED)
 
-# After a fault the limits are so much narrower until a sample keeps them.
+# After a fault the limits are narrower by this factor until a sample keeps them.
 AMPLITUDE_HYSTERESIS = 1.0 / 32.0
 CLIPPING_HYSTERESIS_COUNTS = 2
 

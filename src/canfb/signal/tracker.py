@@ -245,7 +245,7 @@ class Tracker:
         self.step_cycles = (self._step + (self._phase - self._phase_before)) / self._elapsed
 
     def _carry(self, elapsed: float) -> tuple[int, float]:
-        """Way at the last speed over ``elapsed`` intervals: whole cycles and a small rest."""
+        """Displacement at the last speed over ``elapsed`` intervals: whole cycles and a small rest."""
         ratio = elapsed / self._elapsed
         way = self._step * ratio
         whole = math.floor(way)

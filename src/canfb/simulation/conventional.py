@@ -65,10 +65,10 @@ def conventional_position(
 
     ``position_cycles``           where the machine is when the converters sample, shape (n,)
     ``counter_position_cycles``   where it is when the counter is read, shape (n,)
-    ``fix``                       set the count right by one where the quadrants tell it: the
+    ``fix``                       correct the count by one where the quadrants show it: the
                                   counter in the first and the converters in the last quadrant
-                                  takes one off, the reverse adds one. Two quadrants apart tell
-                                  no direction, and nothing is done then
+                                  takes one off, the reverse adds one. Two quadrants apart show
+                                  no direction: no correction
     ``rng``                       noise of the converted tracks; None for none
 
     ValueError if the shapes differ.

@@ -64,14 +64,14 @@ class MotionDemand:
             advice = f", or {self.advice}" if self.advice else ""
             return (
                 f"{self.what}: the module will lose the position: acceleration {self.acceleration_rad_s2:.3g}"
-                f" rad/s^2, it follows {self.allowed_rad_s2:.3g} at {self.rate_hz:g} Hz: take --rate "
+                f" rad/s^2, it follows {self.allowed_rad_s2:.3g} at {self.rate_hz:g} Hz: set --rate to "
                 f"{_up(self.least_rate_hz)} or more{advice}"
             )
         if self.start_cycles >= HALF_CYCLE:
             return (
                 f"{self.what}: it turns by {self.start_cycles:.3g} cycles per sample from the first sample "
-                "on, and the module counts right only from standstill, or from less than half a cycle per "
-                "sample: give the motion a ramp_s"
+                "on, and the module counts correctly only from standstill, or from less than half a cycle "
+                "per sample: give the motion a ramp_s"
             )
         return None
 

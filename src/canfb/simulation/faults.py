@@ -165,7 +165,7 @@ class JoinedTracks:
 
 @dataclass(frozen=True)
 class SwappedTracks:
-    """Sine and cosine exchanged: the machine seems to turn the other way."""
+    """Sine and cosine exchanged: the machine seems to turn in the other direction."""
 
     def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
         """See :class:`Fault`."""

@@ -11,7 +11,7 @@ LARGEST_DRIFT_PPM = 10_000.0
 
 
 class SampleClock:
-    """Counts units of 100 ns as U32, which wraps each 429.5 s; nobody sets it, and nobody stops it.
+    """Counts units of 100 ns as U32, which wraps each 429.5 s; it is never set and never stopped.
 
     drift_ppm     how much faster than the true time it runs, -10000..10000 ppm; a crystal has up to 100
     start_100ns   what it shows at the time 0 of the node, any integer

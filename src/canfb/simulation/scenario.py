@@ -134,5 +134,5 @@ class SimulationConfig(SyncTiming):
         return MotionSource(shaft, self.motion.motion(), interval_s)
 
     def sample_clock(self) -> SampleClock:
-        """The clock of the interface; nobody knows what it shows at the start."""
+        """The clock of the interface; what it shows at the start is arbitrary."""
         return SampleClock(self.clock_drift_ppm, random.Random(self.seed).getrandbits(32))

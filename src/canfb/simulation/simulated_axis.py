@@ -50,7 +50,7 @@ def simulated_axis(
     if settings is None:
         return None
     if not module.has_node_id:
-        raise ConfigError("drive: the module has no node_id (255) whose position the drive could take")
+        raise ConfigError("drive: the module whose position the drive uses has no node_id (255)")
     plant = Plant(Motor(settings, settings.start_revolutions))
     chain = module.chain
     encoder = simulation.encoder.encoder(chain.adc_bits)

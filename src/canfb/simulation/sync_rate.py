@@ -10,8 +10,8 @@ from canfb.cia301.frame import Frame
 WINDOW_S, WINDOW_SYNCS = 2.0, 100  # over which the rate is taken, whichever is longer
 TOLERANCE = 0.02
 AGAIN_S = 60.0
-IN_TRUE_TIME = "; take a lower --rate, or --pace sync"
-IN_SLOW_MOTION = ", and the machine turns slower by as much"
+IN_TRUE_TIME = "; set a lower --rate, or --pace sync"
+IN_SLOW_MOTION = ", and the machine turns slower in proportion"
 
 
 class SyncRateWatch:
@@ -69,6 +69,6 @@ class SyncRateWatch:
         if self._said_s is None or now - self._said_s >= AGAIN_S:
             self._said_s = now
             self._report(
-                f"SYNC: {held_hz:.4g} Hz held, {self._asked_hz:g} Hz asked: this computer does not keep up"
-                f"{self._advice}"
+                f"SYNC: {held_hz:.4g} Hz reached, {self._asked_hz:g} Hz requested: "
+                f"this computer does not keep up{self._advice}"
             )

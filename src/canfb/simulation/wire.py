@@ -9,7 +9,7 @@ from typing import Any
 from canfb.cia301.frame import Frame
 from canfb.device.moment import NEVER
 
-INTERFRAME_BITS = 3  # after the end of a frame nobody may send for so long
+INTERFRAME_BITS = 3  # the bus is silent for this long after the end of a frame
 
 
 def frame_bits(data_bytes: int) -> int:

@@ -186,7 +186,9 @@ def _scaling(sine: Any, cosine: Any, config: IioSourceConfig) -> ChannelScaling:
             raise ConfigError(f"source: {key}: {getattr(config, key)!r} has {channel.bits} bits, not 4 to 64")
     (bits, signed), other = ((one.bits, bool(one.is_signed)) for one in formats)
     if (bits, signed) != other:
-        raise ConfigError(f"source: cosine: {config.cosine!r} has another format than {config.sine!r}")
+        raise ConfigError(
+            f"source: cosine: the format of {config.cosine!r} differs from that of {config.sine!r}"
+        )
     scaling = ChannelScaling(bits, signed, config.mid_scale)
     if config.adc_bits not in (None, scaling.adc_bits):
         raise ConfigError(f"adc_bits is {config.adc_bits}, but the converter of {config.device!r} has {bits}")
@@ -215,7 +217,7 @@ def _set_rate(trigger: Any, device: Any, config: IioSourceConfig) -> None:
 
 
 def _choose_clock(device: Any) -> None:
-    """A clock that nobody sets, where there is the choice; the default is that of the calendar."""
+    """A clock that is never set, where there is the choice; the default is the calendar's."""
     if TIMESTAMP_CLOCK in device.attrs:
         with contextlib.suppress(OSError):
             device.attrs[TIMESTAMP_CLOCK].value = "monotonic"

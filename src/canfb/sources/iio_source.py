@@ -54,7 +54,7 @@ class IioSourceConfig(SourceConfig):
         if not self.uri.isascii():
             raise ValueError(f"uri must be such as local: or ip:192.168.2.1, not {self.uri!r}")
         if self.sine == self.cosine:
-            raise ValueError(f"cosine must be another channel than sine, {self.sine!r}")
+            raise ValueError(f"cosine must differ from sine, {self.sine!r}")
         if self.mid_scale is not None:
             number("mid_scale", self.mid_scale)
         if self.rate_hz is not None:

@@ -221,7 +221,7 @@ def _read(path: Path, layout: RecordingLayout) -> list[tuple[float, int, int]]:
     except UnicodeDecodeError:
         raise CanfbError(f"{path}: this is not a text file with columns") from None
     if not rows:
-        raise CanfbError(f"{path}: there are no samples in it")
+        raise CanfbError(f"{path}: it contains no samples")
     return rows
 
 
@@ -232,7 +232,7 @@ def _column(path: Path, header: list[str], name: str) -> int:
     if name.isdecimal() and int(name) < len(names):
         return int(name)
     if not names:
-        raise CanfbError(f"{path}:1: there is no line with the names of the columns")
+        raise CanfbError(f"{path}:1: the header line with the names of the columns is missing")
     raise CanfbError(f"{path}:1: there is no column '{name}'; there are {', '.join(names)[:200]}")
 
 
@@ -243,9 +243,9 @@ def _row(
         sine, cosine = (round(float(row[place]) - layout.mid_scale) for place in places)
         seconds = 0.0 if time is None else float(row[time])
     except (IndexError, ValueError, OverflowError):
-        raise CanfbError(f"{path}:{line}: not a number in one of the columns asked for") from None
+        raise CanfbError(f"{path}:{line}: a value in one of the selected columns is not a number") from None
     if not math.isfinite(seconds):
-        raise CanfbError(f"{path}:{line}: {seconds} is no time in seconds")
+        raise CanfbError(f"{path}:{line}: {seconds} is not a time in seconds")
     if not (-32768 <= sine <= 32767 and -32768 <= cosine <= 32767):
         raise CanfbError(f"{path}:{line}: {sine}, {cosine} does not fit INTEGER16; is mid-scale right?")
     return seconds, sine, cosine

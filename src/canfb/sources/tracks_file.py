@@ -52,4 +52,4 @@ def read_tracks(path: Path) -> Tracks:
     except OSError as error:
         raise CanfbError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise CanfbError(f"{path}: this is no file of samples: {error}") from None
+        raise CanfbError(f"{path}: this is not a file of samples: {error}") from None

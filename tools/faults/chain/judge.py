@@ -44,13 +44,13 @@ class Verdict:
     delay           samples from the begin of the fault to the first without VALID; None: never
     moved           the fault itself moves the phase by more than a quarter of a cycle, or takes it away
     legal           all samples together are those of a legal motion (:func:`first_illegal`)
-    wrong_legal     wrong positions called valid while all samples so far were those of a legal motion
-    wrong_reported  wrong positions called valid after that, the fault having been reported: the
+    wrong_legal     wrong positions published as valid while all samples so far were those of a legal motion
+    wrong_reported  wrong positions published as valid after that, the fault having been reported: the
                     phases still are those of a legal motion, and only amplitude or converter range
                     were bad; or the position was wrong before the last three samples already, and a
                     legal motion is carried on as over a glitch
-    wrong_silent    all other wrong positions called valid: none is allowed
-    longest_run     of wrong positions called valid
+    wrong_silent    all other wrong positions published as valid: none is allowed
+    longest_run     of wrong positions published as valid
     wrong_count     at the end the position is called valid, and its cycle count is wrong
     lost            at the end the position is called lost
     """

@@ -27,7 +27,7 @@ class Tally:
     legal                  never flagged, wrong, and all samples are those of a legal motion
     silent                 never flagged, wrong, and no legal motion has these samples
     matters, matters_seen  episodes that did harm or would have, and those of them that were flagged
-    wrong_legal, wrong_reported, wrong_silent  wrong positions called valid, samples; longest_run of all
+    wrong_legal, wrong_reported, wrong_silent  wrong positions published as valid, samples; longest_run of all
     cycle_legal, cycle_lost    valid at the end with a wrong count: legal or reported, or not
     lost                   called lost at the end
     false_alarms           clean samples flagged before a fault began: that episode counts no further

@@ -92,7 +92,7 @@ class LssSlave:
         node_id = int.from_bytes(values.get(_NODE_ID_RECORD, b""), "little")
         timing = int.from_bytes(values.get(_BIT_RATE_RECORD, b""), "little")
         if not is_node_id(node_id):
-            self._storage.refuse(ParameterGroup.LSS, f"{node_id} is no node-ID")
+            self._storage.refuse(ParameterGroup.LSS, f"{node_id} is not a node-ID")
             return
         self.pending_node_id = node_id
         self.bit_rate_kbit_s = BIT_RATES_KBIT_S.get(timing)

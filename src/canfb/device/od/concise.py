@@ -33,11 +33,11 @@ def decode_concise(data: bytes) -> list[Write]:
     offset = _COUNT.size
     for number in range(1, _COUNT.unpack_from(data)[0] + 1):
         if offset + _HEADER.size > len(data):
-            raise ValueError(f"entry {number} of the concise DCF is cut off")
+            raise ValueError(f"entry {number} of the concise DCF is truncated")
         index, subindex, size = _HEADER.unpack_from(data, offset)
         offset += _HEADER.size
         if offset + size > len(data):
-            raise ValueError(f"entry {number} of the concise DCF, {index:04X}h:{subindex:02X}, is cut off")
+            raise ValueError(f"entry {number} of the concise DCF, {index:04X}h:{subindex:02X}, is truncated")
         writes.append(Write(index, subindex, data[offset : offset + size]))
         offset += size
     if offset != len(data):

@@ -63,7 +63,7 @@ def dcf_text(
 ) -> str:
     """The DCF from the EDS at `path`, with `values` by index and sub-index as its ParameterValue.
 
-    Values are written as numbers, without $NODEID, in the way in which the EDS writes the default.
+    Values are written as numbers, without $NODEID, in the notation of the default in the EDS.
     `files` are names of files with the bytes of a DOMAIN, for DownloadFile. An object that has a value
     may be written (ObjFlags). ValueError for a value or a file of an entry that the EDS does not have.
     """

@@ -84,7 +84,7 @@ def number(text: str, data_type: int, node_id: int) -> Any:
     """A default or a limit as the file writes it; None for an empty text.
 
     `$NODEID` is replaced, and a hexadecimal number beyond the positive range of a signed type is
-    its two's complement (CiA 306). ValueError when the text is no such number.
+    its two's complement (CiA 306). ValueError when the text is not such a number.
     """
     text = text.strip()
     if not text:

@@ -32,7 +32,7 @@ class Template:
     content: bytes
 
     def fresh_entries(self) -> list[Entry]:
-        """Entries at their defaults, without hooks, shared with nobody."""
+        """Entries at their defaults, without hooks, not shared."""
         return [entry.fresh() for entry in self.entries]
 
 
@@ -50,7 +50,7 @@ def load(path: Path, node_id: int) -> Template:
 
 @dataclass(frozen=True, slots=True)
 class _File:
-    """A file as the parsers read it; nobody changes it."""
+    """A file as the parsers read it; never changed."""
 
     parser: RawConfigParser
     sections: Mapping[tuple[int, int], str]
@@ -74,7 +74,7 @@ def _template(content: bytes, node_id: int) -> Template:
     entries: list[Entry] = []
     objects: list[ObjectInfo] = []
     for index in sorted(file.imported.indices):
-        if index <= 0x1F:  # the dummies, which are no objects of the device
+        if index <= 0x1F:  # the dummies, which are not objects of the device
             continue
         thing = file.imported.indices[index]
         variables = _variables(thing)

@@ -32,7 +32,7 @@ def switched_off(entry: Entry, value: Any) -> Any:
     """The value that lets all others be written, for an entry that is going to have `value`.
 
     Nothing is used then, and no rule is broken: PDOs, EMCY and further SDO servers not valid, no mapped
-    objects, no SYNC, no TIME, no heartbeat to wait for. None for an entry that stands in nobody's way.
+    objects, no SYNC, no TIME, no heartbeat to wait for. None for an entry that blocks no other.
     """
     if _is_mapping_count(entry) or entry.index in (_CYCLE_PERIOD, _CONSUMERS):
         return 0

@@ -76,13 +76,13 @@ def decode_image(data: bytes, group: ParameterGroup, identity: Identity) -> list
     ImageError for anything that `encode_image` did not make for this group of this device.
     """
     if len(data) < _HEADER.size + _CRC.size or not data.startswith(_MAGIC):
-        raise ImageError("no stored parameters, or cut off")
+        raise ImageError("no stored parameters, or truncated")
     body = data[: -_CRC.size]
     if zlib.crc32(body) != _CRC.unpack_from(data, len(body))[0]:
         raise ImageError("the CRC is wrong")
     _, version, its_group, spare, vendor, product, revision, count = _HEADER.unpack_from(body)
     if version != FORMAT_VERSION or spare:
-        raise ImageError(f"format version {version}, where {FORMAT_VERSION} is known")
+        raise ImageError(f"format version {version}: only {FORMAT_VERSION} is supported")
     if its_group != group:
         raise ImageError(f"the parameters are those of group {its_group}")
     if not identity.accepts(Identity(vendor, product, revision)):
@@ -93,7 +93,7 @@ def decode_image(data: bytes, group: ParameterGroup, identity: Identity) -> list
     records = _records(body)
     places = [(record.index, record.subindex) for record in records]
     if len(records) != count or places != sorted(set(places)):
-        raise ImageError("the records are not those that the header names")
+        raise ImageError("the records do not match the header")
     return records
 
 
@@ -102,11 +102,11 @@ def _records(body: bytes) -> list[Record]:
     offset = _HEADER.size
     while offset < len(body):
         if offset + _RECORD.size > len(body):
-            raise ImageError("the last record is cut off")
+            raise ImageError("the last record is truncated")
         index, subindex, flags, size = _RECORD.unpack_from(body, offset)
         offset += _RECORD.size
         if offset + size > len(body) or flags & ~_RELATIVE:
-            raise ImageError(f"the record of {index:04X}h:{subindex:02X} is cut off or has unknown flags")
+            raise ImageError(f"the record of {index:04X}h:{subindex:02X} is truncated or has unknown flags")
         records.append(Record(index, subindex, bool(flags & _RELATIVE), body[offset : offset + size]))
         offset += size
     return records

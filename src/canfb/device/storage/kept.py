@@ -77,7 +77,7 @@ class KeptEntries:
             yield self._dictionary.lookup(index, subindex)
 
     def find(self, group: ParameterGroup, index: int, subindex: int) -> Entry | None:
-        """The entry, None when it is no stored parameter of the group."""
+        """The entry, None when it is not a stored parameter of the group."""
         if (index, subindex) not in self._places or index not in RANGES[group]:
             return None
         return self._dictionary.lookup(index, subindex)

@@ -41,7 +41,7 @@ def _values(entries: KeptEntries, group: ParameterGroup, records: list[Record], 
         where = f"{record.index:04X}h:{record.subindex:02X}"
         entry = entries.find(group, record.index, record.subindex)
         if entry is None:
-            raise ImageError(f"{where} is no parameter of this device")
+            raise ImageError(f"{where} is not a parameter of this device")
         try:
             values.append((entry, restored_value(entry, record, node_id)))
         except SdoAbort as abort:

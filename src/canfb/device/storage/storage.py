@@ -64,7 +64,7 @@ class Storage:
     Stored parameters are the entries that SDO may read and write and no PDO carries, without 1003h,
     1010h and 1011h; `entries` knows exceptions.
 
-    `faults` says by group why stored parameters were refused; the defaults are in force in their
+    `faults` says by group why stored parameters were refused; the defaults are used in their
     place. A fault lasts until the group is saved or its defaults are loaded; the hook
     `on_parameter_faults` is then called.
 

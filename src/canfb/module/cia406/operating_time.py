@@ -42,7 +42,7 @@ class OperatingTime:
             return
         data = {(record.index, record.subindex): record.data for record in records}.get((OPERATING_TIME, 0))
         if data is None or len(data) != _SECONDS.size:
-            self._storage.refuse(ParameterGroup.OPERATING_TIME, "there is no time in it")
+            self._storage.refuse(ParameterGroup.OPERATING_TIME, "it contains no time")
             return
         self._before_s = self._kept_s = _SECONDS.unpack(data)[0]
 

@@ -105,7 +105,7 @@ class Warnings:
         self.limits_changed()
 
     def _is_over(self, bit: int, now: float) -> bool:
-        """A zero pulse does not come and go; nor is there a reason to wait where nothing is wanted."""
+        """No hold time for a zero pulse, which does not come and go, nor for a warning that is masked."""
         if bit == NOT_REFERENCED or not self._mask.value & bit:
             return True
         hold_s: float = self._hold_ms.value / 1000.0

@@ -35,7 +35,7 @@ AT_WORK = frozenset({State.RECORDING, State.COMPUTING})
 
 
 class Calibrating:
-    """Records, lets compute, and puts the result in force when a master says so; not before.
+    """Records, has the table computed, and activates the result on a master's command only.
 
     ``working`` is called with True and False, for bit 10 of the status word.
     """
@@ -99,7 +99,7 @@ class Calibrating:
     def finish(self, job: CalibrationJob, result: Outcome | Exception) -> None:
         """What ``job`` gave, or how it failed. Nothing happens if it is obsolete."""
         if not isinstance(result, (Outcome, Exception)):
-            raise TypeError(f"give what the job returned, or the Exception that it raised, not {result!r}")
+            raise TypeError(f"pass what the job returned, or the Exception that it raised, not {result!r}")
         if job is not self._job:
             return
         if not isinstance(result, Outcome):

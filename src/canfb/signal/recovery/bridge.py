@@ -2,12 +2,12 @@
 
 Phases determine place and speed after a gap except for whole cycles. These depend on
 the acceleration of the machine meanwhile, which was not sampled. So the accelerations seen before and
-after the gap bound those within: each way through it needs them to spread over some width at
-least. The way that needs the least is the position, if it needs hardly more than was seen, and
+after the gap bound those within: each trajectory through it needs them to spread over some width at
+least. The one that needs the least is the position, if it needs hardly more than was seen, and
 every other one far more.
 
 The last samples before the gap may have been bad already: a glitch of less than the residual
-limit is seen one sample later only. So each way is also sought from the places before these.
+limit is seen one sample later only. So each trajectory is also sought from the places before these.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import NamedTuple
 SPARE_CYCLES = 0.01
 SPARE_PART = 0.5
 MOST_WIDTH = 0.11  # of all accelerations together: a machine that does more can do anything in a gap
-# Any other way must need so many times the width of the accelerations, and some more.
+# Any other trajectory must need this many times the width of the accelerations, and some more.
 CLEARLY = 2.0
 CLEARLY_CYCLES = 0.02
 LAST_PLACES = 7  # that show the acceleration just before a gap
@@ -37,7 +37,7 @@ class Place(NamedTuple):
 
 
 class Way(NamedTuple):
-    """A way through a gap.
+    """A trajectory through a gap.
 
     cycles       cycle count of the first sample after it
     step_cycles  whole cycles from there to the second one, beyond the difference of their phases
@@ -53,8 +53,8 @@ class Gap(NamedTuple):
     """A gap, and what was seen around it.
 
     intervals     sampling intervals from the last place before it to the first one after it
-    way           cycles from there to there, beyond those at the speed before; whole ones unknown
-    speed_change  cycles per interval; whole ones unknown
+    way           displacement, cycles, beyond that at the speed before; whole cycles unknown
+    speed_change  cycles per interval; whole cycles unknown
     low, high     least and greatest acceleration seen, cycles per interval squared
     """
 
@@ -70,7 +70,7 @@ class Gap(NamedTuple):
         return self.high - self.low
 
     def through(self, low: float, high: float) -> Iterator[tuple[int, int]]:
-        """Whole cycles to add to way and speed, for which accelerations from low to high suffice."""
+        """Whole cycles to add to displacement and speed, for which accelerations from low to high suffice."""
         n = self.intervals + 1
         first = math.ceil(low * n - self.speed_change - 1e-9)
         last = math.floor(high * n - self.speed_change + 1e-9)
@@ -80,7 +80,7 @@ class Gap(NamedTuple):
                 yield cycles, step
 
     def needs(self, cycles: int, step: int, limit: float) -> float:
-        """Width that accelerations need for this way: ``limit`` if they would need as much or more."""
+        """Width that accelerations need for this trajectory, at most ``limit``."""
         least, most = 0.0, (limit - self.width) / 2.0
         for _ in range(_BISECTIONS):
             middle = (least + most) / 2.0
@@ -99,10 +99,10 @@ class Gap(NamedTuple):
         return least - 1e-9 <= self.way + cycles <= most + 1e-9
 
     def _ways(self, low: float, high: float, change: float) -> tuple[float, float]:
-        """Least and greatest way with this change of speed.
+        """Least and greatest displacement with this change of speed.
 
         ``intervals + 1`` accelerations between ``low`` and ``high`` add up to the change. The
-        first one counts ``intervals`` times in the way, the next once less, the last not at all.
+        first one counts ``intervals`` times in the displacement, the next once less, the last not at all.
         """
         n, width = self.intervals, high - low
         full = min(max((change - low * (n + 1)) / width, 0.0), n + 1.0) if width > 0.0 else 0.0
@@ -111,7 +111,7 @@ class Gap(NamedTuple):
 
 
 def _late(full: float) -> float:
-    """Way of ``full`` accelerations of 1 as late as can be: they count 0, 1, 2 ... times."""
+    """Displacement by ``full`` accelerations of 1, as late as possible: they count 0, 1, 2 ... times."""
     whole = math.floor(full)
     return whole * (whole - 1) / 2.0 + (full - whole) * whole
 
@@ -119,12 +119,12 @@ def _late(full: float) -> float:
 def bridge(
     before: Sequence[Place], run: Sequence[float], since: float, doubted: int, limit: float
 ) -> Way | None:
-    """The one way from the places before a gap to the run of samples after it; None if there is no such.
+    """The one trajectory from the places before a gap to the run after it; None unless there is just one.
 
     before   accepted places, oldest first, at least one: a machine with only one stood still
     run      phases of neighbouring samples after the gap, at least three
     since    intervals from the last of ``before`` to the first of ``run``
-    doubted  so many of the last places may have been bad
+    doubted  this many of the last places may have been bad
     limit    residual limit: no acceleration is greater, cycles per interval squared
     """
     start = math.floor(before[-1].cycles + speed(before) * since)

@@ -4,9 +4,9 @@ Where samples were missing and nothing else was wrong, all that came are good: t
 through them is the position (:mod:`canfb.signal.recovery.gap`).
 
 Else the samples that come form runs: neighbouring ones whose accelerations agree. A run that is
-long enough not to be chance is joined to the places before the fault, if there is one way
-only to do that (:mod:`canfb.signal.recovery.bridge`), and if good samples all around the bad ones would not
-lead elsewhere.
+long enough not to be chance is joined to the places before the fault, if only one
+trajectory does that (:mod:`canfb.signal.recovery.bridge`), and if good samples all around the bad ones
+would not lead elsewhere.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from canfb.signal.tracker import Track, split
 
 SHORTEST_RUN = 4
 # Where a known acceleration leaves more than one trajectory, the likeness to what was seen decides over a
-# gap of so many intervals, one missed sample: it takes a push of a third of a cycle per interval squared
+# gap of this many intervals, one missed sample: it takes a push of a third of a cycle per interval squared
 # that begins and ends within the gap to pass for another one. Longer gaps need less.
 SURE_INTERVALS = 2
-# A machine whose largest acceleration is not known uses so much of the residual limit; errors of the phase
+# A machine whose largest acceleration is not known uses this part of the residual limit; errors of the phase
 # have the rest.
 USED_PART = 0.85
 LONGEST_RUN = 12  # one that is not joined by then never will be
 LONGEST_DOUBT = 32  # intervals without a decision, beyond those that may be coasted
 RUN_WIDTH = 0.25  # of the accelerations in a run, cycles per interval squared, at most
-ROUGHNESS_FACTOR = 2.5  # and at most so many times their roughness before the fault, and some more
+ROUGHNESS_FACTOR = 2.5  # and at most this many times their roughness before the fault, and some more
 RUN_WIDTH_CYCLES = 0.01
-# Samples with any phase agree by chance once in so many faults; the first two of a run always do.
+# Samples with any phase agree by chance with this probability; the first two of a run always do.
 CHANCE = 1e-5
 # How close to the prediction a sample is counted from it, cycles, one interval after the last.
 CLOSE_CYCLES = 0.055
@@ -169,7 +169,7 @@ class Doubt:
         return [places[0]._replace(elapsed=run[0].time), *places[1:]]
 
     def _unseen(self, even: Sequence[float], run: Sequence[_Sample]) -> tuple[int, Unseen]:
-        """The gap between the last place and a run after it, and from where its way counts."""
+        """The gap between the last place and a run after it, and from where its displacement counts."""
         last, old, since = self._before[-1], speed(self._before), run[0].time
         intervals = max(1, round(since))
         uneven = abs(last.elapsed - 1.0)
@@ -221,7 +221,7 @@ class Doubt:
     def _smooth(self, even: Sequence[float]) -> int:
         """How many of the last samples run as smoothly as those before the fault did.
 
-        All of them must be taken: to leave some out would be to choose among ways.
+        All of them must be taken: to leave some out would be to choose among trajectories.
         """
         seen = run_accelerations(even)[::-1]
         for length in range(2, len(seen) + 1):
@@ -246,7 +246,7 @@ class Doubt:
         return self._anchor.cycles + whole, self._anchor.phase + (way - whole)
 
     def _places(self, run: Sequence[_Sample], even: Sequence[float], way: Way) -> list[Place]:
-        """The places of a run that goes on with this way."""
+        """The places of a run that continues this trajectory."""
         at = [even[0], even[1] + way.step_cycles]
         for bend in run_accelerations(even):
             at.append(2.0 * at[-1] - at[-2] + bend)

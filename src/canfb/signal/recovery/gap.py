@@ -22,8 +22,8 @@ class Unseen(NamedTuple):
     """What is known of a gap.
 
     intervals  sampling intervals from the last sample before it to the first one after it
-    way        cycles from there to there beyond those at the speed before; whole ones unknown
-    change     of the speed, cycles per interval; whole ones unknown. NaN with one sample after the gap
+    way        displacement, cycles, beyond that at the speed before; whole cycles unknown
+    change     of the speed, cycles per interval; whole cycles unknown. NaN with one sample after the gap
     uneven     by how much the samples around it are not one interval apart, intervals
     off        by how much longer the gap is than ``intervals``; negative where it is shorter
     """
@@ -49,11 +49,11 @@ class Bounds(NamedTuple):
 class Likeness(NamedTuple):
     """How much like those around it the accelerations in a gap are taken to be.
 
-    beyond        they leave the range of those seen by so much, cycles per interval squared; and by
-    per_change    so many times the greatest change seen, but not
+    beyond        they leave the range of those seen by this much, cycles per interval squared; and by
+    per_change    this many times the greatest change seen, but not
     most_beyond   by more than that
-    change_factor  they change from one to the next by so many times the greatest change seen
-    change        and so much more
+    change_factor  they change from one to the next by this many times the greatest change seen
+    change        and this much more
     margin        see :class:`Bounds`
     """
 
@@ -71,7 +71,7 @@ REMOTELY = Likeness(0.035, 0.0, 0.035, 1.15, 0.025, 0.01)
 EITHER_WAY = REMOTELY._replace(beyond=1.0, most_beyond=1.0)  # up to the limit
 SLIGHT = 0.01  # cycles per interval squared: noise
 SUDDEN = 0.04  # a change of the acceleration from one sample to the next
-MORE = 1.2  # so many times what was seen
+MORE = 1.2  # times what was seen
 
 
 def within(limit: float, intervals: int, margin: float = CHANGE_MARGIN) -> Bounds:
@@ -104,7 +104,7 @@ def like(
 
 
 def fitting(unseen: Unseen, bounds: Bounds) -> list[tuple[int, int]]:
-    """The whole cycles to add to way and change, for which accelerations within ``bounds`` suffice."""
+    """Whole cycles to add to displacement and change, for which accelerations within ``bounds`` suffice."""
     low, high, margin = bounds
     if any(least > most for least, most in zip(low, high, strict=True)):
         return []
@@ -133,7 +133,7 @@ def alike(
     most, sure = max(map(abs, seen)), sure_acceleration(intervals)
     how = like(before, after, intervals, limit, REMOTELY)
     if most > sure + (-3.0 if known else 1.0) * SLIGHT and _greatest_change(seen) > SUDDEN:
-        # It pushes hard and suddenly: what it did it may do in the gap, either way, and as suddenly.
+        # Hard and sudden accelerations were seen: the gap may hold the same, in either direction.
         if intervals == 2 and abs(after[0] - before[-1]) <= ALIKE.most_beyond:
             how = like(before, after, intervals, min(most + REMOTELY.beyond, limit), EITHER_WAY)
         else:
@@ -154,7 +154,7 @@ def _greatest_change(seen: Sequence[float]) -> float:
 
 
 def passed(unseen: Unseen, limit: float) -> list[int]:
-    """The whole cycles to add to the way, whatever the change of the speed; accelerations up to ``limit``."""
+    """The whole cycles to add to the displacement, for any change of speed; accelerations up to ``limit``."""
     n = unseen.intervals
     margin = CHANGE_MARGIN + limit * (n + 1) * (unseen.uneven + max(unseen.off, 0.0))
     most = (limit * n + margin) * (n + 1) / 2.0
@@ -166,7 +166,7 @@ def _whole(low: float, high: float) -> range:
 
 
 def _ways(low: Sequence[float], high: Sequence[float], change: float) -> tuple[float, float]:
-    """Least and greatest way of accelerations that add up to ``change``, or as nearly as they can.
+    """Least and greatest displacement by accelerations that add up to ``change``, as nearly as they can.
 
     The first one counts once less than there are accelerations, the next once less, the last not at all.
     """

@@ -34,7 +34,7 @@ REMEMBERED_SAMPLES = 16  # show how smoothly the machine runs
 class Recovery:
     """Feeds a :class:`Tracker` with good samples and bridges the bad ones.
 
-    ``coast_samples`` (2010:03): so many sampling intervals without a good sample are
+    ``coast_samples`` (2010:03): this many sampling intervals without a good sample are
     bridged; one more, and the position is lost. Lost stays until :meth:`restart` or
     :meth:`found`: eq. 9 then runs on with the samples, but its count is not guaranteed.
     """
@@ -151,7 +151,7 @@ class Recovery:
         return accelerations(places[-3:])[-1] if len(places) > 2 else 0.0
 
     def rescale(self, factor: float) -> None:
-        """Sampling intervals are counted in another unit: all of them are so many times longer."""
+        """Sampling intervals are counted in another unit: all of them are this many times longer."""
         self.tracker.rescale(factor)
         places = [(cycles, phase, elapsed * factor) for cycles, phase, elapsed in self._places]
         self._places.clear()

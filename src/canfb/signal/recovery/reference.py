@@ -19,7 +19,7 @@ from canfb.signal.sample import Sample
 from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
 from canfb.signal.tracker import Track
 
-DISAGREEING_SAMPLES = 3  # so many in a row, and the position is lost
+DISAGREEING_SAMPLES = 3  # this many in a row, and the position is lost
 EXACT_CYCLES = 0.5  # a coarse track better than that needs no zero pulse
 
 
@@ -202,7 +202,7 @@ class Reference:
         return abs(away) > self.coarse.limit_revolutions * self.coarse.cycles_per_revolution
 
     def _range_from_pulses(self, time: float, cycles: int, phase: float) -> None:
-        """Between two pulses lies a revolution, either way, or none; the samples counted what they saw."""
+        """Two pulses are -1, 0 or 1 revolution apart; what the count lacks to that is the missing speed."""
         first, self._first_pulse = self._first_pulse, (time, cycles, phase)
         if first is None or time - first[0] < 1.0:
             return
@@ -219,7 +219,7 @@ class Reference:
 
 
 def _between(before: Track, track: Track, place: float) -> tuple[int, float]:
-    """Position at ``place`` (0..1) of the way from one sample to the next."""
+    """Position at the fraction ``place`` (0..1) of the displacement between two samples."""
     way = (track.cycles - before.cycles) + (track.phase - before.phase)
     position = before.phase + place * way
     turns = math.floor(position)

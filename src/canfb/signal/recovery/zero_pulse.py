@@ -14,10 +14,10 @@ REMEMBERED = 3  # pulses that nothing has confirmed
 class PulseVerdict(Enum):
     """What a pulse says of a position that was valid up to here."""
 
-    NOTHING = "there is no other one to compare it with"
+    NOTHING = "there is no other pulse to compare it with"
     AGREES = "the count is right: the pulse is at its place, or where the first one was"
     CONTRADICTS = "the count is wrong, or this pulse is false, or one before it was"
-    WRONG = "the count is wrong: a pulse before said so, by as much"
+    WRONG = "the count is wrong: an earlier pulse showed the same error"
     SLIPPED = "the pulse is at a place other than that of the first one, twice: either that one was false or \
 the count has slipped since"
 
@@ -77,7 +77,7 @@ class ZeroPulse:
     def error_cycles(self, pulse_cycles: int, pulse_phase: float) -> int:
         """How many cycles the count is too high at a pulse seen at this position: 0 if all is well.
 
-        A pulse is as wide as a cycle, so less than half a cycle is no error.
+        A pulse is as wide as a cycle, so less than half a cycle is not an error.
         """
         return 0 if self._place is None else self._away(pulse_cycles, pulse_phase, self._place)
 

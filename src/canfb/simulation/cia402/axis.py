@@ -237,7 +237,7 @@ class Axis:
         return Demand(revolutions, self._demand.speed_rad_s + change, forward)
 
     def _within_limits(self, target: float) -> float:
-        """The target within 607Dh; the full range of INTEGER32 is no limit."""
+        """The target within 607Dh; the full range of INTEGER32 means no limit."""
         low, high = self._lowest.value, self._highest.value
         limited = target
         if low > -(1 << 31):

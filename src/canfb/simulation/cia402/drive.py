@@ -29,10 +29,10 @@ __all__ = ["FeedbackModuleLink", "ServoDrive"]
 EDS = "drive"
 POSITION = (0x60E4, 1)
 LIVE = ((0x6040, 0), (0x607A, 0), POSITION, (0x2110, 1), (0x2110, 4))
-"""Writable entries that are no parameters: `save` does not keep them."""
+"""Writable entries that are not parameters: `save` does not keep them."""
 QUICK_STOP_OPTIONS = frozenset({0, 1, 2, 5, 6})
 STOP_TIMEOUT_S = 0.5
-"""After a ramp the shaft has so long to come to rest; then the power goes off."""
+"""After a ramp the shaft has this time to come to rest; then the power goes off."""
 
 
 class ServoDrive:

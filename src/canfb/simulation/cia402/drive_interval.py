@@ -4,7 +4,7 @@ from __future__ import annotations
 
 SMOOTHING = 1.0 / 32.0
 SAME_RATE = 1.5  # a time longer or shorter by more than this factor is an exception, or a new rate
-EXCEPTIONS = 8  # so many in a row are a new rate
+EXCEPTIONS = 8  # this many in a row are a new rate
 
 
 class SyncInterval:

@@ -28,7 +28,7 @@ class FeedbackInput:
 
     A position is used if the status word has the bits that 2110:02 and :03 want, if it is within its
     range (2110:05, 0 = 2^32), and if the machine can have come there since the last one. It wraps at the
-    range: the difference to the last one is taken the short way round. The first one counts from
+    range: the difference to the last one is wrapped to ± half the range. The first one counts from
     -range/2 to range/2, so that a machine a little below zero is not at the far end.
 
     Before the first position, and again after :meth:`reset`, the feedback is missing.

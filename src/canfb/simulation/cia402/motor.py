@@ -70,11 +70,11 @@ class Motor:
         return self.config.load_torque_nm if self.time_s >= self.config.load_at_s else 0.0
 
     def revolutions_before(self, seconds: float) -> float:
-        """Position so many seconds ago (or, negative, ahead), at the present speed: for a short time."""
+        """Position this many seconds ago (or, negative, ahead), at the present speed: for a short time."""
         return self.revolutions - self.speed_rad_s * seconds / (2.0 * math.pi)
 
     def run(self, duration_s: float) -> None:
-        """Let so many seconds pass, 0 or more; ValueError for a time that goes back."""
+        """Let this many seconds pass, 0 or more; ValueError for a time that goes back."""
         if not 0.0 <= duration_s < math.inf:
             raise ValueError(f"duration_s must be 0 or more seconds, not {duration_s!r}")
         if duration_s == 0.0:

@@ -99,7 +99,7 @@ class PlantSource:
         return self._sample(0.0)
 
     def _sample(self, ahead_s: float) -> Sample:
-        """A sample so many seconds before the time of the plant."""
+        """A sample this many seconds before the time of the plant."""
         motor = self._plant.motor
         time_s = motor.time_s - ahead_s
         from_s, start = self._last_s, self._last_revolutions

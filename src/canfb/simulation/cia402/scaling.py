@@ -15,7 +15,7 @@ def wrapped(value: int) -> int:
 
 
 def saturated(value: float, bits: int) -> int:
-    """The nearest signed integer of so many bits; 0 for what is no number."""
+    """The nearest signed integer of this many bits; 0 for NaN."""
     if math.isnan(value):
         return 0
     highest = (1 << (bits - 1)) - 1

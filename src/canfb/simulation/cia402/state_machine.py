@@ -6,7 +6,7 @@ from enum import Enum, IntFlag
 
 
 class State(Enum):
-    """A state; its value are the bits 0 to 3, 5 and 6 of the statusword 6041h that tell it."""
+    """A state; its value are the bits 0 to 3, 5 and 6 of the statusword 6041h that report it."""
 
     NOT_READY_TO_SWITCH_ON = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -114,7 +114,7 @@ class StateMachine:
     def control(self, controlword: int, *, may_reset: bool = True, may_resume: bool = True) -> bool:
         """Take a ``controlword`` 0..FFFFh; True if the state has changed.
 
-        ``may_reset`` tells that no error is left, ``may_resume`` that 605Ah lets the drive go on
+        ``may_reset``: no error is left; ``may_resume``: 605Ah lets the drive continue
         after a quick stop.
         """
         command = command_of(controlword, self._controlword)

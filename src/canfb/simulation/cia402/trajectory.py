@@ -63,7 +63,7 @@ class Trajectory:
 
 
 class Interpolation:
-    """Cyclic synchronous position: a straight line from target to target, of so many SYNCs."""
+    """Cyclic synchronous position: a straight line from target to target, over this many SYNCs."""
 
     def __init__(self) -> None:
         self.reset()
