@@ -141,13 +141,13 @@ def test_the_ways_hold_all_that_such_accelerations_can_do(
     change = sum(bends)
     gap = Gap(intervals, sum((intervals - k) * bend for k, bend in enumerate(bends)), change, low, high)
     assert (0, 0) in list(gap.through(low, high))
-    least, most = gap._ways(low, high, change)
+    least, most = gap._displacements(low, high, change)
     early, late = sorted(bends, reverse=True), sorted(bends)
     for order in (early, late):
         assert least - 1e-9 <= sum((intervals - k) * bend for k, bend in enumerate(order)) <= most + 1e-9
     if width > 0.0:
         corner = [high] * 2 + [low] * (intervals - 1)
-        least, most = gap._ways(low, high, sum(corner))
+        least, most = gap._displacements(low, high, sum(corner))
         assert most == pytest.approx(sum((intervals - k) * bend for k, bend in enumerate(corner)), abs=1e-9)
         assert least == pytest.approx(sum(k * bend for k, bend in enumerate(corner)), abs=1e-9)
 

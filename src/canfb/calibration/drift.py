@@ -64,8 +64,8 @@ def drift(fresh: Calibration, table: CorrectionTable | None, conditioning: Condi
 
 def _compared(active: FloatArray, fresh: FloatArray) -> Drift:
     """Two phases of the same places, once around; straight between the places."""
-    way = np.abs(wrap(np.diff(fresh)))
-    weights = (np.append(way, 0.0) + np.append(0.0, way)) / 2.0
+    moved = np.abs(wrap(np.diff(fresh)))
+    weights = (np.append(moved, 0.0) + np.append(0.0, moved)) / 2.0
     off = active - fresh
     nowhere = np.isnan(off)  # the tracks as conditioned go through zero: no phase at all
     off[nowhere] = 0.0
@@ -73,5 +73,5 @@ def _compared(active: FloatArray, fresh: FloatArray) -> Drift:
     off -= np.average(off, weights=weights)
     off[nowhere] = 0.5
     first, last = off[:-1], off[1:]
-    square = np.average((first * first + first * last + last * last) / 3.0, weights=way)
+    square = np.average((first * first + first * last + last * last) / 3.0, weights=moved)
     return Drift(float(np.sqrt(square)), float(np.abs(off).max()))

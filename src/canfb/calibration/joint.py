@@ -1,5 +1,13 @@
 """Joint least squares of both tracks over the phase and of the motion over time.
 
+With the samples s(k), c(k) of a block at times t(k), the coefficients of the series and those of the
+motion m minimise
+
+    sum over k of  [n . r(k)]^2 / across^2 + [u . r(k)]^2 / along^2
+    with  r(k) = (s(k) - S(x), c(k) - C(x)),  x = m(t(k))
+
+where u is the unit tangent of the curve (S, C) at x, and n its normal.
+
 The samples follow s = S(x), c = C(x) with S and C Fourier series and the position x a
 polynomial of time in each block. Every sample gives two equations, one along the curve of
 the tracks and one across it. Noise of the converter is in both, what the polynomials miss

@@ -247,9 +247,9 @@ class Tracker:
     def _carry(self, elapsed: float) -> tuple[int, float]:
         """Displacement at the last speed over ``elapsed`` intervals: whole cycles and a small rest."""
         ratio = elapsed / self._elapsed
-        way = self._step * ratio
-        whole = math.floor(way)
-        return whole, (way - whole) + (self._phase - self._phase_before) * ratio
+        displacement = self._step * ratio
+        whole = math.floor(displacement)
+        return whole, (displacement - whole) + (self._phase - self._phase_before) * ratio
 
 
 @dataclass(frozen=True)

@@ -98,11 +98,11 @@ class Prediction:
         """A SYNC, after what it brings was processed: ``last`` belongs to the SYNC before."""
         since = None if self._at_sync is None else last.samples - self._at_sync
         self._at_sync = last.samples
-        way = self._way(last)
+        displacement = self._displacement(last)
         # Of several samples since one SYNC it is unknown when the last one was taken.
-        if way is None or last.samples == self._before or (since is not None and since > 1):
+        if displacement is None or last.samples == self._before or (since is not None and since > 1):
             return
-        cycles, phase = ahead(last.cycles, last.phase, way)
+        cycles, phase = ahead(last.cycles, last.phase, displacement)
         self._measured = self._position.value, self._fine.value, self._status.value
         self._position.value = self._fine.value = self._profile.position_at(cycles, phase)
         self._status.value |= EXTRAPOLATED
@@ -113,7 +113,7 @@ class Prediction:
             self._position.value, self._fine.value, self._status.value = self._measured
             self._measured = None
 
-    def _way(self, last: Feedback) -> float | None:
+    def _displacement(self, last: Feedback) -> float | None:
         """Cycles from the last sample to this SYNC; None without a position to go on from."""
         status = last.status
         if not status & VALID:
@@ -123,10 +123,10 @@ class Prediction:
         after, lock = 1.0, self._lock  # intervals
         if self.follows and lock.locked:
             after = self._intervals(lock.lead_ticks + lock.period_ticks)
-        self._speed_cycles = way = last.speed_cycles * after
+        self._speed_cycles = displacement = last.speed_cycles * after
         if self._kind.value == CONSTANT_ACCELERATION and self._valid_samples >= KNOWN_ACCELERATION:
-            way += last.acceleration_cycles * after * (after + 1.0) / 2.0
-        return way
+            displacement += last.acceleration_cycles * after * (after + 1.0) / 2.0
+        return displacement
 
 
 def ahead(cycles: int, phase: float, way_cycles: float) -> tuple[int, float]:

@@ -6,6 +6,16 @@ after the gap bound those within: each trajectory through it needs them to sprea
 least. The one that needs the least is the position, if it needs hardly more than was seen, and
 every other one far more.
 
+With n intervals from the last place to the first sample after the gap, n + 1 accelerations w(j) are not
+sampled. With the speed v before, the change of the speed q and the displacement d beyond v n are
+
+    q = w(1) + ... + w(n + 1),    d = n w(1) + (n - 1) w(2) + ... + w(n)
+
+Both are known up to whole cycles, from the phases. If all w(j) lie in an interval [a, b], q lies in
+[(n + 1) a, (n + 1) b], and for a given q the displacement is least where the large accelerations come
+last, and greatest where they come first. The width b - a that a passage needs is the smallest for
+which q and d are possible. docs/faults.md shows what this finds and what it misses.
+
 The last samples before the gap may have been bad already: a glitch of less than the residual
 limit is seen one sample later only. So each trajectory is also sought from the places before these.
 """
@@ -17,6 +27,8 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+# The following were chosen with the fault campaign (docs/faults.md): as wide as recoveries need, as
+# narrow as silent wrong positions demand.
 # What a machine may do in a gap beyond what was seen: cycles per interval squared, and a part of it.
 SPARE_CYCLES = 0.01
 SPARE_PART = 0.5
@@ -36,7 +48,7 @@ class Place(NamedTuple):
     elapsed: float
 
 
-class Way(NamedTuple):
+class Passage(NamedTuple):
     """A trajectory through a gap.
 
     cycles       cycle count of the first sample after it
@@ -53,13 +65,13 @@ class Gap(NamedTuple):
     """A gap, and what was seen around it.
 
     intervals     sampling intervals from the last place before it to the first one after it
-    way           displacement, cycles, beyond that at the speed before; whole cycles unknown
+    displacement  cycles, beyond that at the speed before; whole cycles unknown
     speed_change  cycles per interval; whole cycles unknown
     low, high     least and greatest acceleration seen, cycles per interval squared
     """
 
     intervals: int
-    way: float
+    displacement: float
     speed_change: float
     low: float
     high: float
@@ -75,8 +87,10 @@ class Gap(NamedTuple):
         first = math.ceil(low * n - self.speed_change - 1e-9)
         last = math.floor(high * n - self.speed_change + 1e-9)
         for step in range(first, last + 1):
-            least, most = self._ways(low, high, self.speed_change + step)
-            for cycles in range(math.ceil(least - self.way - 1e-9), math.floor(most - self.way + 1e-9) + 1):
+            least, most = self._displacements(low, high, self.speed_change + step)
+            for cycles in range(
+                math.ceil(least - self.displacement - 1e-9), math.floor(most - self.displacement + 1e-9) + 1
+            ):
                 yield cycles, step
 
     def needs(self, cycles: int, step: int, limit: float) -> float:
@@ -95,10 +109,10 @@ class Gap(NamedTuple):
         change = self.speed_change + step
         if not low * n - 1e-9 <= change <= high * n + 1e-9:
             return False
-        least, most = self._ways(low, high, change)
-        return least - 1e-9 <= self.way + cycles <= most + 1e-9
+        least, most = self._displacements(low, high, change)
+        return least - 1e-9 <= self.displacement + cycles <= most + 1e-9
 
-    def _ways(self, low: float, high: float, change: float) -> tuple[float, float]:
+    def _displacements(self, low: float, high: float, change: float) -> tuple[float, float]:
         """Least and greatest displacement with this change of speed.
 
         ``intervals + 1`` accelerations between ``low`` and ``high`` add up to the change. The
@@ -118,7 +132,7 @@ def _late(full: float) -> float:
 
 def bridge(
     before: Sequence[Place], run: Sequence[float], since: float, doubted: int, limit: float
-) -> Way | None:
+) -> Passage | None:
     """The one trajectory from the places before a gap to the run after it; None unless there is just one.
 
     before   accepted places, oldest first, at least one: a machine with only one stood still
@@ -134,16 +148,18 @@ def bridge(
         most = min(gap.width + 2.0 * (SPARE_CYCLES + SPARE_PART * gap.width), MOST_WIDTH)
         if gap.width >= most:
             continue
-        for way in gap.through(*_within(gap, most, limit)):
-            widths[way] = min(gap.needs(*way, most), widths.get(way, math.inf))
+        for passage in gap.through(*_within(gap, most, limit)):
+            widths[passage] = min(gap.needs(*passage, most), widths.get(passage, math.inf))
     if not widths:
         return None
-    best = min(widths, key=lambda way: widths[way])
+    best = min(widths, key=lambda passage: widths[passage])
     enough = CLEARLY * widths[best] + CLEARLY_CYCLES
     for gap in gaps:
-        if gap.width < enough and any(way != best for way in gap.through(*_within(gap, enough, limit))):
+        if gap.width < enough and any(
+            passage != best for passage in gap.through(*_within(gap, enough, limit))
+        ):
             return None
-    return Way(start + best[0], best[1], widths[best])
+    return Passage(start + best[0], best[1], widths[best])
 
 
 def speed(places: Sequence[Place]) -> float:
@@ -200,7 +216,7 @@ def _gap(good: Sequence[Place], run: Sequence[float], since: float, start: int, 
     last, old = good[-1], speed(good)
     return Gap(
         intervals=max(1, round(since)),
-        way=(start - last.cycles) + (run[0] - last.phase) - old * since,
+        displacement=(start - last.cycles) + (run[0] - last.phase) - old * since,
         speed_change=run[1] - run[0] - old,
         low=min(seen),
         high=max(seen),

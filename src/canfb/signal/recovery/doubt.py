@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 from canfb.signal.recovery.bridge import (
     LAST_PLACES,
+    Passage,
     Place,
-    Way,
     accelerations,
     bridge,
     roughness,
@@ -29,6 +29,7 @@ from canfb.signal.recovery.bridge import (
 from canfb.signal.recovery.gap import Unseen, alike, fitting, passed, within
 from canfb.signal.tracker import Track, split
 
+# Two accelerations that agree: with fewer there is nothing to compare, and one sample too many may be chance.
 SHORTEST_RUN = 4
 # Where a known acceleration leaves more than one trajectory, the likeness to what was seen decides over a
 # gap of this many intervals, one missed sample: it takes a push of a third of a cycle per interval squared
@@ -39,12 +40,15 @@ SURE_INTERVALS = 2
 USED_PART = 0.85
 LONGEST_RUN = 12  # one that is not joined by then never will be
 LONGEST_DOUBT = 32  # intervals without a decision, beyond those that may be coasted
+# The widths were chosen with the fault campaign (docs/faults.md): noise, an uncorrected encoder (0.05 cycle
+# in a second difference) and vibration stay within them.
 RUN_WIDTH = 0.25  # of the accelerations in a run, cycles per interval squared, at most
 ROUGHNESS_FACTOR = 2.5  # and at most this many times their roughness before the fault, and some more
 RUN_WIDTH_CYCLES = 0.01
 # Samples with any phase agree by chance with this probability; the first two of a run always do.
 CHANCE = 1e-5
-# How close to the prediction a sample is counted from it, cycles, one interval after the last.
+# How close to the prediction a sample is counted from it, cycles, one interval after the last: the error of
+# an uncorrected encoder in eq. 9 (PHASE_ERROR_MARGIN_CYCLES), and some noise.
 CLOSE_CYCLES = 0.055
 
 
@@ -165,7 +169,7 @@ class Doubt:
         if not found:
             return Undecided.FOR_EVER
         cycles_passed, step = found[0]
-        places = self._places(run, even, Way(start + cycles_passed, step, 0.0))
+        places = self._places(run, even, Passage(start + cycles_passed, step, 0.0))
         return [places[0]._replace(elapsed=run[0].time), *places[1:]]
 
     def _unseen(self, even: Sequence[float], run: Sequence[_Sample]) -> tuple[int, Unseen]:
@@ -176,9 +180,9 @@ class Doubt:
         if len(run) > 1:
             uneven += abs(run[1].time - since - 1.0)
         start = math.floor(last.cycles + old * since)
-        way = (start - last.cycles) + (even[0] - last.phase) - old * since
+        displacement = (start - last.cycles) + (even[0] - last.phase) - old * since
         change = even[1] - even[0] - old if len(even) > 1 else math.nan
-        return start, Unseen(intervals, way, change, uneven, since - intervals)
+        return start, Unseen(intervals, displacement, change, uneven, since - intervals)
 
     def _alike(
         self, even: Sequence[float], unseen: Unseen, limit: float, known: bool
@@ -205,18 +209,18 @@ class Doubt:
         left_out = self._left_out + len(self._run) - length
         if left_out > self._doubted or run[0].time - 1.0 > coast_samples + self._doubted:
             return Undecided.FOR_EVER  # more than a glitch: what comes then is not to be trusted either
-        way = bridge(self._before, even, run[0].time, self._doubted, self._limit)
-        if way is None or self._leads_elsewhere(run, even, way):
+        passage = bridge(self._before, even, run[0].time, self._doubted, self._limit)
+        if passage is None or self._leads_elsewhere(run, even, passage):
             return Undecided.FOR_EVER
-        return self._places(run, even, way) if length >= _enough(way.width) else Undecided.YET
+        return self._places(run, even, passage) if length >= _enough(passage.width) else Undecided.YET
 
-    def _leads_elsewhere(self, run: Sequence[_Sample], even: Sequence[float], way: Way) -> bool:
+    def _leads_elsewhere(self, run: Sequence[_Sample], even: Sequence[float], passage: Passage) -> bool:
         """True if good samples all around the bad ones would lead to another position."""
         if not self._from_gap or len(run) != len(self._since_gap):
             return False
         start, unseen = self._unseen(even, run)
         found = self._alike(even, unseen, self._limit, False)
-        return bool(found) and (start + found[0][0], found[0][1]) != way[:2]
+        return bool(found) and (start + found[0][0], found[0][1]) != passage[:2]
 
     def _smooth(self, even: Sequence[float]) -> int:
         """How many of the last samples run as smoothly as those before the fault did.
@@ -241,19 +245,19 @@ class Doubt:
         return [sample.phase - self._speed * (sample.time - start - k) for k, sample in enumerate(run)]
 
     def _predict(self) -> tuple[int, float]:
-        way = self._speed * (self._now - self._anchored)
-        whole = math.floor(way)
-        return self._anchor.cycles + whole, self._anchor.phase + (way - whole)
+        displacement = self._speed * (self._now - self._anchored)
+        whole = math.floor(displacement)
+        return self._anchor.cycles + whole, self._anchor.phase + (displacement - whole)
 
-    def _places(self, run: Sequence[_Sample], even: Sequence[float], way: Way) -> list[Place]:
+    def _places(self, run: Sequence[_Sample], even: Sequence[float], passage: Passage) -> list[Place]:
         """The places of a run that continues this trajectory."""
-        at = [even[0], even[1] + way.step_cycles]
+        at = [even[0], even[1] + passage.step_cycles]
         for bend in run_accelerations(even):
             at.append(2.0 * at[-1] - at[-2] + bend)
         places = []
         time = run[0].time - 1.0
         for sample, position, offset in zip(run, at, even, strict=True):
-            cycles = way.cycles + round(position - offset)
+            cycles = passage.cycles + round(position - offset)
             places.append(Place(cycles, sample.phase, sample.time - time))
             time = sample.time
         return places

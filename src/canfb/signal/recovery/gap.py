@@ -22,14 +22,14 @@ class Unseen(NamedTuple):
     """What is known of a gap.
 
     intervals  sampling intervals from the last sample before it to the first one after it
-    way        displacement, cycles, beyond that at the speed before; whole cycles unknown
+    displacement  cycles, beyond that at the speed before; whole cycles unknown
     change     of the speed, cycles per interval; whole cycles unknown. NaN with one sample after the gap
     uneven     by how much the samples around it are not one interval apart, intervals
     off        by how much longer the gap is than ``intervals``; negative where it is shorter
     """
 
     intervals: int
-    way: float
+    displacement: float
     change: float
     uneven: float = 0.0
     off: float = 0.0
@@ -113,10 +113,13 @@ def fitting(unseen: Unseen, bounds: Bounds) -> list[tuple[int, int]]:
     may_rest = max(low) <= 0.0 <= min(high)
     uneven = unseen.uneven + (max(unseen.off, 0.0) if may_rest else abs(unseen.off))
     margin += max(*map(abs, low), *map(abs, high)) * (unseen.intervals + 1) * uneven
-    way_margin = margin * (unseen.intervals + 1) / 2.0
+    displacement_margin = margin * (unseen.intervals + 1) / 2.0
     for step in _whole(sum(low) - margin - unseen.change, sum(high) + margin - unseen.change):
-        least, most = _ways(low, high, unseen.change + step)
-        cycles = _whole(least - way_margin - unseen.way, most + way_margin - unseen.way)
+        least, most = _displacements(low, high, unseen.change + step)
+        cycles = _whole(
+            least - displacement_margin - unseen.displacement,
+            most + displacement_margin - unseen.displacement,
+        )
         found.extend((cycle, step) for cycle in cycles)
     return found
 
@@ -158,14 +161,14 @@ def passed(unseen: Unseen, limit: float) -> list[int]:
     n = unseen.intervals
     margin = CHANGE_MARGIN + limit * (n + 1) * (unseen.uneven + max(unseen.off, 0.0))
     most = (limit * n + margin) * (n + 1) / 2.0
-    return list(_whole(-most - unseen.way, most - unseen.way))
+    return list(_whole(-most - unseen.displacement, most - unseen.displacement))
 
 
 def _whole(low: float, high: float) -> range:
     return range(math.ceil(low), math.floor(high) + 1)
 
 
-def _ways(low: Sequence[float], high: Sequence[float], change: float) -> tuple[float, float]:
+def _displacements(low: Sequence[float], high: Sequence[float], change: float) -> tuple[float, float]:
     """Least and greatest displacement by accelerations that add up to ``change``, as nearly as they can.
 
     The first one counts once less than there are accelerations, the next once less, the last not at all.
@@ -179,9 +182,9 @@ def _ways(low: Sequence[float], high: Sequence[float], change: float) -> tuple[f
 
 
 def _filled(order: Iterable[tuple[int, float]], above: float) -> float:
-    way = 0.0
+    total = 0.0
     for weight, room in order:
         part = min(room, above)
-        way += weight * part
+        total += weight * part
         above -= part
-    return way
+    return total
