@@ -19,6 +19,11 @@ COMMANDS = [
     "config check",
     "config example",
     "config dcf",
+    "table show",
+    "table upload",
+    "table download",
+    "table activate",
+    "table clear",
 ]
 
 

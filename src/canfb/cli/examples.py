@@ -29,6 +29,18 @@ _EXAMPLES = {
   canfb calibrate feedback.yaml --dry-run --json
   canfb calibrate feedback.yaml --check
   canfb calibrate --samples measured/samples.npz --out again""",
+    "canfb table show": """
+  canfb table show 0x20 -i socketcan -c can0
+  canfb table show measured/table.yaml""",
+    "canfb table upload": """
+  canfb table upload 0x20 measured/table.yaml --config feedback.yaml
+  canfb table upload 0x20 measured/table.yaml --activate --save --config feedback.yaml""",
+    "canfb table download": """
+  canfb table download 0x20 table.yaml --config feedback.yaml""",
+    "canfb table activate": """
+  canfb table activate 0x20 --save --config feedback.yaml""",
+    "canfb table clear": """
+  canfb table clear 0x20 --config feedback.yaml""",
     "canfb config": """
   canfb config example > feedback.yaml
   canfb config check feedback.yaml

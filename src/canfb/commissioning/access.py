@@ -24,7 +24,15 @@ class CommissioningError(CanfbError):
     """A step that did not work; the text says what the state of the module is."""
 
 
-class ObjectAbsentError(CommissioningError):
+class RefusedError(CommissioningError):
+    """The node has refused an access; ``code`` is the abort code (CiA 301, 7.2.4.3.17)."""
+
+    def __init__(self, text: str, code: int = AbortCode.GENERAL) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+class ObjectAbsentError(RefusedError):
     """The node does not have the object."""
 
 
@@ -146,8 +154,8 @@ class NodeAccess:
             return act(self.master.sdo(self.node_id))
         except SdoAbortedError as error:
             text = f"{what} is refused: {error}"
-            kind = ObjectAbsentError if error.code in ABSENT else CommissioningError
-            raise kind(text) from None
+            kind = ObjectAbsentError if error.code in ABSENT else RefusedError
+            raise kind(text, error.code) from None
         except SdoError as error:
             self.master.wait(0.0)  # says so if it is the bus that has failed
             said = str(error).rstrip(".")
