@@ -24,6 +24,8 @@ COMMANDS = [
     "table download",
     "table activate",
     "table clear",
+    "backup",
+    "restore",
 ]
 
 

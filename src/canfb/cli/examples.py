@@ -41,6 +41,11 @@ _EXAMPLES = {
   canfb table activate 0x20 --save --config feedback.yaml""",
     "canfb table clear": """
   canfb table clear 0x20 --config feedback.yaml""",
+    "canfb backup": """
+  canfb backup 0x20 left-drive.yaml --config feedback.yaml""",
+    "canfb restore": """
+  canfb restore left-drive.yaml --dry-run --config feedback.yaml
+  canfb restore left-drive.yaml --preop --save --config feedback.yaml""",
     "canfb config": """
   canfb config example > feedback.yaml
   canfb config check feedback.yaml

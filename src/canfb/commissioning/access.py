@@ -68,7 +68,7 @@ class NodeAccess:
 
     def read(self, index: int, subindex: int, layout: str) -> int | float:
         """A number; ``layout`` as in struct, without the byte order: B, H, I, h, f ..."""
-        data = self._transfer("reading", index, subindex, lambda client: client.upload(index, subindex))
+        data = self.read_bytes(index, subindex)
         size = struct.calcsize(f"<{layout}")
         if len(data) < size:
             raise CommissioningError(
@@ -99,6 +99,10 @@ class NodeAccess:
                 client.RESPONSE_TIMEOUT = usual
 
         self._transfer("writing", index, subindex, send)
+
+    def read_bytes(self, index: int, subindex: int) -> bytes:
+        """The bytes of an object, by expedited or segmented transfer."""
+        return self._transfer("reading", index, subindex, lambda client: client.upload(index, subindex))
 
     def upload_domain(
         self, index: int, subindex: int, heard: Callable[[float], None] = lambda part: None

@@ -2,12 +2,37 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 LONGEST = 200
+
+_INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
+
+
+class _ObjectLoader(yaml.SafeLoader):
+    """YAML 1.1 without its numbers to the base of 60: 2010:03 is the name of an object."""
+
+
+_ObjectLoader.yaml_implicit_resolvers = {
+    first: [(tag, form) for tag, form in resolvers if tag not in (_INT, _FLOAT)]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_ObjectLoader.add_implicit_resolver(
+    _INT,
+    re.compile(r"[-+]?(?:0b[01_]+|0x[0-9a-fA-F_]+|0[0-7_]+|0|[1-9][0-9_]*)$"),
+    list("-+0123456789"),
+)
+_ObjectLoader.add_implicit_resolver(
+    _FLOAT,
+    re.compile(
+        r"[-+]?(?:[0-9][0-9_]*\.[0-9_]*(?:[eE][-+]?[0-9]+)?|\.[0-9]+|\.(?:inf|Inf|INF))$|\.(?:nan|NaN)$"
+    ),
+    list("-+.0123456789"),
+)
 
 
 class MarkedYaml:
@@ -18,7 +43,7 @@ class MarkedYaml:
 
     def __init__(self, data: bytes) -> None:
         try:
-            loader = yaml.SafeLoader(data)
+            loader = _ObjectLoader(data)
             try:
                 self._root = loader.get_single_node()
                 _refuse_doubles(self._root)
