@@ -25,6 +25,8 @@ COMMANDS = [
     "table activate",
     "table clear",
     "backup",
+    "sdo read",
+    "sdo write",
     "restore",
 ]
 

@@ -9,6 +9,7 @@ from canfb.cli import (
     demo,
     nmt_command,
     run,
+    sdo_command,
     simulate,
     table_command,
 )
@@ -18,6 +19,7 @@ COMMANDS = (
     run,
     simulate,
     nmt_command,
+    sdo_command,
     calibrate,
     table_command,
     backup_command,

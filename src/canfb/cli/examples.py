@@ -24,6 +24,14 @@ _EXAMPLES = {
   canfb nmt start all -i socketcan -c vcan0
   canfb nmt start 0x10 0x20 --config feedback.yaml
   canfb nmt reset 0x20 --config feedback.yaml""",
+    "canfb sdo read": """
+  canfb sdo read 0x20 "residual limit" -i socketcan -c can0
+  canfb sdo read 0x20 supervision --config feedback.yaml
+  canfb sdo read 0x20 2011:01 --json --config feedback.yaml""",
+    "canfb sdo write": """
+  canfb sdo write 0x20 "samples to coast" 4 --config feedback.yaml
+  canfb sdo write 0x20 1010:01 save --config feedback.yaml
+  canfb sdo write 5 6083 1000 --eds drive.eds --config feedback.yaml""",
     "canfb calibrate": """
   canfb calibrate -i socketcan -c can0 --module 0x20 --out measured
   canfb calibrate feedback.yaml --dry-run --json

@@ -22,6 +22,7 @@ The master's side, between the buses and the calculation::
     backup_file        canfb backup: all parameters as YAML; backup_restoring: back into a module, proven;
                        backup_words: what is said of both
     object_description what an EDS says of the objects; object_values: their values as people write them
+    sdo_tasks          canfb sdo: one object by name; object_words: bits, enumerations, abort codes
     undoing            a change as a whole or not at all; whole_file: the same for files
     marked_yaml        YAML with the lines of its keys, for messages
 
