@@ -140,6 +140,7 @@ TABLE_STAGED_CRC: Final = Multiplexer(0x2020, 2)
 TABLE_ACTIVATE: Final = Multiplexer(0x2020, 3)
 TABLE_ACTIVE_CRC: Final = Multiplexer(0x2020, 4)
 TABLE_ACTIVE_ENTRIES: Final = Multiplexer(0x2020, 5)
+TABLE_SAVED_CRC: Final = Multiplexer(0x2020, 6)
 
 MEASUREMENT_COMMAND: Final = Multiplexer(0x2030, 1)
 MEASUREMENT_STATE: Final = Multiplexer(0x2030, 2)

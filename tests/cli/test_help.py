@@ -19,6 +19,15 @@ COMMANDS = [
     "config check",
     "config example",
     "config dcf",
+    "table show",
+    "table upload",
+    "table download",
+    "table activate",
+    "table clear",
+    "backup",
+    "sdo read",
+    "sdo write",
+    "restore",
 ]
 
 

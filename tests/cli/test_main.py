@@ -16,6 +16,7 @@ import pytest
 
 from canfb.bus import on_bus
 from canfb.cli import main as command_line
+from canfb.cli import run as run_command
 from canfb.cli.main import main
 from canfb.errors import BusError, ConfigError
 
@@ -208,7 +209,7 @@ def test_ctrl_c_before_the_bus_is_open_is_exit_code_1_without_a_traceback(
     def interrupted(path: str) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command_line.run, "load_config", interrupted)
+    monkeypatch.setattr(run_command, "load_config", interrupted)
     assert main(["run", config]) == 1
     assert capsys.readouterr().err == ""
 
@@ -287,6 +288,6 @@ def test_every_error_of_ours_has_an_exit_code(
         def failing(path: str, make: Callable[[], Exception] = make) -> None:
             raise make()
 
-        monkeypatch.setattr(command_line.run, "load_config", failing)
+        monkeypatch.setattr(run_command, "load_config", failing)
         assert main(["run", config]) == code
         assert one_line(capsys.readouterr().err) == f"canfb: {make()}"

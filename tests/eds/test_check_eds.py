@@ -223,7 +223,7 @@ def test_a_module_must_not_share_the_node_id_of_its_encoder_interface() -> None:
     assert findings == [check.Finding("1800sub1", "CAN-ID 190h is also that of [1400sub1]")]
 
 
-OPTIONAL_LINES = ("DefaultValue=", "LowLimit=", "HighLimit=", "ObjectType=0x7", "ObjFlags=")
+OPTIONAL_LINES = ("DefaultValue=", "LowLimit=", "HighLimit=", "ObjectType=0x7", "ObjFlags=", ";")
 LINES = TEXTS[INTERFACE].splitlines()
 
 

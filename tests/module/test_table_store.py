@@ -10,6 +10,7 @@ from canopen import SdoAbortedError
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame
+from canfb.device.storage.storage import MemoryStore
 from canfb.objects import StatusBit
 from canfb.signal.correction import CorrectionTable
 
@@ -137,3 +138,21 @@ def test_an_upload_that_the_master_breaks_off_stages_nothing(bench: Bench) -> No
     bench.sdo.responses.queue.clear()
     stage(bench, wavy().to_bytes())
     assert bench.sdo[0x2020][2].raw == wavy().crc32
+
+
+def test_the_crc_of_what_is_saved() -> None:
+    store = MemoryStore()
+    bench = Bench(store=store)
+    saved = bench.sdo[0x2020][6]
+    assert saved.raw == 0, "nothing is saved yet"
+    stage(bench, wavy().to_bytes())
+    activate(bench, wavy().crc32)
+    assert saved.raw == 0, "active is not saved"
+    bench.sdo.download(0x1010, 4, b"save")
+    assert saved.raw == wavy().crc32
+    activate(bench, 0)
+    assert saved.raw == wavy().crc32, "a reset brings it back"
+    bench.sdo.download(0x1010, 1, b"save")
+    assert saved.raw == 0
+    with pytest.raises(SdoAbortedError):
+        saved.raw = 1

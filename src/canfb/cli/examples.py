@@ -24,11 +24,36 @@ _EXAMPLES = {
   canfb nmt start all -i socketcan -c vcan0
   canfb nmt start 0x10 0x20 --config feedback.yaml
   canfb nmt reset 0x20 --config feedback.yaml""",
+    "canfb sdo read": """
+  canfb sdo read 0x20 "residual limit" -i socketcan -c can0
+  canfb sdo read 0x20 supervision --config feedback.yaml
+  canfb sdo read 0x20 2011:01 --json --config feedback.yaml""",
+    "canfb sdo write": """
+  canfb sdo write 0x20 "samples to coast" 4 --config feedback.yaml
+  canfb sdo write 0x20 1010:01 save --config feedback.yaml
+  canfb sdo write 5 6083 1000 --eds drive.eds --config feedback.yaml""",
     "canfb calibrate": """
   canfb calibrate -i socketcan -c can0 --module 0x20 --out measured
   canfb calibrate feedback.yaml --dry-run --json
   canfb calibrate feedback.yaml --check
   canfb calibrate --samples measured/samples.npz --out again""",
+    "canfb table show": """
+  canfb table show 0x20 -i socketcan -c can0
+  canfb table show measured/table.yaml""",
+    "canfb table upload": """
+  canfb table upload 0x20 measured/table.yaml --config feedback.yaml
+  canfb table upload 0x20 measured/table.yaml --activate --save --config feedback.yaml""",
+    "canfb table download": """
+  canfb table download 0x20 table.yaml --config feedback.yaml""",
+    "canfb table activate": """
+  canfb table activate 0x20 --save --config feedback.yaml""",
+    "canfb table clear": """
+  canfb table clear 0x20 --config feedback.yaml""",
+    "canfb backup": """
+  canfb backup 0x20 left-drive.yaml --config feedback.yaml""",
+    "canfb restore": """
+  canfb restore left-drive.yaml --dry-run --config feedback.yaml
+  canfb restore left-drive.yaml --preop --save --config feedback.yaml""",
     "canfb config": """
   canfb config example > feedback.yaml
   canfb config check feedback.yaml

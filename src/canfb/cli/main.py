@@ -18,14 +18,13 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any, NoReturn
 
-from canfb.cli import calibrate, config_file, demo, nmt_command, run, simulate
+from canfb.cli.commands import COMMANDS
 from canfb.cli.examples import examples_of
 from canfb.cli.printing import printed_log
 from canfb.errors import CanfbError, ConfigError
 
 FAILED, WRONG_USE = 1, 2
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-COMMANDS = (demo, run, simulate, nmt_command, calibrate, config_file)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -7,7 +7,7 @@ import argparse
 from canfb.bus.master import BusMaster
 from canfb.bus.opening import open_bus
 from canfb.cia301.nmt import NmtCommand
-from canfb.cli.options import Commands, add_bus_options, add_command, bus_options
+from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, node_number
 from canfb.configuration import load_config
 
 WORDS = {
@@ -25,12 +25,9 @@ def _node(text: str) -> int:
     if text == ALL:
         return EVERYBODY
     try:
-        node = int(text, 0)
-    except ValueError:
-        node = -1
-    if not 1 <= node <= 127:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a node-ID (1 to 127, or 0x01 to 0x7F), nor 'all'")
-    return node
+        return node_number(text)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(f"{error}, nor 'all'") from None
 
 
 def register(commands: Commands) -> None:

@@ -45,6 +45,17 @@ def whole_number(text: str) -> int:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
 
 
+def node_number(text: str) -> int:
+    """A node-ID, decimal or as 0x20: a type for argparse."""
+    try:
+        node = int(text, 0)
+    except ValueError:
+        node = -1
+    if not 1 <= node <= 127:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a node-ID (1 to 127, or 0x01 to 0x7F)")
+    return node
+
+
 def chosen_module(options: argparse.Namespace, config: Config) -> ModuleConfig:
     """The module of the configuration with the node-ID ``--module``, or the first.
 

@@ -18,6 +18,13 @@ The master's side, between the buses and the calculation::
     circumstances      where, when and with what it was measured
     summary            figures for people; calibration_page: the page, from canfb.report
     artefacts          the files of a measurement; table_file: tables as YAML
+    table_tasks        canfb table: upload, activation and the rest; table_state: how it stands
+    backup_file        canfb backup: all parameters as YAML; backup_restoring: back into a module, proven;
+                       backup_words: what is said of both
+    object_description what an EDS says of the objects; object_values: their values as people write them
+    sdo_tasks          canfb sdo: one object by name; object_words: bits, enumerations, abort codes
+    undoing            a change as a whole or not at all; whole_file: the same for files
+    marked_yaml        YAML with the lines of its keys, for messages
 
 ``access.Master`` is what it needs of a bus: frames, an SDO client, a clock and a means to wait;
 ``access.NodeAccess`` reads and writes the objects of a node, long ones by domain_transfer.

@@ -24,7 +24,15 @@ class CommissioningError(CanfbError):
     """A step that did not work; the text says what the state of the module is."""
 
 
-class ObjectAbsentError(CommissioningError):
+class RefusedError(CommissioningError):
+    """The node has refused an access; ``code`` is the abort code (CiA 301, 7.2.4.3.17)."""
+
+    def __init__(self, text: str, code: int = AbortCode.GENERAL) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+class ObjectAbsentError(RefusedError):
     """The node does not have the object."""
 
 
@@ -60,7 +68,7 @@ class NodeAccess:
 
     def read(self, index: int, subindex: int, layout: str) -> int | float:
         """A number; ``layout`` as in struct, without the byte order: B, H, I, h, f ..."""
-        data = self._transfer("reading", index, subindex, lambda client: client.upload(index, subindex))
+        data = self.read_bytes(index, subindex)
         size = struct.calcsize(f"<{layout}")
         if len(data) < size:
             raise CommissioningError(
@@ -91,6 +99,10 @@ class NodeAccess:
                 client.RESPONSE_TIMEOUT = usual
 
         self._transfer("writing", index, subindex, send)
+
+    def read_bytes(self, index: int, subindex: int) -> bytes:
+        """The bytes of an object, by expedited or segmented transfer."""
+        return self._transfer("reading", index, subindex, lambda client: client.upload(index, subindex))
 
     def upload_domain(
         self, index: int, subindex: int, heard: Callable[[float], None] = lambda part: None
@@ -146,8 +158,8 @@ class NodeAccess:
             return act(self.master.sdo(self.node_id))
         except SdoAbortedError as error:
             text = f"{what} is refused: {error}"
-            kind = ObjectAbsentError if error.code in ABSENT else CommissioningError
-            raise kind(text) from None
+            kind = ObjectAbsentError if error.code in ABSENT else RefusedError
+            raise kind(text, error.code) from None
         except SdoError as error:
             self.master.wait(0.0)  # says so if it is the bus that has failed
             said = str(error).rstrip(".")

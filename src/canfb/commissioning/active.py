@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 
 from canfb import objects as od
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
@@ -54,12 +55,22 @@ def put_in_force(module: NodeAccess, wanted: Correction) -> None:
 
     CommissioningError where anything is not as it must be; the module may then be in between.
     """
-    _write_conditioning(module, wanted.conditioning)
+    write_conditioning(module, wanted.conditioning)
     if wanted.table is not None and module.integer(*od.TABLE_ACTIVE_CRC, "I") != wanted.crc32:
-        module.download_domain(*od.TABLE_STAGED, wanted.table.to_bytes())
-        _check_crc(module, od.TABLE_STAGED_CRC, "staged", wanted.crc32)
-    module.write(*od.TABLE_ACTIVATE, "I", wanted.crc32)
-    _check_crc(module, od.TABLE_ACTIVE_CRC, "active", wanted.crc32)
+        stage(module, wanted.table)
+    activate(module, wanted.crc32)
+
+
+def stage(module: NodeAccess, table: CorrectionTable) -> None:
+    """Write a table to 2020:01, where it waits for its activation. CommissioningError if the CRC differs."""
+    module.download_domain(*od.TABLE_STAGED, table.to_bytes())
+    _check_crc(module, od.TABLE_STAGED_CRC, "staged", table.crc32)
+
+
+def activate(module: NodeAccess, crc32: int) -> None:
+    """Put the table with this CRC in force, with 2002h; 0: none. CommissioningError if that does not work."""
+    module.write(*od.TABLE_ACTIVATE, "I", crc32)
+    _check_crc(module, od.TABLE_ACTIVE_CRC, "active", crc32)
 
 
 def put_back(module: NodeAccess, before: Correction) -> None:
@@ -83,23 +94,32 @@ def is_active(module: NodeAccess, wanted: Correction) -> bool:
     )
 
 
-def save(module: NodeAccess) -> str | None:
+def save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> str | None:
     """Keep table and parameters over a loss of power: the object used, None where nothing can be kept.
 
     CommissioningError if the node can save and fails to.
     """
-    for store in STORES:
+    store = saving_object(module, stores)
+    if store is None:
+        return None
+    module.write_bytes(*store, SAVE, SAVE_WITHIN_S)
+    return f"1010:{store.subindex:02X}"
+
+
+def saving_object(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> od.Multiplexer | None:
+    """The first of these objects that saves on command, None where nothing can be kept."""
+    for store in stores:
         try:
             ability = module.integer(*store, "I")
         except ObjectAbsentError:
             continue
         if ability & SAVES_ON_COMMAND:
-            module.write_bytes(*store, SAVE, SAVE_WITHIN_S)
-            return f"1010:{store.subindex:02X}"
+            return store
     return None
 
 
-def _write_conditioning(module: NodeAccess, wanted: Conditioning) -> None:
+def write_conditioning(module: NodeAccess, wanted: Conditioning) -> None:
+    """Write 2002h, which waits for the next activation. CommissioningError if it reads otherwise then."""
     if read_conditioning(module) == wanted:
         return
     for place, value in zip(od.CONDITIONING, wanted.values, strict=True):

@@ -10,6 +10,7 @@ from canfb.commissioning.circumstances import Circumstances, percent, where_word
 from canfb.commissioning.measurement import Measurement
 from canfb.commissioning.procedure import Installation
 from canfb.commissioning.table_file import conditioning_words
+from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
 
 PERCENT = 100.0
@@ -29,7 +30,11 @@ def comparison(measured: Measurement, done: Installation, where: Circumstances) 
     found, calibration, on_samples = measured.found, measured.calibration, measured.on_samples
     rows = [
         Row("table", table_words(measured.before), table_words(found)),
-        Row("conditioning", _conditioning(measured.before), _conditioning(found)),
+        Row(
+            "conditioning",
+            conditioning_in_words(measured.before.conditioning),
+            conditioning_in_words(found.conditioning),
+        ),
         Row(
             "deviation, rms",
             percent(on_samples.before_rms, where),
@@ -162,8 +167,8 @@ def table_words(used: Correction) -> str:
     return "none" if used.table is None else f"{used.crc32:08X}h, {len(used.table)} entries"
 
 
-def _conditioning(used: Correction) -> str:
-    conditioning = used.conditioning
+def conditioning_in_words(conditioning: Conditioning) -> str:
+    """A conditioning in a few words."""
     if conditioning.is_identity:
         return "none"
     return (

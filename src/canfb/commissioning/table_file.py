@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from canfb.commissioning.access import CommissioningError
+from canfb.commissioning.marked_yaml import MarkedYaml, read_bytes
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
+
+_KNOWN = ", ".join(IDENTITY.words)
 
 
 def as_yaml(used: Correction, meta: dict[str, Any]) -> str:
@@ -35,37 +39,82 @@ def conditioning_words(conditioning: Conditioning) -> dict[str, float]:
     return {name: float(value) for name, value in conditioning.words.items()}
 
 
+@dataclass(frozen=True)
+class TableFile:
+    """What a table file holds.
+
+    with_conditioning       False for bytes of 2020:01, which know none
+    cycles_per_revolution   of the encoder, None if it is not noted
+    """
+
+    path: Path
+    used: Correction
+    with_conditioning: bool
+    cycles_per_revolution: int | None = None
+
+
 def read_table(path: str | Path) -> Correction:
     """A table file, YAML or the bytes of 2020:01 (which know no conditioning).
 
     CommissioningError, in one line, for anything else.
     """
+    return read_table_file(path).used
+
+
+def read_table_file(path: str | Path) -> TableFile:
+    """:func:`read_table`, with what else is known of it."""
     path = Path(path)
+    data = read_bytes(path, CommissioningError)
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise CommissioningError(f"{path}: cannot be read: {error.strerror}") from None
-    try:
-        return _from_yaml(data) if path.suffix in (".yaml", ".yml") else _from_bytes(data)
-    except (ValueError, TypeError, yaml.YAMLError, RecursionError) as error:
+        return _from_yaml(path, data) if is_yaml(path) else _from_bytes(path, data)
+    except (ValueError, TypeError) as error:
         said = " ".join(str(error).split())[:200]
         raise CommissioningError(f"{path}: this is not a correction table: {said}") from None
 
 
-def _from_bytes(data: bytes) -> Correction:
-    return Correction(CorrectionTable.from_bytes(data), IDENTITY)
+def is_yaml(path: Path) -> bool:
+    """Whether a table file of this name is YAML; else it has the bytes of 2020:01."""
+    return path.suffix in (".yaml", ".yml")
 
 
-def _from_yaml(data: bytes) -> Correction:
-    content = yaml.safe_load(data)
+def _from_bytes(path: Path, data: bytes) -> TableFile:
+    return TableFile(path, Correction(CorrectionTable.from_bytes(data), IDENTITY), False)
+
+
+def _from_yaml(path: Path, data: bytes) -> TableFile:
+    marked = MarkedYaml(data)
+    content = marked.content
     if not isinstance(content, dict) or "entries" not in content:
         raise ValueError("a mapping with 'entries' is required")
-    table = CorrectionTable(content["entries"])
+    try:
+        table = CorrectionTable(content["entries"])
+    except ValueError as error:
+        raise ValueError(f"line {marked.line('entries')}: {error}") from None
     noted = content.get("crc32")
     if noted is not None and str(noted).upper() != f"{table.crc32:08X}":
-        raise ValueError(f"its CRC is {table.crc32:08X}, but the file states {noted}: an entry was changed")
+        raise ValueError(
+            f"line {marked.line('crc32')}: its CRC is {table.crc32:08X}, but the file states {noted}: "
+            "an entry was changed"
+        )
     words = content.get("conditioning") or {}
-    unknown = set(words) - set(IDENTITY.words)
-    if unknown:
-        raise ValueError(f"unknown key {sorted(unknown)[0]!r} in conditioning")
-    return Correction(table, Conditioning(**words))
+    if not isinstance(words, dict):
+        raise ValueError(f"line {marked.line('conditioning')}: conditioning must be a mapping, not {words!r}")
+    for key in words:
+        if key not in IDENTITY.words:
+            line = marked.line("conditioning", str(key))
+            raise ValueError(f"line {line}: unknown key {key!r} in conditioning; known are {_KNOWN}")
+    cycles = content.get("cycles_per_revolution")
+    return TableFile(
+        path,
+        Correction(table, _conditioning(marked, words)),
+        True,
+        cycles if isinstance(cycles, int) and cycles > 0 else None,
+    )
+
+
+def _conditioning(marked: MarkedYaml, words: dict[str, float]) -> Conditioning:
+    try:
+        return Conditioning(**words)
+    except ValueError as error:
+        named = [key for key in words if str(error).startswith(key)]
+        raise ValueError(f"line {marked.line('conditioning', *named)}: {error}") from None

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.od.entry import Entry
+from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import Storage
 from canfb.signal.chain import SignalChain
 from canfb.signal.conditioning import Conditioning
@@ -17,7 +19,8 @@ from canfb.signal.correction import Correction, CorrectionTable
 class TableStore:
     """Object 2020h: a table is staged by 2020:01 and takes effect, with 2002h, by 2020:03.
 
-    `save` keeps the active table, as the content of 2020:01; it is active again after a reset.
+    `save` keeps the active table, as the content of 2020:01; it is active again after a reset. 2020:06 is
+    its CRC.
     """
 
     def __init__(self, dictionary: Dictionary, chain: SignalChain, storage: Storage) -> None:
@@ -32,6 +35,7 @@ class TableStore:
         staged.on_check = _check_table
         staged.on_written = self._stage
         staged.on_read = self._read_active
+        dictionary.entry(*od.TABLE_SAVED_CRC).on_read = self._saved_crc
         activate.on_written = self._activate
         activate.on_download = storage.configuration_changed
         storage.entries.keep(*od.TABLE_STAGED, saved=self._saved)
@@ -57,6 +61,13 @@ class TableStore:
     def _saved(self) -> bytes:
         table = self._chain.correction.table
         return b"" if table is None else table.to_bytes()
+
+    def _saved_crc(self) -> int:
+        """0 for the identity, and where nothing is saved: both bring the identity."""
+        for record in self._storage.records(ParameterGroup.MANUFACTURER) or ():
+            if (record.index, record.subindex) == od.TABLE_STAGED and record.data:
+                return zlib.crc32(record.data)
+        return 0
 
     def _stage(self) -> None:
         data: bytes = self._content.value

@@ -1,0 +1,106 @@
+"""``canfb backup NODE FILE`` and ``canfb restore FILE``: table and parameters of a module as a file."""
+
+from __future__ import annotations
+
+import argparse
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from canfb.bus.wall_clock import date_and_time
+from canfb.cli import node_options
+from canfb.cli.options import Commands, add_command, node_number
+from canfb.commissioning.access import Master, NodeAccess
+from canfb.commissioning.backup_file import Backup, NodeIdentity, backup_text, read_backup
+from canfb.commissioning.backup_restoring import Restoring, Wishes
+from canfb.commissioning.backup_words import backup_figures, backup_lines, restored_figures, restored_lines
+from canfb.commissioning.module_objects import ModuleObjects
+from canfb.commissioning.object_description import ObjectDescriptions
+from canfb.commissioning.session import IDENTITY
+from canfb.commissioning.whole_file import check_writable, write_whole
+from canfb.eds_files import eds_path
+from canfb.module.backup_content import OF_THE_MACHINE, backup_values, restored_configuration
+from canfb.module.feedback_module import EDS
+from canfb.module.read_configuration import read_configuration
+
+
+def register(commands: Commands) -> None:
+    """Add both commands."""
+    parser = add_command(
+        commands, "backup", "write table and all parameters of a module to a file (YAML)", backup
+    )
+    node_options.add_node(parser)
+    parser.add_argument("file", metavar="FILE", type=Path, help="replaced")
+    node_options.add_access_options(parser)
+
+    parser = add_command(
+        commands, "restore", "write a backup to a module, prove it, or put back what was before", restore
+    )
+    parser.add_argument("file", metavar="FILE", type=Path, help="what canfb backup wrote")
+    parser.add_argument(
+        "--node", type=node_number, metavar="ID", help="the module (default: the node-ID in the file)"
+    )
+    parser.add_argument("--save", action="store_true", help="save all parameters at the end (1010h)")
+    parser.add_argument(
+        "--preop", action="store_true", help="send the node to PRE-OPERATIONAL first; it stays there"
+    )
+    parser.add_argument("--dry-run", action="store_true", help="only say what would change")
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="also a backup of another major revision, less the parameters that this version does not know",
+    )
+    node_options.add_access_options(parser)
+
+
+def backup(options: argparse.Namespace) -> int:
+    """From the module to the file."""
+    check_writable(options.file)
+    described = ObjectDescriptions(eds_path(EDS), options.node)
+    with node_options.master_of(options) as master:
+        found = backup_of(master, options.node, date_and_time())
+    write_whole(options.file, backup_text(found, described).encode())
+    return node_options.say_result(
+        options, backup_figures(found, options.file), backup_lines(found, options.file)
+    )
+
+
+def backup_of(master: Master, node_id: int, date: str) -> Backup:
+    """What a module holds now. CanfbError where it cannot be read, or is none."""
+    objects, module = ModuleObjects(master, node_id), NodeAccess(master, node_id, "module")
+    configuration = read_configuration(objects)
+    template = ObjectDescriptions(eds_path(EDS), node_id)
+    machine: dict[tuple[int, int], Any] = {}
+    for place in OF_THE_MACHINE:
+        entry = template.find(*place)
+        if entry is not None:
+            machine[entry.place] = entry.decode(objects.data(*place))
+    return Backup(
+        node_id,
+        NodeIdentity(*(module.integer(*place, "I") for place in IDENTITY)),
+        date,
+        version("canfb"),
+        objects.data(0x1008, 0).decode("latin-1"),
+        backup_values(configuration),
+        configuration.table,
+        machine,
+    )
+
+
+def restore(options: argparse.Namespace) -> int:
+    """From the file to the module."""
+    kept = read_backup(options.file, ObjectDescriptions(eds_path(EDS), 1), options.force)
+    node = options.node or kept.node_id
+    wishes = Wishes(options.save, options.force, options.preop, options.dry_run)
+    with node_options.guarded() as guard, node_options.master_of(options) as master:
+        restoring = Restoring(
+            NodeAccess(master, node, "module"), lambda: read_configuration(ModuleObjects(master, node)), guard
+        )
+        done = restoring.restore(
+            kept,
+            lambda before: restored_configuration(kept.values, before, kept.table, kept.node_id, node),
+            wishes,
+        )
+    described = ObjectDescriptions(eds_path(EDS), node)
+    lines = restored_lines(options.file, kept, done, described)
+    return node_options.say_result(options, restored_figures(options.file, kept, done), lines)

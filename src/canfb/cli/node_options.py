@@ -1,0 +1,63 @@
+"""Options of the commands that speak to one node over the bus."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from canfb.bus.master import BusMaster
+from canfb.bus.opening import open_bus
+from canfb.bus.runner import ending_on_signals
+from canfb.cli.options import add_bus_options, bus_options, node_number
+from canfb.cli.printing import report
+from canfb.commissioning.access import Master
+from canfb.commissioning.guard import Guard
+from canfb.configuration import load_config
+from canfb.errors import ConfigError
+
+
+def add_node(parser: argparse.ArgumentParser) -> None:
+    """NODE."""
+    parser.add_argument("node", metavar="NODE", type=node_number, help="node-ID such as 32 or 0x20")
+
+
+def add_access_options(parser: argparse.ArgumentParser) -> None:
+    """The bus, the time for an answer, and ``--json``."""
+    parser.add_argument("--json", action="store_true", help="the result, for programs")
+    parser.add_argument("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration")
+    parser.add_argument(
+        "--answer-within", type=float, default=1.0, metavar="S", help="time for an SDO answer (1)"
+    )
+    add_bus_options(parser)
+
+
+@contextlib.contextmanager
+def master_of(options: argparse.Namespace) -> Iterator[Master]:
+    """A master on the bus of the options. ConfigError for wrong ones, BusError for a bus that fails."""
+    if not 0.01 <= options.answer_within <= 60.0:
+        raise ConfigError(f"--answer-within {options.answer_within:g}: must be 0.01 to 60")
+    configured = load_config(options.config).bus if options.config else {}
+    words = bus_options(options, configured)
+    with BusMaster(open_bus(words), options.answer_within) as master:
+        yield master
+
+
+@contextlib.contextmanager
+def guarded() -> Iterator[Guard]:
+    """For what changes a node: Ctrl-C, SIGTERM and SIGHUP put back what was, and say so."""
+    guard = Guard()
+    try:
+        with ending_on_signals(guard.interrupt):
+            yield guard
+    except KeyboardInterrupt:
+        report("interrupted; the node is as it was")
+        raise
+
+
+def say_result(options: argparse.Namespace, figures: Any, lines: list[str]) -> int:
+    """On standard output, for programs or for people; exit code 0."""
+    print(json.dumps(figures, indent=2) if options.json else "\n".join(lines))
+    return 0

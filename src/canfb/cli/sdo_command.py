@@ -1,0 +1,95 @@
+"""``canfb sdo read|write NODE OBJECT``: one object of a node, by its name in the EDS or its number."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from canfb.cli import node_options
+from canfb.cli.options import Commands, add_command
+from canfb.commissioning.access import CommissioningError, Master, NodeAccess
+from canfb.commissioning.marked_yaml import read_bytes
+from canfb.commissioning.object_description import ObjectDescriptions
+from canfb.commissioning.sdo_tasks import SdoTasks, described_by
+from canfb.commissioning.whole_file import check_writable, write_whole
+from canfb.eds_files import eds_path
+from canfb.errors import ConfigError
+
+OURS = ("canfb-module", "encoder-interface", "drive")
+OBJECT = """the name in the EDS or its beginning, in any case ("residual limit", "supervision: residual"), \
+or index:sub as manuals have it, hexadecimal (2010:01)"""
+
+
+def register(commands: Commands) -> None:
+    """Add the commands."""
+    parser = commands.add_parser(
+        "sdo",
+        help="read or write one object of a node, by name or number",
+        description="One object of a node by SDO. Names, types and units are those of its EDS.",
+    )
+    parts = parser.add_subparsers(dest="part", required=True, metavar="read|write")
+    part = _add(parts, "read", "read an object; without :sub, all of a record", read)
+    part.add_argument("--out", type=Path, metavar="FILE", help="write the bytes to a file; replaced")
+    _finish(part)
+    part = _add(parts, "write", "write an object, and read it back", write)
+    part.add_argument(
+        "value",
+        metavar="VALUE",
+        nargs="?",
+        help="12, 0x1F, -3.5, a text, bytes in hexadecimal, or a word (save, start)",
+    )
+    part.add_argument("--file", type=Path, metavar="FILE", help="the bytes of a file instead of a VALUE")
+    _finish(part)
+
+
+def _add(parts: Commands, name: str, summary: str, action: object) -> argparse.ArgumentParser:
+    part = add_command(parts, name, summary, action)  # type: ignore[arg-type]
+    node_options.add_node(part)
+    part.add_argument("object", metavar="OBJECT", help=OBJECT)
+    return part
+
+
+def _finish(part: argparse.ArgumentParser) -> None:
+    part.add_argument("--eds", type=Path, metavar="FILE", help="EDS or DCF of a node that is not of canfb")
+    node_options.add_access_options(part)
+
+
+def _tasks(master: Master, options: argparse.Namespace) -> SdoTasks:
+    node = NodeAccess(master, options.node, "node")
+    if options.eds is not None:
+        return SdoTasks(node, ObjectDescriptions(options.eds, options.node))
+    return SdoTasks(node, described_by(node, map(eds_path, OURS), options.object))
+
+
+def read(options: argparse.Namespace) -> int:
+    """Print what an object holds."""
+    if options.out is not None:
+        check_writable(options.out)
+    with node_options.master_of(options) as master:
+        readings = _tasks(master, options).read(options.object)
+    if options.out is not None:
+        if len(readings) > 1:
+            raise ConfigError(f"--out: {options.object!r} has several entries; give one of them, index:sub")
+        write_whole(options.out, readings[0].data)
+    return node_options.say_result(
+        options,
+        [reading.figures() for reading in readings],
+        [reading.line() for reading in readings]
+        if options.out is None
+        else [f"{options.out}: {readings[0].entry.title}, {len(readings[0].data)} bytes"],
+    )
+
+
+def write(options: argparse.Namespace) -> int:
+    """Write an object, and print what it holds now."""
+    if (options.value is None) == (options.file is None):
+        raise ConfigError("a VALUE or --file FILE is required, one of them")
+    value = options.value if options.file is None else read_bytes(options.file, CommissioningError)
+    with node_options.master_of(options) as master:
+        before, now, written = _tasks(master, options).write(options.object, value)
+    if before is None or now is None:
+        line = f"{written.line()}, written"
+    else:
+        line = f"{written.entry.number} {written.entry.title}: {before.text()} -> {now.text()}"
+    figures = {"before": before and before.figures(), "now": now and now.figures()}
+    return node_options.say_result(options, figures | {"written": written.figures()}, [line])

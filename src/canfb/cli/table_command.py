@@ -1,0 +1,110 @@
+"""``canfb table show|upload|download|activate|clear``: the correction table of a module."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from canfb.bus.wall_clock import date_and_time
+from canfb.cli import node_options
+from canfb.cli.options import Commands, add_command, node_number
+from canfb.commissioning.access import NodeAccess
+from canfb.commissioning.table_file import read_table_file
+from canfb.commissioning.table_state import TableState
+from canfb.commissioning.table_tasks import Change, TableTasks
+from canfb.commissioning.whole_file import check_writable
+from canfb.errors import ConfigError
+
+FILES = "FILE.yaml, or the bytes of 2020:01 under any other name"
+
+
+def register(commands: Commands) -> None:
+    """Add the commands."""
+    parser = commands.add_parser(
+        "table",
+        help="show, upload, download, activate or clear the correction table of a module",
+        description="The correction table (2020h) and the conditioning (2002h) of a module. upload is from a "
+        "file to the module, download from the module to a file; CiA 301 calls these SDO transfers the other "
+        "way round.",
+    )
+    parts = parser.add_subparsers(dest="part", required=True, metavar="show|upload|download|activate|clear")
+    part = add_command(parts, "show", "show the table of a module or of a file", show)
+    part.add_argument("what", metavar="NODE|FILE", help="node-ID such as 32 or 0x20, or a table file")
+    node_options.add_access_options(part)
+
+    part = _add(parts, "upload", "write the table of a file to the module, and stage it", upload)
+    part.add_argument("file", metavar="FILE", type=Path, help=f"as canfb calibrate writes it: {FILES}")
+    part.add_argument("--activate", action="store_true", help="put it in force at once")
+    _finish(part, "with --activate: save it (1010h)")
+
+    part = _add(parts, "download", "write the active table of the module to a file", download)
+    part.add_argument("file", metavar="FILE", type=Path, help=f"{FILES}; replaced")
+    node_options.add_access_options(part)
+
+    part = _add(parts, "activate", "put the staged table in force", activate)
+    _finish(part, "save it (1010h)")
+
+    part = _add(parts, "clear", "go back to the identity: no table", clear)
+    part.add_argument("--conditioning", action="store_true", help="clear the conditioning (2002h) as well")
+    _finish(part, "save it (1010h)")
+
+
+def _add(parts: Commands, name: str, summary: str, action: object) -> argparse.ArgumentParser:
+    part = add_command(parts, name, summary, action)  # type: ignore[arg-type]
+    node_options.add_node(part)
+    return part
+
+
+def _finish(part: argparse.ArgumentParser, saves: str) -> None:
+    part.add_argument("--save", action="store_true", help=saves)
+    node_options.add_access_options(part)
+
+
+def show(options: argparse.Namespace) -> int:
+    """The table of a node, or of a file."""
+    try:
+        node = node_number(options.what)
+    except argparse.ArgumentTypeError:
+        if not Path(options.what).exists():
+            raise ConfigError(f"{options.what}: neither a node-ID (1 to 127) nor a file") from None
+        state = TableState.of_file(read_table_file(options.what))
+    else:
+        with node_options.master_of(options) as master:
+            state = TableState.of_module(NodeAccess(master, node, "module"))
+    return node_options.say_result(options, state.figures(), state.lines())
+
+
+def upload(options: argparse.Namespace) -> int:
+    """From the file to the module."""
+    if options.save and not options.activate:
+        raise ConfigError("--save: only with --activate, as a staged table is not saved")
+    file = read_table_file(options.file)
+    with node_options.guarded() as guard, node_options.master_of(options) as master:
+        tasks = TableTasks(NodeAccess(master, options.node, "module"), guard)
+        return _say(options, tasks.upload(file, active=options.activate, keep=options.save))
+
+
+def download(options: argparse.Namespace) -> int:
+    """From the module to the file."""
+    check_writable(options.file)
+    with node_options.guarded() as guard, node_options.master_of(options) as master:
+        tasks = TableTasks(NodeAccess(master, options.node, "module"), guard)
+        return _say(options, tasks.download(options.file, date_and_time()))
+
+
+def activate(options: argparse.Namespace) -> int:
+    """The staged table is put in force."""
+    with node_options.guarded() as guard, node_options.master_of(options) as master:
+        tasks = TableTasks(NodeAccess(master, options.node, "module"), guard)
+        return _say(options, tasks.activate(keep=options.save))
+
+
+def clear(options: argparse.Namespace) -> int:
+    """No table."""
+    with node_options.guarded() as guard, node_options.master_of(options) as master:
+        tasks = TableTasks(NodeAccess(master, options.node, "module"), guard)
+        return _say(options, tasks.clear(conditioning=options.conditioning, keep=options.save))
+
+
+def _say(options: argparse.Namespace, change: Change) -> int:
+    return node_options.say_result(options, change.figures(), change.lines)
