@@ -238,6 +238,17 @@ def test_a_pause_while_the_machine_turns_loses_the_position(speed: float, stampe
 
 
 @BOTH
+@pytest.mark.parametrize("command", [0x80, 0x02])
+def test_in_a_pause_nothing_that_can_be_read_is_valid(command: int, stamped: bool) -> None:
+    machine = Machine(stamped, lambda at: 3.7)
+    status = machine.module.dictionary.entry(0x2011, 1)
+    machine.run(1, 60)
+    assert status.current() & VALID
+    machine.nmt(command, 59.9)
+    assert not status.current() & VALID
+
+
+@BOTH
 def test_after_a_pause_at_standstill_four_samples_confirm_the_position(stamped: bool) -> None:
     machine = Machine(stamped, lambda at: 3.7)
     machine.run(1, 60)

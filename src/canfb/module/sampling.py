@@ -114,7 +114,8 @@ class Sampling:
             self.pairing.begin()
 
     def pause(self, now: float) -> None:
-        """OPERATIONAL ends."""
+        """OPERATIONAL ends: nobody counts, and what can be read by SDO is not valid any more."""
+        self._publishing.withhold()
         timeline = self.timeline
         self._paused_s = timeline.synced_s if timeline.begun else now
         timeline.pause()
