@@ -117,6 +117,27 @@ class StatusBit(IntFlag):
     EXTRAPOLATED = 1 << 12
 
 
+class EncoderEmergency(IntEnum):
+    """Emergency error codes of the warnings 6505h, FF10h plus the number of the bit, and their meaning."""
+
+    text: str
+
+    def __new__(cls, value: int, text: str) -> EncoderEmergency:
+        """Make the member with its text."""
+        member = int.__new__(cls, value)
+        member._value_ = value
+        member.text = text
+        return member
+
+    FREQUENCY = 0xFF10, "residual near its limit"
+    AMPLITUDE_LOW = 0xFF11, "low amplitude"
+    NOT_REFERENCED = 0xFF15, "zero pulse not yet confirmed"
+
+
+EMERGENCY_TEXTS: Final = {int(code): code.text for code in EncoderEmergency}
+"""What the emergency error codes of the module mean, beyond those of CiA 301."""
+
+
 COUNTER_MISSED: Final = Multiplexer(0x2012, 1)
 COUNTER_RESIDUAL: Final = Multiplexer(0x2012, 2)
 COUNTER_AMPLITUDE: Final = Multiplexer(0x2012, 3)
