@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from enum import StrEnum
 
 from canfb import objects as od
 from canfb.cia301.codes import emergency_text
@@ -17,48 +16,11 @@ from canfb.module.parameters import Limits
 from canfb.module.timeline import Timeline
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
-from canfb.signal.supervision import (
-    AMPLITUDE,
-    CLIPPED,
-    COARSE,
-    COASTING,
-    FROZEN,
-    LOST,
-    MISSED,
-    REFERENCED,
-    RESIDUAL,
-    VALID,
-)
+from canfb.signal.supervision import AMPLITUDE, MISSED, REFERENCED, RESIDUAL
 
 NEVER_SEEN = -1  # no status word
+FAULTS = sum(od.FAULT_WORDS)
 ANOTHER_RATE = 0.05  # relative change of the SYNC rate that is an event
-FAULTS = {
-    MISSED: "sample missed",
-    RESIDUAL: "residual over its limit",
-    AMPLITUDE: "amplitude outside of its limits",
-    CLIPPED: "clipped",
-    FROZEN: "frozen input",
-    COARSE: "coarse track disagrees",
-}
-"""Bits of the status word that take the valid bit, in words."""
-
-
-class PositionState(StrEnum):
-    """What the status word says of the position."""
-
-    VALID = "valid"
-    COASTING = "coasting"
-    LOST = "lost"
-    NOT_VALID = "not valid"
-
-
-def state_of(status: int) -> PositionState:
-    """The position by the bits of the status word 2011:01."""
-    if status & VALID:
-        return PositionState.VALID
-    if status & LOST:
-        return PositionState.LOST
-    return PositionState.COASTING if status & COASTING else PositionState.NOT_VALID
 
 
 class EventWatch:
@@ -84,7 +46,7 @@ class EventWatch:
         """After a reset of the node: no sample."""
         self.status = NEVER_SEEN
         self._sampled = False
-        self._state: PositionState | None = None
+        self._state: od.PositionState | None = None
         self._causes = 0
         self._not_valid_s = 0.0
 
@@ -121,8 +83,8 @@ class EventWatch:
             self._sampled = True
             values = {"sine_counts": feedback.sine, "cosine_counts": feedback.cosine}
             self._tell(EventKind.FIRST_SAMPLE, now, f"first sample, {self._amplitude(feedback)}", **values)
-        self._causes |= feedback.status & sum(FAULTS)
-        state = state_of(feedback.status)
+        self._causes |= feedback.status & FAULTS
+        state = od.position_state(feedback.status)
         if state is not self._state:
             self._changed(state, feedback, now)
         elif before != NEVER_SEEN and feedback.status & ~before & REFERENCED:
@@ -130,15 +92,15 @@ class EventWatch:
 
     def outdated(self, now: float) -> None:
         """What was published is not the position any more, and nothing takes its place."""
-        if self._state is PositionState.VALID:
-            self._state, self.status, self._not_valid_s = PositionState.NOT_VALID, NEVER_SEEN, now
+        if self._state is od.PositionState.VALID:
+            self._state, self.status, self._not_valid_s = od.PositionState.NOT_VALID, NEVER_SEEN, now
             self._tell(
                 EventKind.POSITION, now, "position not valid: no SYNC and no sample", state=self._state
             )
 
     def fault(self, feedback: Feedback, now: float) -> None:
         """A sample without a valid position, if `detailed`."""
-        if (faults := _words(feedback.status)) and self.on_event is not None:
+        if (faults := od.fault_words(feedback.status)) and self.on_event is not None:
             text = f"sample {feedback.samples}: {', '.join(self._reasons(feedback, feedback.status))}"
             self._tell(EventKind.FAULT, now, text, sample=feedback.samples, faults=faults)
 
@@ -169,15 +131,15 @@ class EventWatch:
                 text = f"parameters {what}: {', '.join(names)}"
                 self._tell(EventKind.SAVED, now, text, groups=names, dropped=groups is forgotten)
 
-    def _changed(self, state: PositionState, feedback: Feedback, now: float) -> None:
+    def _changed(self, state: od.PositionState, feedback: Feedback, now: float) -> None:
         """Another state of the position; a reason is all that went wrong since it was valid."""
         before, self._state = self._state, state
-        if state is PositionState.VALID:
+        if state is od.PositionState.VALID:
             self._causes = 0
             again = "" if before is None else f" again, after {_time(now - self._not_valid_s)}"
             text, reasons = f"position valid{again}", []
         else:
-            if before in (None, PositionState.VALID):
+            if before in (None, od.PositionState.VALID):
                 self._not_valid_s = now
             reasons = self._reasons(feedback, self._causes) or [_without_fault(state)]
             text = f"position {state}: {', '.join(reasons)}"
@@ -187,7 +149,7 @@ class EventWatch:
             now,
             text,
             state=str(state),
-            faults=_words(feedback.status | self._causes),
+            faults=od.fault_words(feedback.status | self._causes),
             status=feedback.status,
             residual_cycles=residual,
             residual_limit_cycles=self._limits.residual_limit_cycles,
@@ -202,7 +164,9 @@ class EventWatch:
         }
         now = feedback.status
         return [
-            figures.get(bit, words) if now & bit else words for bit, words in FAULTS.items() if bits & bit
+            figures.get(bit, words) if now & bit else words
+            for bit, words in od.FAULT_WORDS.items()
+            if bits & bit
         ]
 
     def _amplitude(self, feedback: Feedback) -> str:
@@ -216,15 +180,13 @@ class EventWatch:
             self.on_event(Event(kind, now, text, values))
 
 
-def _words(status: int) -> list[str]:
-    return [words for bit, words in FAULTS.items() if status & bit]
-
-
-def _without_fault(state: PositionState) -> str:
-    if state is PositionState.COASTING:
+def _without_fault(state: od.PositionState) -> str:
+    if state is od.PositionState.COASTING:
         return "not confirmed yet"
     return (
-        "the sampling intervals could not be counted" if state is PositionState.LOST else "no reference yet"
+        "the sampling intervals could not be counted"
+        if state is od.PositionState.LOST
+        else "no reference yet"
     )
 
 

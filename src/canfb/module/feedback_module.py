@@ -10,14 +10,13 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.moment import NEVER
 from canfb.device.node import Node
-from canfb.device.od.dictionary import Dictionary
 from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import Store
-from canfb.eds_files import eds_path
 from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.cia406.cyclic_timer import CyclicTimer
 from canfb.module.cia406.operating_time import OperatingTime
 from canfb.module.cia406.position_alarm import REGISTER
+from canfb.module.delivered import delivered_dictionary
 from canfb.module.event_watch import EventWatch
 from canfb.module.interval import IntervalEstimate
 from canfb.module.jitter_watch import JitterWatch
@@ -27,7 +26,7 @@ from canfb.module.objects.calibrating import Calibrating
 from canfb.module.objects.recorder import Recorder
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.objects.table_store import TableStore
-from canfb.module.parameters import Limits, apply_defaults, configured_defaults, without_adc_pdo
+from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.module.sampling import Sampling
 from canfb.module.tap import Taps
@@ -36,7 +35,6 @@ from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.sources.protocol import Source
 
-EDS = "canfb-module"
 COMMANDS = (od.MEASUREMENT_COMMAND.object_index, od.RECORDING_COMMAND.object_index)
 
 
@@ -69,7 +67,7 @@ class FeedbackModule:
     ) -> None:
         _check(config, source)
         self.config = config
-        self.dictionary = _dictionary(config, source)
+        self.dictionary = delivered_dictionary(config, samples_itself=source is not None)
         self.chain = SignalChain(ChainConfig())  # limits and correction are those of the dictionary
         self.node = Node(
             self.dictionary,
@@ -337,12 +335,3 @@ def _check(config: ModuleConfig, source: Source | None) -> None:
         )
     if config.source is not None and source is None:
         raise ValueError(f"config.source is {config.source.kind!r}: open it, and pass it as source=")
-
-
-def _dictionary(config: ModuleConfig, source: Source | None) -> Dictionary:
-    """The objects of the EDS, with the defaults of this configuration."""
-    dictionary = Dictionary.load(eds_path(EDS), config.node_id)
-    apply_defaults(dictionary, configured_defaults(config))
-    if source is not None:
-        apply_defaults(dictionary, without_adc_pdo(config))
-    return dictionary
