@@ -94,5 +94,5 @@ $(LOWEST)/.installed: pyproject.toml tools/suite/lowest.py
 	@$(PYTHON) -m venv --clear $(LOWEST)
 	@$(PYTHON) -m tools.suite.lowest >$(LOWEST)/constraints.txt
 	@$(LOWEST)/bin/python -m pip install --quiet --quiet --disable-pip-version-check \
-		--constraint $(LOWEST)/constraints.txt --editable . pytest hypothesis
+		--constraint $(LOWEST)/constraints.txt --editable '.[monitor]' pytest hypothesis
 	@touch $@

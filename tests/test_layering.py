@@ -35,11 +35,13 @@ ALLOWED: dict[str, set[str]] = {
     # Pictures need what is measured, and nothing of how: so the demo and every tool on top may use them.
     "report": {"signal", "calibration"},
     "commissioning": {"signal", "calibration", "sources", "report"} | WORDS,
-    "bus": {"signal", "sources", "module", "device", "simulation", "configuration"} | WORDS,
+    # What others tell of themselves on the bus; so it may watch modules that are not ours.
+    "monitoring": WORDS - {"checks"},
+    "bus": {"signal", "sources", "module", "device", "simulation", "configuration", "monitoring"} | WORDS,
     "demo": {"signal", "calibration", "report", "device", "sources", "module", "simulation", "configuration",
              "eds_files"} | WORDS,
     "cli": {"signal", "calibration", "device", "sources", "module", "simulation", "configuration",
-            "eds_files", "bus", "demo", "commissioning", "report"} | WORDS,
+            "eds_files", "bus", "demo", "commissioning", "report", "monitoring"} | WORDS,
     # StateFiles of bus, when it is asked for.
     "__init__": {"signal", "calibration", "module", "configuration", "eds_files", "bus"} | WORDS,
     "__main__": {"cli"},
@@ -53,7 +55,7 @@ MAY_NAME_A_KIND = {"sources", "simulation", "demo", "commissioning", "cli"}
 
 # What each part may import of other packages. canopen reads the EDS for the device, and is the master of
 # the demo and of the tools; python-can has the words of the command line; libiio has the converter of a
-# source, which a thread of bus waits for.
+# source, which a thread of bus waits for; rich draws the page of the monitor.
 FOREIGN: dict[str, set[str]] = {
     "signal": {"numpy"},
     "calibration": {"numpy"},
@@ -65,7 +67,8 @@ FOREIGN: dict[str, set[str]] = {
     "commissioning": {"numpy", "canopen", "can", "yaml"},
     "bus": {"can", "canopen"},
     "demo": {"numpy", "canopen"},
-    "cli": {"can"},
+    "monitoring": {"rich"},
+    "cli": {"can", "rich"},
 }
 # Clocks, threads and sockets have one place.
 OUTSIDE_WORLD = {"time", "threading", "socket", "select", "selectors", "asyncio", "datetime", "signal",

@@ -6,7 +6,7 @@ of words of the EDS; those of the encoder interface begin with INTERFACE.
 
 from __future__ import annotations
 
-from enum import IntEnum, IntFlag
+from enum import IntEnum, IntFlag, StrEnum
 from typing import Final, NamedTuple
 
 
@@ -115,6 +115,61 @@ class StatusBit(IntFlag):
     CALIBRATING = 1 << 10
     FROZEN = 1 << 11
     EXTRAPOLATED = 1 << 12
+
+
+FAULT_WORDS: Final[dict[int, str]] = {
+    StatusBit.MISSED.value: "sample missed",
+    StatusBit.RESIDUAL.value: "residual over its limit",
+    StatusBit.AMPLITUDE.value: "amplitude outside of its limits",
+    StatusBit.CLIPPED.value: "clipped",
+    StatusBit.FROZEN.value: "frozen input",
+    StatusBit.COARSE.value: "coarse track disagrees",
+}
+"""Bits of the status word that take the valid bit, in words."""
+
+
+def fault_words(status: int) -> list[str]:
+    """What is wrong by the status word 2011:01."""
+    return [words for bit, words in FAULT_WORDS.items() if status & bit]
+
+
+class PositionState(StrEnum):
+    """What the status word says of the position."""
+
+    VALID = "valid"
+    COASTING = "coasting"
+    LOST = "lost"
+    NOT_VALID = "not valid"
+
+
+def position_state(status: int) -> PositionState:
+    """The position by the bits of the status word 2011:01."""
+    if status & StatusBit.VALID:
+        return PositionState.VALID
+    if status & StatusBit.LOST:
+        return PositionState.LOST
+    return PositionState.COASTING if status & StatusBit.COASTING else PositionState.NOT_VALID
+
+
+class EncoderEmergency(IntEnum):
+    """Emergency error codes of the warnings 6505h, FF10h plus the number of the bit, and their meaning."""
+
+    text: str
+
+    def __new__(cls, value: int, text: str) -> EncoderEmergency:
+        """Make the member with its text."""
+        member = int.__new__(cls, value)
+        member._value_ = value
+        member.text = text
+        return member
+
+    FREQUENCY = 0xFF10, "residual near its limit"
+    AMPLITUDE_LOW = 0xFF11, "low amplitude"
+    NOT_REFERENCED = 0xFF15, "zero pulse not yet confirmed"
+
+
+EMERGENCY_TEXTS: Final = {int(code): code.text for code in EncoderEmergency}
+"""What the emergency error codes of the module mean, beyond those of CiA 301."""
 
 
 COUNTER_MISSED: Final = Multiplexer(0x2012, 1)

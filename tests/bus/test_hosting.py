@@ -42,6 +42,9 @@ def test_the_log_has_the_lines_of_the_command(
         hosting.run(ready=hosting.stop)
     records = list(caplog.records)
     assert capsys.readouterr() == ("", ""), "nothing but the log"
+    events = [record for record in records if record.name == "canfb.bus.event_log"]
+    assert [record.event["event"] for record in events] == ["nmt", "nmt"]  # type: ignore[attr-defined]
+    records = [record for record in records if record not in events]
     assert {record.name for record in records} == {"canfb.bus.hosting"}
     caplog.clear()
     monkeypatch.setattr(Readiness, "ready", lambda readiness: signal.raise_signal(signal.SIGTERM))
@@ -49,7 +52,9 @@ def test_the_log_has_the_lines_of_the_command(
     out, err = capsys.readouterr()
     told = [record.getMessage() for record in records if record.levelno == logging.INFO]
     warned = [record.getMessage() for record in records if record.levelno == logging.WARNING]
-    assert out.splitlines() == told
+    boots = [f"node {node}: boot-up, PRE-OPERATIONAL" for node in ("32 (20h)", "33 (21h)")]
+    assert [line.split(" ", 2)[2] for line in out.splitlines()[2:4]] == boots
+    assert out.splitlines()[:2] + out.splitlines()[4:] == told
     assert told[0] == "running node 32 (20h), 33 (21h) on virtual hosting; end with Ctrl-C"
     assert told[1].startswith(
         "node 32 (20h), 33 (21h): without sample times the jitter of SYNC limits the speed"

@@ -107,8 +107,8 @@ def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
         clock = FakeClock()
         bus = EndingBus(clock, plan)
 
-        def make_runner(bus: Any, devices: Any) -> Runner:
-            bus.runner = Runner(bus, devices, clock=clock, sleep=clock.sleep)
+        def make_runner(bus: Any, devices: Any, meanwhile: Any) -> Runner:
+            bus.runner = Runner(bus, devices, clock=clock, sleep=clock.sleep, meanwhile=meanwhile)
             return bus.runner
 
         monkeypatch.setattr(on_bus, "open_bus", lambda words: contextlib.nullcontext(bus))
@@ -154,7 +154,13 @@ def test_each_has_its_own_positions_and_its_own_faults(
     assert len({tuple(story.positions(node)) for node in NODES}) == len(NODES)
     assert 0x180 + NEWCOMER not in story.sent, "it waits for LSS"
     names = ", ".join(f"{node} ({node:02X}h)" for node in NODES)
-    first, speed, *summaries = out.splitlines()
+    first, speed, *rest = out.splitlines()
+    summaries = [line for line in rest if line.startswith("node ")]
+    events = rest[: len(rest) - len(summaries)]
+    assert rest == events + summaries
+    for node in NODES:
+        told = [line.partition("): ")[2] for line in events if f" node {node} (" in line]
+        assert told[:2] == ["boot-up, PRE-OPERATIONAL", "OPERATIONAL"]
     names += f", without a node-ID yet (LSS, serial number {SERIAL})"
     assert first == f"running node {names} on socketcan can7; end with Ctrl-C"
     assert speed.startswith(f"node {names}: without sample times the jitter of SYNC limits the speed: ")

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from canfb.bus.captured_source import CapturedSource
+from canfb.bus.event_log import EventLog
 from canfb.bus.module_lines import name_of, speeds_of, summary_of, title_of, what_is_saved
 from canfb.bus.on_bus import OnBus
 from canfb.bus.opening import describe
@@ -31,22 +32,31 @@ class Hosting(OnBus):
     """The modules of a configuration on a bus. Use it as a context manager around :meth:`run`.
 
     ``words`` are python-can's own for the bus (interface, channel, ...), those of the configuration if not
-    given. What there is to say goes to the loggers ``canfb.*``: information on what runs, warnings on what
-    fails and on what works again. ConfigError for a bus on which a device would hear itself; CanfbError, on
+    given. What there is to say goes to the loggers ``canfb.*``: information on what runs and what happens
+    (:class:`.EventLog`, which ``verbose`` makes say more), warnings on what fails and on what works again.
+    ConfigError for a bus on which a device would hear itself; CanfbError, on
     entering, for a bus, a state_dir or a source that cannot be used.
     """
 
-    def __init__(self, config: Config, words: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, config: Config, words: Mapping[str, Any] | None = None, *, verbose: bool = False
+    ) -> None:
         super().__init__(config.bus if words is None else words, config.realtime)
         self.config = config
         self.modules: list[FeedbackModule] = []
+        self._events = EventLog(verbose)
 
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
         config = self.config
         self.modules = [
             make_module(module, resources, self.words, config.simulation) for module in config.modules
         ]
+        for made in self.modules:
+            self._events.watch(made)
         return list(self.modules)
+
+    def _meanwhile(self, now: float) -> None:
+        self._events.tick(now)
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Serve the modules until :meth:`stop`. ``ready`` is called when they are on the bus.
@@ -63,6 +73,7 @@ class Hosting(OnBus):
         def on_the_bus() -> None:
             for line in (f"running node {nodes} on {describe(self.words)}; end with Ctrl-C", *saved, *speeds):
                 log.info(line)
+            self._events.begin()
             ready()
 
         try:
@@ -71,6 +82,7 @@ class Hosting(OnBus):
             (failed,) = (module for module in self.modules if module is failure.device)
             raise CanfbError(f"{title_of(failed)}: {failure}; all modules of the process end") from failure
         finally:
+            self._events.close(max(module.node.now for module in self.modules))
             for module in self.modules:
                 log.info(summary_of(module))
 

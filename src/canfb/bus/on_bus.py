@@ -33,11 +33,14 @@ class OnBus(ABC):
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
         """The devices; what they have open is closed with ``resources``. Before the bus is opened."""
 
+    def _meanwhile(self, now: float) -> None:  # noqa: B027
+        """Called now and then, between frames."""
+
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as opened:
             devices = self._make_devices(opened)
             bus = opened.enter_context(open_bus(self.words))
-            self._runner = Runner(bus, devices)
+            self._runner = Runner(bus, devices, meanwhile=self._meanwhile)
             apply_realtime(self._realtime)
             self._resources = opened.pop_all()
         return self

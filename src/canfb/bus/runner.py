@@ -64,6 +64,7 @@ class Runner:
     round late takes all frames that wait before it looks at a deadline: SYNC and samples may be among
     them, and nothing was late then but the runner.
 
+    ``meanwhile`` is called now and then with the time, some hundred times a second at most.
     ``clock``, ``sleep`` and ``wall`` (the time of day) are those of the system, but for tests.
     """
 
@@ -75,10 +76,12 @@ class Runner:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
         wall: Callable[[], float] = time.time,
+        meanwhile: Callable[[float], None] = lambda now: None,
     ) -> None:
         self.counters = BusCounters()
         self._bus = bus
         self._devices = devices
+        self._meanwhile = meanwhile
         self._clock = clock
         self._sleep = sleep
         self._times = ReceiveTimes(clock, wall)
@@ -249,6 +252,7 @@ class Runner:
             frames = self._asked(device, computation.poll, self._clock())
             if frames:
                 self._spread(device, frames)
+        self._meanwhile(self._asked_s)
 
     def _asked(self, device: Device, method: Callable[[float], list[Frame]], now: float) -> list[Frame]:
         """What a method of the device gives; DeviceFailure for what it raises."""

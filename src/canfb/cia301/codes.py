@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import IntEnum, IntFlag
 
 
@@ -51,35 +52,57 @@ class AbortCode(IntEnum):
 
 
 class EmergencyCode(IntEnum):
-    """Emergency error codes (CiA 301, 7.2.7.1)."""
+    """Emergency error codes (CiA 301, 7.2.7.1); `.text` says what it means."""
 
-    NO_ERROR = 0x0000
-    GENERIC = 0x1000
-    CURRENT = 0x2000
-    VOLTAGE = 0x3000
-    TEMPERATURE = 0x4000
-    HARDWARE = 0x5000
-    SOFTWARE = 0x6000
-    INTERNAL_SOFTWARE = 0x6100
-    USER_SOFTWARE = 0x6200
-    DATA_SET = 0x6310
-    ADDITIONAL_MODULES = 0x7000
-    SENSOR = 0x7300
-    MONITORING = 0x8000
-    COMMUNICATION = 0x8100
-    CAN_OVERRUN = 0x8110
-    CAN_ERROR_PASSIVE = 0x8120
-    HEARTBEAT = 0x8130
-    BUS_OFF_RECOVERED = 0x8140
-    CAN_ID_COLLISION = 0x8150
-    PROTOCOL = 0x8200
-    RPDO_LENGTH = 0x8210
-    RPDO_LENGTH_EXCEEDED = 0x8220
-    SYNC_LENGTH = 0x8240
-    RPDO_TIMEOUT = 0x8250
-    EXTERNAL = 0x9000
-    ADDITIONAL_FUNCTIONS = 0xF000
-    DEVICE_SPECIFIC = 0xFF00
+    text: str
+
+    def __new__(cls, value: int, text: str) -> EmergencyCode:
+        """Make the member with its text."""
+        member = int.__new__(cls, value)
+        member._value_ = value
+        member.text = text
+        return member
+
+    NO_ERROR = 0x0000, "error reset, or no error"
+    GENERIC = 0x1000, "generic error"
+    CURRENT = 0x2000, "current"
+    VOLTAGE = 0x3000, "voltage"
+    TEMPERATURE = 0x4000, "temperature"
+    HARDWARE = 0x5000, "device hardware"
+    SOFTWARE = 0x6000, "device software"
+    INTERNAL_SOFTWARE = 0x6100, "internal software"
+    USER_SOFTWARE = 0x6200, "user software"
+    DATA_SET = 0x6310, "saved parameters refused"
+    ADDITIONAL_MODULES = 0x7000, "additional modules"
+    SENSOR = 0x7300, "sensor: position not valid"
+    MONITORING = 0x8000, "monitoring"
+    COMMUNICATION = 0x8100, "communication"
+    CAN_OVERRUN = 0x8110, "CAN overrun, frames lost"
+    CAN_ERROR_PASSIVE = 0x8120, "CAN in error passive mode"
+    HEARTBEAT = 0x8130, "heartbeat or life guard error"
+    BUS_OFF_RECOVERED = 0x8140, "recovered from bus-off"
+    CAN_ID_COLLISION = 0x8150, "CAN-ID collision"
+    PROTOCOL = 0x8200, "protocol error"
+    RPDO_LENGTH = 0x8210, "PDO not processed, too short"
+    RPDO_LENGTH_EXCEEDED = 0x8220, "PDO too long"
+    SYNC_LENGTH = 0x8240, "unexpected length of SYNC"
+    RPDO_TIMEOUT = 0x8250, "RPDO timed out"
+    EXTERNAL = 0x9000, "external error"
+    ADDITIONAL_FUNCTIONS = 0xF000, "additional functions"
+    DEVICE_SPECIFIC = 0xFF00, "device specific"
+
+
+def emergency_text(code: int, own: Mapping[int, str]) -> str:
+    """What an emergency error code (0..FFFFh) means: by ``own`` codes of the device, else by CiA 301."""
+    for known in (code, code & 0xFF00, code & 0xF000):
+        if known in own:
+            return own[known]
+        if known in _EMERGENCIES:
+            return _EMERGENCIES[known]
+    return "unknown error"
+
+
+_EMERGENCIES = {int(code): code.text for code in EmergencyCode}
 
 
 class ErrorRegister(IntFlag):

@@ -41,3 +41,12 @@ class Frame(NamedTuple):
         if timestamp is not None and not isinstance(timestamp, (int, float)):
             raise TypeError(f"timestamp must be seconds or None, not {timestamp!r}")
         return cls(can_id, bytes(data), rtr, timestamp)
+
+
+def frame_bits(data_bytes: int, *, extended: bool = False) -> int:
+    """Bits of a data frame on the wire, the most stuff bits and the interframe space included (ISO 11898-1).
+
+    ``data_bytes`` is 0 to 8, ``extended``: with a 29-bit identifier.
+    """
+    stuffed = (54 if extended else 34) + 8 * data_bytes
+    return stuffed + 13 + (stuffed - 1) // 4

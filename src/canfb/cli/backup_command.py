@@ -20,7 +20,7 @@ from canfb.commissioning.session import IDENTITY
 from canfb.commissioning.whole_file import check_writable, write_whole
 from canfb.eds_files import eds_path
 from canfb.module.backup_content import OF_THE_MACHINE, backup_values, restored_configuration
-from canfb.module.feedback_module import EDS
+from canfb.module.delivered import EDS
 from canfb.module.read_configuration import read_configuration
 
 

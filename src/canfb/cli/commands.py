@@ -7,6 +7,7 @@ from canfb.cli import (
     calibrate,
     config_file,
     demo,
+    monitor,
     nmt_command,
     run,
     sdo_command,
@@ -17,6 +18,7 @@ from canfb.cli import (
 COMMANDS = (
     demo,
     run,
+    monitor,
     simulate,
     nmt_command,
     sdo_command,

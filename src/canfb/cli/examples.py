@@ -16,6 +16,11 @@ _EXAMPLES = {
   canfb run feedback.yaml
   canfb run feedback.yaml -i socketcan -c can0
   canfb run feedback.yaml -i udp_multicast -c 239.74.163.2""",
+    "canfb monitor": """
+  canfb monitor -i socketcan -c can0
+  canfb monitor 0x20 0x21 -i socketcan -c can0 -b 500000 --sdo
+  canfb monitor --config feedback.yaml --per-revolution '5 mm'
+  canfb monitor --log drive.asc --json""",
     "canfb simulate": """
   canfb simulate feedback.yaml --rate 100
   canfb simulate feedback.yaml --rate 500 --rpm 300 --module 0x20

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import logging
 import os
 import sys
@@ -19,6 +20,22 @@ def report(text: str) -> None:
 def say(text: str) -> None:
     """One line on stdout, of a program that goes on after it."""
     _print(text, sys.stdout)
+
+
+@contextlib.contextmanager
+def printed_as_json() -> Iterator[None]:
+    """Print what the loggers say as JSON on stdout, an object a line, within :func:`printed_log`.
+
+    An event has its own values; what else there is to say is {"event": "message", "level": ..., "text": ...}.
+    """
+    printing = [one for one in logging.getLogger("canfb").handlers if isinstance(one, _Printing)]
+    for one in printing:
+        one.as_json = True
+    try:
+        yield
+    finally:
+        for one in printing:
+            one.as_json = False
 
 
 @contextlib.contextmanager
@@ -39,8 +56,14 @@ def printed_log() -> Iterator[None]:
 class _Printing(logging.Handler):
     """One line for each record; an output that fails is an error of the command."""
 
+    as_json = False
+
     def emit(self, record: logging.LogRecord) -> None:
         """Print it."""
+        if self.as_json:
+            message = {"event": "message", "level": record.levelname.lower(), "text": record.getMessage()}
+            say(json.dumps(getattr(record, "event", message), ensure_ascii=False))
+            return
         (report if record.levelno >= logging.WARNING else say)(record.getMessage())
 
 

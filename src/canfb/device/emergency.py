@@ -32,6 +32,7 @@ class Emergency(Timed):
         dictionary = core.dictionary
         self.deadline = NEVER
         self._emit = core.emit
+        self._hooks = core.hooks
         self._counters = core.counters
         self._changed = core.reactions.routes_changed
         self._register = dictionary.find(0x1001)
@@ -98,7 +99,11 @@ class Emergency(Timed):
         if not self._is_valid():
             self._waiting.clear()
         while self._waiting and self._allowed and now >= self._not_before:
-            self._emit(Frame(self._can_id(), self._waiting.popleft()))
+            data = self._waiting.popleft()
+            self._emit(Frame(self._can_id(), data))
+            if self._hooks.on_emergency is not None:
+                code, register, detail = _EMERGENCY.unpack(data)
+                self._hooks.on_emergency(code, register, detail, now)
             inhibit = self._inhibit_s()
             self._not_before = now + inhibit if inhibit else -NEVER
         self.deadline = self._not_before if self._waiting and self._allowed else NEVER

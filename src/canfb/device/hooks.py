@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from canfb.cia301.nmt import NmtState
 from canfb.device.storage.image import ParameterGroup
 
+Groups = list[ParameterGroup]
+
 
 class Hooks:
     """Functions of the program that the node calls; None for what it does not want to hear.
@@ -35,6 +37,8 @@ class Hooks:
     on_communication_error(now): a heartbeat or the guarding master is lost, or the bus, before the NMT
     state changes as 1029h says.
     on_configured(): PDO parameters or the NMT state have changed; mappings may be others now.
+    on_emergency(code, register, detail, now): an EMCY goes out, with 1001h and its 5 manufacturer bytes.
+    on_saved(saved, forgotten, now): these groups of parameters were saved, or dropped from the store.
     on_bit_rate(kbit_s, delay_s, now): LSS activates this bit rate. Change it at `now` + `delay_s`; the
     node by itself sends nothing up to `now` + 2 `delay_s`. What waits in a driver's queue is yours.
     """
@@ -51,4 +55,6 @@ class Hooks:
         self.on_bad_rpdo: Callable[[int, int, int, float], None] | None = None
         self.on_communication_error: Callable[[float], None] | None = None
         self.on_configured: Callable[[], None] | None = None
+        self.on_emergency: Callable[[int, int, bytes, float], None] | None = None
+        self.on_saved: Callable[[Groups, Groups, float], None] | None = None
         self.on_bit_rate: Callable[[int, float, float], None] | None = None

@@ -9,8 +9,8 @@ from canfb import objects as od
 from canfb.device.od.dcf import Place
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
+from canfb.module.delivered import EDS
 from canfb.module.device_configuration import DeviceConfiguration, configuration_read
-from canfb.module.feedback_module import EDS
 
 OF_THE_MACHINE = (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET, od.OFFSET_VALUE)
 """What `save` keeps as well, and no master can write back: a preset needs a valid position at standstill."""

@@ -12,8 +12,8 @@ from canfb.device.od.concise import encode_concise
 from canfb.device.od.dcf import Commissioning, FileInfo, Place, Reals, dcf_text
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
+from canfb.module.delivered import EDS
 from canfb.module.device_configuration import DeviceConfiguration
-from canfb.module.feedback_module import EDS
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,14 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.moment import NEVER
 from canfb.device.node import Node
-from canfb.device.od.dictionary import Dictionary
 from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import Store
-from canfb.eds_files import eds_path
 from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.cia406.cyclic_timer import CyclicTimer
 from canfb.module.cia406.operating_time import OperatingTime
 from canfb.module.cia406.position_alarm import REGISTER
+from canfb.module.delivered import delivered_dictionary
+from canfb.module.event_watch import EventWatch
 from canfb.module.interval import IntervalEstimate
 from canfb.module.jitter_watch import JitterWatch
 from canfb.module.local_source import LocalSource
@@ -26,7 +26,7 @@ from canfb.module.objects.calibrating import Calibrating
 from canfb.module.objects.recorder import Recorder
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.objects.table_store import TableStore
-from canfb.module.parameters import Limits, apply_defaults, configured_defaults, without_adc_pdo
+from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.module.sampling import Sampling
 from canfb.module.tap import Taps
@@ -35,7 +35,6 @@ from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.sources.protocol import Source
 
-EDS = "canfb-module"
 COMMANDS = (od.MEASUREMENT_COMMAND.object_index, od.RECORDING_COMMAND.object_index)
 
 
@@ -52,7 +51,8 @@ class FeedbackModule:
 
     A ``source`` provides the sample of each SYNC in OPERATIONAL at that SYNC; RPDO1 is then off.
     ``on_source`` is called with one line when it fails, works again or has ended; ``on_warning``
-    when the speed approaches the limit set by the SYNC jitter. ValueError if ``config.source``
+    when the speed approaches the limit set by the SYNC jitter; ``events`` has what happens as
+    :class:`.Event`. ValueError if ``config.source``
     names a source and none is given; TypeError for a ``config`` that is not a
     :class:`canfb.ModuleConfig`.
     """
@@ -67,7 +67,7 @@ class FeedbackModule:
     ) -> None:
         _check(config, source)
         self.config = config
-        self.dictionary = _dictionary(config, source)
+        self.dictionary = delivered_dictionary(config, samples_itself=source is not None)
         self.chain = SignalChain(ChainConfig())  # limits and correction are those of the dictionary
         self.node = Node(
             self.dictionary,
@@ -87,6 +87,11 @@ class FeedbackModule:
         self._choose_parameters()
         self._limits.apply()
         self._tables.reset()
+
+    @property
+    def events(self) -> EventWatch:
+        """What happens in the module: set ``on_event`` of it, and ``detailed`` for single faults."""
+        return self._publishing.events
 
     def _make_chain_around(self, source: Source | None) -> None:
         """What feeds the chain, and what its feedback becomes."""
@@ -116,13 +121,16 @@ class FeedbackModule:
         cycles_per_revolution = dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         cycles_per_revolution.on_written = self._encoder_changed
         self._jitter = JitterWatch(self._timeline, interval, self._limits, cycles_per_revolution, self._warn)
-        self._timeline.on_followed = self._watch_jitter
+        self._interval = interval
+        self._timeline.on_followed = self._on_followed
         self._recorder = Recorder(dictionary, interval, self._taps)
 
     def _make_commands(self) -> None:
         """What SDO starts or reads, beside the feedback: tables, calibration, timers."""
         dictionary, storage = self.dictionary, self.node.storage
         self._tables = TableStore(dictionary, self.chain, storage)
+        events, moment = self.events, self.node.moment
+        self._tables.on_in_force = lambda correction: events.table(correction, moment.now)
         self._operating_time = OperatingTime(dictionary, storage, lambda: self.node.now)
         CyclicTimer(dictionary, storage)
         self._calibrating = Calibrating(
@@ -139,6 +147,8 @@ class FeedbackModule:
         node.on_bad_rpdo = self._on_bad_rpdo
         node.on_configured = self._on_configured
         node.on_parameter_faults = self._on_parameter_faults
+        node.on_emergency = self.events.emergency
+        node.on_saved = self.events.saved
 
     @property
     def feedback(self) -> Feedback | None:
@@ -176,6 +186,7 @@ class FeedbackModule:
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at ``now``; the frames to send."""
         if now >= self._timeline.until:
+            self.events.overdue(self._timeline, now)
             self._sampling.overdue(now)
         return self.node.tick(now)
 
@@ -251,8 +262,12 @@ class FeedbackModule:
         self.node.on_sync = self._on_sync_predicting if wanted else self._sampling.pairing.on_sync
         self.node.on_synchronised = prediction.withdraw if wanted else None
 
-    def _watch_jitter(self, now: float, proved: bool) -> None:
-        """Sample times know each interval; a time of the call is not that of the SYNC."""
+    def _on_followed(self, now: float, proved: bool) -> None:
+        """SYNCs come as expected, which is an event after a pause, and measures their jitter.
+
+        Sample times know each interval; a time of the call is not that of the SYNC.
+        """
+        self.events.synced(self._interval.settled_s, now)
         last = self._publishing.last
         if proved and last is not None and not self._sampling.pairing.timed:
             self._jitter.look(last, now)
@@ -266,6 +281,7 @@ class FeedbackModule:
             self.on_source(text)
 
     def _on_state(self, old: NmtState, new: NmtState, now: float) -> None:
+        self.events.nmt(old, new, now)
         if new is NmtState.OPERATIONAL:
             self._sampling.resume(now)
         elif old is NmtState.OPERATIONAL:
@@ -319,12 +335,3 @@ def _check(config: ModuleConfig, source: Source | None) -> None:
         )
     if config.source is not None and source is None:
         raise ValueError(f"config.source is {config.source.kind!r}: open it, and pass it as source=")
-
-
-def _dictionary(config: ModuleConfig, source: Source | None) -> Dictionary:
-    """The objects of the EDS, with the defaults of this configuration."""
-    dictionary = Dictionary.load(eds_path(EDS), config.node_id)
-    apply_defaults(dictionary, configured_defaults(config))
-    if source is not None:
-        apply_defaults(dictionary, without_adc_pdo(config))
-    return dictionary

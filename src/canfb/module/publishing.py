@@ -12,6 +12,7 @@ from canfb.device.pdo.pdo import EVENT_DRIVEN
 from canfb.module.cia406.position_alarm import PositionAlarm
 from canfb.module.cia406.profile import EncoderProfile
 from canfb.module.cia406.profile_warnings import Warnings
+from canfb.module.event_watch import EventWatch
 from canfb.module.interval import IntervalEstimate
 from canfb.module.objects.prediction import Prediction
 from canfb.module.objects.publication import Publication
@@ -29,8 +30,8 @@ class Publishing:
     """Takes each :class:`Feedback` of the chain to all who want to know of it, in this order.
 
     2011h and 2012h (Publication), the encoder profile, the shift to the nominal SYNC (Prediction), EMCY
-    7300h (PositionAlarm), event-driven TPDOs, warnings. ``last`` is the last feedback, None before the
-    first one. ``prediction_chosen()`` is called when 2013h is written.
+    7300h (PositionAlarm), event-driven TPDOs, events and warnings. ``last`` is the last feedback, None
+    before the first one. ``prediction_chosen()`` is called when 2013h is written.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class Publishing:
         self.prediction = Prediction(dictionary, self.profile, prediction_chosen, lambda: chain.unit_s)
         self.objects = Publication(dictionary, interval, chain, parts)
         self.alarm = PositionAlarm(node)
+        self.events = EventWatch(dictionary, limits)
         self._event_tpdos: list[Callable[[float], None]] = []
 
     def publish(self, feedback: Feedback, now: float, send: bool = True) -> None:
@@ -69,6 +71,8 @@ class Publishing:
         status, warnings = feedback.status, self.warnings
         if self.alarm.active or not status & VALID:
             self.alarm.report(bool(status & VALID), status, now)
+            if self.events.detailed:
+                self.events.fault(feedback, now)
         if send:
             for trigger in self._event_tpdos:
                 trigger(now)
@@ -77,6 +81,8 @@ class Publishing:
             or feedback.residual > warnings.near_cycles
             or feedback.amplitude < warnings.reserve_counts
         ):
+            if status != self.events.status:
+                self.events.follow(feedback, now)
             warnings.follow(feedback, now)
 
     def withhold(self) -> None:
@@ -86,6 +92,7 @@ class Publishing:
     def outdated(self, now: float) -> None:
         """What the dictionary holds is not the position any more: not valid, with its alarm."""
         self.objects.withhold()
+        self.events.outdated(now)
         if self.last is not None and not self.alarm.active:
             self.alarm.report(False, self.last.status & ~VALID, now)
 
@@ -113,5 +120,6 @@ class Publishing:
     def reset(self) -> None:
         """After a reset of the node: no feedback."""
         self.last = None
+        self.events.reset()
         self.profile.reset()
         self.objects.reset()

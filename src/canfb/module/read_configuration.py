@@ -11,8 +11,8 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.device.od.entry import Entry
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
+from canfb.module.delivered import EDS
 from canfb.module.device_configuration import DeviceConfiguration, configuration_read
-from canfb.module.feedback_module import EDS
 
 IDENTITY = (od.DEVICE_TYPE, od.IDENTITY_VENDOR_ID, od.IDENTITY_PRODUCT_CODE)  # what a module is known by
 

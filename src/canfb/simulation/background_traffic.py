@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from canfb.checks import number_in
-from canfb.cia301.frame import Frame
-from canfb.simulation.wire import frame_bits
+from canfb.cia301.frame import Frame, frame_bits
 
 CAN_ID = 0x6E0  # of no node and of no service of CiA 301
 MEAN_BITS = sum(frame_bits(size) for size in range(9)) / 9

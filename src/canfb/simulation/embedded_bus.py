@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from canfb.cia301.frame import Frame
+from canfb.cia301.frame import Frame, frame_bits
 from canfb.device.hosted import Computing, Device
 from canfb.device.moment import NEVER
-from canfb.simulation.wire import Wire, frame_bits
+from canfb.simulation.wire import Wire
 
 __all__ = ["EmbeddedBus", "frame_bits"]
 

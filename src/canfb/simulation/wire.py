@@ -6,15 +6,10 @@ from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from typing import Any
 
-from canfb.cia301.frame import Frame
+from canfb.cia301.frame import Frame, frame_bits
 from canfb.device.moment import NEVER
 
 INTERFRAME_BITS = 3  # the bus is silent for this long after the end of a frame
-
-
-def frame_bits(data_bytes: int) -> int:
-    """Bits of an 11-bit data frame on the wire, the most stuff bits and the interframe space included."""
-    return 47 + 8 * data_bytes + (34 + 8 * data_bytes - 1) // 4
 
 
 LONGEST_FRAME_BITS = frame_bits(8)

@@ -200,6 +200,10 @@ class Storage:
                 self._images[group] = image
         if mended:
             self.report_faults()
+        if self._core.hooks.on_saved is not None:
+            forgotten = [group for group, image in changes.items() if image is None]
+            saved = [group for group in changes if group not in forgotten]
+            self._core.hooks.on_saved(saved, forgotten, self._core.moment.now)
 
 
 def _check_load(value: int) -> None:

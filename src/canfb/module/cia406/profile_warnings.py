@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from canfb import objects as od
-from canfb.cia301.codes import EmergencyCode, ErrorRegister
+from canfb.cia301.codes import ErrorRegister
 from canfb.device.od.dictionary import Dictionary
 from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import REFERENCED, VALID
@@ -15,11 +15,11 @@ FREQUENCY, AMPLITUDE_LOW, NOT_REFERENCED = 1 << 0, 1 << 1, 1 << 5  # 6505h
 EVERY_SAMPLE = FREQUENCY | AMPLITUDE_LOW
 """Warnings that each sample can bring or end."""
 CODES = {
-    FREQUENCY: EmergencyCode.DEVICE_SPECIFIC + 0x10,
-    AMPLITUDE_LOW: EmergencyCode.DEVICE_SPECIFIC + 0x11,
-    NOT_REFERENCED: EmergencyCode.DEVICE_SPECIFIC + 0x15,
+    FREQUENCY: od.EncoderEmergency.FREQUENCY,
+    AMPLITUDE_LOW: od.EncoderEmergency.AMPLITUDE_LOW,
+    NOT_REFERENCED: od.EncoderEmergency.NOT_REFERENCED,
 }
-"""EMCY of each warning: FF10h plus the number of its bit."""
+"""EMCY of each warning."""
 REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE
 NEAR_LIMIT = 0.8  # residual over this part of the limit
 AMPLITUDE_RESERVE = 1.15  # amplitude below this multiple of the lowest accepted one

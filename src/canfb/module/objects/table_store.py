@@ -27,6 +27,8 @@ class TableStore:
         self._dictionary = dictionary
         self._chain = chain
         self._storage = storage
+        self.on_in_force: Callable[[Correction], None] | None = None
+        """Called with what has come into force, by SDO, by a calibration or with a reset."""
         self._staged: CorrectionTable | None = None
         self._content = staged = dictionary.entry(*od.TABLE_STAGED)
         """Its value is a table that was restored, or one that is just written; else empty."""
@@ -98,6 +100,8 @@ class TableStore:
         self._dictionary.entry(*od.TABLE_ACTIVE_CRC).value = correction.crc32
         self._dictionary.entry(*od.TABLE_ACTIVE_ENTRIES).value = 0 if table is None else len(table)
         self._dictionary.entry(*od.TABLE_STAGED_CRC).value = 0 if self._staged is None else self._staged.crc32
+        if self.on_in_force is not None:
+            self.on_in_force(correction)
 
     def _conditioning(self, changed: Entry | None = None, value: float = 0.0) -> Conditioning:
         return Conditioning(*(value if entry is changed else entry.value for entry in self._conditioned))

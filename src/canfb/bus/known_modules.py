@@ -1,0 +1,43 @@
+"""Modules that a monitor knows beforehand: by a configuration, or as the EDS delivers them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from canfb.configuration import Config
+from canfb.module.delivered import delivered_dictionary
+from canfb.module.module_config import UNCONFIGURED, ModuleConfig
+from canfb.monitoring.layout import NodeLayout, Number, Origin, layout_of
+from canfb.objects import Multiplexer
+
+
+def known_layouts(config: Config, nodes: Sequence[int] = ()) -> list[NodeLayout]:
+    """Of these nodes (1..127); without any, of all modules of the configuration that have a node-ID."""
+    configured = {module.node_id: module for module in config.modules if module.node_id != UNCONFIGURED}
+    return [
+        _layout(configured[node], Origin.CONFIGURATION)
+        if node in configured
+        else _layout(_as_delivered(node), Origin.DEFAULT)
+        for node in dict.fromkeys(nodes or configured)
+    ]
+
+
+def assumed_layout(node_id: int) -> NodeLayout:
+    """Of a node (1..127) that looks like a module: as the EDS has it."""
+    return _layout(_as_delivered(node_id), Origin.ASSUMED)
+
+
+def _as_delivered(node_id: int) -> ModuleConfig:
+    """The encoder interface is the usual one, which cannot be the module itself."""
+    usual = ModuleConfig(node_id=UNCONFIGURED).encoder_interface
+    return ModuleConfig(node_id=node_id, encoder_interface=usual if node_id != usual else node_id % 127 + 1)
+
+
+def _layout(config: ModuleConfig, origin: Origin) -> NodeLayout:
+    dictionary = delivered_dictionary(config, samples_itself=config.source is not None)
+
+    def read(place: Multiplexer) -> Number | None:
+        entry = dictionary.find(*place)
+        return None if entry is None else entry.value
+
+    return layout_of(config.node_id, read, origin)

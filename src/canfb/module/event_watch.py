@@ -1,0 +1,194 @@
+"""What happens in a module becomes events: changes of state, never a look at each sample."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from canfb import objects as od
+from canfb.cia301.codes import emergency_text
+from canfb.cia301.nmt import NmtState
+from canfb.device.hooks import Groups
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.storage.image import ParameterGroup
+from canfb.module.event import Event, EventKind
+from canfb.module.parameters import Limits
+from canfb.module.timeline import Timeline
+from canfb.signal.correction import Correction
+from canfb.signal.feedback import Feedback
+from canfb.signal.supervision import AMPLITUDE, MISSED, REFERENCED, RESIDUAL
+
+NEVER_SEEN = -1  # no status word
+FAULTS = sum(od.FAULT_WORDS)
+ANOTHER_RATE = 0.05  # relative change of the SYNC rate that is an event
+
+
+class EventWatch:
+    """Calls ``on_event`` with each :class:`.Event`; without it nothing is made.
+
+    ``detailed``: single faults, too, and each EMCY. For the hot path: :meth:`follow` must see each sample
+    whose status word is not :attr:`status`, and nothing else.
+    """
+
+    def __init__(self, dictionary: Dictionary, limits: Limits) -> None:
+        self.on_event: Callable[[Event], None] | None = None
+        self.detailed = False
+        self.status = NEVER_SEEN
+        self._limits = limits
+        self._low, self._high = (
+            dictionary.entry(*one) for one in (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
+        )
+        self._rate_hz = 0.0
+        self._corrected = False
+        self.reset()
+
+    def reset(self) -> None:
+        """After a reset of the node: no sample."""
+        self.status = NEVER_SEEN
+        self._sampled = False
+        self._state: od.PositionState | None = None
+        self._causes = 0
+        self._not_valid_s = 0.0
+
+    def nmt(self, old: NmtState, new: NmtState, now: float) -> None:
+        """A change of the NMT state. The next SYNC and the next sample are the first."""
+        self._rate_hz = 0.0
+        self.reset()
+        boot_up = "boot-up, " if old is NmtState.INITIALISING else ""
+        name = new.name.replace("_", "-")
+        self._tell(EventKind.NMT, now, f"{boot_up}{name}", state=name, boot_up=bool(boot_up))
+
+    def synced(self, interval_s: float, now: float) -> None:
+        """SYNCs come as expected, at this interval; not called with each of them."""
+        known = self._rate_hz
+        if not interval_s or abs(known * interval_s - 1.0) <= ANOTHER_RATE:
+            return
+        self._rate_hz = 1.0 / interval_s
+        text = f"SYNC now at {self._rate_hz:.6g} Hz" if known else f"SYNC found, {self._rate_hz:.6g} Hz"
+        self._tell(EventKind.SYNC_FOUND, now, text, rate_hz=self._rate_hz)
+
+    def overdue(self, timeline: Timeline, now: float) -> None:
+        """No SYNC and no sample for 2010:06 periods."""
+        if self._rate_hz:
+            self._rate_hz = 0.0
+            silent_s = now - timeline.synced_s
+            self._tell(EventKind.SYNC_LOST, now, f"SYNC lost, none for {_time(silent_s)}", silent_s=silent_s)
+
+    def follow(self, feedback: Feedback, now: float) -> None:
+        """The status word is another one now."""
+        before, self.status = self.status, feedback.status
+        if self.on_event is None:
+            return
+        if not (self._sampled or feedback.status & MISSED):
+            self._sampled = True
+            values = {"sine_counts": feedback.sine, "cosine_counts": feedback.cosine}
+            self._tell(EventKind.FIRST_SAMPLE, now, f"first sample, {self._amplitude(feedback)}", **values)
+        self._causes |= feedback.status & FAULTS
+        state = od.position_state(feedback.status)
+        if state is not self._state:
+            self._changed(state, feedback, now)
+        elif before != NEVER_SEEN and feedback.status & ~before & REFERENCED:
+            self._tell(EventKind.POSITION, now, "referenced to the zero pulse", state=state, referenced=True)
+
+    def outdated(self, now: float) -> None:
+        """What was published is not the position any more, and nothing takes its place."""
+        if self._state is od.PositionState.VALID:
+            self._state, self.status, self._not_valid_s = od.PositionState.NOT_VALID, NEVER_SEEN, now
+            self._tell(
+                EventKind.POSITION, now, "position not valid: no SYNC and no sample", state=self._state
+            )
+
+    def fault(self, feedback: Feedback, now: float) -> None:
+        """A sample without a valid position, if `detailed`."""
+        if (faults := od.fault_words(feedback.status)) and self.on_event is not None:
+            text = f"sample {feedback.samples}: {', '.join(self._reasons(feedback, feedback.status))}"
+            self._tell(EventKind.FAULT, now, text, sample=feedback.samples, faults=faults)
+
+    def emergency(self, code: int, register: int, detail: bytes, now: float) -> None:
+        """An EMCY goes out."""
+        if self.detailed:
+            words = emergency_text(code, od.EMERGENCY_TEXTS)
+            text = f"EMCY {code:04X}h sent ({words}), 1001h {register:02X}h, detail {detail.hex(' ')}"
+            self._tell(EventKind.EMCY, now, text, code=code, register=register, detail=detail.hex())
+
+    def table(self, correction: Correction, now: float) -> None:
+        """A table, or none, has come into force."""
+        table, before = correction.table, self._corrected
+        self._corrected = table is not None
+        if self.on_event is None:
+            return
+        if table is not None:
+            text = f"table in force: {len(table)} entries, CRC {table.crc32:08X}h"
+            self._tell(EventKind.TABLE, now, text, entries=len(table), crc32=table.crc32)
+        elif before:
+            self._tell(EventKind.TABLE, now, "table in force: none, the identity", entries=0, crc32=0)
+
+    def saved(self, saved: Groups, forgotten: Groups, now: float) -> None:
+        """Parameters were saved, or their defaults loaded."""
+        for groups, what in ((saved, "saved"), (forgotten, "dropped, the defaults come with the next reset")):
+            names = [group.name.lower() for group in groups if group is not ParameterGroup.OPERATING_TIME]
+            if names:
+                text = f"parameters {what}: {', '.join(names)}"
+                self._tell(EventKind.SAVED, now, text, groups=names, dropped=groups is forgotten)
+
+    def _changed(self, state: od.PositionState, feedback: Feedback, now: float) -> None:
+        """Another state of the position; a reason is all that went wrong since it was valid."""
+        before, self._state = self._state, state
+        if state is od.PositionState.VALID:
+            self._causes = 0
+            again = "" if before is None else f" again, after {_time(now - self._not_valid_s)}"
+            text, reasons = f"position valid{again}", []
+        else:
+            if before in (None, od.PositionState.VALID):
+                self._not_valid_s = now
+            reasons = self._reasons(feedback, self._causes) or [_without_fault(state)]
+            text = f"position {state}: {', '.join(reasons)}"
+        residual = feedback.residual if feedback.residual == feedback.residual else None
+        self._tell(
+            EventKind.POSITION,
+            now,
+            text,
+            state=str(state),
+            faults=od.fault_words(feedback.status | self._causes),
+            status=feedback.status,
+            residual_cycles=residual,
+            residual_limit_cycles=self._limits.residual_limit_cycles,
+            sample=feedback.samples,
+        )
+
+    def _reasons(self, feedback: Feedback, bits: int) -> list[str]:
+        """In words; with figures where they are those of this sample."""
+        figures = {
+            RESIDUAL: f"residual {feedback.residual:.3f} over {self._limits.residual_limit_cycles:.3f} cycle",
+            AMPLITUDE: f"{self._amplitude(feedback)} outside of {self._low.value} to {self._high.value}",
+        }
+        now = feedback.status
+        return [
+            figures.get(bit, words) if now & bit else words
+            for bit, words in od.FAULT_WORDS.items()
+            if bits & bit
+        ]
+
+    def _amplitude(self, feedback: Feedback) -> str:
+        amplitude = feedback.amplitude
+        return f"amplitude {amplitude:.0f} counts" if math.isfinite(amplitude) else "no amplitude"
+
+    def _tell(
+        self, kind: EventKind, now: float, text: str, **values: bool | float | int | str | list[str] | None
+    ) -> None:
+        if self.on_event is not None:
+            self.on_event(Event(kind, now, text, values))
+
+
+def _without_fault(state: od.PositionState) -> str:
+    if state is od.PositionState.COASTING:
+        return "not confirmed yet"
+    return (
+        "the sampling intervals could not be counted"
+        if state is od.PositionState.LOST
+        else "no reference yet"
+    )
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.3g} s" if seconds >= 1.0 else f"{seconds * 1e3:.3g} ms"

@@ -1,0 +1,178 @@
+"""What the PDOs of a module carry, and what its values mean: from its object dictionary."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from canfb import objects as od
+from canfb.cia301 import cob
+from canfb.objects import Multiplexer
+
+Number = int | float
+Read = Callable[[Multiplexer], Number | None]
+"""Gives the value of an object, None where it is not known."""
+
+PDOS = 4
+MOST_MAPPED = 8
+EMCY_COB_ID = Multiplexer(0x1014)
+LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
+
+COUNTERS: dict[Multiplexer, str] = {
+    od.COUNTER_MISSED: "missed",
+    od.COUNTER_RESIDUAL: "residual",
+    od.COUNTER_AMPLITUDE: "amplitude",
+    od.COUNTER_COASTED: "coasted",
+    od.COUNTER_LOST: "lost",
+    od.COUNTER_RECOVERED: "recovered",
+    od.COUNTER_ZERO_PULSES: "zero pulses",
+    od.COUNTER_BAD_FRAMES: "bad frames",
+    od.COUNTER_CLIPPED: "clipped",
+    od.COUNTER_FROZEN: "frozen",
+    od.COUNTER_COARSE_DISAGREEMENTS: "coarse disagreements",
+    od.COUNTER_SET_RIGHT: "set right",
+    od.COUNTER_DUPLICATE_SYNCS: "duplicate SYNCs",
+    od.COUNTER_SYNCS_NOT_HEARD: "SYNCs not heard",
+}
+"""2012h, by name."""
+
+VALUES: dict[Multiplexer, str] = {
+    od.POSITION_VALUE: "I",
+    od.FEEDBACK_STATUS: "H",
+    od.FEEDBACK_RESIDUAL: "H",
+    od.FEEDBACK_AMPLITUDE: "H",
+    od.FEEDBACK_VELOCITY: "f",
+    od.FEEDBACK_SAMPLES: "I",
+    od.TABLE_ACTIVE_CRC: "I",
+    **dict.fromkeys(COUNTERS, "I"),
+}
+"""The objects of a module that are looked at, and their types as struct has them."""
+
+INPUTS: dict[Multiplexer, str] = {od.SAMPLE_SINE: "h", od.SAMPLE_COSINE: "h"}
+"""The same, of the PDOs that it receives."""
+
+SETTINGS: dict[Multiplexer, str] = {
+    od.SYNC_COB_ID: "I",
+    EMCY_COB_ID: "I",
+    od.ENCODER_CYCLES_PER_REVOLUTION: "I",
+    od.ENCODER_FULL_SCALE: "H",
+    od.ENCODER_LOWEST_AMPLITUDE: "H",
+    od.ENCODER_HIGHEST_AMPLITUDE: "H",
+    od.SUPERVISION_RESIDUAL_LIMIT: "H",
+    od.UNITS_PER_REVOLUTION: "I",
+    od.TOTAL_RANGE: "I",
+    **{Multiplexer(base + n, 1): "I" for base in (od.TPDO, od.RPDO) for n in range(PDOS)},
+    **{
+        Multiplexer(base + n, sub): "I" if sub else "B"
+        for base in (od.TPDO_MAPPING, od.RPDO_MAPPING)
+        for n in range(PDOS)
+        for sub in range(MOST_MAPPED + 1)
+    },
+}
+"""What is read of a module to know the rest."""
+
+
+class Origin(StrEnum):
+    """How a layout is known."""
+
+    DEFAULT = "EDS"
+    CONFIGURATION = "configuration"
+    MODULE = "module"
+    ASSUMED = "assumed"
+
+
+@dataclass(frozen=True)
+class PdoMap:
+    """One PDO: its CAN-ID, its least length, and where in it which value begins."""
+
+    can_id: int
+    length_bytes: int
+    places: tuple[tuple[Multiplexer, int, struct.Struct], ...]
+
+    def decode(self, data: bytes) -> Mapping[Multiplexer, Number]:
+        """The values that it carries; none of a PDO that is too short."""
+        if len(data) < self.length_bytes:
+            return {}
+        return {place: packed.unpack_from(data, byte)[0] for place, byte, packed in self.places}
+
+
+@dataclass(frozen=True)
+class NodeLayout:
+    """What must be known of a module to understand its frames.
+
+    tpdos, inputs       PDOs that it sends, and those that bring it samples
+    sync_id, emcy_id    CAN-IDs of SYNC and of its EMCY
+    cycles_per_revolution, units_per_revolution, total_range  2001:01, 6001h, 6002h
+    full_scale_counts, amplitude_low_counts, amplitude_high_counts   2001:02..04
+    residual_limit_cycles   2010:01; the limit in force may be narrower (2010:02)
+    """
+
+    node_id: int
+    origin: Origin
+    tpdos: tuple[PdoMap, ...]
+    inputs: tuple[PdoMap, ...]
+    sync_id: int = cob.SYNC
+    emcy_id: int = 0
+    cycles_per_revolution: int = 2500
+    units_per_revolution: int = 0
+    total_range: int = 0
+    full_scale_counts: int = 2048
+    amplitude_low_counts: int = 0
+    amplitude_high_counts: int = 0
+    residual_limit_cycles: float = 0.5
+
+
+def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
+    """The layout of the module ``node_id`` (1..127) whose objects ``read`` gives."""
+
+    def integer(place: Multiplexer, default: int) -> int:
+        value = read(place)
+        return default if value is None else int(value)
+
+    return NodeLayout(
+        node_id,
+        origin,
+        tpdos=_pdos(read, od.TPDO, od.TPDO_MAPPING, VALUES),
+        inputs=_pdos(read, od.RPDO, od.RPDO_MAPPING, INPUTS),
+        sync_id=integer(od.SYNC_COB_ID, cob.SYNC) & cob.CAN_ID,
+        emcy_id=integer(EMCY_COB_ID, cob.EMERGENCY + node_id) & cob.CAN_ID,
+        cycles_per_revolution=integer(od.ENCODER_CYCLES_PER_REVOLUTION, 2500),
+        units_per_revolution=integer(od.UNITS_PER_REVOLUTION, 0),
+        total_range=integer(od.TOTAL_RANGE, 0),
+        full_scale_counts=integer(od.ENCODER_FULL_SCALE, 2048),
+        amplitude_low_counts=integer(od.ENCODER_LOWEST_AMPLITUDE, 0),
+        amplitude_high_counts=integer(od.ENCODER_HIGHEST_AMPLITUDE, 0),
+        residual_limit_cycles=integer(od.SUPERVISION_RESIDUAL_LIMIT, LIMIT_UNITS // 2) / LIMIT_UNITS,
+    )
+
+
+def _pdos(read: Read, parameters: int, mapping: int, known: Mapping[Multiplexer, str]) -> tuple[PdoMap, ...]:
+    """The PDOs that exist and carry something known."""
+    found = []
+    for number in range(PDOS):
+        cob_id, count = read(Multiplexer(parameters + number, 1)), read(Multiplexer(mapping + number, 0))
+        if cob_id is None or count is None or int(cob_id) & (cob.NOT_VALID | cob.EXTENDED):
+            continue
+        entries = [
+            read(Multiplexer(mapping + number, sub + 1)) for sub in range(min(int(count), MOST_MAPPED))
+        ]
+        pdo = _pdo_map(int(cob_id) & cob.CAN_ID, [int(one or 0) for one in entries], known)
+        if pdo.places:
+            found.append(pdo)
+    return tuple(found)
+
+
+def _pdo_map(can_id: int, entries: list[int], known: Mapping[Multiplexer, str]) -> PdoMap:
+    places = []
+    bit = 0
+    for entry in entries:
+        place, bits = Multiplexer(entry >> 16, entry >> 8 & 0xFF), entry & 0xFF
+        kind = known.get(place)
+        if kind is not None and bit % 8 == 0:
+            packed = struct.Struct(f"<{kind}")
+            if packed.size * 8 == bits:
+                places.append((place, bit // 8, packed))
+        bit += bits
+    return PdoMap(can_id, (bit + 7) // 8, tuple(places))

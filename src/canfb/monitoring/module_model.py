@@ -1,0 +1,149 @@
+"""A feedback module as its PDOs show it."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from itertools import pairwise
+
+from canfb import objects as od
+from canfb.monitoring.layout import COUNTERS, LIMIT_UNITS, NodeLayout, Number, PdoMap
+from canfb.monitoring.meters import PeakHistory
+from canfb.monitoring.snapshot import ModuleSnapshot
+from canfb.objects import Multiplexer, PositionState, StatusBit
+
+HISTORY_BIN_S, HISTORY_BINS = 0.5, 120  # a minute
+PEAK_S = 1.0
+TRACKS = 400  # pairs of counts that are remembered
+SPEED_S = 0.25  # over which the velocity is measured
+STEP_S = 0.01  # between two positions that are remembered for it
+FRESH_S = 2.0  # a velocity that is older was of another moment
+WORDS = 1 << 32
+LOST = COUNTERS[od.COUNTER_LOST]
+SEEN = {
+    StatusBit.MISSED: COUNTERS[od.COUNTER_MISSED],
+    StatusBit.RESIDUAL: COUNTERS[od.COUNTER_RESIDUAL],
+    StatusBit.AMPLITUDE: COUNTERS[od.COUNTER_AMPLITUDE],
+    StatusBit.COASTING: COUNTERS[od.COUNTER_COASTED],
+    StatusBit.CLIPPED: COUNTERS[od.COUNTER_CLIPPED],
+    StatusBit.FROZEN: COUNTERS[od.COUNTER_FROZEN],
+    StatusBit.COARSE: COUNTERS[od.COUNTER_COARSE_DISAGREEMENTS],
+}
+"""Bits of the status word that are counted, under the names of 2012h."""
+
+
+class ModuleModel:
+    """Takes what the PDOs of one module carry; :meth:`snapshot` has it in figures.
+
+    What is remembered is bounded: the values of :data:`.VALUES`, a minute of residuals, some hundred samples.
+    """
+
+    def __init__(self, layout: NodeLayout) -> None:
+        self.layout = layout
+        self._values: dict[Multiplexer, Number] = {}
+        self._times: dict[Multiplexer, float] = {}
+        self._history = PeakHistory(HISTORY_BIN_S, HISTORY_BINS)
+        self._tracks: deque[tuple[int, int]] = deque(maxlen=TRACKS)
+        self._positions: deque[tuple[float, int]] = deque(maxlen=round(SPEED_S / STEP_S) + 1)
+        self._seen = dict.fromkeys((*SEEN.values(), LOST), 0)
+        self._state: PositionState | None = None
+        self._came_s: float | None = None
+        self._fault_s: float | None = None
+
+    def sent(self, pdo: PdoMap, data: bytes, now: float) -> bool:
+        """A PDO of the module; False if it is too short to be one."""
+        values = pdo.decode(data)
+        for place, value in values.items():
+            self.put(place, value, now)
+        if (status := values.get(od.FEEDBACK_STATUS)) is not None:
+            self._count(int(status), now)
+        if (residual := values.get(od.FEEDBACK_RESIDUAL)) is not None:
+            self._history.add(residual / LIMIT_UNITS, now)
+        if (position := values.get(od.POSITION_VALUE)) is not None:
+            self._came_s = now
+            self._follow(int(position), now)
+        return bool(values)
+
+    def sampled(self, pdo: PdoMap, data: bytes, now: float) -> None:
+        """A PDO that brings it samples."""
+        values = pdo.decode(data)
+        if od.SAMPLE_SINE in values and od.SAMPLE_COSINE in values:
+            self._tracks.append((int(values[od.SAMPLE_SINE]), int(values[od.SAMPLE_COSINE])))
+
+    def put(self, place: Multiplexer, value: Number, now: float) -> None:
+        """A value of :data:`.VALUES`, by PDO or SDO."""
+        self._values[place], self._times[place] = value, now
+
+    def _count(self, status: int, now: float) -> None:
+        self._came_s = now
+        before, self._state = self._state, od.position_state(status)
+        for bit, name in SEEN.items():
+            self._seen[name] += bool(status & bit)
+        self._seen[LOST] += self._state is PositionState.LOST and before is not PositionState.LOST
+        if self._state is not PositionState.VALID:
+            self._fault_s = now
+            self._positions.clear()
+
+    def _follow(self, position: int, now: float) -> None:
+        if self._state not in (None, PositionState.VALID):
+            return
+        if not self._positions or now - self._positions[-1][0] >= STEP_S:
+            self._positions.append((now, position))
+
+    def snapshot(self, now: float) -> ModuleSnapshot:
+        """What is known by ``now``."""
+        layout, values = self.layout, self._values
+        status = values.get(od.FEEDBACK_STATUS)
+        units, residual = values.get(od.POSITION_VALUE), values.get(od.FEEDBACK_RESIDUAL)
+        per_revolution = layout.units_per_revolution
+        amplitude = values.get(od.FEEDBACK_AMPLITUDE)
+        raw = amplitude is None and bool(self._tracks)
+        return ModuleSnapshot(
+            layout=str(layout.origin),
+            age_s=_since(self._came_s, now),
+            position_state=None if status is None else str(od.position_state(int(status))),
+            status=None if status is None else int(status),
+            faults=[] if status is None else od.fault_words(int(status)),
+            referenced=bool(int(status or 0) & StatusBit.REFERENCED),
+            table_active=bool(int(status or 0) & StatusBit.TABLE_ACTIVE),
+            position_units=None if units is None else int(units),
+            position_revolutions=units / per_revolution if units is not None and per_revolution else None,
+            velocity_rad_s=self._velocity_rad_s(now),
+            residual_cycles=None if residual is None else residual / LIMIT_UNITS,
+            residual_limit_cycles=layout.residual_limit_cycles,
+            residual_peak_cycles=self._history.peak(now, PEAK_S),
+            residual_history_cycles=self._history.values(now),
+            history_bin_s=self._history.bin_s,
+            amplitude_counts=math.hypot(*self._tracks[-1]) if raw else amplitude,
+            amplitude_is_raw=raw,
+            amplitude_limits_counts=(layout.amplitude_low_counts, layout.amplitude_high_counts),
+            full_scale_counts=layout.full_scale_counts,
+            tracks_counts=list(self._tracks),
+            seen=dict(self._seen),
+            since_fault_s=_since(self._fault_s, now),
+            counters=_counters(values),
+        )
+
+    def _velocity_rad_s(self, now: float) -> float | None:
+        measured = self._values.get(od.FEEDBACK_VELOCITY)
+        if measured is not None and now - self._times[od.FEEDBACK_VELOCITY] <= FRESH_S:
+            return float(measured)
+        if len(self._positions) < 2 or not self.layout.units_per_revolution:
+            return None
+        (first_s, _), (last_s, _) = self._positions[0], self._positions[-1]
+        if last_s <= first_s or now - last_s > FRESH_S:
+            return None
+        total = self.layout.total_range or WORDS
+        places = [position for _, position in self._positions]
+        steps = ((after - before) % total for before, after in pairwise(places))
+        moved = sum(step - total if step > total // 2 else step for step in steps)
+        return moved / self.layout.units_per_revolution * 2.0 * math.pi / (last_s - first_s)
+
+
+def _since(time_s: float | None, now: float) -> float | None:
+    return None if time_s is None else max(0.0, now - time_s)
+
+
+def _counters(values: Mapping[Multiplexer, Number]) -> dict[str, int]:
+    return {name: int(values[place]) for place, name in COUNTERS.items() if place in values}

@@ -1,0 +1,254 @@
+"""A snapshot as a page of a terminal: rich renderables that fit into its width and height."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich import box
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from canfb.monitoring import lines
+from canfb.monitoring.drawing import bar, dots, history
+from canfb.monitoring.snapshot import BusSnapshot, ModuleSnapshot, NodeSnapshot
+from canfb.monitoring.units import MachineUnits
+
+PANEL_LINES, HIGHEST_PANEL = 11, 18  # of a module, with its frame
+LEAST_FIGURES, LEAST_TRACKS = 54, 12  # characters
+LABEL = 10
+BAR = 60  # characters, of the residual: 30 s of it
+NEAR = 0.8  # of the residual limit: shown in yellow
+GOOD, DOUBTFUL, BAD, FAINT = "green", "yellow", "bold red", "dim"
+STYLES = {"valid": GOOD, "coasting": DOUBTFUL}
+
+
+class Page:
+    """The whole picture; made for the size of the console when it is printed.
+
+    ``plain``: without characters that an ASCII terminal lacks.
+    """
+
+    def __init__(
+        self, snapshot: BusSnapshot, units: MachineUnits, title: str, *, plain: bool = False
+    ) -> None:
+        self._snapshot = snapshot
+        self._units = units
+        self._title = title
+        self._plain = plain
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        yield self.layout(options.max_width, options.height or console.height)
+
+    def layout(self, width: int, height: int) -> RenderableType:
+        """All modules with their pictures where they fit, else a line for each."""
+        snapshot = self._snapshot
+        head = self._head(width)
+        modules = snapshot.modules
+        others = [node for node in snapshot.nodes if node.module is None]
+        left = height - len(head) - bool(others)
+        parts: list[RenderableType] = list(head)
+        if not modules:
+            parts.append(self._nothing())
+        elif len(modules) * PANEL_LINES <= left:
+            rows = min(HIGHEST_PANEL, left // len(modules))
+            parts += [self._panel(node, module, width, rows) for node, module in modules]
+        else:
+            shown = modules[: max(1, left - 2)]
+            parts.append(self._table(shown, width))
+            left -= 2 + len(shown)
+            if len(shown) < len(modules):
+                parts.append(Text(f"... and {len(modules) - len(shown)} more: make the window higher", FAINT))
+                left -= 1
+            parts += self._errors(modules, left, width)
+        if others:
+            parts.append(self._others(others, width))
+        return Group(*parts)
+
+    def _cut(self, text: Text, width: int) -> Text:
+        """One line of it."""
+        text.no_wrap = True
+        text.truncate(width, overflow="crop" if self._plain else "ellipsis")
+        return text
+
+    def _head(self, width: int) -> list[Text]:
+        snapshot = self._snapshot
+        title = Text(f"{self._title}  {snapshot.time_s:.1f} s", style="bold")
+        sync = Text.assemble(("SYNC  ", FAINT), lines.sync_words(snapshot.sync))
+        if snapshot.sync.rate_hz is None:
+            sync.stylize(BAD, 6)
+        load = Text.assemble(("bus   ", FAINT), lines.load_words(snapshot))
+        if snapshot.error_frames:
+            load.append(f", {snapshot.error_frames} error frames", BAD)
+        return [self._cut(one, width) for one in (title, sync, load)]
+
+    def _nothing(self) -> Text:
+        heard = self._snapshot.load.frames_per_s > 0.0
+        text = "frames come, but none of a module: name it (canfb monitor NODE)" if heard else "no frame"
+        return Text(f"\n{text}", DOUBTFUL)
+
+    def _panel(self, node: NodeSnapshot, module: ModuleSnapshot, width: int, rows: int) -> Panel:
+        """A frame of ``rows`` lines with the figures, and the tracks where there is room for them."""
+        inner, high = width - 4, rows - 2
+        wide = min(2 * high, inner - LEAST_FIGURES - 1)  # characters are about twice as high as wide
+        with_tracks = bool(module.tracks_counts) and wide >= LEAST_TRACKS
+        figures = inner - wide - 1 if with_tracks else inner
+        told = self._figures(node, module, figures)
+        told += self._more_errors(node, high - len(told))
+        table = Table.grid(padding=(0, 1, 0, 0))
+        table.add_column(width=figures, no_wrap=True)
+        cells: list[RenderableType] = [Group(*(self._cut(one, figures) for one in told))]
+        if with_tracks:
+            table.add_column(width=wide, no_wrap=True)
+            cells.append(self._lissajous(module, wide, wide // 2))
+        table.add_row(*cells)
+        rows = min(rows, max(len(told), wide // 2 if with_tracks else 0) + 2)
+        style = FAINT if lines.is_stale(module) else STYLES.get(module.position_state or "", BAD)
+        return Panel(
+            table,
+            title=f"{lines.name_of(node)}  {lines.state_words(node)}",
+            title_align="left",
+            subtitle=f"PDO mapping: {module.layout}",
+            subtitle_align="right",
+            border_style=style,
+            box=box.ASCII if self._plain else box.ROUNDED,
+            height=rows,
+        )
+
+    def _figures(self, node: NodeSnapshot, module: ModuleSnapshot, width: int) -> list[Text]:
+        units, stale = self._units, lines.is_stale(module)
+        figures = FAINT if stale else ""
+        state = FAINT if stale else STYLES.get(module.position_state or "", BAD)
+        words = ", ".join((lines.position_words(module), *([] if stale else module.faults)))
+        marks = ["referenced"] * module.referenced + ["table active"] * module.table_active
+        near, since = _near(module, module.residual_cycles), module.since_fault_s
+        seen = {name: count for name, count in module.seen.items() if count}
+        return [
+            Text.assemble(_label("status"), (words, state), (f"  {' '.join(marks)}" if marks else "", FAINT)),
+            Text.assemble(
+                _label("position"),
+                (units.position(module.position_revolutions), f"bold {figures}".strip()),
+                (f"  {module.position_units} units" if module.position_units is not None else "", FAINT),
+            ),
+            Text.assemble(_label("velocity"), (units.velocity(module.velocity_rad_s), figures)),
+            Text.assemble(
+                _label("residual"),
+                (lines.residual_words(module), near or figures),
+            ),
+            self._residual_bar(module, width - LABEL),
+            self._residual_history(module, width - LABEL),
+            Text.assemble(_label("amplitude"), (lines.amplitude_words(module), figures)),
+            Text.assemble(
+                _label("2012h" if module.counters else "faults"),
+                ("" if since is None else f"{lines.age(since)} ago: ", FAINT),
+                lines.counter_words(module.counters or seen),
+                ("" if module.counters or seen else " seen", FAINT),
+            ),
+            self._emergency(node),
+        ]
+
+    def _residual_bar(self, module: ModuleSnapshot, width: int) -> Text:
+        """The peak of the last second: single samples change faster than anybody reads."""
+        limit, peak = module.residual_limit_cycles, module.residual_peak_cycles
+        if not limit or peak is None:
+            return Text("")
+        full = bar(peak / limit, max(10, min(width - 12, BAR)), plain=self._plain)
+        return Text.assemble(_label(""), (full, _near(module, peak) or GOOD), (f" peak {peak:.3f}", FAINT))
+
+    def _residual_history(self, module: ModuleSnapshot, width: int) -> Text:
+        limit, values = module.residual_limit_cycles or 0.5, module.residual_history_cycles
+        room = max(10, min(width - 12, BAR))
+        seconds = min(room, len(values)) * module.history_bin_s
+        drawn = history(values, limit, room, plain=self._plain)
+        text = Text.assemble(_label("history"), drawn, (f" last {seconds:.0f} s" if values else "", FAINT))
+        for place, value in enumerate(values[-room:], start=LABEL + room - len(values[-room:])):
+            if value is not None and value > limit * NEAR:
+                text.stylize(BAD if value > limit else DOUBTFUL, place, place + 1)
+        return text
+
+    def _lissajous(self, module: ModuleSnapshot, width: int, height: int) -> Group:
+        """Cosine to the right, sine upwards, the ends of the converter at the rim."""
+        points = [(float(cosine), float(sine)) for sine, cosine in module.tracks_counts]
+        limit = float(module.full_scale_counts or max(max(map(abs, point)) for point in points))
+        drawn = dots(points, limit, width, height, plain=self._plain)
+        return Group(*(Text(line, style="cyan") for line in drawn))
+
+    def _emergency(self, node: NodeSnapshot) -> Text:
+        if not node.emergencies:
+            return Text.assemble(_label("EMCY"), ("none", FAINT))
+        last = node.emergencies[0]
+        words = f"{last.code:04X}h {last.text}, {lines.age(last.age_s)} ago"
+        style = "" if last.code == 0 else BAD
+        return Text.assemble(_label("EMCY"), (words, style), (f"  ({node.emergency_count})", FAINT))
+
+    def _more_errors(self, node: NodeSnapshot, room: int) -> list[Text]:
+        """The EMCYs before the last one, where there is room for them."""
+        told = []
+        for one in node.emergencies[1 : 1 + max(0, room)]:
+            words = f"{one.code:04X}h {one.text}, {lines.age(one.age_s)} ago"
+            told.append(Text.assemble(_label(""), (words, FAINT if one.code == 0 else "")))
+        return told
+
+    def _table(self, modules: Sequence[tuple[NodeSnapshot, ModuleSnapshot]], width: int) -> Table:
+        """A line for each module."""
+        table = Table(box=None, padding=(0, 1, 0, 0), width=width, header_style=FAINT, pad_edge=False)
+        table.add_column("node", no_wrap=True, width=4, justify="right")
+        for name, ratio in (("NMT", 3), ("status", 4), ("position", 4), ("velocity", 3)):
+            table.add_column(name, no_wrap=True, ratio=ratio, justify="left", overflow="ellipsis")
+        table.add_column("peak residual", no_wrap=True, width=15)
+        table.add_column("counts", no_wrap=True, width=6, justify="right")
+        for node, module in modules:
+            stale = lines.is_stale(module)
+            style = FAINT if stale else STYLES.get(module.position_state or "", BAD)
+            words = lines.position_words(module)
+            if module.faults and not stale:
+                words += f": {', '.join(module.faults)}"
+            amplitude = "-" if module.amplitude_counts is None else f"{module.amplitude_counts:.0f}"
+            table.add_row(
+                str(node.node_id),
+                node.state or ("not heard" if node.heard_s is None else "-"),
+                Text(words, style),
+                self._units.position(module.position_revolutions),
+                self._units.velocity(module.velocity_rad_s),
+                self._short_residual(module),
+                amplitude,
+            )
+        return table
+
+    def _short_residual(self, module: ModuleSnapshot) -> Text:
+        limit, peak = module.residual_limit_cycles, module.residual_peak_cycles
+        if not limit or peak is None:
+            return Text("-")
+        full = bar(peak / limit, 9, plain=self._plain)
+        return Text.assemble(f"{peak:.3f} ", (full, _near(module, peak) or GOOD))
+
+    def _errors(
+        self, modules: Sequence[tuple[NodeSnapshot, ModuleSnapshot]], room: int, width: int
+    ) -> list[Text]:
+        """The newest EMCYs of all modules, where there is room for them."""
+        found = [(one.age_s, node.node_id, one) for node, _ in modules for one in node.emergencies]
+        found.sort(key=lambda entry: entry[0])
+        if room < 2 or not found:
+            return []
+        told = [Text("EMCY", FAINT)]
+        for age_s, node_id, one in found[: room - 1]:
+            text = f"{lines.age(age_s):>8} ago  node {node_id:<3}  {one.code:04X}h {one.text}"
+            told.append(self._cut(Text(text, "" if one.code == 0 else BAD), width))
+        return told
+
+    def _others(self, nodes: Sequence[NodeSnapshot], width: int) -> Text:
+        told = ", ".join(f"{node.node_id} {node.state or '-'}" for node in nodes)
+        return self._cut(Text.assemble(("other nodes  ", FAINT), told), width)
+
+
+def _label(text: str) -> tuple[str, str]:
+    return f"{text:<{LABEL}}", FAINT
+
+
+def _near(module: ModuleSnapshot, residual: float | None) -> str:
+    """The style of a residual that is near its limit, or over it; empty otherwise."""
+    limit = module.residual_limit_cycles
+    if lines.is_stale(module) or not limit or residual is None or residual <= NEAR * limit:
+        return ""
+    return BAD if residual > limit else DOUBTFUL

@@ -1,0 +1,150 @@
+"""One look at a bus: plain values that are shown, or turned to JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class SyncSnapshot:
+    """The SYNC of the last moments.
+
+    rate_hz         None while there is none, or too few to say
+    jitter_rms_s    rms deviation of the SYNCs from the best regular grid, seconds; None as above
+    jitter_peak_s   the largest deviation, seconds
+    silent_s        since the last SYNC; None before the first
+    count           SYNCs since the beginning
+    """
+
+    rate_hz: float | None = None
+    jitter_rms_s: float | None = None
+    jitter_peak_s: float | None = None
+    silent_s: float | None = None
+    count: int = 0
+
+
+@dataclass(frozen=True)
+class LoadSnapshot:
+    """What was on the bus in the last second.
+
+    bits_per_s      with the most stuff bits that there can be
+    load            part of the bit rate, 0..1; None without a bit rate
+    """
+
+    frames_per_s: float = 0.0
+    bits_per_s: float = 0.0
+    bit_rate: int | None = None
+    load: float | None = None
+
+
+@dataclass(frozen=True)
+class EmergencySnapshot:
+    """One EMCY: how long ago it came, code, meaning, 1001h, and the five bytes of the device as hex."""
+
+    age_s: float
+    code: int
+    text: str
+    register: int
+    detail: str
+
+
+@dataclass(frozen=True)
+class ModuleSnapshot:
+    """The feedback of a module. None stands for what was not heard.
+
+    layout                 how its PDOs are known: EDS, configuration, module, assumed
+    age_s                  since its last PDO with a position or a status
+    position_state         valid, coasting, lost, not valid
+    faults                 in words, from the status word
+    position_units         6004h
+    position_revolutions   the same, in revolutions, within the total range
+    velocity_rad_s         of 2011:07, else from the positions
+    residual_cycles        of the last sample, with its limit, and the peak of the last second
+    residual_history_cycles  peaks of intervals of `history_bin_s`, oldest first; None without a sample
+    amplitude_counts       2011:05, else of the ADC counts before conditioning (`amplitude_is_raw`)
+    tracks_counts          the last pairs of the ADC PDO: sine, cosine
+    seen                   position PDOs with each fault, and losses, counted here
+    since_fault_s          since a position PDO was not valid
+    counters               2012h, where it is read or mapped
+    """
+
+    layout: str
+    age_s: float | None = None
+    position_state: str | None = None
+    status: int | None = None
+    faults: list[str] = dataclasses.field(default_factory=list)
+    referenced: bool = False
+    table_active: bool = False
+    position_units: int | None = None
+    position_revolutions: float | None = None
+    velocity_rad_s: float | None = None
+    residual_cycles: float | None = None
+    residual_limit_cycles: float | None = None
+    residual_peak_cycles: float | None = None
+    residual_history_cycles: list[float | None] = dataclasses.field(default_factory=list)
+    history_bin_s: float = 0.0
+    amplitude_counts: float | None = None
+    amplitude_is_raw: bool = False
+    amplitude_limits_counts: tuple[int, int] = (0, 0)
+    full_scale_counts: int = 0
+    tracks_counts: list[tuple[int, int]] = dataclasses.field(default_factory=list)
+    seen: dict[str, int] = dataclasses.field(default_factory=dict)
+    since_fault_s: float | None = None
+    counters: dict[str, int] = dataclasses.field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class NodeSnapshot:
+    """A node of the bus.
+
+    state           NMT state; None while it is not known
+    state_source    what says so: heartbeat, boot-up, PDO, command
+    heard_s         since its last frame; None for one that was never heard
+    boot_ups        counted here
+    emergencies     the last ones, newest first; `emergency_count` of them in all
+    module          None for a node that is no feedback module, or not known as one
+    """
+
+    node_id: int
+    state: str | None = None
+    state_source: str | None = None
+    heard_s: float | None = None
+    boot_ups: int = 0
+    emergencies: list[EmergencySnapshot] = dataclasses.field(default_factory=list)
+    emergency_count: int = 0
+    module: ModuleSnapshot | None = None
+
+
+@dataclass(frozen=True)
+class BusSnapshot:
+    """All of it at ``time_s``, seconds on the clock of the frames."""
+
+    time_s: float
+    sync: SyncSnapshot
+    load: LoadSnapshot
+    nodes: list[NodeSnapshot]
+    error_frames: int = 0
+
+    @property
+    def modules(self) -> list[tuple[NodeSnapshot, ModuleSnapshot]]:
+        """The feedback modules."""
+        return [(node, node.module) for node in self.nodes if node.module is not None]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values for json.dumps: what is no finite number is None."""
+        plain = _plain(dataclasses.asdict(self))
+        assert isinstance(plain, dict)
+        return plain
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(one) for one in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

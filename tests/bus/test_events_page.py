@@ -1,0 +1,45 @@
+"""docs/events.md: its lines are those of the program, and its table has every kind."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+from canfb import objects as od
+from canfb.bus.throttle import BURST, LONGEST_WINDOW_S, WINDOW_S
+from canfb.module import event_watch
+from canfb.module.event import DETAILS, EventKind
+
+PAGE = (Path(__file__).parents[2] / "docs" / "events.md").read_text(encoding="utf-8")
+WATCH = Path(event_watch.__file__).read_text(encoding="utf-8") + " ".join(od.FAULT_WORDS.values())
+
+
+def test_every_kind_has_its_row() -> None:
+    rows = re.findall(r"^\| `(\w+)` \| (.*) \|$", PAGE, re.M)
+    assert rows.pop(0)[0] == "event"
+    assert [kind for kind, _ in rows] == [str(kind) for kind in EventKind]
+    assert {kind for kind, text in rows if "only with `-v`" in text} == {str(kind) for kind in DETAILS}
+
+
+def test_the_limits_are_those_of_the_program() -> None:
+    assert (BURST, WINDOW_S, LONGEST_WINDOW_S) == (5, 1.0, 10.0)
+    assert "at most five events within a second" in PAGE
+    assert f"more than {event_watch.ANOTHER_RATE:.0%}".replace("%", " %") in PAGE
+
+
+def test_the_lines_have_the_words_of_the_program() -> None:
+    (lines, _) = re.findall(r"```text\n(.*?)```", PAGE, re.S)
+    for line in lines.splitlines():
+        text = re.fullmatch(r"[-0-9]{10} [0-9:.]{12} node 32 \(20h\): (.*)", line)
+        assert text, line
+        first = re.split(r"[:,]? ?[0-9]|:", text[1])[0].removesuffix(" amplitude").split(",")[0]
+        pieces = [word for word in first.split() if word not in ("coasting", "lost", "valid", "OPERATIONAL")]
+        assert all(piece in WATCH for piece in pieces), first
+
+
+def test_the_objects_are_json() -> None:
+    (block,) = re.findall(r"```json\n(.*?)```", PAGE, re.S)
+    event, message = (json.loads(line) for line in block.splitlines())
+    assert set(event) >= {"time", "event", "node", "text", "monotonic_s"}
+    assert set(message) == {"event", "level", "text"}

@@ -1,0 +1,168 @@
+"""What happens in a module is told as events: each change once, with its reason, and nothing in between."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+
+import canfb
+from canfb import objects as od
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtCommand
+from canfb.device.storage.storage import MemoryStore
+from canfb.module.event import Event, EventKind
+from canfb.module.event_watch import EventWatch
+
+NODE, INTERFACE = 0x20, 0x10
+PERIOD_S = 1e-3
+
+
+class Machine:
+    """A module at 1 kHz whose samples a test may spoil."""
+
+    def __init__(self, *, detailed: bool = False, **fields: object) -> None:
+        config = canfb.ModuleConfig(node_id=NODE, autostart=True, **fields)  # type: ignore[arg-type]
+        self.module = canfb.FeedbackModule(config, MemoryStore())
+        self.events: list[Event] = []
+        self.module.events.on_event = self.events.append
+        self.module.events.detailed = detailed
+        self.now = 0.0
+        self.module.start(0.0)
+
+    def run(self, syncs: int, *, sample: bool = True, amplitude: float = 1500.0, jump: float = 0.0) -> None:
+        for _ in range(syncs):
+            self.now += PERIOD_S
+            angle = 2.0 * math.pi * (5.0 * self.now + jump)
+            data = struct.pack(
+                "<hh",
+                *(
+                    max(-2048, min(round(amplitude * one), 2047))
+                    for one in (math.sin(angle), math.cos(angle))
+                ),
+            )
+            self.give(0x080, b"", self.now)
+            if sample:
+                self.give(0x180 + INTERFACE, data, self.now + 2e-4)
+
+    def silence(self, seconds: float) -> None:
+        end = self.now + seconds
+        while (due := self.module.deadline()) is not None and due <= end:
+            self.module.tick(due)
+        self.now = end
+
+    def give(self, can_id: int, data: bytes, at: float) -> None:
+        self.module.receive(Frame(can_id, data, timestamp=at), at)
+
+    def texts(self, kind: EventKind | None = None) -> list[str]:
+        return [event.text for event in self.events if kind in (None, event.kind)]
+
+
+def test_a_start_is_told_in_its_order() -> None:
+    machine = Machine()
+    machine.run(200)
+    kinds = [event.kind for event in machine.events]
+    nmt, first, position, sync = (
+        EventKind.NMT,
+        EventKind.FIRST_SAMPLE,
+        EventKind.POSITION,
+        EventKind.SYNC_FOUND,
+    )
+    assert kinds == [nmt, nmt, first, position, sync], "200 SYNCs tell nothing more"
+    assert machine.texts()[:2] == ["boot-up, PRE-OPERATIONAL", "OPERATIONAL"]
+    assert machine.texts(first) == ["first sample, amplitude 1500 counts"]
+    assert machine.texts(position) == ["position valid"]
+    assert machine.events[-1].values["rate_hz"] == pytest.approx(1000.0, rel=1e-3)
+
+
+def test_a_lost_position_names_every_cause_and_how_long_it_took() -> None:
+    machine = Machine(residual_limit=0.2)
+    machine.run(100)
+    machine.events.clear()
+    machine.run(1, jump=0.3)
+    machine.run(30)
+    texts = machine.texts(EventKind.POSITION)
+    assert len(texts) == 2
+    assert texts[0].startswith("position coasting: residual 0.29")
+    assert texts[0].endswith(" over 0.200 cycle")
+    assert texts[1].startswith("position valid again, after ")
+    machine.events.clear()
+    machine.run(1, jump=0.3)
+    machine.run(10, sample=False)
+    assert machine.texts(EventKind.POSITION)[-1] == "position lost: sample missed, residual over its limit"
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "words"),
+    [(200.0, "amplitude 200 counts outside of"), (2500.0, "clipped")],
+)
+def test_the_check_that_failed_is_named(amplitude: float, words: str) -> None:
+    machine = Machine()
+    machine.run(100)
+    machine.events.clear()
+    machine.run(20, amplitude=amplitude)
+    assert any(words in text for text in machine.texts(EventKind.POSITION))
+    assert len(machine.events) <= 4, "20 bad samples are no 20 events"
+
+
+def test_sync_is_lost_and_found_again() -> None:
+    machine = Machine()
+    machine.run(100)
+    machine.events.clear()
+    machine.silence(0.5)
+    assert machine.texts(EventKind.SYNC_LOST) == ["SYNC lost, none for 2 ms"]
+    machine.run(100)
+    assert machine.texts(EventKind.SYNC_FOUND) == ["SYNC found, 1000 Hz"]
+
+
+def test_details_are_told_one_by_one_if_wanted() -> None:
+    plain, detailed = Machine(), Machine(detailed=True)
+    for machine in (plain, detailed):
+        machine.run(100)
+        machine.events.clear()
+        machine.run(3, sample=False)
+    assert plain.texts(EventKind.FAULT) == plain.texts(EventKind.EMCY) == []
+    missed = detailed.texts(EventKind.FAULT)
+    assert missed == [f"sample {100 + k}: sample missed" for k in (1, 2)], "the third is known with its SYNC"
+    (emcy,) = (event for event in detailed.events if event.kind is EventKind.EMCY)
+    assert emcy.values["code"] == 0x7300
+    assert "sensor: position not valid" in emcy.text
+
+
+def test_table_and_saving_are_told() -> None:
+    machine = Machine()
+    machine.run(10)
+    machine.events.clear()
+    table = canfb.CorrectionTable([n / 16 + 1e-3 * math.sin(2.0 * math.pi * n / 16) for n in range(16)])
+    dictionary = machine.module.dictionary
+    dictionary.entry(*od.TABLE_STAGED).download(table.to_bytes())
+    dictionary.entry(*od.TABLE_ACTIVATE).download(struct.pack("<I", table.crc32))
+    assert machine.texts() == [f"table in force: 16 entries, CRC {table.crc32:08X}h"]
+    dictionary.entry(*od.STORE_ALL_PARAMETERS).download(b"save")
+    assert machine.texts(EventKind.SAVED) == ["parameters saved: communication, application, manufacturer"]
+    dictionary.entry(*od.TABLE_ACTIVATE).download(bytes(4))
+    assert machine.texts(EventKind.TABLE)[-1] == "table in force: none, the identity"
+    machine.events.clear()
+    machine.give(0x000, bytes((NmtCommand.RESET_NODE, NODE)), machine.now)
+    assert machine.texts(EventKind.TABLE) == [f"table in force: 16 entries, CRC {table.crc32:08X}h"]
+
+
+def test_without_a_listener_nothing_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    machine = Machine()
+    machine.module.events.on_event = None
+    monkeypatch.setattr(EventWatch, "_tell", lambda *given, **values: pytest.fail("made for nobody"))
+    monkeypatch.setattr(EventWatch, "_changed", lambda *given: pytest.fail("made for nobody"))
+    monkeypatch.setattr(EventWatch, "nmt", lambda *given: None)
+    monkeypatch.setattr(EventWatch, "synced", lambda *given: None)
+    machine.run(100)
+    machine.run(5, sample=False)
+
+
+def test_good_samples_ask_the_watch_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    machine = Machine()
+    machine.run(100)
+    calls: list[object] = []
+    monkeypatch.setattr(EventWatch, "follow", lambda *given: calls.append(given))
+    machine.run(1000)
+    assert calls == []

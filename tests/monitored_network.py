@@ -1,0 +1,90 @@
+"""A module, its encoder interface and the SYNC on an embedded bus, watched by the model of the monitor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import canfb
+from canfb.bus.known_modules import assumed_layout, known_layouts
+from canfb.cia301.frame import Frame
+from canfb.configuration import Config
+from canfb.device.hosted import Device
+from canfb.monitoring.bus_model import BusModel
+from canfb.monitoring.snapshot import ModuleSnapshot
+from canfb.signal.sample import Sample
+from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.simulation.encoder import demo_encoder
+from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.motion import Motion, Ramp
+from canfb.simulation.scenario import SimulationConfig
+from canfb.simulation.shaft_encoder import ShaftEncoder
+from canfb.simulation.sync_producer import SyncProducer
+from canfb.sources.motion_source import MotionSource
+
+BIT_RATE = 1_000_000
+NODE, INTERFACE = 0x20, 0x10
+RPM = 63.7
+PERIOD_S = 1e-3
+
+
+class Spoiled:
+    """A motion that loses samples while ``lost`` is set."""
+
+    def __init__(self, motion: MotionSource) -> None:
+        self._motion = motion
+        self.lost = False
+
+    def next(self) -> Sample | None:
+        return self._motion.next()
+
+    def sample_at(self, now: float) -> Sample | None:
+        sample = self._motion.sample_at(now)
+        return None if self.lost else sample
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._motion, name)
+
+
+class MonitoredNetwork:
+    """Frames of real devices in simulated time; ``frames`` has all of them, with their times."""
+
+    def __init__(
+        self,
+        nodes: Sequence[int] = (NODE,),
+        *,
+        known: Sequence[int] = (NODE,),
+        jitter_us: float = 0.0,
+        only_known: bool = False,
+        **fields: Any,
+    ) -> None:
+        self.bus = EmbeddedBus(BIT_RATE)
+        configs = [canfb.ModuleConfig(node_id=node, autostart=True, **fields) for node in nodes]
+        self.modules = [canfb.FeedbackModule(config) for config in configs]
+        shaft = ShaftEncoder(demo_encoder(), 2500, 1, 0.0)
+        self.source = Spoiled(MotionSource(shaft, Motion((Ramp(0.2, 0.0), Ramp(0.5, RPM)), ()), PERIOD_S))
+        self.interface = EncoderInterface(INTERFACE, self.source, autostart=True)
+        self.model = BusModel(
+            known_layouts(Config(modules=configs), known) if known else [],
+            assumed_layout,
+            BIT_RATE,
+            only_known=only_known,
+        )
+        self.frames: list[tuple[Frame, float]] = []
+        self.bus.taps.append(self._hear)
+        devices: list[Device] = [*self.modules, self.interface]
+        for device in devices:
+            self.bus.attach(device)
+        self.bus.attach(SyncProducer(PERIOD_S, SimulationConfig(sync_jitter_us=jitter_us), 1))
+
+    def _hear(self, frame: Frame, now: float) -> None:
+        self.frames.append((frame, now))
+        self.model.receive(frame, now)
+
+    def run(self, seconds: float) -> None:
+        self.bus.run_until(self.bus.now + seconds)
+
+    def module(self, node_id: int = NODE) -> ModuleSnapshot:
+        found = [one for node, one in self.model.snapshot(self.bus.now).modules if node.node_id == node_id]
+        assert len(found) == 1
+        return found[0]

@@ -1,0 +1,229 @@
+"""What the monitor makes of the frames of real devices is what these devices hold."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import sys
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canfb import objects as od
+from canfb.bus.known_modules import assumed_layout, known_layouts
+from canfb.cia301.frame import Frame
+from canfb.configuration import Config
+from canfb.monitoring.bus_model import BusModel
+from canfb.monitoring.layout import Origin, layout_of
+from canfb.monitoring.snapshot import NodeSnapshot
+from monitored_network import INTERFACE, NODE, RPM, MonitoredNetwork
+
+
+@pytest.fixture(scope="module")
+def turning() -> MonitoredNetwork:
+    network = MonitoredNetwork()
+    network.run(2.0)
+    return network
+
+
+def nodes(network: MonitoredNetwork) -> dict[int, NodeSnapshot]:
+    return {node.node_id: node for node in network.model.snapshot(network.bus.now).nodes}
+
+
+def test_position_status_and_residual_are_those_of_the_module(turning: MonitoredNetwork) -> None:
+    shown, dictionary = turning.module(), turning.modules[0].dictionary
+    assert shown.position_units == dictionary.entry(*od.POSITION_VALUE).value
+    per_revolution = dictionary.entry(*od.UNITS_PER_REVOLUTION).value
+    assert shown.position_revolutions == pytest.approx(shown.position_units / per_revolution)
+    assert shown.status == dictionary.entry(*od.FEEDBACK_STATUS).value
+    assert (shown.position_state, shown.faults) == ("valid", [])
+    assert shown.residual_cycles == dictionary.entry(*od.FEEDBACK_RESIDUAL).value / 65536
+    assert shown.residual_limit_cycles == pytest.approx(1 / 3, abs=1e-4)
+    peaks = [one for one in shown.residual_history_cycles if one is not None]
+    assert len(peaks) == 4
+    assert shown.residual_peak_cycles is not None
+    assert shown.residual_cycles is not None
+    assert max(peaks) >= shown.residual_peak_cycles >= shown.residual_cycles > 0.0
+
+
+def test_velocity_is_that_of_the_machine(turning: MonitoredNetwork) -> None:
+    velocity = turning.module().velocity_rad_s
+    assert velocity == pytest.approx(RPM * 2.0 * math.pi / 60.0, rel=2e-3)
+
+
+def test_velocity_goes_on_over_the_end_of_the_range_and_backwards() -> None:
+    (layout,) = known_layouts(Config(), [NODE])
+    model = BusModel([layout])
+    per_s = -3 * layout.units_per_revolution
+    for k in range(60):
+        now = k * 0.005
+        position = round(1000 + per_s * now) % layout.total_range
+        model.receive(Frame(0x180 + NODE, struct.pack("<IHH", position, 1, 0)), now)
+    ((_, shown),) = model.snapshot().modules
+    assert shown.velocity_rad_s == pytest.approx(-6.0 * math.pi, rel=1e-3)
+
+
+def test_amplitude_and_tracks_are_those_of_the_adc_pdo(turning: MonitoredNetwork) -> None:
+    shown = turning.module()
+    last = [frame for frame, _ in turning.frames if frame.can_id == 0x180 + INTERFACE][-1]
+    assert shown.tracks_counts[-1] == struct.unpack("<hh", last.data)
+    assert shown.amplitude_is_raw
+    assert shown.amplitude_counts == pytest.approx(math.hypot(*shown.tracks_counts[-1]))
+    low, high = shown.amplitude_limits_counts
+    assert shown.amplitude_counts is not None
+    assert low < shown.amplitude_counts < high
+
+
+def test_faults_are_counted_as_the_module_counts_them() -> None:
+    network = MonitoredNetwork()
+    network.run(1.5)
+    assert nodes(network)[NODE].emergencies == []
+    network.source.lost = True
+    network.run(0.02)
+    shown, dictionary = network.module(), network.modules[0].dictionary
+    assert shown.position_state == "lost"
+    assert "sample missed" in shown.faults
+    assert shown.since_fault_s is not None
+    assert shown.since_fault_s < 0.02
+    assert shown.seen["lost"] == dictionary.entry(*od.COUNTER_LOST).value == 1
+    # Once it is lost, it publishes only what is new.
+    assert 0 < shown.seen["missed"] <= dictionary.entry(*od.COUNTER_MISSED).value
+    last = nodes(network)[NODE].emergencies[0]
+    assert (last.code, last.text) == (0x7300, "sensor: position not valid")
+    assert last.age_s < 0.02
+    assert not any(shown.counters.values()), "not read: it only listens"
+
+
+def test_nmt_states_are_followed(turning: MonitoredNetwork) -> None:
+    network = MonitoredNetwork()
+    network.run(0.0009)
+    assert nodes(network)[NODE].state == "PRE-OPERATIONAL", "the boot-up"
+    network.run(0.1)
+    assert (nodes(network)[NODE].state, nodes(network)[NODE].state_source) == ("OPERATIONAL", "PDO")
+    network.bus.send(Frame(0x000, bytes((2, NODE))))
+    assert (nodes(network)[NODE].state, nodes(network)[NODE].state_source) == ("STOPPED", "command")
+    network.modules[0].dictionary.entry(0x1017).download(struct.pack("<H", 50))
+    network.run(0.2)
+    assert (nodes(network)[NODE].state, nodes(network)[NODE].state_source) == ("STOPPED", "heartbeat")
+    assert network.module().age_s == pytest.approx(0.2, abs=0.02)
+    network.bus.send(Frame(0x000, bytes((129, 0))))
+    assert nodes(network)[NODE].boot_ups == 2
+    assert nodes(network)[INTERFACE].module is None, "that is no module"
+
+
+def test_a_module_is_found_by_what_it_sends_and_nothing_else_is_taken_for_one() -> None:
+    network = MonitoredNetwork((NODE, 0x31), known=())
+    network.run(1.0)
+    modules = {node.node_id: one for node, one in network.model.snapshot(network.bus.now).modules}
+    assert sorted(modules) == [NODE, 0x31]
+    assert {one.layout for one in modules.values()} == {"assumed"}
+
+
+def test_an_adc_pdo_of_eight_bytes_is_no_position() -> None:
+    model = BusModel(assume=assumed_layout)
+    for k in range(1000):
+        angle = 0.7 * k
+        data = struct.pack("<hhI", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)), k * 9973)
+        model.receive(Frame(0x190, data), k * 1e-3)
+    assert model.snapshot().modules == []
+
+
+def test_named_nodes_that_are_not_there_are_shown_as_such() -> None:
+    network = MonitoredNetwork(known=(NODE,), only_known=True)
+    network.model.learn(assumed_layout(5))
+    network.run(0.1)
+    shown = nodes(network)
+    assert sorted(shown) == [5, NODE], "the interface was not asked for"
+    assert shown[5].heard_s is None
+
+
+def test_a_mapping_of_the_module_is_followed() -> None:
+    """2011:05 and 2011:07 in a TPDO3 of another COB-ID: amplitude and velocity are those of the module."""
+    network = MonitoredNetwork()
+    dictionary = network.modules[0].dictionary
+    for place, layout, value in (
+        ((0x1A02, 0), "B", 0),
+        ((0x1A02, 1), "I", od.FEEDBACK_AMPLITUDE.mapped(16)),
+        ((0x1A02, 2), "I", od.FEEDBACK_VELOCITY.mapped(32)),
+        ((0x1A02, 0), "B", 2),
+        ((0x1802, 2), "B", 254),
+        ((0x1802, 1), "I", 0x3F5),
+    ):
+        dictionary.entry(*place).download(struct.pack(f"<{layout}", value))
+
+    def read(place: od.Multiplexer) -> Any:
+        entry = dictionary.find(*place)
+        return None if entry is None else entry.value
+
+    network.model.learn(layout_of(NODE, read, Origin.MODULE))
+    network.run(1.5)
+    shown = network.module()
+    assert 0x3F5 in {frame.can_id for frame, _ in network.frames}
+    assert not shown.amplitude_is_raw
+    assert shown.amplitude_counts == dictionary.entry(*od.FEEDBACK_AMPLITUDE).current()
+    assert shown.velocity_rad_s == pytest.approx(dictionary.entry(*od.FEEDBACK_VELOCITY).current(), rel=1e-6)
+    assert shown.layout == "module"
+
+
+def test_the_snapshot_is_json(turning: MonitoredNetwork) -> None:
+    plain = turning.model.snapshot(turning.bus.now).to_json()
+    assert json.loads(json.dumps(plain, allow_nan=False)) == plain
+    assert plain["nodes"][1]["module"]["position_state"] == "valid"
+
+
+FRAMES = st.lists(
+    st.tuples(
+        st.one_of(
+            st.integers(-5, 0x900),
+            st.sampled_from([0, 0x80, 0xA0, 0x190, 0x1A0, 0x2A0, 0x5A0, 0x700, 0x720, 0x7A0]),
+        ),
+        st.binary(max_size=64),
+        st.booleans(),
+        st.one_of(st.floats(-10.0, 10.0), st.sampled_from([0.0, 1e-3, 1e9])),
+    ),
+    max_size=60,
+)
+
+
+@settings(max_examples=150)
+@given(FRAMES)
+def test_no_frame_raises(frames: list[tuple[int, bytes, bool, float]]) -> None:
+    model = BusModel(known_layouts(Config(), [NODE]), assumed_layout, 500_000)
+    now = 0.0
+    for can_id, data, rtr, step in frames:
+        now += step
+        model.receive(Frame(can_id, data, rtr), now)
+        model.other_frame(len(data), now)
+        json.dumps(model.snapshot(now).to_json(), allow_nan=False)
+
+
+def test_memory_stays_bounded() -> None:
+    """Every CAN-ID, and then those of eight modules for hours."""
+    model = BusModel(known_layouts(Config(), [NODE]), assumed_layout, 500_000)
+    for k in range(2 * 0x800):
+        model.receive(Frame(k % 0x800, bytes(8)), k * 1e-3)
+    ids = (0x080, 0x190, 0x0A0, 0x720, *range(0x1A0, 0x1A8))
+
+    def burst(first: int) -> int:
+        for k in range(first, first + 8_000):
+            data = struct.pack("<IHH", k * 7919 % 2**32, 0xFF if k % 900 else 1, k % 30000)
+            model.receive(Frame(ids[k % len(ids)], data), 10.0 + k * 0.1)
+        return _size(model, set())
+
+    warm = burst(0)
+    assert burst(8_000) < 1.05 * warm
+
+
+def _size(thing: object, seen: set[int]) -> int:
+    if id(thing) in seen or isinstance(thing, type) or callable(thing):
+        return 0
+    seen.add(id(thing))
+    inner: list[object] = list(vars(thing).values()) if hasattr(thing, "__dict__") else []
+    if isinstance(thing, dict):
+        inner += [*thing.keys(), *thing.values()]
+    elif hasattr(thing, "__iter__") and not isinstance(thing, (str, bytes)):
+        inner += list(thing)
+    return sys.getsizeof(thing) + sum(_size(one, seen) for one in inner)

@@ -1,0 +1,137 @@
+"""Rate, jitter and load against what was put in."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.cia301.frame import Frame, frame_bits
+from canfb.monitoring.bus_model import BusModel
+from canfb.monitoring.meters import LoadMeter, PeakHistory, SyncMeter
+from monitored_network import BIT_RATE, MonitoredNetwork
+
+
+def stuffed_bits(bits: list[int]) -> int:
+    """Length with a stuff bit after five alike (ISO 11898-1)."""
+    length, run, last = 0, 0, -1
+    for bit in bits:
+        run = run + 1 if bit == last else 1
+        last, length = bit, length + 1
+        if run == 5:
+            last, run, length = 1 - bit, 1, length + 1
+    return length
+
+
+def bits_on_the_wire(can_id: int, data: bytes, extended: bool) -> int:
+    """From the start bit to the interframe space, counted bit by bit."""
+    number = [can_id >> n & 1 for n in reversed(range(29 if extended else 11))]
+    head = [0, *number[:11], 1, 1, *number[11:], 0, 0, 0] if extended else [0, *number, 0, 0, 0]
+    bits = [*head, *(len(data) >> n & 1 for n in reversed(range(4)))]
+    bits += [byte >> n & 1 for byte in data for n in reversed(range(8))]
+    crc = 0
+    for bit in bits:
+        crc = (crc << 1 & 0x7FFF) ^ (0x4599 if bit ^ crc >> 14 else 0)
+    bits += [crc >> n & 1 for n in reversed(range(15))]
+    return stuffed_bits(bits) + 1 + 2 + 7 + 3
+
+
+@given(st.integers(0, 2**29 - 1), st.binary(max_size=8), st.booleans())
+def test_no_frame_is_longer_than_it_is_taken_for(can_id: int, data: bytes, extended: bool) -> None:
+    worst = frame_bits(len(data), extended=extended)
+    exact = bits_on_the_wire(can_id if extended else can_id & 0x7FF, data, extended)
+    assert (67 if extended else 47) + 8 * len(data) <= exact <= worst
+    assert worst <= 1.25 * ((67 if extended else 47) + 8 * len(data))
+
+
+def test_the_load_is_that_of_the_frames_that_were_there() -> None:
+    network = MonitoredNetwork()
+    network.run(2.05)
+    load = network.model.snapshot(network.bus.now).load
+    of_it = [frame for frame, now in network.frames if 1.0 <= now < 2.0]
+    assert load.frames_per_s == pytest.approx(len(of_it), abs=1)
+    assert load.bits_per_s == pytest.approx(sum(frame_bits(len(frame.data)) for frame in of_it), abs=140)
+    exact = sum(bits_on_the_wire(frame.can_id, frame.data, False) for frame in of_it) / BIT_RATE
+    assert load.load is not None
+    assert exact < load.load < 1.25 * exact
+
+
+def test_a_full_bus_is_a_load_of_one() -> None:
+    model = BusModel(bit_rate=125_000)
+    now = 0.0
+    while now < 3.0:
+        model.receive(Frame(0x123, bytes(8)), now)
+        now += frame_bits(8) / 125_000
+    assert model.snapshot(now).load.load == pytest.approx(1.0, abs=0.01)
+    assert model.snapshot(now + 2.0).load.load == 0.0
+
+
+def test_without_a_bit_rate_there_is_no_load() -> None:
+    meter = LoadMeter()
+    meter.frame(100, 0.0)
+    assert meter.snapshot(0.5).load is None
+    assert meter.snapshot(0.5).bits_per_s == pytest.approx(200.0)
+
+
+@pytest.mark.parametrize("jitter_us", [0.0, 5.0, 50.0])
+@pytest.mark.parametrize("period_s", [1e-3, 2.5e-3, 10e-3])
+def test_jitter_that_is_known_is_measured(jitter_us: float, period_s: float) -> None:
+    draw, meter = random.Random(7), SyncMeter()
+    errors = []
+    for k in range(600):
+        errors.append(draw.uniform(-jitter_us, jitter_us) * 1e-6)
+        if k % 97 != 5:  # not all are heard
+            meter.sync(1e9 * 0.0 + k * period_s + errors[-1])
+    seen = meter.snapshot(600 * period_s)
+    assert seen.rate_hz == pytest.approx(1.0 / period_s, rel=1e-4)
+    assert seen.jitter_rms_s == pytest.approx(jitter_us * 1e-6 / math.sqrt(3.0), rel=0.08, abs=1e-9)
+    assert seen.jitter_peak_s == pytest.approx(jitter_us * 1e-6, rel=0.06, abs=1e-9)
+
+
+def test_jitter_of_a_simulated_producer_is_measured() -> None:
+    network = MonitoredNetwork(jitter_us=20.0)
+    network.run(2.0)
+    sync = network.model.snapshot(network.bus.now).sync
+    assert sync.rate_hz == pytest.approx(1000.0, rel=1e-3)
+    assert sync.jitter_rms_s == pytest.approx(20e-6 / math.sqrt(3.0), rel=0.15)
+    assert sync.count == pytest.approx(2000, abs=2)
+
+
+def test_duplicates_and_silence() -> None:
+    meter = SyncMeter()
+    assert meter.snapshot(1.0).silent_s is None
+    for k in range(100):
+        meter.sync(k * 1e-3)
+        if k % 10 == 0:
+            meter.sync(k * 1e-3 + 1e-5)
+    assert meter.snapshot(0.1).rate_hz == pytest.approx(1000.0, rel=1e-3)
+    silent = meter.snapshot(5.0)
+    assert silent.rate_hz is None
+    assert silent.silent_s == pytest.approx(4.901)
+
+
+@given(st.lists(st.floats(-1e6, 1e6), max_size=50), st.floats(-1e6, 1e6))
+def test_whatever_times_syncs_have(times: list[float], now: float) -> None:
+    meter = SyncMeter()
+    for time_s in times:
+        meter.sync(time_s)
+    seen = meter.snapshot(now)
+    assert seen.rate_hz is None or seen.rate_hz > 0.0
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 3.0), st.floats(0.0, 0.5)), min_size=1, max_size=100))
+def test_the_history_has_the_peak_of_each_interval(steps: list[tuple[float, float]]) -> None:
+    history, now, truth = PeakHistory(0.5, 20), 0.0, dict[int, float]()
+    for step, value in steps:
+        now += step
+        history.add(value, now)
+        number = math.floor(now / 0.5)
+        truth[number] = max(truth.get(number, 0.0), value)
+    values = history.values(now)
+    last = math.floor(now / 0.5)
+    assert len(values) <= 20
+    assert values == [truth.get(number) for number in range(last - len(values) + 1, last + 1)]
+    assert values[-1] is not None
