@@ -15,6 +15,7 @@ COMMANDS = [
     "run",
     "simulate",
     "calibrate",
+    "record",
     "config",
     "config check",
     "config example",

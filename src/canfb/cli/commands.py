@@ -8,6 +8,7 @@ from canfb.cli import (
     config_file,
     demo,
     nmt_command,
+    record,
     run,
     sdo_command,
     simulate,
@@ -23,5 +24,6 @@ COMMANDS = (
     calibrate,
     table_command,
     backup_command,
+    record,
     config_file,
 )

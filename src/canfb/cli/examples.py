@@ -54,6 +54,10 @@ _EXAMPLES = {
     "canfb restore": """
   canfb restore left-drive.yaml --dry-run --config feedback.yaml
   canfb restore left-drive.yaml --preop --save --config feedback.yaml""",
+    "canfb record": """
+  canfb record bus.log -i socketcan -c can0
+  canfb record bus.blf --config feedback.yaml --seconds 60
+  canfb record week.log --config feedback.yaml --max-size 100M""",
     "canfb config": """
   canfb config example > feedback.yaml
   canfb config check feedback.yaml
