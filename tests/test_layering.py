@@ -31,15 +31,18 @@ ALLOWED: dict[str, set[str]] = {
     "sources": {"signal"} | WORDS,
     "module": {"signal", "calibration", "device", "sources", "eds_files"} | WORDS,
     "simulation": {"signal", "device", "sources", "eds_files"} | WORDS,
+    # Time is an argument here as well: frames of a log in, what the module made of them out.
+    "replay": {"signal", "calibration", "device", "module"} | WORDS,
     "configuration": {"signal", "sources", "module", "simulation", "checks", "errors"},
     # Pictures need what is measured, and nothing of how: so the demo and every tool on top may use them.
     "report": {"signal", "calibration"},
     "commissioning": {"signal", "calibration", "sources", "report"} | WORDS,
     "bus": {"signal", "sources", "module", "device", "simulation", "configuration"} | WORDS,
+    "logs": {"signal", "device", "module", "report", "bus", "replay"} | WORDS,
     "demo": {"signal", "calibration", "report", "device", "sources", "module", "simulation", "configuration",
              "eds_files"} | WORDS,
     "cli": {"signal", "calibration", "device", "sources", "module", "simulation", "configuration",
-            "eds_files", "bus", "demo", "commissioning", "report"} | WORDS,
+            "eds_files", "bus", "demo", "commissioning", "report", "replay", "logs"} | WORDS,
     # StateFiles of bus, when it is asked for.
     "__init__": {"signal", "calibration", "module", "configuration", "eds_files", "bus"} | WORDS,
     "__main__": {"cli"},
@@ -60,10 +63,12 @@ FOREIGN: dict[str, set[str]] = {
     "device": {"canopen"},
     "sources": {"numpy", "iio"},
     "simulation": {"numpy"},
+    "replay": {"numpy"},
     "configuration": {"yaml"},
     "report": {"numpy"},
     "commissioning": {"numpy", "canopen", "can", "yaml"},
     "bus": {"can", "canopen"},
+    "logs": {"numpy", "pyarrow"},
     "demo": {"numpy", "canopen"},
     "cli": {"can"},
 }

@@ -16,6 +16,7 @@ COMMANDS = [
     "simulate",
     "calibrate",
     "record",
+    "replay",
     "config",
     "config check",
     "config example",

@@ -9,6 +9,7 @@ from canfb.cli import (
     demo,
     nmt_command,
     record,
+    replay,
     run,
     sdo_command,
     simulate,
@@ -25,5 +26,6 @@ COMMANDS = (
     table_command,
     backup_command,
     record,
+    replay,
     config_file,
 )
