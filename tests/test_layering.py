@@ -68,7 +68,7 @@ FOREIGN: dict[str, set[str]] = {
     "report": {"numpy"},
     "commissioning": {"numpy", "canopen", "can", "yaml"},
     "bus": {"can", "canopen"},
-    "logs": {"numpy", "pyarrow"},
+    "logs": {"numpy", "pyarrow", "distributed"},
     "demo": {"numpy", "canopen"},
     "cli": {"can"},
 }

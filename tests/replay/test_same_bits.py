@@ -10,6 +10,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from canfb.cia301.frame import Frame
+from canfb.device.storage.storage import MemoryStore
+from canfb.logs.log_replay import ReplaySettings, replay_log
+from canfb.objects import StatusBit
+from canfb.replay.module_replay import ModuleReplay
+from canfb.replay.start_rule import Begin
+from canfb.signal.conditioning import IDENTITY
+from canfb.signal.correction import Correction, CorrectionTable
 from replay_kit import (
     ADC_ID,
     NODE_ID,
@@ -27,15 +36,6 @@ from replay_kit import (
     session,
     write_log,
 )
-
-from canfb.cia301.frame import Frame
-from canfb.device.storage.storage import MemoryStore
-from canfb.logs.log_replay import ReplaySettings, replay_log
-from canfb.objects import StatusBit
-from canfb.replay.module_replay import ModuleReplay
-from canfb.replay.start_rule import Begin
-from canfb.signal.conditioning import IDENTITY
-from canfb.signal.correction import Correction, CorrectionTable
 
 
 def same(plan: list[Planned], **fields: Any) -> ModuleReplay:

@@ -16,6 +16,7 @@ from canfb.bus.logged import LogCounters
 from canfb.cia301.frame import Frame
 from canfb.errors import CanfbError, reason
 
+BLF_HEADER_BYTES = 144
 LOOK_FRAMES = 4096
 ASAMMDF = "pip install 'canfb[mf4]'"
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
@@ -44,10 +45,12 @@ class BusLogFile:
         self.suffix = check_readable(self.path)
         try:
             with self.path.open("rb") as file:
-                file.read(1)
+                begin = file.read(BLF_HEADER_BYTES)
         except OSError as error:
             raise LogError(f"{self.path}: cannot be read: {reason(error)}") from None
 
+        if self.suffix == ".blf" and (begin[:4] != b"LOGG" or len(begin) < BLF_HEADER_BYTES):
+            raise LogError(f"{self.path}: this is no .blf log")  # python-can would leave it open
         self._bytes = max(1, self.path.stat().st_size)
 
     @property

@@ -9,10 +9,13 @@ import json
 from canfb.bus.sent_log import SentLog
 from canfb.cli.options import Commands, add_command
 from canfb.cli.progress import Progress
+from canfb.cli.replay_folder import replay_folder
 from canfb.cli.replay_options import add_options, settings_of
 from canfb.errors import ConfigError
 from canfb.logs.log_replay import LogReplayed, ReplaySettings, replay_log
 from canfb.logs.published_files import PublishedFile, check_place
+from canfb.logs.replay_page import write_page
+from canfb.replay.overview import Overview
 from canfb.replay.summary_of_replay import as_json, lines_of, log_facts
 
 
@@ -30,6 +33,8 @@ def replay(options: argparse.Namespace) -> int:
         check_place("--report", options.report)
     progress = Progress(quiet=options.json)
     try:
+        if options.log.is_dir():
+            return replay_folder(options, settings, progress)
         return _one_log(options, settings, progress)
     finally:
         progress.clear()
@@ -37,14 +42,18 @@ def replay(options: argparse.Namespace) -> int:
 
 def _one_log(options: argparse.Namespace, settings: ReplaySettings, progress: Progress) -> int:
     with contextlib.ExitStack() as files:
-        takers = [] if options.out is None else [files.enter_context(PublishedFile(options.out)).take]
+        overview = Overview()
+        takers = [] if options.report is None else [overview.take]
+        takers += [] if options.out is None else [files.enter_context(PublishedFile(options.out)).take]
         sent = None if options.frames is None else files.enter_context(SentLog(options.frames)).take
         progress.step(f"replaying {options.log}")
         replayed = replay_log(options.log, settings, takers, sent, progress.part)
+        if options.report is not None:
+            write_page(options.report, replayed, overview)
     progress.clear()
     print(_json(replayed) if options.json else _text(replayed))
     if not options.json:
-        for path in (options.out, options.frames):
+        for path in (options.out, options.frames, options.report):
             if path is not None:
                 print(f"written  {path}")
     return 0

@@ -53,7 +53,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     folder = parser.add_argument_group("folder of logs")
     folder.add_argument(
-        "--scheduler", metavar="local|ADDRESS", help="Dask: processes of this machine (default), or a cluster"
+        "--scheduler",
+        metavar="local|ADDRESS|none",
+        help="Dask: processes of this machine (default), or a cluster; none: this process alone",
     )
     folder.add_argument("--workers", type=int, metavar="N", help="processes of this machine (one per CPU)")
 
