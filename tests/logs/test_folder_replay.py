@@ -1,4 +1,4 @@
-"""A folder of logs: one table, the same from one process and from two of which one is killed, and restartable."""
+"""A folder of logs: one table, the same from one process and from two of which one is killed."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 import re
 from binascii import unhexlify
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -24,8 +24,9 @@ _IDS |= {b"%03x" % can_id: can_id for can_id in range(0x800)}
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
 
-def candump_frames(path: Path, channel: str | None, counters: LogCounters) -> Iterator[Frame]:
-    """The frames with 11-bit identifiers of one channel, None for that of the first; the rest is counted.
+def candump_frames(path: Path, channel: str | None, counters: LogCounters) -> Iterator[list[Frame]]:
+    """Lists of the frames with 11-bit identifiers of one channel, None for that of the first; the rest is
+    counted.
 
     OSError or EOFError for a file that cannot be read (on).
     """
@@ -40,24 +41,29 @@ def candump_frames(path: Path, channel: str | None, counters: LogCounters) -> It
                 counters.channel = None if wanted is None else wanted.decode("utf-8", "replace")
             if len(usual) == count:
                 counters.frames += count
-                for time_s, name, can_id, data in usual:
-                    if name == wanted:
-                        number = _IDS.get(can_id)
-                        yield _new(
-                            Frame,
-                            (
-                                int(can_id, 16) if number is None else number,
-                                unhexlify(data),
-                                False,
-                                float(time_s),
-                            ),
-                        )
-                    else:
-                        counters.other_channels.add(name.decode("utf-8", "replace"))
+                yield _frames(usual, wanted, counters)
             else:
-                yield from _one_by_one(block, lines, wanted, counters)
+                yield list(_one_by_one(block, lines, wanted, counters))
             lines += count
             counters.bytes_read = raw.tell()
+
+
+def _frames(lines: Sequence[tuple[bytes, ...]], wanted: bytes | None, counters: LogCounters) -> list[Frame]:
+    """Of lines that all are usual."""
+    ids, frame = _IDS, Frame
+    try:
+        taken = [
+            _new(frame, (ids[can_id], unhexlify(data), False, float(time_s)))
+            for time_s, name, can_id, data in lines
+            if name == wanted
+        ]
+    except KeyError:  # large and small letters in one identifier
+        large = [(time_s, name, can_id.upper(), data) for time_s, name, can_id, data in lines]
+        return _frames(large, wanted, counters)
+    if len(taken) < len(lines):
+        others = {name for _, name, _, _ in lines} - {wanted}
+        counters.other_channels |= {name.decode("utf-8", "replace") for name in others}
+    return taken
 
 
 def _unzipped(path: Path, raw: IO[bytes]) -> IO[bytes]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import can
 
+from canfb.bus.blf_log import BlfFrames
 from canfb.bus.candump_log import candump_frames
 from canfb.bus.log_suffixes import check_readable
 from canfb.bus.logged import LogCounters
@@ -19,7 +21,6 @@ from canfb.errors import CanfbError, reason
 BLF_HEADER_BYTES = 144
 LOOK_FRAMES = 4096
 ASAMMDF = "pip install 'canfb[mf4]'"
-_new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
 
 class LogError(CanfbError):
@@ -59,14 +60,23 @@ class BusLogFile:
         return min(1.0, self.counters.bytes_read / self._bytes)
 
     def __iter__(self) -> Iterator[Frame]:
-        if self.suffix == ".log":
-            return self._guarded(lambda: candump_frames(self.path, self.channel, self.counters))
-        return self._guarded(self._by_python_can)
+        return chain.from_iterable(self.batches())
 
-    def _guarded(self, frames: Callable[[], Iterator[Frame]]) -> Iterator[Frame]:
-        """What readers raise has no common root: a damaged log is a finding, not the end."""
+    def batches(self) -> Iterator[list[Frame]]:
+        """The frames, many at a time: to hand on each by itself costs more than to read it.
+
+        What readers raise has no common root: a damaged log is a finding, not the end.
+        """
+        frames: list[Frame] = []
         try:
-            yield from frames()
+            if self.suffix == ".log":
+                yield from candump_frames(self.path, self.channel, self.counters)
+            else:
+                for frame in self._by_python_can():
+                    frames.append(frame)
+                    if len(frames) == LOOK_FRAMES:
+                        yield frames
+                        frames = []
         except CanfbError:
             raise
         except (NotImplementedError, ImportError) as error:
@@ -76,35 +86,45 @@ class BusLogFile:
             if not self.counters.frames:
                 raise LogError(f"{self.path}: this is no {self.suffix} log: {said}") from error
             self.trouble = f"{self.path}: damaged behind frame {self.counters.frames}: {said}"
+        yield frames
 
     def _by_python_can(self) -> Iterator[Frame]:
-        counters, wanted = self.counters, self.channel
-        reader: Any = can.LogReader(str(self.path))
+        counters = self.counters
+        reader: Any = BlfFrames(str(self.path)) if self.suffix == ".blf" else can.LogReader(str(self.path))
+        number = None  # of the wanted channel, where it is one
         with contextlib.ExitStack() as closing:
             closing.callback(reader.stop)
             for message in reader:
                 counters.frames += 1
                 if not counters.frames % LOOK_FRAMES:
                     counters.bytes_read = _place(reader)
-                channel = message.channel
-                if wanted is None:
-                    wanted = counters.channel = str(channel)
-                if str(channel) != wanted:
-                    counters.other_channels.add(str(channel))
-                elif message.is_error_frame:
+                if type(message) is tuple:  # of BlfFrames
+                    channel, frame = message
+                    if channel == number:
+                        yield frame
+                    elif self._is_wanted(channel):
+                        number = channel
+                        yield frame
+                elif message.is_error_frame:  # some have no channel
                     counters.error_frames += 1
-                elif message.is_extended_id or message.is_fd:
-                    counters.not_canopen += 1
-                else:
-                    yield _new(
-                        Frame,
-                        (
-                            message.arbitration_id,
-                            bytes(message.data),
-                            message.is_remote_frame,
-                            message.timestamp,
-                        ),
-                    )
+                elif self._is_wanted(message.channel):
+                    if message.is_extended_id or message.is_fd:
+                        counters.not_canopen += 1
+                    else:
+                        yield _frame(message)
+
+    def _is_wanted(self, channel: object) -> bool:
+        counters, name = self.counters, str(channel)
+        if counters.channel is None:
+            counters.channel = name if self.channel is None else self.channel
+        if name == counters.channel:
+            return True
+        counters.other_channels.add(name)
+        return False
+
+
+def _frame(message: can.Message) -> Frame:
+    return Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame, message.timestamp)
 
 
 def _place(reader: Any) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 
 from canfb.bus.log_reader import BusLogFile, LogError
@@ -18,8 +17,6 @@ from canfb.replay.module_replay import ModuleReplay
 from canfb.replay.sample_columns import Block
 from canfb.replay.start_rule import Begin
 from canfb.signal.correction import Correction
-
-BATCH_FRAMES = 4096
 
 
 @dataclass(frozen=True)
@@ -98,8 +95,8 @@ def replay_log(
 
 
 def _feed(log: BusLogFile, replays: list[ModuleReplay], heard: Callable[[float], None]) -> None:
-    frames, fed = iter(log), 0
-    while batch := list(islice(frames, BATCH_FRAMES)):
+    fed = 0
+    for batch in log.batches():
         for replay in replays:
             replay.feed(batch)
         fed += len(batch)

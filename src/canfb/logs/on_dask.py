@@ -38,11 +38,11 @@ class DaskPool:
 
     def __enter__(self) -> Self:
         try:
-            import distributed
+            import distributed as installed
         except ImportError as error:
             raise CanfbError(HINT) from error
+        distributed: Any = installed
         self._distributed: Any = distributed
-        distributed = self._distributed
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a log that fails has its row
         with contextlib.ExitStack() as opened:
             if self._scheduler == LOCAL:

@@ -24,7 +24,7 @@ from canfb.report.over_time import Curve, over_time
 from canfb.report.page import beside, facts_table, figure, gallery, page
 from canfb.signal.supervision import SampleLimits
 
-FOOTER = "Made by canfb replay: the recorded frames through the module of this version. Margin: what is left of a limit."
+FOOTER = "Made by canfb replay, with the module of this version. Margin: what is left of a limit."
 MOST_FAULTS = 40
 
 

@@ -75,7 +75,7 @@ class ModuleReplay:
             self.module, [self._before_block, self.faults.take, self.margins.take, *takers]
         )
         self.module.on_feedback = self.samples.take
-        self._left = self.module.sent
+        self._left = self.module.node.sent
         self._own_frames: dict[int, OwnFrames] = {}
         self._fields: dict[int, PdoFields] = {}
         self._head: list[Frame] | None = []
@@ -101,6 +101,9 @@ class ModuleReplay:
 
     def feed(self, frames: Iterable[Frame]) -> None:
         """The next frames of the log: ``timestamp`` in seconds, of any clock. No frame raises."""
+        if self._head is None and isinstance(frames, list):
+            self._take(frames)
+            return
         source = iter(frames)
         if self._head is not None:
             head = self._head

@@ -115,6 +115,12 @@ def _block(rows: list[tuple[Any, ...]]) -> Block:
     columns: dict[str, Any] = dict(zip(_TAKEN, taken, strict=True))
     columns |= {name: fields[field] for name, field in _FEEDBACK.items()}
     columns["cycles"] = _within_64_bits(columns["cycles"])
+    if limits.count(limits[0]) == len(limits):
+        same = dict(zip(_LIMITS, limits[0], strict=True))
+        constant = {name: np.full(len(limits), value, COLUMNS[name]) for name, value in same.items()}
+        return {
+            name: np.array(columns[name], COLUMNS[name]) for name in COLUMNS if name in columns
+        } | constant
     columns |= dict(zip(_LIMITS, zip(*limits, strict=True), strict=True))
     return {name: np.array(columns[name], kind) for name, kind in COLUMNS.items()}
 
