@@ -37,7 +37,7 @@ class Fault:
 
 
 @dataclass(frozen=True)
-class Emergency:
+class SentEmergency:
     """An EMCY of the replay: stamp of the log (seconds), error code, 1001h, and the manufacturer's bytes."""
 
     time_s: float
@@ -58,7 +58,7 @@ class Faults:
     samples: dict[str, int] = field(default_factory=lambda: dict.fromkeys(KINDS, 0))
     times: dict[str, int] = field(default_factory=lambda: dict.fromkeys(KINDS, 0))
     listed: list[Fault] = field(default_factory=list)
-    emergencies: list[Emergency] = field(default_factory=list)
+    emergencies: list[SentEmergency] = field(default_factory=list)
     emergencies_sent: int = 0
     _open: dict[str, Fault] = field(default_factory=dict)
 
@@ -95,7 +95,7 @@ class Faults:
         self.emergencies_sent += 1
         if len(data) == 8 and len(self.emergencies) < MOST_LISTED:
             code, register = EMERGENCY.unpack_from(data)
-            self.emergencies.append(Emergency(time_s, code, register, data[3:]))
+            self.emergencies.append(SentEmergency(time_s, code, register, data[3:]))
 
     def in_order(self) -> list[Fault]:
         """The faults listed, as they began."""
