@@ -10,7 +10,7 @@ from typing import Any
 
 from canfb.errors import CanfbError
 from canfb.logs.log_replay import LogReplayed, ReplaySettings, replay_log
-from canfb.replay.faults import KINDS
+from canfb.replay.fault_list import KINDS
 from canfb.replay.summary_of_replay import as_json
 
 MARGINS = {

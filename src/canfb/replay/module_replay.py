@@ -15,7 +15,7 @@ from canfb.device.storage.storage import Store
 from canfb.module.calibration_job import Outcome
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.replay.faults import Faults
+from canfb.replay.fault_list import FaultList
 from canfb.replay.log_time import LONGEST_GAP_S, LogTime
 from canfb.replay.margins import Margins
 from canfb.replay.own_frames import Compared, OwnFrames
@@ -69,7 +69,7 @@ class ModuleReplay:
             raise ValueError("the module has a source of its own: its samples are not on the bus")
         self.module = FeedbackModule(config, store)
         self.counters = ReplayCounters()
-        self.faults, self.margins, self.times = Faults(), Margins(), LogTime()
+        self.faults, self.margins, self.times = FaultList(), Margins(), LogTime()
         self._correction, self._begin, self._sent = correction, begin, sent
         self.samples = SampleColumns(
             self.module, [self._before_block, self.faults.take, self.margins.take, *takers]

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.objects import StatusBit
-from canfb.replay.faults import KINDS
+from canfb.replay.fault_list import KINDS
 from canfb.replay.sample_columns import Block
 from canfb.signal.phase import FloatArray
 

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from canfb.replay.drift_of_log import LogDrift
-from canfb.replay.faults import KINDS
+from canfb.replay.fault_list import KINDS
 from canfb.replay.margins import Extreme
 from canfb.replay.module_replay import ModuleReplay
 

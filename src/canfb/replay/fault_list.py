@@ -27,7 +27,7 @@ EMERGENCY = struct.Struct("<HB")
 
 
 @dataclass
-class Fault:
+class LoggedFault:
     """One that lasted for so many intervals: when it began and when it was last there (stamps, seconds)."""
 
     kind: str
@@ -47,7 +47,7 @@ class SentEmergency:
 
 
 @dataclass
-class Faults:
+class FaultList:
     """All faults of a replay.
 
     samples   intervals with this fault, by kind
@@ -57,10 +57,10 @@ class Faults:
 
     samples: dict[str, int] = field(default_factory=lambda: dict.fromkeys(KINDS, 0))
     times: dict[str, int] = field(default_factory=lambda: dict.fromkeys(KINDS, 0))
-    listed: list[Fault] = field(default_factory=list)
+    listed: list[LoggedFault] = field(default_factory=list)
     emergencies: list[SentEmergency] = field(default_factory=list)
     emergencies_sent: int = 0
-    _open: dict[str, Fault] = field(default_factory=dict)
+    _open: dict[str, LoggedFault] = field(default_factory=dict)
 
     def take(self, block: Block) -> None:
         """More intervals."""
@@ -83,7 +83,7 @@ class Faults:
                 fault, fault_samples = carried, carried.samples
                 fault.end_s, fault.samples = last_s, fault_samples + end
             else:
-                fault = Fault(kind, float(times[begin]), last_s, end - begin)
+                fault = LoggedFault(kind, float(times[begin]), last_s, end - begin)
                 self.times[kind] += 1
                 if self.times[kind] <= MOST_LISTED:
                     self.listed.append(fault)
@@ -97,6 +97,6 @@ class Faults:
             code, register = EMERGENCY.unpack_from(data)
             self.emergencies.append(SentEmergency(time_s, code, register, data[3:]))
 
-    def in_order(self) -> list[Fault]:
+    def in_order(self) -> list[LoggedFault]:
         """The faults listed, as they began."""
         return sorted(self.listed, key=lambda fault: (fault.begin_s, fault.kind))
