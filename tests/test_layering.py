@@ -31,6 +31,8 @@ ALLOWED: dict[str, set[str]] = {
     "sources": {"signal"} | WORDS,
     "module": {"signal", "calibration", "device", "sources", "eds_files"} | WORDS,
     "simulation": {"signal", "device", "sources", "eds_files"} | WORDS,
+    # Time is an argument here as well: frames of a log in, what the module made of them out.
+    "replay": {"signal", "calibration", "device", "module"} | WORDS,
     "configuration": {"signal", "sources", "module", "simulation", "checks", "errors"},
     # Pictures need what is measured, and nothing of how: so the demo and every tool on top may use them.
     "report": {"signal", "calibration"},
@@ -38,10 +40,11 @@ ALLOWED: dict[str, set[str]] = {
     # What others tell of themselves on the bus; so it may watch modules that are not ours.
     "monitoring": WORDS - {"checks"},
     "bus": {"signal", "sources", "module", "device", "simulation", "configuration", "monitoring"} | WORDS,
+    "logs": {"signal", "device", "module", "report", "bus", "replay"} | WORDS,
     "demo": {"signal", "calibration", "report", "device", "sources", "module", "simulation", "configuration",
              "eds_files"} | WORDS,
     "cli": {"signal", "calibration", "device", "sources", "module", "simulation", "configuration",
-            "eds_files", "bus", "demo", "commissioning", "report", "monitoring"} | WORDS,
+            "eds_files", "bus", "demo", "commissioning", "report", "monitoring", "replay", "logs"} | WORDS,
     # StateFiles of bus, when it is asked for.
     "__init__": {"signal", "calibration", "module", "configuration", "eds_files", "bus"} | WORDS,
     "__main__": {"cli"},
@@ -62,10 +65,12 @@ FOREIGN: dict[str, set[str]] = {
     "device": {"canopen"},
     "sources": {"numpy", "iio"},
     "simulation": {"numpy"},
+    "replay": {"numpy"},
     "configuration": {"yaml"},
     "report": {"numpy"},
     "commissioning": {"numpy", "canopen", "can", "yaml"},
     "bus": {"can", "canopen"},
+    "logs": {"numpy", "pyarrow", "distributed"},
     "demo": {"numpy", "canopen"},
     "monitoring": {"rich"},
     "cli": {"can", "rich"},

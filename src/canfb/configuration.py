@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -114,6 +115,33 @@ def parse_config(text: str, name: str = "configuration") -> Config:
     return config
 
 
+def changed_module(module: ModuleConfig, settings: Sequence[str]) -> ModuleConfig:
+    """The module with other values: each setting is KEY=VALUE, as the YAML has them.
+
+    ConfigError, in one line, for one that cannot be; a ``source`` is not to be set here.
+    """
+    known = [one.name for one in dataclasses.fields(ModuleConfig) if one.name != "source"]
+    values: dict[str, Any] = {}
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        if not equals or key not in known:
+            why = _Reader.unknown(key, known, "a module") if equals else "write it as KEY=VALUE"
+            raise ConfigError(f"--set {setting}: {why}")
+        loader = _Loader(text)
+        try:
+            values[key] = loader.get_single_data()
+            if key == "conditioning":
+                values[key] = Conditioning(**values[key])
+        except (yaml.YAMLError, ValueError, TypeError) as error:
+            raise ConfigError(f"--set {setting}: {' '.join(str(error).split())}") from None
+        finally:
+            loader.dispose()
+    try:
+        return dataclasses.replace(module, **values)
+    except (ValueError, TypeError) as error:
+        raise ConfigError(f"--set: {error}") from None
+
+
 def line_of(path: str | Path, *keys: str | int, said: str = "") -> int:
     """The line of a key in a configuration that :func:`load_config` has read, ``"modules", 0, "source"``.
 
@@ -183,7 +211,7 @@ class _Reader:
         for key_node, value_node in self._pairs(node, where):
             key = key_node.value
             if key not in known:
-                raise self.fail(key_node, self._unknown(key, list(known), where))
+                raise self.fail(key_node, self.unknown(key, list(known), where))
             is_list = known[key].metadata.get("list", False)
             values[key] = self._value(key, value_node, where, is_list)
             lines[key] = key_node
@@ -281,7 +309,8 @@ class _Reader:
             loader.dispose()
 
     @staticmethod
-    def _unknown(key: str, known: list[str], where: str) -> str:
+    def unknown(key: str, known: list[str], where: str) -> str:
+        """What to say of a key that there is not."""
         near = difflib.get_close_matches(key, known, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
         return f"unknown key {key!r} in {where}; {hint}"

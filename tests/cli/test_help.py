@@ -15,6 +15,8 @@ COMMANDS = [
     "run",
     "simulate",
     "calibrate",
+    "record",
+    "replay",
     "config",
     "config check",
     "config example",

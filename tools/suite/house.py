@@ -31,24 +31,30 @@ class Room(NamedTuple):
 
 ROOMS = {
     "cli": Room(320, 260, 0, "a command: parse, call, print"),
-    "bus": Room(20, 280, 1, "the clock, threads, sockets: here alone", "world"),
-    "demo": Room(340, 220, 1, "the whole story, in one process"),
-    "commissioning": Room(600, 220, 1, "sets up a module over the bus"),
-    "configuration": Room(150, 220, 2, "the YAML, validated"),
-    "monitoring": Room(440, 210, 2, "what the bus tells, in figures"),
-    "report": Room(720, 220, 2, "pictures and pages"),
-    "simulation": Room(20, 240, 3, "a machine, its encoder, a drive"),
-    "module": Room(300, 210, 3, "samples in, position PDO out", "join"),
-    "sources": Room(380, 220, 4, "samples from elsewhere"),
-    "calibration": Room(720, 220, 4, "a recording in, a table out", "mathematics"),
-    "device": Room(20, 300, 5, "the CiA 301 slave: frames and times in", "canopen"),
-    "signal": Room(520, 420, 5, "mathematics of a sample: counts in, position out", "mathematics"),
+    "logs": Room(40, 240, 1, "a bus log, or a folder of them"),
+    "bus": Room(20, 280, 2, "the clock, threads, sockets: here alone", "world"),
+    "demo": Room(340, 220, 2, "the whole story, in one process"),
+    "commissioning": Room(600, 220, 2, "sets up a module over the bus"),
+    "configuration": Room(20, 200, 3, "the YAML, validated"),
+    "monitoring": Room(240, 200, 3, "what the bus says, in figures"),
+    "replay": Room(460, 230, 3, "recorded frames through a module"),
+    "report": Room(720, 220, 3, "pictures and pages"),
+    "simulation": Room(20, 240, 4, "a machine, its encoder, a drive"),
+    "module": Room(300, 210, 4, "samples in, position PDO out", "join"),
+    "sources": Room(380, 220, 5, "samples from elsewhere"),
+    "calibration": Room(720, 220, 5, "a recording in, a table out", "mathematics"),
+    "device": Room(20, 300, 6, "the CiA 301 slave: frames and times in", "canopen"),
+    "signal": Room(520, 420, 6, "mathematics of a sample: counts in, position out", "mathematics"),
 }
 GROUND = ("cia301", "objects", "checks", "errors", "eds_files")
 ARROWS = [
-    ("cli", "bus"),
+    ("cli", "logs"),
     ("cli", "demo"),
     ("cli", "commissioning"),
+    ("logs", "bus"),
+    ("logs", "replay"),
+    ("logs", "report"),
+    ("replay", "module"),
     ("bus", "configuration"),
     ("bus", "monitoring"),
     ("demo", "configuration"),
@@ -84,7 +90,7 @@ STYLE = """
 
 
 def drawing() -> str:
-    ground = TOP + 6 * FLOOR_HEIGHT
+    ground = TOP + 7 * FLOOR_HEIGHT
     height = ground + ROOM_HEIGHT + TOP
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}">',

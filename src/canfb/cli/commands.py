@@ -9,6 +9,8 @@ from canfb.cli import (
     demo,
     monitor,
     nmt_command,
+    record,
+    replay,
     run,
     sdo_command,
     simulate,
@@ -25,5 +27,7 @@ COMMANDS = (
     calibrate,
     table_command,
     backup_command,
+    record,
+    replay,
     config_file,
 )

@@ -59,6 +59,15 @@ _EXAMPLES = {
     "canfb restore": """
   canfb restore left-drive.yaml --dry-run --config feedback.yaml
   canfb restore left-drive.yaml --preop --save --config feedback.yaml""",
+    "canfb record": """
+  canfb record bus.log -i socketcan -c can0
+  canfb record bus.blf --config feedback.yaml --seconds 60
+  canfb record week.log --config feedback.yaml --max-size 100M""",
+    "canfb replay": """
+  canfb replay bus.log --config feedback.yaml --report replay.html
+  canfb replay bus.blf --config feedback.yaml --table new.yaml --set coast_samples=5
+  canfb replay bus.log --module 0x20 --encoder-interface 0x10 --out samples.parquet
+  canfb replay month --config feedback.yaml --out month.parquet --workers 4""",
     "canfb config": """
   canfb config example > feedback.yaml
   canfb config check feedback.yaml

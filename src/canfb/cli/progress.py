@@ -30,15 +30,15 @@ class Progress:
         self._text = text
         self._print(f"... {text}\n")
 
-    def part(self, part: float) -> None:
-        """So much of the step is done, 0..1."""
+    def part(self, part: float, note: str = "") -> None:
+        """So much of the step is done, 0..1; the ``note`` stands behind it."""
         percent = int(100.0 * min(max(part, 0.0), 1.0))
         if self._quiet or not self._bar or percent == self._shown:
             return
         self._shown = percent
         full = round(WIDTH * percent / 100)
         bar = f"{'#' * full}{'.' * (WIDTH - full)}"
-        self._print(f"{CLEAR}    [{bar}] {percent:3d} %")
+        self._print(f"{CLEAR}    [{bar}] {percent:3d} %{note and f'  {note}'}")
 
     def clear(self) -> None:
         """Take the bar away: somebody else has something to say."""

@@ -101,6 +101,16 @@ class Node(Hooks):
         return frozenset() if self.node_id == UNCONFIGURED else self._life.services.own_can_ids()
 
     @property
+    def route_changes(self) -> int:
+        """How often other CAN-IDs may have become heard or own: ask for them again when it has moved."""
+        return self._core.routes.changes
+
+    @property
+    def heard_can_ids(self) -> frozenset[int]:
+        """The CAN-IDs of data frames that do anything now, but for the own ones: the rest is counted only."""
+        return frozenset(self._routes) - self.own_can_ids
+
+    @property
     def now(self) -> float:
         """The time of the running call, or of the last one, seconds."""
         return self.moment.now

@@ -14,18 +14,21 @@ class Routes:
     """The listeners of the present NMT state, by CAN-ID: `data` and `remote` for the two kinds of frames.
 
     `sent` are those that want to know when a frame of the node itself has left: an inhibit time counts
-    from there. The three tables stay the same objects, whatever they hold.
+    from there. The three tables stay the same objects, whatever they hold. `changes` moves whenever they
+    are filled again.
     """
 
-    __slots__ = ("data", "remote", "sent")
+    __slots__ = ("changes", "data", "remote", "sent")
 
     def __init__(self) -> None:
+        self.changes = 0
         self.data: dict[int, Handler] = {}
         self.remote: dict[int, RemoteHandler] = {}
         self.sent: dict[int | None, Callable[[float], None]] = {}
 
     def clear(self) -> None:
         """Nobody listens."""
+        self.changes += 1
         self.data.clear()
         self.remote.clear()
         self.sent.clear()

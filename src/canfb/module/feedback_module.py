@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
+from math import inf
 
 from canfb import objects as od
 from canfb.cia301.codes import EmergencyCode
@@ -26,12 +27,13 @@ from canfb.module.objects.calibrating import Calibrating
 from canfb.module.objects.recorder import Recorder
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.objects.table_store import TableStore
-from canfb.module.parameters import Limits
+from canfb.module.parameters import Limits, LimitsInForce
 from canfb.module.publishing import Publishing
 from canfb.module.sampling import Sampling
 from canfb.module.tap import Taps
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
+from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
 from canfb.sources.protocol import Source
 
@@ -96,7 +98,7 @@ class FeedbackModule:
     def _make_chain_around(self, source: Source | None) -> None:
         """What feeds the chain, and what its feedback becomes."""
         dictionary, node, chain = self.dictionary, self.node, self.chain
-        interval = IntervalEstimate(dictionary.entry(*od.CYCLE_PERIOD))
+        self._interval = interval = IntervalEstimate(dictionary.entry(*od.CYCLE_PERIOD))
         self._limits = Limits(dictionary, chain, interval)
         self._input = SampleInput(dictionary, node)
         self._source = None
@@ -154,6 +156,34 @@ class FeedbackModule:
     def feedback(self) -> Feedback | None:
         """Every stage of the last sample, None before the first one."""
         return self._publishing.last
+
+    @property
+    def on_feedback(self) -> Callable[[Feedback, float], None] | None:
+        """Called as (feedback, now) with each feedback, once its PDOs are out; also for missed samples."""
+        return self._publishing.on_feedback
+
+    @on_feedback.setter
+    def on_feedback(self, listener: Callable[[Feedback, float], None] | None) -> None:
+        self._publishing.on_feedback = listener
+
+    @property
+    def limits(self) -> LimitsInForce:
+        """What samples are held against; the same object until a limit changes."""
+        return self._limits.in_force
+
+    @property
+    def interval_s(self) -> float:
+        """The sampling interval, seconds: 1006h, else the estimate; 0.0 while it is not known."""
+        return self._interval.seconds
+
+    @property
+    def max_speed_rad_s(self) -> float:
+        """What the SYNC jitter measured so far allows, rad/s; inf with sample times and if not known."""
+        return inf if self._sampling.pairing.timed else self._jitter.max_speed_rad_s
+
+    def use_correction(self, correction: Correction) -> None:
+        """Put the table and conditioning of ``correction`` in force between two samples, until a reset."""
+        self._tables.take_over(correction)
 
     @property
     def state(self) -> NmtState:

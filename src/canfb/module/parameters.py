@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from canfb import objects as od
 from canfb.cia301 import cob
@@ -68,6 +68,16 @@ def apply_defaults(dictionary: Dictionary, defaults: dict[tuple[int, int], Any])
         entry.reset()
 
 
+class LimitsInForce(NamedTuple):
+    """What a sample is held against: cycles, counts, cycles per interval squared (0.0: not known)."""
+
+    residual_cycles: float
+    amplitude_low_counts: int
+    amplitude_high_counts: int
+    acceleration_cycles: float
+    cycles_per_revolution: int
+
+
 class Limits:
     """Objects 2001:02..04 and 2010h: written by SDO, in force from the next sample on."""
 
@@ -89,6 +99,8 @@ class Limits:
         """The residual limit in force, narrowed or not."""
         self.acceleration_cycles = 0.0
         """The largest acceleration (2010:02), cycles per interval squared; 0.0 if it is not known."""
+        self.in_force = LimitsInForce(0.0, 0, 0, 0.0, 0)
+        """All of them, the same object until one changes."""
         self.on_applied: Callable[[], None] | None = None
         self._upper_is_old = False
         self._low.on_check = self._check(lambda low: low < self._high.value or self._upper_is_old)
@@ -127,6 +139,9 @@ class Limits:
             limit = narrowed_residual_limit(limit, self._acceleration.value, cycles, interval_s)
             acceleration = cycles_per_interval_squared(self._acceleration.value, cycles, interval_s)
         self.residual_limit_cycles, self.acceleration_cycles = limit, acceleration or 0.0
+        self.in_force = LimitsInForce(
+            limit, self._low.value, self._high.value, self.acceleration_cycles, cycles
+        )
         self._applied_s, self.narrowed = interval_s, self._acceleration.value > 0.0
         self._chain.set_limits(
             ChainLimits(

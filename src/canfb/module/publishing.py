@@ -45,6 +45,7 @@ class Publishing:
         prediction_chosen: Callable[[], None],
     ) -> None:
         self.last: Feedback | None = None
+        self.on_feedback: Callable[[Feedback, float], None] | None = None
         self._dictionary, self._node = dictionary, node
         self.profile = EncoderProfile(dictionary, interval)
         self.warnings = Warnings(
@@ -84,6 +85,8 @@ class Publishing:
             if status != self.events.status:
                 self.events.follow(feedback, now)
             warnings.follow(feedback, now)
+        if self.on_feedback is not None:
+            self.on_feedback(feedback, now)
 
     def withhold(self) -> None:
         """What the dictionary holds is not valid any more, until the next sample."""

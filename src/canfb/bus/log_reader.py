@@ -1,0 +1,136 @@
+"""Frames of a bus log, in any format that python-can reads."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import can
+
+from canfb.bus.blf_log import BlfFrames
+from canfb.bus.candump_log import candump_frames
+from canfb.bus.log_suffixes import check_readable
+from canfb.bus.logged import LogCounters
+from canfb.cia301.frame import Frame
+from canfb.errors import CanfbError, reason
+
+BLF_HEADER_BYTES = 144
+LOOK_FRAMES = 4096
+ASAMMDF = "pip install 'canfb[mf4]'"
+
+
+class LogError(CanfbError):
+    """A bus log that cannot be read at all; the text says which, and why."""
+
+
+@dataclass
+class BusLogFile:
+    """The frames of a log with 11-bit identifiers on one ``channel``, once; None: that of the first frame.
+
+    ``counters`` are complete when the frames have been read. What comes behind a damaged place is left out
+    in a format that cannot be read on from there, and ``trouble`` says so in one line; the lines of a
+    candump log are independent, and only the damaged ones are left out. ConfigError for an unknown
+    suffix, LogError for a file that cannot be read.
+    """
+
+    path: Path
+    channel: str | None = None
+    counters: LogCounters = field(default_factory=LogCounters)
+    trouble: str | None = None
+
+    def __post_init__(self) -> None:
+        self.suffix = check_readable(self.path)
+        try:
+            with self.path.open("rb") as file:
+                begin = file.read(BLF_HEADER_BYTES)
+        except OSError as error:
+            raise LogError(f"{self.path}: cannot be read: {reason(error)}") from None
+
+        if self.suffix == ".blf" and (begin[:4] != b"LOGG" or len(begin) < BLF_HEADER_BYTES):
+            raise LogError(f"{self.path}: this is no .blf log")  # python-can would leave it open
+        self._bytes = max(1, self.path.stat().st_size)
+
+    @property
+    def part_read(self) -> float:
+        """How much of it has been read, 0..1."""
+        return min(1.0, self.counters.bytes_read / self._bytes)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return chain.from_iterable(self.batches())
+
+    def batches(self) -> Iterator[list[Frame]]:
+        """The frames, many at a time: to hand on each by itself costs more than to read it.
+
+        What readers raise has no common root: a damaged log is a finding, not the end.
+        """
+        frames: list[Frame] = []
+        try:
+            if self.suffix == ".log":
+                yield from candump_frames(self.path, self.channel, self.counters)
+            else:
+                for frame in self._by_python_can():
+                    frames.append(frame)
+                    if len(frames) == LOOK_FRAMES:
+                        yield frames
+                        frames = []
+        except CanfbError:
+            raise
+        except (NotImplementedError, ImportError) as error:
+            raise LogError(f"{self.path}: this format needs another package: {ASAMMDF}") from error
+        except Exception as error:
+            said = reason(error)
+            if not self.counters.frames:
+                raise LogError(f"{self.path}: this is no {self.suffix} log: {said}") from error
+            self.trouble = f"{self.path}: damaged behind frame {self.counters.frames}: {said}"
+        yield frames
+
+    def _by_python_can(self) -> Iterator[Frame]:
+        counters = self.counters
+        reader: Any = BlfFrames(str(self.path)) if self.suffix == ".blf" else can.LogReader(str(self.path))
+        number = None  # of the wanted channel, where it is one
+        with contextlib.ExitStack() as closing:
+            closing.callback(reader.stop)
+            for message in reader:
+                counters.frames += 1
+                if not counters.frames % LOOK_FRAMES:
+                    counters.bytes_read = _place(reader)
+                if type(message) is tuple:  # of BlfFrames
+                    channel, frame = message
+                    if channel == number:
+                        yield frame
+                    elif self._is_wanted(channel):
+                        number = channel
+                        yield frame
+                elif message.is_error_frame:  # some have no channel
+                    counters.error_frames += 1
+                elif self._is_wanted(message.channel):
+                    if message.is_extended_id or message.is_fd:
+                        counters.not_canopen += 1
+                    else:
+                        yield _frame(message)
+
+    def _is_wanted(self, channel: object) -> bool:
+        counters, name = self.counters, str(channel)
+        if counters.channel is None:
+            counters.channel = name if self.channel is None else self.channel
+        if name == counters.channel:
+            return True
+        counters.other_channels.add(name)
+        return False
+
+
+def _frame(message: can.Message) -> Frame:
+    return Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame, message.timestamp)
+
+
+def _place(reader: Any) -> int:
+    """Where a reader of python-can is in its file, 0 if it does not say so."""
+    try:
+        file = reader.file
+        return int(getattr(file, "buffer", file).tell())
+    except (AttributeError, OSError, ValueError):
+        return 0

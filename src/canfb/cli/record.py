@@ -1,0 +1,78 @@
+"""``canfb record FILE``: a log of the bus, in the formats of python-can."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from pathlib import Path
+
+from canfb.bus.bus_log import BusLog
+from canfb.bus.opening import describe, open_bus
+from canfb.bus.readiness import Readiness
+from canfb.bus.runner import ending_on_signals
+from canfb.cli.options import Commands, add_bus_options, add_command, add_ready_file, bus_options
+from canfb.cli.printing import say
+from canfb.configuration import load_config
+
+UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}
+
+
+def register(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(commands, "record", "write a log of the bus", record)
+    parser.add_argument(
+        "file",
+        metavar="FILE",
+        type=Path,
+        help="the suffix says which format: .log (candump), .asc, .blf, ...",
+    )
+    parser.add_argument("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration")
+    parser.add_argument("--seconds", type=_seconds, metavar="S", help="how long (default: until Ctrl-C)")
+    parser.add_argument(
+        "--max-size",
+        type=_size,
+        default=0,
+        metavar="BYTES",
+        help="begin another file when one is so large (500k, 100M, 2G); the full one is renamed",
+    )
+    parser.add_argument("--force", action="store_true", help="overwrite a file that is there")
+    add_ready_file(parser)
+    add_bus_options(parser)
+
+
+def _seconds(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not 0.0 < seconds < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is no time in seconds above 0")
+    return seconds
+
+
+def _size(text: str) -> int:
+    found = re.fullmatch(r"([1-9][0-9]{0,11})([kMG]?)B?", text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no size; write it as 500k, 100M or 2G")
+    return int(found[1]) * UNITS[found[2]]
+
+
+def record(options: argparse.Namespace) -> int:
+    """Record until Ctrl-C, SIGTERM, SIGHUP or --seconds."""
+    configured = load_config(options.config).bus if options.config else {}
+    words = bus_options(options, configured)
+    bus_log = BusLog(options.file, options.max_size, options.force)
+    with (
+        Readiness(options.ready_file) as readiness,
+        open_bus(words) as bus,
+        bus_log,
+        ending_on_signals(bus_log.stop),
+    ):
+        say(f"recording {describe(words)} to {options.file}; end with Ctrl-C")
+        readiness.ready()
+        bus_log.record(bus, options.seconds)
+    counters = bus_log.counters
+    errors = f", {counters.error_frames} of them error frames" if counters.error_frames else ""
+    say(f"{counters.frames} frames{errors}")
+    return 0

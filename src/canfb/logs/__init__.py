@@ -1,0 +1,1 @@
+"""Bus logs as files: one of them or a folder through replayed modules, and what came out as files."""

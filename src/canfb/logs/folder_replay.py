@@ -1,0 +1,137 @@
+"""All logs of a folder: one table, which a second run completes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from canfb.bus.log_suffixes import is_log
+from canfb.errors import CanfbError, ConfigError, reason
+from canfb.logs.log_replay import ReplaySettings
+from canfb.logs.log_rows import COLUMNS, LogJob, Row, job_of, rows_of
+from canfb.logs.parquet import read_rows, write_rows
+
+PARQUET = ".parquet"
+
+
+class Pool(Protocol):
+    """Who does the logs."""
+
+    def run(self, jobs: Iterable[LogJob], settings: ReplaySettings) -> Iterator[tuple[LogJob, list[Row]]]:
+        """Each log with its rows, in any order."""
+
+
+class InThisProcess:
+    """One log after the other."""
+
+    def run(self, jobs: Iterable[LogJob], settings: ReplaySettings) -> Iterator[tuple[LogJob, list[Row]]]:
+        """Each log with its rows."""
+        for job in jobs:
+            yield job, rows_of(job, settings)
+
+
+@dataclass(frozen=True)
+class FolderWork:
+    """What there is to do, and the rows that an earlier run has left."""
+
+    jobs: list[LogJob]
+    done: list[Row]
+    skipped: int
+
+
+def check_table(out: Path | None) -> Path:
+    """Where the table goes. ConfigError if that cannot be."""
+    if out is None or out.suffix.lower() != PARQUET:
+        raise ConfigError(f"--out: a folder of logs needs a table, such as --out month{PARQUET}")
+    if not out.parent.is_dir():
+        raise ConfigError(f"--out {out}: there is no folder {out.parent}")
+    return out
+
+
+def work_of(folder: Path, settings: ReplaySettings, out: Path) -> FolderWork:
+    """The logs below ``folder`` whose rows are not in the table ``out``, or in what an interrupted run has
+    left beside it. CanfbError for a folder without logs, and for a table that cannot be read.
+    """
+    paths = sorted(path for path in folder.rglob("*") if path.is_file() and is_log(path))
+    if not paths:
+        raise CanfbError(f"{folder}: there is no bus log in this folder")
+    jobs = {job.name: job for job in (job_of(folder, path, settings) for path in paths)}
+    done: dict[tuple[str, int], Row] = {}
+    for row in [*_table_rows(out), *_unfinished_rows(out)]:
+        job = jobs.get(row["log"])
+        if job is not None and job.fingerprint == row["fingerprint"]:
+            done[row["log"], row["module"]] = row
+    names = {name for name, _ in done}
+    return FolderWork(
+        [job for name, job in jobs.items() if name not in names], list(done.values()), len(names)
+    )
+
+
+def do_work(
+    work: FolderWork,
+    settings: ReplaySettings,
+    out: Path,
+    pool: Pool,
+    heard: Callable[[float], None] = lambda part: None,
+) -> list[Row]:
+    """Do the logs, write the table, and give all its rows, by log and module.
+
+    Each log is noted beside the table as soon as it is done: a run that is interrupted loses only those
+    that were in work. ``heard`` gets the part that is done, by bytes. CanfbError if a file fails.
+    """
+    rows = list(work.done)
+    total, ready = sum(job.size for job in work.jobs) or 1, 0
+    try:
+        with _unfinished(out).open("a", encoding="utf-8") as notes:
+            for job, found in pool.run(work.jobs, settings):
+                rows += found
+                notes.writelines(f"{json.dumps(row)}\n" for row in found)
+                notes.flush()
+                ready += job.size
+                heard(ready / total)
+        rows.sort(key=lambda row: (row["log"], row["module"]))
+        part = out.with_name(f"{out.name}.part")
+        write_rows(part, rows, COLUMNS)
+        part.replace(out)
+        _unfinished(out).unlink()
+    except OSError as error:
+        raise CanfbError(f"--out {out}: cannot be written: {reason(error)}") from error
+    return rows
+
+
+def _unfinished(out: Path) -> Path:
+    return out.with_name(f"{out.name}.unfinished")
+
+
+def _table_rows(out: Path) -> list[Row]:
+    if not out.exists():
+        return []
+    try:
+        rows = read_rows(out)
+    except (OSError, ValueError) as error:  # pyarrow's errors are of these kinds
+        raise CanfbError(f"--out {out}: is there already, and is no table: {reason(error)}") from None
+    if rows and not {"log", "module", "fingerprint"} <= set(rows[0]):
+        raise CanfbError(f"--out {out}: is there already, and is no table of logs; take another name")
+    return rows
+
+
+def _unfinished_rows(out: Path) -> list[Row]:
+    """What an interrupted run has noted; its last line may be cut off."""
+    try:
+        lines = _unfinished(out).read_text(encoding="utf-8", errors="replace").splitlines()
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise CanfbError(f"{_unfinished(out)}: cannot be read: {reason(error)}") from None
+    rows = []
+    for line in lines:
+        try:
+            row = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(row, dict) and set(COLUMNS) <= set(row):
+            rows.append(row)
+    return rows

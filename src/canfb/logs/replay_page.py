@@ -1,0 +1,114 @@
+"""The report of a replay: one HTML file that stands alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from canfb.errors import CanfbError, reason
+from canfb.logs.log_replay import LogReplayed
+from canfb.replay.module_replay import ModuleReplay
+from canfb.replay.overview import Overview
+from canfb.replay.summary_of_replay import (
+    RPM,
+    comparison_facts,
+    fault_words,
+    log_facts,
+    margin_facts,
+    other_facts,
+    verdict,
+)
+from canfb.report.lissajous import lissajous
+from canfb.report.over_time import Curve, over_time
+from canfb.report.page import beside, facts_table, figure, gallery, page
+from canfb.signal.supervision import SampleLimits
+
+FOOTER = "Made by canfb replay, with the module of this version. Margin: what is left of a limit."
+MOST_FAULTS = 40
+
+
+def replay_html(replayed: LogReplayed, overview: Overview) -> str:
+    """The page of the one module that was replayed. It refers to nothing outside of itself."""
+    (replay,), (drift,) = replayed.replays, replayed.drifts
+    node_id, counters = replay.module.node.node_id, replay.counters
+    place = (
+        f"module {node_id} ({node_id:02X}h) · {counters.frames} frames · "
+        f"{counters.last_s - counters.first_s:.3f} s"
+    )
+    good = not any(replay.faults.times.values()) and all(one.all_equal for one in replay.compared.values())
+    facts = [*margin_facts(replay), *other_facts(replay, drift)]
+    facts += log_facts(replayed.log.counters, replayed.log.trouble)
+    tables = facts_table("Margins", facts)
+    compared = comparison_facts(replay)
+    if compared:
+        tables += facts_table("The recorded module and the replay", compared)
+    body = beside(tables, _lissajous(replay, overview)) + gallery(
+        "Over the time", _pictures(replay, overview)
+    )
+    words = fault_words(replay)
+    if words:
+        rows = [(f"{n}", text) for n, text in enumerate(words[:MOST_FAULTS], 1)]
+        if sum(replay.faults.times.values()) > MOST_FAULTS:
+            rows.append(("", f"and {sum(replay.faults.times.values()) - MOST_FAULTS} more"))
+        body += facts_table("Faults", rows)
+    return page(f"Replay of {replayed.log.path.name}", place, _said(replay), body, FOOTER, good)
+
+
+def write_page(path: Path, replayed: LogReplayed, overview: Overview) -> None:
+    """Write it. CanfbError if the file fails."""
+    try:
+        path.write_text(replay_html(replayed, overview), encoding="utf-8")
+    except OSError as error:
+        raise CanfbError(f"--report {path}: cannot be written: {reason(error)}") from error
+
+
+def _said(replay: ModuleReplay) -> list[str]:
+    text = verdict(replay)
+    said = [f"{text[:1].upper()}{text[1:]}."]
+    compared = replay.compared.values()
+    if compared:
+        equal, all_of = sum(one.equal for one in compared), sum(one.equal + one.different for one in compared)
+        said.append(f"{equal} of {all_of} frames of the recorded module are the same, byte for byte.")
+    return said
+
+
+def _lissajous(replay: ModuleReplay, overview: Overview) -> str:
+    limits, config = replay.module.limits, replay.module.config
+    circles = SampleLimits(
+        config.full_scale_counts, limits.amplitude_low_counts, limits.amplitude_high_counts
+    )
+    conditioning = replay.module.chain.correction.conditioning
+    picture = lissajous(overview.sine, overview.cosine, conditioning, circles)
+    return figure("Lissajous picture", f"{len(overview.sine)} samples, evenly chosen", picture)
+
+
+def _pictures(replay: ModuleReplay, overview: Overview) -> list[str]:
+    found = overview.stretches
+    time_s = found["begin_s"] - replay.counters.first_s
+    if not len(time_s):
+        return []
+    residual = [
+        Curve(found["residual"], "after", "largest residual"),
+        Curve(found["residual_limit"], "limit dashed", "limit"),
+    ]
+    amplitude = [
+        Curve(found["amplitude_least"], "after", "lowest"),
+        Curve(found["amplitude_most"], "before", "highest"),
+        Curve(found["amplitude_low_counts"], "limit dashed", "limits"),
+        Curve(found["amplitude_high_counts"], "limit dashed", None),
+    ]
+    speed = [
+        Curve(RPM * found["speed_most"], "before", "highest"),
+        Curve(RPM * found["speed_least"], "after", "lowest"),
+    ]
+    faults = [
+        Curve(np.where(found["faults"] > 0.0, found["faults"], 0.0), "before", "intervals with a fault")
+    ]
+    stretch = f"of each of {len(time_s)} stretches of the log"
+    return [
+        figure("Residual", f"the largest {stretch}", over_time("Residual", "cycles", time_s, residual, 0.0)),
+        figure("Amplitude", f"extremes {stretch}", over_time("Amplitude", "counts", time_s, amplitude, 0.0)),
+        figure("Speed", f"extremes {stretch}, while valid", over_time("Speed", "rpm", time_s, speed)),
+        figure("Faults", f"number {stretch}", over_time("Faults", "intervals", time_s, faults, 0.0)),
+    ]

@@ -1,0 +1,287 @@
+"""A module on the frames of a log, in the time of the log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import chain, islice
+
+from canfb import objects as od
+from canfb.cia301 import cob
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtCommand
+from canfb.device.lss.lss import UNCONFIGURED
+from canfb.device.storage.storage import Store
+from canfb.module.calibration_job import Outcome
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
+from canfb.replay.fault_list import FaultList
+from canfb.replay.log_time import LONGEST_GAP_S, LogTime
+from canfb.replay.margins import Margins
+from canfb.replay.own_frames import Compared, OwnFrames
+from canfb.replay.pdo_fields import PdoFields
+from canfb.replay.sample_columns import Block, SampleColumns
+from canfb.replay.start_rule import BOOT_UP, HEAD_FRAMES, Begin, found_in
+from canfb.signal.correction import Correction
+
+POLL_S = 0.01  # from one look at the computations to the next, as the runner has it
+BATCH_FRAMES = 4096
+RESET_ANSWER_S = 1.0  # a boot-up so long after that of the replay is its counterpart
+_new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
+
+
+@dataclass
+class ReplayCounters:
+    """Frames of the log, of the module in it, of the replay; and power-ups that nobody had asked for."""
+
+    frames: int = 0
+    recorded_own: int = 0
+    sent: int = 0
+    restarts: int = 0
+    first_s: float = 0.0
+    last_s: float = 0.0
+
+
+class ModuleReplay:
+    """One module of a log. :meth:`feed` it the frames, in any pieces, and :meth:`close` it.
+
+    The module is made of ``config`` and ``store``, as ``canfb run`` does it. It receives each frame at the
+    time of its stamp, and is ticked at its deadlines. What it sent itself when the log was recorded does
+    not come back to it, but is compared with what it sends now.
+
+    ``correction`` is put in force at each start in place of what is stored. ``begin`` says in which NMT
+    state the log begins; AUTO finds it in the first frames. ``takers`` get the samples in blocks,
+    ``sent`` each frame that the module sends, its stamp on the clock of the log. ValueError for a
+    ``config`` with a source: its samples never were on the bus.
+    """
+
+    def __init__(
+        self,
+        config: ModuleConfig,
+        store: Store | None = None,
+        *,
+        correction: Correction | None = None,
+        begin: Begin = Begin.AUTO,
+        takers: Iterable[Callable[[Block], None]] = (),
+        sent: Callable[[Frame], None] | None = None,
+    ) -> None:
+        if config.source is not None:
+            raise ValueError("the module has a source of its own: its samples are not on the bus")
+        self.module = FeedbackModule(config, store)
+        self.counters = ReplayCounters()
+        self.faults, self.margins, self.times = FaultList(), Margins(), LogTime()
+        self._correction, self._begin, self._sent = correction, begin, sent
+        self.samples = SampleColumns(
+            self.module, [self._before_block, self.faults.take, self.margins.take, *takers]
+        )
+        self.module.on_feedback = self.samples.take
+        self._left = self.module.node.sent
+        self._own_frames: dict[int, OwnFrames] = {}
+        self._fields: dict[int, PdoFields] = {}
+        self._head: list[Frame] | None = []
+        self._on = False
+        self._now = 0.0
+        self._poll_s = 0.0
+        self._boot_up_s = -RESET_ANSWER_S
+        self._routes_seen = -1
+        self._own: frozenset[int] = frozenset()
+        self._heard: frozenset[int] = frozenset()
+        self._emergency_id: int | None = None
+
+    @property
+    def compared(self) -> dict[int, Compared]:
+        """What the log has of the module against the replay, by CAN-ID; empty where the log has nothing."""
+        if not self.counters.recorded_own:
+            return {}
+        return {can_id: one.compared for can_id, one in sorted(self._own_frames.items())}
+
+    def fields(self, can_id: int) -> PdoFields | None:
+        """By how much the PDOs with this CAN-ID differ; None if they do not."""
+        return self._fields.get(can_id)
+
+    def feed(self, frames: Iterable[Frame]) -> None:
+        """The next frames of the log: ``timestamp`` in seconds, of any clock. No frame raises."""
+        if self._head is None and isinstance(frames, list):
+            self._take(frames)
+            return
+        source = iter(frames)
+        if self._head is not None:
+            head = self._head
+            head += islice(source, HEAD_FRAMES - len(head))
+            if len(head) < HEAD_FRAMES:
+                return
+            source = chain(self._opened(), source)
+        while batch := list(islice(source, BATCH_FRAMES)):
+            self._take(batch)
+
+    def close(self) -> None:
+        """The log ends."""
+        if self._head is not None:
+            self._take(list(self._opened()))
+        if self._on:
+            self._tick(self._now)
+        self.samples.flush()
+        for one in self._own_frames.values():
+            one.close(self._now)
+        self.module.end(self._now)
+
+    def _opened(self) -> Iterator[Frame]:
+        """The first frames, once they have shown how the log begins."""
+        head, self._head = self._head or [], None
+        if head:
+            stamp = head[0].timestamp
+            self._now = self.times.judged(0.0 if stamp is None else stamp, 0.0)
+            self.counters.first_s = self.times.origin_s
+            self._follow_origin()
+        self._power_on_first(head)
+        return iter(head)
+
+    def _power_on_first(self, head: list[Frame]) -> None:
+        node = self.module.node
+        node.storage.power_on()
+        node.lss.power_on()
+        node_id = node.lss.pending_node_id
+        begin = self._begin
+        if begin is Begin.AUTO:
+            begin = found_in(head, node_id, node.own_can_ids)
+        if begin is Begin.BOOT_UP:
+            self._own = frozenset({cob.ERROR_CONTROL + node_id})
+            return
+        # Nothing in the log is the counterpart of what it sends now.
+        self._power_on(self._now, pair=False)
+        if begin is Begin.OPERATIONAL and node_id != UNCONFIGURED:
+            self._command(NmtCommand.START, self._now, pair=False)
+        self._look_round()
+
+    def _power_on(self, now: float, pair: bool = True) -> None:
+        self._on = True
+        self._give_out(self.module.start(now), now, pair)
+
+    def _command(self, command: NmtCommand, now: float, pair: bool = True) -> None:
+        frame = Frame(0, bytes((command, self.module.node.node_id)), False, now)
+        self._give_out(self.module.receive(frame, now), now, pair)
+
+    def _take(self, batch: list[Frame]) -> None:
+        """The hot path: a frame that the module does not hear costs next to nothing."""
+        times, module = self.times, self.module
+        receive, deadline = module.receive, module.deadline
+        now, origin = self._now, times.origin_s
+        heard, own, poll_s, node = self._heard, self._own, self._poll_s, module.node
+        for can_id, data, rtr, stamp in batch:
+            received = (origin if stamp is None else stamp) - origin
+            if now <= received <= now + LONGEST_GAP_S:
+                now = received
+            else:
+                self._now = now
+                received = times.judged(origin + now if stamp is None else stamp, now)
+                now = max(now, received)
+                if origin != times.origin_s:
+                    origin = times.origin_s
+                    self._follow_origin()
+            if can_id in heard and not rtr:
+                due = deadline()
+                if due is not None and due < now:
+                    self._tick(now)
+                answers = receive(_new(Frame, (can_id, data, False, received)), now)
+                if answers:
+                    self._give_out(answers, now)
+            elif can_id in own and not rtr:
+                self._recorded(can_id, data, now)
+            elif rtr and self._on:
+                self._tick(now)
+                self._give_out(receive(Frame(can_id, data, True, received), now), now)
+            else:
+                continue
+            if now >= poll_s:
+                poll_s = self._poll_s = now + POLL_S
+                self._compute(now)
+            if node.route_changes != self._routes_seen:
+                self._look_round()
+                heard, own = self._heard, self._own
+        self._now = now
+        self.counters.frames += len(batch)
+        self.counters.last_s = now + origin
+
+    def _follow_origin(self) -> None:
+        self.samples.origin_s = self.times.origin_s
+
+    def _tick(self, now: float) -> None:
+        """What is due before ``now``, each at its time: as the runner has it, a frame comes first."""
+        while (due := self.module.deadline()) is not None and due < now:
+            self._give_out(self.module.tick(due), due)
+
+    def _compute(self, now: float) -> None:
+        """What the module wants computed is there at once; as the runner has it, not with each frame."""
+        job = self.module.pending_job() if self._on else None
+        if job is None:
+            return
+        try:
+            result: Outcome | Exception = job()
+        except Exception as error:  # it refuses the measurement
+            result = error
+        self._give_out(self.module.finish_job(job, result, now), now)
+
+    def _look_round(self) -> None:
+        """Who is heard now, and what is the module's own."""
+        if not self._on:
+            return
+        module = self.module
+        node = module.node
+        self._emergency_id = module.dictionary.entry(*od.EMERGENCY_COB_ID).value & cob.CAN_ID
+        self._routes_seen = node.route_changes
+        self._own, self._heard = node.own_can_ids, node.heard_can_ids
+        sync = module.dictionary.entry(*od.SYNC_COB_ID).value
+        if sync & cob.GENERATE:
+            self._own |= {sync & cob.CAN_ID}
+            self._heard -= self._own
+
+    def _recorded(self, can_id: int, data: bytes, now: float) -> None:
+        """A frame that the module itself had sent."""
+        self.counters.recorded_own += 1
+        if data == BOOT_UP and can_id > cob.ERROR_CONTROL:
+            self._booted_up(now)
+        self._pairs(can_id).recorded(data, now, now + self.times.origin_s)
+
+    def _booted_up(self, now: float) -> None:
+        """The module of the log has booted up; if nobody has reset it, it was switched off and on."""
+        if not self._on:
+            self._power_on(now)
+        elif now - self._boot_up_s > RESET_ANSWER_S:
+            self._tick(now)
+            self.counters.restarts += 1
+            self._command(NmtCommand.RESET_NODE, now)
+
+    def _pairs(self, can_id: int) -> OwnFrames:
+        found = self._own_frames.get(can_id)
+        if found is None:
+
+            def differs(recorded: bytes, replayed: bytes) -> None:
+                if can_id not in self._fields:
+                    self._fields[can_id] = PdoFields(self.module.dictionary, can_id)
+                self._fields[can_id].note(recorded, replayed)
+
+            found = self._own_frames[can_id] = OwnFrames(differs)
+        return found
+
+    def _give_out(self, frames: list[Frame], now: float, pair: bool = True) -> None:
+        self.counters.sent += len(frames)
+        for can_id, data, rtr, _ in frames:
+            self._left(can_id, now)
+            if pair:
+                (self._own_frames.get(can_id) or self._pairs(can_id)).replayed(data, now)
+            if can_id == self._emergency_id:
+                self.faults.emergency(data, now + self.times.origin_s)
+            elif data == BOOT_UP and can_id > cob.ERROR_CONTROL:
+                self._rebooted(now)
+            if self._sent is not None:
+                self._sent(Frame(can_id, data, rtr, now + self.times.origin_s))
+
+    def _rebooted(self, now: float) -> None:
+        """The replayed module has started: with the table that is to be tried."""
+        self._boot_up_s = now
+        self._emergency_id = self.module.dictionary.entry(*od.EMERGENCY_COB_ID).value & cob.CAN_ID
+        if self._correction is not None:
+            self.module.use_correction(self._correction)
+
+    def _before_block(self, block: Block) -> None:
+        self.margins.max_speed_rad_s = self.module.max_speed_rad_s

@@ -1,0 +1,264 @@
+"""`canfb replay` from the command line: text, JSON, files and a page; one line for what cannot be."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import importlib
+import json
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+
+from canfb.bus.state_files import StateFiles
+from canfb.cli.main import main
+from canfb.commissioning.table_file import as_yaml
+from canfb.device.storage.storage import MemoryStore
+from canfb.objects import StatusBit
+from canfb.replay.sample_columns import COLUMNS
+from canfb.signal.conditioning import IDENTITY
+from canfb.signal.correction import Correction, CorrectionTable
+from html_page import Page
+from replay_kit import NODE_ID, POSITION_ID, adc, as_message, contents, live, session, write_log
+
+SAMPLES = 300
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """A session with a bad sample and a missed one."""
+    plan = session(SAMPLES)
+    plan[400] = (plan[400][0], adc(0.1, 3000.0))
+    del plan[302]  # the sample, its SYNC is there
+    return write_log(tmp_path / "bus.log", live(plan)[0])
+
+
+def figures(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_text(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(log)]) == 0
+    text = capsys.readouterr().out
+    assert "module 32 (20h): " in text
+    assert f"{SAMPLES - 1} samples; faults: 1 × missed" in text
+    assert "residual    " in text
+    assert f"recorded {POSITION_ID:03X}h " in text
+
+
+def test_json(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(log), "--json", "--drift"]) == 0
+    found = figures(capsys)
+    (module,) = found["modules"]
+    assert module["node_id"] == NODE_ID
+    assert module["faults"]["missed"] == {"times": 1, "samples": 1}
+    assert module["faults"]["amplitude"]["times"] == 1
+    assert module["compared"]["1A0h"]["different"] == 0
+    assert 0.0 < module["margins"]["residual"]["value"] <= 0.5
+    assert module["margins"]["amplitude_high"]["margin"] < 0.0, "3000 of 2560 counts"
+    assert module["drift"]["reason"]
+
+
+def test_files_have_all_samples(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pyarrow")
+    parquet = importlib.import_module("pyarrow.parquet")
+
+    for suffix in ("csv", "npz", "parquet"):
+        assert main(["replay", str(log), "--out", str(tmp_path / f"out.{suffix}")]) == 0
+    with (tmp_path / "out.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    arrays = np.load(tmp_path / "out.npz")
+    table = parquet.read_table(tmp_path / "out.parquet")
+    assert list(rows[0]) == list(arrays) == table.column_names == list(COLUMNS)
+    assert len(rows) == table.num_rows == SAMPLES
+    for name in COLUMNS:
+        np.testing.assert_array_equal(arrays[name], table[name].to_numpy())
+        np.testing.assert_array_equal(arrays[name], np.array([float(row[name]) for row in rows]))
+    assert np.count_nonzero(arrays["status"] & StatusBit.MISSED) == 1
+    assert sorted(path.name for path in tmp_path.iterdir() if "part" in path.name) == []
+
+
+def test_what_the_module_sends_is_a_log(log: Path, tmp_path: Path) -> None:
+    assert main(["replay", str(log), "--frames", str(tmp_path / "sent.log")]) == 0
+    own = [one for one in can.LogReader(log) if one.arbitration_id == POSITION_ID]
+    again = [one for one in can.LogReader(tmp_path / "sent.log") if one.arbitration_id == POSITION_ID]
+    assert [bytes(one.data) for one in again] == [bytes(one.data) for one in own]
+    assert [one.timestamp for one in again] == pytest.approx([one.timestamp for one in own], abs=1e-6)
+
+
+def test_a_page_with_pictures(log: Path, tmp_path: Path) -> None:
+    path = tmp_path / "replay.html"
+    assert main(["replay", str(log), "--report", str(path)]) == 0
+    text = path.read_text(encoding="utf-8")
+    page = Page(text)
+    assert text.count("<svg ") == 5
+    assert "Replay of bus.log" in page.text
+    assert not any(name in ("src", "href") for name, _ in page.attributes)
+    assert "missed, 1 interval" in page.text
+
+
+def test_a_table_and_other_settings_are_tried(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    x = np.arange(64) / 64
+    table = CorrectionTable(x + 0.01 * np.sin(2 * np.pi * x))
+    file = tmp_path / "table.yaml"
+    file.write_text(as_yaml(Correction(table, IDENTITY), {}))
+    words = ["replay", str(log), "--json", "--table", str(file), "--set", "amplitude_high_counts=4000"]
+    assert main(words) == 0
+    (module,) = figures(capsys)["modules"]
+    assert module["table_crc32"] == f"{table.crc32:08X}"
+    assert module["faults"]["amplitude"]["times"] == 0
+    assert module["compared"]["1A0h"]["different"] > 100
+
+
+def test_saved_parameters_are_read_and_stay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from replay_kit import sdo_write
+
+    store = MemoryStore()
+    plan = [(0.01, sdo_write(0x2001, 4, b"\xa0\x0f")), (0.02, sdo_write(0x1010, 1, b"save"))]
+    live(plan, store)
+    state = tmp_path / "state"
+    with StateFiles(state) as files:
+        files.save(dict(store.images))
+    before = {path.name: path.read_bytes() for path in state.iterdir()}
+    plan = session(SAMPLES)
+    plan[400] = (plan[400][0], adc(0.1, 3000.0))
+    frames, sent = live(plan, store)
+    log = write_log(tmp_path / "bus.log", frames)
+    assert (
+        main(["replay", str(log), "--json", "--state", str(state), "--frames", str(tmp_path / "sent.log")])
+        == 0
+    )
+    (module,) = figures(capsys)["modules"]
+    assert module["margins"]["amplitude_high"]["limit"] == 4000.0
+    again = list(can.LogReader(tmp_path / "sent.log"))
+    assert [(one.arbitration_id, bytes(one.data).hex()) for one in again] == contents(sent)
+    assert {path.name: path.read_bytes() for path in state.iterdir()} == before
+
+
+def test_several_modules_of_one_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frames = live(session())[0]
+    log = write_log(tmp_path / "bus.log", frames)
+    config = tmp_path / "two.yaml"
+    config.write_text("modules: [{node_id: 32}, {node_id: 33}]\n")
+    assert main(["replay", str(log), "--config", str(config), "--json"]) == 0
+    one, other = figures(capsys)["modules"]
+    assert (one["node_id"], other["node_id"]) == (32, 33)
+    assert one["samples"] == other["samples"] == SAMPLES
+    assert one["compared"]
+    assert other["compared"] == {}, "the log has none of its frames"
+    assert main(["replay", str(log), "--config", str(config), "--out", str(tmp_path / "x.csv")]) == 2
+
+
+def test_damaged_lines_are_left_out_and_counted(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = log.read_text().splitlines(keepends=True)
+    lines[100:100] = [
+        "(1700000000.1) can0 19\n",
+        "\n",
+        "garbage \x00\n",
+        "(x) can0 080#\n",
+        "(1.0) can0 080#1\n",
+    ]
+    lines.insert(50, "(1700000000.060000) can0 12345678#00\n")
+    lines.insert(51, "(1700000000.060000) can0 20000080#0000000000000000\n")
+    lines.insert(52, "(1700000000.060000) can1 080#\n")
+    lines.insert(53, "(1700000000.060000) can0 123##100\n")
+    log.write_text("".join(lines))
+    assert main(["replay", str(log)]) == 0
+    text = capsys.readouterr().out
+    assert "4 damaged lines left out, the first is line 105" in text
+    assert "1 error frames left out" in text
+    assert "2 frames with 29-bit identifiers or CAN FD left out" in text
+    assert "not of can1 (--channel)" in text
+    assert "faults: 1 × missed" in text
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".blf", ".log.gz"])
+def test_a_log_that_is_cut_off_is_used_up_to_there(
+    tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_log(tmp_path / f"bus{suffix}", live(session(3000))[0])
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 2 // 3])
+    code = main(["replay", str(path), "--json"])
+    captured = capsys.readouterr()
+    if code:
+        assert len(captured.err.splitlines()) == 1
+    else:
+        assert 100 < json.loads(captured.out)["modules"][0]["samples"] < 3000
+
+
+WRONG = [
+    (["nowhere.log"], 1, "nowhere.log: cannot be read: No such file or directory"),
+    (["bus.xyz"], 2, "unknown suffix '.xyz'; bus logs end with .asc, "),
+    (["empty.log"], 1, "there is no frame with an 11-bit identifier in it"),
+    (["words.log"], 1, "in it; 2 damaged lines"),
+    (["words.blf"], 1, "this is no .blf log"),
+    (["words.asc"], 1, "words.asc: "),
+    (["words.log.gz"], 1, "this is no .log log: "),
+    (["bus.log", "--channel", "can7"], 1, "there is no frame of channel can7; there are can0"),
+    (["bus.log", "--out", "x.txt"], 2, "--out x.txt: the name must end with .csv, .npz, .parquet"),
+    (["bus.log", "--out", "none/x.csv"], 2, "--out none/x.csv: there is no folder none"),
+    (["bus.log", "--report", "none/x.html"], 2, "--report none/x.html: there is no folder none"),
+    (["bus.log", "--frames", "x.y"], 2, "unknown suffix '.y'"),
+    (["bus.log", "--set", "coast=1"], 2, "--set coast=1: unknown key 'coast' in a module"),
+    (["bus.log", "--set", "coast_samples"], 2, "write it as KEY=VALUE"),
+    (["bus.log", "--set", "adc_bits=3"], 2, "adc_bits must be a whole number 4..16"),
+    (["bus.log", "--set", "conditioning=7"], 2, "--set conditioning=7: "),
+    (["bus.log", "--set", "adc_bits={"], 2, "--set adc_bits={: "),
+    (["bus.log", "--module", "16"], 2, "encoder_interface must be another node"),
+    (["bus.log", "--table", "words.asc"], 1, "this is no correction table"),
+    (["bus.log", "--state", "none"], 2, "--state none: there is no such folder"),
+    (["bus.log", "--config", "source.yaml"], 2, "module 32 has a source of its own"),
+    (["bus.log", "--scheduler", "local"], 2, "--scheduler: is for a folder of logs"),
+]
+
+
+@pytest.mark.parametrize(("words", "code", "said"), WRONG, ids=[" ".join(words) for words, _, _ in WRONG])
+def test_what_cannot_be_is_one_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: list[str],
+    code: int,
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_log(Path("bus.log"), live(session(20))[0])
+    Path("empty.log").touch()
+    for name in ("words.log", "words.blf", "words.asc"):
+        Path(name).write_text("no log\nat all\n")
+    Path("words.log.gz").write_bytes(b"no gzip")
+    Path("source.yaml").write_text("modules: [{node_id: 32, source: {kind: motion}}]\n")
+    before = sorted(Path().iterdir())
+    assert main(["replay", *words]) == code
+    errors = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("...")]
+    assert len(errors) == 1, errors
+    assert said in errors[0]
+    assert sorted(Path().iterdir()) == before, "nothing half written"
+
+
+def test_gzip_and_plain_are_the_same(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    zipped = log.with_suffix(".log.gz")
+    zipped.write_bytes(gzip.compress(log.read_bytes()))
+    found = []
+    for path in (log, zipped):
+        assert main(["replay", str(path), "--json"]) == 0
+        found.append(figures(capsys)["modules"])
+    assert found[0] == found[1]
+
+
+def test_an_error_frame_of_python_can_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "bus.blf"
+    frames = live(session(50))[0]
+    with can.Logger(path) as logger:
+        logger(can.Message(is_error_frame=True, timestamp=frames[0].timestamp or 0.0, channel=0))
+        for frame in frames:
+            logger(as_message(frame))
+    assert main(["replay", str(path)]) == 0
+    assert "1 error frames left out" in capsys.readouterr().out

@@ -1,0 +1,52 @@
+"""docs/replay.md: its commands run, its options and columns are there."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from canfb.cli.main import build_parser, main
+from replay_kit import live, session, write_log
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "replay.md").read_text(encoding="utf-8")
+COMMANDS = re.findall(r"^    canfb (.*)$", PAGE, re.M)
+
+
+def test_its_commands_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("pyarrow")
+    monkeypatch.chdir(tmp_path)
+    Path("feedback.yaml").write_text(
+        "bus: {interface: virtual, channel: page}\nmodules: [{node_id: 32, encoder_interface: 16}]\n"
+    )
+    record, replay, folder = COMMANDS
+    assert main(shlex.split(record.replace("--seconds 10", "--seconds 0.05"))) == 0
+    write_log(Path("bus.log"), live(session(200))[0])
+    assert main(shlex.split(replay)) == 0
+    Path("month").mkdir()
+    Path("bus.log").rename("month/bus.log")
+    assert main(shlex.split(folder.replace("--workers 2", "--scheduler none"))) == 0
+    assert {path.name for path in Path().iterdir()} == {
+        "feedback.yaml",
+        "month",
+        "month.parquet",
+        "replay.html",
+        "samples.csv",
+    }
+    assert "200 samples; faults: none" in capsys.readouterr().out
+
+
+def test_its_options_are_there() -> None:
+    text = " ".join(build_parser().parse_args(["replay", "x"]).parser.format_help().split())
+    options = set(re.findall(r"`(--[a-z-]+)", PAGE)) - {"--seconds", "--force", "--max-size"}
+    assert len(options) > 10
+    assert [option for option in options if option not in text] == []
+
+
+def test_it_is_linked() -> None:
+    assert "(docs/replay.md)" in (ROOT / "README.md").read_text(encoding="utf-8")

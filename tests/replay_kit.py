@@ -1,0 +1,146 @@
+"""A module as `canfb run` serves it, on a bus that notes every frame: the live side of a replay."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import can
+
+from canfb.bus.runner import Runner
+from canfb.cia301.frame import Frame
+from canfb.device.storage.storage import MemoryStore
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
+from canfb.replay.module_replay import ModuleReplay
+
+EPOCH_S = 1_700_000_000.0
+NODE_ID, INTERFACE_ID = 0x20, 0x10
+PERIOD_S = 1e-3
+SYNC_ID, ADC_ID, POSITION_ID = 0x80, 0x190, 0x1A0
+Planned = tuple[float, Frame]
+
+
+class Clock:
+    """Seconds that pass only on the bus; monotonic and wall clock are the same."""
+
+    def __init__(self) -> None:
+        self.now = EPOCH_S
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class NotingBus:
+    """Gives the planned frames at their times, and notes these and what is sent, in the order of the bus."""
+
+    def __init__(self, clock: Clock, plan: Sequence[Planned]) -> None:
+        self.clock = clock
+        self.plan = [(EPOCH_S + at, frame) for at, frame in plan]
+        self.next = 0
+        self.log: list[Frame] = []
+        self.sent: list[Frame] = []
+
+    @property
+    def over(self) -> bool:
+        return self.next == len(self.plan)
+
+    def recv(self, timeout: float) -> can.Message | None:
+        if not self.over and self.plan[self.next][0] <= self.clock.now + timeout:
+            at, frame = self.plan[self.next]
+            self.next += 1
+            self.clock.now = max(self.clock.now, at)
+            frame = frame._replace(timestamp=self.clock.now)
+            self.log.append(frame)
+            return as_message(frame)
+        self.clock.now += timeout
+        return None
+
+    def send(self, message: can.Message) -> None:
+        frame = Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame, self.clock.now)
+        self.log.append(frame)
+        self.sent.append(frame)
+
+
+def live(
+    plan: Sequence[Planned], store: MemoryStore | None = None, **fields: Any
+) -> tuple[list[Frame], list[Frame]]:
+    """The log of a live run, and of it what the module has sent."""
+    clock = Clock()
+    bus = NotingBus(clock, plan)
+    module = FeedbackModule(config(**fields), store)
+    runner = Runner(bus, [module], lambda line: None, clock=clock, sleep=lambda s: None, wall=clock)  # type: ignore[arg-type]
+    runner.run(finished=lambda: bus.over)
+    return bus.log, bus.sent
+
+
+def config(**fields: Any) -> ModuleConfig:
+    return ModuleConfig(node_id=NODE_ID, encoder_interface=INTERFACE_ID, **fields)
+
+
+def replayed(
+    frames: Sequence[Frame],
+    store: MemoryStore | None = None,
+    options: dict[str, Any] | None = None,
+    **fields: Any,
+) -> tuple[ModuleReplay, list[Frame]]:
+    """The replay of a log, closed, and what the module has sent."""
+    sent: list[Frame] = []
+    replay = ModuleReplay(config(**fields), store, sent=sent.append, **(options or {}))
+    replay.feed(frames)
+    replay.close()
+    return replay, sent
+
+
+def as_message(frame: Frame) -> can.Message:
+    return can.Message(
+        timestamp=frame.timestamp or 0.0,
+        arbitration_id=frame.can_id,
+        data=frame.data,
+        is_remote_frame=frame.rtr,
+        is_extended_id=False,
+        channel=0,
+    )
+
+
+def write_log(path: Path, frames: Sequence[Frame]) -> Path:
+    with can.Logger(path) as logger:
+        for frame in frames:
+            logger.on_message_received(as_message(frame))
+    return path
+
+
+def contents(frames: Sequence[Frame]) -> list[tuple[int, str]]:
+    return [(frame.can_id, frame.data.hex()) for frame in frames]
+
+
+def nmt(command: int, node: int = NODE_ID) -> Frame:
+    return Frame(0, bytes((command, node)))
+
+
+def sdo_write(index: int, subindex: int, data: bytes) -> Frame:
+    command = 0x23 | (4 - len(data)) << 2
+    return Frame(0x600 + NODE_ID, struct.pack("<BHB4s", command, index, subindex, data))
+
+
+def adc(cycles: float, amplitude: float = 1500.0) -> Frame:
+    angle = 2.0 * math.pi * cycles
+    counts = round(amplitude * math.sin(angle)), round(amplitude * math.cos(angle))
+    return Frame(ADC_ID, struct.pack("<hh", *counts))
+
+
+def motion(samples: int, begin_s: float = 0.1, speed: float = 0.07, jitter_s: float = 0.0) -> list[Planned]:
+    """SYNC and sample, ``speed`` in cycles per period."""
+    plan: list[Planned] = []
+    for n in range(samples):
+        at = begin_s + n * PERIOD_S + jitter_s * math.sin(7.0 * n)
+        plan += [(at, Frame(SYNC_ID, b"")), (at + 2e-4, adc(speed * n))]
+    return plan
+
+
+def session(samples: int = 300, **rest: Any) -> list[Planned]:
+    """Start, and a motion."""
+    return [(0.05, nmt(1, 0)), *motion(samples, **rest)]
