@@ -15,10 +15,9 @@ import shlex
 import sys
 import traceback
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import Any, NoReturn
 
-from canfb.cli.commands import COMMANDS
+from canfb.cli.commands import add_commands, named_command
 from canfb.cli.examples import examples_of
 from canfb.cli.printing import printed_log
 from canfb.errors import CanfbError, ConfigError
@@ -42,19 +41,29 @@ class _Parser(argparse.ArgumentParser):
             super()._print_message(message, file)
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The parser with all commands."""
+class _Version(argparse.Action):
+    """Prints the version of the installed package, which takes a while to find out."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        """End with exit code 0."""
+        from importlib.metadata import version
+
+        print(f"canfb {version('canfb')}")
+        parser.exit()
+
+
+def build_parser(command: str | None = None) -> argparse.ArgumentParser:
+    """The parser with all commands; or with the options of this one alone, its file alone imported."""
     parser = _Parser(
         prog="canfb",
         description="CANopen drive feedback module for sine/cosine encoders.",
         epilog=f"{examples_of('canfb')}\n\n'canfb COMMAND --help' lists options and examples of a command.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"canfb {version('canfb')}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for module in COMMANDS:
-        module.register(commands)
+    add_commands(commands, command)
     return parser
 
 
@@ -79,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
-    parser = build_parser()
+    parser = build_parser(named_command(arguments))
     try:
         options = parser.parse_args(arguments)
     except SystemExit as end:  # argparse has said what it has to say
