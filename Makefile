@@ -19,7 +19,7 @@ MUTATED ?= $(addprefix src/canfb/signal/,supervision.py frozen.py \
 	recovery/coarse.py recovery/zero_pulse.py recovery/reference.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types unit socketcan lowest pythons mutate bench format clean
+.PHONY: help demo test lint types unit socketcan package lowest pythons mutate bench format clean
 
 help: ## Show the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -33,7 +33,8 @@ test: $(INSTALLED_TEST) ## Run all checks and all tests
 	@$(PYTHON) -m tools.suite.parts --beside "unit tests=$(MAKE) --no-print-directory unit" \
 		"style=$(MAKE) --no-print-directory lint" \
 		"types=$(MAKE) --no-print-directory types" \
-		"SocketCAN tests=$(MAKE) --no-print-directory socketcan"
+		"SocketCAN tests=$(MAKE) --no-print-directory socketcan" \
+		"package=$(MAKE) --no-print-directory package"
 
 lint: $(INSTALLED_TEST) ## Check style and format
 	$(PY) -m ruff check
@@ -50,6 +51,9 @@ unit: $(INSTALLED_TEST) ## Run the tests that need no CAN interface
 # Where no vcan can be had, pytest lists these tests as skipped and why; with CANFB_REQUIRE_VCAN=1 they fail.
 socketcan: $(INSTALLED_TEST) ## Run the tests on a real SocketCAN: this kernel's vcan, or one in user-mode Linux
 	@if $(VCAN) check; then $(VCAN) run -- $(PYTEST) tests/socketcan; else $(PYTEST) tests/socketcan; fi
+
+package: $(INSTALLED_TEST) ## Build sdist and wheel into dist, check them, and run the demo from the wheel
+	$(PY) -m tools.suite.package
 
 # A wheel of each for Python 3.11 and 3.12; newer Pythons need newer versions anyway.
 lowest: $(LOWEST)/.installed ## Run a part of the tests with the lowest versions that pyproject.toml allows

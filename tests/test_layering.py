@@ -57,8 +57,8 @@ TYPES_ONLY = {("errors", "calibration")}
 MAY_NAME_A_KIND = {"sources", "simulation", "demo", "commissioning", "cli"}
 
 # What each part may import of other packages. canopen reads the EDS for the device, and is the master of
-# the demo and of the tools; python-can has the words of the command line; libiio has the converter of a
-# source, which a thread of bus waits for; rich draws the page of the monitor.
+# the demo and of the tools; python-can has the words of the command line, and argcomplete completes them;
+# libiio has the converter of a source, which a thread of bus waits for; rich draws the page of the monitor.
 FOREIGN: dict[str, set[str]] = {
     "signal": {"numpy"},
     "calibration": {"numpy"},
@@ -73,7 +73,7 @@ FOREIGN: dict[str, set[str]] = {
     "logs": {"numpy", "pyarrow", "distributed"},
     "demo": {"numpy", "canopen"},
     "monitoring": {"rich"},
-    "cli": {"can", "rich"},
+    "cli": {"can", "argcomplete", "rich"},
 }
 # Clocks, threads and sockets have one place.
 OUTSIDE_WORLD = {"time", "threading", "socket", "select", "selectors", "asyncio", "datetime", "signal",

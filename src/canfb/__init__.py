@@ -8,33 +8,33 @@ detection by the residual (eq. 12).
 from __future__ import annotations
 
 import logging
+from importlib import import_module
 from typing import TYPE_CHECKING
 
-from canfb.calibration.drift import Drift, drift
-from canfb.calibration.from_motion import calibrate_from_motion
-from canfb.calibration.result import Calibration
-from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
-from canfb.cia301.frame import Frame
-from canfb.configuration import Config, load_config
-from canfb.eds_files import eds_path
-from canfb.errors import BusError, CalibrationError, CanfbError, ConfigError
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
-from canfb.objects import StatusBit
-from canfb.signal.batch import process
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import CorrectionTable
-from canfb.signal.feedback import Feedback
-from canfb.signal.limits import max_acceleration, max_speed
-from canfb.signal.phase import phase_in_cycle
-from canfb.signal.sample import Sample
-from canfb.signal.stream import ChainResult, process_stream
-from canfb.signal.tracker import Track, Tracker, TrackResult, track
-
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # what type checkers and readers see; at run time __getattr__ does it
     from canfb.bus.state_files import StateFiles
+    from canfb.calibration.drift import Drift, drift
+    from canfb.calibration.from_motion import calibrate_from_motion
+    from canfb.calibration.result import Calibration
+    from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
+    from canfb.cia301.frame import Frame
+    from canfb.configuration import Config, load_config
+    from canfb.eds_files import eds_path
+    from canfb.errors import BusError, CalibrationError, CanfbError, ConfigError
+    from canfb.module.feedback_module import FeedbackModule
+    from canfb.module.module_config import ModuleConfig
+    from canfb.objects import StatusBit
+    from canfb.signal.batch import process
+    from canfb.signal.chain import SignalChain
+    from canfb.signal.chain_config import ChainConfig
+    from canfb.signal.conditioning import Conditioning
+    from canfb.signal.correction import CorrectionTable
+    from canfb.signal.feedback import Feedback
+    from canfb.signal.limits import max_acceleration, max_speed
+    from canfb.signal.phase import phase_in_cycle
+    from canfb.signal.sample import Sample
+    from canfb.signal.stream import ChainResult, process_stream
+    from canfb.signal.tracker import Track, Tracker, TrackResult, track
 
 __all__ = [
     "BusError",
@@ -72,17 +72,53 @@ __all__ = [
     "track",
 ]
 
+# The same names for __getattr__; a test compares both.
+_PLACES = {
+    "bus.state_files": ("StateFiles",),
+    "calibration.drift": ("Drift", "drift"),
+    "calibration.from_motion": ("calibrate_from_motion",),
+    "calibration.result": ("Calibration",),
+    "calibration.zero_crossing": ("calibrate_from_zero_crossings",),
+    "cia301.frame": ("Frame",),
+    "configuration": ("Config", "load_config"),
+    "eds_files": ("eds_path",),
+    "errors": ("BusError", "CalibrationError", "CanfbError", "ConfigError"),
+    "module.feedback_module": ("FeedbackModule",),
+    "module.module_config": ("ModuleConfig",),
+    "objects": ("StatusBit",),
+    "signal.batch": ("process",),
+    "signal.chain": ("SignalChain",),
+    "signal.chain_config": ("ChainConfig",),
+    "signal.conditioning": ("Conditioning",),
+    "signal.correction": ("CorrectionTable",),
+    "signal.feedback": ("Feedback",),
+    "signal.limits": ("max_acceleration", "max_speed"),
+    "signal.phase": ("phase_in_cycle",),
+    "signal.sample": ("Sample",),
+    "signal.stream": ("ChainResult", "process_stream"),
+    "signal.tracker": ("Track", "Tracker", "TrackResult", "track"),
+}
+
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 
 def __getattr__(name: str) -> object:
-    """``__version__``, that of the installed package, and ``StateFiles``: read when they are asked for."""
-    if name == "StateFiles":  # of bus/, which a program without a bus does not load
-        from canfb.bus.state_files import StateFiles
+    """A public name, or ``__version__`` (that of the installed package): loaded when it is first used.
 
-        return StateFiles
+    So ``import canfb`` loads neither numpy nor what speaks to a bus, and each program only what it uses.
+    """
     if name == "__version__":
         from importlib.metadata import version
 
         return version("canfb")
+    for place, names in _PLACES.items():
+        if name in names:
+            thing: object = getattr(import_module(f"canfb.{place}"), name)
+            globals()[name] = thing
+            return thing
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """All public names, loaded or not."""
+    return sorted({*globals(), *__all__, "__version__"})

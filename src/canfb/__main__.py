@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK: argcomplete looks for it here
 """``python -m canfb``: the command line."""
 
 from __future__ import annotations

@@ -261,3 +261,18 @@ def test_progress_is_lines_and_on_a_terminal_a_bar() -> None:
     bars = terminal.getvalue().split(CLEAR)
     assert [bar.split()[-2] for bar in bars if "%" in bar] == ["0", "50", "100"]
     assert bars[-1] == "... two\n"
+
+
+def test_the_remaining_time_is_that_of_the_step_so_far() -> None:
+    clock, terminal = [100.0], Terminal()
+    progress = Progress(stream=terminal, now=lambda: clock[0])
+    progress.part(0.1)
+    clock[0] += 500.0
+    progress.step("two")
+    for passed_s, part in ((1.0, 0.01), (3.0, 0.01), (6.0, 0.25), (6.5, 0.25), (8.0, 0.0), (9.0, 1.0)):
+        clock[0] = 600.0 + passed_s
+        progress.part(part)
+    _, _, shown = terminal.getvalue().partition("two\n")
+    assert [bar.rpartition("]")[2].strip() for bar in shown.split(CLEAR) if bar] == [
+        *("1 %", "1 %, 4 min 57 s left", "25 %, 18 s left", "25 %, 20 s left", "0 %", "100 %")
+    ]

@@ -19,7 +19,7 @@ import can
 
 LEAST_PATIENCE_S = 60.0
 ROUNDS = 50
-IMPORTS = "import canfb.cli.main, canopen, can, numpy, yaml"
+IMPORTS = "import canfb.cli.run, canfb.cli.simulate, canfb.cli.calibrate, canopen, can, numpy, yaml"
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,9 @@ try:
     import can
     import canopen
 
-    import canfb
+    # Names, not `canfb.FeedbackModule`: what is imported belongs to no walk.
+    import canfb.device.od.template
+    from canfb import CorrectionTable, FeedbackModule, ModuleConfig, StatusBit
     from canfb.bus.runner import Runner
     from canfb.eds_files import eds_path
     from tools.bench.cycle import ADC_PDO, ENCODER_INTERFACE, INTERVAL_S, NODE_ID, SYNC, seconds
@@ -155,10 +157,10 @@ def messages(crc32: int) -> list[tuple[float, str, can.Message]]:
 
 def frames() -> dict[str, Walk]:
     """The walks of frames through the runner and a module that turns with a table."""
-    module = canfb.FeedbackModule(
-        canfb.ModuleConfig(node_id=NODE_ID, encoder_interface=ENCODER_INTERFACE, autostart=True)
+    module = FeedbackModule(
+        ModuleConfig(node_id=NODE_ID, encoder_interface=ENCODER_INTERFACE, autostart=True)
     )
-    table = canfb.CorrectionTable.identity(TABLE_ENTRIES)
+    table = CorrectionTable.identity(TABLE_ENTRIES)
     bus = WalkedBus(messages(table.crc32))
     runner = Runner(cast(Any, bus), [module], clock=bus.clock, wall=bus.clock)
     runner.run(
@@ -166,13 +168,13 @@ def frames() -> dict[str, Walk]:
         ready=lambda: module.dictionary.entry(*TABLE_STAGED).download(table.to_bytes()),
     )
     feedback = module.feedback
-    if feedback is None or feedback.status != canfb.StatusBit.VALID | canfb.StatusBit.TABLE_ACTIVE:
+    if feedback is None or feedback.status != StatusBit.VALID | StatusBit.TABLE_ACTIVE:
         raise RuntimeError(f"the module does not call its samples valid: {feedback}")
     return {name: usual(walks) for name, walks in bus.walks.items()}
 
 
-def construction() -> canfb.FeedbackModule:
-    return canfb.FeedbackModule(canfb.ModuleConfig(node_id=NODE_ID))
+def construction() -> FeedbackModule:
+    return FeedbackModule(ModuleConfig(node_id=NODE_ID))
 
 
 def start_up() -> Walk:

@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK: argcomplete looks for it here
 """The command line: ``canfb COMMAND``.
 
 Exit codes: 0 done, 1 the job failed, 2 wrong use or configuration. An error is one line
@@ -6,7 +7,6 @@ on stderr; ``--debug`` shows the traceback before it, with the same exit code.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import errno
 import logging
@@ -15,52 +15,21 @@ import shlex
 import sys
 import traceback
 from collections.abc import Sequence
-from importlib.metadata import version
-from typing import Any, NoReturn
 
-from canfb.cli.commands import COMMANDS
-from canfb.cli.examples import examples_of
+from canfb.cli.commands import named_command
+from canfb.cli.parser import WRONG_USE, build_parser
 from canfb.cli.printing import printed_log
 from canfb.errors import CanfbError, ConfigError
 
-FAILED, WRONG_USE = 1, 2
+FAILED = 1
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-
-
-class _Parser(argparse.ArgumentParser):
-    """Says in one line what is wrong, without the list of all options."""
-
-    def error(self, message: str) -> NoReturn:
-        """End with exit code 2."""
-        self.exit(WRONG_USE, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
-
-    def _print_message(self, message: str, file: Any = None) -> None:
-        """As argparse has it, but help and version that cannot be written are an error."""
-        if file is sys.stdout:
-            file.write(message)
-        else:
-            super()._print_message(message, file)
-
-
-def build_parser() -> argparse.ArgumentParser:
-    """The parser with all commands."""
-    parser = _Parser(
-        prog="canfb",
-        description="CANopen drive feedback module for sine/cosine encoders.",
-        epilog=f"{examples_of('canfb')}\n\n'canfb COMMAND --help' lists options and examples of a command.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--version", action="version", version=f"canfb {version('canfb')}")
-    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for module in COMMANDS:
-        module.register(commands)
-    return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; the exit code. Without a command: the help."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    if "_ARGCOMPLETE" in os.environ:
+        return _complete()
     try:
         code = _run(arguments or ["--help"])
         sys.stdout.flush()
@@ -78,8 +47,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
+def _complete() -> int:
+    """The shell asks how a line goes on; only what completes it may be said."""
+    from canfb.cli import completion  # here: it serves the shell, not a command
+
+    completion.answer(build_parser, os.environ)
+    return FAILED
+
+
 def _run(arguments: Sequence[str]) -> int:
-    parser = build_parser()
+    parser = build_parser(named_command(arguments))
     try:
         options = parser.parse_args(arguments)
     except SystemExit as end:  # argparse has said what it has to say

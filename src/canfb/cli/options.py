@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import can.cli
-
-from canfb.bus.bus_words import check_interface
 from canfb.cli.examples import examples_of
-from canfb.configuration import Config
 from canfb.errors import ConfigError
-from canfb.module.module_config import ModuleConfig
+
+if TYPE_CHECKING:
+    from canfb.configuration import Config
+    from canfb.module.module_config import ModuleConfig
 
 Commands = Any  # argparse's sub-parser action has no public name
 
@@ -34,6 +33,8 @@ def add_command(
 
 def add_bus_options(parser: argparse.ArgumentParser) -> None:
     """The bus options of python-can: -i, -c, -b and so on."""
+    import can.cli  # here: a command without a bus does not wait for python-can
+
     can.cli.add_bus_arguments(parser)
 
 
@@ -94,6 +95,8 @@ def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict
 
     ConfigError for an interface that python-can does not have.
     """
+    from canfb.bus.bus_words import check_interface
+
     merged = dict(configured)
     for word in BUS_WORDS:
         if hasattr(options, word):

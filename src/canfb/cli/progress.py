@@ -3,48 +3,66 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from typing import TextIO
+
+from canfb.bus.monotonic_clock import now_s
 
 WIDTH = 30
 CLEAR = "\r\x1b[K"
+SOONEST_S = 2.0
+"""A rest is estimated from what has taken at least so long."""
 
 
 class Progress:
-    """One line a step; on a terminal it is a bar while the step lasts. Says nothing if ``quiet``.
+    """One line a step; on a terminal also a bar with the remaining time. Says nothing if ``quiet``.
 
     It never fails: a terminal that has gone must not end the work, nor what puts things right.
     """
 
-    def __init__(self, quiet: bool = False, stream: TextIO | None = None) -> None:
+    def __init__(
+        self, quiet: bool = False, stream: TextIO | None = None, now: Callable[[], float] = now_s
+    ) -> None:
         self._stream = stream or sys.stderr
         self._quiet = quiet
         self._bar = self._stream.isatty()
-        self._text = ""
-        self._shown = -1
+        self._now = now
+        self._began_s = now()
+        self._shown = ""
 
     def step(self, text: str) -> None:
         """A new step begins."""
         if self._quiet:
             return
         self.clear()
-        self._text = text
+        self._began_s = self._now()
         self._print(f"... {text}\n")
 
-    def part(self, part: float, note: str = "") -> None:
-        """So much of the step is done, 0..1; the ``note`` stands behind it."""
-        percent = int(100.0 * min(max(part, 0.0), 1.0))
-        if self._quiet or not self._bar or percent == self._shown:
+    def part(self, part: float) -> None:
+        """This part of the step is done, 0..1."""
+        if self._quiet or not self._bar:
             return
-        self._shown = percent
+        part = min(max(part, 0.0), 1.0)
+        percent = int(100.0 * part)
         full = round(WIDTH * percent / 100)
-        bar = f"{'#' * full}{'.' * (WIDTH - full)}"
-        self._print(f"{CLEAR}    [{bar}] {percent:3d} %{note and f'  {note}'}")
+        text = f"    [{'#' * full}{'.' * (WIDTH - full)}] {percent:3d} %{self._rest(part)}"
+        if text != self._shown:
+            self._shown = text
+            self._print(f"{CLEAR}{text}")
 
     def clear(self) -> None:
         """Take the bar away: somebody else has something to say."""
-        if self._shown >= 0:
-            self._shown = -1
+        if self._shown:
+            self._shown = ""
             self._print(CLEAR)
+
+    def _rest(self, part: float) -> str:
+        """How long the step still takes, if it goes on as it went; "" while that is a guess."""
+        passed_s = self._now() - self._began_s
+        if passed_s < SOONEST_S or not 0.0 < part < 1.0:
+            return ""
+        minutes, seconds = divmod(round(passed_s * (1.0 - part) / part), 60)
+        return f", {minutes} min {seconds:02d} s left" if minutes else f", {seconds} s left"
 
     def _print(self, text: str) -> None:
         try:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 
-from canfb.bus.wall_clock import Stopwatch
 from canfb.cli.progress import Progress
 from canfb.errors import ConfigError
 from canfb.logs.folder_replay import InThisProcess, Pool, check_table, do_work, work_of
@@ -23,14 +22,9 @@ def replay_folder(options: argparse.Namespace, settings: ReplaySettings, progres
     dask = None if options.scheduler == NONE else DaskPool(options.scheduler or LOCAL, options.workers)
     work = work_of(options.log, settings, out)
     progress.step(f"{len(work.jobs)} logs to replay, {work.skipped} are done")
-    watch = Stopwatch()
-
-    def heard(part: float) -> None:
-        progress.part(part, watch.left_in_words(part))
-
     with contextlib.ExitStack() as opened:
         pool: Pool = InThisProcess() if dask is None or not work.jobs else opened.enter_context(dask)
-        rows = do_work(work, settings, out, pool, heard)
+        rows = do_work(work, settings, out, pool, progress.part)
     progress.clear()
     bad = [row for row in rows if row["error"] is not None]
     for row in bad:

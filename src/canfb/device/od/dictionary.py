@@ -7,7 +7,6 @@ from pathlib import Path
 
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.datatypes import DataType
-from canfb.device.od import template
 from canfb.device.od.entry import Entry
 from canfb.device.od.object_info import ObjectInfo, ObjectKind
 
@@ -46,6 +45,8 @@ class Dictionary:
         the file has it, is the file itself. A content is parsed once in a process; each dictionary has
         entries of its own.
         """
+        from canfb.device.od import template  # with canopen: loaded by the first dictionary, no sooner
+
         if not (1 <= node_id <= 127 or node_id == 255):
             raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127, or 255 for none yet")
         described = template.load(Path(path), node_id)

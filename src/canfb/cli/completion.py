@@ -1,0 +1,94 @@
+"""Completion in a shell by argcomplete, the extra ``completion``: what fits an option or an argument.
+
+The shell runs ``canfb`` with the line in its environment (``register-python-argcomplete canfb``).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from canfb.cli.commands import named_command
+from canfb.errors import CanfbError
+
+ASKED = "_ARGCOMPLETE"
+"""Environment: the shell asks; which word of its line is the program, from 1."""
+CAN_HARDWARE = "280"  # ARPHRD_CAN of Linux
+NETWORK = Path("/sys/class/net")
+YAML_FILES = ("yaml", "yml")
+
+
+def answer(build: Callable[[str], argparse.ArgumentParser], environment: Mapping[str, str]) -> None:
+    """Answer the shell and end the process; it returns, and says nothing, without argcomplete."""
+    try:
+        import argcomplete
+        from argcomplete.completers import DirectoriesCompleter, FilesCompleter
+    except ImportError:
+        return
+    parser = build(named_command(asked_words(environment)))
+    completers: dict[str, Any] = {
+        "CONFIG.yaml": FilesCompleter(YAML_FILES),
+        "DIR": DirectoriesCompleter(),
+        "NODE": nodes,
+        "ID": nodes,
+        "CHANNEL": can_interfaces,
+    }
+    for action in _actions(parser):
+        if action.metavar in completers:
+            action.completer = completers[str(action.metavar)]  # type: ignore[attr-defined]
+    argcomplete.autocomplete(parser)
+
+
+def asked_words(environment: Mapping[str, str]) -> list[str]:
+    """The words behind the program, up to the cursor."""
+    line, program = environment.get("COMP_LINE", ""), environment.get(ASKED, "")
+    point = environment.get("COMP_POINT", "")
+    before = line[: int(point)] if point.isdecimal() else line
+    return before.split()[int(program) if program.isdecimal() else 1 :]
+
+
+def nodes(action: argparse.Action, parsed_args: argparse.Namespace, **_: object) -> list[str]:
+    """Node-IDs of the configuration on the line, of interfaces too; ``all`` where it may be given."""
+    found = ["all"] if _takes(action, "all") else []
+    name = getattr(parsed_args, "config", None)
+    if name is None:
+        return found
+    from canfb.configuration import load_config
+
+    try:
+        modules = load_config(name).modules
+    except CanfbError:
+        return found
+    ids = {node for one in modules for node in (one.node_id, one.encoder_interface) if 1 <= node <= 127}
+    return [*found, *(f"0x{node:02X}" for node in sorted(ids))]
+
+
+def can_interfaces(**_: object) -> list[str]:
+    """The CAN interfaces of this computer."""
+    try:
+        types = {kind.parent.name: kind.read_text().strip() for kind in NETWORK.glob("*/type")}
+    except OSError:
+        return []
+    return sorted(name for name, kind in types.items() if kind == CAN_HARDWARE)
+
+
+def _takes(action: argparse.Action, word: str) -> bool:
+    if not callable(action.type):
+        return False
+    try:
+        action.type(word)
+    except (argparse.ArgumentTypeError, TypeError, ValueError):
+        return False
+    return True
+
+
+def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    """Those of the parser and of its commands."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for below in action.choices.values():
+                yield from _actions(below)
+        else:
+            yield action

@@ -1,0 +1,134 @@
+"""Completion in a shell: what canfb answers, and what bash makes of it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canfb.cli import completion
+from canfb.cli.commands import COMMANDS
+from canfb.cli.completion import asked_words, can_interfaces
+from canfb.cli.main import main
+
+CONFIG = "bus: {interface: virtual, channel: x}\nmodules: [{node_id: 33, encoder_interface: 17}]\n"
+BASH = shutil.which("bash")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "feedback.yaml").write_text(CONFIG)
+    (tmp_path / "wrong.yaml").write_text("modules: 5\n")
+    (tmp_path / "tracks.csv").write_text("\n")
+    (tmp_path / "measured").mkdir()
+    return tmp_path
+
+
+def completed(folder: Path, line: str) -> set[str]:
+    """What canfb gives the shell for this line, with the cursor at its end."""
+    answer = folder / "answer"
+    environment = {
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+        "_ARGCOMPLETE_IFS": "\n",
+        "_ARGCOMPLETE_SUPPRESS_SPACE": "1",
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+        "COMP_TYPE": "9",
+    }
+    done = subprocess.run(
+        [sys.executable, "-m", "canfb"],
+        cwd=folder,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    words = answer.read_text().split("\n")
+    answer.unlink()
+    return {word.strip() for word in words if word}
+
+
+def test_commands_are_completed(folder: Path) -> None:
+    assert completed(folder, "canfb ") >= {entry.name for entry in COMMANDS}
+    assert completed(folder, "canfb si") == {"simulate"}
+
+
+def test_options_and_parts_of_a_command_are_completed(folder: Path) -> None:
+    assert completed(folder, "canfb demo --") == {"--debug", "--help", "--json", "--out"}
+    assert completed(folder, "canfb config e") == {"example"}
+    assert completed(folder, "canfb run x -i socketcan") == {"socketcan", "socketcand"}
+
+
+def test_files_are_those_that_fit(folder: Path) -> None:
+    assert completed(folder, "canfb run ") >= {"feedback.yaml", "wrong.yaml"}
+    assert "tracks.csv" not in completed(folder, "canfb run ")
+    assert completed(folder, "canfb demo --out ") == {"measured/"}
+    assert "tracks.csv" in completed(folder, "canfb calibrate --samples ")
+
+
+def test_nodes_are_those_of_the_configuration(folder: Path) -> None:
+    assert completed(folder, "canfb nmt start --config feedback.yaml ") >= {"all", "0x11", "0x21"}
+    assert completed(folder, "canfb calibrate feedback.yaml --module 0x2") == {"0x21"}
+    assert "0x21" not in completed(folder, "canfb nmt start --config wrong.yaml ")
+    assert "all" not in completed(folder, "canfb calibrate feedback.yaml --module ")
+
+
+def test_channels_are_the_can_interfaces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, kind in (("eth0", "1"), ("vcan0", "280"), ("can1", "280")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "type").write_text(f"{kind}\n")
+    monkeypatch.setattr(completion, "NETWORK", tmp_path)
+    assert can_interfaces() == ["can1", "vcan0"]
+    monkeypatch.setattr(completion, "NETWORK", tmp_path / "none")
+    assert can_interfaces() == []
+
+
+@pytest.mark.parametrize(
+    ("environment", "words"),
+    [
+        ({"COMP_LINE": "canfb run x", "COMP_POINT": "9", "_ARGCOMPLETE": "1"}, ["run"]),
+        ({"COMP_LINE": "python3 -m canfb run", "COMP_POINT": "20", "_ARGCOMPLETE": "3"}, ["run"]),
+        ({"COMP_LINE": "canfb", "COMP_POINT": "5", "_ARGCOMPLETE": "1"}, []),
+        ({"COMP_LINE": "canfb run 'a", "COMP_POINT": "?", "_ARGCOMPLETE": "?"}, ["run", "'a"]),
+        ({}, []),
+    ],
+)
+def test_words_up_to_the_cursor(environment: dict[str, str], words: list[str]) -> None:
+    assert asked_words(environment) == words
+
+
+def test_without_argcomplete_nothing_is_said(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "argcomplete", None)
+    monkeypatch.setenv("_ARGCOMPLETE", "1")
+    monkeypatch.setenv("COMP_LINE", "canfb ")
+    assert main([]) == 1
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.skipif(BASH is None, reason="no bash")
+def test_bash_completes_as_the_page_says(folder: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "completion.md").read_text(encoding="utf-8")
+    activation = 'eval "$(register-python-argcomplete canfb)"'
+    assert activation in page
+    script = f"""
+        {activation}
+        COMP_LINE='canfb config ch' COMP_POINT=15 COMP_TYPE=9 COMP_WORDS=(canfb config ch) COMP_CWORD=2
+        $(complete -p canfb | sed 's/.*-F \\([^ ]*\\).*/\\1/') canfb ch config
+        echo "${{COMPREPLY[@]}}"
+    """
+    scripts = str(Path(sys.executable).parent)
+    environment: dict[str, Any] = os.environ | {"PATH": f"{scripts}:{os.environ['PATH']}"}
+    done = subprocess.run(
+        [BASH or "", "-c", script], env=environment, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.stdout.strip(), done.stderr) == ("check", "")

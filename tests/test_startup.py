@@ -1,0 +1,74 @@
+"""What is loaded when: `import canfb` and a command load what they use, and no more."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import canfb
+
+# Slow to import: together many times the rest of a start.
+HEAVY = ("numpy", "can", "canopen", "yaml", "msgpack")
+# What each use may load of these.
+USES: dict[str, set[str]] = {
+    "import canfb": set(),
+    "from canfb import CanfbError, Frame, StatusBit, eds_path": set(),
+    "from canfb import phase_in_cycle, process, calibrate_from_motion": {"numpy"},
+    "from canfb import ModuleConfig": {"numpy"},
+    "from canfb import load_config": {"numpy", "yaml"},
+    "from canfb.cli.main import main; main([])": set(),
+    "from canfb.cli.main import main; main(['--help'])": set(),
+    "from canfb.cli.main import main; main(['--version'])": set(),
+    "from canfb.cli.main import main; main(['no-command'])": set(),
+}
+
+
+def loaded_by(statement: str) -> set[str]:
+    code = f"{statement}\nimport sys\nprint('loaded', *({{*{HEAVY}}} & set(sys.modules)))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    return set(done.stdout.splitlines()[-1].split()[1:])
+
+
+@pytest.mark.parametrize("statement", USES)
+def test_a_use_loads_no_more_than_it_needs(statement: str) -> None:
+    assert loaded_by(statement) == USES[statement]
+
+
+def test_the_test_sees_what_is_loaded() -> None:
+    assert loaded_by("import canfb, canopen; canfb.track") >= {"numpy", "can", "canopen"}
+
+
+def test_a_dictionary_loads_canopen_which_reads_the_eds() -> None:
+    assert "canopen" in loaded_by("import canfb; canfb.FeedbackModule(canfb.ModuleConfig(node_id=1))")
+
+
+def test_each_public_name_is_where_the_type_checker_finds_it() -> None:
+    tree = ast.parse(Path(canfb.__file__).read_text(encoding="utf-8"))
+    checked = {
+        alias.name: node.module
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module is not None and node.module.startswith("canfb.")
+        for alias in node.names
+    }
+    places = {name: f"canfb.{place}" for place, names in canfb._PLACES.items() for name in names}
+    assert places == checked
+    assert sorted(places) == sorted(canfb.__all__)
+
+
+def test_names_are_listed_before_they_are_loaded() -> None:
+    code = "import canfb; print(*dir(canfb)); from canfb import *; print(FeedbackModule.__name__, track)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(done.stdout.splitlines()[0].split()) >= {*canfb.__all__, "__version__"}
+    assert done.stdout.splitlines()[1].startswith("FeedbackModule ")
+
+
+def test_a_name_is_looked_up_once() -> None:
+    assert inspect.isclass(canfb.Tracker)
+    assert vars(canfb)["Tracker"] is canfb.Tracker

@@ -1,0 +1,112 @@
+"""tools/systemd and docs/service.md: files that systemd accepts, and a page that names what is there."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from canfb.cli.main import FAILED
+from canfb.cli.parser import WRONG_USE
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "tools" / "systemd"
+PAGE = (ROOT / "docs" / "service.md").read_text(encoding="utf-8")
+UNIT = (FOLDER / "canfb@.service").read_text(encoding="utf-8")
+ANALYZE = shutil.which("systemd-analyze")
+needs_systemd = pytest.mark.skipif(ANALYZE is None, reason="no systemd-analyze")
+# systemd's own scale, 0 (best) to 100.
+MOST_EXPOSED = 25
+
+
+def setting(name: str, text: str = UNIT) -> str:
+    (value,) = re.findall(rf"^{name}=(.*)$", text, re.MULTILINE)
+    return str(value)
+
+
+def analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [ANALYZE or "", *arguments], capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+def units(folder: Path, *drop_ins: str) -> Path:
+    """The unit with a program that is there, as one file with its drop-ins."""
+    path = folder / "canfb@.service"
+    path.write_text(UNIT.replace("/opt/canfb/bin/canfb", sys.executable) + "\n" + "\n".join(drop_ins))
+    return folder / "canfb@left.service"
+
+
+@needs_systemd
+def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
+    done = analyze("verify", str(units(tmp_path)))
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs_systemd
+def test_a_wrong_unit_is_noticed(tmp_path: Path) -> None:
+    assert analyze("verify", str(units(tmp_path, "[Service]\nType=notfy\n"))).stderr != ""
+
+
+@needs_systemd
+def test_systemd_accepts_the_drop_ins_of_the_page(tmp_path: Path) -> None:
+    drop_ins = re.findall(r"^```ini\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+    assert len(drop_ins) == 2
+    done = analyze("verify", str(units(tmp_path, *drop_ins)))
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs_systemd
+def test_the_service_is_hardened(tmp_path: Path) -> None:
+    units(tmp_path)
+    done = analyze(
+        "security", "--offline=yes", f"--threshold={MOST_EXPOSED}", str(tmp_path / "canfb@.service")
+    )
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.skipif(shutil.which("udevadm") is None, reason="no udevadm")
+def test_udev_accepts_the_rule() -> None:
+    version = subprocess.run(["udevadm", "--version"], capture_output=True, text=True, check=True).stdout
+    if int(re.findall(r"\d+", version)[0]) < 254:
+        pytest.skip("udevadm verify is there from systemd 254 on")
+    rule = str(FOLDER / "80-canfb-can.rules")
+    done = subprocess.run(["udevadm", "verify", rule], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_unit_knows_the_command_and_its_exit_codes() -> None:
+    assert setting("Type") == "notify"
+    assert setting("ExecStart") == "/opt/canfb/bin/canfb run /etc/canfb/%i.yaml"
+    assert setting("Restart") == "on-failure"
+    assert (int(setting("RestartPreventExitStatus")), FAILED) == (WRONG_USE, 1)
+
+
+def test_what_realtime_needs_is_allowed() -> None:
+    assert "RestrictRealtime" not in UNIT
+    assert setting("LimitMEMLOCK") == "infinity"
+    assert f"up to {setting('LimitRTPRIO')}" in PAGE
+    assert {"AF_CAN", "AF_UNIX", "AF_INET"} <= set(setting("RestrictAddressFamilies").split())
+
+
+def test_network_and_rule_say_the_same() -> None:
+    network = (FOLDER / "80-canfb-can.network").read_text(encoding="utf-8")
+    link = (FOLDER / "80-canfb-can.link").read_text(encoding="utf-8")
+    rule = (FOLDER / "80-canfb-can.rules").read_text(encoding="utf-8")
+    assert f'KERNEL=="{setting("Name", network)}"' in rule
+    assert f"bitrate {setting('BitRate', network)} " in rule
+    assert f'restart-ms {setting("RestartSec", network).removesuffix("ms")}"' in rule
+    assert f"txqueuelen {setting('TransmitQueueLength', link)} " in rule
+
+
+def test_the_page_names_the_files_that_are_there() -> None:
+    table = set(re.findall(r"^\| `([\w@.-]+)` \|", PAGE, re.MULTILINE))
+    assert table == {file.name for file in FOLDER.iterdir()}
+    installed = set(re.findall(r"tools/systemd/([\w@.-]+)", PAGE))
+    assert installed == table
+    assert f"/var/lib/{setting('StateDirectory').replace('%i', 'left')}" in PAGE
+    assert setting("ExecStart").split()[0] in PAGE
