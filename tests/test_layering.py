@@ -40,8 +40,11 @@ ALLOWED: dict[str, set[str]] = {
     "bus": {"signal", "sources", "module", "device", "simulation", "configuration", "monitoring"} | WORDS,
     "demo": {"signal", "calibration", "report", "device", "sources", "module", "simulation", "configuration",
              "eds_files"} | WORDS,
+    # What a module and a bus allow is arithmetic over both: of the module, of the wire and of the simulated
+    # motion, none of which may know the others. It needs no bus, so it is not in one that has.
+    "planning": {"signal", "device", "module", "simulation", "configuration", "eds_files"} | WORDS,
     "cli": {"signal", "calibration", "device", "sources", "module", "simulation", "configuration",
-            "eds_files", "bus", "demo", "commissioning", "report", "monitoring"} | WORDS,
+            "eds_files", "bus", "demo", "commissioning", "report", "monitoring", "planning"} | WORDS,
     # StateFiles of bus, when it is asked for.
     "__init__": {"signal", "calibration", "module", "configuration", "eds_files", "bus"} | WORDS,
     "__main__": {"cli"},

@@ -31,12 +31,13 @@ class Room(NamedTuple):
 
 ROOMS = {
     "cli": Room(320, 260, 0, "a command: parse, call, print"),
-    "bus": Room(20, 280, 1, "the clock, threads, sockets: here alone", "world"),
-    "demo": Room(340, 220, 1, "the whole story, in one process"),
-    "commissioning": Room(600, 220, 1, "sets up a module over the bus"),
+    "bus": Room(20, 240, 1, "the clock, threads, sockets: here alone", "world"),
+    "planning": Room(280, 210, 1, "limits and margins, beforehand"),
+    "demo": Room(510, 200, 1, "the whole story, in one process"),
+    "commissioning": Room(730, 210, 1, "sets up a module over the bus"),
     "configuration": Room(150, 220, 2, "the YAML, validated"),
     "monitoring": Room(440, 210, 2, "what the bus tells, in figures"),
-    "report": Room(720, 220, 2, "pictures and pages"),
+    "report": Room(800, 150, 2, "pictures and pages"),
     "simulation": Room(20, 240, 3, "a machine, its encoder, a drive"),
     "module": Room(300, 210, 3, "samples in, position PDO out", "join"),
     "sources": Room(380, 220, 4, "samples from elsewhere"),
@@ -47,10 +48,12 @@ ROOMS = {
 GROUND = ("cia301", "objects", "checks", "errors", "eds_files")
 ARROWS = [
     ("cli", "bus"),
+    ("cli", "planning"),
     ("cli", "demo"),
     ("cli", "commissioning"),
     ("bus", "configuration"),
     ("bus", "monitoring"),
+    ("planning", "configuration"),
     ("demo", "configuration"),
     ("demo", "report"),
     ("commissioning", "report"),

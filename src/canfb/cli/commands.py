@@ -9,6 +9,7 @@ from canfb.cli import (
     demo,
     monitor,
     nmt_command,
+    plan_command,
     run,
     sdo_command,
     simulate,
@@ -17,6 +18,7 @@ from canfb.cli import (
 
 COMMANDS = (
     demo,
+    plan_command,
     run,
     monitor,
     simulate,
