@@ -43,8 +43,12 @@ ALLOWED: dict[str, set[str]] = {
     "logs": {"signal", "device", "module", "report", "bus", "replay"} | WORDS,
     "demo": {"signal", "calibration", "report", "device", "sources", "module", "simulation", "configuration",
              "eds_files"} | WORDS,
+    # What a module and a bus allow is arithmetic over both: of the module, of the wire and of the simulated
+    # motion, none of which may know the others. It needs no bus, so it is not in one that has.
+    "planning": {"signal", "device", "module", "simulation", "configuration", "eds_files"} | WORDS,
     "cli": {"signal", "calibration", "device", "sources", "module", "simulation", "configuration",
-            "eds_files", "bus", "demo", "commissioning", "report", "monitoring", "replay", "logs"} | WORDS,
+            "eds_files", "bus", "demo", "commissioning", "report", "monitoring", "replay", "logs",
+            "planning"} | WORDS,
     # StateFiles of bus, when it is asked for.
     "__init__": {"signal", "calibration", "module", "configuration", "eds_files", "bus"} | WORDS,
     "__main__": {"cli"},

@@ -12,6 +12,7 @@ from canfb.cli.main import build_parser, main
 COMMANDS = [
     "",
     "demo",
+    "plan",
     "run",
     "simulate",
     "calibrate",

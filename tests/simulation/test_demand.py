@@ -40,7 +40,8 @@ def test_speed_and_acceleration_are_those_of_the_sampled_motion(
     assert speed <= demand.speed_cycles * (1 + 1e-9) + 1e-9
     assert speed >= 0.98 * demand.speed_cycles - 1e-9
     assert acceleration <= demand.acceleration_rad_s2 * (1 + 1e-6) + 1e-6
-    assert acceleration >= 0.4 * demand.acceleration_rad_s2, "a bound, and not a wild one"
+    # A step of twice the ripple, against it: a third of the sum is seen.
+    assert acceleration >= 0.3 * demand.acceleration_rad_s2, "a bound, and not a wild one"
 
 
 def test_the_limit_is_that_of_eq_10_and_an_uncorrected_phase_needs_its_part() -> None:

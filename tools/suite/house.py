@@ -32,9 +32,10 @@ class Room(NamedTuple):
 ROOMS = {
     "cli": Room(320, 260, 0, "a command: parse, call, print"),
     "logs": Room(40, 240, 1, "a bus log, or a folder of them"),
-    "bus": Room(20, 280, 2, "the clock, threads, sockets: here alone", "world"),
-    "demo": Room(340, 220, 2, "the whole story, in one process"),
-    "commissioning": Room(600, 220, 2, "sets up a module over the bus"),
+    "bus": Room(20, 240, 2, "the clock, threads, sockets: here alone", "world"),
+    "planning": Room(280, 190, 2, "limits, before a bus"),
+    "demo": Room(490, 200, 2, "the whole story, in one process"),
+    "commissioning": Room(710, 220, 2, "sets up a module over the bus"),
     "configuration": Room(20, 200, 3, "the YAML, validated"),
     "monitoring": Room(240, 200, 3, "what the bus says, in figures"),
     "replay": Room(460, 230, 3, "recorded frames through a module"),
@@ -49,6 +50,7 @@ ROOMS = {
 GROUND = ("cia301", "objects", "checks", "errors", "eds_files")
 ARROWS = [
     ("cli", "logs"),
+    ("cli", "planning"),
     ("cli", "demo"),
     ("cli", "commissioning"),
     ("logs", "bus"),
@@ -57,6 +59,7 @@ ARROWS = [
     ("replay", "module"),
     ("bus", "configuration"),
     ("bus", "monitoring"),
+    ("planning", "configuration"),
     ("demo", "configuration"),
     ("demo", "report"),
     ("commissioning", "report"),

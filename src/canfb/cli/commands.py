@@ -23,6 +23,11 @@ COMMANDS = (
     CommandEntry(
         "demo", "demo", "start, track, calibrate, upload, verify and survive faults on an in-process bus"
     ),
+    CommandEntry(
+        "plan",
+        "plan_command",
+        "what bit rate, SYNC rate, speed and acceleration allow, before there is a machine",
+    ),
     CommandEntry("run", "run", "run the feedback modules of a configuration on a bus"),
     CommandEntry("monitor", "monitor", "watch modules live, on a bus or in a log"),
     CommandEntry(

@@ -12,6 +12,10 @@ _EXAMPLES = {
   canfb demo
   canfb demo --json
   canfb demo --out pictures""",
+    "canfb plan": """
+  canfb plan feedback.yaml
+  canfb plan feedback.yaml --rate 2000 --rpm 3000 --acceleration 500 --times
+  canfb plan -b 500000 --rate 1000 --jitter 20 --rpm 1500 --acceleration 120 --modules 4 --json""",
     "canfb run": """
   canfb run feedback.yaml
   canfb run feedback.yaml -i socketcan -c can0

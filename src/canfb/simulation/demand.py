@@ -8,14 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.limits import max_acceleration
+from canfb.signal.limits import PHASE_ERROR_MARGIN_CYCLES, max_acceleration
 from canfb.signal.phase import FloatArray, phase_in_cycle
 from canfb.simulation.cia402.motor import MotorConfig
 from canfb.simulation.scenario import MotionConfig
 
 HALF_CYCLE = 0.5  # at the start the count takes the shortest step
-# The errors of an uncorrected phase need a part of the residual limit, too: 0.05 of 1/3 cycle.
-LEFT_FOR_MOTION = 0.85
 
 
 @dataclass(frozen=True)
@@ -28,7 +26,7 @@ class MotionDemand:
     acceleration_rad_s2   largest acceleration
     start_cycles          speed at the first sample, cycles per sample
     advice                what to change but the rate, empty for nothing
-    part                  of what eq. 10 allows, that the motion may use
+    errors_cycles         part of the residual limit that the errors of the encoder need
     """
 
     what: str
@@ -38,7 +36,7 @@ class MotionDemand:
     acceleration_rad_s2: float
     start_cycles: float = 0.0
     advice: str = ""
-    part: float = LEFT_FOR_MOTION
+    errors_cycles: float = PHASE_ERROR_MARGIN_CYCLES
 
     @property
     def allowed_rad_s2(self) -> float:
@@ -46,9 +44,21 @@ class MotionDemand:
         return max_acceleration(self.module.cycles_per_revolution, self.rate_hz, self.module.residual_limit)
 
     @property
+    def left_rad_s2(self) -> float:
+        """What eq. 10 allows beside the errors of the encoder; 0.0 if they need the whole limit."""
+        left = self.module.residual_limit - self.errors_cycles
+        return max_acceleration(self.module.cycles_per_revolution, self.rate_hz, left) if left > 0.0 else 0.0
+
+    @property
     def least_rate_hz(self) -> float:
-        """The SYNC rate at which the module follows: what it follows grows with the square of the rate."""
-        return self.rate_hz * math.sqrt(self.acceleration_rad_s2 / (self.part * self.allowed_rad_s2))
+        """The SYNC rate at which the module follows: what it follows grows with the square of the rate.
+
+        inf if no rate is enough.
+        """
+        if self.acceleration_rad_s2 == 0.0:
+            return 0.0
+        left = self.left_rad_s2
+        return self.rate_hz * math.sqrt(self.acceleration_rad_s2 / left) if left else math.inf
 
     def describe(self) -> str:
         """One line with the figures."""
@@ -60,12 +70,18 @@ class MotionDemand:
 
     def warning(self) -> str | None:
         """One line if the module cannot follow, None if it can."""
-        if self.acceleration_rad_s2 > self.part * self.allowed_rad_s2:
+        if self.acceleration_rad_s2 > self.left_rad_s2:
+            if not self.left_rad_s2:
+                return (
+                    f"{self.what}: the module will lose the position: residual_limit "
+                    f"{self.module.residual_limit:.3g} leaves nothing for an acceleration beside the "
+                    f"{self.errors_cycles:g} cycle that an uncorrected encoder needs"
+                )
             advice = f", or {self.advice}" if self.advice else ""
             return (
                 f"{self.what}: the module will lose the position: acceleration {self.acceleration_rad_s2:.3g}"
                 f" rad/s^2, it follows {self.allowed_rad_s2:.3g} at {self.rate_hz:g} Hz: set --rate to "
-                f"{_up(self.least_rate_hz)} or more{advice}"
+                f"{rounded_up(self.least_rate_hz)} or more{advice}"
             )
         if self.start_cycles >= HALF_CYCLE:
             return (
@@ -100,7 +116,7 @@ def of_drive(motor: MotorConfig, module: ChainConfig, rate_hz: float, revolution
     able = (motor.rated_torque_nm + motor.coulomb_friction_nm) / motor.inertia_kg_m2
     speed = revolutions_s * module.cycles_per_revolution / rate_hz
     demand = MotionDemand("drive", module, rate_hz, speed, able)
-    followed = demand.part * demand.allowed_rad_s2 * motor.inertia_kg_m2  # torque, Nm
+    followed = demand.left_rad_s2 * motor.inertia_kg_m2  # torque, Nm
     share = (followed - motor.coulomb_friction_nm) / motor.rated_torque_nm
     advice = f"write {int(1000 * share)} or less to 6072h" if share > 0.001 else "less friction and torque"
     return replace(demand, advice=advice)
@@ -123,10 +139,10 @@ def of_recording(
     largest = float(np.abs(bend).max(initial=0.0))
     acceleration = 2.0 * math.pi * largest * rate_hz**2 / module.cycles_per_revolution
     what = f"recording {name}, with the errors of its tracks"
-    return MotionDemand(what, module, rate_hz, float(speed.max()), acceleration, part=1.0)
+    return MotionDemand(what, module, rate_hz, float(speed.max()), acceleration, errors_cycles=0.0)
 
 
-def _up(rate_hz: float) -> str:
+def rounded_up(rate_hz: float) -> str:
     """A rate not below this one, in two or three figures."""
     if rate_hz <= 0.0:
         return "0"

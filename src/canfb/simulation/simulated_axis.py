@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from canfb.device.od.dictionary import Dictionary
 from canfb.errors import ConfigError
+from canfb.signal.chain_config import ChainConfig
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
-from canfb.simulation.cia402.motor import Motor
+from canfb.simulation.cia402.motor import Motor, MotorConfig
 from canfb.simulation.cia402.plant import Plant, PlantSource
 from canfb.simulation.demand import MotionDemand, of_drive
 from canfb.simulation.fed_module import FedModule
@@ -66,6 +68,13 @@ def simulated_axis(
     drive = ServoDrive(settings.node_id, plant, link, autostart=autostart)
     demand = None
     if rate_hz is not None:
-        speed = drive.dictionary.entry(*PROFILE_VELOCITY).value / drive.dictionary.entry(*INCREMENTS).value
-        demand = of_drive(settings, chain, rate_hz, speed)
+        demand = profile_demand(settings, drive.dictionary, chain, rate_hz)
     return SimulatedAxis(plant, source, drive, module.node_id, demand)
+
+
+def profile_demand(
+    motor: MotorConfig, dictionary: Dictionary, chain: ChainConfig, rate_hz: float
+) -> MotionDemand:
+    """What a drive with this dictionary asks of the module: its profile velocity, and all its torque."""
+    speed = dictionary.entry(*PROFILE_VELOCITY).value / dictionary.entry(*INCREMENTS).value
+    return of_drive(motor, chain, rate_hz, speed)

@@ -1,0 +1,103 @@
+"""``canfb plan``: what a bit rate, a SYNC rate, an encoder and a motion allow."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import fields
+
+from canfb.bus.saved_configuration import saved_configuration
+from canfb.cli.options import Commands, add_command, refuse_idle, whole_number
+from canfb.configuration import Config, load_config
+from canfb.errors import ConfigError
+from canfb.planning.plan import Plan
+from canfb.planning.plan_figures import plan_figures
+from canfb.planning.plan_lines import plan_lines
+from canfb.planning.planned_config import modules_alike, numbered
+from canfb.planning.remedies import remedies_of
+from canfb.planning.stated import Stated, situation_of
+
+HOLDS, EXCEEDED = 0, 1
+# Option, field of Stated, word for its value, help.
+NUMBERS = (
+    ("--rate", "rate_hz", "HZ", "SYNC rate (that of sync_period_us, 1000)"),
+    ("--jitter", "jitter_us", "US", "jitter of the SYNC at its producer, ± µs"),
+    ("--extra", "extra_load", "PART", "part of the bus that other nodes take, 0 to 1"),
+    ("--heartbeat", "heartbeat_ms", "MS", "heartbeat of each node that has none"),
+    ("--rpm", "rpm", "RPM", "largest speed"),
+    ("--acceleration", "acceleration_rad_s2", "RAD/S2", "largest acceleration"),
+    ("--jerk", "jerk_rad_s3", "RAD/S3", "largest jerk"),
+    ("--noise", "noise_counts", "COUNTS", "rms noise of a track (noise_lsb, 0.5)"),
+    (
+        "--phase-error",
+        "phase_error_cycles",
+        "CYCLES",
+        "largest error of a phase (0.0125; 0.001 with a table)",
+    ),
+    ("--residual-limit", "residual_limit", "CYCLES", "of every module (residual_limit, 1/3)"),
+)
+
+
+def register(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "plan",
+        "what bit rate, SYNC rate, speed and acceleration allow, before there is a machine",
+        plan,
+    )
+    parser.add_argument("config", metavar="CONFIG.yaml", nargs="?", help="without it: options alone")
+    parser.add_argument(
+        "-b", "--bitrate", dest="bit_rate", type=whole_number, metavar="BIT/S", help="(that of bus, 1000000)"
+    )
+    for option, field, word, text in NUMBERS:
+        parser.add_argument(option, dest=field, type=float, metavar=word, help=text)
+    parser.add_argument(
+        "--cycles", dest="cycles_per_revolution", type=whole_number, metavar="N", help="per revolution (2500)"
+    )
+    parser.add_argument("--times", action="store_true", help="the ADC PDO carries sample times")
+    parser.add_argument("--table", action="store_true", help="a correction table is in force")
+    parser.add_argument(
+        "--adc-bits", type=whole_number, default=12, metavar="BITS", help="of the converter (12)"
+    )
+    parser.add_argument(
+        "--modules",
+        type=whole_number,
+        default=1,
+        metavar="COUNT",
+        help="that are alike, each with its interface (1)",
+    )
+    parser.add_argument("--json", action="store_true", help="figures, for programs")
+
+
+def plan(options: argparse.Namespace) -> int:
+    """Print the plan; 0 if it holds, 1 if it does not."""
+    try:
+        config = _config(options)
+        stated = Stated(**{field.name: getattr(options, field.name) for field in fields(Stated)})
+        found = Plan(situation_of(config, [saved_configuration(one) for one in config.modules], stated))
+    except ValueError as error:
+        raise ConfigError(_named(str(error))) from None
+    remedies = remedies_of(found)
+    if options.json:
+        print(json.dumps(plan_figures(found, remedies), indent=2))
+    else:
+        print("\n".join(plan_lines(found, remedies)))
+    return HOLDS if found.holds else EXCEEDED
+
+
+def _config(options: argparse.Namespace) -> Config:
+    """The configuration, each module with a node-ID; or as many modules as the options say."""
+    if options.config is None:
+        return modules_alike(options.modules, options.adc_bits)
+    refuse_idle(options, ("adc_bits", "modules"), "only without CONFIG.yaml, which has the modules")
+    return numbered(load_config(options.config))
+
+
+def _named(message: str) -> str:
+    """A message on a field as one on its option."""
+    name = message.split()[0]
+    options = {field: option for option, field, _, _ in NUMBERS}
+    options |= {"bit_rate": "--bitrate", "cycles_per_revolution": "--cycles", "adc_bits": "--adc-bits"}
+    options |= {"modules": "--modules"}
+    return message.replace(name, options.get(name, name), 1)

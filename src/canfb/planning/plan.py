@@ -1,0 +1,88 @@
+"""A plan: the limits of a situation, each with its margin, and whether all of them hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+
+from canfb.planning.budget import ResidualBudget, over
+from canfb.planning.detection import CountDetection
+from canfb.planning.planned_module import PlannedModule
+from canfb.planning.situation import Situation
+from canfb.signal.limits import cycles_per_interval_squared
+
+
+class Limited(StrEnum):
+    """What has a limit."""
+
+    BUS = "bus load"
+    SPEED = "speed"
+    ACCELERATION = "acceleration"
+    RESIDUAL = "residual"
+
+
+@dataclass(frozen=True)
+class Margin:
+    """A stated value against its limit.
+
+    module    whose limit it is; None: that of the bus
+    factor    limit over value; inf where nothing is limited or nothing is asked
+    """
+
+    limited: Limited
+    module: PlannedModule | None
+    factor: float
+
+    @property
+    def holds(self) -> bool:
+        """The limit is not exceeded."""
+        return self.factor >= 1.0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What :class:`canfb.planning.situation.Situation` allows."""
+
+    situation: Situation
+
+    @cached_property
+    def budgets(self) -> tuple[ResidualBudget, ...]:
+        """One for each module."""
+        return tuple(ResidualBudget(self.situation, module) for module in self.situation.modules)
+
+    @cached_property
+    def margins(self) -> tuple[Margin, ...]:
+        """The smallest factor first."""
+        return tuple(sorted(self._margins(), key=lambda margin: margin.factor))
+
+    @property
+    def tightest(self) -> Margin:
+        """The limit with the smallest margin."""
+        return self.margins[0]
+
+    @property
+    def holds(self) -> bool:
+        """No limit is exceeded."""
+        return all(margin.holds for margin in self.margins)
+
+    def detection(self, budget: ResidualBudget, limit_cycles: float | None = None) -> CountDetection:
+        """What follows from a residual limit, that in force if none is given."""
+        stated = budget.asked_rad_s2 or 0.0
+        limit = budget.limit_cycles if limit_cycles is None else limit_cycles
+        known, cycles = budget.module.known_acceleration_rad_s2, budget.module.cycles_per_revolution
+        accepted = cycles_per_interval_squared(known, cycles, budget.interval_s) if known else limit
+        return CountDetection(limit, budget.acceleration_cycles(stated), accepted)
+
+    def _margins(self) -> Iterator[Margin]:
+        load, motion = self.situation.bus.load, self.situation.motion
+        yield Margin(Limited.BUS, None, over(1.0, load))
+        for budget in self.budgets:
+            module = budget.module
+            if motion.speed_rad_s is not None:
+                yield Margin(Limited.SPEED, module, over(budget.largest_speed_rad_s, motion.speed_rad_s))
+            if budget.asked_rad_s2 is not None:
+                limit = budget.largest_acceleration_rad_s2
+                yield Margin(Limited.ACCELERATION, module, over(limit, budget.asked_rad_s2))
+            yield Margin(Limited.RESIDUAL, module, budget.margin)

@@ -1,0 +1,268 @@
+"""What to change, and what first: each change is tried on the plan before it is proposed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+from canfb import objects as od
+from canfb.module.parameters import LIMIT_UNITS
+from canfb.planning.budget import ResidualBudget
+from canfb.planning.bus_load import BIT_RATES
+from canfb.planning.detection import WELL
+from canfb.planning.plan import Limited, Margin, Plan
+from canfb.planning.planned_module import PlannedModule
+from canfb.planning.situation import Situation
+from canfb.signal.limits import PHASE_ERROR_MARGIN_CYCLES
+from canfb.signal.tracker import RESIDUAL_LIMIT
+from canfb.simulation.demand import rounded_up
+
+LEAVES = 0.95  # of the largest SYNC rate, of what jitter may be
+FASTER = 1.05
+MOST_FASTER = 40  # steps of FASTER: 7 times the rate
+NARROWER = 0.95  # of the residual limit: a gain
+KNOWN_ENOUGH = 1.1  # 2010:02 over what is stated
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """One change.
+
+    for_what     what it widens
+    text         what to do, one line
+    situation    what is planned then
+    """
+
+    for_what: str
+    text: str
+    situation: Situation
+
+
+Proposals = Iterator[tuple[str, Situation]]
+
+
+def remedies_of(plan: Plan) -> list[Remedy]:
+    """What to change, in order: first what is exceeded most, at last what makes the detection sharp.
+
+    Each makes its limit hold, as long as one change can; a plan that needs more is left where the changes
+    end. Empty if nothing is to be gained.
+    """
+    steps: list[Remedy] = []
+    while not plan.holds:
+        found = _for(plan, plan.tightest)
+        if found is None or found.for_what in (step.for_what for step in steps):
+            return steps
+        steps.append(found)
+        plan = Plan(found.situation)
+    return [*steps, *_sharper(plan)]
+
+
+def _for(plan: Plan, margin: Margin) -> Remedy | None:
+    """The first proposal that harms nothing else; where each one does, the first that helps."""
+    second: Remedy | None = None
+    for text, situation in PROPOSALS[margin.limited](plan, margin):
+        after = Plan(situation)
+        if _smallest(after)[margin.limited] < 1.0:
+            continue
+        found = Remedy(margin.limited.value, text, situation)
+        if _harms_nothing(plan, after):
+            return found
+        second = second or found
+    return second
+
+
+def _harms_nothing(before: Plan, after: Plan) -> bool:
+    """No limit is newly exceeded, or exceeded by more."""
+    was, becomes = _smallest(before), _smallest(after)
+    return all(becomes[one] >= min(1.0, was[one]) for one in was)
+
+
+def _smallest(plan: Plan) -> dict[Limited, float]:
+    """The smallest factor of each limit; those of the plan come in order."""
+    found: dict[Limited, float] = {}
+    for margin in plan.margins:
+        found.setdefault(margin.limited, margin.factor)
+    return found
+
+
+def _at_bit_rate(situation: Situation, bit_rate: int) -> Situation:
+    """The frames of other nodes are as many, and each takes less time."""
+    extra = situation.extra_load * situation.bit_rate / bit_rate
+    return replace(situation, bit_rate=bit_rate, extra_load=extra)
+
+
+def _of_bus(plan: Plan, margin: Margin) -> Proposals:
+    situation, bus = plan.situation, plan.situation.bus
+    for bit_rate in BIT_RATES:
+        if bit_rate > situation.bit_rate:
+            yield f"raise the bit rate to {bit_rate} bit/s", _at_bit_rate(situation, bit_rate)
+    rate_hz = _rounded_down(LEAVES * bus.largest_sync_hz)
+    if rate_hz > 0.0:
+        yield f"lower the SYNC rate to {rate_hz:g} Hz", replace(situation, sync_hz=rate_hz)
+    for count in range(len(situation.modules) - 1, 0, -1):
+        text = (
+            f"{count} of the {len(situation.modules)} modules fit on this bus: give the others a second one"
+        )
+        yield text, replace(situation, modules=situation.modules[:count])
+    yield "other nodes leave no room: move them to another bus", replace(situation, extra_load=0.0)
+
+
+def _of_speed(plan: Plan, margin: Margin) -> Proposals:
+    situation, budget = plan.situation, _budget(plan, margin)
+    yield from _times(situation)
+    yield from _table(situation)
+    speed = situation.motion.speed_rad_s or 0.0
+    if budget.largest_speed_rad_s > 0.0 and not budget.module.times:
+        # The largest speed goes with 1/u: so much smaller the uncertainty has to be.
+        allowed_s = LEAVES * budget.uncertainty_s * budget.largest_speed_rad_s / speed
+        jitter_s = allowed_s - (budget.uncertainty_s - situation.jitter_s)
+        if jitter_s > 0.0:
+            text = f"lower the jitter of the SYNC to ±{jitter_s * 1e6:.3g} µs"
+            yield text, replace(situation, jitter_s=jitter_s)
+    slower = min(one.largest_speed_rad_s for one in plan.budgets) * (1.0 - 1e-9)
+    text = f"turn at {slower * 60.0 / (2.0 * math.pi):.4g} rpm at most"
+    if slower > 0.0:
+        yield text, replace(situation, motion=replace(situation.motion, speed_rad_s=slower))
+
+
+def _of_residual(plan: Plan, margin: Margin) -> Proposals:
+    situation, budget = plan.situation, _budget(plan, margin)
+    yield from _times(situation)
+    stated = budget.asked_rad_s2 or 0.0
+    if 0.0 < budget.module.known_acceleration_rad_s2 < stated:
+        text = f"set max_acceleration_rad_s2 (2010:02) to {stated:.4g}, which is what the motion needs"
+        yield text, _each(situation, lambda module: _knowing(module, stated))
+    limit = _rounded_limit(max(one.needed_cycles for one in plan.budgets))
+    if budget.module.widest_limit_cycles < limit <= RESIDUAL_LIMIT:
+        text = f"raise residual_limit (2010:01) to {limit:.3f} cycle"
+        yield text, _each(situation, lambda module: _limited(module, limit))
+    yield from _table(situation)
+    yield from _faster(plan)
+    slower = min(one.largest_acceleration_rad_s2 for one in plan.budgets) * (1.0 - 1e-9)
+    if stated and slower > 0.0:
+        text = f"accelerate by {slower:.4g} rad/s^2 at most"
+        yield (
+            text,
+            replace(situation, motion=replace(situation.motion, acceleration_rad_s2=slower, is_final=True)),
+        )
+    yield (
+        "average the tracks, or raise their amplitude: their noise alone exceeds the limit",
+        replace(situation, errors=replace(situation.errors, noise_counts=0.0)),
+    )
+
+
+PROPOSALS: dict[Limited, Callable[[Plan, Margin], Proposals]] = {
+    Limited.BUS: _of_bus,
+    Limited.SPEED: _of_speed,
+    Limited.ACCELERATION: _of_residual,
+    Limited.RESIDUAL: _of_residual,
+}
+
+
+def _times(situation: Situation) -> Proposals:
+    if not all(module.times for module in situation.modules):
+        yield (
+            "send sample times with the ADC PDO (times: true)",
+            _each(situation, lambda module: module.with_times()),
+        )
+
+
+def _table(situation: Situation) -> Proposals:
+    if situation.errors.phase_cycles is None and not all(module.has_table for module in situation.modules):
+        text = "measure the correction table (canfb calibrate)"
+        yield text, _each(situation, lambda module: replace(module, has_table=True))
+
+
+def _faster(plan: Plan) -> Proposals:
+    """A higher SYNC rate; with a higher bit rate, if the bus does not carry it."""
+    situation = plan.situation
+    rate_hz = max(budget.least_sync_hz for budget in plan.budgets)
+    if math.isinf(rate_hz):
+        return
+    rate_hz = max(rate_hz, situation.sync_hz * 1.01)
+    for _ in range(MOST_FASTER):
+        rounded = float(rounded_up(rate_hz))
+        faster = replace(situation, sync_hz=rounded)
+        if all(margin.holds for margin in Plan(faster).margins if margin.limited is not Limited.BUS):
+            yield f"raise the SYNC rate to {rounded:g} Hz", faster
+            for bit_rate in BIT_RATES:
+                if bit_rate > situation.bit_rate:
+                    text = f"raise the SYNC rate to {rounded:g} Hz, and the bit rate to {bit_rate} bit/s"
+                    yield text, _at_bit_rate(faster, bit_rate)
+            return
+        rate_hz *= FASTER
+
+
+def _sharper(plan: Plan) -> Iterator[Remedy]:
+    """What narrows the residual limit of a plan that holds, so that the count is guarded well."""
+    stated = max(budget.asked_rad_s2 or 0.0 for budget in plan.budgets)
+    if not stated:
+        return
+    for text, situation in _narrowing(plan, stated):
+        after = Plan(situation)
+        if after.holds and _widest(after) < NARROWER * _widest(plan):
+            yield Remedy("detection", text, situation)
+            plan = after
+            break
+    if all(plan.detection(budget).is_sharp for budget in plan.budgets):
+        return
+    # a + 0.05 + a below 1/6: the limit follows the rate.
+    least = (WELL - PHASE_ERROR_MARGIN_CYCLES) / 2.0 * LEAVES
+    largest = max(budget.acceleration_cycles(stated) for budget in plan.budgets)
+    if largest <= least or not all(module.known_acceleration_rad_s2 for module in plan.situation.modules):
+        return
+    rate_hz = float(rounded_up(plan.situation.sync_hz * math.sqrt(largest / least)))
+    faster = Plan(replace(plan.situation, sync_hz=rate_hz))
+    if faster.holds and all(faster.detection(budget).is_sharp for budget in faster.budgets):
+        yield Remedy("detection", f"raise the SYNC rate to {rate_hz:g} Hz", faster.situation)
+
+
+def _narrowing(plan: Plan, stated: float) -> Proposals:
+    situation = plan.situation
+    if any(
+        not 0.0 < module.known_acceleration_rad_s2 <= KNOWN_ENOUGH * stated for module in situation.modules
+    ):
+        narrowed = _each(situation, lambda module: _knowing(module, stated))
+        limit = max(budget.limit_cycles for budget in Plan(narrowed).budgets)
+        text = (
+            f"set max_acceleration_rad_s2 (2010:02) to {stated:.4g}: the residual limit becomes {limit:.3f}"
+        )
+        yield text, narrowed
+    limit = _rounded_limit(max(budget.needed_cycles for budget in plan.budgets))
+    text = f"lower residual_limit (2010:01) to {limit:.3f} cycle"
+    if limit <= RESIDUAL_LIMIT and not any(m.known_acceleration_rad_s2 for m in situation.modules):
+        yield text, _each(situation, lambda module: _limited(module, limit))
+
+
+def _widest(plan: Plan) -> float:
+    return max(budget.limit_cycles for budget in plan.budgets)
+
+
+def _budget(plan: Plan, margin: Margin) -> ResidualBudget:
+    return next(budget for budget in plan.budgets if budget.module is margin.module)
+
+
+def _each(situation: Situation, change: Callable[[PlannedModule], PlannedModule]) -> Situation:
+    return replace(situation, modules=tuple(change(module) for module in situation.modules))
+
+
+def _knowing(module: PlannedModule, acceleration_rad_s2: float) -> PlannedModule:
+    return module.with_values({od.SUPERVISION_ACCELERATION: acceleration_rad_s2})
+
+
+def _limited(module: PlannedModule, limit_cycles: float) -> PlannedModule:
+    return module.with_values({od.SUPERVISION_RESIDUAL_LIMIT: int(limit_cycles * LIMIT_UNITS)})
+
+
+def _rounded_limit(cycles: float) -> float:
+    """A limit above ``cycles``, in thousandths: 2010:01 rounds down by 1/65536."""
+    return math.floor(min(cycles, 1.0) * 1000.0 + 1.1) / 1000.0
+
+
+def _rounded_down(rate_hz: float) -> float:
+    """In two or three figures."""
+    if rate_hz <= 0.0:
+        return 0.0
+    unit = 10.0 ** (math.floor(math.log10(rate_hz)) - 1)
+    return math.floor(rate_hz / unit + 1e-9) * unit

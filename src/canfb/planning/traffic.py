@@ -1,0 +1,172 @@
+"""The frames that a node sends: how long they are at worst, how often, and whether they follow the SYNC."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from canfb import objects as od
+from canfb.cia301 import cob
+from canfb.cia301.frame import frame_bits
+from canfb.device.od.dcf import Place
+from canfb.device.pdo.pdo import EVENT_DRIVEN, PDO_NUMBERS, SYNCHRONOUS
+from canfb.module.cia406.position_alarm import SHORTEST_S
+
+Values = Mapping[Place, Any]
+"""Objects of a node by index and sub-index."""
+
+HEARTBEAT = (0x1017, 0)
+EMCY_COB_ID, EMCY_INHIBIT = (0x1014, 0), (0x1015, 0)
+SYNC_OVERFLOW = (0x1019, 0)
+EMCY_BYTES = 8
+MOST_EMCY_HZ = 2.0 / SHORTEST_S  # the alarm of the position and its end, again and again
+INHIBIT_S, TIMER_S = 1e-4, 1e-3  # units of sub-indices 3 and 5 of a TPDO, and of 1015h and 1017h
+
+
+@dataclass(frozen=True, kw_only=True)
+class Message:
+    """The frames of one COB-ID.
+
+    can_id        None for traffic of many
+    kind          what it is, for people
+    node_id       who sends it; None: who produces the SYNC
+    data_bytes    0..8
+    each_syncs    one for so many SYNCs; None: not by SYNC
+    least_hz      so often without any SYNC: an event timer, a heartbeat
+    most_hz       at most so often: an inhibit time
+    on_error      only after a fault: it counts for the load, and never delays a SYNC of a healthy network
+    """
+
+    can_id: int | None
+    kind: str
+    data_bytes: int
+    node_id: int | None = None
+    each_syncs: int | None = None
+    least_hz: float = 0.0
+    most_hz: float = math.inf
+    on_error: bool = False
+
+    @property
+    def what(self) -> str:
+        """Kind and sender, for people."""
+        return self.kind if self.node_id is None else f"{self.kind}, node {self.node_id:02X}h"
+
+    @property
+    def bits(self) -> int:
+        """On the wire, with the most stuff bits and the interframe space."""
+        return frame_bits(self.data_bytes)
+
+    def rate_hz(self, sync_hz: float) -> float:
+        """Frames per second at this SYNC rate."""
+        by_sync = 0.0 if self.each_syncs is None else sync_hz / self.each_syncs
+        # An event timer begins again with each frame: it is never over while events come faster.
+        timed = self.least_hz if self.least_hz >= by_sync else 0.0
+        return min(by_sync + timed, self.most_hz)
+
+    def bits_per_s(self, sync_hz: float) -> float:
+        """Part of the bit rate that it takes at this SYNC rate, bit/s."""
+        return self.bits * self.rate_hz(sync_hz)
+
+    def follows_sync(self, sync_hz: float) -> bool:
+        """Whether each of its frames goes out just after a SYNC, and so before the next one."""
+        return self.each_syncs is not None and self.rate_hz(sync_hz) == sync_hz / self.each_syncs
+
+
+def sync_message(values: Values) -> Message:
+    """The SYNC, with a counter if 1019h says so."""
+    return Message(
+        can_id=values.get(od.SYNC_COB_ID, cob.SYNC) & cob.CAN_ID,
+        kind="SYNC",
+        data_bytes=1 if values.get(SYNC_OVERFLOW) else 0,
+        each_syncs=1,
+    )
+
+
+def adc_messages(values: Values) -> list[Message]:
+    """What the RPDOs of a module receive: a sample for each SYNC."""
+    found = []
+    for number, cob_id in valid_pdos(values, od.RPDO):
+        node, size = cob_id - cob.TPDO1, mapped_bytes(values, od.RPDO_MAPPING + number - 1)
+        kind, sender = ("ADC PDO", node) if number == 1 else (f"for RPDO{number}", 0)
+        sender_id = sender if 1 <= sender <= 127 else None
+        found.append(Message(can_id=cob_id, kind=kind, node_id=sender_id, data_bytes=size, each_syncs=1))
+    return found
+
+
+def node_messages(values: Values, node_id: int, *, sampled: bool) -> list[Message]:
+    """TPDOs, heartbeat and EMCY of a node.
+
+    ``sampled``: each sample is an event for its TPDOs of type FEh and FFh, and of type 0 the same. TPDOs
+    on remote frames alone have the rate 0, as nobody is known to ask.
+    """
+    found = [
+        _tpdo(values, number, cob_id, node_id, sampled) for number, cob_id in valid_pdos(values, od.TPDO)
+    ]
+    if values.get(HEARTBEAT):
+        found.append(heartbeat_message(node_id, values[HEARTBEAT] * TIMER_S))
+    emcy = values.get(EMCY_COB_ID, cob.EMERGENCY + node_id)
+    if cob.is_valid(emcy):
+        inhibit = values.get(EMCY_INHIBIT, 0) * INHIBIT_S
+        found.append(
+            Message(
+                can_id=emcy & cob.CAN_ID,
+                kind="EMCY, at worst",
+                node_id=node_id,
+                data_bytes=EMCY_BYTES,
+                least_hz=min(MOST_EMCY_HZ, 1.0 / inhibit if inhibit else math.inf),
+                on_error=True,
+            )
+        )
+    return found
+
+
+def heartbeat_message(node_id: int, period_s: float) -> Message:
+    """The heartbeat of a node."""
+    return Message(
+        can_id=cob.ERROR_CONTROL + node_id,
+        kind="heartbeat",
+        node_id=node_id,
+        data_bytes=1,
+        least_hz=1.0 / period_s,
+    )
+
+
+def mapped_objects(values: Values, mapping: int) -> list[int]:
+    """The entries of a mapping (16xxh or 1Axxh) that are in use."""
+    count = values.get((mapping, 0), 0)
+    return [values[mapping, place] for place in range(1, count + 1)]
+
+
+def mapped_bytes(values: Values, mapping: int) -> int:
+    """Length of a PDO by its mapping."""
+    return -(-sum(entry & 0xFF for entry in mapped_objects(values, mapping)) // 8)
+
+
+def valid_pdos(values: Values, communication: int) -> list[tuple[int, int]]:
+    """Number and CAN-ID of each PDO that is valid."""
+    found = [(number, values.get((communication + number - 1, 1))) for number in PDO_NUMBERS]
+    return [
+        (number, cob_id & cob.CAN_ID)
+        for number, cob_id in found
+        if cob_id is not None and cob.is_valid(cob_id)
+    ]
+
+
+def _tpdo(values: Values, number: int, can_id: int, node_id: int, sampled: bool) -> Message:
+    def parameter(subindex: int) -> int:
+        return int(values.get((od.TPDO + number - 1, subindex), 0))
+
+    kind, inhibit, timer = parameter(2), parameter(3) * INHIBIT_S, parameter(5) * TIMER_S
+    event_driven = kind in EVENT_DRIVEN
+    each = max(1, kind) if kind in SYNCHRONOUS else 1 if event_driven and sampled else None
+    return Message(
+        can_id=can_id,
+        kind=f"TPDO{number}, type {kind}",
+        node_id=node_id,
+        data_bytes=mapped_bytes(values, od.TPDO_MAPPING + number - 1),
+        each_syncs=each,
+        least_hz=1.0 / timer if event_driven and timer else 0.0,
+        most_hz=1.0 / inhibit if event_driven and inhibit else math.inf,
+    )

@@ -1,0 +1,176 @@
+"""The limits of the motion: those of eq. 10 and eq. 12, monotone, and the ones that other commands print."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from planning_kit import planned
+
+import canfb
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
+from canfb.planning.budget import RAW_PHASE_ERROR_CYCLES, ResidualBudget
+from canfb.planning.detection import SAMPLE_BOUNDS, samples_without_harm
+from canfb.planning.plan import Limited, Plan
+from canfb.signal.limits import PHASE_ERROR_MARGIN_CYCLES, narrowed_residual_limit
+from canfb.simulation.demand import of_motion
+from canfb.simulation.scenario import MotionConfig
+
+FAULTS = (Path(__file__).parents[2] / "docs" / "faults.md").read_text(encoding="utf-8")
+RPM = 60.0 / (2.0 * math.pi)
+LIMIT = 21845 / 65536
+
+
+def budget(**stated: object) -> ResidualBudget:
+    return planned(**stated).budgets[0]
+
+
+def known(plan: Plan, acceleration: float) -> ResidualBudget:
+    module = plan.situation.modules[0].with_values({(0x2010, 2): acceleration})
+    return ResidualBudget(plan.situation, module)
+
+
+def test_without_errors_it_is_the_public_formula() -> None:
+    one = budget(jitter_us=10.0)
+    assert one.equation_rad_s2 == canfb.max_acceleration(2500, 1000.0, LIMIT)
+    assert one.paper_rad_s2 == canfb.max_acceleration(2500, 1000.0)
+    assert one.equation_speed_rad_s == pytest.approx(canfb.max_speed(2500, 10e-6, LIMIT))
+
+
+def test_the_figures_are_those_that_run_and_simulate_print() -> None:
+    module = FeedbackModule(ModuleConfig(node_id=0x20))
+    for us, rpm in ((10.0, "200"), (100.0, "20")):
+        assert f"{rpm} rpm at ±{us:g} µs" in module.speed_limit()
+        assert f"{budget(jitter_us=us).equation_speed_rad_s * RPM:.3g}" == rpm
+    demand = of_motion(MotionConfig(rpm=600.0, ramp_s=0.2), ModuleConfig(node_id=1), 1000.0)
+    found = budget(rpm=600.0, acceleration_rad_s2=demand.acceleration_rad_s2)
+    assert found.equation_rad_s2 == pytest.approx(demand.allowed_rad_s2, rel=1e-4)
+    assert found.largest_acceleration_rad_s2 == pytest.approx(demand.left_rad_s2, rel=1e-4)
+    assert found.least_sync_hz == pytest.approx(demand.least_rate_hz, rel=1e-4)
+
+
+def test_the_error_of_table_1() -> None:
+    import numpy as np
+
+    phase = np.arange(100_000) / 100_000
+    raw = canfb.phase_in_cycle(np.sin(2 * np.pi * phase), np.cos(2 * np.pi * phase))
+    largest = np.abs((raw - phase + 0.5) % 1.0 - 0.5).max()
+    assert 0.99 * RAW_PHASE_ERROR_CYCLES < largest <= RAW_PHASE_ERROR_CYCLES * 1.002
+
+
+@given(st.floats(0.01, 0.5), st.floats(1.0, 5000.0), st.floats(0.0, 40.0), st.floats(1.0, 2000.0))
+def test_the_largest_speed_and_acceleration_use_up_the_limit(
+    limit: float, acceleration: float, jitter_us: float, rpm: float
+) -> None:
+    one = budget(
+        residual_limit=limit, acceleration_rad_s2=acceleration, jitter_us=jitter_us, rpm=rpm, table=True
+    )
+    for most, words in (
+        (one.largest_acceleration_rad_s2, {"rpm": rpm}),
+        (one.largest_speed_rad_s, {"acceleration_rad_s2": acceleration}),
+    ):
+        if not 0.0 < most < 1e5:  # a wheel that turns at 1e6 rpm is refused
+            continue
+        name = "acceleration_rad_s2" if "rpm" in words else "rpm"
+        scale = 1.0 if "rpm" in words else RPM
+        found = planned(
+            residual_limit=limit, jitter_us=jitter_us, table=True, **words, **{name: most * scale}
+        ).budgets[0]
+        alone_too_much = found.needed_cycles > 1.001 * found.limit_cycles
+        assert alone_too_much or found.needed_cycles == pytest.approx(found.limit_cycles, rel=1e-6)
+
+
+@given(
+    cycles=st.integers(10, 50_000),
+    rate_hz=st.floats(10.0, 4000.0),
+    jitter_us=st.floats(0.1, 50.0),
+    times=st.booleans(),
+    table=st.booleans(),
+)
+def test_the_limits_fall_and_rise_as_they_must(
+    cycles: int, rate_hz: float, jitter_us: float, times: bool, table: bool
+) -> None:
+    words = {
+        "cycles_per_revolution": cycles,
+        "rate_hz": rate_hz,
+        "jitter_us": jitter_us,
+        "times": times,
+        "table": table,
+        "bit_rate": 1_000_000,
+        "acceleration_rad_s2": 0.001,
+        "rpm": 0.1,
+    }
+
+    def limits(**other: object) -> tuple[float, float]:
+        one = budget(**{**words, **other})
+        return one.largest_speed_rad_s, one.largest_acceleration_rad_s2
+
+    slack = 1.0 + 1e-9
+    speed, acceleration = limits()
+    for other in (
+        {"cycles_per_revolution": 2 * cycles},
+        {"jitter_us": 2.0 * jitter_us},
+        {"residual_limit": 0.2},
+        {"noise_counts": 20.0},
+        {"extra_load": 0.05},
+    ):
+        worse = limits(**other)
+        assert worse[0] <= speed * slack, other
+        assert worse[1] <= acceleration * slack, other
+    assert limits(rate_hz=rate_hz * 1.1)[1] >= acceleration or rate_hz > 900.0
+    assert limits(table=True)[1] >= acceleration
+    assert limits(times=True)[0] >= speed or jitter_us < 0.2
+
+
+def test_the_known_acceleration_narrows_as_in_the_module_and_its_margin_is_1() -> None:
+    one = known(planned(), 25.0)
+    assert one.limit_cycles == narrowed_residual_limit(LIMIT, 25.0, 2500, 1e-3)
+    assert one.asked_rad_s2 == 25.0
+    assert one.margin == 1.0
+    assert known(planned(acceleration_rad_s2=5.0), 25.0).asked_rad_s2 == 5.0
+    assert known(planned(acceleration_rad_s2=26.0), 25.0).margin < 1.0
+
+
+def test_an_uncorrected_phase_takes_what_the_module_allows_it_and_noise_is_within() -> None:
+    one = budget(acceleration_rad_s2=0.0)
+    assert one.needed_cycles == PHASE_ERROR_MARGIN_CYCLES
+    assert budget(noise_counts=5.0).needed_cycles > PHASE_ERROR_MARGIN_CYCLES
+    assert budget(table=True).needed_cycles < 0.006
+    assert budget(phase_error_cycles=0.02).needed_cycles == pytest.approx(0.08 + one.noise_cycles)
+    few_bits = planned(adc_bits=6).budgets[0]
+    assert few_bits.noise_cycles == pytest.approx(64.0 * one.noise_cycles)
+
+
+def test_what_is_not_stated_has_no_margin() -> None:
+    assert {margin.limited for margin in planned().margins} == {Limited.BUS, Limited.RESIDUAL}
+    stated = planned(rpm=0.0, acceleration_rad_s2=0.0, jitter_us=5.0)
+    assert stated.holds
+    assert math.isinf(next(one.factor for one in stated.margins if one.limited is Limited.SPEED))
+
+
+def test_jerk_is_what_it_changes_in_one_interval_and_counts_for_nothing_yet() -> None:
+    one = budget(jerk_rad_s3=785_000.0, acceleration_rad_s2=100.0)
+    assert one.jerk_rad_s2 == pytest.approx(785.0)
+    assert one.acceleration_cycles(785.0) == pytest.approx(0.3123, abs=1e-4)
+    assert one.needed_cycles == budget(acceleration_rad_s2=100.0).needed_cycles
+
+
+def test_the_samples_in_a_row_are_those_of_the_page() -> None:
+    rows = dict(re.findall(r"^\| (\d) \| 1/(\d) \|", FAULTS, re.M))
+    assert {int(n): 1.0 / int(part) for n, part in rows.items()} == SAMPLE_BOUNDS
+    for n, largest in SAMPLE_BOUNDS.items():
+        assert samples_without_harm(largest) == n
+        assert samples_without_harm(largest + 1e-6) == n - 1
+    assert samples_without_harm(0.0) == 255
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_a_wider_limit_never_detects_more(one: float, two: float) -> None:
+    n, m = samples_without_harm(min(one, two)), samples_without_harm(max(one, two))
+    assert n >= m
+    assert n == 0 or max(n + 2, (n + 2) ** 2 // 4) * min(one, two) <= 1.0 + 1e-6
