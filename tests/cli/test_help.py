@@ -16,6 +16,7 @@ COMMANDS = [
     "run",
     "simulate",
     "calibrate",
+    "commission",
     "record",
     "replay",
     "config",

@@ -9,8 +9,8 @@ import pytest
 from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench
 from test_calibrate_on_a_bus import calibrate, position_errors
 
-from canfb.cli.calibrate import nodes_of
 from canfb.cli.calibrate_options import choices_of
+from canfb.cli.configured_nodes import nodes_of
 from canfb.cli.main import build_parser
 from canfb.commissioning.access import CommissioningError
 from canfb.configuration import parse_config

@@ -15,9 +15,9 @@ import canfb
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.planning.budget import RAW_PHASE_ERROR_CYCLES, ResidualBudget
-from canfb.planning.detection import SAMPLE_BOUNDS, samples_without_harm
+from canfb.planning.detection import SAMPLE_BOUNDS
 from canfb.planning.plan import Limited, Plan
-from canfb.signal.limits import PHASE_ERROR_MARGIN_CYCLES, narrowed_residual_limit
+from canfb.signal.limits import PHASE_ERROR_MARGIN_CYCLES, narrowed_residual_limit, samples_without_harm
 from canfb.simulation.demand import of_motion
 from canfb.simulation.scenario import MotionConfig
 

@@ -10,6 +10,7 @@ from canfb.bus.opening import open_sync_bus
 from canfb.bus.runner import ending_on_signals
 from canfb.bus.wall_clock import date_and_time
 from canfb.cli.calibrate_options import add_options, choices_of
+from canfb.cli.configured_nodes import nodes_of
 from canfb.cli.options import Commands, add_command, bus_options
 from canfb.cli.printing import report
 from canfb.cli.progress import Progress
@@ -81,12 +82,6 @@ def _run(choices: Choices, options: argparse.Namespace, progress: Progress, date
             print(json.dumps(refusal | {"active": False, "saved": False}, indent=2))
 
     return CalibrationRun(choices, progress, date, refused)
-
-
-def nodes_of(config: Config) -> list[tuple[int, int | None]]:
-    """Module and encoder interface, None for a module that samples itself."""
-    modules = config.modules
-    return [(one.node_id, None if one.source is not None else one.encoder_interface) for one in modules]
 
 
 def _say(account: Account, options: argparse.Namespace, progress: Progress) -> int:

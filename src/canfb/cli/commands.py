@@ -43,6 +43,11 @@ COMMANDS = (
         "measure the encoder, build its correction table, activate it and save it",
     ),
     CommandEntry(
+        "commission",
+        "commission",
+        "propose the limits of the supervision from the machine's own motion, and set them",
+    ),
+    CommandEntry(
         "table",
         "table_command",
         "show, upload, download, activate or clear the correction table of a module",

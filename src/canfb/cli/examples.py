@@ -46,6 +46,10 @@ _EXAMPLES = {
   canfb calibrate feedback.yaml --dry-run --json
   canfb calibrate feedback.yaml --check
   canfb calibrate --samples measured/samples.npz --out again""",
+    "canfb commission": """
+  canfb commission 0x20 -i socketcan -c can0 --out limits
+  canfb commission feedback.yaml --seconds 120 --acceleration 400
+  canfb commission feedback.yaml --write --save""",
     "canfb table show": """
   canfb table show 0x20 -i socketcan -c can0
   canfb table show measured/table.yaml""",

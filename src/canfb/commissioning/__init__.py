@@ -18,6 +18,12 @@ The master's side, between the buses and the calculation::
     circumstances      where, when and with what it was measured
     summary            figures for people; calibration_page: the page, from canfb.report
     artefacts          the files of a measurement; table_file: tables as YAML
+    commission_run     canfb commission: from the first sample to the last file; commission_summary,
+                       commission_page: its account; machine_watch: what the module says meanwhile
+    machine_seen       what samples show of a machine: motion_seen, converter_noise; supervised_samples: the
+                       chain of the module on them
+    limit_choice       the limits that follow; supervision_limits: 2001h and 2010h; limit_setting: written,
+                       watched, saved
     table_tasks        canfb table: upload, activation and the rest; table_state: how it stands
     backup_file        canfb backup: all parameters as YAML; backup_restoring: back into a module, proven;
                        backup_words: what is said of both

@@ -56,10 +56,11 @@ def refusal_html(
 def _page(where: Circumstances, said: list[str], body: str, good: bool = True) -> str:
     title = f"Reference measurement{f', encoder {where.encoder}' if where.encoder else ''}"
     footer = f"{FOOTER}{ANGLES if where.cycles_per_revolution else ''}"
-    return page(title, _place(where), said, body, footer, good)
+    return page(title, place_line(where), said, body, footer, good)
 
 
-def _place(where: Circumstances) -> str:
+def place_line(where: Circumstances) -> str:
+    """Date, nodes and cycles per revolution, in one line."""
     words = [f"{where.date} {where.time}".strip()]
     if where.module is not None:
         words.append(f"module {where.module} ({where.module:02X}h)")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -31,6 +32,7 @@ class PdoRecorder:
         self._pairs: list[tuple[int, int]] = []
         self._times: list[float] = []
         self._stamps: list[int | None] = []  # sample times, 100 ns
+        self._coarse: list[tuple[int, int] | None] = []
         self.samples = 0
         self.surplus = 0
         """PDOs beyond one for each SYNC, or too short: not used."""
@@ -45,6 +47,7 @@ class PdoRecorder:
         self._pairs.append((MISSED_COUNTS, MISSED_COUNTS))
         self._times.append(time_s)
         self._stamps.append(None)
+        self._coarse.append(None)
 
     def hear_pdo(self, can_id: int, data: bytes, time_s: float) -> None:
         """A PDO with a sample."""
@@ -58,11 +61,25 @@ class PdoRecorder:
         self._stamps[-1] = self._layout.sample_time(data)
         self.samples += 1
 
+    def hear_coarse(self, can_id: int, data: bytes, time_s: float) -> None:
+        """A PDO with the coarse track; it may be the one with the sample."""
+        layout = self._layout.coarse
+        if self._coarse and layout is not None and self._coarse[-1] is None:
+            self._coarse[-1] = layout.unpack(data)
+
     def result(self, origin: str) -> TrackSamples:
         """What came; the last interval may still be open and is left out."""
-        pairs = np.array(self._pairs[:-1], np.float64).reshape(-1, 2)
-        samples = TrackSamples.of(pairs[:, 0], pairs[:, 1], self._rate_hz(), origin)
-        return samples if self._layout.time_byte is None else samples.timed(self._stamps[:-1])
+        last = len(self._pairs) - 1
+        pairs = np.array(self._pairs[:last], np.float64).reshape(-1, 2)
+        samples = replace(
+            TrackSamples.of(pairs[:, 0], pairs[:, 1], self._rate_hz(), origin),
+            heard_s=np.array(self._times[:last]),
+        )
+        if self._layout.coarse is not None:
+            coarse = [(np.nan, np.nan) if one is None else one for one in self._coarse[:last]]
+            tracks = np.array(coarse, np.float64).reshape(-1, 2)
+            samples = replace(samples, coarse=(tracks[:, 0], tracks[:, 1]))
+        return samples if self._layout.time_byte is None else samples.timed(self._stamps[:last])
 
     def _rate_hz(self) -> float | None:
         steps = np.diff(self._times)
@@ -86,11 +103,15 @@ class Listener:
     def __enter__(self) -> Self:
         self._last_sync_s = self._last_sample_s = self._master.now()
         self._master.subscribe(self._layout.can_id, self._recorder.hear_pdo)
+        if self._layout.coarse is not None:
+            self._master.subscribe(self._layout.coarse.can_id, self._recorder.hear_coarse)
         self._master.subscribe(self._layout.sync_id, self._recorder.hear_sync)
         return self
 
     def __exit__(self, *error: object) -> None:
         self._master.unsubscribe(self._layout.sync_id, self._recorder.hear_sync)
+        if self._layout.coarse is not None:
+            self._master.unsubscribe(self._layout.coarse.can_id, self._recorder.hear_coarse)
         self._master.unsubscribe(self._layout.can_id, self._recorder.hear_pdo)
 
     @property

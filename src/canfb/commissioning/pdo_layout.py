@@ -12,6 +12,7 @@ PDOS = 4
 INTERFACE_TRACKS = (od.INTERFACE_SINE.mapped(16), od.INTERFACE_COSINE.mapped(16))
 PREDEFINED = (cob.TPDO1, cob.TPDO2, cob.TPDO3, cob.TPDO4)
 MODULE_TRACKS = (od.SAMPLE_SINE.mapped(16), od.SAMPLE_COSINE.mapped(16))
+MODULE_COARSE_TRACKS = (od.SAMPLE_COARSE_SINE.mapped(16), od.SAMPLE_COARSE_COSINE.mapped(16))
 SAMPLE_TIMES = (od.INTERFACE_SAMPLE_TIME.mapped(32), od.SAMPLE_TIME.mapped(32))
 
 
@@ -19,7 +20,8 @@ SAMPLE_TIMES = (od.INTERFACE_SAMPLE_TIME.mapped(32), od.SAMPLE_TIME.mapped(32))
 class PdoLayout:
     """COB-ID of the PDO with the samples, the bytes of both tracks in it, and the COB-ID of the SYNC.
 
-    ``time_byte`` is where the sample time begins, None if it is not in that PDO.
+    ``time_byte`` is where the sample time begins, None if it is not in that PDO. ``coarse`` is the PDO with
+    the coarse track, if it is listened to.
     """
 
     can_id: int
@@ -27,6 +29,7 @@ class PdoLayout:
     cosine_byte: int = 2
     sync_id: int = cob.SYNC
     time_byte: int | None = None
+    coarse: PdoLayout | None = None
 
     @property
     def sender(self) -> int | None:
@@ -53,6 +56,11 @@ class PdoLayout:
 def module_layout(module: NodeAccess) -> PdoLayout | None:
     """The RPDO from which the module takes its samples, None if it has none."""
     return _find(module, od.RPDO, od.RPDO_MAPPING, MODULE_TRACKS)
+
+
+def coarse_layout(module: NodeAccess) -> PdoLayout | None:
+    """The RPDO from which the module takes the coarse track, None if it has none."""
+    return _find(module, od.RPDO, od.RPDO_MAPPING, MODULE_COARSE_TRACKS)
 
 
 def interface_layout(interface: NodeAccess) -> PdoLayout | None:

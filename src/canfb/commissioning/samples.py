@@ -22,6 +22,8 @@ class TrackSamples:
     origin    where they come from, for people
     time_s    sample times by the clock of the encoder interface, seconds, rising; at a missed sample one
               between its neighbours. None: not known, the samples are equidistant
+    heard_s   when the SYNC of each sample was received, seconds; None: not known
+    coarse    sine and cosine of the coarse track, ADC counts, NaN where they did not come; None: none
     """
 
     sine: FloatArray
@@ -29,6 +31,8 @@ class TrackSamples:
     rate_hz: float | None
     origin: str
     time_s: FloatArray | None = None
+    heard_s: FloatArray | None = None
+    coarse: tuple[FloatArray, FloatArray] | None = None
 
     @classmethod
     def of(

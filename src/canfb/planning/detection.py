@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-MOST_IN_A_ROW = 255
-SAMPLE_BOUNDS = {1: 1.0 / 3.0, 2: 1.0 / 4.0, 3: 1.0 / 6.0}
+from canfb.signal.limits import ROUNDING, safe_deviation, samples_without_harm
+
+SAMPLE_BOUNDS = {n: safe_deviation(n) for n in (1, 2, 3)}
 """Largest L + a for so many samples in a row."""
 WELL = 1.0 / 6.0  # docs/faults.md: keep the limit below 1/6
-ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,3 @@ class CountDetection:
     def is_sharp(self) -> bool:
         """The limit is where docs/faults.md wants it."""
         return self.limit_cycles + self.acceleration_cycles <= WELL + ROUNDING
-
-
-def samples_without_harm(cycles: float) -> int:
-    """The largest n with (n + 2) x <= 1 and floor((n + 2)^2 / 4) x <= 1; ``cycles`` is x, not negative."""
-    n = 0
-    while n < MOST_IN_A_ROW and max(n + 3, (n + 3) ** 2 // 4) * cycles <= 1.0 + ROUNDING:
-        n += 1
-    return n

@@ -64,3 +64,25 @@ def cycles_per_interval_squared(
 ) -> float:
     """An acceleration in rad/s^2 as cycles per sampling interval squared."""
     return acceleration_rad_s2 * cycles_per_revolution / (2.0 * math.pi) * interval_s**2
+
+
+MOST_IN_A_ROW = 255
+ROUNDING = 1e-9
+
+
+def safe_deviation(samples: int) -> float:
+    """Largest L + a, cycles, at which this many samples in a row cannot falsify the count unseen.
+
+    L is the residual limit, a the size of the true acceleration in cycles per interval squared
+    (docs/faults.md, "Effect of a glitch", "Effect of a missed sample"). ``samples`` is 1 or more.
+    """
+    changes = samples + 2
+    return min(1.0 / changes, 1.0 / (changes * changes // 4))
+
+
+def samples_without_harm(cycles: float) -> int:
+    """The largest number of samples that are safe (:func:`safe_deviation`) at L + a = ``cycles``, 0..255."""
+    count = 0
+    while count < MOST_IN_A_ROW and cycles <= safe_deviation(count + 1) * (1.0 + ROUNDING):
+        count += 1
+    return count

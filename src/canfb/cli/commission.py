@@ -1,0 +1,63 @@
+"""``canfb commission``: limits of the supervision from the machine's own motion, proposed and set."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from canfb.bus.master import BusMaster
+from canfb.bus.opening import open_sync_bus
+from canfb.bus.runner import ending_on_signals
+from canfb.bus.wall_clock import date_and_time
+from canfb.cli.commission_options import add_options, configuration_of, nodes_of_choices, wishes_of
+from canfb.cli.options import Commands, add_command, bus_options
+from canfb.cli.printing import report
+from canfb.cli.progress import Progress
+from canfb.commissioning.access import Master
+from canfb.commissioning.artefacts import prepare
+from canfb.commissioning.commission_run import CommissionRun
+from canfb.commissioning.guard import Guard
+from canfb.configuration import Config
+
+
+def register(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "commission",
+        "propose the limits of the supervision from the machine's own motion, and set them",
+        commission,
+    )
+    add_options(parser)
+
+
+def commission(options: argparse.Namespace) -> int:
+    """Listen, propose, and with ``--write`` set; 0 when that is done."""
+    wishes, config = wishes_of(options), configuration_of(options)
+    progress, guard = Progress(quiet=options.json), Guard()
+    if wishes.out:
+        prepare(wishes.out)
+    nodes_of_choices(options, config)  # says what cannot be before there is a bus
+    bus = open_sync_bus(bus_options(options, config.bus), hears_itself=options.sync is not None)
+    try:
+        with BusMaster(bus, options.answer_within) as master, ending_on_signals(guard.interrupt):
+            if options.sync is not None:
+                master.produce_sync(options.sync)
+            return over_bus(master, options, config, progress, guard, date_and_time())
+    except KeyboardInterrupt:
+        progress.clear()
+        report("interrupted; the limits of the module are as they were")
+        raise
+    finally:
+        progress.clear()
+
+
+def over_bus(
+    master: Master, options: argparse.Namespace, config: Config, progress: Progress, guard: Guard, date: str
+) -> int:
+    """The command on an open bus; the exit code. ``date`` is ISO 8601, the time of day behind a space."""
+    run = CommissionRun(wishes_of(options), progress, date)
+    account = run.over_bus(master, *nodes_of_choices(options, config), guard)
+    progress.clear()
+    print(json.dumps(account.figures, indent=2) if options.json else "\n".join(account.lines))
+    return 0

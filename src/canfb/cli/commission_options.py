@@ -1,0 +1,117 @@
+"""The options of ``canfb commission``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from canfb.cli.configured_nodes import nodes_of
+from canfb.cli.options import add_bus_options, node_number, refuse_idle, whole_number
+from canfb.commissioning.choices import Choices
+from canfb.commissioning.commission_run import CommissionWishes
+from canfb.configuration import Config, load_config
+from canfb.errors import ConfigError
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """All options of the command."""
+    add = parser.add_argument
+    add(
+        "what",
+        metavar="NODE|CONFIG.yaml",
+        nargs="?",
+        help="node-ID of the module such as 0x20, or a configuration with the bus and the node-IDs",
+    )
+    add("--config", metavar="CONFIG.yaml", help="takes the bus and the node-IDs from this configuration")
+    add("--module", type=whole_number, metavar="ID", help="node-ID of the module (32)")
+    add(
+        "--encoder-interface",
+        type=whole_number,
+        metavar="ID",
+        help="node-ID of the encoder interface (default: the node that sends the samples to the module)",
+    )
+    add("--write", action="store_true", help="write the limits; undone if the module then flags samples")
+    add("--save", action="store_true", help="with --write: save them (1010h)")
+    add("--seconds", type=float, default=60.0, metavar="S", help="how long to listen to the machine (60)")
+    add("--margin", type=float, default=2.0, metavar="X", help="factor beyond what is seen (2)")
+    add(
+        "--acceleration",
+        type=float,
+        default=0.0,
+        metavar="RAD_S2",
+        help="an acceleration that the machine can do and may not show now, as an emergency stop",
+    )
+    add(
+        "--watch",
+        type=float,
+        default=10.0,
+        dest="watch_s",
+        metavar="S",
+        help="with --write: how long to watch the machine with the new limits (10)",
+    )
+    add(
+        "--source",
+        choices=("pdo", "recording"),
+        default="pdo",
+        help="pdo: the ADC PDO on the bus (default); recording: object 2050h of the module",
+    )
+    add("--out", type=Path, metavar="DIR", help="folder for report and samples")
+    add("--json", action="store_true", help="print the figures as JSON")
+    add("--sync", type=float, metavar="HZ", help="produce the SYNC, on a bus without one")
+    add("--answer-within", type=float, default=1.0, metavar="S", help="SDO time-out (1)")
+    add_bus_options(parser)
+
+
+def configuration_of(options: argparse.Namespace) -> Config:
+    """The configuration that was named, or an empty one; the node that was named is ``options.module``.
+
+    ConfigError where what is named is neither, or is named twice.
+    """
+    what, path = options.what, options.config
+    if what is not None:
+        try:
+            node = node_number(what)
+        except argparse.ArgumentTypeError:
+            if not Path(what).is_file():
+                raise ConfigError(f"{what}: neither a node-ID (1 to 127) nor a file") from None
+            if path is not None:
+                raise ConfigError(f"--config {path}: {what} is a configuration already") from None
+            path = what
+        else:
+            if options.module not in (None, node):
+                raise ConfigError(f"--module {options.module}: the node is {node} already")
+            options.module = node
+    return load_config(path) if path else Config()
+
+
+def nodes_of_choices(options: argparse.Namespace, config: Config) -> tuple[int, int | None]:
+    """Node-IDs of module and interface, None if the module says it. ConfigError for impossible ones."""
+    choices = Choices(
+        module=options.module,
+        encoder_interface=options.encoder_interface,
+        sync=options.sync,
+        answer_within=options.answer_within,
+    )
+    choices.refuse_impossible()
+    return choices.nodes(nodes_of(config))
+
+
+def wishes_of(options: argparse.Namespace) -> CommissionWishes:
+    """What is asked for, checked. ConfigError for options that cannot be, alone or together."""
+    if not options.write:
+        refuse_idle(options, ["save"], "only with --write, without which nothing is written")
+    if options.source == "recording" and options.encoder_interface is not None:
+        raise ConfigError("--encoder-interface: not with --source recording, which is that of the module")
+    wishes = CommissionWishes(
+        seconds=options.seconds,
+        margin=options.margin,
+        acceleration=options.acceleration,
+        recording=options.source == "recording",
+        write=options.write,
+        save=options.save,
+        watch_s=options.watch_s,
+        out=options.out,
+        line=getattr(options, "line", ""),
+    )
+    wishes.refuse_impossible()
+    return wishes

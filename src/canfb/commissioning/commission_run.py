@@ -1,0 +1,188 @@
+"""``canfb commission`` from the first sample to the last file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+
+from canfb import objects as od
+from canfb.commissioning.access import CommissioningError, Master
+from canfb.commissioning.artefacts import keep_samples
+from canfb.commissioning.calibration_run import Account, Steps
+from canfb.commissioning.circumstances import Circumstances
+from canfb.commissioning.commission_page import write_page
+from canfb.commissioning.commission_summary import Commissioned, as_figures, as_lines
+from canfb.commissioning.guard import Guard
+from canfb.commissioning.limit_choice import choose
+from canfb.commissioning.limit_setting import check_can_save, set_limits
+from canfb.commissioning.listening import listen
+from canfb.commissioning.machine_seen import LEAST_SAMPLES, Observation, observe
+from canfb.commissioning.machine_watch import (
+    SpeedReading,
+    SpeedReadings,
+    check_valid,
+    counted,
+    in_words,
+    read_counters,
+    watch,
+)
+from canfb.commissioning.pdo_layout import coarse_layout
+from canfb.commissioning.recording_upload import UPLOAD_PART, record
+from canfb.commissioning.samples import TrackSamples
+from canfb.commissioning.session import Session
+from canfb.commissioning.supervised_samples import supervise
+from canfb.commissioning.supervision_limits import SupervisionLimits
+from canfb.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommissionWishes:
+    """The options of ``canfb commission``.
+
+    seconds        how long the machine is listened to
+    margin         factor beyond what is seen
+    acceleration   one that the machine is known to do, rad/s^2; 0.0: none is given
+    recording      take the samples from the recording of the module (2050h), not from the bus
+    write, save    write the limits; save them
+    watch_s        how long the machine is watched with the new limits
+    out            folder for report and samples
+    line           the command, for the report
+    """
+
+    seconds: float = 60.0
+    margin: float = 2.0
+    acceleration: float = 0.0
+    recording: bool = False
+    write: bool = False
+    save: bool = False
+    watch_s: float = 10.0
+    out: Path | None = None
+    line: str = ""
+
+    def refuse_impossible(self) -> None:
+        """ConfigError for a number that cannot be."""
+        for option, value, low, high in (
+            ("--seconds", self.seconds, 0.1, 3600.0),
+            ("--margin", self.margin, 1.2, 10.0),
+            ("--acceleration", self.acceleration, 0.0, 1e9),
+            ("--watch", self.watch_s, 0.1, 3600.0),
+        ):
+            if not low <= value <= high:
+                raise ConfigError(f"{option} {value:g}: must be {low:g} to {high:g}")
+
+
+class CommissionRun:
+    """One run of the command. ``date`` is ISO 8601, the time of day behind a space."""
+
+    def __init__(self, wishes: CommissionWishes, steps: Steps, date: str) -> None:
+        self._wishes = wishes
+        self._steps = steps
+        self._date = date
+
+    def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Account:
+        """With the nodes of a bus; ``interface`` None if the module is to say it."""
+        wishes, steps = self._wishes, self._steps
+        steps.step("reading the module")
+        session = Session.open(master, module, interface)
+        node = session.module
+        if session.active.table is None:
+            raise CommissioningError(
+                f"{node.name}: no correction table is active, and without one the limits would be those of "
+                "its errors: run canfb calibrate first"
+            )
+        limits = SupervisionLimits.read(node)
+        if wishes.save:
+            check_can_save(node)
+        check_valid(node)
+        counters, began_s = read_counters(node), master.now()
+        steps.step(f"listening to the machine for {wishes.seconds:g} s: let it do its normal duty")
+        samples, readings = self._collect(session)
+        usual, usual_s = counted(counters, read_counters(node)), master.now() - began_s
+        steps.step(f"calculating from {len(samples)} samples")
+        seen = observe(samples, session.active, limits, readings)
+        choices = choose(seen.seen, limits, wishes.margin, wishes.acceleration)
+        new = limits.changed({one.place: one.value for one in choices})
+        _prove(seen, new)
+        changes = [one for one in choices if one.changes]
+        saved_as = None
+        if wishes.write and changes:
+            saved_as = set_limits(
+                node,
+                {one.place: one.before for one in changes},
+                {one.place: one.value for one in changes},
+                lambda: watch(node, wishes.watch_s, usual, usual_s, steps.part),
+                guard,
+                keep=wishes.save,
+                step=steps.step,
+            )
+        steps.clear()
+        written = bool(wishes.write and changes)
+        done = Commissioned(
+            seen,
+            limits,
+            new,
+            choices,
+            usual,
+            wishes.margin,
+            written,
+            wishes.write,
+            saved_as,
+            self._where(session),
+        )
+        return self._account(done)
+
+    def _collect(self, session: Session) -> tuple[TrackSamples, list[SpeedReading]]:
+        """The samples, and what the module said of its speed meanwhile."""
+        wishes, readings = self._wishes, SpeedReadings(session.module)
+        if not wishes.recording:
+            layout = replace(session.layout(), coarse=coarse_layout(session.module))
+            samples = listen(
+                session.master, layout, wishes.seconds, LEAST_SAMPLES, self._steps.part, readings
+            )
+            return samples, readings.found
+        found: list[SpeedReading] = []
+
+        def heard(part: float) -> None:
+            self._steps.part(part)
+            if part < UPLOAD_PART:  # else the upload is on its way
+                at = session.module.integer(*od.RECORDING_RECORDED, "I")
+                speed = readings.read()
+                if at:
+                    found.append(SpeedReading(at - 1.0, speed))
+
+        return record(session.module, wishes.seconds, None, heard), found
+
+    def _where(self, session: Session) -> Circumstances:
+        day, _, time = self._date.partition(" ")
+        return Circumstances(
+            day,
+            module=session.module.node_id,
+            encoder_interface=None if session.samples_itself else session.interface.node_id,
+            cycles_per_revolution=session.cycles_per_revolution,
+            time=time,
+            version=version("canfb"),
+            command=self._wishes.line,
+            identity=session.identity,
+            interface_identity=session.interface_identity,
+        )
+
+    def _account(self, done: Commissioned) -> Account:
+        figures, lines = as_figures(done), as_lines(done)
+        if self._wishes.out is not None:
+            paths = [write_page(self._wishes.out, done), keep_samples(self._wishes.out, done.seen.samples)]
+            figures["files"] = [str(path) for path in paths]
+            lines += [f"written  {path}" for path in paths]
+        return Account(figures, lines)
+
+
+def _prove(seen: Observation, new: SupervisionLimits) -> None:
+    """The new limits must not flag what the old ones let pass. CommissioningError if they do."""
+    again = supervise(seen.samples, seen.used, new.chain_limits(seen.seen.interval_s), seen.start_speed)
+    before = seen.followed.flagged
+    more = {name: count for name, count in again.flagged.items() if count > before.get(name, 0)}
+    if more:
+        raise CommissioningError(
+            f"the limits would flag samples of this very measurement ({in_words(more)}): set a larger "
+            "--margin, and look at the samples that are far from all others"
+        )

@@ -1,0 +1,247 @@
+"""The figures of ``canfb commission``: for the terminal, the report and programs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from canfb import objects as od
+from canfb.commissioning.circumstances import Circumstances, where_words
+from canfb.commissioning.limit_choice import Choice, MachineSeen
+from canfb.commissioning.machine_seen import Observation
+from canfb.commissioning.machine_watch import in_words
+from canfb.commissioning.supervision_limits import (
+    KINDS,
+    LIMIT_UNITS,
+    SupervisionLimits,
+    place_words,
+)
+from canfb.signal.limits import safe_deviation, samples_without_harm
+
+ROWS = 3  # of the table of detection, at least
+MOST_ROWS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Commissioned:
+    """What came out.
+
+    seen              the machine
+    before, new       the limits in the module before, and those that were chosen
+    choices           each limit, with its reason
+    usual             what the module flagged during the measurement
+    margin            factor beyond what was seen
+    written, asked    the limits were written; that was asked for
+    saved_as          object that saved them, None: not saved
+    """
+
+    seen: Observation
+    before: SupervisionLimits
+    new: SupervisionLimits
+    choices: list[Choice]
+    usual: Mapping[str, int]
+    margin: float
+    written: bool
+    asked: bool
+    saved_as: str | None
+    where: Circumstances
+
+    @property
+    def machine(self) -> MachineSeen:
+        """What was seen of it."""
+        return self.seen.seen
+
+    @property
+    def largest_acceleration(self) -> float:
+        """Of the machine, cycles per interval squared: 2010:02, or what was seen while that is not known."""
+        return self.new.acceleration_cycles(self.machine.interval_s) or self.machine.motion.acceleration
+
+    def deviation(self, limits: SupervisionLimits) -> float:
+        """L + a of docs/faults.md with these limits, cycles."""
+        return limits.residual_limit(self.machine.interval_s) + self.largest_acceleration
+
+
+def machine_facts(done: Commissioned) -> list[tuple[str, str]]:
+    """What was seen of the machine."""
+    machine, n = done.machine, done.new.cycles_per_revolution
+    motion, tracks, samples = machine.motion, machine.tracks, done.seen.samples
+    slowest, fastest = (_rpm(machine, speed, n) for speed in (motion.slowest, motion.fastest))
+    return [
+        ("samples", f"{len(samples)} at {samples.rate_hz:.6g} Hz, {samples.missed} missed; {samples.origin}"),
+        ("speed", f"{slowest:.4g} to {fastest:.4g} rpm; at most {motion.top_speed:.3g} cycles per sample"),
+        ("distance", f"{motion.turned / n:.3g} revolutions from the lowest to the highest position"),
+        (
+            "largest acceleration",
+            f"{machine.rad(motion.acceleration, 2, n):.3g} rad/s², "
+            f"{motion.acceleration:.3g} cycle per interval²",
+        ),
+        (
+            "largest jerk",
+            f"{machine.rad(motion.jerk, 3, n):.3g} rad/s³, {motion.jerk:.3g} cycle per interval³",
+        ),
+        (
+            "jitter",
+            "not known" if machine.jitter_s is None else f"{1e6 * machine.jitter_s:.3g} µs from SYNC to SYNC",
+        ),
+        ("residual", f"{motion.residual_rms:.3g} cycle rms, at most {motion.residual_peak:.3g}"),
+        (
+            "of that noise",
+            f"{motion.residual_noise:.3g} cycle rms; converter {tracks.noise_counts:.2f} counts rms",
+        ),
+        ("amplitude", f"mean {tracks.mean:.0f}, {tracks.least:.0f} to {tracks.most:.0f} counts"),
+        ("flagged meanwhile", in_words(done.usual) or "nothing"),
+    ]
+
+
+def notes(done: Commissioned) -> list[str]:
+    """What the operator should know of the measurement."""
+    said = []
+    n = done.new.cycles_per_revolution
+    if done.machine.motion.turned < n:
+        said.append(
+            "the machine moved less than one revolution: the amplitude elsewhere on the scale is not known"
+        )
+    if done.seen.samples.missed:
+        said.append(f"{done.seen.samples.missed} samples did not come: each is flagged, whatever the limits")
+    return said
+
+
+def limit_rows(done: Commissioned) -> list[tuple[str, str, str, str]]:
+    """Object and name, before, proposed, why."""
+    interval_s, n = done.machine.interval_s, done.new.cycles_per_revolution
+    return [
+        (
+            f"{place_words(one.place)} {one.name}",
+            value_words(one, one.before, interval_s, n),
+            value_words(one, one.value, interval_s, n) if one.changes else "as it is",
+            one.why,
+        )
+        for one in done.choices
+    ]
+
+
+def value_words(choice: Choice, value: float, interval_s: float, cycles_per_revolution: int) -> str:
+    """A value with its unit, as people read it."""
+    if choice.place == od.SUPERVISION_RESIDUAL_LIMIT:
+        return f"{value:.0f} ({value / LIMIT_UNITS:.3g} cycle)"
+    if choice.place == od.SUPERVISION_COARSE_LIMIT:
+        return f"{value:.0f} ({360.0 * value / LIMIT_UNITS:.3g}°)"
+    if choice.place == od.SUPERVISION_ACCELERATION:
+        if value == 0.0:
+            return "0, not known"
+        cycles = value * cycles_per_revolution / (2.0 * math.pi) * interval_s**2
+        return f"{value:.3g} rad/s² ({cycles:.2g} cycle)"
+    if choice.place == od.SUPERVISION_FROZEN and not value:
+        return "0, off"
+    return f"{value:.0f} {KINDS[choice.place].unit}"
+
+
+def detection_rows(done: Commissioned) -> list[tuple[str, str, str, str]]:
+    """Bad samples in a row: at most so much L + a, whether it holds before and with the new limits."""
+    last = min(MOST_ROWS, max(ROWS, samples_without_harm(done.deviation(done.new)) + 1))
+    words = {True: "detected", False: "not for sure"}
+    return [
+        (
+            str(count),
+            f"{safe_deviation(count):.3g}",
+            words[done.deviation(done.before) <= safe_deviation(count)],
+            words[done.deviation(done.new) <= safe_deviation(count)],
+        )
+        for count in range(1, last + 1)
+    ]
+
+
+def detection_words(done: Commissioned) -> str:
+    """One sentence."""
+    before, new = (samples_without_harm(done.deviation(one)) for one in (done.before, done.new))
+    return (
+        f"Up to {new} bad samples in a row of any phase cannot falsify the cycle count unseen, {before} with "
+        "the limits before; a single one is flagged if its phase is off by more than "
+        f"{done.deviation(done.new):.3g} cycle, {min(0.5, done.deviation(done.before)):.3g} before "
+        f"(accelerations up to {done.largest_acceleration:.3g} cycle per interval²)"
+    )
+
+
+def outcome(done: Commissioned) -> str:
+    """One line: what is in the module now."""
+    if done.written:
+        saved = (
+            f"saved ({done.saved_as})"
+            if done.saved_as
+            else "not saved: --save keeps them over a loss of power"
+        )
+        return f"the limits are in force, and nothing was flagged that was not flagged before; {saved}"
+    if done.asked:
+        return "nothing to write: the module has these limits already"
+    return "nothing was written to the module: --write does it"
+
+
+def as_lines(done: Commissioned) -> list[str]:
+    """For people."""
+    lines = [f"{name:21}{text}" for name, text in machine_facts(done)]
+    lines += [f"note: {text}" for text in notes(done)]
+    rows = [("", "before", "proposed"), *(row[:3] for row in limit_rows(done))]
+    first, second = (max(len(row[k]) for row in rows) for k in (0, 1))
+    lines.append("")
+    for row, choice in zip(rows, [None, *done.choices], strict=True):
+        lines.append(f"{row[0]:{first}}  {row[1]:{second}}  {row[2]}".rstrip())
+        if choice is not None:
+            lines.append(f"    {choice.why}")
+    lines += ["", f"{'bad samples':13}{'L + a at most':15}{'before':14}proposed"]
+    lines += [f"{row[0]:13}{row[1]:15}{row[2]:14}{row[3]}" for row in detection_rows(done)]
+    return [*lines, "", detection_words(done), outcome(done)]
+
+
+def as_figures(done: Commissioned) -> dict[str, Any]:
+    """For programs; units in the names, intervals are those of the samples."""
+    machine, n = done.machine, done.new.cycles_per_revolution
+    motion, tracks = machine.motion, machine.tracks
+    return {
+        **where_words(done.where),
+        "samples": len(done.seen.samples),
+        "samples_missed": done.seen.samples.missed,
+        "sample_rate_hz": done.seen.samples.rate_hz,
+        "speed_least_rpm": _rpm(machine, motion.slowest, n),
+        "speed_most_rpm": _rpm(machine, motion.fastest, n),
+        "turned_revolutions": motion.turned / n,
+        "acceleration_rad_s2": machine.rad(motion.acceleration, 2, n),
+        "acceleration_cycles": motion.acceleration,
+        "jerk_rad_s3": machine.rad(motion.jerk, 3, n),
+        "jerk_cycles": motion.jerk,
+        "jitter_s": machine.jitter_s,
+        "phase_noise_cycles": motion.noise,
+        "residual_rms_cycles": motion.residual_rms,
+        "residual_peak_cycles": motion.residual_peak,
+        "converter_noise_counts": tracks.noise_counts,
+        "amplitude_mean_counts": tracks.mean,
+        "amplitude_least_counts": tracks.least,
+        "amplitude_most_counts": tracks.most,
+        "flagged_meanwhile": dict(done.usual),
+        "margin": done.margin,
+        "notes": notes(done),
+        "limits": [
+            {
+                "object": place_words(one.place),
+                "name": one.name,
+                "unit": KINDS[one.place].unit,
+                "before": one.before,
+                "proposed": one.value,
+                "changes": one.changes,
+                "why": one.why,
+            }
+            for one in done.choices
+        ],
+        "residual_limit_in_force_cycles": done.new.residual_limit(machine.interval_s),
+        "deviation_cycles": done.deviation(done.new),
+        "deviation_before_cycles": done.deviation(done.before),
+        "bad_samples_detected": samples_without_harm(done.deviation(done.new)),
+        "bad_samples_detected_before": samples_without_harm(done.deviation(done.before)),
+        "written": done.written,
+        "saved": done.saved_as is not None,
+    }
+
+
+def _rpm(machine: MachineSeen, speed: float, cycles_per_revolution: int) -> float:
+    return machine.rad(speed, 1, cycles_per_revolution) * 60.0 / (2.0 * math.pi)

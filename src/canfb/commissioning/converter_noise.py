@@ -1,0 +1,128 @@
+"""Amplitude over the phase, and the noise of the converter: what a frozen input can be told by."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from canfb.calibration.recording import BINS
+from canfb.commissioning.motion_seen import FOURTH, MOVING_CYCLES, SIGMA_OF_MEDIAN
+from canfb.commissioning.samples import TrackSamples
+from canfb.commissioning.supervised_samples import SupervisedSamples
+from canfb.signal.phase import FloatArray
+
+ROUNDING_VARIANCE = 1.0 / 12.0  # of a count, of a converter that rounds
+HARMONICS = 12  # of the amplitude over the phase
+FITTED_SAMPLES = 50_000
+SURE_PART = 0.8  # of the noise that was measured; it may be less at another time
+TEN_YEARS_S = 10.0 * 365.25 * 86400.0
+LEAST_REPEATS, MOST_REPEATS = 16, 255
+QUIETEST_COUNTS = 0.15  # less cannot be told from a converter without noise
+
+
+@dataclass(frozen=True, eq=False)
+class TracksSeen:
+    """Amplitude and noise of the tracks, ADC counts after conditioning.
+
+    mean, least, most       of the amplitude over all valid samples
+    over_phase              lowest, mean and highest amplitude in each of 64 bins of the phase, shape (3, 64);
+                            NaN where there is no sample
+    noise_counts            of the converter before it rounds, rms; 0.0: none seen
+    longest_repeat          the most successive samples that repeat the counts of the one before
+    """
+
+    mean: float
+    least: float
+    most: float
+    over_phase: FloatArray
+    noise_counts: float
+    longest_repeat: int
+
+    @property
+    def spread(self) -> float:
+        """How far the amplitude is from its mean, as a part of it."""
+        return max(self.mean - self.least, self.most - self.mean) / self.mean
+
+
+def tracks_seen(
+    samples: TrackSamples, supervised: SupervisedSamples, gain: float, phase_noise_cycles: float
+) -> TracksSeen:
+    """Amplitude and noise of these samples, some of which are valid. ``gain`` is that of the conditioning.
+
+    The noise is the smaller one of that along the radius, which no motion adds to, and of that of the phase.
+    """
+    valid = supervised.valid & np.isfinite(supervised.amplitude)
+    amplitude, phase = supervised.amplitude[valid], supervised.position[valid] % 1.0
+    mean = float(amplitude.mean())
+    along = _radial_noise(supervised, valid)
+    across = 2.0 * math.pi * mean * phase_noise_cycles
+    counts = min(along, across) / gain
+    return TracksSeen(
+        mean=mean,
+        least=float(amplitude.min()),
+        most=float(amplitude.max()),
+        over_phase=_over_phase(amplitude, phase),
+        noise_counts=math.sqrt(max(0.0, counts * counts - ROUNDING_VARIANCE)),
+        longest_repeat=_longest_repeat(samples),
+    )
+
+
+def repeats_of_frozen_input(noise_counts: float, rate_hz: float, margin: float, longest_repeat: int) -> int:
+    """Repeats of both counts that tell a frozen converter from a working one (2010:04); 0: nothing does.
+
+    A machine that moves whole cycles per sample shows one phase only, in the worst case with both
+    tracks in the middle of a count. With normal noise of ``noise_counts`` (rms) both counts are then the
+    same again with the probability q = erf(1 / (2 sqrt(2) noise))^2, and n times with q^n. The result is
+    large enough for less than one false alarm in ten years of that, at ``rate_hz`` samples per second,
+    and more than ``margin`` times what was seen; at least 16, 0 if it were more than 255.
+    """
+    if noise_counts < QUIETEST_COUNTS:
+        return 0
+    again = math.erf(0.5 / (SURE_PART * noise_counts * math.sqrt(2.0))) ** 2
+    by_chance = math.log(rate_hz * TEN_YEARS_S) / -math.log(again) if again < 1.0 else math.inf
+    repeats = max(float(LEAST_REPEATS), by_chance, margin * (longest_repeat + 1))
+    return math.ceil(repeats) if repeats <= MOST_REPEATS else 0
+
+
+def _radial_noise(
+    supervised: SupervisedSamples, valid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+) -> float:
+    """Noise of the amplitude, counts, its course over the phase taken off."""
+    amplitude = np.where(valid, supervised.amplitude, np.nan)
+    used = np.flatnonzero(valid)[:FITTED_SAMPLES]
+    phase = np.where(valid, supervised.position % 1.0, 0.0)
+    course, *_ = np.linalg.lstsq(_waves(phase[used]), amplitude[used], rcond=None)
+    fourth = np.full(len(amplitude), np.nan)
+    step = 100_000  # bounded memory
+    rest = np.concatenate(
+        [amplitude[k : k + step] - _waves(phase[k : k + step]) @ course for k in range(0, len(phase), step)]
+    )
+    fourth = np.diff(rest, 4)
+    moves = np.abs(supervised.speed[1:-2]) >= MOVING_CYCLES
+    fourth = fourth[np.isfinite(fourth) & moves]
+    return SIGMA_OF_MEDIAN * float(np.median(np.abs(fourth))) / FOURTH if len(fourth) else 0.0
+
+
+def _waves(phase: FloatArray) -> FloatArray:
+    angle = 2.0 * np.pi * phase[:, None] * np.arange(1, HARMONICS + 1)
+    return np.hstack([np.ones((len(phase), 1)), np.sin(angle), np.cos(angle)])
+
+
+def _over_phase(amplitude: FloatArray, phase: FloatArray) -> FloatArray:
+    bins = np.minimum((phase * BINS).astype(np.int64), BINS - 1)
+    lowest, highest = np.full(BINS, np.inf), np.full(BINS, -np.inf)
+    np.minimum.at(lowest, bins, amplitude)
+    np.maximum.at(highest, bins, amplitude)
+    count = np.bincount(bins, minlength=BINS)
+    with np.errstate(invalid="ignore"):
+        mean = np.bincount(bins, amplitude, BINS) / np.where(count, count, np.nan)
+    found: FloatArray = np.where(count > 0, np.array([lowest, mean, highest]), np.nan)
+    return found
+
+
+def _longest_repeat(samples: TrackSamples) -> int:
+    same = (np.diff(samples.sine) == 0.0) & (np.diff(samples.cosine) == 0.0)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
+    return int(np.max(edges[1::2] - edges[::2])) if len(edges) else 0
