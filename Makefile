@@ -19,7 +19,7 @@ MUTATED ?= $(addprefix src/canfb/signal/,supervision.py frozen.py \
 	recovery/coarse.py recovery/zero_pulse.py recovery/reference.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types unit socketcan package lowest pythons mutate bench format clean
+.PHONY: help demo test lint types unit socketcan package site lowest pythons mutate bench format clean
 
 help: ## Show the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -54,6 +54,9 @@ socketcan: $(INSTALLED_TEST) ## Run the tests on a real SocketCAN: this kernel's
 
 package: $(INSTALLED_TEST) ## Build sdist and wheel into dist, check them, and run the demo from the wheel
 	$(PY) -m tools.suite.package
+
+site: $(INSTALLED_TEST) ## Build the documentation site, strictly, in build/site/html
+	$(PY) -m tools.site.build
 
 # A wheel of each for Python 3.11 and 3.12; newer Pythons need newer versions anyway.
 lowest: $(LOWEST)/.installed ## Run a part of the tests with the lowest versions that pyproject.toml allows

@@ -29,7 +29,12 @@ from canfb.sources.source_config import SourceConfig
 
 @dataclass(frozen=True, kw_only=True)
 class RealtimeConfig:
-    """Real-time options of the process: SCHED_FIFO priority 0..99 (0 = off), locked memory, one CPU."""
+    """Real-time options of the process.
+
+    priority      of SCHED_FIFO, 0..99; 0: the usual scheduler
+    lock_memory   True: no page of the process is swapped out
+    cpu           the one processor that it runs on, 0..65535; None: any
+    """
 
     priority: int = 0
     lock_memory: bool = False

@@ -14,17 +14,18 @@ from canfb.sources.source_config import SourceConfig
 class ModuleConfig(ChainConfig):
     """One drive feedback module: the fields of ChainConfig, and its place on the bus.
 
-    node_id                  1..127, required; 255: none yet, an LSS master assigns one. A node-ID stored
-                             by LSS in state_dir takes precedence
-    serial_number            0..4294967295 (1018:04): an LSS master distinguishes equal modules by it
-    encoder_interface        1..127: the node whose TPDO1 carries the ADC counts; not node_id. Not used
+    node_id                  of the module, 1..127, required; 255: none yet, an LSS master assigns one. A
+                             node-ID stored by LSS in state_dir takes precedence
+    serial_number            of the device, 0..4294967295 (1018:04): an LSS master distinguishes equal modules
+                             by it
+    encoder_interface        the node whose TPDO1 carries the ADC counts, 1..127; not node_id. Not used
                              with a source
     times                    True: the ADC PDO carries the interface's sample time after sine and cosine
                              (RPDO1: 2000:01, :02, :05), 8 bytes. Not used with a source
     source                   source of the samples instead of the ADC PDO; None: the PDO
-    max_acceleration_rad_s2  largest acceleration of the machine (2010:02); 0 = not known
-    predict                  what synchronous TPDOs send (2013:01): False the measured position, True (or 1)
-                             that at their SYNC with constant speed, 2 with constant acceleration
+    max_acceleration_rad_s2  largest acceleration of the machine, 0..1e9 (2010:02); 0 = not known
+    predict                  what synchronous TPDOs send, 0..2 (2013:01): False the measured position, True
+                             (or 1) that at their SYNC with constant speed, 2 with constant acceleration
     nominal_sync             True: with ``times`` the position is that of a SYNC without jitter (2013:02)
     sync_timeout_periods     2..255 periods without SYNC or sample until the position is not valid
                              (2010:06)

@@ -41,12 +41,12 @@ class ChainLimits:
 class ChainConfig:
     """Parameters of the signal chain. Every field has a default; ValueError for a bad one.
 
-    cycles_per_revolution   1..1048576 (2001:01)
-    adc_bits                4..16; full scale is 2**(bits - 1) counts (2001:02)
-    amplitude_low_counts    lowest accepted amplitude after conditioning (2001:03);
+    cycles_per_revolution   of the encoder, 1..1048576 (2001:01)
+    adc_bits                of the converter, 4..16; full scale is 2**(bits - 1) counts (2001:02)
+    amplitude_low_counts    lowest accepted amplitude after conditioning, 0..65535 (2001:03);
                             None: 0.2 of the full scale
-    amplitude_high_counts   highest accepted amplitude (2001:04); None: 1.25 of the full scale
-    residual_limit          cycles, 0 < limit <= 0.5 (2010:01, eq. 12)
+    amplitude_high_counts   highest accepted amplitude, 0..65535 (2001:04); None: 1.25 of the full scale
+    residual_limit          largest accepted residual, 0 < limit <= 0.5 cycles (2010:01, eq. 12)
     coast_samples           0..255 sampling intervals to bridge before the position is lost (2010:03)
     frozen_samples          0..255 successive repeats that distinguish a dead converter from a machine
                             that moves whole cycles per sample (2010:04): 16 with half a count of noise.

@@ -12,9 +12,14 @@ class Conditioning:
     """Turns an offset, skewed ellipse into a circle. The identity (default) is the paper's method.
 
     The model is sine = sine_offset + A/sine_gain sin(x), cosine = cosine_offset +
-    A/cosine_gain cos(x - phase_error), with x the angle in the cycle. Offsets in ADC
-    counts, gains without unit and not zero, phase error in radians, |phase error| < pi/3.
-    Raises ValueError for anything else.
+    A/cosine_gain cos(x - phase_error), with x the angle in the cycle. Raises ValueError for a
+    value out of range, or one that is not finite.
+
+    sine_offset_counts     zero of the sine track (2002:01), any finite value
+    cosine_offset_counts   zero of the cosine track (2002:02), any finite value
+    sine_gain              factor of the sine track (2002:03), 0.001..1000 or its negative
+    cosine_gain            factor of the cosine track (2002:04), 0.001..1000 or its negative
+    phase_error_rad        deviation of the tracks from a right angle (2002:05), within -pi/3..pi/3
     """
 
     sine_offset_counts: float = 0.0

@@ -19,7 +19,12 @@ PACES = ("time", "sync")
 
 @dataclass(frozen=True, kw_only=True)
 class HarmonicConfig:
-    """One harmonic of the tracks, relative to the fundamental."""
+    """One harmonic of the tracks, relative to the fundamental.
+
+    order    multiple of the frequency of the tracks, 2..50
+    sine     its amplitude in the sine track, -1..1 of the amplitude
+    cosine   its amplitude in the cosine track, -1..1 of the amplitude
+    """
 
     order: int
     sine: float = 0.0
@@ -33,7 +38,17 @@ class HarmonicConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class EncoderScenario:
-    """Errors of the simulated encoder, relative to the amplitude; ``amplitude`` relative to full scale."""
+    """Errors of the simulated encoder.
+
+    amplitude          of both tracks, 0..2 of the full scale
+    sine_offset        zero of the sine track, -1..1 of the amplitude
+    cosine_offset      zero of the cosine track, -1..1 of the amplitude
+    sine_amplitude     of the sine track, 0..2 of the amplitude
+    cosine_amplitude   of the cosine track, 0..2 of the amplitude
+    phase_error_rad    deviation of the tracks from a right angle, -1..1
+    noise_lsb          rms of the noise of each sample, 0..1000
+    harmonics          of the tracks, each an order and its amplitudes
+    """
 
     amplitude: float = 0.75
     sine_offset: float = 0.0
@@ -70,7 +85,14 @@ class EncoderScenario:
 
 @dataclass(frozen=True, kw_only=True)
 class MotionConfig:
-    """Standstill, a ramp up to ``rpm``, then that speed with a ripple."""
+    """Standstill, a ramp up to ``rpm``, then that speed with a ripple.
+
+    rpm            speed after the ramp, -1e6..1e6
+    standstill_s   before the ramp, 0..1e6
+    ramp_s         duration of the ramp, 0..1e6
+    ripple_rpm     amplitude of the ripple, -1e6..1e6; 0: none
+    ripple_hz      frequency of the ripple, 1e-6..1e6
+    """
 
     rpm: float = 60.0
     standstill_s: float = 0.5
@@ -96,6 +118,9 @@ class SimulationConfig(SyncTiming):
     """What ``canfb simulate`` plays; a ``drive`` makes the motion itself.
 
     The fields of SyncTiming     how regular the SYNC of ``--rate`` is
+    encoder                      the encoder and its errors
+    motion                       of the machine
+    drive                        a CiA 402 drive that moves the machine instead of ``motion``; None: none
     clock_drift_ppm              how much faster than true time the clock of the interface runs that stamps
                                  its samples (2000:01), -10000..10000 ppm
     aperture_jitter_ns           rms of the instant at which the tracks are held, 0..1e6 ns

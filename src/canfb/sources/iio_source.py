@@ -22,7 +22,8 @@ class IioSourceConfig(SourceConfig):
     device         name, id (iio:device0) or label, as ``iio_info`` has it; required
     sine, cosine   ids or names of the channels
     uri            where libiio finds the device: ``local:``, or ``ip:HOST``
-    mid_scale      the reading that means zero; None: the middle of the range, 0 where readings are signed
+    mid_scale      the reading that means zero, any number of counts; None: the middle of the range, 0 where
+                   readings are signed
     trigger        name or id of the trigger that the device is given; one with ``trigger_now`` (sysfs) is
                    fired at each SYNC. None: the device has one, or runs freely
     rate_hz        sampling frequency to set, of the trigger if it has one, else of the device, 1..10000000;

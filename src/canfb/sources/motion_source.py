@@ -47,7 +47,10 @@ class ShaftMotion(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class MotionSourceConfig(SourceConfig):
-    """The machine of the ``simulation:`` section; a sample is 1/``rate_hz`` (0.1..100000) after the last."""
+    """The machine of the ``simulation:`` section.
+
+    rate_hz   samples per second, 0.1..100000
+    """
 
     kind: str = "motion"
     rate_hz: float = 1000.0

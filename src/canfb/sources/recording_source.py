@@ -30,9 +30,9 @@ class RecordingSourceConfig(SourceConfig):
 
     file           CSV with a header line, or NPZ as ``canfb calibrate --out`` writes it; required
     columns        names, or numbers from 0, of the sine and the cosine column of a CSV file
-    mid_scale      the reading that means zero, subtracted from both (CSV)
+    mid_scale      the reading that means zero, any number of counts (CSV)
     time_column    column with seconds (CSV): a longer step than ``gap_s`` is a gap; None: there is none
-    gap_s          seconds, more than 0
+    gap_s          the shortest gap, more than 0
     gap_samples    samples missed at each gap, 1..1000000
     time_stamps    True: the time column is the sample time (2000:05), too
     """

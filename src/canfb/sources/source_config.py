@@ -17,7 +17,7 @@ class SourceConfig:
     Its fields are the keys of the YAML, but those with ``metadata={"key": False}``; one that holds a list
     has ``metadata={"list": True}``. ValueError for a wrong value, with the name of the key before all.
 
-    kind   the word after ``kind:``, the default of the class
+    kind   the word after ``kind:``: which source it is
     """
 
     kind: str = ""

@@ -10,8 +10,9 @@ from canfb.simulation.cia402.motor import MotorConfig
 
 @dataclass(frozen=True, kw_only=True)
 class DriveConfig(MotorConfig):
-    """A drive on the shaft of the encoder: its ``node_id``, 1..127, and the motor.
+    """A drive on the shaft of the encoder, and its motor.
 
+    node_id                of the drive, 1..127
     start_revolutions      where the shaft stands at the start, -1e6..1e6 revolutions
     synchronous_feedback   true: the torque follows at the next SYNC (RPDO4 of type 1); false: at once (255)
     """

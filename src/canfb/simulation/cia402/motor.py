@@ -24,7 +24,7 @@ class MotorConfig:
     load_torque_nm           what pulls at the shaft from ``load_at_s`` on, -1e6..1e6 Nm, positive
                              against positive motion
     load_at_s                time of the machine, 0..1e9 s
-    brake_torque_nm          of the holding brake, closed while the drive has no power; 0 = none, it coasts
+    brake_torque_nm          of the holding brake, closed without power, 0..1e6 Nm; 0 = none, it coasts
     """
 
     inertia_kg_m2: float = 1e-3

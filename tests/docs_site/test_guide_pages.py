@@ -1,0 +1,74 @@
+"""The short guides: commands parse, objects exist, configurations load, figures are right."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from canfb import eds_path, max_acceleration
+from canfb.cli.parser import build_parser
+from canfb.commissioning.object_description import ObjectDescriptions
+from canfb.configuration import parse_config
+from canfb.simulation.wire import frame_bits
+
+DOCS = Path(__file__).parents[2] / "docs"
+GUIDES = [
+    *("first-hour", "first-encoder", "wiring", "usb-adapters", "raspberry-pi"),
+    *("sync-rate", "realtime", "homing", "method"),
+]
+
+
+def text_of(name: str) -> str:
+    return (DOCS / f"{name}.md").read_text(encoding="utf-8")
+
+
+def commands_in(name: str) -> Iterator[list[str]]:
+    for line in re.findall(r"^(?: +|)(?:\S*/)?canfb (.+)$", text_of(name), re.MULTILINE):
+        yield shlex.split(line.partition(" > ")[0])
+
+
+def is_command(words: list[str]) -> bool:
+    return words[0] in ("demo", "run", "simulate", "nmt", "sdo", "calibrate", "config", "backup", "table")
+
+
+@pytest.mark.parametrize("name", GUIDES)
+def test_the_commands_parse_and_name_objects_of_the_module(name: str) -> None:
+    module = ObjectDescriptions(eds_path("canfb-module"), 0x20)
+    for words in filter(is_command, commands_in(name)):
+        options = build_parser().parse_args(words)
+        if words[0] == "sdo":
+            assert module.meant(words[3]), words
+            assert options.command == "sdo"
+
+
+@pytest.mark.parametrize("name", GUIDES)
+def test_the_configurations_load(name: str) -> None:
+    for block in re.findall(r"```yaml\n(.*?)```", text_of(name), re.DOTALL):
+        assert parse_config(block).modules
+
+
+def test_there_are_commands_to_check() -> None:
+    assert sum(is_command(words) for name in GUIDES for words in commands_in(name)) >= 20
+
+
+def test_the_accelerations_are_those_of_the_formula() -> None:
+    rows = re.findall(r"^(\d+) Hz: ([\d.]+) rad/s\^2$", text_of("sync-rate"), re.MULTILINE)
+    assert len(rows) == 4
+    for rate, limit in rows:
+        assert float(limit) == round(max_acceleration(2500, float(rate), 1 / 3), 1)
+
+
+def test_the_bus_loads_are_those_of_the_longest_frames() -> None:
+    bits = frame_bits(0) + 2 * frame_bits(8)
+    rows = re.findall(
+        r"^\| (\d+) ([kM])bit/s \| ([\d.]+) ms \| (\d+) Hz \|$", text_of("sync-rate"), re.MULTILINE
+    )
+    assert (bits, len(rows)) == (325, 4)
+    for number, prefix, time_ms, rate_hz in rows:
+        bit_rate = int(number) * {"k": 1000, "M": 1_000_000}[prefix]
+        assert float(time_ms) == pytest.approx(bits / bit_rate * 1e3, abs=0.006)
+        assert int(rate_hz) == int(0.5 * bit_rate / bits)

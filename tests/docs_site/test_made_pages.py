@@ -1,0 +1,153 @@
+"""The pages made of the code: every object, key, command and name is there, with what belongs to it."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from configparser import RawConfigParser
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import canfb
+from canfb.cli.parser import build_parser
+from canfb.sources.registry import source_kinds
+from tools.site.api_page import as_rst, escaped
+from tools.site.commands_page import commands_of
+from tools.site.keys_page import SECTIONS, Key, keys_of
+from tools.site.made import MADE
+
+EDS = Path(__file__).parents[2] / "eds"
+DIMENSIONLESS = {
+    "predict",
+    "serial_number",
+    "node_id",
+    "encoder_interface",
+    "priority",
+    "cpu",
+    "seed",
+    "order",
+}
+DIMENSIONLESS |= {"sine_gain", "cosine_gain", "bus_load"}
+KINDS = [kind for _, kind, _ in SECTIONS] + list(source_kinds().values())
+
+
+@cache
+def page(name: str) -> str:
+    return MADE[name]()
+
+
+def units_in(text: str) -> Iterator[tuple[str, str]]:
+    """Object and unit, read from the text of an EDS by other means than the page."""
+    for unit, index, subindex in re.findall(r"^;Unit=(.*)\n\[(\w{4})(?:sub(\w+))?\]", text, re.MULTILINE):
+        yield f"{index.upper()}:{int(subindex or '0', 16):02X}", unit
+
+
+@pytest.mark.parametrize("name", ["canfb-module", "encoder-interface", "drive"])
+def test_every_object_is_there_with_its_unit_and_default(name: str) -> None:
+    text = (EDS / f"{name}.eds").read_text(encoding="utf-8")
+    part = page("reference/objects.md").partition(f"`eds/{name}.eds`")[2].partition("\n## ")[0]
+    rows = {
+        cells[0].strip("`"): cells
+        for line in part.splitlines()
+        if len(cells := [one.strip() for one in re.split(r"(?<!\\)\|", line)[1:-1]]) == 8
+    }
+    parser = RawConfigParser(inline_comment_prefixes=(";",))
+    parser.read_string(text)
+    for section in parser.sections():
+        found = re.fullmatch(r"([0-9A-F]{4})(?:sub([0-9A-F]+))?", section, re.IGNORECASE)
+        if found and parser.get(section, "ObjectType") not in ("0x8", "0x9"):
+            row = rows[f"{found[1].upper()}:{int(found[2] or '0', 16):02X}"]
+            assert parser.get(section, "ParameterName").lower() in row[1].replace("\\", "").lower()
+            assert row[6].strip("`") == parser.get(section, "DefaultValue", fallback="").strip()
+    units = dict(units_in(text))
+    assert units
+    for number, unit in units.items():
+        assert rows[number][5].replace("\\", "") == unit
+    assert not [number for number, row in rows.items() if ":" in number and row[5] and number not in units]
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_every_key_is_there_with_unit_range_and_meaning(kind: type) -> None:
+    keys = list(keys_of(kind))
+    assert [key.name for key in keys] == [
+        f.name for f in dataclasses.fields(kind) if f.metadata.get("key", True)
+    ]
+    for key in keys:
+        assert f"| `{key.name}` | {key.default or 'required'} |" in page("reference/keys.md")
+        assert key.text, f"{kind.__name__}.{key.name}: its docstring says nothing of it"
+        if key.is_number and key.name not in ("time_column", "columns"):
+            assert key.range, f"{kind.__name__}.{key.name}: no range in its docstring"
+            assert key.unit or key.name in DIMENSIONLESS, f"{kind.__name__}.{key.name}: no unit"
+
+
+def ends_of(key: Key) -> tuple[float, float] | None:
+    found = re.fullmatch(r"(-?[\d.e-]+)\.\.([\d.e-]+)", key.range)
+    return (float(found[1]), float(found[2])) if found and key.is_number else None
+
+
+REQUIRED = {"node_id": 5, "order": 3, "device": "x", "file": "x"}
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_the_ranges_are_those_that_the_classes_hold(kind: type) -> None:
+    required = {
+        f.name: REQUIRED[f.name]
+        for f in dataclasses.fields(kind)
+        if f.default is f.default_factory is dataclasses.MISSING
+    }
+    for key in keys_of(kind):
+        if (ends := ends_of(key)) and key.name not in ("bus_load", "node_id"):
+            whole = "." not in key.range.replace("..", "") and "e" not in key.range
+            for outside in (ends[0] - 1, ends[1] + max(1, abs(ends[1]) * 0.01)):
+                value = int(outside) if whole else outside
+                with pytest.raises((ValueError, TypeError), match=key.name):
+                    kind(**{**required, key.name: value})
+
+
+def test_every_command_is_there_with_its_options() -> None:
+    text = page("reference/commands.md")
+    commands = list(commands_of(build_parser()))
+    assert {"canfb run", "canfb table upload", "canfb config dcf"} <= {one.prog for one in commands}
+    for command in commands:
+        part = text.partition(f"\n## {command.prog}\n")[2].partition("\n## ")[0]
+        assert part, command.prog
+        for action in command._actions:
+            for name in action.option_strings:
+                assert name in ("-h", "--help") or f"`{name}" in part, (command.prog, name)
+
+
+def test_every_public_name_is_there() -> None:
+    text = page("reference/api.rst")
+    for name in canfb.__all__:
+        assert re.search(rf"^\.\. auto\w+:: {name}$", text, re.MULTILINE), name
+
+
+def test_columns_of_a_docstring_become_fields() -> None:
+    lines = [
+        "What it is.",
+        "",
+        "first, second   a * b",
+        "                more",
+        "third_s         seconds",
+        "",
+        "After.",
+    ]
+    assert [*as_rst(lines)] == [
+        "What it is.",
+        "",
+        "",
+        ":first, second: a \\* b",
+        "    more",
+        ":third_s: seconds",
+        "",
+        "After.",
+    ]
+
+
+def test_markup_stands_for_itself() -> None:
+    assert escaped("2**n |x| ``a*b`` :func:`f_` and name_ but in_name") == (
+        "2\\*\\*n \\|x\\| ``a*b`` :func:`f_` and name\\_ but in_name"
+    )
