@@ -13,7 +13,8 @@ from canfb.signal.correction import CorrectionTable, check_table
 from canfb.signal.phase import raw_phase_block, wrap_block
 from canfb.signal.recovery.recovery import COAST_SAMPLES, Recovery
 from canfb.signal.supervision import VALID
-from canfb.signal.tracker import RESIDUAL_LIMIT, Tracker, TrackResult, continues
+from canfb.signal.tracker import RESIDUAL_LIMIT, Tracker, TrackResult
+from canfb.signal.tracking import continues
 from canfb.signal.tracks import check_counts, pair_of_tracks
 
 # After a fault the next one may be near, and what lies behind it is computed in vain.

@@ -24,6 +24,14 @@ def max_acceleration(
     return 2.0 * math.pi / cycles_per_revolution * limit * sample_rate_hz**2
 
 
+def max_jerk(cycles_per_revolution: float, sample_rate_hz: float, residual_limit: float = 0.5) -> float:
+    """Largest jerk in rad/s^3 that third-order prediction follows: a jerk j leaves j N/(2 pi) T^3.
+
+    Arguments and errors are those of :func:`max_acceleration`, of which there is no limit then.
+    """
+    return max_acceleration(cycles_per_revolution, sample_rate_hz, residual_limit) * sample_rate_hz
+
+
 def max_speed(cycles_per_revolution: float, jitter_s: float, residual_limit: float = 1.0 / 3.0) -> float:
     """Largest speed in rad/s that eq. 9 follows without sample times if SYNC jitters by ``jitter_s``.
 

@@ -20,7 +20,8 @@ from canfb.signal.phase import FloatArray
 from canfb.signal.recovery.bridge import Place, accelerations
 from canfb.signal.recovery.doubt import Doubt, Undecided
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
-from canfb.signal.tracker import RESIDUAL_LIMIT, Track, Tracker, TrackResult, steady_run
+from canfb.signal.tracker import RESIDUAL_LIMIT, Track, Tracker, TrackResult
+from canfb.signal.tracking import steady_run
 
 # A glitch below the residual limit is seen one sample later, a row of three at most three later.
 DOUBTED_SAMPLES = 3
