@@ -14,6 +14,7 @@ The residual is a third difference. An error of one phase is in it once, three t
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from canfb.signal.tracker import RESIDUAL_LIMIT, Track, Tracker, split
 
@@ -67,6 +68,11 @@ class ThirdOrderTracker(Tracker):
         self._known = min(self._known, 2)
         self._steady = False
 
+    def take_over(self, old: Tracker) -> None:
+        """As :meth:`Tracker.take_over`; eq. 9 predicts two samples, for the acceleration is not known yet."""
+        super().take_over(old)
+        self._known = int(self._started)
+
     def halt(self) -> None:
         """Keep the position and forget speed and acceleration."""
         super().halt()
@@ -85,8 +91,11 @@ class ThirdOrderTracker(Tracker):
 
     @property
     def speed_limit(self) -> float:
-        """Residual limit of a sample that eq. 9 predicts, cycles."""
-        return self.start_limit
+        """Residual limit of a sample that eq. 9 predicts, cycles.
+
+        1/3 at most while it predicts all: an acceleration that grows is seen on its way from 1/3 to 2/3.
+        """
+        return self.start_limit if self.order == THIRD else min(self.start_limit, RESIDUAL_LIMIT)
 
     @property
     def known(self) -> int:
@@ -97,6 +106,14 @@ class ThirdOrderTracker(Tracker):
     def elapsed_before(self) -> float:
         """Intervals between the two samples before the last one."""
         return self._elapsed_before
+
+    def snapshot(self) -> tuple[float | int, ...]:
+        """As :meth:`Tracker.snapshot`."""
+        return self.full_state() if self.order == THIRD else self.state()
+
+    def restore(self, snapshot: tuple[Any, ...]) -> None:
+        """As :meth:`Tracker.restore`."""
+        self.set_full_state(*snapshot) if self.order == THIRD else self.set_state(*snapshot)
 
     def full_state(self) -> tuple[float, float, float, int, int, int]:
         """(p(k-3), p(k-2), p(k-1), i(k-1), first and second difference of i) of a steady tracker."""
@@ -136,7 +153,7 @@ class ThirdOrderTracker(Tracker):
         """As :meth:`Tracker.look`."""
         if phase != phase or not self._started or not self._by_parabola:
             track = super().look(phase, elapsed)
-            return track if phase != phase else track._replace(ok=track.residual < self.start_limit)
+            return track if phase != phase else track._replace(ok=track.residual < self.speed_limit)
         elapsed += self._gap
         if elapsed == self._elapsed == self._elapsed_before:
             cycles = self._cycles + self._step + self._bend

@@ -99,6 +99,16 @@ def continues(tracker: Tracker, result: TrackResult, at: int) -> bool:
     )
 
 
+def write_places_before(tracker: Tracker, result: TrackResult, at: int) -> None:
+    """Write the places that a steady tracker stands on into ``result``, just before ``at``."""
+    cycles, phase = result.cycles, result.phase
+    phase[at - 2], phase[at - 1], last, step = tracker.state()
+    cycles[at - 1], cycles[at - 2] = last, last - step
+    if predicts_by_parabola(tracker):
+        phase[at - 3], *_, bend = tracker.full_state()
+        cycles[at - 3] = last - 2 * step + bend
+
+
 def steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, scratch: Scratch) -> None:
     """Samples start..stop, all with a phase and one interval apart: an integer cumulative sum.
 
