@@ -21,6 +21,8 @@ from canfb.signal.limits import PHASE_ERROR_CYCLES
 from canfb.signal.third_order import step_weights
 from canfb.signal.tracker import Track, split
 
+ROUGHNESS_CYCLES = 0.02  # of a third difference: noise, and what a correction leaves
+
 
 @dataclass(frozen=True)
 class MotionLimits:
@@ -80,7 +82,7 @@ class Trajectory:
     """The last samples of a motion, at most three, and where it can go on.
 
     ``speed_cycles``: that of a machine of which a single sample is known, cycles per interval. ``rough``: the
-    largest third difference since it began, cycles.
+    largest third difference since it began, cycles, beyond :data:`ROUGHNESS_CYCLES`.
     """
 
     __slots__ = ("rough", "speed_cycles", "spots")
@@ -96,18 +98,21 @@ class Trajectory:
         low, high = self._window(time, limits)
         return range(last.cycles + math.floor(low - phase) + 1, last.cycles + math.ceil(high - phase))
 
-    def roughness(self, cycles: int, phase: float, time: float) -> float:
-        """The third difference with such a sample, of samples one interval apart; 0 with less than three."""
+    def roughness(self, cycles: int, phase: float, time: float, spare: float = 0.0) -> float:
+        """The third difference with such a sample, of samples one interval apart; 0 with less than three.
+
+        Errors of the phases may make up for ``spare`` of it.
+        """
         if len(self.spots) < 3:
             return 0.0
         third, before, last = (spot.time for spot in self.spots)
         scale, weights = _parabola_scales(time - last, last - before, before - third)
         away = (cycles - self.spots[-1].cycles) + phase - self._ahead(time)
-        return abs(away) / max(scale, weights / 8.0)
+        return max(0.0, abs(away) - spare * weights / 8.0) / max(scale, weights / 8.0)
 
     def extended(self, cycles: int, phase: float, time: float) -> Trajectory:
         """This trajectory with one more sample."""
-        rough = max(self.rough, self.roughness(cycles, phase, time))
+        rough = max(self.rough, self.roughness(cycles, phase, time, ROUGHNESS_CYCLES))
         return Trajectory((*self.spots, Spot(cycles, phase, time)), rough=rough)
 
     def predict(self, time: float) -> Track:

@@ -24,16 +24,21 @@ from collections.abc import Sequence
 from enum import Enum
 
 from canfb.signal.recovery.bridge import Place
-from canfb.signal.recovery.trajectory import MotionLimits, Spot, Trajectory, third_differences
+from canfb.signal.recovery.trajectory import (
+    ROUGHNESS_CYCLES,
+    MotionLimits,
+    Spot,
+    Trajectory,
+    third_differences,
+)
 from canfb.signal.tracker import Track
 
 # A glitch below the residual limit is seen up to three samples later: the residual has it four times.
 DOUBTED_BEFORE = 3
 DETERMINING = 3  # samples that position, speed and acceleration come from
 CHANCE = 1e-5
-# After a bad sample the third differences may be so many times the largest before it, and some more.
+# After a bad sample the third differences may be so many times the largest before it; and noise.
 ROUGHNESS_FACTOR = 1.25
-ROUGHNESS_CYCLES = 0.02
 FEWEST_SEEN = 4
 MOST_CHANCE = 0.9  # of one sample: as many confirm as ever do
 LONGEST_TRIAL = 32  # intervals, beyond those that may be coasted
@@ -134,7 +139,7 @@ class Trial:
     def _most_rough(self) -> float:
         """Of a motion that goes on as before; the last samples may have been bad, and do not count."""
         seen = third_differences(self._before)[:-DOUBTED_BEFORE]
-        return ROUGHNESS_FACTOR * max(seen) + ROUGHNESS_CYCLES if len(seen) >= FEWEST_SEEN else -1.0
+        return ROUGHNESS_FACTOR * max(seen) if len(seen) >= FEWEST_SEEN else -1.0
 
     @property
     def enough(self) -> int:
@@ -157,8 +162,8 @@ class Trial:
 
 def _until(good: tuple[Spot, ...], speed_cycles: float = 0.0) -> Trajectory:
     """The trajectory that ends with these samples; the last ones of them are to be smooth, too."""
-    rough = max(third_differences(good)[-DOUBTED_BEFORE:], default=0.0)
-    return Trajectory(good, speed_cycles, rough)
+    rough = max(third_differences(good)[-DOUBTED_BEFORE:], default=0.0) - ROUGHNESS_CYCLES
+    return Trajectory(good, speed_cycles, max(0.0, rough))
 
 
 def _spots(places: Sequence[Place]) -> tuple[Spot, ...]:
