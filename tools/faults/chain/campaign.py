@@ -23,13 +23,14 @@ try:
     from tools.faults.chain.classes import CLASSES
     from tools.faults.chain.clean import CHUNK_SAMPLES, CleanResult, run_clean
     from tools.faults.chain.judge import judge, play
-    from tools.faults.chain.plant import SETTINGS, USUAL, Turning, speed_of_group
+    from tools.faults.chain.plant import ALL_SETTINGS, SETTINGS, Turning, speed_of_group
 except ImportError as error:
     sys.exit(f"{error}: run this file with the Python of the virtual environment (make test makes it)")
 import numpy as np
 
 from tools.faults.chain.tally import COLUMNS, Tally, markdown, plain
 
+USUAL = tuple(range(len(SETTINGS)))
 EPISODES_OF_GROUP = 10
 GLITCH_FACTOR = 4  # glitches are short: more episodes of them
 FALSE_ALARM_GOAL = 1e-8
@@ -58,7 +59,7 @@ class Campaign(NamedTuple):
     def misses(self) -> list[str]:
         """Every goal that was missed."""
         missed = [
-            f"{SETTINGS[setting].name}, {CLASSES[fault_class].name}: {miss}"
+            f"{ALL_SETTINGS[setting].name}, {CLASSES[fault_class].name}: {miss}"
             for (setting, fault_class), tally in self.tallies.items()
             for miss in tally.misses
         ]
@@ -82,7 +83,7 @@ def groups(seed: int, episodes: int, settings: Sequence[int] = USUAL) -> Iterato
 def run_group(group: Group) -> tuple[Group, Tally]:
     """Get the machine to its speed, then one episode after the other from there."""
     rng = np.random.default_rng(np.random.SeedSequence(group))
-    setting = SETTINGS[group.setting]
+    setting = ALL_SETTINGS[group.setting]
     turning = Turning(setting, speed_of_group(group.group + 7 * group.fault_class, rng), rng)
     tally = Tally(false_alarms=turning.flagged)
     for number in range(EPISODES_OF_GROUP):
@@ -140,7 +141,7 @@ def clean_line(clean: CleanResult) -> str:
 
 
 def _heading(setting: int) -> str:
-    one = SETTINGS[setting]
+    one = ALL_SETTINGS[setting]
     limits = one.config.limits
     return (
         f"{one.name}: residual limit {one.residual_limit:.3f} cycle, amplitude "
@@ -159,7 +160,7 @@ def as_markdown(result: Campaign) -> str:
 def as_json(result: Campaign) -> str:
     """All sums, for a program."""
     settings = {
-        SETTINGS[n].name: {fc.name: result.tallies[n, m].record() for m, fc in enumerate(CLASSES)}
+        ALL_SETTINGS[n].name: {fc.name: result.tallies[n, m].record() for m, fc in enumerate(CLASSES)}
         for n in result.settings
     }
     sums = {"faulty": result.faulty, "settings": settings, "clean": asdict(result.clean)}
@@ -174,7 +175,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--clean", type=int, default=10_000_000, metavar="N", help="clean samples")
     parser.add_argument("--seed", type=int, default=1997)
     parser.add_argument("--processes", type=int, default=2, metavar="N")
-    names = [one.name for one in SETTINGS]
+    names = [one.name for one in ALL_SETTINGS]
     parser.add_argument("--setting", choices=names, help="only this one (default: all without third order)")
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables as Markdown")
     parser.add_argument("--json", action="store_true", help="print all sums as JSON instead")

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from canfb.signal.stream import process_stream
 from tools.faults.chain.judge import HARM_CYCLES
-from tools.faults.chain.plant import ENCODER, SETTINGS, TOP_CYCLES, USUAL, Counts, FloatArray, Setting
+from tools.faults.chain.plant import ENCODER, SETTINGS, TOP_CYCLES, Counts, FloatArray, Setting
 
 CHUNK_SAMPLES = 1_000_000
 RIPPLE_PART = 0.25  # of the largest acceleration; the ramps have the rest
@@ -41,7 +41,7 @@ class CleanResult:
 def run_clean(seed: int, chunk: int, samples: int) -> CleanResult:
     """One chunk, from standstill on; the settings take turns."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, chunk, 1 << 20]))
-    setting = SETTINGS[USUAL[chunk % len(USUAL)]]
+    setting = SETTINGS[chunk % len(SETTINGS)]
     truth = clean_motion(setting.acceleration, samples, rng)
     sine, cosine = ENCODER.sample(truth, rng)
     valid, error, residual = judge_clean(setting, sine, cosine, truth)

@@ -12,8 +12,8 @@ and never ends, and each step of it is the only possible one. So when all that a
 samples, these are right.
 
 More samples may have been bad than assumed. Random phases pass by chance, each new one with a probability of
-twice the residual limit. So unless samples were only missed, so many must follow that it is below 1e-5, and
-the motion must be as smooth as before.
+twice the residual limit. So unless samples were only missed, so many must follow that it is below 1e-5, the
+motion must be as smooth as before, and the same phase again and again in motion decides nothing.
 """
 
 from __future__ import annotations
@@ -131,7 +131,11 @@ class Trial:
         agreed = all(one.spots == left[0].spots for one in left)
         if not agreed or self._followed < (DETERMINING if self._only_missed else self.enough):
             return Verdict.OPEN
-        if self._only_missed or min(one.rough for one in left) <= self._most_rough():
+        if self._only_missed:
+            return Verdict.DECIDED
+        if _repeats(left[0].spots):
+            return Verdict.OPEN
+        if min(one.rough for one in left) <= self._most_rough():
             return Verdict.DECIDED
         self._is_lost = True
         return Verdict.LOST
@@ -158,6 +162,11 @@ class Trial:
         if len(cycles) > 1:
             self._is_lost = True
         return one.extended(cycles[0], phase, time) if len(cycles) == 1 else None
+
+
+def _repeats(spots: Sequence[Spot]) -> bool:
+    """The same phase again and again in motion: a converter may be dead since the fault."""
+    return len({spot.phase for spot in spots}) == 1 and spots[0].cycles != spots[-1].cycles
 
 
 def _until(good: tuple[Spot, ...], speed_cycles: float = 0.0) -> Trajectory:
