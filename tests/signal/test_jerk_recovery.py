@@ -19,7 +19,7 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.limits import PHASE_ERROR_CYCLES
 from canfb.signal.recovery.jerk_recovery import JerkRecovery
-from canfb.signal.recovery.trajectory import MotionLimits, Spot, Trajectory
+from canfb.signal.recovery.parabola import MotionLimits, Parabola, Spot
 from canfb.signal.sample import Sample
 from canfb.signal.third_order import ThirdOrderTracker
 from folding import each
@@ -205,7 +205,7 @@ def test_the_true_count_is_always_among_the_continuations(
     for part in (-0.99, 0.0, 0.99):
         gone = missed * (missed + 1) * (missed + 2) / 6.0 * part * jerk
         x = phase + speed * end + acceleration * end * end / 2 + gone
-        counts = Trajectory(spots).continuations(x - math.floor(x), float(end), limits)
+        counts = Parabola(spots).continuations(x - math.floor(x), float(end), limits)
         assert math.floor(x) in counts or abs(x - round(x)) < 1e-9
 
 

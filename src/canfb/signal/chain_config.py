@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 from canfb.checks import integer_in
 from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.recovery.parabola import MotionLimits
 from canfb.signal.recovery.recovery import COAST_SAMPLES
-from canfb.signal.recovery.trajectory import MotionLimits
 from canfb.signal.supervision import SampleLimits
 from canfb.signal.third_order import SECOND, check_order
 from canfb.signal.tracker import RESIDUAL_LIMIT, check_residual_limit

@@ -122,7 +122,11 @@ class ThirdOrderTracker(Tracker):
     def set_full_state(
         self, third: float, before: float, phase: float, cycles: int, step: int, bend: int
     ) -> None:
-        """Set what :meth:`full_state` gives; the tracker is steady then."""
+        """Set what :meth:`full_state` gives; the tracker is steady then.
+
+        ``third``, ``before`` and ``phase`` are those of the last three samples, ``step`` the cycles from one
+        to the next, and ``bend`` by how many these differ from those before.
+        """
         super().set_state(before, phase, cycles, step)
         self._phase_third, self._bend = third, bend
         self._elapsed_before, self._known = 1.0, 3
@@ -136,7 +140,10 @@ class ThirdOrderTracker(Tracker):
     def set_three(
         self, third: Track, before: Track, last: Track, elapsed_before: float, elapsed: float
     ) -> None:
-        """Go on from three samples, so many intervals apart, oldest first."""
+        """Go on from three samples, ``third``, ``before`` and ``last``, oldest first.
+
+        ``elapsed_before`` intervals are between the first two, ``elapsed`` between the last two.
+        """
         self.set_places(before, last, elapsed)
         self._phase_third, self._elapsed_before = third.phase, elapsed_before
         self._bend = self._step - (before.cycles - third.cycles)
@@ -207,7 +214,7 @@ class ThirdOrderTracker(Tracker):
         self._find_steady()
 
     def skip(self, elapsed: float = 1.0) -> None:
-        """As :meth:`Tracker.skip`."""
+        """Step over ``elapsed`` intervals, as :meth:`Tracker.skip`."""
         super().skip(elapsed)
         self._steady = False
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from canfb.signal.blocks import Scratch
 from canfb.signal.recovery.bridge import Place
+from canfb.signal.recovery.parabola import MotionLimits, Parabola, Spot
 from canfb.signal.recovery.recovery import Recovery
-from canfb.signal.recovery.trajectory import MotionLimits, Spot, Trajectory
-from canfb.signal.recovery.trial import Trial, Verdict
+from canfb.signal.recovery.trial import Trial, TrialResult
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.third_order import SECOND, THIRD, ThirdOrderTracker
 from canfb.signal.tracker import Track, TrackResult
@@ -118,7 +118,7 @@ class JerkRecovery(Recovery):
             return track, VALID
         if settled and (elapsed < 1.5 or next_one):
             track = self._parabola.look(phase, elapsed)
-            cycles = self._trajectory().continuations(phase, elapsed, self._limits)
+            cycles = self._parabola_now().continuations(phase, elapsed, self._limits)
             if len(cycles) == 1:
                 track = track._replace(cycles=cycles[0], ok=True)
                 self._accept(track, elapsed)
@@ -159,9 +159,9 @@ class JerkRecovery(Recovery):
         """A sample while the position is in doubt."""
         trial = self._begin_trial()
         verdict = trial.meet(phase, elapsed)
-        if verdict is Verdict.DECIDED:
+        if verdict is TrialResult.DECIDED:
             return self._adopt_three(trial.places), VALID
-        if verdict is Verdict.LOST or trial.is_over(self.coast_samples):
+        if verdict is TrialResult.LOST or trial.is_over(self.coast_samples):
             self.lose()
             return self._count_on(phase, elapsed)
         self._parabola.skip(elapsed)
@@ -190,10 +190,10 @@ class JerkRecovery(Recovery):
             self._trial = Trial(before, self._limits, self._parabola.step_cycles)
         return self._trial
 
-    def _trajectory(self) -> Trajectory:
+    def _parabola_now(self) -> Parabola:
         """The samples that predict the next one; their times count up to the last, at 0."""
         spots, time = [], 0.0
         for cycles, phase, elapsed in list(self._places)[-self._parabola.known :][::-1]:
             spots.append(Spot(cycles, phase, time))
             time -= elapsed
-        return Trajectory(tuple(spots[::-1]), self._parabola.step_cycles)
+        return Parabola(tuple(spots[::-1]), self._parabola.step_cycles)

@@ -19,7 +19,7 @@ from canfb.signal.blocks import Scratch
 from canfb.signal.phase import FloatArray
 from canfb.signal.recovery.bridge import Place, accelerations
 from canfb.signal.recovery.doubt import Doubt, Undecided
-from canfb.signal.recovery.trajectory import MotionLimits
+from canfb.signal.recovery.parabola import MotionLimits
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.tracker import RESIDUAL_LIMIT, Track, Tracker, TrackResult
 from canfb.signal.tracking import steady_run

@@ -6,7 +6,7 @@ Nothing is assumed of the acceleration. The jerk is within its limits, and
 - a residual over its limit says that one sample is bad, this one or one of the three before it.
 
 Each possibility is followed as a trajectory of its own. It ends where no cycle count of the next sample
-is within the limits (:mod:`canfb.signal.recovery.trajectory`): what it assumed is not so. Where more than one
+is within the limits (:mod:`canfb.signal.recovery.parabola`): what it assumed is not so. Where more than one
 is, no sample that comes can decide, and the position is lost. The true possibility is among those followed
 and never ends, and each step of it is the only possible one. So when all that are left agree on the last
 samples, these are right.
@@ -24,11 +24,11 @@ from collections.abc import Sequence
 from enum import Enum
 
 from canfb.signal.recovery.bridge import Place
-from canfb.signal.recovery.trajectory import (
+from canfb.signal.recovery.parabola import (
     ROUGHNESS_CYCLES,
     MotionLimits,
+    Parabola,
     Spot,
-    Trajectory,
     third_differences,
 )
 from canfb.signal.tracker import Track
@@ -44,7 +44,7 @@ MOST_CHANCE = 0.9  # of one sample: as many confirm as ever do
 LONGEST_TRIAL = 32  # intervals, beyond those that may be coasted
 
 
-class Verdict(Enum):
+class TrialResult(Enum):
     """Of the samples so far."""
 
     OPEN = "more samples must confirm"
@@ -92,7 +92,7 @@ class Trial:
         self._last_good *= factor
         self._before = _rescaled(self._before, factor)
         self._possible = [
-            Trajectory(_rescaled(one.spots, factor), one.speed_cycles / factor, one.rough)
+            Parabola(_rescaled(one.spots, factor), one.speed_cycles / factor, one.rough)
             for one in self._possible
         ]
 
@@ -106,7 +106,7 @@ class Trial:
         newest = Spot(0, phase, self._now)
         for count in range(1, DOUBTED_BEFORE + 1):
             good, later = self._before[:-count], self._before[len(self._before) - count + 1 :]
-            here: Trajectory | None = _until(good)
+            here: Parabola | None = _until(good)
             for spot in (*later, newest):
                 here = here and self._extended(here, spot.phase, spot.time)
             if here is not None:
@@ -118,7 +118,7 @@ class Trial:
         self._followed = 0
         self._only_missed &= missed
 
-    def meet(self, phase: float, elapsed: float) -> Verdict:
+    def meet(self, phase: float, elapsed: float) -> TrialResult:
         """A sample that passed its own checks, ``elapsed`` intervals after the one before."""
         self._now += elapsed
         self._followed += 1
@@ -126,19 +126,19 @@ class Trial:
         left = [one for one in extended if one is not None]
         if self._is_lost or not left:
             self._is_lost = True
-            return Verdict.LOST
+            return TrialResult.LOST
         self._possible, self._last_good = left, self._now
         agreed = all(one.spots == left[0].spots for one in left)
         if not agreed or self._followed < (DETERMINING if self._only_missed else self.enough):
-            return Verdict.OPEN
+            return TrialResult.OPEN
         if self._only_missed:
-            return Verdict.DECIDED
+            return TrialResult.DECIDED
         if _repeats(left[0].spots):
-            return Verdict.OPEN
+            return TrialResult.OPEN
         if min(one.rough for one in left) <= self._most_rough():
-            return Verdict.DECIDED
+            return TrialResult.DECIDED
         self._is_lost = True
-        return Verdict.LOST
+        return TrialResult.LOST
 
     def _most_rough(self) -> float:
         """Of a motion that goes on as before; the last samples may have been bad, and do not count."""
@@ -156,7 +156,7 @@ class Trial:
         waited = self._now - self._last_good >= coast_samples + 0.5
         return self._is_lost or waited or self._now > coast_samples + LONGEST_TRIAL
 
-    def _extended(self, one: Trajectory, phase: float, time: float) -> Trajectory | None:
+    def _extended(self, one: Parabola, phase: float, time: float) -> Parabola | None:
         """``one`` with this sample; None if it cannot be on it. Lost if it can be in several places."""
         cycles = one.continuations(phase, time, self.limits)
         if len(cycles) > 1:
@@ -169,10 +169,10 @@ def _repeats(spots: Sequence[Spot]) -> bool:
     return len({spot.phase for spot in spots}) == 1 and spots[0].cycles != spots[-1].cycles
 
 
-def _until(good: tuple[Spot, ...], speed_cycles: float = 0.0) -> Trajectory:
+def _until(good: tuple[Spot, ...], speed_cycles: float = 0.0) -> Parabola:
     """The trajectory that ends with these samples; the last ones of them are to be smooth, too."""
     rough = max(third_differences(good)[-DOUBTED_BEFORE:], default=0.0) - ROUGHNESS_CYCLES
-    return Trajectory(good, speed_cycles, max(0.0, rough))
+    return Parabola(good, speed_cycles, max(0.0, rough))
 
 
 def _spots(places: Sequence[Place]) -> tuple[Spot, ...]:

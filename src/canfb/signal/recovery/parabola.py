@@ -78,7 +78,7 @@ class Spot(NamedTuple):
     time: float
 
 
-class Trajectory:
+class Parabola:
     """The last samples of a motion, at most three, and where it can go on.
 
     ``speed_cycles``: that of a machine of which a single sample is known, cycles per interval. ``rough``: the
@@ -110,10 +110,10 @@ class Trajectory:
         away = (cycles - self.spots[-1].cycles) + phase - self._ahead(time)
         return max(0.0, abs(away) - spare * weights / 8.0) / max(scale, weights / 8.0)
 
-    def extended(self, cycles: int, phase: float, time: float) -> Trajectory:
+    def extended(self, cycles: int, phase: float, time: float) -> Parabola:
         """This trajectory with one more sample."""
         rough = max(self.rough, self.roughness(cycles, phase, time, ROUGHNESS_CYCLES))
-        return Trajectory((*self.spots, Spot(cycles, phase, time)), rough=rough)
+        return Parabola((*self.spots, Spot(cycles, phase, time)), rough=rough)
 
     def predict(self, time: float) -> Track:
         """The position at this time with the last acceleration; never ok."""
@@ -160,4 +160,4 @@ def _way(old: Spot, new: Spot) -> float:
 
 def third_differences(spots: Sequence[Spot]) -> list[float]:
     """Their size along a motion, of samples one interval apart, oldest first, cycles."""
-    return [Trajectory(tuple(spots[k - 3 : k])).roughness(*spots[k]) for k in range(3, len(spots))]
+    return [Parabola(tuple(spots[k - 3 : k])).roughness(*spots[k]) for k in range(3, len(spots))]
