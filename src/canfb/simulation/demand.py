@@ -160,7 +160,7 @@ def of_drive(motor: MotorConfig, module: ChainConfig, rate_hz: float, revolution
     able = (motor.rated_torque_nm + motor.coulomb_friction_nm) / motor.inertia_kg_m2
     speed = revolutions_s * module.cycles_per_revolution / rate_hz
     demand = MotionDemand("drive", module, rate_hz, speed, able, jerk_rad_s3=able * rate_hz)
-    # A step of the torque asks as much of third-order prediction as that acceleration of eq. 9, but for margins.
+    # A step of the torque asks as much of third-order prediction as of eq. 9, but for the margins.
     followed = demand.left_rad_s3 / rate_hz if demand.module.prediction_order == THIRD else demand.left_rad_s2
     followed *= motor.inertia_kg_m2  # torque, Nm
     share = (followed - motor.coulomb_friction_nm) / motor.rated_torque_nm
