@@ -87,6 +87,8 @@ SUPERVISION_COAST: Final = Multiplexer(0x2010, 3)
 SUPERVISION_FROZEN: Final = Multiplexer(0x2010, 4)
 SUPERVISION_COARSE_LIMIT: Final = Multiplexer(0x2010, 5)
 SUPERVISION_PERIODS: Final = Multiplexer(0x2010, 6)
+SUPERVISION_ORDER: Final = Multiplexer(0x2010, 7)
+SUPERVISION_JERK: Final = Multiplexer(0x2010, 8)
 
 FEEDBACK_STATUS: Final = Multiplexer(0x2011, 1)
 FEEDBACK_RESIDUAL: Final = Multiplexer(0x2011, 2)

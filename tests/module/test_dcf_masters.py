@@ -58,6 +58,7 @@ SOURCES: dict[str, tuple[dict[str, Any], list[Write]]] = {
     "as delivered": ({}, []),
     "16 bits": ({"adc_bits": 16, "cycles_per_revolution": 1024, "encoder_interface": 0x11}, []),
     "conditioning": ({"conditioning": CONDITIONING, "max_acceleration_rad_s2": 1234.567}, []),
+    "a servo": ({"prediction_order": 3, "max_jerk_rad_s3": 785_000.0}, []),
     "table": ({"conditioning": CONDITIONING, "adc_bits": 14}, WITH_TABLE),
     "not valid": ({}, [write(0x1801, 2, 1, 0xFC), write(0x1801, 1, 4, 0xC0000500)]),
     "PDOs": ({"coast_samples": 11, "autostart": True}, OTHER_PDOS),

@@ -23,7 +23,8 @@ from canfb.signal.phase import phase_in_cycle
 from canfb.signal.recovery.recovery import COAST_SAMPLES, Recovery
 from canfb.signal.sample import Sample
 from canfb.signal.stream import process_stream
-from canfb.signal.tracker import Tracker, TrackResult, track
+from canfb.signal.tracker import Tracker, TrackResult
+from canfb.signal.tracking import track
 from folding import each
 
 PLACES = np.arange(64) / 64

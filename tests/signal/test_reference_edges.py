@@ -80,6 +80,8 @@ def test_what_the_coarse_track_has_contradicted_it_sets_right_again() -> None:
 class Noted:
     """A recovery that notes what it is told."""
 
+    order, in_doubt = 2, False
+
     def __init__(self, lost: bool) -> None:
         self.lost = lost
         self.told: list[tuple[int, int]] = []

@@ -18,7 +18,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.stream import process_stream
-from canfb.signal.tracker import track
+from canfb.signal.tracking import track
 
 ANGLE = np.linspace(0.0, 40 * np.pi, 1000)
 SINE, COSINE = 1500 * np.sin(ANGLE), 1500 * np.cos(ANGLE)

@@ -254,3 +254,12 @@ def test_wrong_options_are_refused(wrong: list[str], capsys: pytest.CaptureFixtu
         campaign.main(wrong)
     assert stop.value.code == 2
     assert "must be" in capsys.readouterr().err
+
+
+def test_a_servo_with_third_order_prediction() -> None:
+    result = campaign.campaign(seed=5, episodes=2, clean=0, processes=1, settings=(3,))
+    assert result.misses() == []
+    assert {setting for setting, _ in result.tallies} == {3}
+    lost_one = result.tallies[3, [one.name for one in CLASSES].index("lost, 1")]
+    assert (lost_one.episodes, lost_one.lost) == (10, 0)
+    assert "third-order prediction" in campaign.as_text(result)

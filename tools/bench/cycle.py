@@ -162,10 +162,12 @@ def encoder_table() -> canfb.CorrectionTable:
     return canfb.CorrectionTable(ideal + 0.01 * np.sin(2 * np.pi * (ideal + 0.1)))
 
 
-def feedback_module() -> canfb.FeedbackModule:
+def feedback_module(order: int = 2) -> canfb.FeedbackModule:
     """The module as it is delivered, operational, with an active correction table."""
     module = canfb.FeedbackModule(
-        canfb.ModuleConfig(node_id=NODE_ID, encoder_interface=ENCODER_INTERFACE, autostart=True)
+        canfb.ModuleConfig(
+            node_id=NODE_ID, encoder_interface=ENCODER_INTERFACE, autostart=True, prediction_order=order
+        )
     )
     module.start(0.0)
     table = encoder_table()
@@ -186,8 +188,8 @@ def adc_data(cycles: int) -> list[bytes]:
 class ModuleRun:
     """The module, cycle by cycle; what it sends is checked at the end."""
 
-    def __init__(self, cycles: int) -> None:
-        self.module = feedback_module()
+    def __init__(self, cycles: int, order: int = 2) -> None:
+        self.module = feedback_module(order)
         self.sync = canfb.Frame(SYNC, b"")
         self.samples = [canfb.Frame(ADC_PDO, data) for data in adc_data(cycles)]
         self.now = 0.0
@@ -353,11 +355,14 @@ def sample_comparisons(cycles: int) -> list[Comparison]:
 
 def comparisons(cycles: int, samples: int) -> list[Comparison]:
     module = ("canfb.FeedbackModule: ADC PDO, SYNC in, position out", ModuleRun(cycles))
+    third = ("the same, with third-order prediction", ModuleRun(cycles, 3))
+    second = ("canfb.FeedbackModule as delivered", ModuleRun(cycles))
     null_bus = cast(can.BusABC, NullBus())
     frames, messages = StockRun(StockNetwork(), cycles), StockRun(canopen.Network(null_bus), cycles)
     unit, scale = "us per cycle", 1e6 / cycles
     return [
         Comparison("cycle", module, ("canopen.LocalNode with atan2", frames), unit, scale, goal=1.0),
+        Comparison("cycle, third order", third, second, unit, scale, goal=1.05),
         Comparison("cycle, can.Message", module, ("the same, with a can.Message", messages), unit, scale),
         *array_comparisons(samples),
         *sample_comparisons(cycles),

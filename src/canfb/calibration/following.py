@@ -14,7 +14,8 @@ import numpy as np
 
 from canfb.calibration.motion_blocks import IntArray, cut
 from canfb.signal.phase import FloatArray
-from canfb.signal.tracker import Tracker, track
+from canfb.signal.tracker import Tracker
+from canfb.signal.tracking import track
 
 # Cycles per sample: far beyond 3000 rpm of 5000 cycles at 1 kHz.
 FASTEST = 512.0

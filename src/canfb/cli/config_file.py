@@ -24,6 +24,8 @@ modules:                                        # one process serves several nod
     residual_limit: 0.3333                      # cycles; the paper's 1/3
     coast_samples: 3                            # bad samples to bridge before the position is lost
     autostart: false                            # true: OPERATIONAL without a master
+    # prediction_order: 3                       # a servo: the limit bounds its jerk, not its acceleration
+    # max_jerk_rad_s3: 785000                   # and narrows it, if it is known (2010:08)
     # predict: true                             # synchronous PDOs carry the position of their SYNC (2013h)
     # nominal_sync: true                        # the position of a SYNC without jitter (2013:02)
     # state_dir: /var/lib/canfb/x               # storage of `save` (1010h); without it, nothing is saved

@@ -21,7 +21,8 @@ RPM = 60.0 / (2.0 * math.pi)
 
 
 class JitterWatch:
-    """Compares the speed with what 4 v j < L - a allows for the measured jitter j (docs/time.md).
+    """Compares the speed with what 4 v j < L - a allows for the measured jitter j (docs/time.md); 8 v j with
+    third-order prediction.
 
     Only receive times that the bus gives measure the SYNC; without them nothing is said. ``warn`` gets
     one line.
@@ -49,17 +50,19 @@ class JitterWatch:
     @property
     def max_speed_rad_s(self) -> float:
         """The largest speed for this jitter, rad/s; inf without jitter."""
-        left = self._limits.residual_limit_cycles - self._limits.acceleration_cycles
+        left = self._limits.residual_limit_cycles - self._limits.motion_cycles
         jitter_s = self.jitter_s
         if jitter_s <= 0.0:
             return math.inf
-        return max_speed(self._cycles_per_revolution.value, jitter_s, left) if left > 0.0 else 0.0
+        return self._max_speed(jitter_s, left) if left > 0.0 else 0.0
+
+    def _max_speed(self, jitter_s: float, left: float) -> float:
+        return max_speed(self._cycles_per_revolution.value, jitter_s, left, self._limits.order)
 
     def in_words(self) -> str:
         """The largest speeds for two jitters, by the parameters of the module."""
         left = self._limits.residual_limit_cycles
-        cycles = self._cycles_per_revolution.value
-        speeds = (f"{max_speed(cycles, us * 1e-6, left) * RPM:.3g} rpm at ±{us} µs" for us in EXAMPLES_US)
+        speeds = (f"{self._max_speed(us * 1e-6, left) * RPM:.3g} rpm at ±{us} µs" for us in EXAMPLES_US)
         return f"without sample times the jitter of SYNC limits the speed: {', '.join(speeds)}"
 
     def look(self, last: Feedback, now: float) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from canfb.checks import flag, integer_in
 from canfb.device.lss.lss import UNCONFIGURED as UNCONFIGURED  # for readers of configurations
 from canfb.signal.chain_config import ChainConfig
 from canfb.sources.source_config import SourceConfig
+
+MOST_ACCELERATION_RAD_S2, MOST_JERK_RAD_S3 = 1e9, 1e15  # 2010:02, 2010:08
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,8 +27,11 @@ class ModuleConfig(ChainConfig):
                              (RPDO1: 2000:01, :02, :05), 8 bytes. Not used with a source
     source                   source of the samples instead of the ADC PDO; None: the PDO
     max_acceleration_rad_s2  largest acceleration of the machine, 0..1e9 (2010:02); 0 = not known
+    max_jerk_rad_s3          largest jerk of the machine, 0..1e15 (2010:08), for prediction_order 3; 0 = not
+                             known
     predict                  what synchronous TPDOs send, 0..2 (2013:01): False the measured position, True
-                             (or 1) that at their SYNC with constant speed, 2 with constant acceleration
+                             (or 1) that at their SYNC with constant speed, 2 with constant acceleration;
+                             with prediction_order 3 always with constant acceleration
     nominal_sync             True: with ``times`` the position is that of a SYNC without jitter (2013:02)
     sync_timeout_periods     2..255 periods without SYNC or sample until the position is not valid
                              (2010:06)
@@ -40,6 +46,7 @@ class ModuleConfig(ChainConfig):
     times: bool = False
     source: SourceConfig | None = None
     max_acceleration_rad_s2: float = 0.0
+    max_jerk_rad_s3: float = 0.0
     predict: bool | int = False
     nominal_sync: bool = False
     sync_timeout_periods: int = 2
@@ -56,11 +63,8 @@ class ModuleConfig(ChainConfig):
             raise ValueError(f"source must be a configuration of a source, not {self.source!r}")
         if self.source is None and self.encoder_interface == self.node_id:
             raise ValueError(f"encoder_interface must differ from node_id {self.node_id}")
-        if (
-            not isinstance(self.max_acceleration_rad_s2, (int, float))
-            or not 0.0 <= self.max_acceleration_rad_s2 <= 1e9
-        ):
-            raise ValueError("max_acceleration_rad_s2 must be 0 (not known) or positive, at most 1e9")
+        _check_largest("max_acceleration_rad_s2", self.max_acceleration_rad_s2, MOST_ACCELERATION_RAD_S2)
+        _check_largest("max_jerk_rad_s3", self.max_jerk_rad_s3, MOST_JERK_RAD_S3)
         if not isinstance(self.predict, int) or not 0 <= self.predict <= 2:
             raise ValueError(f"predict must be false, true, or 0, 1 or 2, not {self.predict!r}")
         integer_in("sync_timeout_periods", self.sync_timeout_periods, 2, 255)
@@ -72,3 +76,8 @@ class ModuleConfig(ChainConfig):
 
 def _is_folder_name(name: object) -> bool:
     return isinstance(name, str) and bool(name.strip()) and "\0" not in name
+
+
+def _check_largest(name: str, value: object, most: float) -> None:
+    if not isinstance(value, (int, float)) or not 0.0 <= value <= most:
+        raise ValueError(f"{name} must be 0 (not known) or positive, at most 1e{round(math.log10(most))}")

@@ -11,11 +11,17 @@ from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.position import distinguishable_revolutions, single_turn_resolution
 from canfb.module.interval import IntervalEstimate
-from canfb.module.module_config import ModuleConfig
+from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, MOST_JERK_RAD_S3, ModuleConfig
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainLimits
-from canfb.signal.limits import cycles_per_interval_squared, narrowed_residual_limit
+from canfb.signal.limits import (
+    cycles_per_interval_cubed,
+    cycles_per_interval_squared,
+    limit_narrowed_by_jerk,
+    narrowed_residual_limit,
+)
 from canfb.signal.supervision import SampleLimits
+from canfb.signal.third_order import SECOND
 
 LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
 # RPDO1: sine, cosine, sample time.
@@ -45,6 +51,8 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         od.SUPERVISION_COAST: config.coast_samples,
         od.SUPERVISION_FROZEN: config.frozen_samples,
         od.SUPERVISION_COARSE_LIMIT: max(1, round(config.coarse_limit_revolutions * LIMIT_UNITS)),
+        od.SUPERVISION_ORDER: config.prediction_order,
+        od.SUPERVISION_JERK: config.max_jerk_rad_s3,
         od.SUPERVISION_PERIODS: config.sync_timeout_periods,
         od.PREDICTION_POSITION: int(config.predict),
         od.PREDICTION_NOMINAL_SYNC: int(config.nominal_sync),
@@ -90,28 +98,35 @@ class Limits:
         self._low, self._high = entry(*od.ENCODER_LOWEST_AMPLITUDE), entry(*od.ENCODER_HIGHEST_AMPLITUDE)
         self._residual = entry(*od.SUPERVISION_RESIDUAL_LIMIT)
         self._acceleration = entry(*od.SUPERVISION_ACCELERATION)
+        self._order, self._jerk = entry(*od.SUPERVISION_ORDER), entry(*od.SUPERVISION_JERK)
         self._coast, self._frozen = entry(*od.SUPERVISION_COAST), entry(*od.SUPERVISION_FROZEN)
         self._coarse = entry(*od.SUPERVISION_COARSE_LIMIT)
         self._applied_s = 0.0
         self.narrowed = False
-        """A known acceleration narrows the residual limit; it then depends on the sampling interval."""
+        """A known acceleration or jerk narrows a residual limit; it then depends on the sampling interval."""
         self.residual_limit_cycles = 0.0
         """The residual limit in force, narrowed or not."""
         self.acceleration_cycles = 0.0
         """The largest acceleration (2010:02), cycles per interval squared; 0.0 if it is not known."""
+        self.motion_cycles = 0.0
+        """What of that limit the motion may use: the residual of the largest acceleration (2010:02), or with
+        third-order prediction of the largest jerk (2010:08), cycles; 0.0 if that is not known."""
         self.in_force = LimitsInForce(0.0, 0, 0, 0.0, 0)
         """All of them, the same object until one changes."""
         self.on_applied: Callable[[], None] | None = None
         self._upper_is_old = False
         self._low.on_check = self._check(lambda low: low < self._high.value or self._upper_is_old)
         self._high.on_check = self._check(lambda high: high > self._low.value)
-        self._acceleration.on_check = self._check(lambda value: 0.0 <= value <= 1e9)
+        self._acceleration.on_check = self._check(lambda value: 0.0 <= value <= MOST_ACCELERATION_RAD_S2)
+        self._jerk.on_check = self._check(lambda value: 0.0 <= value <= MOST_JERK_RAD_S3)
         for changed in (
             self._full_scale,
             self._low,
             self._high,
             self._residual,
             self._acceleration,
+            self._order,
+            self._jerk,
             self._coast,
             self._frozen,
             self._coarse,
@@ -119,6 +134,11 @@ class Limits:
             changed.on_written = self.apply
         self._full_scale.on_written = self._full_scale_written
         self._high.on_written = self._upper_written
+
+    @property
+    def order(self) -> int:
+        """Of the prediction (2010:07)."""
+        return int(self._order.value)
 
     def reset(self) -> None:
         """After a reset of the node: the values of the dictionary belong together."""
@@ -132,17 +152,25 @@ class Limits:
 
     def apply(self) -> None:
         """Put the values of the dictionary in force."""
-        limit = self._residual.value / LIMIT_UNITS
+        limit = speed_limit = self._residual.value / LIMIT_UNITS
         interval_s, cycles = self._interval.known_s, self._cycles_per_revolution.value
-        acceleration = None
+        acceleration = jerk = None
         if interval_s > 0.0 and self._acceleration.value > 0.0:
-            limit = narrowed_residual_limit(limit, self._acceleration.value, cycles, interval_s)
+            speed_limit = narrowed_residual_limit(limit, self._acceleration.value, cycles, interval_s)
             acceleration = cycles_per_interval_squared(self._acceleration.value, cycles, interval_s)
+        if interval_s > 0.0 and self._jerk.value > 0.0:
+            limit = limit_narrowed_by_jerk(limit, self._jerk.value, cycles, interval_s)
+            jerk = cycles_per_interval_cubed(self._jerk.value, cycles, interval_s)
+        if self.order == SECOND:
+            limit, self.motion_cycles = speed_limit, acceleration or 0.0
+        else:
+            self.motion_cycles = jerk or 0.0
         self.residual_limit_cycles, self.acceleration_cycles = limit, acceleration or 0.0
         self.in_force = LimitsInForce(
             limit, self._low.value, self._high.value, self.acceleration_cycles, cycles
         )
-        self._applied_s, self.narrowed = interval_s, self._acceleration.value > 0.0
+        self._applied_s = interval_s
+        self.narrowed = self._acceleration.value > 0.0 or self._jerk.value > 0.0
         self._chain.set_limits(
             ChainLimits(
                 sample=SampleLimits(self._full_scale.value, self._low.value, self._high.value),
@@ -152,6 +180,9 @@ class Limits:
                 frozen_samples=self._frozen.value,
                 coarse_limit_revolutions=self._coarse.value / LIMIT_UNITS,
                 acceleration=acceleration,
+                prediction_order=self.order,
+                jerk=jerk,
+                start_limit=speed_limit,
             )
         )
         if self.on_applied is not None:

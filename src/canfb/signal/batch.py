@@ -11,9 +11,11 @@ from canfb.signal.blocks import BLOCK_SAMPLES, Scratch, blocks
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable, check_table
 from canfb.signal.phase import raw_phase_block, wrap_block
-from canfb.signal.recovery.recovery import COAST_SAMPLES, Recovery
+from canfb.signal.recovery.orders import recovery_of
+from canfb.signal.recovery.recovery import COAST_SAMPLES
 from canfb.signal.supervision import VALID
-from canfb.signal.tracker import RESIDUAL_LIMIT, Tracker, TrackResult, continues
+from canfb.signal.tracker import RESIDUAL_LIMIT, TrackResult
+from canfb.signal.tracking import continues
 from canfb.signal.tracks import check_counts, pair_of_tracks
 
 # After a fault the next one may be near, and what lies behind it is computed in vain.
@@ -27,12 +29,14 @@ def process(
     residual_limit: float = RESIDUAL_LIMIT,
     conditioning: Conditioning | None = None,
     speed_cycles: float = 0.0,
+    prediction_order: int = 2,
 ) -> TrackResult:
     """Tracks to positions: conditioning, Table 1, correction table, eq. 9 and eq. 12.
 
     ``sine`` and ``cosine`` have shape (n,), ADC counts, zero at mid-scale. ``table`` None
     and ``conditioning`` None are the identity. ``speed_cycles`` is the speed at the first
     sample, cycles per sample, with an error of less than half a cycle; default: standstill.
+    ``prediction_order`` 3 predicts with constant acceleration; ``residual_limit`` then limits the jerk.
 
     The result is bit for bit that of :class:`canfb.SignalChain` one sample after the other,
     without limits on amplitude and converter, which depend on the individual encoder
@@ -56,7 +60,7 @@ def process(
     may_be_offset = conditioning is not None
     sines, cosines = pair_of_tracks(sine, cosine, may_be_offset=may_be_offset)
     check_counts(sines, cosines, may_be_offset=may_be_offset)
-    follower = _Follower(residual_limit, speed_cycles)
+    follower = _Follower(residual_limit, speed_cycles, prediction_order)
     result = TrackResult.empty(len(sines))
     for part, scratch in blocks(len(sines)):
         s, c, phase = sines[part], cosines[part], result.phase[part]
@@ -74,9 +78,9 @@ def process(
 class _Follower:
     """Eq. 9 over block after block, as far as nothing is in doubt; :class:`Recovery` for the rest."""
 
-    def __init__(self, residual_limit: float, speed_cycles: float) -> None:
-        self._tracker = Tracker(residual_limit)
-        self._recovery = Recovery(self._tracker, COAST_SAMPLES)
+    def __init__(self, residual_limit: float, speed_cycles: float, order: int) -> None:
+        self._recovery = recovery_of(order, residual_limit, COAST_SAMPLES)
+        self._tracker = self._recovery.tracker
         self._recovery.restart(0, speed_cycles)
         self._run_samples = BLOCK_SAMPLES
 
@@ -101,12 +105,12 @@ class _Follower:
 
     def _run(self, result: TrackResult, start: int, stop: int, scratch: Scratch) -> int:
         """Samples start..stop on arrays, up to the first that leaves the position in doubt, and that one."""
-        state = self._tracker.state()
+        state = self._tracker.snapshot()
         end = self._recovery.follow_run(result, slice(start, stop), scratch)
         if end > start:
             self._recovery.take_run(result, start, end)
         else:
-            self._tracker.set_state(*state)
+            self._tracker.restore(state)
         if self._recovery.lost:
             result.ok[start:end] = False
         if end == stop:

@@ -14,7 +14,7 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.frozen import FrozenInput
 from canfb.signal.phase import FloatArray, raw_phase
 from canfb.signal.recovery.coarse import CoarseTrack
-from canfb.signal.recovery.recovery import Recovery
+from canfb.signal.recovery.orders import recovery_of, successor
 from canfb.signal.recovery.reference import Reference
 from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
@@ -29,7 +29,8 @@ from canfb.signal.supervision import (
     VALID,
     Supervision,
 )
-from canfb.signal.tracker import Track, Tracker, TrackResult
+from canfb.signal.tracker import Track, TrackResult
+from canfb.signal.tracking import write_places_before
 
 MISSED_INTERVALS = 1.5  # since the sample before: one was missed
 STANDSTILL_CYCLES = 0.001  # per interval, on average: what noise and a servo at rest may show
@@ -50,8 +51,8 @@ class SignalChain:
 
     def __init__(self, config: ChainConfig, table: CorrectionTable | None = None) -> None:
         check_config(config)
-        self._tracker = Tracker(config.residual_limit)
-        self._recovery = Recovery(self._tracker, config.coast_samples)
+        self._recovery = recovery_of(config.prediction_order, config.residual_limit, config.coast_samples)
+        self._tracker = self._recovery.tracker
         self._supervision = Supervision(config.limits)
         self._frozen = FrozenInput(config.frozen_samples, self._tracker.residual_limit)
         self._samples = 0
@@ -107,21 +108,33 @@ class SignalChain:
 
     def set_limits(self, limits: ChainLimits) -> None:
         """Take new limits, between two samples. Another encoder resets coarse track and zero pulse."""
-        self._tracker.residual_limit = self._frozen.residual_limit_cycles = limits.residual_limit
+        self._predict_by(limits.prediction_order, limits.residual_limit)
+        self._recovery.set_motion(limits.motion)
+        self._frozen.residual_limit_cycles = limits.residual_limit
         self._supervision.set_limits(limits.sample)
         self._recovery.coast_samples = limits.coast_samples
-        self._recovery.acceleration_limit = limits.acceleration
         self._frozen.frozen_samples = limits.frozen_samples
         if limits.cycles_per_revolution != self._reference.coarse.cycles_per_revolution:
             self._make_reference(limits)
         self._reference.coarse.limit_revolutions = limits.coarse_limit_revolutions
         self._reference.coarse.full_scale_counts = limits.sample.full_scale_counts
 
+    def _predict_by(self, order: int, residual_limit: float) -> None:
+        """Predict by this order from the next sample on; the position stays.
+
+        It is lost if the samples were about to determine it; or if the machine accelerates by more than
+        the prediction of constant speed can follow.
+        """
+        if order == self._recovery.order:
+            return
+        self._recovery = successor(self._recovery, order, residual_limit)
+        self._tracker = self._recovery.tracker
+        self._reference.follow(self._recovery)
+
     def _make_reference(self, limits: ChainLimits) -> None:
         n = limits.cycles_per_revolution
         coarse = CoarseTrack(n, limits.sample.full_scale_counts, limits.coarse_limit_revolutions)
         self._reference = Reference(self._recovery, coarse, ZeroPulse(n))
-        self._recovery.on_lost = self._reference.position_lost
         self._referenced = 0
 
     def activate(self, correction: Correction) -> None:
@@ -281,7 +294,7 @@ class SignalChain:
         """:meth:`step` for a run of samples, one interval apart, that keep the limits of one sample.
 
         Only where :attr:`is_steady`. ``sine[run]``, ``cosine[run]`` are the counts and
-        ``tracked.phase[run]`` the corrected phases; ``run.start`` is at least 2, and the two places
+        ``tracked.phase[run]`` the corrected phases; ``run.start`` is at least 3, and the three places
         before it are overwritten. ``scratch`` has the length of the run. Fills the rest of
         ``tracked[run]``. The result is the number of samples taken: those before the first with a
         residual over the limit (unless the position is lost) or a frozen input. The chain stands
@@ -289,14 +302,13 @@ class SignalChain:
         """
         start: int = run.start
         cycles, phase = tracked.cycles, tracked.phase
-        state = self._tracker.state()
-        phase[start - 2], phase[start - 1], cycles[start - 1], step = state
-        cycles[start - 2] = state[2] - step
+        state = self._tracker.snapshot()
+        write_places_before(self._tracker, tracked, start)
         stop = self._recovery.follow_run(tracked, run, scratch)
         sine[start - 1], cosine[start - 1] = self._sine, self._cosine
         stop = start + self._frozen.take_run(*self._repeats(sine, cosine, tracked, start, stop))
         if stop == start:
-            self._tracker.set_state(*state)
+            self._tracker.restore(state)
             return 0
         last = Track(int(cycles[stop - 1]), float(phase[stop - 1]), float(tracked.residual[stop - 1]), True)
         self._recovery.take_run(tracked, start, stop)

@@ -6,8 +6,10 @@ from dataclasses import dataclass, field
 
 from canfb.checks import integer_in
 from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.recovery.parabola import MotionLimits
 from canfb.signal.recovery.recovery import COAST_SAMPLES
 from canfb.signal.supervision import SampleLimits
+from canfb.signal.third_order import SECOND, check_order
 from canfb.signal.tracker import RESIDUAL_LIMIT, check_residual_limit
 
 # Defaults as parts of the full scale: a usual encoder drives the converter to 60..95 %, and
@@ -21,8 +23,10 @@ class ChainLimits:
     """What a sample is held against; it may change between two samples (2001h, 2010h).
 
     ``sample`` are the limits of one sample, counts; ``acceleration`` is the largest acceleration of the
-    machine, cycles per interval squared, None if it is not known (2010:02). The others are those of
-    :class:`ChainConfig`. ValueError for a bad ``residual_limit``.
+    machine, cycles per interval squared, None if it is not known (2010:02); ``jerk`` its largest jerk, cycles
+    per interval cubed (2010:08). ``start_limit``, for ``prediction_order`` 3, is the residual limit of the
+    samples that eq. 9 predicts, cycles; None: the same. The others are those of :class:`ChainConfig`.
+    ValueError for a bad limit or order.
     """
 
     sample: SampleLimits
@@ -32,9 +36,21 @@ class ChainLimits:
     frozen_samples: int
     coarse_limit_revolutions: float
     acceleration: float | None = None
+    prediction_order: int = SECOND
+    jerk: float | None = None
+    start_limit: float | None = None
 
     def __post_init__(self) -> None:
         check_residual_limit(self.residual_limit)
+        if self.start_limit is not None:
+            check_residual_limit(self.start_limit)
+        check_order("prediction_order", self.prediction_order)
+
+    @property
+    def motion(self) -> MotionLimits:
+        """What the machine can do."""
+        start = self.residual_limit if self.start_limit is None else self.start_limit
+        return MotionLimits(self.residual_limit, start, self.jerk, self.acceleration)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +68,8 @@ class ChainConfig:
                             that moves whole cycles per sample (2010:04): 16 with half a count of noise.
                             0: for a converter without noise, equal samples are not a fault
     coarse_limit_revolutions  largest difference of the coarse track, above 0, at most 0.25 (2010:05)
+    prediction_order        2: constant speed, eq. 9; 3: constant acceleration, so that the residual limit
+                            bounds the jerk (2010:07)
     conditioning            offset, gain and phase error of the tracks (2002h)
     """
 
@@ -63,6 +81,7 @@ class ChainConfig:
     coast_samples: int = COAST_SAMPLES
     frozen_samples: int = 0
     coarse_limit_revolutions: float = 1.0 / 32.0
+    prediction_order: int = SECOND
     conditioning: Conditioning = field(default=IDENTITY)
 
     def __post_init__(self) -> None:
@@ -71,6 +90,7 @@ class ChainConfig:
         integer_in("coast_samples", self.coast_samples, 0, 255)
         integer_in("frozen_samples", self.frozen_samples, 0, 255)
         check_residual_limit(self.residual_limit)
+        check_order("prediction_order", self.prediction_order)
         limit = self.coarse_limit_revolutions
         if not isinstance(limit, (int, float)) or not 0.0 < limit <= 0.25:
             raise ValueError(f"coarse_limit_revolutions must be above 0 and at most 0.25, not {limit!r}")
@@ -107,6 +127,7 @@ class ChainConfig:
             coast_samples=self.coast_samples,
             frozen_samples=self.frozen_samples,
             coarse_limit_revolutions=self.coarse_limit_revolutions,
+            prediction_order=self.prediction_order,
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from canfb.signal.third_order import check_order
 from canfb.signal.tracker import check_residual_limit
 
 
@@ -24,24 +25,41 @@ def max_acceleration(
     return 2.0 * math.pi / cycles_per_revolution * limit * sample_rate_hz**2
 
 
-def max_speed(cycles_per_revolution: float, jitter_s: float, residual_limit: float = 1.0 / 3.0) -> float:
-    """Largest speed in rad/s that eq. 9 follows without sample times if SYNC jitters by ``jitter_s``.
+def max_jerk(cycles_per_revolution: float, sample_rate_hz: float, residual_limit: float = 0.5) -> float:
+    """Largest jerk in rad/s^3 that third-order prediction follows: a jerk j leaves j N/(2 pi) T^3.
+
+    Arguments and errors are those of :func:`max_acceleration`, of which there is no limit then.
+    """
+    return max_acceleration(cycles_per_revolution, sample_rate_hz, residual_limit) * sample_rate_hz
+
+
+def max_speed(
+    cycles_per_revolution: float,
+    jitter_s: float,
+    residual_limit: float = 1.0 / 3.0,
+    prediction_order: int = 2,
+) -> float:
+    """Largest speed in rad/s that is followed without sample times if SYNC jitters by ``jitter_s``.
 
     An error j of the sampling instant is an error v j of the position, which the second difference of
     eq. 9 multiplies by up to four: 4 v j < ``residual_limit`` (cycles, 0 < limit <= 0.5; minus the
-    acceleration in cycles per interval squared). ``cycles_per_revolution`` and ``jitter_s`` are
-    positive. ValueError otherwise.
+    acceleration in cycles per interval squared). With ``prediction_order`` 3 it is the third difference:
+    8 v j, and minus the jerk. ``cycles_per_revolution`` and ``jitter_s`` are positive. ValueError otherwise.
     """
     if not 0.0 < cycles_per_revolution < math.inf:
         raise ValueError(f"cycles_per_revolution must be positive, not {cycles_per_revolution!r}")
     if not 0.0 < jitter_s < math.inf:
         raise ValueError(f"jitter_s must be positive, not {jitter_s!r}")
-    return 2.0 * math.pi / cycles_per_revolution * check_residual_limit(residual_limit) / (4.0 * jitter_s)
+    weights = 2.0 ** check_order("prediction_order", prediction_order)
+    return 2.0 * math.pi / cycles_per_revolution * check_residual_limit(residual_limit) / (weights * jitter_s)
 
 
-# Four times the error of the raw phase without a table (eq. 9 weighs three phases with 1, 2, 1),
-# so that a narrowed limit holds before the reference measurement as well.
+# The error of the raw phase without a table. Eq. 9 weighs three phases with 1, 2, 1, third-order prediction
+# four with 1, 3, 3, 1: with a margin of four or eight times this error a narrowed limit holds before the
+# reference measurement as well.
+PHASE_ERROR_CYCLES = 0.0125
 PHASE_ERROR_MARGIN_CYCLES = 0.05
+JERK_MARGIN_CYCLES = 0.1
 
 
 def narrowed_residual_limit(
@@ -59,11 +77,29 @@ def narrowed_residual_limit(
     return min(residual_limit, expected + PHASE_ERROR_MARGIN_CYCLES)
 
 
+def limit_narrowed_by_jerk(
+    residual_limit: float, max_jerk_rad_s3: float, cycles_per_revolution: float, interval_s: float
+) -> float:
+    """Residual limit of third-order prediction in cycles when the machine's largest jerk is known (2010:08).
+
+    As :func:`narrowed_residual_limit`, with j N/(2 pi) T^3 and twice the margin.
+    """
+    if max_jerk_rad_s3 <= 0.0:
+        return residual_limit
+    expected = cycles_per_interval_cubed(max_jerk_rad_s3, cycles_per_revolution, interval_s)
+    return min(residual_limit, expected + JERK_MARGIN_CYCLES)
+
+
 def cycles_per_interval_squared(
     acceleration_rad_s2: float, cycles_per_revolution: float, interval_s: float
 ) -> float:
     """An acceleration in rad/s^2 as cycles per sampling interval squared."""
     return acceleration_rad_s2 * cycles_per_revolution / (2.0 * math.pi) * interval_s**2
+
+
+def cycles_per_interval_cubed(jerk_rad_s3: float, cycles_per_revolution: float, interval_s: float) -> float:
+    """A jerk in rad/s^3 as cycles per sampling interval cubed."""
+    return jerk_rad_s3 * cycles_per_revolution / (2.0 * math.pi) * interval_s**3
 
 
 MOST_IN_A_ROW = 255

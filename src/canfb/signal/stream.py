@@ -26,8 +26,8 @@ from canfb.signal.supervision import LOST, RESIDUAL, TABLE_ACTIVE, VALID
 from canfb.signal.tracker import TrackResult
 from canfb.signal.tracks import check_counts, pair_of_tracks
 
-# Eq. 9 needs the two samples before.
-BEFORE = 2
+# The prediction needs the two or three samples before.
+BEFORE = 3
 # To start on arrays takes as long as some single samples; fewer than these are taken one by one.
 SHORTEST_BLOCK = 16
 SHORTEST_RUN = 10

@@ -10,14 +10,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from canfb.signal.blocks import Scratch, blocks
-from canfb.signal.double_sum import cycle_counts
-from canfb.signal.phase import FloatArray, real_array
+from canfb.signal.phase import FloatArray
 
 RESIDUAL_LIMIT = 1.0 / 3.0
 MOST_SPEED_CYCLES = float(1 << 31)  # at a start: beyond it a float holds too little of the phase
@@ -91,6 +89,13 @@ class Tracker:
         self.step_cycles = 0.0
         """Speed between the last two samples, in cycles per sampling interval."""
 
+    def take_over(self, old: Tracker) -> None:
+        """Go on where ``old`` is, which predicts by another order."""
+        self.restart(old._cycles, old._start_speed)
+        self._step, self._phase, self._phase_before = old._step, old._phase, old._phase_before
+        self._elapsed, self._gap, self._started = old._elapsed, old._gap, old._started
+        self.step_cycles = old.step_cycles
+
     def halt(self) -> None:
         """Keep the position and forget the speed: the next phase is less than half a cycle away."""
         self._step, self._phase_before = 0, self._phase
@@ -102,6 +107,11 @@ class Tracker:
         self._elapsed *= factor
         self._gap *= factor
         self._find_speed()
+
+    @property
+    def speed_limit(self) -> float:
+        """Residual limit of a sample that eq. 9 predicts, cycles."""
+        return self.residual_limit
 
     @property
     def started(self) -> bool:
@@ -137,6 +147,14 @@ class Tracker:
         self._started, self._elapsed, self._gap = True, 1.0, 0.0
         self._phase_before, self._phase, self._cycles, self._step = phase_before, phase, cycles, step
         self._find_speed()
+
+    def snapshot(self) -> tuple[float | int, ...]:
+        """What :meth:`restore` needs to make a steady tracker again what it is now."""
+        return self.state()
+
+    def restore(self, snapshot: tuple[Any, ...]) -> None:
+        """Set what :meth:`snapshot` gave."""
+        self.set_state(*snapshot)
 
     def set_places(self, before: Track, last: Track, elapsed: float) -> None:
         """Go on from two samples, ``before`` and ``last``, ``elapsed`` intervals apart."""
@@ -270,93 +288,6 @@ class TrackResult:
         return cls(
             np.empty(samples, np.int64), np.empty(samples), np.empty(samples), np.empty(samples, np.bool_)
         )
-
-
-def track(
-    phase: npt.ArrayLike, residual_limit: float = RESIDUAL_LIMIT, speed_cycles: float = 0.0
-) -> TrackResult:
-    """:class:`Tracker` over an array of phases, vectorised; bit for bit the same result.
-
-    ``phase`` has shape (n,), cycles, 0 <= phase < 1, NaN where a sample has no phase.
-    ``speed_cycles`` is the speed at the first phase, cycles per sample. As with
-    :class:`Tracker`, ``ok`` says no more than eq. 12: after a start at another speed, and
-    after an error, eq. 9 runs on with a wrong speed and small residuals.
-    :func:`canfb.process` and :func:`canfb.process_stream` say where the position is certain.
-    ValueError for anything else.
-    """
-    phases = real_array("phase", phase)
-    if phases.ndim != 1:
-        raise ValueError(f"phase must have one dimension, not {phases.ndim}")
-    wrong = np.flatnonzero((phases < 0.0) | (phases >= 1.0))
-    if len(wrong):
-        raise ValueError(f"phase must be 0 <= phase < 1 cycle, not {phases[wrong[0]]!r} at {wrong[0]}")
-    result = TrackResult.empty(len(phases))
-    result.phase[:] = phases
-    tracker = Tracker(residual_limit, speed_cycles)
-    for part, scratch in blocks(len(phases)):
-        track_block(tracker, result, part, scratch)
-    return result
-
-
-def track_block(tracker: Tracker, result: TrackResult, part: slice, scratch: Scratch) -> None:
-    """Continue ``tracker`` over ``result.phase[part]`` (unchecked), as :meth:`Tracker.update` would.
-
-    Fills ``result[part]``. Blocks follow each other from the first sample on.
-    """
-    start = part.start
-    np.isnan(result.phase[part], out=scratch.bit)
-    for gap in (np.flatnonzero(scratch.bit) + start).tolist():
-        if gap >= start:
-            steady_run(tracker, result, start, gap, scratch)
-            start = _step_over(tracker, result, gap, part.stop)
-    steady_run(tracker, result, start, part.stop, scratch)
-
-
-def _step_over(tracker: Tracker, result: TrackResult, at: int, stop: int) -> int:
-    """Samples without a phase, and the two after them, one by one; where to go on."""
-    usable = 0
-    while at < stop and usable < 2:
-        usable = 0 if math.isnan(result.phase[at]) else usable + 1
-        _take_one(tracker, result, at)
-        at += 1
-    return at
-
-
-def _take_one(tracker: Tracker, result: TrackResult, at: int) -> None:
-    one = tracker.update(float(result.phase[at]))
-    result.cycles[at], result.phase[at], result.residual[at], result.ok[at] = one
-
-
-def continues(tracker: Tracker, result: TrackResult, at: int) -> bool:
-    """True if the two phases that eq. 9 needs stand in the result just before ``at``."""
-    return (
-        at >= 2 and tracker.is_steady and tracker.state()[:2] == (result.phase[at - 2], result.phase[at - 1])
-    )
-
-
-def steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, scratch: Scratch) -> None:
-    """Samples start..stop, all with a phase and one interval apart: an integer double cumulative sum.
-
-    ``scratch`` is at least as long as the run.
-    """
-    while start < stop and not continues(tracker, result, start):
-        _take_one(tracker, result, start)
-        start += 1
-    if start == stop:
-        return
-    _, _, cycles, step = tracker.state()
-    phase, run = result.phase, slice(start, stop)
-    residual = result.residual[run]
-    c, turns = scratch.a[: stop - start], scratch.b[: stop - start]
-    np.multiply(phase[start - 1 : stop - 1], 2.0, out=c)
-    c -= phase[start - 2 : stop - 2]
-    c -= phase[run]
-    np.rint(c, out=turns)
-    np.subtract(turns, c, out=residual)
-    np.abs(residual, out=residual)
-    np.less(residual, tracker.residual_limit, out=result.ok[run])
-    last_step = cycle_counts(turns, cycles, step, result.cycles[run], scratch)
-    tracker.set_state(float(phase[stop - 2]), float(phase[stop - 1]), int(result.cycles[stop - 1]), last_step)
 
 
 def split(position: float) -> tuple[int, float]:

@@ -1,6 +1,6 @@
 """Fault campaign: inject every class of faults at every kind of speed, and count what the chain sees.
 
-    python -m tools.faults.chain.campaign [--episodes N] [--clean N] [--markdown FILE] [--json]
+    python -m tools.faults.chain.campaign [--episodes N] [--clean N] [--setting NAME] [--markdown FILE]
 
 Each episode is a machine turning at up to 3000 rpm with 2500 cycles per revolution, sampled at
 1 kHz with 12 bits, and a fault at a random instant. The result depends on --seed only. Exit status
@@ -23,13 +23,14 @@ try:
     from tools.faults.chain.classes import CLASSES
     from tools.faults.chain.clean import CHUNK_SAMPLES, CleanResult, run_clean
     from tools.faults.chain.judge import judge, play
-    from tools.faults.chain.plant import SETTINGS, Turning, speed_of_group
+    from tools.faults.chain.plant import ALL_SETTINGS, SETTINGS, Turning, speed_of_group
 except ImportError as error:
     sys.exit(f"{error}: run this file with the Python of the virtual environment (make test makes it)")
 import numpy as np
 
 from tools.faults.chain.tally import COLUMNS, Tally, markdown, plain
 
+USUAL = tuple(range(len(SETTINGS)))
 EPISODES_OF_GROUP = 10
 GLITCH_FACTOR = 4  # glitches are short: more episodes of them
 FALSE_ALARM_GOAL = 1e-8
@@ -49,6 +50,7 @@ class Campaign(NamedTuple):
 
     tallies: dict[tuple[int, int], Tally]
     clean: CleanResult
+    settings: Sequence[int] = USUAL
 
     @property
     def faulty(self) -> int:
@@ -57,7 +59,7 @@ class Campaign(NamedTuple):
     def misses(self) -> list[str]:
         """Every goal that was missed."""
         missed = [
-            f"{SETTINGS[setting].name}, {CLASSES[fault_class].name}: {miss}"
+            f"{ALL_SETTINGS[setting].name}, {CLASSES[fault_class].name}: {miss}"
             for (setting, fault_class), tally in self.tallies.items()
             for miss in tally.misses
         ]
@@ -69,9 +71,9 @@ class Campaign(NamedTuple):
         return missed
 
 
-def groups(seed: int, episodes: int) -> Iterator[Group]:
+def groups(seed: int, episodes: int, settings: Sequence[int] = USUAL) -> Iterator[Group]:
     """All groups, in the order of the table."""
-    for setting in range(len(SETTINGS)):
+    for setting in settings:
         for number, fault_class in enumerate(CLASSES):
             wanted = episodes * (GLITCH_FACTOR if fault_class.is_glitch else 1)
             for group in range(max(1, round(wanted / EPISODES_OF_GROUP))):
@@ -81,7 +83,7 @@ def groups(seed: int, episodes: int) -> Iterator[Group]:
 def run_group(group: Group) -> tuple[Group, Tally]:
     """Get the machine to its speed, then one episode after the other from there."""
     rng = np.random.default_rng(np.random.SeedSequence(group))
-    setting = SETTINGS[group.setting]
+    setting = ALL_SETTINGS[group.setting]
     turning = Turning(setting, speed_of_group(group.group + 7 * group.fault_class, rng), rng)
     tally = Tally(false_alarms=turning.flagged)
     for number in range(EPISODES_OF_GROUP):
@@ -94,25 +96,29 @@ def _run_chunk(chunk: tuple[int, int, int]) -> CleanResult:
     return run_clean(*chunk)
 
 
-def campaign(seed: int, episodes: int, clean: int, processes: int) -> Campaign:
-    """Run it all; the result depends on the first three only."""
+def campaign(
+    seed: int, episodes: int, clean: int, processes: int, settings: Sequence[int] = USUAL
+) -> Campaign:
+    """Run it all; the result depends on all but ``processes``."""
     sizes = [min(CHUNK_SAMPLES, clean - begin) for begin in range(0, clean, CHUNK_SAMPLES)]
     chunks = [(seed, number, size) for number, size in enumerate(sizes)]
     if processes == 1:
-        return _collect(map(run_group, groups(seed, episodes)), map(_run_chunk, chunks))
+        return _collect(map(run_group, groups(seed, episodes, settings)), map(_run_chunk, chunks), settings)
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        work = pool.imap(run_group, groups(seed, episodes), chunksize=8)
-        return _collect(work, pool.imap(_run_chunk, chunks))
+        work = pool.imap(run_group, groups(seed, episodes, settings), chunksize=8)
+        return _collect(work, pool.imap(_run_chunk, chunks), settings)
 
 
-def _collect(work: Iterable[tuple[Group, Tally]], clean: Iterable[CleanResult]) -> Campaign:
+def _collect(
+    work: Iterable[tuple[Group, Tally]], clean: Iterable[CleanResult], settings: Sequence[int]
+) -> Campaign:
     tallies: dict[tuple[int, int], Tally] = {}
     for group, tally in work:
         tallies.setdefault((group.setting, group.fault_class), Tally()).merge(tally)
     result = CleanResult()
     for one in clean:
         result = result.merged(one)
-    return Campaign(tallies, result)
+    return Campaign(tallies, result, settings)
 
 
 def rows_of(result: Campaign, setting: int) -> list[Sequence[str]]:
@@ -135,26 +141,27 @@ def clean_line(clean: CleanResult) -> str:
 
 
 def _heading(setting: int) -> str:
-    one = SETTINGS[setting]
+    one = ALL_SETTINGS[setting]
     limits = one.config.limits
     return (
         f"{one.name}: residual limit {one.residual_limit:.3f} cycle, amplitude "
         f"{limits.amplitude_low_counts} to {limits.amplitude_high_counts} counts, accelerations up to "
         f"{one.acceleration} cycle per interval squared"
+        + (f", jerks up to {one.jerk} (third-order prediction)" if one.jerk else "")
     )
 
 
 def as_markdown(result: Campaign) -> str:
     """All tables, for the documentation."""
-    parts = [f"**{_heading(n)}**\n\n{markdown(rows_of(result, n))}" for n in range(len(SETTINGS))]
+    parts = [f"**{_heading(n)}**\n\n{markdown(rows_of(result, n))}" for n in result.settings]
     return "\n".join([*parts, clean_line(result.clean) + "\n"])
 
 
 def as_json(result: Campaign) -> str:
     """All sums, for a program."""
     settings = {
-        one.name: {fc.name: result.tallies[n, m].record() for m, fc in enumerate(CLASSES)}
-        for n, one in enumerate(SETTINGS)
+        ALL_SETTINGS[n].name: {fc.name: result.tallies[n, m].record() for m, fc in enumerate(CLASSES)}
+        for n in result.settings
     }
     sums = {"faulty": result.faulty, "settings": settings, "clean": asdict(result.clean)}
     return json.dumps(sums | {"misses": result.misses()}, indent=1)
@@ -168,12 +175,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--clean", type=int, default=10_000_000, metavar="N", help="clean samples")
     parser.add_argument("--seed", type=int, default=1997)
     parser.add_argument("--processes", type=int, default=2, metavar="N")
+    names = [one.name for one in ALL_SETTINGS]
+    parser.add_argument("--setting", choices=names, help="only this one (default: all without third order)")
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables as Markdown")
     parser.add_argument("--json", action="store_true", help="print all sums as JSON instead")
     options = parser.parse_args(argv)
     if options.episodes < 1 or options.clean < 0 or options.seed < 0 or options.processes < 1:
         parser.error("--episodes and --processes must be at least 1, --clean and --seed not negative")
-    result = campaign(options.seed, options.episodes, options.clean, options.processes)
+    settings = USUAL if options.setting is None else (names.index(options.setting),)
+    result = campaign(options.seed, options.episodes, options.clean, options.processes, settings)
     print(as_json(result) if options.json else as_text(result))
     if options.markdown is not None:
         try:
@@ -186,7 +196,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def as_text(result: Campaign) -> str:
     """All tables, and what was missed."""
-    parts = [f"{_heading(n)}\n{plain(rows_of(result, n))}" for n in range(len(SETTINGS))]
+    parts = [f"{_heading(n)}\n{plain(rows_of(result, n))}" for n in result.settings]
     missed = result.misses()
     seeds = [seed for tally in result.tallies.values() for seed in tally.violations]
     end = [

@@ -12,6 +12,7 @@ from canfb.module.nominal_sync import NominalSync
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample_times import TICK_S
 from canfb.signal.supervision import COASTING, EXTRAPOLATED, VALID
+from canfb.signal.third_order import THIRD
 
 OFF, CONSTANT_SPEED, CONSTANT_ACCELERATION = 0, 1, 2
 """What 2013:01 may be."""
@@ -27,7 +28,8 @@ class Prediction:
         1  constant speed         x(k) + v       error at most |acceleration| T^2,   noise times sqrt(5)
         2  constant acceleration  x(k) + v + a   error at most |jerk| T^3,           noise times sqrt(19)
 
-    v is the speed of half an interval ago, so a counts whole, not half. docs/latency.md has more.
+    v is the speed of half an interval ago, so a counts whole, not half. docs/latency.md has more. With
+    third-order prediction (2010:07) of the cycle count the acceleration may be large: 1 is then as 2.
 
     :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled, :meth:`withdraw` after it: whoever
     else reads the objects finds the measured position. Bit 12 of the status word stands for as long as
@@ -50,6 +52,7 @@ class Prediction:
         entry = dictionary.entry
         self._kind, self._nominal = entry(*od.PREDICTION_POSITION), entry(*od.PREDICTION_NOMINAL_SYNC)
         self._kind.on_written = self._nominal.on_written = chosen
+        self._order = entry(*od.SUPERVISION_ORDER)
         self._interval_s = interval_s
         self._lock = NominalSync()
         self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
@@ -124,7 +127,8 @@ class Prediction:
         if self.follows and lock.locked:
             after = self._intervals(lock.lead_ticks + lock.period_ticks)
         self._speed_cycles = displacement = last.speed_cycles * after
-        if self._kind.value == CONSTANT_ACCELERATION and self._valid_samples >= KNOWN_ACCELERATION:
+        curved = self._kind.value == CONSTANT_ACCELERATION or self._order.value == THIRD
+        if curved and self._valid_samples >= KNOWN_ACCELERATION:
             displacement += last.acceleration_cycles * after * (after + 1.0) / 2.0
         return displacement
 

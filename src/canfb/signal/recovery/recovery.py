@@ -19,8 +19,10 @@ from canfb.signal.blocks import Scratch
 from canfb.signal.phase import FloatArray
 from canfb.signal.recovery.bridge import Place, accelerations
 from canfb.signal.recovery.doubt import Doubt, Undecided
+from canfb.signal.recovery.parabola import MotionLimits
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
-from canfb.signal.tracker import RESIDUAL_LIMIT, Track, Tracker, TrackResult, steady_run
+from canfb.signal.tracker import RESIDUAL_LIMIT, Track, Tracker, TrackResult
+from canfb.signal.tracking import steady_run
 
 # A glitch below the residual limit is seen one sample later, a row of three at most three later.
 DOUBTED_SAMPLES = 3
@@ -50,6 +52,9 @@ class Recovery:
         "tracker",
     )
 
+    order = 2
+    """Of the prediction: 2 limits the acceleration, 3 the jerk."""
+
     def __init__(self, tracker: Tracker, coast_samples: int) -> None:
         self.tracker = tracker
         self.coast_samples = coast_samples
@@ -59,6 +64,11 @@ class Recovery:
         """Called when the position is lost."""
         self._places: deque[tuple[int, float, float]] = deque(maxlen=REMEMBERED_SAMPLES)
         self.restart()
+
+    def set_motion(self, limits: MotionLimits) -> None:
+        """Take what the machine can do, between two samples."""
+        self.tracker.residual_limit = limits.residual_limit
+        self.acceleration_limit = limits.acceleration
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
         """Start afresh with this cycle count and speed; the position is not lost any more.
@@ -70,6 +80,12 @@ class Recovery:
         self._doubt: Doubt | None = None
         self._first_after: Place | None = None  # the first sample after a gap, its speed not certain yet
         self._places.clear()
+
+    def take_over(self, old: Recovery) -> None:
+        """Go on where ``old`` is, which predicts by another order; what is in doubt stays behind."""
+        self.on_lost, self.lost = old.on_lost, old.lost
+        self.tracker.take_over(old.tracker)
+        self._places.extend(old._places)
 
     def resume(self) -> None:
         """Go on at standstill from the last position, or from cycle count 0 if it was lost."""
@@ -128,8 +144,11 @@ class Recovery:
         last = int(cycles[stop - 1])
         step = last - int(cycles[stop - 2])
         self.tracker.set_state(float(phase[stop - 2]), float(phase[stop - 1]), last, step)
+        self._remember_run(tracked, start, stop)
+
+    def _remember_run(self, tracked: TrackResult, start: int, stop: int) -> None:
         new = slice(max(start, stop - REMEMBERED_SAMPLES), stop)
-        self.followed(cycles[new].tolist(), phase[new].tolist())
+        self.followed(tracked.cycles[new].tolist(), tracked.phase[new].tolist())
 
     def followed(self, cycles: Sequence[int], phases: Sequence[float]) -> None:
         """The tracker has followed a run of samples to these places, the last ones of the run."""

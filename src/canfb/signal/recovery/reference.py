@@ -17,9 +17,11 @@ from canfb.signal.recovery.recovery import Recovery
 from canfb.signal.recovery.zero_pulse import PulseVerdict, ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
+from canfb.signal.third_order import THIRD
 from canfb.signal.tracker import Track
 
 DISAGREEING_SAMPLES = 3  # this many in a row, and the position is lost
+AGREEING_SEARCHES = 2  # with third-order prediction
 EXACT_CYCLES = 0.5  # a coarse track better than that needs no zero pulse
 
 
@@ -27,7 +29,7 @@ class Reference:
     """Joins coarse track and zero pulse to a :class:`Recovery`."""
 
     def __init__(self, recovery: Recovery, coarse: CoarseTrack, zero: ZeroPulse) -> None:
-        self._recovery = recovery
+        self.follow(recovery)
         self.coarse = coarse
         self.zero = zero
         self.recovered = 0
@@ -35,6 +37,11 @@ class Reference:
         self.set_right = 0
         """How often a zero pulse found the count wrong and set it right."""
         self.restart()
+
+    def follow(self, recovery: Recovery) -> None:
+        """Join them to another recovery, which goes on where the one before was."""
+        self._recovery = recovery
+        recovery.on_lost = self.position_lost
 
     def restart(self, keep: bool = False) -> None:
         """After a start: the machine may be turning. ``keep``: the position goes on from before."""
@@ -80,6 +87,7 @@ class Reference:
 
     def missed(self) -> None:
         """A sample did not come."""
+        self._agreeing = 0
         self.slipped() if self._recovery.lost else self.coarse.restart_search()
 
     def slipped(self) -> None:
@@ -88,6 +96,7 @@ class Reference:
 
     def _begin_search(self) -> None:
         self._range_known = self._range_from_zero = False
+        self._agreeing = 0
         self._disagreeing = 0
         self._first_pulse: tuple[float, int, float] | None = None
         self.coarse.restart_search()
@@ -97,7 +106,9 @@ class Reference:
         if self._proven and not lost:
             return self._check(angle, track, bits), 0
         jump = 0
-        if elapsed == 0.0:  # this sample was not taken
+        by_jerk = self._recovery.order == THIRD
+        if elapsed == 0.0 or (by_jerk and self._recovery.in_doubt):  # this sample was not taken
+            self._agreeing = 0
             self.coarse.restart_search()
         elif not (lost and self._range_known):
             missing = self.coarse.search(angle, track.cycles, track.phase, elapsed)
@@ -108,9 +119,22 @@ class Reference:
                     and self.coarse.disagrees(angle, track.cycles, track.phase)
                 ):
                     return self._contradicted(bits), 0  # it did not stand still in the pause
-                jump = self._range_found(missing, angle, track)
+                if not by_jerk or self._is_confirmed(missing):
+                    jump = self._range_found(missing, angle, track)
         # Before the coarse track has confirmed the speed, a turning machine looks like one at rest.
         return (bits if self._proven else bits & ~VALID), jump
+
+    def _is_confirmed(self, missing: int) -> bool:
+        """The coarse track agrees with the speed twice in a row.
+
+        Without a limit of the acceleration this may be wrong by whole cycles per interval squared. Then the
+        speed is wrong by ever more, and not zero both times.
+        """
+        self.coarse.restart_search()
+        if missing:
+            self._recovery.found(0, missing)
+        self._agreeing = 0 if missing else self._agreeing + 1
+        return self._agreeing >= AGREEING_SEARCHES
 
     def _range_found(self, missing: int, angle: float, track: Track) -> int:
         coarse = self.coarse
@@ -202,7 +226,12 @@ class Reference:
         return abs(away) > self.coarse.limit_revolutions * self.coarse.cycles_per_revolution
 
     def _range_from_pulses(self, time: float, cycles: int, phase: float) -> None:
-        """Two pulses are -1, 0 or 1 revolution apart; what the count lacks to that is the missing speed."""
+        """Two pulses are -1, 0 or 1 revolution apart; what the count lacks to that is the missing speed.
+
+        That determines a speed, but not an acceleration.
+        """
+        if self._recovery.order == THIRD:
+            return
         first, self._first_pulse = self._first_pulse, (time, cycles, phase)
         if first is None or time - first[0] < 1.0:
             return

@@ -1,0 +1,180 @@
+"""Eq. 9 and eq. 12 over arrays: bit for bit as one sample after the other.
+
+Turns between the samples are computed at once; the cycle count is their double cumulative sum, with
+third-order prediction their triple one, in integers.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TypeGuard
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.signal.blocks import Scratch, blocks
+from canfb.signal.double_sum import cycle_counts
+from canfb.signal.phase import FloatArray, real_array
+from canfb.signal.third_order import THIRD, ThirdOrderTracker, tracker_of
+from canfb.signal.tracker import RESIDUAL_LIMIT, Tracker, TrackResult
+
+
+def track(
+    phase: npt.ArrayLike, residual_limit: float = RESIDUAL_LIMIT, speed_cycles: float = 0.0, order: int = 2
+) -> TrackResult:
+    """:class:`Tracker` over an array of phases, vectorised; bit for bit the same result.
+
+    ``order`` 3 is :class:`canfb.ThirdOrderTracker`: constant acceleration is predicted, not constant speed.
+
+    ``phase`` has shape (n,), cycles, 0 <= phase < 1, NaN where a sample has no phase.
+    ``speed_cycles`` is the speed at the first phase, cycles per sample. As with
+    :class:`Tracker`, ``ok`` says no more than eq. 12: after a start at another speed, and
+    after an error, eq. 9 runs on with a wrong speed and small residuals.
+    :func:`canfb.process` and :func:`canfb.process_stream` say where the position is certain.
+    ValueError for anything else.
+    """
+    phases = real_array("phase", phase)
+    if phases.ndim != 1:
+        raise ValueError(f"phase must have one dimension, not {phases.ndim}")
+    wrong = np.flatnonzero((phases < 0.0) | (phases >= 1.0))
+    if len(wrong):
+        raise ValueError(f"phase must be 0 <= phase < 1 cycle, not {phases[wrong[0]]!r} at {wrong[0]}")
+    result = TrackResult.empty(len(phases))
+    result.phase[:] = phases
+    tracker = tracker_of(order, residual_limit, speed_cycles)
+    for part, scratch in blocks(len(phases)):
+        track_block(tracker, result, part, scratch)
+    return result
+
+
+def track_block(tracker: Tracker, result: TrackResult, part: slice, scratch: Scratch) -> None:
+    """Continue ``tracker`` over ``result.phase[part]`` (unchecked), as :meth:`Tracker.update` would.
+
+    Fills ``result[part]``. Blocks follow each other from the first sample on.
+    """
+    start = part.start
+    np.isnan(result.phase[part], out=scratch.bit)
+    for gap in (np.flatnonzero(scratch.bit) + start).tolist():
+        if gap >= start:
+            steady_run(tracker, result, start, gap, scratch)
+            start = _step_over(tracker, result, gap, part.stop)
+    steady_run(tracker, result, start, part.stop, scratch)
+
+
+def _step_over(tracker: Tracker, result: TrackResult, at: int, stop: int) -> int:
+    """Samples without a phase, and the two or three after them, one by one; where to go on."""
+    usable = 0
+    while at < stop and usable < places_before(tracker):
+        usable = 0 if math.isnan(result.phase[at]) else usable + 1
+        _take_one(tracker, result, at)
+        at += 1
+    return at
+
+
+def _take_one(tracker: Tracker, result: TrackResult, at: int) -> None:
+    one = tracker.update(float(result.phase[at]))
+    result.cycles[at], result.phase[at], result.residual[at], result.ok[at] = one
+
+
+def predicts_by_parabola(tracker: Tracker) -> TypeGuard[ThirdOrderTracker]:
+    """True if three samples predict the next one, not two."""
+    return isinstance(tracker, ThirdOrderTracker) and tracker.order == THIRD
+
+
+def places_before(tracker: Tracker) -> int:
+    """So many places before a run are those that its prediction starts from."""
+    return 3 if predicts_by_parabola(tracker) else 2
+
+
+def continues(tracker: Tracker, result: TrackResult, at: int) -> bool:
+    """True if the phases that the prediction needs stand in the result just before ``at``."""
+    if predicts_by_parabola(tracker):
+        return (
+            at >= 3
+            and tracker.is_steady
+            and tracker.full_state()[:3] == (*result.phase[at - 3 : at].tolist(),)
+        )
+    return (
+        at >= 2 and tracker.is_steady and tracker.state()[:2] == (result.phase[at - 2], result.phase[at - 1])
+    )
+
+
+def write_places_before(tracker: Tracker, result: TrackResult, at: int) -> None:
+    """Write the places that a steady tracker stands on into ``result``, just before ``at``."""
+    cycles, phase = result.cycles, result.phase
+    phase[at - 2], phase[at - 1], last, step = tracker.state()
+    cycles[at - 1], cycles[at - 2] = last, last - step
+    if predicts_by_parabola(tracker):
+        phase[at - 3], *_, bend = tracker.full_state()
+        cycles[at - 3] = last - 2 * step + bend
+
+
+def steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, scratch: Scratch) -> None:
+    """Samples start..stop, all with a phase and one interval apart: an integer cumulative sum.
+
+    ``scratch`` is at least as long as the run.
+    """
+    while start < stop and not continues(tracker, result, start):
+        _take_one(tracker, result, start)
+        start += 1
+    if start == stop:
+        return
+    if predicts_by_parabola(tracker):
+        _third_order_run(tracker, result, start, stop, scratch)
+    else:
+        _second_order_run(tracker, result, start, stop, scratch)
+
+
+def _second_order_run(tracker: Tracker, result: TrackResult, start: int, stop: int, scratch: Scratch) -> None:
+    _, _, cycles, step = tracker.state()
+    phase, run = result.phase, slice(start, stop)
+    residual = result.residual[run]
+    c, turns = scratch.a[: stop - start], scratch.b[: stop - start]
+    np.multiply(phase[start - 1 : stop - 1], 2.0, out=c)
+    c -= phase[start - 2 : stop - 2]
+    c -= phase[run]
+    _round(c, turns, residual)
+    np.less(residual, tracker.speed_limit, out=result.ok[run])
+    last_step = cycle_counts(turns, cycles, step, result.cycles[run], scratch)
+    tracker.set_state(float(phase[stop - 2]), float(phase[stop - 1]), int(result.cycles[stop - 1]), last_step)
+
+
+def _third_order_run(
+    tracker: ThirdOrderTracker, result: TrackResult, start: int, stop: int, scratch: Scratch
+) -> None:
+    _, _, _, cycles, step, bend = tracker.full_state()
+    phase, run = result.phase, slice(start, stop)
+    residual, ok = result.residual[run], result.ok[run]
+    c, turns, sums = scratch.a[: stop - start], scratch.b[: stop - start], scratch.index[: stop - start]
+    np.subtract(phase[start - 1 : stop - 1], phase[start - 2 : stop - 2], out=c)
+    c *= 3.0
+    c += phase[start - 3 : stop - 3]
+    c -= phase[run]
+    _round(c, turns, residual)
+    np.less(residual, tracker.residual_limit, out=ok)
+    sums[:] = turns
+    sums[0] += bend
+    np.add.accumulate(sums, out=sums)
+    bend = int(sums[-1])
+    sums[0] += step
+    np.add.accumulate(sums, out=sums)
+    step = int(sums[-1])
+    if tracker.acceleration_limit < math.inf:
+        ok &= _within_acceleration(tracker, phase[start - 1 : stop], sums)
+    sums[0] += cycles
+    np.add.accumulate(sums, out=result.cycles[run])
+    third, before, last = phase[stop - 3 : stop].tolist()
+    tracker.set_full_state(third, before, last, int(result.cycles[stop - 1]), step, bend)
+
+
+def _within_acceleration(
+    tracker: ThirdOrderTracker, phase: FloatArray, steps: npt.NDArray[np.intp]
+) -> npt.NDArray[np.bool_]:
+    speeds: FloatArray = np.concatenate([[tracker.step_cycles], steps + np.diff(phase)])
+    return np.abs(np.diff(speeds)) < tracker.acceleration_limit
+
+
+def _round(c: FloatArray, turns: FloatArray, residual: FloatArray) -> None:
+    np.rint(c, out=turns)
+    np.subtract(turns, c, out=residual)
+    np.abs(residual, out=residual)

@@ -1,0 +1,66 @@
+"""Moves of a servo, limited in jerk, as positions at a sampling rate; and the tracks of an encoder on it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.signal.correction import CorrectionTable
+from canfb.signal.phase import phase_in_cycle
+
+Array = npt.NDArray[np.float64]
+CYCLES_PER_REVOLUTION, RATE_HZ = 2500, 1000
+AMPLITUDE_COUNTS = 1800
+TURN = np.arange(4096) / 4096
+IDEAL_TABLE = CorrectionTable(
+    np.interp(
+        np.arange(1024) / 1024, phase_in_cycle(np.sin(2 * np.pi * TURN), np.cos(2 * np.pi * TURN)), TURN
+    )
+)
+
+
+def cycles_of(rad: float) -> float:
+    return rad * CYCLES_PER_REVOLUTION / (2.0 * math.pi)
+
+
+def s_curve(speed: float, acceleration: float, jerk: float, times: Array) -> Array:
+    """Positions from standstill at time 0 to ``speed``; one unit of length, one of time."""
+    rise = acceleration / jerk
+    length = speed / acceleration + rise
+    position, v, a, begin = np.zeros_like(times), 0.0, 0.0, 0.0
+    x = 0.0
+    for duration, j in ((rise, jerk), (length - 2.0 * rise, 0.0), (rise, -jerk), (math.inf, 0.0)):
+        t = np.clip(times - begin, 0.0, min(duration, 1e9))
+        here = x + v * t + a * t**2 / 2.0 + j * t**3 / 6.0
+        position = np.where(times >= begin, here, position)
+        if math.isfinite(duration):
+            x, v = (
+                x + v * duration + a * duration**2 / 2 + j * duration**3 / 6,
+                v + a * duration + j * duration**2 / 2,
+            )
+            a += j * duration
+            begin += duration
+    return position
+
+
+def servo_move(rad_s2: float = 7850.0, rad_s3: float = 785_000.0, rpm: float = 3000.0) -> Array:
+    """0..3000 rpm in 50 ms, in cycles at 1 kHz, with 20 samples at standstill before."""
+    times = np.arange(-20, 100) / RATE_HZ
+    return cycles_of(1.0) * s_curve(rpm * 2.0 * math.pi / 60.0, rad_s2, rad_s3, times)
+
+
+def tracks(position: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """12 bits, half a count of noise."""
+    noise = rng.normal(0.0, 0.5, (2, len(position)))
+    angle = 2.0 * math.pi * position
+    return (
+        np.rint(AMPLITUDE_COUNTS * np.sin(angle) + noise[0]),
+        np.rint(AMPLITUDE_COUNTS * np.cos(angle) + noise[1]),
+    )
+
+
+def phases(position: Array, rng: np.random.Generator) -> Array:
+    """Corrected phases of these tracks."""
+    return np.asarray(IDEAL_TABLE(phase_in_cycle(*tracks(position, rng))))
