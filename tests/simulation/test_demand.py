@@ -118,8 +118,9 @@ def test_with_third_order_prediction_it_is_the_jerk_that_counts() -> None:
     ramp = MotionConfig(standstill_s=0.5, ramp_s=1.0, rpm=60.0)
     second = of_motion(ramp, MODULE, 1000.0)
     demand = of_motion(ramp, third, 1000.0)
-    assert demand.asked == pytest.approx(second.asked)  # the acceleration of a ramp steps
-    assert demand.least_rate_hz == pytest.approx(second.least_rate_hz)
+    margins = (MODULE.residual_limit - 0.05) / (MODULE.residual_limit - 0.1)
+    assert demand.asked == pytest.approx(margins * second.asked)  # the acceleration of a ramp steps
+    assert demand.least_rate_hz == pytest.approx(math.sqrt(margins) * second.least_rate_hz)
     assert "jerk up to 6.28e+03 rad/s^3" in demand.describe()
     shaking = MotionConfig(standstill_s=0.5, ramp_s=1.0, rpm=0.0, ripple_rpm=200.0, ripple_hz=20.0)
     assert "acceleration" in str(of_motion(shaking, MODULE, 1000.0).warning())
