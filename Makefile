@@ -34,6 +34,7 @@ test: $(INSTALLED_TEST) ## Run all checks and all tests
 		"style=$(MAKE) --no-print-directory lint" \
 		"types=$(MAKE) --no-print-directory types" \
 		"SocketCAN tests=$(MAKE) --no-print-directory socketcan" \
+		"documentation=$(MAKE) --no-print-directory site" \
 		"package=$(MAKE) --no-print-directory package"
 
 lint: $(INSTALLED_TEST) ## Check style and format
