@@ -24,6 +24,7 @@ COUNTERS = {
 """Counters of 2012h of what is flagged."""
 U32 = 1 << 32
 READINGS_EVERY_S = 0.3
+SHORTEST_S = 1e-6  # a rest of rounding is nothing to wait for
 MORE_THAN_BEFORE = 3.0
 
 
@@ -126,9 +127,10 @@ def watch(
                 f"{in_words(more)}"
             )
         heard(min(1.0, passed / duration_s))
-        if passed >= duration_s:
+        left = began + duration_s - master.now()
+        if left < SHORTEST_S:
             break
-        master.wait(min(READINGS_EVERY_S, duration_s - passed))
+        master.wait(min(READINGS_EVERY_S, left))
     check_valid(module)
     if module.integer(*od.FEEDBACK_SAMPLES, "I") == samples:
         raise CommissioningError(f"{module.name} has processed no sample with the new limits (2011:08)")
