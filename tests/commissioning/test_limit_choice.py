@@ -216,7 +216,9 @@ def test_what_says_too_little_is_refused() -> None:
     nothing = np.full(COUNT, np.nan)
     assert "did not come" in refusal(TrackSamples(nothing, nothing, RATE_HZ, "gone"), machine, readings)
     noise = np.random.default_rng(1).uniform(-1500, 1500, (2, COUNT))
-    assert "position is lost" in refusal(TrackSamples.of(*noise, RATE_HZ, "noise"), machine, readings)
+    assert "position is lost" in refusal(
+        TrackSamples.of(noise[0], noise[1], RATE_HZ, "noise"), machine, readings
+    )
     weak = TrackSamples.of(0.2 * samples.sine, 0.2 * samples.cosine, RATE_HZ, "weak")
     assert "amplitude" in refusal(weak, machine, readings)
 
