@@ -25,7 +25,7 @@ class Multiplexer(NamedTuple):
 DEVICE_TYPE: Final = Multiplexer(0x1000)
 SYNC_COB_ID: Final = Multiplexer(0x1005)
 CYCLE_PERIOD: Final = Multiplexer(0x1006)
-EMERGENCY_COB_ID: Final = Multiplexer(0x1014)
+EMCY_COB_ID: Final = Multiplexer(0x1014)
 IDENTITY_VENDOR_ID: Final = Multiplexer(0x1018, 1)
 IDENTITY_PRODUCT_CODE: Final = Multiplexer(0x1018, 2)
 IDENTITY_REVISION_NUMBER: Final = Multiplexer(0x1018, 3)

@@ -227,7 +227,7 @@ class ModuleReplay:
             return
         module = self.module
         node = module.node
-        self._emergency_id = module.dictionary.entry(*od.EMERGENCY_COB_ID).value & cob.CAN_ID
+        self._emergency_id = module.dictionary.entry(*od.EMCY_COB_ID).value & cob.CAN_ID
         self._routes_seen = node.route_changes
         self._own, self._heard = node.own_can_ids, node.heard_can_ids
         sync = module.dictionary.entry(*od.SYNC_COB_ID).value
@@ -279,7 +279,7 @@ class ModuleReplay:
     def _rebooted(self, now: float) -> None:
         """The replayed module has started: with the table that is to be tried."""
         self._boot_up_s = now
-        self._emergency_id = self.module.dictionary.entry(*od.EMERGENCY_COB_ID).value & cob.CAN_ID
+        self._emergency_id = self.module.dictionary.entry(*od.EMCY_COB_ID).value & cob.CAN_ID
         if self._correction is not None:
             self.module.use_correction(self._correction)
 
