@@ -29,6 +29,7 @@ DIMENSIONLESS = {
     "cpu",
     "seed",
     "order",
+    "prediction_order",
 }
 DIMENSIONLESS |= {"sine_gain", "cosine_gain", "bus_load"}
 KINDS = [kind for _, kind, _ in SECTIONS] + list(source_kinds().values())

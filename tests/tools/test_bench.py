@@ -25,7 +25,8 @@ def test_json_has_machine_and_every_comparison(capsys: pytest.CaptureFixture[str
     assert {"processor", "python", "numpy", "canopen"} <= set(printed["machine"])
     goals = {one["name"]: one["goal"] for one in printed["results"]}
     assert goals == {
-        "cycle": 1.0, "cycle, can.Message": None, "1000 samples, float64": 1.0, "1000 samples, int16": 1.0,
+        "cycle": 1.0, "cycle, third order": 1.05, "cycle, can.Message": None,
+        "1000 samples, float64": 1.0, "1000 samples, int16": 1.0,
         "1000 samples, supervised": None,
         "tracker": None, "chain": None,
     }  # fmt: skip
@@ -45,7 +46,11 @@ def test_text_names_what_is_compared(capsys: pytest.CaptureFixture[str]) -> None
 def test_markdown_is_a_table(capsys: pytest.CaptureFixture[str]) -> None:
     assert cycle.main(["--markdown", "--only", "cycle", *LITTLE]) == 0
     rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
-    assert [row.split(" | ")[0] for row in rows[2:]] == ["| cycle", "| cycle, can.Message"]
+    assert [row.split(" | ")[0] for row in rows[2:]] == [
+        "| cycle",
+        "| cycle, third order",
+        "| cycle, can.Message",
+    ]
     assert {row.count("|") for row in rows} == {7}
 
 

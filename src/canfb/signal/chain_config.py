@@ -68,8 +68,8 @@ class ChainConfig:
                             that moves whole cycles per sample (2010:04): 16 with half a count of noise.
                             0: for a converter without noise, equal samples are not a fault
     coarse_limit_revolutions  largest difference of the coarse track, above 0, at most 0.25 (2010:05)
-    prediction_order        2: constant speed, eq. 9; 3: constant acceleration, so that the residual limit
-                            bounds the jerk (2010:07)
+    prediction_order        2..3 (2010:07): 2 constant speed, eq. 9; 3 constant acceleration, so that the
+                            residual limit bounds the jerk
     conditioning            offset, gain and phase error of the tracks (2002h)
     """
 
