@@ -5,12 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 
-from canfb.bus.master import BusMaster
-from canfb.bus.opening import open_sync_bus
-from canfb.bus.runner import ending_on_signals
 from canfb.bus.wall_clock import date_and_time
 from canfb.cli.calibrate_options import add_options, choices_of
 from canfb.cli.configured_nodes import nodes_of
+from canfb.cli.node_options import sync_master
 from canfb.cli.options import Commands, add_command, bus_options
 from canfb.cli.printing import report
 from canfb.cli.progress import Progress
@@ -48,10 +46,7 @@ def calibrate(options: argparse.Namespace) -> int:
         choices.nodes(nodes_of(config))  # says what cannot be before there is a bus
         words = bus_options(options, config.bus)
         guard = Guard()
-        bus = open_sync_bus(words, hears_itself=choices.sync is not None)
-        with BusMaster(bus, choices.answer_within) as master, ending_on_signals(guard.interrupt):
-            if choices.sync is not None:
-                master.produce_sync(choices.sync)
+        with sync_master(words, choices.sync, choices.answer_within, guard) as master:
             return over_bus(master, options, config, progress, guard, date_and_time())
     except KeyboardInterrupt:
         progress.clear()

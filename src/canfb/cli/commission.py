@@ -5,11 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 
-from canfb.bus.master import BusMaster
-from canfb.bus.opening import open_sync_bus
-from canfb.bus.runner import ending_on_signals
 from canfb.bus.wall_clock import date_and_time
 from canfb.cli.commission_options import add_options, configuration_of, nodes_of_choices, wishes_of
+from canfb.cli.node_options import sync_master
 from canfb.cli.options import Commands, add_command, bus_options
 from canfb.cli.printing import report
 from canfb.cli.progress import Progress
@@ -38,11 +36,9 @@ def commission(options: argparse.Namespace) -> int:
     if wishes.out:
         prepare(wishes.out)
     nodes_of_choices(options, config)  # says what cannot be before there is a bus
-    bus = open_sync_bus(bus_options(options, config.bus), hears_itself=options.sync is not None)
+    words = bus_options(options, config.bus)
     try:
-        with BusMaster(bus, options.answer_within) as master, ending_on_signals(guard.interrupt):
-            if options.sync is not None:
-                master.produce_sync(options.sync)
+        with sync_master(words, options.sync, options.answer_within, guard) as master:
             return over_bus(master, options, config, progress, guard, date_and_time())
     except KeyboardInterrupt:
         progress.clear()

@@ -11,7 +11,7 @@ from canfb.bus.known_modules import assumed_layout, known_layouts
 from canfb.bus.runner import ending_on_signals
 from canfb.bus.watching import Watching
 from canfb.cli.monitor_output import output
-from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, refuse_idle
+from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, node_number, refuse_idle
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
 from canfb.monitoring.bus_model import BusModel
@@ -24,7 +24,9 @@ FASTEST_HZ = 50.0
 def register(commands: Commands) -> None:
     """Add the command."""
     parser = add_command(commands, "monitor", "watch modules live, on a bus or in a log", monitor)
-    parser.add_argument("nodes", metavar="NODE", nargs="*", type=_node, help="node-IDs such as 32 or 0x20")
+    parser.add_argument(
+        "nodes", metavar="NODE", nargs="*", type=node_number, help="node-IDs such as 32 or 0x20"
+    )
     parser.add_argument("--config", metavar="CONFIG.yaml", help="takes modules and bus from it")
     parser.add_argument("--log", metavar="FILE", type=Path, help="a log that python-can reads, not a bus")
     parser.add_argument("--speed", metavar="X", type=_positive, help="of the log: 1 in its own time")
@@ -68,16 +70,6 @@ def monitor(options: argparse.Namespace) -> int:
 def _bit_rate(words: Mapping[str, Any]) -> int | None:
     bit_rate = words.get("bitrate")
     return bit_rate if isinstance(bit_rate, int) and bit_rate > 0 else None
-
-
-def _node(text: str) -> int:
-    try:
-        node = int(text, 0)
-    except ValueError:
-        node = -1
-    if not 1 <= node <= 127:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a node-ID (1 to 127, or 0x01 to 0x7F)")
-    return node
 
 
 def _positive(text: str) -> float:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from canfb.bus.master import BusMaster
-from canfb.bus.opening import open_bus
+from canfb.bus.opening import open_bus, open_sync_bus
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.options import add_bus_options, bus_options, node_number
 from canfb.cli.printing import report
@@ -42,6 +42,18 @@ def master_of(options: argparse.Namespace) -> Iterator[Master]:
     configured = load_config(options.config).bus if options.config else {}
     words = bus_options(options, configured)
     with BusMaster(open_bus(words), options.answer_within) as master:
+        yield master
+
+
+@contextlib.contextmanager
+def sync_master(
+    words: dict[str, Any], sync_hz: float | None, answer_within_s: float, guard: Guard
+) -> Iterator[BusMaster]:
+    """A master that hears the SYNCs of the bus, or produces them at ``sync_hz``; signals go to ``guard``."""
+    bus = open_sync_bus(words, hears_itself=sync_hz is not None)
+    with BusMaster(bus, answer_within_s) as master, ending_on_signals(guard.interrupt):
+        if sync_hz is not None:
+            master.produce_sync(sync_hz)
         yield master
 
 
