@@ -73,7 +73,7 @@ def test_every_difference_is_a_finding(tmp_path: Path, monkeypatch: pytest.Monke
     assert found(monkeypatch, {*TRACKED, "large.bin", "tests/y.py"}, *archives) == [
         "sdist: tests/y.py is missing",
         "sdist: build/report.html does not belong there",
-        "sdist: large.bin has 1048577 bytes, at most 1048576 are wanted",
+        "sdist: large.bin has 1048577 bytes, at most 1048576 are allowed",
         "wheel: canfb/signal/phase.py is missing",
         "wheel: tests/x.py does not belong there",
         "wheel: LICENSE is missing",

@@ -100,7 +100,7 @@ def check_archives(sdist: Path, wheel: Path) -> Iterator[str]:
         yield from differences("sdist", set(members) - SDIST_EXTRA, tracked)
     for name, size in members.items():
         if size > LARGEST_BYTES:
-            yield f"sdist: {name} has {size} bytes, at most {LARGEST_BYTES} are wanted"
+            yield f"sdist: {name} has {size} bytes, at most {LARGEST_BYTES} are allowed"
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
         info = [name for name in names if name.partition("/")[0].endswith(".dist-info")]
