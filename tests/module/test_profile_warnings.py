@@ -58,7 +58,7 @@ def test_a_limit_that_a_known_acceleration_narrows(bench: Bench) -> None:
     for _ in range(10):
         bench.at(0.0)
     bench.sdo[0x2010][2].raw = 100.0
-    limit = bench.module._limits.residual_limit_cycles
+    limit = bench.module.limits.residual_limit
     assert limit < 0.1
     bench.at(0.0)
     bench.at(0.95 * limit)

@@ -22,7 +22,6 @@ from canfb.replay.summary_of_replay import (
 from canfb.report.lissajous import lissajous
 from canfb.report.over_time import Curve, over_time
 from canfb.report.page import beside, facts_table, figure, gallery, page
-from canfb.signal.supervision import SampleLimits
 
 FOOTER = "Made by canfb replay, with the module of this version. Margin: what is left of a limit."
 MOST_FAULTS = 40
@@ -74,12 +73,8 @@ def _said(replay: ModuleReplay) -> list[str]:
 
 
 def _lissajous(replay: ModuleReplay, overview: Overview) -> str:
-    limits, config = replay.module.limits, replay.module.config
-    circles = SampleLimits(
-        config.full_scale_counts, limits.amplitude_low_counts, limits.amplitude_high_counts
-    )
     conditioning = replay.module.chain.correction.conditioning
-    picture = lissajous(overview.sine, overview.cosine, conditioning, circles)
+    picture = lissajous(overview.sine, overview.cosine, conditioning, replay.module.limits.sample)
     return figure("Lissajous picture", f"{len(overview.sine)} samples, evenly chosen", picture)
 
 

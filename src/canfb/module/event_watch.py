@@ -152,14 +152,15 @@ class EventWatch:
             faults=od.fault_words(feedback.status | self._causes),
             status=feedback.status,
             residual_cycles=residual,
-            residual_limit_cycles=self._limits.residual_limit_cycles,
+            residual_limit_cycles=self._limits.in_force.residual_limit,
             sample=feedback.samples,
         )
 
     def _reasons(self, feedback: Feedback, bits: int) -> list[str]:
         """In words; with figures where they are those of this sample."""
+        limit = self._limits.in_force.residual_limit
         figures = {
-            RESIDUAL: f"residual {feedback.residual:.3f} over {self._limits.residual_limit_cycles:.3f} cycle",
+            RESIDUAL: f"residual {feedback.residual:.3f} over {limit:.3f} cycle",
             AMPLITUDE: f"{self._amplitude(feedback)} outside of {self._low.value} to {self._high.value}",
         }
         now = feedback.status

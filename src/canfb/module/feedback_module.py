@@ -27,12 +27,12 @@ from canfb.module.objects.calibrating import Calibrating
 from canfb.module.objects.recorder import Recorder
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.objects.table_store import TableStore
-from canfb.module.parameters import Limits, LimitsInForce
+from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.module.sampling import Sampling
 from canfb.module.tap import Taps
 from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
+from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
 from canfb.sources.protocol import Source
@@ -167,7 +167,7 @@ class FeedbackModule:
         self._publishing.on_feedback = listener
 
     @property
-    def limits(self) -> LimitsInForce:
+    def limits(self) -> ChainLimits:
         """What samples are held against; the same object until a limit changes."""
         return self._limits.in_force
 

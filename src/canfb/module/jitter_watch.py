@@ -50,7 +50,7 @@ class JitterWatch:
     @property
     def max_speed_rad_s(self) -> float:
         """The largest speed for this jitter, rad/s; inf without jitter."""
-        left = self._limits.residual_limit_cycles - self._limits.motion_cycles
+        left = self._limits.in_force.residual_limit - self._limits.in_force.motion_residual
         jitter_s = self.jitter_s
         if jitter_s <= 0.0:
             return math.inf
@@ -61,7 +61,7 @@ class JitterWatch:
 
     def in_words(self) -> str:
         """The largest speeds for two jitters, by the parameters of the module."""
-        left = self._limits.residual_limit_cycles
+        left = self._limits.in_force.residual_limit
         speeds = (f"{self._max_speed(us * 1e-6, left) * RPM:.3g} rpm at ±{us} µs" for us in EXAMPLES_US)
         return f"without sample times the jitter of SYNC limits the speed: {', '.join(speeds)}"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 from canfb import objects as od
 from canfb.cia301 import cob
@@ -13,7 +13,7 @@ from canfb.module.cia406.position import distinguishable_revolutions, single_tur
 from canfb.module.interval import IntervalEstimate
 from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, MOST_JERK_RAD_S3, ModuleConfig
 from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainLimits
+from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.limits import (
     cycles_per_interval_cubed,
     cycles_per_interval_squared,
@@ -76,16 +76,6 @@ def apply_defaults(dictionary: Dictionary, defaults: dict[tuple[int, int], Any])
         entry.reset()
 
 
-class LimitsInForce(NamedTuple):
-    """What a sample is held against: cycles, counts, cycles per interval squared (0.0: not known)."""
-
-    residual_cycles: float
-    amplitude_low_counts: int
-    amplitude_high_counts: int
-    acceleration_cycles: float
-    cycles_per_revolution: int
-
-
 class Limits:
     """Objects 2001:02..04 and 2010h: written by SDO, in force from the next sample on."""
 
@@ -104,15 +94,8 @@ class Limits:
         self._applied_s = 0.0
         self.narrowed = False
         """A known acceleration or jerk narrows a residual limit; it then depends on the sampling interval."""
-        self.residual_limit_cycles = 0.0
-        """The residual limit in force, narrowed or not."""
-        self.acceleration_cycles = 0.0
-        """The largest acceleration (2010:02), cycles per interval squared; 0.0 if it is not known."""
-        self.motion_cycles = 0.0
-        """What of that limit the motion may use: the residual of the largest acceleration (2010:02), or with
-        third-order prediction of the largest jerk (2010:08), cycles; 0.0 if that is not known."""
-        self.in_force = LimitsInForce(0.0, 0, 0, 0.0, 0)
-        """All of them, the same object until one changes."""
+        self.in_force = ChainConfig().chain_limits
+        """What the chain has, narrowed or not: the same object until :meth:`apply`."""
         self.on_applied: Callable[[], None] | None = None
         self._upper_is_old = False
         self._low.on_check = self._check(lambda low: low < self._high.value or self._upper_is_old)
@@ -162,29 +145,22 @@ class Limits:
             limit = limit_narrowed_by_jerk(limit, self._jerk.value, cycles, interval_s)
             jerk = cycles_per_interval_cubed(self._jerk.value, cycles, interval_s)
         if self.order == SECOND:
-            limit, self.motion_cycles = speed_limit, acceleration or 0.0
-        else:
-            self.motion_cycles = jerk or 0.0
-        self.residual_limit_cycles, self.acceleration_cycles = limit, acceleration or 0.0
-        self.in_force = LimitsInForce(
-            limit, self._low.value, self._high.value, self.acceleration_cycles, cycles
-        )
+            limit = speed_limit
         self._applied_s = interval_s
         self.narrowed = self._acceleration.value > 0.0 or self._jerk.value > 0.0
-        self._chain.set_limits(
-            ChainLimits(
-                sample=SampleLimits(self._full_scale.value, self._low.value, self._high.value),
-                cycles_per_revolution=cycles,
-                residual_limit=limit,
-                coast_samples=self._coast.value,
-                frozen_samples=self._frozen.value,
-                coarse_limit_revolutions=self._coarse.value / LIMIT_UNITS,
-                acceleration=acceleration,
-                prediction_order=self.order,
-                jerk=jerk,
-                start_limit=speed_limit,
-            )
+        self.in_force = ChainLimits(
+            sample=SampleLimits(self._full_scale.value, self._low.value, self._high.value),
+            cycles_per_revolution=cycles,
+            residual_limit=limit,
+            coast_samples=self._coast.value,
+            frozen_samples=self._frozen.value,
+            coarse_limit_revolutions=self._coarse.value / LIMIT_UNITS,
+            acceleration=acceleration,
+            prediction_order=self.order,
+            jerk=jerk,
+            start_limit=speed_limit,
         )
+        self._chain.set_limits(self.in_force)
         if self.on_applied is not None:
             self.on_applied()
 

@@ -53,7 +53,7 @@ class Publishing:
             node,
             lambda: self.last,
             lambda: parts.expects_pulse,
-            lambda: limits.residual_limit_cycles,
+            lambda: limits.in_force.residual_limit,
         )
         limits.on_applied = self.warnings.limits_changed
         self.prediction = Prediction(dictionary, self.profile, prediction_chosen, lambda: chain.unit_s)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from canfb import objects as od
 from canfb.module.feedback_module import FeedbackModule
-from canfb.module.parameters import LimitsInForce
+from canfb.signal.chain_config import ChainLimits
 from canfb.signal.feedback import Feedback
 
 BLOCK_ROWS = 1 << 12
@@ -51,7 +51,7 @@ residual_limit to cycles_per_revolution   the limits in force
 """
 
 _LARGEST_COUNT = (1 << 63) - 1
-# In the order in which they are collected: with Feedback and LimitsInForce after them.
+# In the order in which they are collected: with Feedback and ChainLimits after them.
 _TAKEN = ("time_s", "position", "sine_counts", "cosine_counts", "interval_s")
 _FEEDBACK = dict(
     zip(
@@ -61,7 +61,13 @@ _FEEDBACK = dict(
         strict=True,
     )
 )  # fmt: skip
-_LIMITS = tuple(list(COLUMNS)[-len(LimitsInForce._fields) :])
+_LIMITS = (
+    "residual_limit",
+    "amplitude_low_counts",
+    "amplitude_high_counts",
+    "acceleration_limit_cycles",
+    "cycles_per_revolution",
+)
 
 
 class SampleColumns:
@@ -116,13 +122,25 @@ def _block(rows: list[tuple[Any, ...]]) -> Block:
     columns |= {name: fields[field] for name, field in _FEEDBACK.items()}
     columns["cycles"] = _within_64_bits(columns["cycles"])
     if limits.count(limits[0]) == len(limits):
-        same = dict(zip(_LIMITS, limits[0], strict=True))
+        same = dict(zip(_LIMITS, _limit_values(limits[0]), strict=True))
         constant = {name: np.full(len(limits), value, COLUMNS[name]) for name, value in same.items()}
         return {
             name: np.array(columns[name], COLUMNS[name]) for name in COLUMNS if name in columns
         } | constant
-    columns |= dict(zip(_LIMITS, zip(*limits, strict=True), strict=True))
+    columns |= dict(zip(_LIMITS, zip(*map(_limit_values, limits), strict=True), strict=True))
     return {name: np.array(columns[name], kind) for name, kind in COLUMNS.items()}
+
+
+def _limit_values(limits: ChainLimits) -> tuple[float, ...]:
+    """In the order of their columns; 0.0 for an acceleration that is not known."""
+    sample = limits.sample
+    return (
+        limits.residual_limit,
+        sample.amplitude_low_counts,
+        sample.amplitude_high_counts,
+        limits.acceleration or 0.0,
+        limits.cycles_per_revolution,
+    )
 
 
 def _within_64_bits(counts: tuple[int, ...]) -> Sequence[int]:

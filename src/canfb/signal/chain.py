@@ -64,8 +64,9 @@ class SignalChain:
         self._waited = 0.0  # intervals without a sample since the last one with a sample time
         self._clock = 0.0  # intervals since the start
         self._before: Track | None = None  # the sample before, if it was taken
-        self._make_reference(config.chain_limits)
-        self.set_limits(config.chain_limits)
+        limits = config.chain_limits
+        self._make_reference(limits)
+        self.set_limits(limits)
         self.activate(Correction(table, config.conditioning))
 
     @property

@@ -47,6 +47,14 @@ class ChainLimits:
         check_order("prediction_order", self.prediction_order)
 
     @property
+    def motion_residual(self) -> float:
+        """What of ``residual_limit`` the motion may use, cycles; 0.0 if that is not known.
+
+        The residual of the largest acceleration, or with ``prediction_order`` 3 of the largest jerk.
+        """
+        return (self.acceleration if self.prediction_order == SECOND else self.jerk) or 0.0
+
+    @property
     def motion(self) -> MotionLimits:
         """What the machine can do."""
         start = self.residual_limit if self.start_limit is None else self.start_limit
