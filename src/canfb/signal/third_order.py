@@ -234,16 +234,16 @@ class ThirdOrderTracker(Tracker):
         self._steady = self._by_parabola and self._gap == 0.0 and self._elapsed == self._elapsed_before == 1.0
 
     def _carry_on(self, elapsed: float) -> tuple[int, float]:
-        """Way on the parabola over ``elapsed`` intervals: whole cycles and a small rest."""
+        """Displacement on the parabola over ``elapsed`` intervals: whole cycles and a small rest."""
         weight, weight_before = step_weights(elapsed, self._elapsed, self._elapsed_before)
-        way = self._step * weight - (self._step - self._bend) * weight_before
-        whole = math.floor(way)
+        displacement = self._step * weight - (self._step - self._bend) * weight_before
+        whole = math.floor(displacement)
         rest = (self._phase - self._phase_before) * weight
-        return whole, (way - whole) + rest - (self._phase_before - self._phase_third) * weight_before
+        return whole, (displacement - whole) + rest - (self._phase_before - self._phase_third) * weight_before
 
 
 def step_weights(elapsed: float, last: float, before: float) -> tuple[float, float]:
-    """How often the last step, and less the one before it, count in the way over ``elapsed`` intervals.
+    """How often the last step, and less the one before it, count in the displacement over ``elapsed``.
 
     ``last`` and ``before`` are the intervals that these two steps took. 2 and 1 where all are equal.
     """

@@ -128,8 +128,8 @@ class Parabola:
             middle, most = last.phase + self.speed_cycles * elapsed, limits.start_limit * elapsed
             return middle - most, middle + most
         interval = last.time - self.spots[-2].time
-        way = _way(self.spots[-2], last)
-        line = last.phase + way * (elapsed / interval)
+        moved = _moved(self.spots[-2], last)
+        line = last.phase + moved * (elapsed / interval)
         most = limits.from_line(elapsed, interval, known_only=len(self.spots) == 3)
         low, high = line - most, line + most
         if len(self.spots) == 3:
@@ -146,15 +146,15 @@ class Parabola:
         if len(self.spots) == 1:
             return last.phase + self.speed_cycles * elapsed
         middle = self.spots[-2]
-        interval, way = last.time - middle.time, _way(middle, last)
+        interval, moved = last.time - middle.time, _moved(middle, last)
         if len(self.spots) == 2:
-            return last.phase + way * (elapsed / interval)
+            return last.phase + moved * (elapsed / interval)
         first = self.spots[-3]
         weight, weight_before = step_weights(elapsed, interval, middle.time - first.time)
-        return last.phase + way * weight - _way(first, middle) * weight_before
+        return last.phase + moved * weight - _moved(first, middle) * weight_before
 
 
-def _way(old: Spot, new: Spot) -> float:
+def _moved(old: Spot, new: Spot) -> float:
     return (new.cycles - old.cycles) + (new.phase - old.phase)
 
 

@@ -12,7 +12,7 @@ and never ends, and each step of it is the only possible one. So when all that a
 samples, these are right.
 
 More samples may have been bad than assumed. Random phases pass by chance, each new one with a probability of
-twice the residual limit. So unless samples were only missed, so many must follow that it is below 1e-5, the
+twice the residual limit. So unless samples were only missed, enough must follow for it to be below 1e-5, the
 motion must be as smooth as before, and the same phase again and again in motion decides nothing.
 """
 
@@ -37,7 +37,7 @@ from canfb.signal.tracker import Track
 DOUBTED_BEFORE = 3
 DETERMINING = 3  # samples that position, speed and acceleration come from
 CHANCE = 1e-5
-# After a bad sample the third differences may be so many times the largest before it; and noise.
+# After a bad sample the third differences may be this many times the largest before it; and noise.
 ROUGHNESS_FACTOR = 1.25
 FEWEST_SEEN = 4
 MOST_CHANCE = 0.9  # of one sample: as many confirm as ever do
