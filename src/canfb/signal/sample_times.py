@@ -118,12 +118,9 @@ class SampleTimes:
             whole = round(intervals) if agrees and intervals > counted + 0.5 else counted
             uneven_s = (intervals - whole) * unit
             odd = self._judge(uneven_s, ticks, synced_s, SLIP_CYCLES * unit, abs(speed_cycles))
-            if odd == RESTARTED:
+            if odd != SUSPECT:
                 self._accept(time_100ns, received_s, synced_s)
-            if odd:
-                return odd
-            self._accept(time_100ns, received_s, synced_s)
-            return intervals
+            return odd or intervals
         if -OLDEST <= intervals < least:
             return self._repeated(time_100ns, counted, unit, received_s)
         return self._doubted(time_100ns, counted, unit, received_s)
@@ -148,26 +145,24 @@ class SampleTimes:
             if heard.limit_s <= limit_s:
                 off_s, limit_s, witness = error_s, heard.limit_s, heard
             else:
-                heard.learn(min(abs(error_s), self._most_s))
+                self._learn(heard, error_s)
         if not abs(off_s) > limit_s or abs(off_s) * speed_cycles <= slip:
             if before is not None:  # it was alone
-                witness.learn(min(abs(before), self._most_s))
-                self._odd_s = None
-            jitter.learn(min(abs(uneven_s), self._most_s))
+                self._learn(witness, before)
+            self._learn(jitter, uneven_s)
             if witness is heard:
-                heard.learn(min(abs(off_s), self._most_s))
+                self._learn(heard, off_s)
             return 0.0
         self._odd_s = off_s
         if before is None:
             return SUSPECT
         if abs(off_s - before) <= limit_s:
             return RESTARTED
-        witness.learn(min(max(abs(off_s), abs(before)), self._most_s))
+        self._learn(witness, max(off_s, before, key=abs))
         return SUSPECT
 
-    @property
-    def _most_s(self) -> float:
-        return LARGEST_LEARNED * self.unit_s
+    def _learn(self, usual: UsualScatter, off_s: float) -> None:
+        usual.learn(min(abs(off_s), LARGEST_LEARNED * self.unit_s))
 
     def _accept(self, time_100ns: int, received_s: float | None, synced_s: float | None = None) -> None:
         self._last, self._received_s, self._suspect = time_100ns, received_s, None
