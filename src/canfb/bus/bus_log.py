@@ -15,14 +15,13 @@ import can
 from can.io.generic import MessageWriter
 
 from canfb.bus.bus_state import RETRY_S, FailureWatch
-from canfb.bus.log_suffixes import check_writable
+from canfb.bus.log_suffixes import NEEDS_PACKAGE, check_writable
 from canfb.errors import CanfbError, ConfigError, reason
 
 log = logging.getLogger(__name__)
 
 LONGEST_WAIT_S = 0.1  # how late a signal or the end may be noticed
 ROTATED = frozenset({".asc", ".blf", ".log"})  # python-can's SizedRotatingLogger
-ASAMMDF = "pip install 'canfb[mf4]'"
 
 
 @dataclass
@@ -74,7 +73,7 @@ class BusLog:
         try:
             self._writer = writer(str(self.path), **options)
         except (NotImplementedError, ImportError) as error:
-            raise CanfbError(f"{self.path}: this format needs another package: {ASAMMDF}") from error
+            raise CanfbError(f"{self.path}: {NEEDS_PACKAGE}") from error
         except (OSError, ValueError) as error:
             raise CanfbError(f"{self.path}: cannot be written: {reason(error)}") from error
         return self

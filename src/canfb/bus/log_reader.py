@@ -13,14 +13,13 @@ import can
 
 from canfb.bus.blf_log import BlfFrames
 from canfb.bus.candump_log import candump_frames
-from canfb.bus.log_suffixes import check_readable
+from canfb.bus.log_suffixes import NEEDS_PACKAGE, check_readable
 from canfb.bus.logged import LogCounters
 from canfb.cia301.frame import Frame
 from canfb.errors import CanfbError, reason
 
 BLF_HEADER_BYTES = 144
 LOOK_FRAMES = 4096
-ASAMMDF = "pip install 'canfb[mf4]'"
 
 
 class LogError(CanfbError):
@@ -80,7 +79,7 @@ class BusLogFile:
         except CanfbError:
             raise
         except (NotImplementedError, ImportError) as error:
-            raise LogError(f"{self.path}: this format needs another package: {ASAMMDF}") from error
+            raise LogError(f"{self.path}: {NEEDS_PACKAGE}") from error
         except Exception as error:
             said = reason(error)
             if not self.counters.frames:

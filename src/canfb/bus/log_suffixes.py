@@ -13,6 +13,7 @@ GZIP = ".gz"
 NOT_ZIPPED = frozenset({".blf", ".db", ".mf4"})
 IN_NO_FOLDER = frozenset({".csv", ".db"})
 """A folder may hold other files with these suffixes: one that is a bus log is named by itself."""
+NEEDS_PACKAGE = "this format needs another package: pip install 'canfb[mf4]'"
 
 
 def log_suffix(path: Path) -> tuple[str, bool]:
