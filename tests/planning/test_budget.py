@@ -21,7 +21,7 @@ from canfb.signal.limits import PHASE_ERROR_MARGIN_CYCLES, narrowed_residual_lim
 from canfb.simulation.demand import of_motion
 from canfb.simulation.scenario import MotionConfig
 
-FAULTS = (Path(__file__).parents[2] / "docs" / "faults.md").read_text(encoding="utf-8")
+LEGAL = (Path(__file__).parents[2] / "docs" / "legal-motion.md").read_text(encoding="utf-8")
 RPM = 60.0 / (2.0 * math.pi)
 LIMIT = 21845 / 65536
 
@@ -161,7 +161,7 @@ def test_jerk_is_what_it_changes_in_one_interval_and_counts_for_nothing_yet() ->
 
 
 def test_the_samples_in_a_row_are_those_of_the_page() -> None:
-    rows = dict(re.findall(r"^\| (\d) \| 1/(\d) \|", FAULTS, re.M))
+    rows = dict(re.findall(r"^\| (\d) \| 1/(\d) \|", LEGAL, re.M))
     assert {int(n): 1.0 / int(part) for n, part in rows.items()} == SAMPLE_BOUNDS
     for n, largest in SAMPLE_BOUNDS.items():
         assert samples_without_harm(largest) == n
