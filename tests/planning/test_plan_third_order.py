@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -18,9 +19,9 @@ from canfb.signal.limits import limit_narrowed_by_jerk
 
 HELD, FLAGGED = 0.95, 1.05
 RPM = 2.0 * math.pi / 60.0
-ORDER_3 = {"prediction_order": 3}
+ORDER_3: dict[str, Any] = {"prediction_order": 3}
 LIMIT = 21845 / 65536
-SERVO = {"acceleration_rad_s2": 7850.0, "jerk_rad_s3": 785_000.0, "table": True}
+SERVO: dict[str, Any] = {"acceleration_rad_s2": 7850.0, "jerk_rad_s3": 785_000.0, "table": True}
 
 
 def texts(plan: Plan) -> list[str]:
