@@ -1,12 +1,14 @@
 """Commands of a page, one after the other, on a bus in simulated time in place of that of their options.
 
-`canfb run` and `canfb simulate` put their devices on it and end at once; the devices stay. The commands that
-speak to a node find them there. Nothing else of a command is replaced, but that measurements are shorter.
+`canfb run` and `canfb simulate` put their devices on it and end at once, or after `--seconds`; the devices
+stay. The commands that speak to a node find them there. Nothing else of a command is replaced, but that
+measurements are shorter.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
@@ -59,7 +61,8 @@ class GuideNetwork:
     ) -> None:
         self.bus = EmbeddedBus()
         self.master = EmbeddedMaster(self.bus)
-        self.attached: list[Unplugged] = []
+        self._attached: list[list[Unplugged]] = []
+        self.is_limited = False
         self._capsys = capsys
         network = self
 
@@ -70,12 +73,14 @@ class GuideNetwork:
                 self._devices = devices
 
             def run(self, until: Any = None, ready: Any = None) -> None:
-                network.attached = [Unplugged(device) for device in self._devices]
-                for device in network.attached:
+                network._attached.append([Unplugged(device) for device in self._devices])
+                for device in network._attached[-1]:
                     network.bus.attach(device)
                 if ready is not None:
                     ready()
                 network.wait(0.1)
+                while network.is_limited and not until():
+                    network.wait(1.0)
 
             def stop(self) -> None:
                 """It has ended."""
@@ -98,11 +103,12 @@ class GuideNetwork:
 
     def __call__(self, line: str) -> str:
         """Run a line, ``canfb ...``, perhaps with ``> FILE``, or ``cansend ...``; what it says."""
-        command, _, file = line.partition(" > ")
+        command, _, file = line.removesuffix(" &").partition(" > ")
         name, *words = shlex.split(command, comments=not command.startswith("cansend"))
         if name == "cansend":
             return self._send(*words[1].split("#"))
         assert name == "canfb"
+        self.is_limited = "--seconds" in words
         words += FEWER if words[0] == "calibrate" and "--samples" not in words else ()
         self._capsys.readouterr()
         assert main(words) == 0, (line, self._capsys.readouterr())
@@ -117,7 +123,12 @@ class GuideNetwork:
 
     def end_of_the_last_command(self) -> None:
         """Ctrl-C: what it put on the bus is gone."""
-        for device in self.attached:
+        for device in self._attached[-1]:
+            device.plugged = False
+
+    def end_of_all(self) -> None:
+        """The bus is empty."""
+        for device in itertools.chain(*self._attached):
             device.plugged = False
 
     def _send(self, can_id: str, data: str) -> str:

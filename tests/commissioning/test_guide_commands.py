@@ -17,13 +17,16 @@ from canfb.cli.main import build_parser
 ROOT = Path(__file__).parents[2]
 GUIDES = (
     *("first-hour", "first-encoder", "wiring", "usb-adapters", "raspberry-pi", "sync-rate"),
-    *("realtime", "homing", "method", "calibration", "drift", "canopen"),
+    *("realtime", "homing", "method", "calibration", "drift", "canopen", "simulation"),
 )
 # Parsed, not run.
 PARSED_ONLY = {
     "canfb demo --out demo": "takes 9 s; tests/cli/test_demo_command.py runs it",
     "canfb calibrate -i socketcan -c can0 --method zero-crossings --seconds 4": (
         "needs an encoder interface that records at 50 kHz; test_fast_recording_on_a_bus.py simulates one"
+    ),
+    "canfb calibrate -i socketcan -c vcan0 --method zero-crossings --source recording --seconds 2": (
+        "uploads 100 000 samples; test_fast_recording_on_a_bus.py does so"
     ),
 }
 # Not run at all, by the first word.
@@ -32,7 +35,13 @@ OF_OTHERS = {
     "tells of this computer": {"uname"},
     "installs canfb": {"python3", "git", ".", "canfb-venv/bin/pip", "~/canfb-venv/bin/pip"},
     "is not a command": {
-        *("dtparam=spi=on", "dtoverlay=mcp2515-can0,oscillator=16000000,interrupt=25", "@canfb", "i(k)"),
+        *(
+            "dtparam=spi=on",
+            "dtoverlay=mcp2515-can0,oscillator=16000000,interrupt=25",
+            "@canfb",
+            "i(k)",
+            "SYNC",
+        ),
         "dtoverlay=mcp251xfd,spi0-0,oscillator=40000000,interrupt=25",
     },
 }
@@ -140,6 +149,29 @@ def test_homing_with_a_folder_for_what_is_saved(network: GuideNetwork) -> None:
     Path("still.yaml").write_text(text.replace(", ripple_rpm: 0.5, ripple_hz: 0.3", ""))
     play(network, "homing")
     assert network("canfb sdo read 0x20 6004").startswith("6004:00 Position value: 81920 ")
+
+
+def test_the_simulated_machines_of_the_page(network: GuideNetwork) -> None:
+    text = (ROOT / "docs" / "simulation.md").read_text(encoding="utf-8")
+    slow, drive = re.findall(r"```yaml\n(modules:.*?|bus:.*?)```", text, re.DOTALL)[:2]
+    Path("slow.yaml").write_text(slow.replace("modules:", "bus: {interface: virtual}\nmodules:"))
+    Path("drive.yaml").write_text(drive)
+    simulate, example, record, run, with_drive = filter(runs, lines_of("simulation"))
+    network("canfb run slow.yaml")
+    assert "motion: 13 rpm" in network(simulate)
+    network("canfb nmt start 0x20")
+    network.wait(0.5)
+    assert VALID in network('canfb sdo read 0x20 "status word"')
+    network.end_of_all()
+    network(example)
+    network(record)
+    assert len(Path("tracks.csv").read_text().splitlines()) > 12_000
+    network.end_of_all()
+    network(run)
+    assert "drive" in network(with_drive)
+    network("canfb nmt start all")
+    network.wait(0.5)
+    assert VALID in network('canfb sdo read 0x20 "status word"')
 
 
 def test_each_line_runs_is_parsed_or_is_of_another_program() -> None:
