@@ -252,6 +252,6 @@ def test_detection_is_the_bound_of_the_proof(count: int, off: float) -> None:
     assert samples_without_harm(bound * (1.0 + off)) == count - 1
 
 
-def test_detection_table_of_the_faults_page() -> None:
+def test_detection_table_of_the_page_on_glitches() -> None:
     assert [safe_deviation(n) for n in (1, 2, 3)] == [1 / 3, 1 / 4, 1 / 6]
     assert samples_without_harm(0.34) == 0

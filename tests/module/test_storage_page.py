@@ -1,4 +1,4 @@
-"""docs/canopen.md, Storage and LSS: the examples run, on a module and a master as the page has them."""
+"""docs/storage.md and docs/lss.md: the examples run, on a module and a master as the pages have them."""
 
 from __future__ import annotations
 
@@ -16,23 +16,18 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
 
-PAGE = (Path(__file__).parents[2] / "docs" / "canopen.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[2] / "docs"
+STORAGE, LSS = ((DOCS / f"{name}.md").read_text(encoding="utf-8") for name in ("storage", "lss"))
 
 
-def section(title: str) -> str:
-    found = PAGE.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
-    assert found
-    return found
-
-
-def examples(title: str, language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", section(title), re.S)
+def examples(page: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page, re.S)
 
 
 def test_the_frames_of_saving_and_loading() -> None:
     module = FeedbackModule(ModuleConfig(node_id=32), MemoryStore())
     module.start(0.0)
-    (commands,) = examples("Storage", "sh")
+    (commands,) = examples(STORAGE, "sh")
     seen = []
     for can_id, data in re.findall(r"^cansend can0 ([0-9A-F]{3})#(\w+)", commands, re.M):
         answers = module.receive(Frame(int(can_id, 16), bytes.fromhex(data)), 0.0)
@@ -41,7 +36,7 @@ def test_the_frames_of_saving_and_loading() -> None:
 
 
 def test_the_program_with_a_store_of_its_own() -> None:
-    (program,) = examples("Storage", "python")
+    (program,) = examples(STORAGE, "python")
     exec(program, {})
 
 
@@ -57,7 +52,7 @@ def test_the_master_that_sets_a_node_id(monkeypatch: pytest.MonkeyPatch) -> None
     config = ModuleConfig(node_id=32, serial_number=4711)
     module = FeedbackModule(config, store)
     bus.attach(module)
-    (program,) = examples("LSS", "python")
+    (program,) = examples(LSS, "python")
     exec(program, {})
     assert module.node.node_id == 0x21
     assert FeedbackModule(config, store).start(0.0) == [Frame(0x721, b"\x00")]
@@ -67,6 +62,6 @@ def test_the_files_that_the_page_names_are_those_of_the_program() -> None:
     from canfb.bus import state_files
     from canfb.device.storage.image import ParameterGroup
 
-    named = set(re.findall(r"`(\w+\.bin)`", PAGE))
+    named = set(re.findall(r"`(\w+\.bin)`", STORAGE))
     made = {f"{group.name.lower()}.bin" for group in ParameterGroup}
     assert named == made | {state_files.PENDING}

@@ -16,12 +16,13 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.planning.budget import RAW_PHASE_ERROR_CYCLES, ResidualBudget
 from canfb.planning.detection import SAMPLE_BOUNDS
+from canfb.planning.jerk_budget import budget_of
 from canfb.planning.plan import Limited, Plan
 from canfb.signal.limits import PHASE_ERROR_MARGIN_CYCLES, narrowed_residual_limit, samples_without_harm
 from canfb.simulation.demand import of_motion
 from canfb.simulation.scenario import MotionConfig
 
-FAULTS = (Path(__file__).parents[2] / "docs" / "faults.md").read_text(encoding="utf-8")
+LEGAL = (Path(__file__).parents[2] / "docs" / "legal-motion.md").read_text(encoding="utf-8")
 RPM = 60.0 / (2.0 * math.pi)
 LIMIT = 21845 / 65536
 
@@ -32,7 +33,7 @@ def budget(**stated: object) -> ResidualBudget:
 
 def known(plan: Plan, acceleration: float) -> ResidualBudget:
     module = plan.situation.modules[0].with_values({(0x2010, 2): acceleration})
-    return ResidualBudget(plan.situation, module)
+    return budget_of(plan.situation, module)
 
 
 def test_without_errors_it_is_the_public_formula() -> None:
@@ -141,9 +142,9 @@ def test_an_uncorrected_phase_takes_what_the_module_allows_it_and_noise_is_withi
     assert one.needed_cycles == PHASE_ERROR_MARGIN_CYCLES
     assert budget(noise_counts=5.0).needed_cycles > PHASE_ERROR_MARGIN_CYCLES
     assert budget(table=True).needed_cycles < 0.006
-    assert budget(phase_error_cycles=0.02).needed_cycles == pytest.approx(0.08 + one.noise_cycles)
+    assert budget(phase_error_cycles=0.02).needed_cycles == pytest.approx(0.08 + one.noise_cycles())
     few_bits = planned(adc_bits=6).budgets[0]
-    assert few_bits.noise_cycles == pytest.approx(64.0 * one.noise_cycles)
+    assert few_bits.noise_cycles() == pytest.approx(64.0 * one.noise_cycles())
 
 
 def test_what_is_not_stated_has_no_margin() -> None:
@@ -161,7 +162,7 @@ def test_jerk_is_what_it_changes_in_one_interval_and_counts_for_nothing_yet() ->
 
 
 def test_the_samples_in_a_row_are_those_of_the_page() -> None:
-    rows = dict(re.findall(r"^\| (\d) \| 1/(\d) \|", FAULTS, re.M))
+    rows = dict(re.findall(r"^\| (\d) \| 1/(\d) \|", LEGAL, re.M))
     assert {int(n): 1.0 / int(part) for n, part in rows.items()} == SAMPLE_BOUNDS
     for n, largest in SAMPLE_BOUNDS.items():
         assert samples_without_harm(largest) == n

@@ -17,7 +17,7 @@ BLOCKS = [block.splitlines() for block in re.findall(r"```sh\n(.*?)```", PAGE, r
 
 def test_the_output_of_the_first_command(capsys: pytest.CaptureFixture[str]) -> None:
     ((line,), *_) = BLOCKS
-    (shown,) = re.findall(r"```text\n(.*?)```", PAGE, re.S)
+    (shown, *_) = re.findall(r"```text\n(.*?)```", PAGE, re.S)
     assert main(shlex.split(line)[1:]) == 1
     assert capsys.readouterr().out == shown
 
@@ -26,6 +26,13 @@ def test_sample_times_remove_the_limit(capsys: pytest.CaptureFixture[str]) -> No
     (line,) = BLOCKS[1]
     assert main(shlex.split(line)[1:]) == 0
     assert "the plan holds" in capsys.readouterr().out
+
+
+def test_the_servo_and_order_3(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = re.findall(r"```text\n(.*?)```", PAGE, re.S)[1:]
+    for (line,), part, code in zip(BLOCKS[3:], shown, (1, 0), strict=True):
+        assert main(shlex.split(line)[1:]) == code
+        assert part in capsys.readouterr().out
 
 
 def test_the_commands_with_a_configuration(

@@ -98,7 +98,7 @@ def test_network_and_rule_say_the_same() -> None:
     link = (FOLDER / "80-canfb-can.link").read_text(encoding="utf-8")
     rule = (FOLDER / "80-canfb-can.rules").read_text(encoding="utf-8")
     assert f'KERNEL=="{setting("Name", network)}"' in rule
-    assert f"bitrate {setting('BitRate', network)} " in rule
+    assert f'bitrate {setting("BitRate", network)}"' in rule
     assert f'restart-ms {setting("RestartSec", network).removesuffix("ms")}"' in rule
     assert f"txqueuelen {setting('TransmitQueueLength', link)} " in rule
 

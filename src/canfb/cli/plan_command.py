@@ -55,6 +55,9 @@ def register(commands: Commands) -> None:
     parser.add_argument(
         "--cycles", dest="cycles_per_revolution", type=whole_number, metavar="N", help="per revolution (2500)"
     )
+    parser.add_argument(
+        "--prediction-order", type=whole_number, metavar="ORDER", help="2 or 3, of every module (2)"
+    )
     parser.add_argument("--times", action="store_true", help="the ADC PDO carries sample times")
     parser.add_argument("--table", action="store_true", help="a correction table is in force")
     parser.add_argument(
@@ -99,5 +102,5 @@ def _named(message: str) -> str:
     name = message.split()[0]
     options = {field: option for option, field, _, _ in NUMBERS}
     options |= {"bit_rate": "--bitrate", "cycles_per_revolution": "--cycles", "adc_bits": "--adc-bits"}
-    options |= {"modules": "--modules"}
+    options |= {"modules": "--modules", "prediction_order": "--prediction-order"}
     return message.replace(name, options.get(name, name), 1)

@@ -40,7 +40,7 @@ def commission_html(done: Commissioned) -> str:
     """The page. It refers to nothing outside of itself and runs no script."""
     said = [f"{detection_words(done)}.", f"{outcome(done)[:1].upper()}{outcome(done)[1:]}.", *notes(done)]
     body = (
-        comparison_table("Limits", ("before", "proposed", "why"), limit_rows(done))
+        comparison_table("Limits", ("before", "proposed", "why"), limit_rows(done), listed=True)
         + facts_table("The machine", machine_facts(done))
         + comparison_table(
             "Bad samples in a row that cannot falsify the cycle count unseen",

@@ -23,6 +23,8 @@ from canfb.signal.limits import safe_deviation, samples_without_harm
 ROWS = 3  # of the table of detection, at least
 MOST_ROWS = 12
 
+LEAST_JITTER_S = 1e-8
+
 
 @dataclass(frozen=True, eq=False)
 class Commissioned:
@@ -59,7 +61,7 @@ class Commissioned:
         return self.new.acceleration_cycles(self.machine.interval_s) or self.machine.motion.acceleration
 
     def deviation(self, limits: SupervisionLimits) -> float:
-        """L + a of docs/faults.md with these limits, cycles."""
+        """L + a of docs/legal-motion.md with these limits, cycles."""
         return limits.residual_limit(self.machine.interval_s) + self.largest_acceleration
 
 
@@ -74,16 +76,16 @@ def machine_facts(done: Commissioned) -> list[tuple[str, str]]:
         ("distance", f"{motion.turned / n:.3g} revolutions from the lowest to the highest position"),
         (
             "largest acceleration",
-            f"{machine.rad(motion.acceleration, 2, n):.3g} rad/s², "
+            f"{_rounded(machine.rad(motion.acceleration, 2, n))} rad/s², "
             f"{motion.acceleration:.3g} cycle per interval²",
         ),
         (
             "largest jerk",
-            f"{machine.rad(motion.jerk, 3, n):.3g} rad/s³, {motion.jerk:.3g} cycle per interval³",
+            f"{_rounded(machine.rad(motion.jerk, 3, n))} rad/s³, {motion.jerk:.3g} cycle per interval³",
         ),
         (
             "jitter",
-            "not known" if machine.jitter_s is None else f"{1e6 * machine.jitter_s:.3g} µs from SYNC to SYNC",
+            "not known" if machine.jitter_s is None else f"{_jitter(machine.jitter_s)} from SYNC to SYNC",
         ),
         ("residual", f"{motion.residual_rms:.3g} cycle rms, at most {motion.residual_peak:.3g}"),
         (
@@ -93,6 +95,16 @@ def machine_facts(done: Commissioned) -> list[tuple[str, str]]:
         ("amplitude", f"mean {tracks.mean:.0f}, {tracks.least:.0f} to {tracks.most:.0f} counts"),
         ("flagged meanwhile", in_words(done.usual) or "nothing"),
     ]
+
+
+def _rounded(value: float) -> str:
+    """Three figures, without a power of ten: 18100 in place of 1.81e+04."""
+    return f"{float(f'{value:.3g}'):.15g}"
+
+
+def _jitter(jitter_s: float) -> str:
+    """In µs; what no clock of a receiver resolves is only a bound."""
+    return f"{1e6 * jitter_s:.3g} µs" if jitter_s >= LEAST_JITTER_S else f"below {1e6 * LEAST_JITTER_S:g} µs"
 
 
 def notes(done: Commissioned) -> list[str]:

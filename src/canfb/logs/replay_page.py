@@ -42,9 +42,7 @@ def replay_html(replayed: LogReplayed, overview: Overview) -> str:
     compared = comparison_facts(replay)
     if compared:
         tables += facts_table("The recorded module and the replay", compared)
-    body = beside(tables, _lissajous(replay, overview)) + gallery(
-        "Over the time", _pictures(replay, overview)
-    )
+    body = beside(tables, _lissajous(replay, overview)) + gallery("Over time", _pictures(replay, overview))
     words = fault_words(replay)
     if words:
         rows = [(f"{n}", text) for n, text in enumerate(words[:MOST_FAULTS], 1)]
@@ -75,7 +73,7 @@ def _said(replay: ModuleReplay) -> list[str]:
 def _lissajous(replay: ModuleReplay, overview: Overview) -> str:
     conditioning = replay.module.chain.correction.conditioning
     picture = lissajous(overview.sine, overview.cosine, conditioning, replay.module.limits.sample)
-    return figure("Lissajous picture", f"{len(overview.sine)} samples, evenly chosen", picture)
+    return figure("Lissajous figure", f"{len(overview.sine)} samples, evenly chosen", picture)
 
 
 def _pictures(replay: ModuleReplay, overview: Overview) -> list[str]:
@@ -100,10 +98,11 @@ def _pictures(replay: ModuleReplay, overview: Overview) -> list[str]:
     faults = [
         Curve(np.where(found["faults"] > 0.0, found["faults"], 0.0), "before", "intervals with a fault")
     ]
-    stretch = f"of each of {len(time_s)} stretches of the log"
+    stretch = f"in each of {len(time_s)} equal parts of the log"
+    extremes = f"lowest and highest {stretch}"
     return [
-        figure("Residual", f"the largest {stretch}", over_time("Residual", "cycles", time_s, residual, 0.0)),
-        figure("Amplitude", f"extremes {stretch}", over_time("Amplitude", "counts", time_s, amplitude, 0.0)),
-        figure("Speed", f"extremes {stretch}, while valid", over_time("Speed", "rpm", time_s, speed)),
-        figure("Faults", f"number {stretch}", over_time("Faults", "intervals", time_s, faults, 0.0)),
+        figure("Residual", f"largest {stretch}", over_time("Residual", "cycles", time_s, residual, 0.0)),
+        figure("Amplitude", extremes, over_time("Amplitude", "counts", time_s, amplitude, 0.0)),
+        figure("Speed", f"{extremes}, while valid", over_time("Speed", "rpm", time_s, speed)),
+        figure("Faults", f"intervals {stretch}", over_time("Faults", "intervals", time_s, faults, 0.0)),
     ]

@@ -6,7 +6,8 @@ Pure arithmetic over a module, its interface and a simulated motion::
     bus_load     all frames of a bus: worst-case load, the largest SYNC rate, what delays a SYNC
     situation    what is planned; stated: from a configuration and options; planned_module: one module
     budget       what the residual limit of a module is used up by, and the limits that follow
-    detection    which errors of the count cannot pass at a residual limit (docs/faults.md)
+    jerk_budget  the same with third-order prediction
+    detection    which errors of the count cannot pass at a residual limit (docs/legal-motion.md)
     plan         all of it together: margins, and whether they hold; remedies: what to change first
     planned_config  the configuration, each module with a node-ID
     plan_lines   for people; plan_figures: for programs

@@ -2,11 +2,12 @@
 
 The residual of a healthy machine is at most
 
-    a N/(2 pi) T^2  +  4 v u  +  4 e  +  noise
+    motion  +  w v u  +  w e  +  noise
 
-with the acceleration a, the speed v, the error e of a phase and the uncertainty u of the sampling instant:
-without sample times half the range of the SYNC, with them half a unit of the sample time. Unequal intervals
-T, which sample times allow, make the first part larger.
+with the speed v, the error e of a phase and the uncertainty u of the sampling instant: without sample times
+half the range of the SYNC, with them half a unit of the sample time. w is 4 for eq. 9, 8 for third-order
+prediction. What the motion leaves is, for eq. 9, a N/(2 pi) T^2 with the acceleration a; unequal intervals T,
+which sample times allow, make it larger. :mod:`canfb.planning.jerk_budget` is that of third-order prediction.
 """
 
 from __future__ import annotations
@@ -14,23 +15,44 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.situation import Situation
 from canfb.signal.limits import (
+    JERK_MARGIN_CYCLES,
     PHASE_ERROR_MARGIN_CYCLES,
     cycles_per_interval_squared,
     max_acceleration,
     max_speed,
 )
+from canfb.signal.third_order import SECOND, THIRD
 
 HALF_TICK_S = 50e-9  # a sample time is rounded down to 100 ns
-WEIGHT = 4.0  # of eq. 9: three phases with 1, 2, 1
 RAW_PHASE_ERROR_CYCLES = 0.0113  # of Table 1, without a correction table
 TABLE_PHASE_ERROR_CYCLES = 0.001  # of what a reference measurement leaves
 PEAK = 6.0  # standard deviations of the noise: one healthy sample in 5e8 is further off
 ROUNDING_VARIANCE = 1.0 / 12.0  # counts^2
 ROUNDING, ROUNDING_CYCLES = 1e-6, 1e-9  # of sums: a limit that is narrowed to the motion holds
+
+
+class Weights(NamedTuple):
+    """How a difference of phases adds up their errors.
+
+    order            of the prediction
+    errors           sum of the sizes of the weights
+    variance         sum of their squares
+    margin_cycles    what the module keeps for the errors of an uncorrected encoder
+    """
+
+    order: int
+    errors: float
+    variance: float
+    margin_cycles: float
+
+
+SECOND_DIFFERENCE = Weights(SECOND, 4.0, 6.0, PHASE_ERROR_MARGIN_CYCLES)  # 1, 2, 1
+THIRD_DIFFERENCE = Weights(THIRD, 8.0, 20.0, JERK_MARGIN_CYCLES)  # 1, 3, 3, 1
 
 
 @dataclass(frozen=True)
@@ -48,6 +70,8 @@ class ResidualBudget:
     situation: Situation
     module: PlannedModule
 
+    weights = SECOND_DIFFERENCE
+
     @property
     def interval_s(self) -> float:
         """The nominal sampling interval."""
@@ -59,9 +83,19 @@ class ResidualBudget:
         return self.module.residual_limit_cycles(self.interval_s)
 
     @property
+    def is_narrowed(self) -> bool:
+        """What is known of the machine is narrower than 2010:01."""
+        return self.limit_cycles < self.module.widest_limit_cycles
+
+    @property
     def asked_rad_s2(self) -> float | None:
         """The largest acceleration that the module has to follow; None: not stated."""
         return self.situation.motion.acceleration_of(self.module)
+
+    @property
+    def asked_rad_s3(self) -> float | None:
+        """The largest jerk of the machine; None: not stated."""
+        return self.situation.motion.jerk_of(self.module)
 
     @cached_property
     def sync_jitter_s(self) -> float:
@@ -78,12 +112,17 @@ class ResidualBudget:
     @property
     def parts(self) -> tuple[ResidualPart, ...]:
         """What the residual is made of, at worst, all at the same time."""
-        instants = self._instants_cycles
+        instants = self.instants_cycles()
         return (
-            ResidualPart("acceleration", self._taken_cycles),
+            self.motion_part,
             ResidualPart("sampling instants", instants),
-            ResidualPart("errors of the encoder", self._rest_cycles(instants) - instants),
+            ResidualPart("errors of the encoder", self.rest_cycles(instants) - instants),
         )
+
+    @cached_property
+    def motion_part(self) -> ResidualPart:
+        """What the motion leaves."""
+        return ResidualPart("acceleration", self.acceleration_cycles(self.asked_rad_s2 or 0.0))
 
     @cached_property
     def needed_cycles(self) -> float:
@@ -94,24 +133,6 @@ class ResidualBudget:
     def margin(self) -> float:
         """Residual limit over what is needed."""
         return over(self.limit_cycles, self.needed_cycles)
-
-    @cached_property
-    def noise_cycles(self) -> float:
-        """The noise of the tracks in the residual, at most."""
-        errors = self.situation.errors
-        counts = math.sqrt(errors.noise_counts**2 + ROUNDING_VARIANCE)
-        amplitude = errors.amplitude * self.module.full_scale_counts
-        if not amplitude:
-            return math.inf
-        return PEAK * math.sqrt(WEIGHT + 2.0) * counts / (2.0 * math.pi * amplitude)
-
-    @property
-    def phase_cycles(self) -> float:
-        """Errors of the phases in the residual, without those of their instants."""
-        stated = self.situation.errors.phase_cycles
-        if stated is None:
-            stated = TABLE_PHASE_ERROR_CYCLES if self.module.has_table else RAW_PHASE_ERROR_CYCLES
-        return WEIGHT * stated + self.noise_cycles
 
     @property
     def equation_rad_s2(self) -> float:
@@ -126,15 +147,22 @@ class ResidualBudget:
     @property
     def largest_acceleration_rad_s2(self) -> float:
         """With the speed as stated, unless that alone is too much; 0.0 if the errors need the whole limit."""
-        left = self.limit_cycles - self._rest_cycles(self._instants_cycles)
-        if left <= 0.0:
-            left = self.limit_cycles - self._rest_cycles(0.0)
-        return self._acceleration(left, 1.0 / self.worst_interval_s)
+        return self._acceleration(self.left_cycles(self.limit_cycles), 1.0 / self.worst_interval_s)
+
+    @property
+    def largest_jerk_rad_s3(self) -> float:
+        """With the speed as stated; inf: eq. 9 limits the acceleration alone."""
+        return math.inf
+
+    @property
+    def equation_rad_s3(self) -> float:
+        """The jerk that the residual limit allows without any errors; inf: eq. 9 does not limit it."""
+        return math.inf
 
     @property
     def equation_speed_rad_s(self) -> float:
-        """The speed that 4 v u < L allows without any errors; inf without an uncertainty."""
-        return self._speed(self.limit_cycles)
+        """The speed that w v u < L allows without any errors; inf without an uncertainty."""
+        return self.speed_rad_s(self.limit_cycles, self.weights)
 
     @property
     def largest_speed_rad_s(self) -> float:
@@ -142,80 +170,101 @@ class ResidualBudget:
 
         0.0 if the errors need the whole limit, inf if the sampling instants are known.
         """
-        left = self.limit_cycles - self._taken_cycles
-        if left < self._rest_cycles(0.0) - ROUNDING_CYCLES:
+        left = self.limit_cycles - self.motion_part.cycles
+        if left < self.rest_cycles(0.0) - ROUNDING_CYCLES:
             left = self.limit_cycles
-        return self._speed(left - self.phase_cycles)
+        return self.speed_rad_s(left - self.phase_cycles(), self.weights)
 
     @property
     def least_sync_hz(self) -> float:
-        """The SYNC rate below which the acceleration takes too much; inf if no rate is enough.
+        """The SYNC rate below which the motion takes too much; inf if no rate is enough.
 
-        With 2010:01: a limit that is narrowed by 2010:02 follows the rate. A speed that is too high alone
-        does not count.
+        With 2010:01: a limit that is narrowed follows the rate. A speed that is too high alone does not
+        count.
         """
-        taken, widest = self._taken_cycles, self.module.widest_limit_cycles
-        left = widest - self._rest_cycles(self._instants_cycles)
-        if left <= 0.0:
-            left = widest - self._rest_cycles(0.0)
+        taken, left = self.motion_part.cycles, self.left_cycles(self.module.widest_limit_cycles)
         if not taken:
             return 0.0
-        return self.situation.sync_hz * math.sqrt(taken / left) if left > 0.0 else math.inf
+        return self.situation.sync_hz * (taken / left) ** (1.0 / self.power) if left > 0.0 else math.inf
 
     @property
     def jerk_rad_s2(self) -> float | None:
-        """How far the jerk changes the acceleration within one interval; the prediction does not use it."""
-        jerk = self.situation.motion.jerk_rad_s3
-        return None if jerk is None else jerk * self.interval_s
+        """How far the jerk changes the acceleration within one interval; None: not stated."""
+        return None if self.asked_rad_s3 is None else self.asked_rad_s3 * self.interval_s
+
+    @property
+    def power(self) -> int:
+        """Of the interval, with which the residual of the motion grows."""
+        return 2
 
     @cached_property
-    def worst_interval_s(self) -> float:
-        """The equal intervals that would do what unequal ones do at worst.
+    def off_s(self) -> float:
+        """How far samples may be from equal intervals, +-, if their times are known.
 
-        Eq. 9 with intervals g and h leaves a h (g + h)/2, here with instants off by +-jitter; without
-        sample times they count as equal, and as an error of the position.
+        0.0 without sample times: they count as equal then, and as an error of the position.
         """
-        if not self.module.times or self.module.samples_itself:
-            return self.interval_s
-        off = self.sync_jitter_s
-        return math.sqrt((self.interval_s + 2.0 * off) * (self.interval_s + off))
+        return self.sync_jitter_s if self.module.times and not self.module.samples_itself else 0.0
+
+    @property
+    def worst_interval_s(self) -> float:
+        """The equal intervals that would do to eq. 9 what unequal ones do at worst.
+
+        With intervals g and h it leaves a h (g + h)/2, here with instants off by +-jitter.
+        """
+        return math.sqrt((self.interval_s + 2.0 * self.off_s) * (self.interval_s + self.off_s))
 
     def acceleration_cycles(self, acceleration_rad_s2: float) -> float:
-        """The residual that an acceleration leaves."""
+        """The second difference that an acceleration leaves."""
         return cycles_per_interval_squared(
             acceleration_rad_s2, self.module.cycles_per_revolution, self.worst_interval_s
         )
 
-    def _rest_cycles(self, instants_cycles: float) -> float:
-        """All but the acceleration, not below what the module itself allows for an uncorrected phase."""
+    def noise_cycles(self, weights: Weights | None = None) -> float:
+        """The noise of the tracks in a difference of phases, at most; that of the residual by default."""
+        errors = self.situation.errors
+        counts = math.sqrt(errors.noise_counts**2 + ROUNDING_VARIANCE)
+        amplitude = errors.amplitude * self.module.full_scale_counts
+        if not amplitude:
+            return math.inf
+        variance = (weights or self.weights).variance
+        return PEAK * math.sqrt(variance) * counts / (2.0 * math.pi * amplitude)
+
+    def phase_cycles(self, weights: Weights | None = None) -> float:
+        """Errors of the phases in a difference, without those of their instants."""
+        stated = self.situation.errors.phase_cycles
+        if stated is None:
+            stated = TABLE_PHASE_ERROR_CYCLES if self.module.has_table else RAW_PHASE_ERROR_CYCLES
+        return (weights or self.weights).errors * stated + self.noise_cycles(weights)
+
+    def instants_cycles(self, weights: Weights | None = None) -> float:
+        """Errors of the sampling instants in a difference of phases."""
+        cycles = self.module.cycles_per_revolution
+        cycles_per_s = (self.situation.motion.speed_rad_s or 0.0) * cycles / (2 * math.pi)
+        return (weights or self.weights).errors * cycles_per_s * self.uncertainty_s
+
+    def rest_cycles(self, instants_cycles: float, weights: Weights | None = None) -> float:
+        """All but the motion, not below what the module itself allows for an uncorrected phase."""
         uncorrected = self.situation.errors.phase_cycles is None and not self.module.has_table
-        rest = self.phase_cycles + instants_cycles
-        return max(rest, PHASE_ERROR_MARGIN_CYCLES) if uncorrected else rest
+        rest = self.phase_cycles(weights) + instants_cycles
+        return max(rest, (weights or self.weights).margin_cycles) if uncorrected else rest
 
-    @property
-    def _taken_cycles(self) -> float:
-        return self.acceleration_cycles(self.asked_rad_s2 or 0.0)
+    def left_cycles(self, limit_cycles: float) -> float:
+        """What a limit leaves for the motion, with the speed as stated unless that alone is too much."""
+        left = limit_cycles - self.rest_cycles(self.instants_cycles())
+        return left if left > 0.0 else limit_cycles - self.rest_cycles(0.0)
 
-    @cached_property
-    def _instants_cycles(self) -> float:
-        cycles_per_s = (
-            (self.situation.motion.speed_rad_s or 0.0) * self.module.cycles_per_revolution / (2 * math.pi)
-        )
-        return WEIGHT * cycles_per_s * self.uncertainty_s
+    def speed_rad_s(self, left_cycles: float, weights: Weights) -> float:
+        """The speed at which the sampling instants need so much; inf if they are known."""
+        if left_cycles <= 0.0:
+            return 0.0
+        if not self.uncertainty_s:
+            return math.inf
+        cycles, order = self.module.cycles_per_revolution, weights.order
+        return max_speed(cycles, self.uncertainty_s, min(left_cycles, 0.5), order)
 
     def _acceleration(self, left_cycles: float, rate_hz: float) -> float:
         cycles = self.module.cycles_per_revolution
         return max_acceleration(cycles, rate_hz, min(left_cycles, 0.5)) if left_cycles > 0.0 else 0.0
-
-    def _speed(self, left_cycles: float) -> float:
-        if left_cycles <= 0.0:
-            return 0.0
-        uncertainty = self.uncertainty_s
-        return (
-            max_speed(self.module.cycles_per_revolution, uncertainty, left_cycles)
-            if uncertainty
-            else math.inf
-        )
 
 
 def over(limit: float, value: float) -> float:

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 
-from canfb.planning.budget import ResidualBudget, over
-from canfb.planning.detection import CountDetection
+from canfb.planning.budget import THIRD_DIFFERENCE, ResidualBudget, over
+from canfb.planning.detection import CountDetection, JerkDetection
+from canfb.planning.jerk_budget import budget_of
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.situation import Situation
-from canfb.signal.limits import cycles_per_interval_squared
+from canfb.signal.limits import cycles_per_interval_cubed, cycles_per_interval_squared
 
 
 class Limited(StrEnum):
@@ -20,6 +21,7 @@ class Limited(StrEnum):
     BUS = "bus load"
     SPEED = "speed"
     ACCELERATION = "acceleration"
+    JERK = "jerk"
     RESIDUAL = "residual"
 
 
@@ -50,7 +52,7 @@ class Plan:
     @cached_property
     def budgets(self) -> tuple[ResidualBudget, ...]:
         """One for each module."""
-        return tuple(ResidualBudget(self.situation, module) for module in self.situation.modules)
+        return tuple(budget_of(self.situation, module) for module in self.situation.modules)
 
     @cached_property
     def margins(self) -> tuple[Margin, ...]:
@@ -69,11 +71,16 @@ class Plan:
 
     def detection(self, budget: ResidualBudget, limit_cycles: float | None = None) -> CountDetection:
         """What follows from a residual limit, that in force if none is given."""
-        stated = budget.asked_rad_s2 or 0.0
         limit = budget.limit_cycles if limit_cycles is None else limit_cycles
-        known, cycles = budget.module.known_acceleration_rad_s2, budget.module.cycles_per_revolution
+        cycles, motion = budget.module.cycles_per_revolution, budget.motion_part.cycles
+        if budget.module.is_third_order:
+            jerk = budget.module.known_jerk_rad_s3
+            known_jerk = cycles_per_interval_cubed(jerk, cycles, budget.interval_s) if jerk else None
+            error = budget.phase_cycles() / THIRD_DIFFERENCE.errors
+            return JerkDetection(limit, motion, limit, known_jerk, error)
+        known = budget.module.known_acceleration_rad_s2
         accepted = cycles_per_interval_squared(known, cycles, budget.interval_s) if known else limit
-        return CountDetection(limit, budget.acceleration_cycles(stated), accepted)
+        return CountDetection(limit, motion, accepted)
 
     def _margins(self) -> Iterator[Margin]:
         load, motion = self.situation.bus.load, self.situation.motion
@@ -85,4 +92,7 @@ class Plan:
             if budget.asked_rad_s2 is not None:
                 limit = budget.largest_acceleration_rad_s2
                 yield Margin(Limited.ACCELERATION, module, over(limit, budget.asked_rad_s2))
+            if module.is_third_order and budget.asked_rad_s3 is not None:
+                jerk = budget.asked_rad_s3
+                yield Margin(Limited.JERK, module, over(budget.largest_jerk_rad_s3, jerk))
             yield Margin(Limited.RESIDUAL, module, budget.margin)

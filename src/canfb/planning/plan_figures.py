@@ -6,9 +6,9 @@ import math
 from typing import Any
 
 from canfb.planning.budget import ResidualBudget, over
+from canfb.planning.changes import Remedy
 from canfb.planning.detection import CountDetection
 from canfb.planning.plan import Plan
-from canfb.planning.remedies import Remedy
 
 RPM = 60.0 / (2.0 * math.pi)
 
@@ -61,6 +61,7 @@ def _module(plan: Plan, budget: ResidualBudget) -> dict[str, Any]:
     return {
         "node_id": module.node_id,
         "cycles_per_revolution": module.cycles_per_revolution,
+        "prediction_order": budget.weights.order,
         "times": module.times,
         "table": module.has_table,
         "residual_limit_cycles": budget.limit_cycles,
@@ -73,14 +74,17 @@ def _module(plan: Plan, budget: ResidualBudget) -> dict[str, Any]:
         },
         "acceleration": {
             "stated_rad_s2": budget.asked_rad_s2,
-            "largest_rad_s2": budget.largest_acceleration_rad_s2,
+            "largest_rad_s2": _finite(budget.largest_acceleration_rad_s2),
             "equation_12_rad_s2": budget.equation_rad_s2,
             "equation_10_rad_s2": budget.paper_rad_s2,
             "least_sync_hz": _finite(budget.least_sync_hz),
             "margin": _margin(budget.largest_acceleration_rad_s2, budget.asked_rad_s2),
         },
         "jerk": {
-            "stated_rad_s3": motion.jerk_rad_s3,
+            "stated_rad_s3": budget.asked_rad_s3,
+            "largest_rad_s3": _finite(budget.largest_jerk_rad_s3),
+            "equation_rad_s3": _finite(budget.equation_rad_s3),
+            "margin": _margin(budget.largest_jerk_rad_s3, budget.asked_rad_s3),
             "within_one_interval_rad_s2": budget.jerk_rad_s2,
             "within_one_interval_cycles": None
             if budget.jerk_rad_s2 is None
@@ -99,10 +103,11 @@ def _module(plan: Plan, budget: ResidualBudget) -> dict[str, Any]:
 def _detection(found: CountDetection) -> dict[str, Any]:
     return {
         "limit_cycles": found.limit_cycles,
-        "limit_and_acceleration_cycles": found.limit_cycles + found.acceleration_cycles,
+        "limit_and_motion_cycles": found.limit_cycles + found.motion_cycles,
         "bad_samples": found.bad_samples,
         "missed_samples": found.missed_samples,
         "half_cycle": found.half_cycle,
+        "unseen_jump_cycles": found.unseen_jump_cycles,
         "sharp": found.is_sharp,
     }
 

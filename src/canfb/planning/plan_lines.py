@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from itertools import groupby
 
 from canfb.planning.budget import ResidualBudget, over
+from canfb.planning.changes import Remedy
 from canfb.planning.detection import CountDetection
 from canfb.planning.plan import Plan
-from canfb.planning.remedies import Remedy
 from canfb.planning.situation import Situation
 from canfb.planning.traffic import Message
 
@@ -61,15 +61,16 @@ def _alike_messages(messages: Iterable[Message]) -> list[list[Message]]:
 
 def _module_lines(plan: Plan, names: str, budget: ResidualBudget) -> list[str]:
     module, motion = budget.module, plan.situation.motion
-    narrowed = ", narrowed by 2010:02" if budget.limit_cycles < module.widest_limit_cycles else ""
+    third = module.is_third_order
+    order = "third-order prediction, " if third else ""
+    narrowed = f", narrowed by {'2010:08' if third else '2010:02'}" if budget.is_narrowed else ""
     return [
         f"node{'s' if ',' in names else ''} {names}: {module.cycles_per_revolution} cycles per revolution, "
-        f"residual limit {budget.limit_cycles:.3f} cycle{narrowed}",
+        f"{order}residual limit {budget.limit_cycles:.3f} cycle{narrowed}",
         *([f"  {motion.where}"] if motion.where else []),
         _speed_line(budget, motion.speed_rad_s),
         f"    {_instants(budget)}",
-        *_acceleration_lines(budget),
-        *_jerk_lines(budget),
+        *(_third_order_lines(budget) if third else [*_acceleration_lines(budget), *_jerk_lines(budget)]),
         _line("residual", f"{budget.needed_cycles:.3f} of {budget.limit_cycles:.3f} cycle", budget.margin),
         "    " + " + ".join(f"{part.what} {part.cycles:.3f}" for part in budget.parts),
         *_detection_lines(plan.detection(budget), budget),
@@ -108,7 +109,7 @@ def _acceleration_lines(budget: ResidualBudget) -> list[str]:
 
 
 def _jerk_lines(budget: ResidualBudget) -> list[str]:
-    changed, jerk = budget.jerk_rad_s2, budget.situation.motion.jerk_rad_s3
+    changed, jerk = budget.jerk_rad_s2, budget.asked_rad_s3
     if changed is None or jerk is None:
         return []
     cycles = budget.acceleration_cycles(changed)
@@ -118,16 +119,39 @@ def _jerk_lines(budget: ResidualBudget) -> list[str]:
     ]
 
 
+def _third_order_lines(budget: ResidualBudget) -> list[str]:
+    """Acceleration and jerk, where the jerk is what the prediction limits."""
+    largest, stated, jerk = budget.largest_acceleration_rad_s2, budget.asked_rad_s2, budget.asked_rad_s3
+    least = budget.least_sync_hz
+    needs = "no SYNC rate is enough" if math.isinf(least) else f"a SYNC of {least:.4g} Hz or more is needed"
+    allowed = "no limit" if math.isinf(largest) else f"{largest:.4g} rad/s^2"
+    step = "    no jerk is stated: the acceleration steps from 0 in one interval"
+    if stated is None:
+        lines = [f"  acceleration: {allowed}"]
+    elif math.isinf(largest):
+        lines = [f"  acceleration: {stated:.4g} rad/s^2, {allowed}"]
+    else:
+        lines = [_line("acceleration", f"{stated:.4g} of {allowed}", over(largest, stated))]
+    lines += [f"{step}; {needs}" if stated else step] if jerk is None else []
+    most = f"{budget.largest_jerk_rad_s3:.6g} rad/s^3"
+    equation = f"    third-order prediction alone allows {budget.equation_rad_s3:.6g}"
+    if jerk is None:
+        return [*lines, f"  jerk: {most}", equation]
+    line = _line("jerk", f"{jerk:.6g} of {most}", over(budget.largest_jerk_rad_s3, jerk))
+    return [*lines, line, f"{equation}; {needs}" if jerk else equation]
+
+
 def _detection_lines(found: CountDetection, budget: ResidualBudget) -> list[str]:
     module = budget.module
     frozen = f"after {module.frozen_samples} equal samples" if module.frozen_samples else "not looked for"
     half = "always" if found.half_cycle else "not always"
+    motion, well = ("j", "1/4") if module.is_third_order else ("a", "1/6")
     return [
-        f"  detection (docs/faults.md): L + a = {found.limit_cycles + found.acceleration_cycles:.3f} cycle, "
-        + ("at most 1/6: sharp" if found.is_sharp else "above 1/6: weak"),
+        f"  detection (docs/faults.md): L + {motion} = {found.limit_cycles + found.motion_cycles:.3f} cycle, "
+        + (f"at most {well}: sharp" if found.is_sharp else f"above {well}: weak"),
         f"    bad samples in a row that cannot change the count unseen: {found.bad_samples}",
         f"    missed samples in a row after which the position is certain: {found.missed_samples}",
-        f"    a jump of half a cycle is seen {half}; one below {found.limit_cycles:.3f} cycle may pass",
+        f"    a jump of half a cycle is seen {half}; one below {found.unseen_jump_cycles:.3f} cycle may pass",
         f"    amplitude limits {_amplitude(budget)}; frozen input: {frozen}",
     ]
 
@@ -160,7 +184,8 @@ def _alike(plan: Plan) -> list[tuple[str, ResidualBudget]]:
         module = budget.module
         low_high, frozen = module.amplitude_limits_counts, module.frozen_samples
         key = (module.cycles_per_revolution, module.times, module.has_table, module.samples_itself, low_high,
-               frozen, budget.limit_cycles, budget.needed_cycles, module.full_scale_counts)  # fmt: skip
+               frozen, module.is_third_order, budget.limit_cycles, budget.needed_cycles,
+               module.full_scale_counts)  # fmt: skip
         found.setdefault(key, ([], budget))[0].append(f"{module.node_id:02X}h")
     return [(", ".join(names), budget) for names, budget in found.values()]
 

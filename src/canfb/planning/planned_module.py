@@ -11,7 +11,8 @@ from canfb import objects as od
 from canfb.device.od.dcf import Place
 from canfb.module.parameters import LIMIT_UNITS, TIMED
 from canfb.planning.traffic import Values, mapped_objects, valid_pdos
-from canfb.signal.limits import narrowed_residual_limit
+from canfb.signal.limits import limit_narrowed_by_jerk, narrowed_residual_limit
+from canfb.signal.third_order import THIRD
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,11 +61,22 @@ class PlannedModule:
         """2010:02, 0.0: not known."""
         return float(self.values[od.SUPERVISION_ACCELERATION])
 
+    @property
+    def known_jerk_rad_s3(self) -> float:
+        """2010:08, 0.0: not known."""
+        return float(self.values[od.SUPERVISION_JERK])
+
+    @property
+    def is_third_order(self) -> bool:
+        """2010:07: the prediction has constant acceleration."""
+        return int(self.values[od.SUPERVISION_ORDER]) == THIRD
+
     def residual_limit_cycles(self, interval_s: float) -> float:
         """The residual limit in force at this sampling interval."""
-        return narrowed_residual_limit(
-            self.widest_limit_cycles, self.known_acceleration_rad_s2, self.cycles_per_revolution, interval_s
-        )
+        widest, cycles = self.widest_limit_cycles, self.cycles_per_revolution
+        if self.is_third_order:
+            return limit_narrowed_by_jerk(widest, self.known_jerk_rad_s3, cycles, interval_s)
+        return narrowed_residual_limit(widest, self.known_acceleration_rad_s2, cycles, interval_s)
 
     @cached_property
     def times(self) -> bool:

@@ -3,43 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 
-from canfb import objects as od
-from canfb.module.parameters import LIMIT_UNITS
 from canfb.planning.budget import ResidualBudget
 from canfb.planning.bus_load import BIT_RATES
-from canfb.planning.detection import WELL
+from canfb.planning.changes import (
+    Proposals,
+    Remedy,
+    each,
+    knowing,
+    knowing_jerk,
+    limited,
+    rounded_limit,
+    third_order,
+    with_table,
+)
+from canfb.planning.narrowing import sharper
 from canfb.planning.plan import Limited, Margin, Plan
-from canfb.planning.planned_module import PlannedModule
 from canfb.planning.situation import Situation
-from canfb.signal.limits import PHASE_ERROR_MARGIN_CYCLES
 from canfb.signal.tracker import RESIDUAL_LIMIT
 from canfb.simulation.demand import rounded_up
 
 LEAVES = 0.95  # of the largest SYNC rate, of what jitter may be
 FASTER = 1.05
 MOST_FASTER = 40  # steps of FASTER: 7 times the rate
-NARROWER = 0.95  # of the residual limit: a gain
-KNOWN_ENOUGH = 1.1  # 2010:02 over what is stated
 
 
-@dataclass(frozen=True)
-class Remedy:
-    """One change.
-
-    for_what     what it widens
-    text         what to do, one line
-    situation    what is planned then
-    """
-
-    for_what: str
-    text: str
-    situation: Situation
-
-
-Proposals = Iterator[tuple[str, Situation]]
+MOTION = (Limited.ACCELERATION, Limited.JERK, Limited.RESIDUAL)
 
 
 def remedies_of(plan: Plan) -> list[Remedy]:
@@ -55,7 +46,7 @@ def remedies_of(plan: Plan) -> list[Remedy]:
             return steps
         steps.append(found)
         plan = Plan(found.situation)
-    return [*steps, *_sharper(plan)]
+    return [*steps, *sharper(plan)]
 
 
 def _for(plan: Plan, margin: Margin) -> Remedy | None:
@@ -63,7 +54,7 @@ def _for(plan: Plan, margin: Margin) -> Remedy | None:
     second: Remedy | None = None
     for text, situation in PROPOSALS[margin.limited](plan, margin):
         after = Plan(situation)
-        if _smallest(after)[margin.limited] < 1.0:
+        if _smallest(after).get(margin.limited, math.inf) < 1.0:
             continue
         found = Remedy(margin.limited.value, text, situation)
         if _harms_nothing(plan, after):
@@ -75,7 +66,7 @@ def _for(plan: Plan, margin: Margin) -> Remedy | None:
 def _harms_nothing(before: Plan, after: Plan) -> bool:
     """No limit is newly exceeded, or exceeded by more."""
     was, becomes = _smallest(before), _smallest(after)
-    return all(becomes[one] >= min(1.0, was[one]) for one in was)
+    return all(factor >= min(1.0, was.get(one, 1.0)) for one, factor in becomes.items())
 
 
 def _smallest(plan: Plan) -> dict[Limited, float]:
@@ -132,15 +123,21 @@ def _of_residual(plan: Plan, margin: Margin) -> Proposals:
     stated = budget.asked_rad_s2 or 0.0
     if 0.0 < budget.module.known_acceleration_rad_s2 < stated:
         text = f"set max_acceleration_rad_s2 (2010:02) to {stated:.4g}, which is what the motion needs"
-        yield text, _each(situation, lambda module: _knowing(module, stated))
-    limit = _rounded_limit(max(one.needed_cycles for one in plan.budgets))
+        yield text, each(situation, lambda module: knowing(module, stated))
+    jerk = budget.asked_rad_s3 or 0.0
+    if budget.module.is_third_order and 0.0 < budget.module.known_jerk_rad_s3 < jerk:
+        text = f"set max_jerk_rad_s3 (2010:08) to {jerk:.6g}, which is what the motion needs"
+        yield text, each(situation, lambda module: knowing_jerk(module, jerk))
+    limit = rounded_limit(max(one.needed_cycles for one in plan.budgets))
     if budget.module.widest_limit_cycles < limit <= RESIDUAL_LIMIT:
         text = f"raise residual_limit (2010:01) to {limit:.3f} cycle"
-        yield text, _each(situation, lambda module: _limited(module, limit))
+        yield text, each(situation, lambda module: limited(module, limit))
     yield from _table(situation)
+    yield from _third_order(plan)
     yield from _faster(plan)
+    yield from _gentler(plan)
     slower = min(one.largest_acceleration_rad_s2 for one in plan.budgets) * (1.0 - 1e-9)
-    if stated and slower > 0.0:
+    if stated and 0.0 < slower < stated:
         text = f"accelerate by {slower:.4g} rad/s^2 at most"
         yield (
             text,
@@ -156,6 +153,7 @@ PROPOSALS: dict[Limited, Callable[[Plan, Margin], Proposals]] = {
     Limited.BUS: _of_bus,
     Limited.SPEED: _of_speed,
     Limited.ACCELERATION: _of_residual,
+    Limited.JERK: _of_residual,
     Limited.RESIDUAL: _of_residual,
 }
 
@@ -164,14 +162,35 @@ def _times(situation: Situation) -> Proposals:
     if not all(module.times for module in situation.modules):
         yield (
             "send sample times with the ADC PDO (times: true)",
-            _each(situation, lambda module: module.with_times()),
+            each(situation, lambda module: module.with_times()),
         )
 
 
 def _table(situation: Situation) -> Proposals:
     if situation.errors.phase_cycles is None and not all(module.has_table for module in situation.modules):
         text = "measure the correction table (canfb calibrate)"
-        yield text, _each(situation, lambda module: replace(module, has_table=True))
+        yield text, each(situation, with_table)
+
+
+def _third_order(plan: Plan) -> Proposals:
+    """2010:07 = 3 where a jerk is stated, alone or with a table, if the move holds then."""
+    situation = plan.situation
+    if not situation.motion.jerk_rad_s3 or all(module.is_third_order for module in situation.modules):
+        return
+    changed = each(situation, third_order)
+    text = "set prediction_order: 3 (2010:07): order 3 holds this move"
+    for extra, proposal in (("", changed), *((f"{one}, and ", after) for one, after in _table(changed))):
+        if all(margin.holds for margin in Plan(proposal).margins if margin.limited in MOTION):
+            yield extra + text, proposal
+
+
+def _gentler(plan: Plan) -> Proposals:
+    """Less jerk, where it is what counts."""
+    situation = plan.situation
+    gentle = min(one.largest_jerk_rad_s3 for one in plan.budgets) * (1.0 - 1e-9)
+    if situation.motion.jerk_rad_s3 and 0.0 < gentle < situation.motion.jerk_rad_s3:
+        text = f"limit the jerk to {gentle:.4g} rad/s^3"
+        yield text, replace(situation, motion=replace(situation.motion, jerk_rad_s3=gentle))
 
 
 def _faster(plan: Plan) -> Proposals:
@@ -194,70 +213,8 @@ def _faster(plan: Plan) -> Proposals:
         rate_hz *= FASTER
 
 
-def _sharper(plan: Plan) -> Iterator[Remedy]:
-    """What narrows the residual limit of a plan that holds, so that the count is guarded well."""
-    stated = max(budget.asked_rad_s2 or 0.0 for budget in plan.budgets)
-    if not stated:
-        return
-    for text, situation in _narrowing(plan, stated):
-        after = Plan(situation)
-        if after.holds and _widest(after) < NARROWER * _widest(plan):
-            yield Remedy("detection", text, situation)
-            plan = after
-            break
-    if all(plan.detection(budget).is_sharp for budget in plan.budgets):
-        return
-    # a + 0.05 + a below 1/6: the limit follows the rate.
-    least = (WELL - PHASE_ERROR_MARGIN_CYCLES) / 2.0 * LEAVES
-    largest = max(budget.acceleration_cycles(stated) for budget in plan.budgets)
-    if largest <= least or not all(module.known_acceleration_rad_s2 for module in plan.situation.modules):
-        return
-    rate_hz = float(rounded_up(plan.situation.sync_hz * math.sqrt(largest / least)))
-    faster = Plan(replace(plan.situation, sync_hz=rate_hz))
-    if faster.holds and all(faster.detection(budget).is_sharp for budget in faster.budgets):
-        yield Remedy("detection", f"raise the SYNC rate to {rate_hz:g} Hz", faster.situation)
-
-
-def _narrowing(plan: Plan, stated: float) -> Proposals:
-    situation = plan.situation
-    if any(
-        not 0.0 < module.known_acceleration_rad_s2 <= KNOWN_ENOUGH * stated for module in situation.modules
-    ):
-        narrowed = _each(situation, lambda module: _knowing(module, stated))
-        limit = max(budget.limit_cycles for budget in Plan(narrowed).budgets)
-        text = (
-            f"set max_acceleration_rad_s2 (2010:02) to {stated:.4g}: the residual limit becomes {limit:.3f}"
-        )
-        yield text, narrowed
-    limit = _rounded_limit(max(budget.needed_cycles for budget in plan.budgets))
-    text = f"lower residual_limit (2010:01) to {limit:.3f} cycle"
-    if limit <= RESIDUAL_LIMIT and not any(m.known_acceleration_rad_s2 for m in situation.modules):
-        yield text, _each(situation, lambda module: _limited(module, limit))
-
-
-def _widest(plan: Plan) -> float:
-    return max(budget.limit_cycles for budget in plan.budgets)
-
-
 def _budget(plan: Plan, margin: Margin) -> ResidualBudget:
     return next(budget for budget in plan.budgets if budget.module is margin.module)
-
-
-def _each(situation: Situation, change: Callable[[PlannedModule], PlannedModule]) -> Situation:
-    return replace(situation, modules=tuple(change(module) for module in situation.modules))
-
-
-def _knowing(module: PlannedModule, acceleration_rad_s2: float) -> PlannedModule:
-    return module.with_values({od.SUPERVISION_ACCELERATION: acceleration_rad_s2})
-
-
-def _limited(module: PlannedModule, limit_cycles: float) -> PlannedModule:
-    return module.with_values({od.SUPERVISION_RESIDUAL_LIMIT: int(limit_cycles * LIMIT_UNITS)})
-
-
-def _rounded_limit(cycles: float) -> float:
-    """A limit above ``cycles``, in thousandths: 2010:01 rounds down by 1/65536."""
-    return math.floor(min(cycles, 1.0) * 1000.0 + 1.1) / 1000.0
 
 
 def _rounded_down(rate_hz: float) -> float:

@@ -26,7 +26,7 @@ class StatedMotion:
 
     speed_rad_s            largest speed
     acceleration_rad_s2    largest acceleration
-    jerk_rad_s3            largest jerk
+    jerk_rad_s3            largest jerk; None: the acceleration steps from 0 to its largest value
     is_final               no module has to follow more, whatever its 2010:02 says
     where                  who says so, for people
     """
@@ -43,6 +43,10 @@ class StatedMotion:
         if self.is_final or not known:
             return self.acceleration_rad_s2
         return max(known, self.acceleration_rad_s2 or 0.0)
+
+    def jerk_of(self, module: PlannedModule) -> float | None:
+        """The largest jerk of the machine of this module; None: neither stated nor in 2010:08."""
+        return self.jerk_rad_s3 if self.jerk_rad_s3 is not None else module.known_jerk_rad_s3 or None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,6 +17,7 @@ from canfb.module.parameters import LIMIT_UNITS
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.situation import EncoderErrors, Situation, StatedMotion
 from canfb.planning.traffic import Values
+from canfb.signal.third_order import check_order
 from canfb.signal.tracker import check_residual_limit
 from canfb.simulation.cia402.drive_config import DriveConfig
 from canfb.simulation.demand import MotionDemand, of_motion
@@ -46,6 +47,7 @@ class Stated:
     phase_error_cycles         largest error of a phase, 0..0.25 cycle
     cycles_per_revolution      2001:01 of every module
     residual_limit             2010:01 of every module, cycles
+    prediction_order           2010:07 of every module, 2 or 3
     times                      True: the ADC PDOs carry sample times
     table                      True: a correction table is in force
 
@@ -64,6 +66,7 @@ class Stated:
     phase_error_cycles: float | None = None
     cycles_per_revolution: int | None = None
     residual_limit: float | None = None
+    prediction_order: int | None = None
     times: bool = False
     table: bool = False
 
@@ -87,6 +90,8 @@ class Stated:
             integer_in("cycles_per_revolution", self.cycles_per_revolution, 1, 1_048_576)
         if self.residual_limit is not None:
             check_residual_limit(self.residual_limit)
+        if self.prediction_order is not None:
+            check_order("prediction_order", self.prediction_order)
 
 
 def situation_of(config: Config, modules: Iterable[DeviceConfiguration], stated: Stated) -> Situation:
@@ -132,6 +137,8 @@ def _planned(config: ModuleConfig, found: DeviceConfiguration, stated: Stated) -
     if stated.residual_limit is not None:
         limit = int(stated.residual_limit * LIMIT_UNITS)
         module = module.with_values({od.SUPERVISION_RESIDUAL_LIMIT: limit})
+    if stated.prediction_order is not None:
+        module = module.with_values({od.SUPERVISION_ORDER: stated.prediction_order})
     return module.with_times() if stated.times else module
 
 

@@ -127,7 +127,7 @@ def margin_facts(replay: ModuleReplay) -> list[tuple[str, str]]:
         ("highest amplitude", margins.amplitude_high, "counts", 1.0, ".0f"),
         ("acceleration", margins.acceleration, "cycles per interval²", 1.0, ".4f"),
         ("acceleration (2010:02)", margins.machine_acceleration, "cycles per interval²", 1.0, ".4f"),
-        ("speed", margins.speed_rad_s, "rpm", RPM, ".4g"),
+        ("speed", margins.speed_rad_s, "rpm", RPM, ".1f"),
     ]
     first = replay.counters.first_s
     return [

@@ -9,7 +9,7 @@ from canfb.report.plot import Plot
 from canfb.report.scale import nice_limit
 from canfb.signal.phase import FloatArray
 
-HISTOGRAM_BINS = 60
+HISTOGRAM_BINS = 150
 MOST_POINTS = 600  # of a curve over time: each is the lowest and the highest value of a stretch
 
 

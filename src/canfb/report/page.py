@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 
@@ -16,7 +17,7 @@ def page(title: str, place: str, said: Sequence[str], body: str, footer: str, go
     body     HTML, of the functions below
     good     the verdict is a good one
     """
-    first, *others = (escape(line) for line in said)
+    first, *others = (_unbroken(escape(line)) for line in said)
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -26,6 +27,11 @@ def page(title: str, place: str, said: Sequence[str], body: str, footer: str, go
         f"{''.join(f'<p>{line}</p>' for line in others)}</div>\n"
         f"{body}<footer>{escape(footer)}</footer>\n</body>\n</html>\n"
     )
+
+
+def _unbroken(text: str) -> str:
+    """No line ends within an option."""
+    return re.sub(r"(?<![\w-])--[\w-]+", r'<span class="option">\g<0></span>', text)
 
 
 def beside(left: str, right: str) -> str:
@@ -51,14 +57,22 @@ def facts_table(title: str, facts: Iterable[tuple[str, str]], style: str = "") -
     return f"<h2>{escape(title)}</h2>\n{table}<tbody>\n{rows}</tbody></table>\n"
 
 
-def comparison_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """One column for each head behind the names; each row begins with its name."""
+def comparison_table(
+    title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], *, listed: bool = False
+) -> str:
+    """One column for each head behind the names; each row begins with its name.
+
+    ``listed``, for cells with much text: on a narrow screen it is a list, each name with its cells below.
+    """
     head = "".join(f"<th>{escape(one)}</th>" for one in heads)
-    body = "".join(
-        f"<tr><th>{escape(name)}</th>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>\n"
-        for name, *cells in rows
-    )
+    body = "".join(f"<tr><th>{escape(name)}</th>{_cells(heads, cells)}</tr>\n" for name, *cells in rows)
+    shape = ' class="listed"' if listed else ""
     return (
-        f"<h2>{escape(title)}</h2>\n<table><thead><tr><th></th>{head}</tr></thead>"
+        f"<h2>{escape(title)}</h2>\n<table{shape}><thead><tr><th></th>{head}</tr></thead>"
         f"<tbody>\n{body}</tbody></table>\n"
     )
+
+
+def _cells(heads: Sequence[str], cells: Sequence[str]) -> str:
+    pairs = zip(heads, cells, strict=True)
+    return "".join(f'<td data-head="{escape(head)}">{escape(cell)}</td>' for head, cell in pairs)

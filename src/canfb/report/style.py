@@ -48,11 +48,12 @@ th, td { text-align: left; padding: .28em 1.4em .28em 0; border-bottom: 1px soli
   vertical-align: top; }
 td { font-variant-numeric: tabular-nums; }
 .origin td { overflow-wrap: anywhere; }
+.option { white-space: nowrap; }
 .top table { width: 100%; } .top th, .top td { padding-right: .9em; }
 .top thead + tbody td:nth-child(2) { white-space: nowrap; }
 thead th { color: var(--soft); font-weight: 600; }
 tbody th { font-weight: 500; white-space: nowrap; }
-.pictures { display: grid; gap: 1.1em;
+.pictures { display: grid; gap: 1.1em; align-items: start;
   grid-template-columns: repeat(auto-fit, minmax(min(430px, 100%), 1fr)); }
 .top { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(430px, 100%), 1fr)); gap: 0 1.6em;
   align-items: start; }
@@ -69,13 +70,19 @@ svg { width: 100%; height: auto; display: block; }
 .legend i.bar-key { height: 10px; width: 12px; border: 0; background: currentColor; }
 .legend i.dot-key { height: 7px; width: 7px; border: 0; border-radius: 50%; background: currentColor; }
 .legend i.ring-key { height: 8px; width: 8px; border: 2px solid; border-radius: 50%; }
-.legend i.dashed { border-top-style: dashed; }
+.legend i.dashed { border-top-style: dashed; } .legend i.thin { border-top-width: 1px; }
 i.before { color: var(--before); } i.after { color: var(--after); } i.limit { color: var(--limit); }
 footer { color: var(--soft); font-size: .87em; margin: 2em 0; }
 @media (max-width: 560px) {
   body { margin: 1em auto; padding: 0 .8em; } .top th, .top td { padding-right: .6em; }
   tbody th, .top thead + tbody td:nth-child(2) { white-space: normal; } .legend { margin-left: .4em; }
   figure { padding: .6em .3em .5em; } figcaption { padding: 0 .4em; } svg text { font-size: 14px; }
+  .listed thead { display: none; } .listed, .listed tbody { display: block; }
+  .listed tr { display: grid; grid-template-columns: 1fr 1fr; border-bottom: 1px solid var(--rule);
+    padding: .3em 0; }
+  .listed th, .listed td { border: 0; padding: .1em .6em .1em 0; } .listed tbody th { font-weight: 600; }
+  .listed tbody th, .listed td:nth-child(n + 4) { grid-column: 1 / -1; }
+  .listed td::before { content: attr(data-head); display: block; color: var(--soft); font-size: .87em; }
 }
 @media print { body { margin: 0; padding: 0; font-size: 11px; } figure { break-inside: avoid; }
   h2 { break-after: avoid; } .top, .pictures { grid-template-columns: 1fr 1fr; gap: .6em; }

@@ -4,8 +4,8 @@
 
 Each episode is a machine turning at up to 3000 rpm with 2500 cycles per revolution, sampled at
 1 kHz with 12 bits, and a fault at a random instant. The result depends on --seed only. Exit status
-1 when a goal is missed, 2 when a file cannot be written. docs/faults.md says what the columns
-mean, what the goals are, and what physics forbids.
+1 when a goal is missed, 2 when a file cannot be written. docs/fault-campaign.md says what the columns
+mean and what the goals are, docs/legal-motion.md what no supervision can detect.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ except ImportError as error:
     sys.exit(f"{error}: run this file with the Python of the virtual environment (make test makes it)")
 import numpy as np
 
-from tools.faults.chain.tally import COLUMNS, Tally, markdown, plain
+from tools.faults.chain.tally import COLUMNS, IN_SHORT, Tally, markdown, plain
 
 USUAL = tuple(range(len(SETTINGS)))
 EPISODES_OF_GROUP = 10
@@ -152,9 +152,17 @@ def _heading(setting: int) -> str:
 
 
 def as_markdown(result: Campaign) -> str:
-    """All tables, for the documentation."""
-    parts = [f"**{_heading(n)}**\n\n{markdown(rows_of(result, n))}" for n in result.settings]
-    return "\n".join([*parts, clean_line(result.clean) + "\n"])
+    """The settings side by side, for the documentation."""
+    names = [f"{ALL_SETTINGS[n].name}: {head}" for n in result.settings for head in IN_SHORT]
+    rows: list[Sequence[str]] = [("fault", *names)]
+    total = {n: Tally() for n in result.settings}
+    for number, fault_class in enumerate(CLASSES):
+        tallies = {n: result.tallies[n, number] for n in result.settings}
+        rows.append((fault_class.name, *(cell for one in tallies.values() for cell in one.in_short())))
+        for n, one in tallies.items():
+            total[n].merge(one)
+    rows.append(("all", *(cell for one in total.values() for cell in one.in_short())))
+    return f"{markdown(rows)}\n{clean_line(result.clean)}\n"
 
 
 def as_json(result: Campaign) -> str:
@@ -177,7 +185,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--processes", type=int, default=2, metavar="N")
     names = [one.name for one in ALL_SETTINGS]
     parser.add_argument("--setting", choices=names, help="only this one (default: all without third order)")
-    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables as Markdown")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the settings side by side")
     parser.add_argument("--json", action="store_true", help="print all sums as JSON instead")
     options = parser.parse_args(argv)
     if options.episodes < 1 or options.clean < 0 or options.seed < 0 or options.processes < 1:

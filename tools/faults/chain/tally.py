@@ -16,6 +16,7 @@ COLUMNS = (
     "wrong valid samples, legal + after a report", "silent wrong samples", "longest run",
     "cycle lost, legal motion", "cycle lost", "called lost",
 )  # fmt: skip
+IN_SHORT = ("soon", "detected", "lost")  # %, see docs/fault-campaign.md
 
 
 @dataclass
@@ -132,6 +133,17 @@ class Tally:
             str(self.cycle_lost),
             str(self.lost),
         )
+
+    @property
+    def soon_part(self) -> float:
+        """Part of the flagged episodes that were flagged at most three samples after the first faulty one."""
+        flagged = self.same + self.soon + self.later
+        return (self.same + self.soon) / flagged if flagged else 0.0
+
+    def in_short(self) -> tuple[str, ...]:
+        """The cells of the table that compares settings (:data:`IN_SHORT`)."""
+        lost = self.lost / self.episodes if self.episodes else 0.0
+        return tuple(f"{100.0 * part:.1f}" for part in (self.soon_part, self.detection, lost))
 
     def record(self) -> dict[str, object]:
         """For a program to read."""

@@ -122,7 +122,8 @@ def bus_off_stays(plan: Plan) -> None:
 def foreign_pdos(plan: Plan) -> None:
     """Another node sends an ADC PDO now and then: its counts are no sample.
 
-    Where they pass for one they are a legal motion (docs/faults.md), off by less than the residual limit.
+    Where they pass for one they are a legal motion (docs/legal-motion.md), off by less than the
+    residual limit.
     """
     plan.tolerance = 0.9
     for slot in plan.slots[plan.fault : plan.fault + int(plan.rng.choice((1, 1, 10)))]:

@@ -14,7 +14,7 @@ sampled. With the speed v before, the change of the speed q and the displacement
 Both are known up to whole cycles, from the phases. If all w(j) lie in an interval [a, b], q lies in
 [(n + 1) a, (n + 1) b], and for a given q the displacement is least where the large accelerations come
 last, and greatest where they come first. The width b - a that a passage needs is the smallest for
-which q and d are possible. docs/faults.md shows what this finds and what it misses.
+which q and d are possible. docs/fault-campaign.md shows what this finds and what it misses.
 
 The last samples before the gap may have been bad already: a glitch of less than the residual
 limit is seen one sample later only. So each trajectory is also sought from the places before these.
@@ -27,7 +27,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-# The following were chosen with the fault campaign (docs/faults.md): as wide as recoveries need, as
+# The following were chosen with the fault campaign (docs/fault-campaign.md): as wide as recoveries need, as
 # narrow as silent wrong positions demand.
 # What a machine may do in a gap beyond what was seen: cycles per interval squared, and a part of it.
 SPARE_CYCLES = 0.01

@@ -40,8 +40,8 @@ SURE_INTERVALS = 2
 USED_PART = 0.85
 LONGEST_RUN = 12  # one that is not joined by then never will be
 LONGEST_DOUBT = 32  # intervals without a decision, beyond those that may be coasted
-# The widths were chosen with the fault campaign (docs/faults.md): noise, an uncorrected encoder (0.05 cycle
-# in a second difference) and vibration stay within them.
+# The widths were chosen with the fault campaign (docs/fault-campaign.md): noise, an uncorrected encoder
+# (0.05 cycle in a second difference) and vibration stay within them.
 RUN_WIDTH = 0.25  # of the accelerations in a run, cycles per interval squared, at most
 ROUGHNESS_FACTOR = 2.5  # and at most this many times their roughness before the fault, and some more
 RUN_WIDTH_CYCLES = 0.01

@@ -3,7 +3,7 @@
 The phases before and after a gap of n samples leave two whole numbers open: the cycles passed in
 it, and the cycles per interval by which the speed changed. The n + 2 accelerations that were not sampled
 decide them, and they have two known sums. A trajectory fits if accelerations within given bounds
-have these sums. docs/faults.md derives when only one fits.
+have these sums. docs/missed-samples.md derives when only one fits.
 """
 
 from __future__ import annotations

@@ -1,0 +1,187 @@
+"""The guide pages: each `canfb` command runs, in the order of its page; those that do not are listed here."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from guide_network import GuideNetwork
+
+from canfb.cli.config_file import EXAMPLE
+from canfb.cli.main import build_parser
+
+ROOT = Path(__file__).parents[2]
+GUIDES = (
+    *("first-hour", "first-encoder", "wiring", "usb-adapters", "raspberry-pi", "sync-rate"),
+    *("realtime", "homing", "method", "calibration", "drift", "canopen", "simulation"),
+)
+# Parsed, not run.
+PARSED_ONLY = {
+    "canfb demo --out demo": "takes 9 s; tests/cli/test_demo_command.py runs it",
+    "canfb calibrate -i socketcan -c can0 --method zero-crossings --seconds 4": (
+        "needs an encoder interface that records at 50 kHz; test_fast_recording_on_a_bus.py simulates one"
+    ),
+    "canfb calibrate -i socketcan -c vcan0 --method zero-crossings --source recording --seconds 2": (
+        "uploads 100 000 samples; test_fast_recording_on_a_bus.py does so"
+    ),
+}
+# Not run at all, by the first word.
+OF_OTHERS = {
+    "needs CAN hardware or root": {"sudo", "ip", "candump", "dmesg"},
+    "tells of this computer": {"uname"},
+    "installs canfb": {"python3", "git", ".", "canfb-venv/bin/pip", "~/canfb-venv/bin/pip"},
+    "is not a command": {
+        *(
+            "dtparam=spi=on",
+            "dtoverlay=mcp2515-can0,oscillator=16000000,interrupt=25",
+            "@canfb",
+            "i(k)",
+            "SYNC",
+        ),
+        "dtoverlay=mcp251xfd,spi0-0,oscillator=40000000,interrupt=25",
+    },
+}
+# What is there already when a page begins: a module, its interface and a SYNC, all started.
+RUNNING = (
+    "canfb config example > feedback.yaml",
+    "canfb run feedback.yaml",
+    "canfb simulate feedback.yaml --rate 100",
+    "canfb nmt start all",
+)
+HARDWARE = ("canfb simulate machine.yaml --rate 100",)
+BEFORE = {
+    "sync-rate": RUNNING[:2],
+    "realtime": RUNNING,
+    "homing": ("canfb run still.yaml", "canfb simulate still.yaml --rate 100 --rpm 0", RUNNING[-1]),
+    "calibration": RUNNING,
+    "canopen": RUNNING,
+    "first-encoder": HARDWARE,
+}
+# What a command says, where there is more to it than that it succeeds; by page and number of the command.
+VALID = "2011:01 Feedback: Status word: 1 (valid)"
+SAYS = {
+    ("first-hour", 5): VALID,
+    ("first-hour", 8): "Accepted. The error within a cycle falls from ",
+    ("first-hour", 9): "(lost",
+    ("first-encoder", 3): VALID,
+    ("first-encoder", 4): "cycles",
+    ("first-encoder", 5): "saved (1010:04)",
+    ("first-encoder", 6): "axis-1.yaml",
+    ("sync-rate", 0): "the module follows 209 at 500 Hz (eq. 10)",
+    ("realtime", 0): "2012:01 Counters: Missed samples: 0",
+    ("homing", 0): VALID,
+    ("calibration", 0): "is active and verified on fresh samples",
+    ("calibration", 1): "Accepted.",
+    ("drift", 0): '"drift_seen": false',
+    ("drift", 4): "5A0#43302008",
+    ("canopen", 1): "720#7F",
+}
+
+
+def lines_of(page: str) -> list[str]:
+    """The lines of the indented and the `sh` blocks of a page."""
+    lines, fence = [], None
+    for line in (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8").splitlines():
+        if line.startswith("```"):
+            fence = line[3:] if fence is None else None
+        elif fence == "sh" or (fence is None and re.match(r" {4}( {4})?\S", line)):
+            lines.append(re.sub(r"^\S*/bin/canfb ", "canfb ", line.strip()))
+    return lines
+
+
+def runs(line: str) -> bool:
+    return line.split()[0] in ("canfb", "cansend") and line not in PARSED_ONLY
+
+
+@pytest.fixture
+def network(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Iterator[GuideNetwork]:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "docs").symlink_to(ROOT / "docs")
+    with contextlib.ExitStack() as resources:
+        yield GuideNetwork(monkeypatch, capsys, resources)
+
+
+def play(network: GuideNetwork, *pages: str) -> None:
+    for line in BEFORE.get(pages[0], ()):
+        network(line)
+    network.wait(5.0)  # standstill and ramp are over
+    for page in pages:
+        for number, line in enumerate(filter(runs, lines_of(page))):
+            if (page, number) == ("first-hour", 9):
+                network.end_of_the_last_command()
+                network.wait(2.0)
+            if "today.npz" in line:
+                shutil.copy("measured/samples.npz", "today.npz")
+            said = network(line)
+            assert SAYS.get((page, number), "") in said, (page, number, line)
+            network.wait(0.5)
+
+
+@pytest.mark.parametrize(
+    "page", ["first-hour", "wiring", "usb-adapters", "raspberry-pi", "sync-rate", "realtime", "method"]
+)
+def test_a_page_from_its_first_to_its_last_command(network: GuideNetwork, page: str) -> None:
+    play(network, page)
+
+
+def test_an_encoder_that_is_simulated_in_place_of_the_first_one(network: GuideNetwork) -> None:
+    (block,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs" / "first-encoder.md").read_text(), re.DOTALL)
+    Path("feedback.yaml").write_text(block)
+    motion = "{standstill_s: 2, ramp_s: 3, rpm: 61, ripple_rpm: 0.5, ripple_hz: 0.3}"
+    Path("machine.yaml").write_text(
+        f"{block}simulation: {{encoder: {{sine_offset: 0.03}}, motion: {motion}}}\n"
+    )
+    play(network, "first-encoder")
+
+
+def test_calibration_then_drift(network: GuideNetwork) -> None:
+    play(network, "calibration", "drift")
+
+
+def test_homing_with_a_folder_for_what_is_saved(network: GuideNetwork) -> None:
+    text = EXAMPLE.replace("# state_dir: /var/lib/canfb/x", "state_dir: state")
+    Path("still.yaml").write_text(text.replace(", ripple_rpm: 0.5, ripple_hz: 0.3", ""))
+    play(network, "homing")
+    assert network("canfb sdo read 0x20 6004").startswith("6004:00 Position value: 81920 ")
+
+
+def test_the_simulated_machines_of_the_page(network: GuideNetwork) -> None:
+    text = (ROOT / "docs" / "simulation.md").read_text(encoding="utf-8")
+    slow, drive = re.findall(r"```yaml\n(modules:.*?|bus:.*?)```", text, re.DOTALL)[:2]
+    Path("slow.yaml").write_text(slow.replace("modules:", "bus: {interface: virtual}\nmodules:"))
+    Path("drive.yaml").write_text(drive)
+    simulate, example, record, run, with_drive = filter(runs, lines_of("simulation"))
+    network("canfb run slow.yaml")
+    assert "motion: 13 rpm" in network(simulate)
+    network("canfb nmt start 0x20")
+    network.wait(0.5)
+    assert VALID in network('canfb sdo read 0x20 "status word"')
+    network.end_of_all()
+    network(example)
+    network(record)
+    assert len(Path("tracks.csv").read_text().splitlines()) > 12_000
+    network.end_of_all()
+    network(run)
+    assert "drive" in network(with_drive)
+    network("canfb nmt start all")
+    network.wait(0.5)
+    assert VALID in network('canfb sdo read 0x20 "status word"')
+
+
+def test_each_line_runs_is_parsed_or_is_of_another_program() -> None:
+    others = set().union(*OF_OTHERS.values())
+    seen = [line for page in GUIDES for line in lines_of(page)]
+    assert [
+        line for line in seen if not runs(line) and line not in PARSED_ONLY and line.split()[0] not in others
+    ] == []
+    assert set(PARSED_ONLY) <= set(seen)
+    assert others <= {line.split()[0] for line in seen}
+    for line in PARSED_ONLY:
+        build_parser().parse_args(line.split()[1:])
+    assert sum(map(runs, seen)) > 30
