@@ -86,7 +86,7 @@ MUTATIONS = [
     ("DeviceInfo", "Granularity is 0 where", put("DeviceInfo", "Granularity", "0")),
     ("1600sub1", "shorter than Granularity", put("DeviceInfo", "Granularity", "32")),
     ("DummyUsage", "shorter than Granularity", put("DeviceInfo", "Granularity", "16")),
-    ("DeviceInfo", "NrOfRXPDO is not 2", put("DeviceInfo", "NrOfRXPDO", "4")),
+    ("DeviceInfo", "NrOfRXPDO is not 3", put("DeviceInfo", "NrOfRXPDO", "4")),
     ("DeviceInfo", "NrOfTXPDO is not 4", put("DeviceInfo", "NrOfTXPDO", "0")),
     ("6004", "but NrOfTXPDO=0", put("DeviceInfo", "NrOfTXPDO", "0")),
     ("1018sub2", "ProductNumber", put("DeviceInfo", "ProductNumber", "7")),

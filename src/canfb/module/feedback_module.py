@@ -173,8 +173,8 @@ class FeedbackModule:
 
     @property
     def interval_s(self) -> float:
-        """The sampling interval, seconds: 1006h, else the estimate; 0.0 while it is not known."""
-        return self._interval.seconds
+        """The sampling interval, seconds: 1006h, else the estimate, by the samples in it; 0.0: not known."""
+        return self._interval.sample_s
 
     @property
     def max_speed_rad_s(self) -> float:
@@ -351,6 +351,7 @@ class FeedbackModule:
     def _on_configured(self) -> None:
         """A sample comes in whichever RPDOs carry its parts; some TPDOs go out with it."""
         self._input.configure()
+        self._sampling.configured(1 if self._source else self._input.samples_per_sync)
         self._publishing.configured()
 
     def _on_bad_rpdo(self, number: int, received: int, mapped: int, now: float) -> None:

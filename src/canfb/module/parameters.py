@@ -8,6 +8,7 @@ from typing import Any
 from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.cia301.pdo_room import mapping_values
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.position import distinguishable_revolutions, single_turn_resolution
 from canfb.module.interval import IntervalEstimate
@@ -37,9 +38,8 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         zip(od.CONDITIONING, config.conditioning.values, strict=True)
     )
     return {
-        **(TIMED if config.times else {}),
+        **adc_pdos(config),
         od.IDENTITY_SERIAL_NUMBER: config.serial_number,
-        (od.RPDO, 1): cob.TPDO1 + config.encoder_interface,
         od.SERIAL_NUMBER: config.serial_number,
         od.ENCODER_CYCLES_PER_REVOLUTION: config.cycles_per_revolution,
         od.ENCODER_FULL_SCALE: limits.full_scale_counts,
@@ -63,9 +63,26 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
     }
 
 
+def adc_pdos(config: ModuleConfig) -> dict[tuple[int, int], Any]:
+    """The RPDOs of what the encoder interface sends: its TPDO1, and others for what that has no room for."""
+    pairs = [(od.SAMPLE_SINE, od.SAMPLE_COSINE), *od.SAMPLE_EARLIER][: config.samples_per_sync]
+    objects = [one.mapped(16) for pair in pairs for one in pair]
+    if config.times:
+        objects.append(od.SAMPLE_TIME.mapped(32))
+    mapping: dict[tuple[int, int], Any] = dict(mapping_values(od.RPDO_MAPPING, objects))
+    for index in {index for index, _ in mapping}:
+        number = index - od.RPDO_MAPPING
+        mapping[od.RPDO + number, 1] = cob.TPDOS[number] + config.encoder_interface
+    return mapping
+
+
 def without_adc_pdo(config: ModuleConfig) -> dict[tuple[int, int], Any]:
     """What :func:`configured_defaults` becomes for a module with its own ADC: RPDO1 is not valid."""
-    return {(od.RPDO, 1): cob.NOT_VALID | cob.TPDO1 + config.encoder_interface}
+    return {
+        place: cob.NOT_VALID | value
+        for place, value in adc_pdos(config).items()
+        if place[0] < od.RPDO_MAPPING and place[1] == 1
+    }
 
 
 def apply_defaults(dictionary: Dictionary, defaults: dict[tuple[int, int], Any]) -> None:
@@ -136,7 +153,8 @@ class Limits:
     def apply(self) -> None:
         """Put the values of the dictionary in force."""
         limit = speed_limit = self._residual.value / LIMIT_UNITS
-        interval_s, cycles = self._interval.known_s, self._cycles_per_revolution.value
+        known_s, per_sync = self._interval.known_s, self._interval.samples_per_sync
+        interval_s, cycles = known_s / per_sync, self._cycles_per_revolution.value
         acceleration = jerk = None
         if interval_s > 0.0 and self._acceleration.value > 0.0:
             speed_limit = narrowed_residual_limit(limit, self._acceleration.value, cycles, interval_s)
@@ -146,7 +164,7 @@ class Limits:
             jerk = cycles_per_interval_cubed(self._jerk.value, cycles, interval_s)
         if self.order == SECOND:
             limit = speed_limit
-        self._applied_s = interval_s
+        self._applied_s = known_s
         self.narrowed = self._acceleration.value > 0.0 or self._jerk.value > 0.0
         self.in_force = ChainLimits(
             sample=SampleLimits(self._full_scale.value, self._low.value, self._high.value),
@@ -159,6 +177,7 @@ class Limits:
             prediction_order=self.order,
             jerk=jerk,
             start_limit=speed_limit,
+            samples_per_sync=per_sync,
         )
         self._chain.set_limits(self.in_force)
         if self.on_applied is not None:

@@ -8,6 +8,7 @@ from canfb.checks import integer_in
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.recovery.parabola import MotionLimits
 from canfb.signal.recovery.recovery import COAST_SAMPLES
+from canfb.signal.subsamples import MOST_PER_SYNC
 from canfb.signal.supervision import SampleLimits
 from canfb.signal.third_order import SECOND, check_order
 from canfb.signal.tracker import RESIDUAL_LIMIT, check_residual_limit
@@ -25,7 +26,9 @@ class ChainLimits:
     ``sample`` are the limits of one sample, counts; ``acceleration`` is the largest acceleration of the
     machine, cycles per interval squared, None if it is not known (2010:02); ``jerk`` its largest jerk, cycles
     per interval cubed (2010:08). ``start_limit``, for ``prediction_order`` 3, is the residual limit of the
-    samples that eq. 9 predicts, cycles; None: the same. The others are those of :class:`ChainConfig`.
+    samples that eq. 9 predicts, cycles; None: the same. ``samples_per_sync``, 1..4, is how many samples there
+    are in an interval of SYNC: all intervals above are those from sample to sample. ``coast_samples`` counts
+    intervals of SYNC. The others are those of :class:`ChainConfig`.
     ValueError for a bad limit or order.
     """
 
@@ -39,12 +42,14 @@ class ChainLimits:
     prediction_order: int = SECOND
     jerk: float | None = None
     start_limit: float | None = None
+    samples_per_sync: int = 1
 
     def __post_init__(self) -> None:
         check_residual_limit(self.residual_limit)
         if self.start_limit is not None:
             check_residual_limit(self.start_limit)
         check_order("prediction_order", self.prediction_order)
+        integer_in("samples_per_sync", self.samples_per_sync, 1, MOST_PER_SYNC)
 
     @property
     def motion_residual(self) -> float:

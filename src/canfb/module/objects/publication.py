@@ -96,6 +96,11 @@ class Publication:
         if status & FAULTS or self._lost:
             self._count(status)
 
+    def count(self, feedback: Feedback) -> None:
+        """Count in 2012h what a sample that is not published shows: another one of its SYNC follows."""
+        if feedback.status & FAULTS or self._lost:
+            self._count(feedback.status)
+
     def calibrating(self, working: bool) -> None:
         """Bit 10 of the status word, at once: the module records or computes for 2030h."""
         self._work = CALIBRATING if working else 0
@@ -122,7 +127,7 @@ class Publication:
 
     def _rad_s(self, per_interval: float, power: int) -> float:
         """Cycles per interval, or per interval squared, in rad and s; what REAL32 cannot hold is cut off."""
-        interval_s = self._interval.seconds
+        interval_s = self._interval.sample_s
         if interval_s <= 0.0:
             return 0.0
         rad_per_cycle = 2.0 * math.pi / float(self._cycles_per_revolution.value)

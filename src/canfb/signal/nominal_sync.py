@@ -16,14 +16,15 @@ class NominalSync:
     """Locks on sample times (2000:05) as the timer of a drive locks on SYNC.
 
     An alpha-beta filter with the gains of a straight line fitted to all sample times so far, held at
-    those of MEMORY_SYNCS of them. Jitter of the SYNC is left with 0.11 of its rms value, the drift of
-    the clock with nothing.
+    those of ``memory_syncs`` of them. With 256 the jitter of the SYNC is left with 0.11 of its rms value,
+    the drift of the clock with nothing.
 
     ``lead_ticks`` is how much later than the last sample its nominal SYNC was, ``period_ticks`` from
     one nominal SYNC to the next; both in 100 ns of the interface's clock.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, memory_syncs: int = MEMORY_SYNCS) -> None:
+        self._memory_syncs = memory_syncs
         self.forget()
 
     def forget(self) -> None:
@@ -54,7 +55,7 @@ class NominalSync:
             self._last = time_100ns
             return
         lead = self.lead_ticks + syncs * self.period_ticks - ticks
-        self._seen = n = min(self._seen + 1, MEMORY_SYNCS)
+        self._seen = n = min(self._seen + 1, self._memory_syncs)
         whole = (n + 1) * (n + 2)
         self.lead_ticks = lead * (1.0 - (4 * n + 2) / whole)
         self.period_ticks -= lead * 6.0 / whole / syncs
