@@ -96,6 +96,7 @@ SUPERVISION_COARSE_LIMIT: Final = Multiplexer(0x2010, 5)
 SUPERVISION_PERIODS: Final = Multiplexer(0x2010, 6)
 SUPERVISION_ORDER: Final = Multiplexer(0x2010, 7)
 SUPERVISION_JERK: Final = Multiplexer(0x2010, 8)
+SUPERVISION_NOISE_MARGIN: Final = Multiplexer(0x2010, 9)
 
 FEEDBACK_STATUS: Final = Multiplexer(0x2011, 1)
 FEEDBACK_RESIDUAL: Final = Multiplexer(0x2011, 2)
@@ -107,6 +108,7 @@ FEEDBACK_VELOCITY: Final = Multiplexer(0x2011, 7)
 FEEDBACK_SAMPLES: Final = Multiplexer(0x2011, 8)
 FEEDBACK_ACCELERATION: Final = Multiplexer(0x2011, 9)
 FEEDBACK_JUMP: Final = Multiplexer(0x2011, 10)
+FEEDBACK_NOISE: Final = Multiplexer(0x2011, 11)
 
 
 class StatusBit(IntFlag):

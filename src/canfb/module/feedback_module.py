@@ -131,8 +131,7 @@ class FeedbackModule:
         """What SDO starts or reads, beside the feedback: tables, calibration, timers."""
         dictionary, storage = self.dictionary, self.node.storage
         self._tables = TableStore(dictionary, self.chain, storage)
-        events, moment = self.events, self.node.moment
-        self._tables.on_in_force = lambda correction: events.table(correction, moment.now)
+        self._tables.on_in_force = self._on_correction
         self._operating_time = OperatingTime(dictionary, storage, lambda: self.node.now)
         CyclicTimer(dictionary, storage)
         self._calibrating = Calibrating(
@@ -319,6 +318,11 @@ class FeedbackModule:
             self._recorder.stop()
             self._calibrating.interrupted()
             self._operating_time.keep(now)
+
+    def _on_correction(self, correction: Correction) -> None:
+        """Another table and conditioning are in force."""
+        self.events.table(correction, self.node.moment.now)
+        self._limits.noise_changes()
 
     def _encoder_changed(self) -> None:
         """2001:01 was written: every cycle is another part of a revolution."""

@@ -34,6 +34,9 @@ class ModuleConfig(ChainConfig):
     max_acceleration_rad_s2  largest acceleration of the machine, 0..1e9 (2010:02); 0 = not known
     max_jerk_rad_s3          largest jerk of the machine, 0..1e15 (2010:08), for prediction_order 3; 0 = not
                              known
+    noise_margin             0..255 (2010:09): where a known acceleration or jerk narrows the residual limit,
+                             the margin is this many standard deviations of the measured noise, and no more
+                             than the fixed one; 0: the fixed margin. 6 is usual
     predict                  what synchronous TPDOs send, 0..2 (2013:01): False the measured position, True
                              (or 1) that at their SYNC with constant speed, 2 with constant acceleration;
                              with prediction_order 3 always with constant acceleration
@@ -53,6 +56,7 @@ class ModuleConfig(ChainConfig):
     source: SourceConfig | None = None
     max_acceleration_rad_s2: float = 0.0
     max_jerk_rad_s3: float = 0.0
+    noise_margin: int = 0
     predict: bool | int = False
     nominal_sync: bool = False
     sync_timeout_periods: int = 2
@@ -74,6 +78,7 @@ class ModuleConfig(ChainConfig):
         _check_largest("max_jerk_rad_s3", self.max_jerk_rad_s3, MOST_JERK_RAD_S3)
         if not isinstance(self.predict, int) or not 0 <= self.predict <= 2:
             raise ValueError(f"predict must be false, true, or 0, 1 or 2, not {self.predict!r}")
+        integer_in("noise_margin", self.noise_margin, 0, 255)
         integer_in("sync_timeout_periods", self.sync_timeout_periods, 2, 255)
         for name in ("times", "nominal_sync", "autostart"):
             flag(name, getattr(self, name))

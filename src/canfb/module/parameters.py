@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -16,14 +17,17 @@ from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, MOST_JERK_RAD_S
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.limits import (
+    PHASE_ERROR_CYCLES,
     cycles_per_interval_cubed,
     cycles_per_interval_squared,
     limit_narrowed_by_jerk,
     narrowed_residual_limit,
 )
+from canfb.signal.residual_noise import RESIDUAL_WEIGHTS, ResidualNoise
 from canfb.signal.supervision import SampleLimits
 from canfb.signal.third_order import SECOND
 
+SAME_NOISE = 0.02  # of it: no reason for new limits
 LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
 # RPDO1: sine, cosine, sample time.
 TIMED = {(od.RPDO_MAPPING, 0): 3, (od.RPDO_MAPPING, 3): od.SAMPLE_TIME.mapped(32)}
@@ -53,6 +57,7 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         od.SUPERVISION_COARSE_LIMIT: max(1, round(config.coarse_limit_revolutions * LIMIT_UNITS)),
         od.SUPERVISION_ORDER: config.prediction_order,
         od.SUPERVISION_JERK: config.max_jerk_rad_s3,
+        od.SUPERVISION_NOISE_MARGIN: config.noise_margin,
         od.SUPERVISION_PERIODS: config.sync_timeout_periods,
         od.PREDICTION_POSITION: int(config.predict),
         od.PREDICTION_NOMINAL_SYNC: int(config.nominal_sync),
@@ -107,7 +112,10 @@ class Limits:
         self._acceleration = entry(*od.SUPERVISION_ACCELERATION)
         self._order, self._jerk = entry(*od.SUPERVISION_ORDER), entry(*od.SUPERVISION_JERK)
         self._coast, self._frozen = entry(*od.SUPERVISION_COAST), entry(*od.SUPERVISION_FROZEN)
-        self._coarse = entry(*od.SUPERVISION_COARSE_LIMIT)
+        self._coarse, self._margin = entry(*od.SUPERVISION_COARSE_LIMIT), entry(*od.SUPERVISION_NOISE_MARGIN)
+        self.noise = ResidualNoise()
+        """Of the residual, as measured; :meth:`measured` is called with each block of it."""
+        self._applied_noise = math.nan
         self._applied_s = 0.0
         self.narrowed = False
         """A known acceleration or jerk narrows a residual limit; it then depends on the sampling interval."""
@@ -130,6 +138,7 @@ class Limits:
             self._coast,
             self._frozen,
             self._coarse,
+            self._margin,
         ):
             changed.on_written = self.apply
         self._full_scale.on_written = self._full_scale_written
@@ -143,6 +152,11 @@ class Limits:
     def reset(self) -> None:
         """After a reset of the node: the values of the dictionary belong together."""
         self._upper_is_old = False
+        self.noise_changes()
+
+    def noise_changes(self) -> None:
+        """Another table, or other samples: the noise is another one, and not known yet."""
+        self.noise.forget()
         self.apply()
 
     def follow(self) -> None:
@@ -150,17 +164,33 @@ class Limits:
         if abs(self._interval.known_s - self._applied_s) > 0.02 * self._applied_s:
             self.apply()
 
+    def measured(self) -> None:
+        """Another block of :attr:`noise`: the limits follow where it has changed."""
+        usable, applied = self.noise.usable_cycles, self._applied_noise
+        if self._margin.value and not abs(usable - applied) <= SAME_NOISE * applied:
+            self.apply()
+
+    def _noise_margin(self) -> float:
+        """2010:09 times the noise, cycles; infinite while one of them is not known."""
+        self._applied_noise = usable = self.noise.usable_cycles
+        return self._margin.value * usable if self._margin.value and usable == usable else math.inf
+
     def apply(self) -> None:
         """Put the values of the dictionary in force."""
+        self.noise.order = self.order
+        margin = self._noise_margin()
         limit = speed_limit = self._residual.value / LIMIT_UNITS
         known_s, per_sync = self._interval.known_s, self._interval.samples_per_sync
         interval_s, cycles = known_s / per_sync, self._cycles_per_revolution.value
         acceleration = jerk = None
         if interval_s > 0.0 and self._acceleration.value > 0.0:
-            speed_limit = narrowed_residual_limit(limit, self._acceleration.value, cycles, interval_s)
+            eq9_margin = margin if self.order == SECOND else math.inf
+            speed_limit = narrowed_residual_limit(
+                limit, self._acceleration.value, cycles, interval_s, eq9_margin
+            )
             acceleration = cycles_per_interval_squared(self._acceleration.value, cycles, interval_s)
         if interval_s > 0.0 and self._jerk.value > 0.0:
-            limit = limit_narrowed_by_jerk(limit, self._jerk.value, cycles, interval_s)
+            limit = limit_narrowed_by_jerk(limit, self._jerk.value, cycles, interval_s, margin)
             jerk = cycles_per_interval_cubed(self._jerk.value, cycles, interval_s)
         if self.order == SECOND:
             limit = speed_limit
@@ -178,6 +208,7 @@ class Limits:
             jerk=jerk,
             start_limit=speed_limit,
             samples_per_sync=per_sync,
+            phase_error=min(PHASE_ERROR_CYCLES, margin / math.sqrt(RESIDUAL_WEIGHTS[self.order])),
         )
         self._chain.set_limits(self.in_force)
         if self.on_applied is not None:

@@ -59,7 +59,7 @@ class Publishing:
         self.prediction = Prediction(
             dictionary, self.profile, prediction_chosen, lambda: chain.unit_s, interval
         )
-        self.objects = Publication(dictionary, interval, chain, parts)
+        self.objects = Publication(dictionary, interval, chain, parts, limits)
         self.alarm = PositionAlarm(node)
         self.events = EventWatch(dictionary, limits)
         self._event_tpdos: list[Callable[[float], None]] = []

@@ -78,8 +78,14 @@ class Sampling:
                     self._prediction.sampled(time_100ns)
                 if self._unconfirmed:
                     feedback = self._withheld(feedback)
+        noise = self._limits.noise
         if self._chain.between:
             self._publishing.count(self._chain.between, now)
+            for earlier in self._chain.between:
+                if noise.take(earlier):
+                    self._limits.measured()
+        if noise.take(feedback):
+            self._limits.measured()
         self._publishing.publish(feedback, now)
         if self._taps.open:
             self._tap(sample, feedback)
@@ -164,7 +170,7 @@ class Sampling:
         """PDO parameters or the NMT state have changed: there are so many samples for each SYNC."""
         if samples_per_sync != self._interval.samples_per_sync:
             self._interval.samples_per_sync = samples_per_sync
-            self._limits.apply()
+            self._limits.noise_changes()
 
     def forget_interval(self) -> None:
         """After a reset another master may send SYNC at another rate."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from canfb.checks import integer_in
 from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.limits import PHASE_ERROR_CYCLES
 from canfb.signal.recovery.parabola import MotionLimits
 from canfb.signal.recovery.recovery import COAST_SAMPLES
 from canfb.signal.subsamples import MOST_PER_SYNC
@@ -28,8 +29,8 @@ class ChainLimits:
     per interval cubed (2010:08). ``start_limit``, for ``prediction_order`` 3, is the residual limit of the
     samples that eq. 9 predicts, cycles; None: the same. ``samples_per_sync``, 1..4, is how many samples there
     are in an interval of SYNC: all intervals above are those from sample to sample. ``coast_samples`` counts
-    intervals of SYNC. The others are those of :class:`ChainConfig`.
-    ValueError for a bad limit or order.
+    intervals of SYNC. ``phase_error`` is the largest error of a phase, cycles. The others are those
+    of :class:`ChainConfig`. ValueError for a bad limit or order.
     """
 
     sample: SampleLimits
@@ -43,6 +44,7 @@ class ChainLimits:
     jerk: float | None = None
     start_limit: float | None = None
     samples_per_sync: int = 1
+    phase_error: float = PHASE_ERROR_CYCLES
 
     def __post_init__(self) -> None:
         check_residual_limit(self.residual_limit)
@@ -63,7 +65,7 @@ class ChainLimits:
     def motion(self) -> MotionLimits:
         """What the machine can do."""
         start = self.residual_limit if self.start_limit is None else self.start_limit
-        return MotionLimits(self.residual_limit, start, self.jerk, self.acceleration)
+        return MotionLimits(self.residual_limit, start, self.jerk, self.acceleration, self.phase_error)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -32,23 +32,25 @@ class MotionLimits:
     start_limit     of eq. 9, cycles: for the first samples
     jerk            largest, cycles per interval cubed; None: all that ``residual_limit`` allows
     acceleration    largest, cycles per interval squared; None: any
+    phase_error     largest error of a phase, cycles
     """
 
     residual_limit: float
     start_limit: float
     jerk: float | None = None
     acceleration: float | None = None
+    phase_error: float = PHASE_ERROR_CYCLES
 
     @property
     def largest_second_difference(self) -> float:
         """Of samples one interval apart: the acceleration, and the errors of three phases; inf: any."""
-        return math.inf if self.acceleration is None else self.acceleration + 4.0 * PHASE_ERROR_CYCLES
+        return math.inf if self.acceleration is None else self.acceleration + 4.0 * self.phase_error
 
     def from_parabola(self, elapsed: float, last: float, before: float) -> float:
         """How far a sample is from the parabola at most, cycles; the intervals newest first."""
         scale, weights = _parabola_scales(elapsed, last, before)
         most = self.residual_limit * max(scale, weights / 8.0)
-        return most if self.jerk is None else min(most, self.jerk * scale + PHASE_ERROR_CYCLES * weights)
+        return most if self.jerk is None else min(most, self.jerk * scale + self.phase_error * weights)
 
     def from_line(self, elapsed: float, last: float, *, known_only: bool) -> float:
         """How far a sample is from the line through the last two at most, cycles.
@@ -60,7 +62,7 @@ class MotionLimits:
         most = math.inf if known_only else self.start_limit * max(scale, weights / 4.0)
         if self.acceleration is None:
             return most
-        return min(most, self.acceleration * scale + PHASE_ERROR_CYCLES * weights)
+        return min(most, self.acceleration * scale + self.phase_error * weights)
 
 
 def _parabola_scales(elapsed: float, last: float, before: float) -> tuple[float, float]:
