@@ -355,7 +355,8 @@ class FeedbackModule:
     def _on_configured(self) -> None:
         """A sample comes in whichever RPDOs carry its parts; some TPDOs go out with it."""
         self._input.configure()
-        self._sampling.configured(1 if self._source else self._input.samples_per_sync)
+        per_sync = 1 if self._source else self._input.samples_per_sync
+        self._sampling.configured(per_sync, self._sampling.pairing.timed)
         self._publishing.configured()
 
     def _on_bad_rpdo(self, number: int, received: int, mapped: int, now: float) -> None:

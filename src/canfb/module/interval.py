@@ -74,6 +74,11 @@ class IntervalEstimate:
         return self._period_us.value * SECONDS_PER_US or self._estimate_s
 
     @property
+    def nominal_s(self) -> float:
+        """1006h, 0.0: not written."""
+        return float(self._period_us.value) * SECONDS_PER_US
+
+    @property
     def sample_s(self) -> float:
         """The sampling interval: that of SYNC, divided by the samples in it."""
         return self.seconds / self.samples_per_sync

@@ -24,6 +24,7 @@ from canfb.signal.limits import (
     narrowed_residual_limit,
 )
 from canfb.signal.residual_noise import RESIDUAL_WEIGHTS, ResidualNoise
+from canfb.signal.sample_times import TICK_S
 from canfb.signal.supervision import SampleLimits
 from canfb.signal.third_order import SECOND
 
@@ -116,6 +117,8 @@ class Limits:
         self.noise = ResidualNoise()
         """Of the residual, as measured; :meth:`measured` is called with each block of it."""
         self._applied_noise = math.nan
+        self.timed = False
+        """Samples bring their time, in units of 100 ns."""
         self._applied_s = 0.0
         self.narrowed = False
         """A known acceleration or jerk narrows a residual limit; it then depends on the sampling interval."""
@@ -208,6 +211,8 @@ class Limits:
             jerk=jerk,
             start_limit=speed_limit,
             samples_per_sync=per_sync,
+            instant_error=TICK_S / 2.0 / interval_s if self.timed and interval_s > 0.0 else 0.0,
+            widest_limit=self._residual.value / LIMIT_UNITS,
             phase_error=min(PHASE_ERROR_CYCLES, margin / math.sqrt(RESIDUAL_WEIGHTS[self.order])),
         )
         self._chain.set_limits(self.in_force)

@@ -23,6 +23,8 @@ MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge
 SAME_INTERVAL = 0.02
 SAME_GRID = 2e-6  # of the interval
 GRID_SYNCS = 1024
+EXACT_SYNCS = 512  # from then on a lock is more exact than the drift of a clock
+CLOSE = 2e-3  # of the interval: as far as the first lock may be from 1006h
 CONFIRMING_SAMPLES = 4  # after a pause in which the machine may have begun to move
 
 
@@ -115,10 +117,24 @@ class Sampling:
     def _follow_interval(self) -> None:
         """Take the nominal interval along, by which sample times are judged."""
         seconds, same = self._interval.seconds, SAME_INTERVAL
-        if self._grid.locked and self._interval.samples_per_sync > 1:
-            seconds, same = self._grid.period_ticks * TICK_S, SAME_GRID
+        if self._interval.samples_per_sync > 1:
+            grid_s = self._grid_s()
+            # Of the earlier samples it is not known when they were taken: at standstill it does not matter.
+            self._chain.measures_intervals = grid_s > 0.0
+            seconds, same = grid_s or seconds, SAME_GRID
         if seconds and abs(seconds - self._chain.interval_s) > same * seconds:
             self._chain.interval_s = seconds
+
+    def _grid_s(self) -> float:
+        """The interval of SYNC by the clock of the interface, which takes the earlier samples by it.
+
+        0.0: not known yet. 1006h is exact but for the drift of that clock, and so better for a while.
+        """
+        grid, nominal_s = self._grid, self._interval.nominal_s
+        learned_s = grid.period_ticks * TICK_S
+        if not grid.locked or (grid.seen < EXACT_SYNCS and abs(learned_s - nominal_s) <= CLOSE * nominal_s):
+            return nominal_s
+        return learned_s
 
     def _miss(self, samples: int, now: float) -> None:
         """So many samples that did not come, reported once."""
@@ -166,11 +182,13 @@ class Sampling:
         self._prediction.pause(self._publishing.last)
         self._publishing.withhold()
 
-    def configured(self, samples_per_sync: int) -> None:
-        """PDO parameters or the NMT state have changed: there are so many samples for each SYNC."""
-        if samples_per_sync != self._interval.samples_per_sync:
-            self._interval.samples_per_sync = samples_per_sync
-            self._limits.noise_changes()
+    def configured(self, samples_per_sync: int, timed: bool) -> None:
+        """PDO parameters or the NMT state have changed: so many samples for each SYNC, ``timed`` or not."""
+        limits = self._limits
+        if (samples_per_sync, timed) != (self._interval.samples_per_sync, limits.timed):
+            self._interval.samples_per_sync, limits.timed = samples_per_sync, timed
+            self._chain.measures_intervals = True
+            limits.noise_changes()
 
     def forget_interval(self) -> None:
         """After a reset another master may send SYNC at another rate."""

@@ -66,6 +66,8 @@ class SignalChain:
         self._times = SampleTimes()
         self._last: Feedback | None = None
         self._waited = 0.0  # intervals without a sample since the last one with a sample time
+        self.measures_intervals = True
+        """Sample times say how long an interval was; False: they only tell new samples from doubled ones."""
         self._clock = 0.0  # sampling intervals since the start
         self._before: Track | None = None  # the sample before, if it was taken
         limits = config.chain_limits
@@ -256,7 +258,9 @@ class SignalChain:
                 self._waited += elapsed
             else:
                 next_one = elapsed + self._waited < MISSED_INTERVALS
-                elapsed, self._waited = passed - self._waited, 0.0  # what was waited for is counted already
+                if self.measures_intervals:
+                    elapsed = passed - self._waited  # what was waited for is counted already
+                self._waited = 0.0
         if self._per_sync == 1:
             return self._take(sample, elapsed, bad, unplaced, next_one)
         return self._take_all(sample, elapsed, bad, unplaced, next_one)

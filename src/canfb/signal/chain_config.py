@@ -29,8 +29,10 @@ class ChainLimits:
     per interval cubed (2010:08). ``start_limit``, for ``prediction_order`` 3, is the residual limit of the
     samples that eq. 9 predicts, cycles; None: the same. ``samples_per_sync``, 1..4, is how many samples there
     are in an interval of SYNC: all intervals above are those from sample to sample. ``coast_samples`` counts
-    intervals of SYNC. ``phase_error`` is the largest error of a phase, cycles. The others are those
-    of :class:`ChainConfig`. ValueError for a bad limit or order.
+    intervals of SYNC. ``phase_error`` is the largest error of a phase, cycles, ``instant_error`` that
+    of a sample time, intervals: it is added at the speed of the machine, up to ``widest_limit`` (2010:01;
+    None: ``residual_limit``). The others are those of :class:`ChainConfig`.
+    ValueError for a bad limit or order.
     """
 
     sample: SampleLimits
@@ -45,6 +47,8 @@ class ChainLimits:
     start_limit: float | None = None
     samples_per_sync: int = 1
     phase_error: float = PHASE_ERROR_CYCLES
+    instant_error: float = 0.0
+    widest_limit: float | None = None
 
     def __post_init__(self) -> None:
         check_residual_limit(self.residual_limit)
@@ -65,7 +69,16 @@ class ChainLimits:
     def motion(self) -> MotionLimits:
         """What the machine can do."""
         start = self.residual_limit if self.start_limit is None else self.start_limit
-        return MotionLimits(self.residual_limit, start, self.jerk, self.acceleration, self.phase_error)
+        widest = self.residual_limit if self.widest_limit is None else self.widest_limit
+        return MotionLimits(
+            self.residual_limit,
+            start,
+            self.jerk,
+            self.acceleration,
+            self.phase_error,
+            self.instant_error,
+            widest,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import statistics
 
 from canfb.signal.sample_times import TICKS
 
 MEMORY_SYNCS = 256  # that the lock remembers, about
 LEARNED_SYNCS = 64  # from then on it is used
-FIRST_SYNCS = 16  # the median of their distances is the first period
+FIRST_SYNCS = 16  # distances, for the first straight line
 MOST_MISSED = 16  # from one sample to the next: beyond that the clock was started again
 
 
@@ -36,6 +37,11 @@ class NominalSync:
         self.period_ticks = 0.0
 
     @property
+    def seen(self) -> int:
+        """Samples that the lock stands on; it remembers no more than ``memory_syncs``."""
+        return self._seen
+
+    @property
     def locked(self) -> bool:
         """The lock is good enough to be used."""
         return self._seen >= LEARNED_SYNCS
@@ -61,10 +67,16 @@ class NominalSync:
         self.period_ticks -= lead * 6.0 / whole / syncs
 
     def _begin(self, ticks: int) -> None:
-        """With the first distances a fit would take the jitter for another period."""
+        """A straight line through the first times; their median distance says how many SYNCs were missed."""
         if not ticks:
             return
         self._first.append(ticks)
-        if len(self._first) == FIRST_SYNCS:
-            self.period_ticks = float(statistics.median(self._first))
-            self._seen = FIRST_SYNCS
+        if len(self._first) < FIRST_SYNCS:
+            return
+        usual = statistics.median(self._first)
+        syncs = list(itertools.accumulate((max(1, round(one / usual)) for one in self._first), initial=0))
+        times = list(itertools.accumulate(self._first, initial=0))
+        line = statistics.linear_regression(syncs, times)
+        self.period_ticks = line.slope
+        self.lead_ticks = line.intercept + line.slope * syncs[-1] - times[-1]
+        self._seen = FIRST_SYNCS + 1
