@@ -105,8 +105,8 @@ MUTATIONS = [
     ("MandatoryObjects", "1018h:01 is missing", drop("1018sub1")),
     # objects and entries
     ("1016", "SubNumber is not 4", drop("1016sub3")),
-    ("2011", "SubNumber is not 11", put("2011", "SubNumber", "8")),
-    ("2011", "SubNumber is not 11", drop("2011", "SubNumber")),
+    ("2011", "SubNumber is not 12", put("2011", "SubNumber", "8")),
+    ("2011", "SubNumber is not 12", drop("2011", "SubNumber")),
     ("2011sub0", "highest sub-index", put("2011sub0", "DefaultValue", "9")),
     ("2011", "sub-index 0 is missing", drop("2011sub0")),
     ("2011", "sub-index 0 is missing", put("2011sub0", "DataType", "0x0006")),

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from servo_kit import IDEAL_TABLE, RATE_HZ, cycles_of, s_curve
 
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
@@ -19,6 +18,7 @@ from canfb.signal.sample import Sample
 from canfb.signal.subsamples import LEAST_APART, in_order
 from canfb.signal.supervision import LOST, MISSED, REFERENCED, VALID
 from folding import each
+from servo_kit import IDEAL_TABLE, RATE_HZ, cycles_of, s_curve
 
 AMPLITUDE = 1800.0
 N = 2500
