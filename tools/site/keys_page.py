@@ -54,6 +54,8 @@ SUFFIXES = {
     "cycles_per_revolution": "cycles",
     "revolutions": "revolutions",
     "samples": "samples",
+    "samples_per_sync": "samples",
+    "noise_margin": "standard deviations",
     "scans": "scans",
     "periods": "SYNC periods",
     "bits": "bits",

@@ -29,6 +29,7 @@ def fed_module(config: ModuleConfig) -> FedModule:
         node_id=config.node_id,
         encoder_interface=config.encoder_interface,
         times=config.times,
+        samples_per_sync=config.samples_per_sync,
         autostart=config.autostart,
         increments_per_revolution=scale[0x6001, 0],
         total_range=scale[0x6002, 0],  # without scaling, too

@@ -17,6 +17,7 @@ PATIENCE_S = 2.0  # for the first SYNC, the first sample, and for either to go o
 LOOK_S = 0.1
 LONGEST = 6.0  # times the duration that was asked for, where SYNCs are rare
 PART_MISSED = 0.5
+MISSED = (MISSED_COUNTS, MISSED_COUNTS)
 Heard = Callable[[float], None]
 
 
@@ -33,6 +34,7 @@ class PdoRecorder:
         self._times: list[float] = []
         self._stamps: list[int | None] = []  # sample times, 100 ns
         self._coarse: list[tuple[int, int] | None] = []
+        self._earlier: list[list[tuple[int, int]]] = []
         self.samples = 0
         self.surplus = 0
         """PDOs beyond one for each SYNC, or too short: not used."""
@@ -44,22 +46,36 @@ class PdoRecorder:
 
     def hear_sync(self, can_id: int, data: bytes, time_s: float) -> None:
         """A SYNC: a new interval begins."""
-        self._pairs.append((MISSED_COUNTS, MISSED_COUNTS))
+        self._pairs.append(MISSED)
         self._times.append(time_s)
         self._stamps.append(None)
         self._coarse.append(None)
+        self._earlier.append([MISSED] * len(self._layout.earlier))
 
     def hear_pdo(self, can_id: int, data: bytes, time_s: float) -> None:
         """A PDO with a sample."""
         if not self._pairs:
             return  # it belongs to a SYNC that was before
         counts = self._layout.unpack(data)
-        if counts is None or self._pairs[-1] != (MISSED_COUNTS, MISSED_COUNTS):
+        if counts is None or self._pairs[-1] != MISSED:
             self.surplus += 1
             return
         self._pairs[-1] = counts
-        self._stamps[-1] = self._layout.sample_time(data)
+        if self._layout.time_byte is not None:
+            self._stamps[-1] = self._layout.sample_time(data)
         self.samples += 1
+        self.hear_part(can_id, data, time_s)
+
+    def hear_part(self, can_id: int, data: bytes, time_s: float) -> None:
+        """A PDO with earlier pairs, or the sample time."""
+        if not self._pairs:
+            return
+        layout, earlier = self._layout, self._earlier[-1]
+        for place, part in enumerate(layout.earlier):
+            if part.can_id == can_id and earlier[place] == MISSED:
+                earlier[place] = part.unpack(data) or MISSED
+        if layout.timed_by is not None and layout.timed_by.can_id == can_id and self._stamps[-1] is None:
+            self._stamps[-1] = layout.timed_by.sample_time(data)
 
     def hear_coarse(self, can_id: int, data: bytes, time_s: float) -> None:
         """A PDO with the coarse track; it may be the one with the sample."""
@@ -69,7 +85,9 @@ class PdoRecorder:
 
     def result(self, origin: str) -> TrackSamples:
         """What came; the last interval may still be open and is left out."""
-        last = len(self._pairs) - 1
+        last, apart = len(self._pairs) - 1, 1 + len(self._layout.earlier)
+        if apart > 1:
+            return self._several(last, apart, origin)
         pairs = np.array(self._pairs[:last], np.float64).reshape(-1, 2)
         samples = replace(
             TrackSamples.of(pairs[:, 0], pairs[:, 1], self._rate_hz(), origin),
@@ -80,6 +98,31 @@ class PdoRecorder:
             tracks = np.array(coarse, np.float64).reshape(-1, 2)
             samples = replace(samples, coarse=(tracks[:, 0], tracks[:, 1]))
         return samples if self._layout.time_byte is None else samples.timed(self._stamps[:last])
+
+    def _several(self, last: int, per_sync: int, origin: str) -> TrackSamples:
+        """All samples of all intervals, in their order; what belongs to an interval, with its newest."""
+        rate_hz = self._rate_hz()
+        in_order = [
+            pair
+            for newest, earlier in zip(self._pairs[:last], self._earlier, strict=False)
+            for pair in (*earlier[::-1], newest)
+        ]
+        pairs = np.array(in_order, np.float64).reshape(-1, 2)
+        samples = TrackSamples.of(pairs[:, 0], pairs[:, 1], rate_hz and rate_hz * per_sync, origin)
+        newest = np.arange(per_sync - 1, len(pairs), per_sync)
+        if rate_hz:
+            before_s = np.arange(per_sync - 1, -1, -1) / per_sync / rate_hz
+            heard_s = (np.array(self._times[:last])[:, None] - before_s).reshape(-1)
+            samples = replace(samples, heard_s=heard_s)
+        if self._layout.coarse is not None:
+            tracks = np.full((len(pairs), 2), np.nan)
+            tracks[newest] = [(np.nan, np.nan) if one is None else one for one in self._coarse[:last]]
+            samples = replace(samples, coarse=(tracks[:, 0], tracks[:, 1]))
+        if not self._layout.is_timed:
+            return samples
+        stamps: list[int | None] = [None] * len(pairs)
+        stamps[per_sync - 1 :: per_sync] = self._stamps[:last]
+        return samples.timed(stamps)
 
     def _rate_hz(self) -> float | None:
         steps = np.diff(self._times)
@@ -105,11 +148,15 @@ class Listener:
         self._master.subscribe(self._layout.can_id, self._recorder.hear_pdo)
         if self._layout.coarse is not None:
             self._master.subscribe(self._layout.coarse.can_id, self._recorder.hear_coarse)
+        for can_id in self._layout.others:
+            self._master.subscribe(can_id, self._recorder.hear_part)
         self._master.subscribe(self._layout.sync_id, self._recorder.hear_sync)
         return self
 
     def __exit__(self, *error: object) -> None:
         self._master.unsubscribe(self._layout.sync_id, self._recorder.hear_sync)
+        for can_id in self._layout.others:
+            self._master.unsubscribe(can_id, self._recorder.hear_part)
         if self._layout.coarse is not None:
             self._master.unsubscribe(self._layout.coarse.can_id, self._recorder.hear_coarse)
         self._master.unsubscribe(self._layout.can_id, self._recorder.hear_pdo)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from canfb import objects as od
@@ -13,6 +15,8 @@ INTERFACE_TRACKS = (od.INTERFACE_SINE.mapped(16), od.INTERFACE_COSINE.mapped(16)
 PREDEFINED = (cob.TPDO1, cob.TPDO2, cob.TPDO3, cob.TPDO4)
 MODULE_TRACKS = (od.SAMPLE_SINE.mapped(16), od.SAMPLE_COSINE.mapped(16))
 MODULE_COARSE_TRACKS = (od.SAMPLE_COARSE_SINE.mapped(16), od.SAMPLE_COARSE_COSINE.mapped(16))
+INTERFACE_EARLIER = tuple((sine.mapped(16), cosine.mapped(16)) for sine, cosine in od.INTERFACE_EARLIER)
+MODULE_EARLIER = tuple((sine.mapped(16), cosine.mapped(16)) for sine, cosine in od.SAMPLE_EARLIER)
 SAMPLE_TIMES = (od.INTERFACE_SAMPLE_TIME.mapped(32), od.SAMPLE_TIME.mapped(32))
 
 
@@ -20,8 +24,9 @@ SAMPLE_TIMES = (od.INTERFACE_SAMPLE_TIME.mapped(32), od.SAMPLE_TIME.mapped(32))
 class PdoLayout:
     """COB-ID of the PDO with the samples, the bytes of both tracks in it, and the COB-ID of the SYNC.
 
-    ``time_byte`` is where the sample time begins, None if it is not in that PDO. ``coarse`` is the PDO with
-    the coarse track, if it is listened to.
+    ``time_byte`` is where the sample time begins, None if it is not in that PDO; ``timed_by`` is another PDO
+    that brings it. ``earlier`` are the PDOs, this one or others, and the bytes of earlier pairs in the same
+    interval of SYNC, the newest first. ``coarse`` is the PDO with the coarse track, if it is listened to.
     """
 
     can_id: int
@@ -30,6 +35,19 @@ class PdoLayout:
     sync_id: int = cob.SYNC
     time_byte: int | None = None
     coarse: PdoLayout | None = None
+    earlier: tuple[PdoLayout, ...] = ()
+    timed_by: PdoLayout | None = None
+
+    @property
+    def others(self) -> list[int]:
+        """COB-IDs of the other PDOs that bring a part of the sample."""
+        parts = (*self.earlier, *(() if self.timed_by is None else (self.timed_by,)))
+        return sorted({part.can_id for part in parts} - {self.can_id})
+
+    @property
+    def is_timed(self) -> bool:
+        """Sample times come."""
+        return self.time_byte is not None or self.timed_by is not None
 
     @property
     def sender(self) -> int | None:
@@ -55,17 +73,17 @@ class PdoLayout:
 
 def module_layout(module: NodeAccess) -> PdoLayout | None:
     """The RPDO from which the module takes its samples, None if it has none."""
-    return _find(module, od.RPDO, od.RPDO_MAPPING, MODULE_TRACKS)
+    return _find(module, od.RPDO, od.RPDO_MAPPING, MODULE_TRACKS, MODULE_EARLIER)
 
 
 def coarse_layout(module: NodeAccess) -> PdoLayout | None:
     """The RPDO from which the module takes the coarse track, None if it has none."""
-    return _find(module, od.RPDO, od.RPDO_MAPPING, MODULE_COARSE_TRACKS)
+    return _find(module, od.RPDO, od.RPDO_MAPPING, MODULE_COARSE_TRACKS, ())
 
 
 def interface_layout(interface: NodeAccess) -> PdoLayout | None:
     """The TPDO in which the encoder interface sends both tracks, None if it has none."""
-    return _find(interface, od.TPDO, od.TPDO_MAPPING, INTERFACE_TRACKS)
+    return _find(interface, od.TPDO, od.TPDO_MAPPING, INTERFACE_TRACKS, INTERFACE_EARLIER)
 
 
 def agreed_layout(module: NodeAccess | None, interface: NodeAccess) -> PdoLayout:
@@ -102,20 +120,58 @@ def agreed_layout(module: NodeAccess | None, interface: NodeAccess) -> PdoLayout
     return sent
 
 
-def _find(node: NodeAccess, parameters: int, mapping: int, wanted: tuple[int, int]) -> PdoLayout | None:
+def _find(
+    node: NodeAccess,
+    parameters: int,
+    mapping: int,
+    wanted: tuple[int, int],
+    earlier: Sequence[tuple[int, int]],
+) -> PdoLayout | None:
+    pdos = list(_pdos(node, parameters, mapping, wanted if not earlier else None))
+    found = _carrier(pdos, wanted)
+    if found is None:
+        return None
+    can_id, places, time_byte = found
+    others = itertools.takewhile(_is_there, (_carrier(pdos, pair) for pair in earlier))
+    pairs = tuple(PdoLayout(other[0], *other[1]) for other in others if other is not None)
+    times = [(other, byte) for other, entries in pdos if (byte := _time_place(entries)) is not None]
+    timed_by = None
+    if earlier and time_byte is None and times:
+        timed_by = PdoLayout(times[0][0], time_byte=times[0][1])
+    return PdoLayout(can_id, *places, _sync_id(node), time_byte, None, pairs, timed_by)
+
+
+def _pdos(
+    node: NodeAccess, parameters: int, mapping: int, last: tuple[int, int] | None
+) -> Iterator[tuple[int, list[int]]]:
+    """COB-ID and mapping entries of the valid PDOs; up to the one with the objects ``last``."""
     for number in range(PDOS):
         try:
             cob_id = node.integer(parameters + number, 1, "I")
             count = node.integer(mapping + number, 0, "B")
         except CommissioningError:
-            return None  # the node has no more PDOs
+            return  # the node has no more PDOs
         if cob_id & (cob.NOT_VALID | cob.EXTENDED) or count > 64:
             continue
         entries = [node.integer(mapping + number, n, "I") for n in range(1, count + 1)]
+        yield cob_id & cob.CAN_ID, entries
+        if last is not None and _places(entries, last) is not None:
+            return
+
+
+def _carrier(
+    pdos: Sequence[tuple[int, list[int]]], wanted: tuple[int, int]
+) -> tuple[int, tuple[int, int], int | None] | None:
+    """COB-ID, bytes of both objects and of the sample time in the first PDO that has both objects."""
+    for can_id, entries in pdos:
         places = _places(entries, wanted)
         if places is not None:
-            return PdoLayout(cob_id & cob.CAN_ID, *places, _sync_id(node), _time_place(entries))
+            return can_id, places, _time_place(entries)
     return None
+
+
+def _is_there(found: object) -> bool:
+    return found is not None
 
 
 def _sync_id(node: NodeAccess) -> int:

@@ -131,8 +131,7 @@ class FeedbackModule:
         """What SDO starts or reads, beside the feedback: tables, calibration, timers."""
         dictionary, storage = self.dictionary, self.node.storage
         self._tables = TableStore(dictionary, self.chain, storage)
-        events, moment = self.events, self.node.moment
-        self._tables.on_in_force = lambda correction: events.table(correction, moment.now)
+        self._tables.on_in_force = self._on_correction
         self._operating_time = OperatingTime(dictionary, storage, lambda: self.node.now)
         CyclicTimer(dictionary, storage)
         self._calibrating = Calibrating(
@@ -173,8 +172,8 @@ class FeedbackModule:
 
     @property
     def interval_s(self) -> float:
-        """The sampling interval, seconds: 1006h, else the estimate; 0.0 while it is not known."""
-        return self._interval.seconds
+        """The sampling interval, seconds: 1006h, else the estimate, by the samples in it; 0.0: not known."""
+        return self._interval.sample_s
 
     @property
     def max_speed_rad_s(self) -> float:
@@ -320,6 +319,11 @@ class FeedbackModule:
             self._calibrating.interrupted()
             self._operating_time.keep(now)
 
+    def _on_correction(self, correction: Correction) -> None:
+        """Another table and conditioning are in force."""
+        self.events.table(correction, self.node.moment.now)
+        self._limits.noise_changes()
+
     def _encoder_changed(self) -> None:
         """2001:01 was written: every cycle is another part of a revolution."""
         self._publishing.profile.rescale()
@@ -351,6 +355,8 @@ class FeedbackModule:
     def _on_configured(self) -> None:
         """A sample comes in whichever RPDOs carry its parts; some TPDOs go out with it."""
         self._input.configure()
+        per_sync = 1 if self._source else self._input.samples_per_sync
+        self._sampling.configured(per_sync, self._sampling.pairing.timed)
         self._publishing.configured()
 
     def _on_bad_rpdo(self, number: int, received: int, mapped: int, now: float) -> None:

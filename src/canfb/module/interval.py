@@ -1,4 +1,4 @@
-"""How long a sampling interval is: from 1006h, and from the SYNCs as they come."""
+"""How long an interval of SYNC is: from 1006h, and from the SYNCs as they come."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SLOWER_INTERVALS = 8  # this many long ones that agree are another rate, not gap
 
 
 class IntervalEstimate:
-    """The sampling interval, seconds.
+    """The interval of SYNC, seconds, and that from one sample to the next.
 
     :attr:`seconds` is the communication cycle period 1006h where a master has written it, else the
     estimate, 0.0 while nothing is known. :attr:`settled_s` is what times are judged by: the estimate
@@ -38,11 +38,13 @@ class IntervalEstimate:
         "_long",
         "_period_us",
         "_recent",
+        "samples_per_sync",
         "settled_s",
     )
 
     def __init__(self, communication_cycle_period: Entry) -> None:
         self._period_us = communication_cycle_period
+        self.samples_per_sync = 1
         self.reset()
 
     def reset(self) -> None:
@@ -61,15 +63,25 @@ class IntervalEstimate:
 
     @property
     def known_s(self) -> float:
-        """The sampling interval where it is certain enough for limits; else 0.0."""
+        """The interval of SYNC where it is certain enough for limits; else 0.0."""
         nominal = self._period_us.value * SECONDS_PER_US
         measured = len(self._heard) > FIRST_INTERVALS or len(self._recent) == FIRST_INTERVALS
         return self.settled_s or nominal or (self._estimate_s if measured else 0.0)
 
     @property
     def seconds(self) -> float:
-        """The sampling interval in force."""
+        """The interval of SYNC in force."""
         return self._period_us.value * SECONDS_PER_US or self._estimate_s
+
+    @property
+    def nominal_s(self) -> float:
+        """1006h, 0.0: not written."""
+        return float(self._period_us.value) * SECONDS_PER_US
+
+    @property
+    def sample_s(self) -> float:
+        """The sampling interval: that of SYNC, divided by the samples in it."""
+        return self.seconds / self.samples_per_sync
 
     def event(self, now: float, proved: bool = True) -> None:
         """A SYNC, or a sample where there is no SYNC, at ``now`` (seconds).

@@ -67,7 +67,7 @@ class JitterWatch:
 
     def look(self, last: Feedback, now: float) -> None:
         """After ``last``, not with each sample; ``now`` in seconds."""
-        interval_s = self._interval.settled_s
+        interval_s = self._interval.settled_s / self._interval.samples_per_sync
         if not interval_s or not last.status & VALID:
             return
         rad_per_cycle = 2.0 * math.pi / self._cycles_per_revolution.value

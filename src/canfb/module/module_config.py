@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from canfb.checks import flag, integer_in
 from canfb.device.lss.lss import UNCONFIGURED as UNCONFIGURED  # for readers of configurations
 from canfb.signal.chain_config import ChainConfig
+from canfb.signal.subsamples import MOST_PER_SYNC
 from canfb.sources.source_config import SourceConfig
 
 MOST_ACCELERATION_RAD_S2, MOST_JERK_RAD_S3 = 1e9, 1e15  # 2010:02, 2010:08
@@ -24,11 +25,18 @@ class ModuleConfig(ChainConfig):
     encoder_interface        the node whose TPDO1 carries the ADC counts, 1..127; not node_id. Not used
                              with a source
     times                    True: the ADC PDO carries the interface's sample time after sine and cosine
-                             (RPDO1: 2000:01, :02, :05), 8 bytes. Not used with a source
+                             (RPDO1: 2000:01, :02, :05), 8 bytes; with several samples the next PDO that has
+                             room for it. Not used with a source
+    samples_per_sync         1..4 pairs of sine and cosine that the encoder interface sends for each SYNC: two
+                             in its TPDO1, two more in TPDO2 (2000:01, :02, :08..0D); then the sample time.
+                             Not used with a source
     source                   source of the samples instead of the ADC PDO; None: the PDO
     max_acceleration_rad_s2  largest acceleration of the machine, 0..1e9 (2010:02); 0 = not known
     max_jerk_rad_s3          largest jerk of the machine, 0..1e15 (2010:08), for prediction_order 3; 0 = not
                              known
+    noise_margin             0..255 (2010:09): where a known acceleration or jerk narrows the residual limit,
+                             the margin is this many standard deviations of the measured noise, and no more
+                             than the fixed one; 0: the fixed margin. 6 is usual
     predict                  what synchronous TPDOs send, 0..2 (2013:01): False the measured position, True
                              (or 1) that at their SYNC with constant speed, 2 with constant acceleration;
                              with prediction_order 3 always with constant acceleration
@@ -44,9 +52,11 @@ class ModuleConfig(ChainConfig):
     serial_number: int = 0
     encoder_interface: int = 16
     times: bool = False
+    samples_per_sync: int = 1
     source: SourceConfig | None = None
     max_acceleration_rad_s2: float = 0.0
     max_jerk_rad_s3: float = 0.0
+    noise_margin: int = 0
     predict: bool | int = False
     nominal_sync: bool = False
     sync_timeout_periods: int = 2
@@ -59,6 +69,7 @@ class ModuleConfig(ChainConfig):
             integer_in("node_id", self.node_id, 1, 127)
         integer_in("serial_number", self.serial_number, 0, 0xFFFFFFFF)
         integer_in("encoder_interface", self.encoder_interface, 1, 127)
+        integer_in("samples_per_sync", self.samples_per_sync, 1, MOST_PER_SYNC)
         if self.source is not None and not isinstance(self.source, SourceConfig):
             raise ValueError(f"source must be a configuration of a source, not {self.source!r}")
         if self.source is None and self.encoder_interface == self.node_id:
@@ -67,6 +78,7 @@ class ModuleConfig(ChainConfig):
         _check_largest("max_jerk_rad_s3", self.max_jerk_rad_s3, MOST_JERK_RAD_S3)
         if not isinstance(self.predict, int) or not 0 <= self.predict <= 2:
             raise ValueError(f"predict must be false, true, or 0, 1 or 2, not {self.predict!r}")
+        integer_in("noise_margin", self.noise_margin, 0, 255)
         integer_in("sync_timeout_periods", self.sync_timeout_periods, 2, 255)
         for name in ("times", "nominal_sync", "autostart"):
             flag(name, getattr(self, name))

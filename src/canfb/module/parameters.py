@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.cia301.pdo_room import mapping_values
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.position import distinguishable_revolutions, single_turn_resolution
 from canfb.module.interval import IntervalEstimate
@@ -15,14 +17,18 @@ from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, MOST_JERK_RAD_S
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.limits import (
+    PHASE_ERROR_CYCLES,
     cycles_per_interval_cubed,
     cycles_per_interval_squared,
     limit_narrowed_by_jerk,
     narrowed_residual_limit,
 )
+from canfb.signal.residual_noise import RESIDUAL_WEIGHTS, ResidualNoise
+from canfb.signal.sample_times import TICK_S
 from canfb.signal.supervision import SampleLimits
 from canfb.signal.third_order import SECOND
 
+SAME_NOISE = 0.02  # of it: no reason for new limits
 LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
 # RPDO1: sine, cosine, sample time.
 TIMED = {(od.RPDO_MAPPING, 0): 3, (od.RPDO_MAPPING, 3): od.SAMPLE_TIME.mapped(32)}
@@ -37,9 +43,8 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         zip(od.CONDITIONING, config.conditioning.values, strict=True)
     )
     return {
-        **(TIMED if config.times else {}),
+        **adc_pdos(config),
         od.IDENTITY_SERIAL_NUMBER: config.serial_number,
-        (od.RPDO, 1): cob.TPDO1 + config.encoder_interface,
         od.SERIAL_NUMBER: config.serial_number,
         od.ENCODER_CYCLES_PER_REVOLUTION: config.cycles_per_revolution,
         od.ENCODER_FULL_SCALE: limits.full_scale_counts,
@@ -53,6 +58,7 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         od.SUPERVISION_COARSE_LIMIT: max(1, round(config.coarse_limit_revolutions * LIMIT_UNITS)),
         od.SUPERVISION_ORDER: config.prediction_order,
         od.SUPERVISION_JERK: config.max_jerk_rad_s3,
+        od.SUPERVISION_NOISE_MARGIN: config.noise_margin,
         od.SUPERVISION_PERIODS: config.sync_timeout_periods,
         od.PREDICTION_POSITION: int(config.predict),
         od.PREDICTION_NOMINAL_SYNC: int(config.nominal_sync),
@@ -63,9 +69,26 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
     }
 
 
+def adc_pdos(config: ModuleConfig) -> dict[tuple[int, int], Any]:
+    """The RPDOs of what the encoder interface sends: its TPDO1, and others for what that has no room for."""
+    pairs = [(od.SAMPLE_SINE, od.SAMPLE_COSINE), *od.SAMPLE_EARLIER][: config.samples_per_sync]
+    objects = [one.mapped(16) for pair in pairs for one in pair]
+    if config.times:
+        objects.append(od.SAMPLE_TIME.mapped(32))
+    mapping: dict[tuple[int, int], Any] = dict(mapping_values(od.RPDO_MAPPING, objects))
+    for index in {index for index, _ in mapping}:
+        number = index - od.RPDO_MAPPING
+        mapping[od.RPDO + number, 1] = cob.TPDOS[number] + config.encoder_interface
+    return mapping
+
+
 def without_adc_pdo(config: ModuleConfig) -> dict[tuple[int, int], Any]:
     """What :func:`configured_defaults` becomes for a module with its own ADC: RPDO1 is not valid."""
-    return {(od.RPDO, 1): cob.NOT_VALID | cob.TPDO1 + config.encoder_interface}
+    return {
+        place: cob.NOT_VALID | value
+        for place, value in adc_pdos(config).items()
+        if place[0] < od.RPDO_MAPPING and place[1] == 1
+    }
 
 
 def apply_defaults(dictionary: Dictionary, defaults: dict[tuple[int, int], Any]) -> None:
@@ -90,7 +113,12 @@ class Limits:
         self._acceleration = entry(*od.SUPERVISION_ACCELERATION)
         self._order, self._jerk = entry(*od.SUPERVISION_ORDER), entry(*od.SUPERVISION_JERK)
         self._coast, self._frozen = entry(*od.SUPERVISION_COAST), entry(*od.SUPERVISION_FROZEN)
-        self._coarse = entry(*od.SUPERVISION_COARSE_LIMIT)
+        self._coarse, self._margin = entry(*od.SUPERVISION_COARSE_LIMIT), entry(*od.SUPERVISION_NOISE_MARGIN)
+        self.noise = ResidualNoise()
+        """Of the residual, as measured; :meth:`measured` is called with each block of it."""
+        self._applied_noise = math.nan
+        self.timed = False
+        """Samples bring their time, in units of 100 ns."""
         self._applied_s = 0.0
         self.narrowed = False
         """A known acceleration or jerk narrows a residual limit; it then depends on the sampling interval."""
@@ -113,6 +141,7 @@ class Limits:
             self._coast,
             self._frozen,
             self._coarse,
+            self._margin,
         ):
             changed.on_written = self.apply
         self._full_scale.on_written = self._full_scale_written
@@ -126,6 +155,11 @@ class Limits:
     def reset(self) -> None:
         """After a reset of the node: the values of the dictionary belong together."""
         self._upper_is_old = False
+        self.noise_changes()
+
+    def noise_changes(self) -> None:
+        """Another table, or other samples: the noise is another one, and not known yet."""
+        self.noise.forget()
         self.apply()
 
     def follow(self) -> None:
@@ -133,20 +167,37 @@ class Limits:
         if abs(self._interval.known_s - self._applied_s) > 0.02 * self._applied_s:
             self.apply()
 
+    def measured(self) -> None:
+        """Another block of :attr:`noise`: the limits follow where it has changed."""
+        usable, applied = self.noise.usable_cycles, self._applied_noise
+        if self._margin.value and not abs(usable - applied) <= SAME_NOISE * applied:
+            self.apply()
+
+    def _noise_margin(self) -> float:
+        """2010:09 times the noise, cycles; infinite while one of them is not known."""
+        self._applied_noise = usable = self.noise.usable_cycles
+        return self._margin.value * usable if self._margin.value and usable == usable else math.inf
+
     def apply(self) -> None:
         """Put the values of the dictionary in force."""
+        self.noise.order = self.order
+        margin = self._noise_margin()
         limit = speed_limit = self._residual.value / LIMIT_UNITS
-        interval_s, cycles = self._interval.known_s, self._cycles_per_revolution.value
+        known_s, per_sync = self._interval.known_s, self._interval.samples_per_sync
+        interval_s, cycles = known_s / per_sync, self._cycles_per_revolution.value
         acceleration = jerk = None
         if interval_s > 0.0 and self._acceleration.value > 0.0:
-            speed_limit = narrowed_residual_limit(limit, self._acceleration.value, cycles, interval_s)
+            eq9_margin = margin if self.order == SECOND else math.inf
+            speed_limit = narrowed_residual_limit(
+                limit, self._acceleration.value, cycles, interval_s, eq9_margin
+            )
             acceleration = cycles_per_interval_squared(self._acceleration.value, cycles, interval_s)
         if interval_s > 0.0 and self._jerk.value > 0.0:
-            limit = limit_narrowed_by_jerk(limit, self._jerk.value, cycles, interval_s)
+            limit = limit_narrowed_by_jerk(limit, self._jerk.value, cycles, interval_s, margin)
             jerk = cycles_per_interval_cubed(self._jerk.value, cycles, interval_s)
         if self.order == SECOND:
             limit = speed_limit
-        self._applied_s = interval_s
+        self._applied_s = known_s
         self.narrowed = self._acceleration.value > 0.0 or self._jerk.value > 0.0
         self.in_force = ChainLimits(
             sample=SampleLimits(self._full_scale.value, self._low.value, self._high.value),
@@ -159,6 +210,10 @@ class Limits:
             prediction_order=self.order,
             jerk=jerk,
             start_limit=speed_limit,
+            samples_per_sync=per_sync,
+            instant_error=TICK_S / 2.0 / interval_s if self.timed and interval_s > 0.0 else 0.0,
+            widest_limit=self._residual.value / LIMIT_UNITS,
+            phase_error=min(PHASE_ERROR_CYCLES, margin / math.sqrt(RESIDUAL_WEIGHTS[self.order])),
         )
         self._chain.set_limits(self.in_force)
         if self.on_applied is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from canfb import objects as od
 from canfb.cia301.cob import is_valid
@@ -56,8 +56,10 @@ class Publishing:
             lambda: limits.in_force.residual_limit,
         )
         limits.on_applied = self.warnings.limits_changed
-        self.prediction = Prediction(dictionary, self.profile, prediction_chosen, lambda: chain.unit_s)
-        self.objects = Publication(dictionary, interval, chain, parts)
+        self.prediction = Prediction(
+            dictionary, self.profile, prediction_chosen, lambda: chain.unit_s, interval
+        )
+        self.objects = Publication(dictionary, interval, chain, parts, limits)
         self.alarm = PositionAlarm(node)
         self.events = EventWatch(dictionary, limits)
         self._event_tpdos: list[Callable[[float], None]] = []
@@ -87,6 +89,13 @@ class Publishing:
             warnings.follow(feedback, now)
         if self.on_feedback is not None:
             self.on_feedback(feedback, now)
+
+    def count(self, between: Sequence[Feedback], now: float) -> None:
+        """Samples that were taken before the one to publish, in the same interval of SYNC."""
+        for feedback in between:
+            self.objects.count(feedback)
+            if self.events.detailed and not feedback.status & VALID:
+                self.events.fault(feedback, now)
 
     def withhold(self) -> None:
         """What the dictionary holds is not valid any more, until the next sample."""

@@ -14,11 +14,17 @@ from canfb.module.publishing import Publishing
 from canfb.module.tap import Taps
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
+from canfb.signal.nominal_sync import NominalSync
 from canfb.signal.sample import Sample
+from canfb.signal.sample_times import TICK_S, TICKS
 from canfb.signal.supervision import COASTING, VALID
 
 MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge
 SAME_INTERVAL = 0.02
+SAME_GRID = 2e-6  # of the interval
+GRID_SYNCS = 1024
+EXACT_SYNCS = 512  # from then on a lock is more exact than the drift of a clock
+CLOSE = 2e-3  # of the interval: as far as the first lock may be from 1006h
 CONFIRMING_SAMPLES = 4  # after a pause in which the machine may have begun to move
 
 
@@ -44,6 +50,9 @@ class Sampling:
         self._taps, self._publishing, self._prediction = taps, publishing, publishing.prediction
         self._unconfirmed = 0  # samples after a pause that are not called valid yet
         self._paused_s = 0.0
+        self._grid = NominalSync(
+            GRID_SYNCS
+        )  # by which an interface takes its samples, if several for each SYNC
         found = Findings(self._take, self._miss, self._lose_count, publishing.withhold, chain.repeats)
         self.pairing = Pairing(dictionary, node, interval, parts, source, found)
         self.timeline = self.pairing.timeline
@@ -65,14 +74,39 @@ class Sampling:
                 return False
             if feedback.status & VALID:
                 self.pairing.valid(sample)
+                if sample.earlier:
+                    self._grid.sample(time_100ns)
                 if self._prediction.follows:
                     self._prediction.sampled(time_100ns)
                 if self._unconfirmed:
                     feedback = self._withheld(feedback)
+        noise = self._limits.noise
+        if self._chain.between:
+            self._publishing.count(self._chain.between, now)
+            for earlier in self._chain.between:
+                if noise.take(earlier):
+                    self._limits.measured()
+        if noise.take(feedback):
+            self._limits.measured()
         self._publishing.publish(feedback, now)
         if self._taps.open:
-            self._taps.take(sample, feedback)
+            self._tap(sample, feedback)
         return True
+
+    def _tap(self, sample: Sample, feedback: Feedback) -> None:
+        """All samples of this SYNC for the taps, each with its own time."""
+        between, apart = self._chain.between, round(self._chain.unit_s / TICK_S)
+        for place in range(self._interval.samples_per_sync - 1, 0, -1):
+            if place > len(between):
+                self._taps.miss()
+                continue
+            time = sample.time_100ns
+            at = None if time is None else (time - place * apart) % TICKS
+            sine, cosine = sample.earlier[place - 1]
+            self._taps.take(
+                Sample(sine, cosine, invalid=sample.invalid, time_100ns=at), between[len(between) - place]
+            )
+        self._taps.take(sample, feedback)
 
     def _withheld(self, feedback: Feedback) -> Feedback:
         """What may be right, but is not confirmed."""
@@ -82,9 +116,25 @@ class Sampling:
 
     def _follow_interval(self) -> None:
         """Take the nominal interval along, by which sample times are judged."""
-        seconds = self._interval.seconds
-        if seconds and abs(seconds - self._chain.interval_s) > SAME_INTERVAL * seconds:
+        seconds, same = self._interval.seconds, SAME_INTERVAL
+        if self._interval.samples_per_sync > 1:
+            grid_s = self._grid_s()
+            # Of the earlier samples it is not known when they were taken: at standstill it does not matter.
+            self._chain.measures_intervals = grid_s > 0.0
+            seconds, same = grid_s or seconds, SAME_GRID
+        if seconds and abs(seconds - self._chain.interval_s) > same * seconds:
             self._chain.interval_s = seconds
+
+    def _grid_s(self) -> float:
+        """The interval of SYNC by the clock of the interface, which takes the earlier samples by it.
+
+        0.0: not known yet. 1006h is exact but for the drift of that clock, and so better for a while.
+        """
+        grid, nominal_s = self._grid, self._interval.nominal_s
+        learned_s = grid.period_ticks * TICK_S
+        if not grid.locked or (grid.seen < EXACT_SYNCS and abs(learned_s - nominal_s) <= CLOSE * nominal_s):
+            return nominal_s
+        return learned_s
 
     def _miss(self, samples: int, now: float) -> None:
         """So many samples that did not come, reported once."""
@@ -92,7 +142,8 @@ class Sampling:
         # Of a position that is lost it makes no difference how long it has been.
         for left in range(min(samples, MOST_MISSED) - 1, -1, -1):
             self._publishing.publish(self._chain.miss(), now, send=not left and not known_as_lost)
-            self._taps.miss()
+            for _ in range(self._interval.samples_per_sync):
+                self._taps.miss()
 
     def _lose_count(self, intervals: float, now: float) -> None:
         """So many intervals may or may not have passed: the position is lost if the machine moves."""
@@ -131,7 +182,16 @@ class Sampling:
         self._prediction.pause(self._publishing.last)
         self._publishing.withhold()
 
+    def configured(self, samples_per_sync: int, timed: bool) -> None:
+        """PDO parameters or the NMT state have changed: so many samples for each SYNC, ``timed`` or not."""
+        limits = self._limits
+        if (samples_per_sync, timed) != (self._interval.samples_per_sync, limits.timed):
+            self._interval.samples_per_sync, limits.timed = samples_per_sync, timed
+            self._chain.measures_intervals = True
+            limits.noise_changes()
+
     def forget_interval(self) -> None:
         """After a reset another master may send SYNC at another rate."""
         self._interval.reset()
+        self._grid.forget()
         self._chain.interval_s = 0.0

@@ -15,10 +15,11 @@ from canfb.signal.frozen import FrozenInput
 from canfb.signal.phase import FloatArray, raw_phase
 from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.orders import recovery_of, successor
-from canfb.signal.recovery.reference import Reference
+from canfb.signal.recovery.reference import Pulse, Reference, pulse_between
 from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import REPEATED, SUSPECT, SampleTimes
+from canfb.signal.subsamples import in_order
 from canfb.signal.supervision import (
     FROZEN,
     LOST,
@@ -56,13 +57,18 @@ class SignalChain:
         self._supervision = Supervision(config.limits)
         self._frozen = FrozenInput(config.frozen_samples, self._tracker.residual_limit)
         self._samples = 0
+        self._per_sync = 1
+        self.between: tuple[Feedback, ...] = ()
+        """Of the last interval: what the samples before the newest gave, oldest first."""
         self._speed = 0.0
         self._was_valid = 0  # the sample before
         self._sine = self._cosine = math.nan
         self._times = SampleTimes()
         self._last: Feedback | None = None
         self._waited = 0.0  # intervals without a sample since the last one with a sample time
-        self._clock = 0.0  # intervals since the start
+        self.measures_intervals = True
+        """Sample times say how long an interval was; False: they only tell new samples from doubled ones."""
+        self._clock = 0.0  # sampling intervals since the start
         self._before: Track | None = None  # the sample before, if it was taken
         limits = config.chain_limits
         self._make_reference(limits)
@@ -81,7 +87,7 @@ class SignalChain:
 
     @property
     def interval_s(self) -> float:
-        """Nominal sampling interval, seconds, used to check sample times. 0.0: not known."""
+        """Nominal interval of SYNC, seconds, used to check sample times. 0.0: not known."""
         return self._times.interval_s
 
     @interval_s.setter
@@ -95,7 +101,7 @@ class SignalChain:
     @property
     def unit_s(self) -> float:
         """The interval in which speeds of timed samples are given, seconds; 0.0 before it is known."""
-        return self._times.unit_s
+        return self._times.unit_s / self._per_sync
 
     @property
     def begun(self) -> bool:
@@ -109,11 +115,13 @@ class SignalChain:
 
     def set_limits(self, limits: ChainLimits) -> None:
         """Take new limits, between two samples. Another encoder resets coarse track and zero pulse."""
+        if limits.samples_per_sync != self._per_sync:
+            self._sample_faster(limits.samples_per_sync)
         self._predict_by(limits.prediction_order, limits.residual_limit)
         self._recovery.set_motion(limits.motion)
         self._frozen.residual_limit_cycles = limits.residual_limit
         self._supervision.set_limits(limits.sample)
-        self._recovery.coast_samples = limits.coast_samples
+        self._recovery.coast_samples = limits.coast_samples * self._per_sync
         self._frozen.frozen_samples = limits.frozen_samples
         if limits.cycles_per_revolution != self._reference.coarse.cycles_per_revolution:
             self._make_reference(limits)
@@ -131,6 +139,15 @@ class SignalChain:
         self._recovery = successor(self._recovery, order, residual_limit)
         self._tracker = self._recovery.tracker
         self._reference.follow(self._recovery)
+
+    def _sample_faster(self, per_sync: int) -> None:
+        """From the next interval on there are so many samples in it; the position stays."""
+        factor = per_sync / self._per_sync
+        self._per_sync = per_sync
+        self._recovery.rescale(factor)
+        self._reference.slipped()
+        self._speed /= factor
+        self._before = None
 
     def _make_reference(self, limits: ChainLimits) -> None:
         n = limits.cycles_per_revolution
@@ -162,7 +179,7 @@ class SignalChain:
     def resume(self, intervals: float = 0.0) -> None:
         """Go on after a pause in which the machine stood still: less than half a cycle from here.
 
-        ``intervals`` is how long the pause was, in sampling intervals. If the machine was moving and
+        ``intervals`` is how long the pause was, in intervals of SYNC. If the machine was moving and
         at that speed could have left the cycle meanwhile, the position is lost. One that was lost
         before the pause starts again, at cycle count 0.
         """
@@ -178,15 +195,17 @@ class SignalChain:
         """At the last speeds the machine leaves its cycle within this many intervals."""
         speed = self._recovery.steady_speed()
         fast = abs(self._tracker.step_cycles) >= FASTEST_STANDSTILL_CYCLES
-        return fast or (abs(speed) >= least_cycles and abs(speed) * intervals > LARGEST_SLIP_CYCLES)
+        passed = intervals * self._per_sync
+        return fast or (abs(speed) >= least_cycles and abs(speed) * passed > LARGEST_SLIP_CYCLES)
 
     def uncertain(self, intervals: float) -> Feedback | None:
-        """Up to this many sampling intervals may have passed uncounted: lost, except at standstill.
+        """Up to this many intervals of SYNC may have passed uncounted: lost, except at standstill.
 
         None where that makes no difference: each phase is then less than half a cycle from the last.
         """
         speed = max(abs(self._tracker.step_cycles), abs(self._recovery.steady_speed()))
-        if self._recovery.lost or not self._tracker.started or speed * intervals < LARGEST_SLIP_CYCLES:
+        most = speed * intervals * self._per_sync
+        if self._recovery.lost or not self._tracker.started or most < LARGEST_SLIP_CYCLES:
             return None
         return self.lose()
 
@@ -221,13 +240,15 @@ class SignalChain:
         with the receptions, of this sample at ``received_s`` and of the SYNC that it answers at
         ``synced_s``, seconds, None where that is not known. One whose time fits nothing is a
         bad sample; see :class:`canfb.signal.sample_times.SampleTimes`.
+
+        With several samples in an interval (``samples_per_sync`` of :class:`ChainLimits`) all of them are
+        taken, in their order; the result is that of the newest, :attr:`between` has the others.
         """
-        sine, cosine, elapsed, bad, coarse, _, zero_pulse, time_100ns = sample
+        elapsed, bad, time_100ns = sample.elapsed, sample.invalid, sample.time_100ns
         next_one = unplaced = False
         if time_100ns is not None:
-            passed = self._times.elapsed(
-                time_100ns, elapsed + self._waited, received_s, synced_s, self._tracker.step_cycles
-            )
+            speed = self._tracker.step_cycles * self._per_sync
+            passed = self._times.elapsed(time_100ns, elapsed + self._waited, received_s, synced_s, speed)
             if passed <= 0.0:
                 if passed == REPEATED and self._last is not None:
                     return self._last
@@ -237,7 +258,53 @@ class SignalChain:
                 self._waited += elapsed
             else:
                 next_one = elapsed + self._waited < MISSED_INTERVALS
-                elapsed, self._waited = passed - self._waited, 0.0  # what was waited for is counted already
+                if self.measures_intervals:
+                    elapsed = passed - self._waited  # what was waited for is counted already
+                self._waited = 0.0
+        if self._per_sync == 1:
+            return self._take(sample, elapsed, bad, unplaced, next_one)
+        return self._take_all(sample, elapsed, bad, unplaced, next_one)
+
+    def _take_all(
+        self, sample: Sample, elapsed: float, bad: bool, unplaced: bool, next_one: bool
+    ) -> Feedback:
+        """The samples of one SYNC in their order, ``elapsed`` intervals of SYNC after those before."""
+        samples = [sample] if bad else in_order(sample, elapsed * self._per_sync, self._per_sync)
+        next_one = next_one and len(samples) == self._per_sync
+        between: list[Feedback] = []
+        pulse = None
+        for one in samples[:-1]:
+            before = self._before
+            feedback = self._take(one._replace(zero_pulse=None), one.elapsed, False, False, next_one)
+            after = self._before
+            self._reference.passed(one.elapsed, after is not None)
+            if after is None or (between and (between[-1].status ^ feedback.status) & (VALID | LOST)):
+                pulse = None
+            elif one.zero_pulse is not None and before is not None:
+                pulse = pulse_between(before, after, one.zero_pulse, self._clock, one.elapsed)
+            between.append(feedback)
+        newest = samples[-1]
+        whole = elapsed * self._per_sync if bad else newest.elapsed
+        feedback = self._take(newest, whole, bad, unplaced, next_one, pulse)
+        if any(one.status & MISSED for one in between):
+            feedback = self._last = feedback._replace(status=feedback.status | MISSED)
+        self.between = tuple(one._replace(status=one.status & ~MISSED) for one in between)
+        return feedback
+
+    def _take(
+        self,
+        sample: Sample,
+        elapsed: float,
+        bad: bool,
+        unplaced: bool,
+        next_one: bool,
+        pulse: Pulse | None = None,
+    ) -> Feedback:
+        """One sample, ``elapsed`` sampling intervals after the one before; its time was looked at.
+
+        ``pulse`` is a zero pulse that came before one of the :attr:`between`.
+        """
+        sine, cosine, _, _, coarse, _, zero_pulse, _, _ = sample
         offset_s, gain_s, offset_c, factor_c, skew = self._coefficients
         s = (sine - offset_s) * gain_s
         c = (cosine - offset_c) * factor_c - s * skew
@@ -270,9 +337,11 @@ class SignalChain:
             reference.slipped()
         jump = 0
         self._clock += elapsed
-        if coarse is not None or zero_pulse is not None or reference.in_doubt:
+        if coarse is not None or zero_pulse is not None or pulse is not None or reference.in_doubt:
             before = self._before if measured else None
-            bits, jump = self._reference.apply(sample, track, bits, before, self._clock, elapsed)
+            if pulse is None and zero_pulse is not None and before is not None:
+                pulse = pulse_between(before, track, zero_pulse, self._clock, elapsed)
+            bits, jump = reference.apply(sample, track, bits, pulse, elapsed if before else 0.0)
             self._referenced = REFERENCED if self._reference.zero.referenced else 0
         self._before = track if measured and jump == 0 else None
         if elapsed > MISSED_INTERVALS and not (next_one and bits & VALID):
@@ -334,12 +403,14 @@ class SignalChain:
         return equal, self._recovery.least_speeds(tracked.cycles[start:stop], tracked.phase[start:stop])
 
     def miss(self) -> Feedback:
-        """One sampling interval without a sample: the position coasts, flagged."""
+        """One interval of SYNC without a sample: the position coasts, flagged."""
         if not self._recovery.lost:  # then its length does not matter
             self._waited += 1.0
-        track, bits = self._recovery.bad(1.0, missed=True)
-        self._clock += 1.0
+        intervals = float(self._per_sync)
+        track, bits = self._recovery.bad(intervals, missed=True)
+        self._clock += intervals
         self._before = None
+        self.between = ()
         self._reference.missed()
         return self._feedback(math.nan, math.nan, 0.0, math.nan, track, bits | MISSED, 0)
 

@@ -6,8 +6,10 @@ from dataclasses import dataclass, field
 
 from canfb.checks import integer_in
 from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.limits import PHASE_ERROR_CYCLES
 from canfb.signal.recovery.parabola import MotionLimits
 from canfb.signal.recovery.recovery import COAST_SAMPLES
+from canfb.signal.subsamples import MOST_PER_SYNC
 from canfb.signal.supervision import SampleLimits
 from canfb.signal.third_order import SECOND, check_order
 from canfb.signal.tracker import RESIDUAL_LIMIT, check_residual_limit
@@ -25,7 +27,11 @@ class ChainLimits:
     ``sample`` are the limits of one sample, counts; ``acceleration`` is the largest acceleration of the
     machine, cycles per interval squared, None if it is not known (2010:02); ``jerk`` its largest jerk, cycles
     per interval cubed (2010:08). ``start_limit``, for ``prediction_order`` 3, is the residual limit of the
-    samples that eq. 9 predicts, cycles; None: the same. The others are those of :class:`ChainConfig`.
+    samples that eq. 9 predicts, cycles; None: the same. ``samples_per_sync``, 1..4, is how many samples there
+    are in an interval of SYNC: all intervals above are those from sample to sample. ``coast_samples`` counts
+    intervals of SYNC. ``phase_error`` is the largest error of a phase, cycles, ``instant_error`` that
+    of a sample time, intervals: it is added at the speed of the machine, up to ``widest_limit`` (2010:01;
+    None: ``residual_limit``). The others are those of :class:`ChainConfig`.
     ValueError for a bad limit or order.
     """
 
@@ -39,12 +45,17 @@ class ChainLimits:
     prediction_order: int = SECOND
     jerk: float | None = None
     start_limit: float | None = None
+    samples_per_sync: int = 1
+    phase_error: float = PHASE_ERROR_CYCLES
+    instant_error: float = 0.0
+    widest_limit: float | None = None
 
     def __post_init__(self) -> None:
         check_residual_limit(self.residual_limit)
         if self.start_limit is not None:
             check_residual_limit(self.start_limit)
         check_order("prediction_order", self.prediction_order)
+        integer_in("samples_per_sync", self.samples_per_sync, 1, MOST_PER_SYNC)
 
     @property
     def motion_residual(self) -> float:
@@ -58,7 +69,16 @@ class ChainLimits:
     def motion(self) -> MotionLimits:
         """What the machine can do."""
         start = self.residual_limit if self.start_limit is None else self.start_limit
-        return MotionLimits(self.residual_limit, start, self.jerk, self.acceleration)
+        widest = self.residual_limit if self.widest_limit is None else self.widest_limit
+        return MotionLimits(
+            self.residual_limit,
+            start,
+            self.jerk,
+            self.acceleration,
+            self.phase_error,
+            self.instant_error,
+            widest,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -63,22 +63,31 @@ JERK_MARGIN_CYCLES = 0.1
 
 
 def narrowed_residual_limit(
-    residual_limit: float, max_acceleration_rad_s2: float, cycles_per_revolution: float, interval_s: float
+    residual_limit: float,
+    max_acceleration_rad_s2: float,
+    cycles_per_revolution: float,
+    interval_s: float,
+    margin_cycles: float = PHASE_ERROR_MARGIN_CYCLES,
 ) -> float:
     """Residual limit in cycles when the machine's largest acceleration is known (2010:02).
 
     An acceleration a leaves the residual a N/(2 pi) T^2, here with a margin for the error of
     an uncorrected phase; never more than ``residual_limit``. ``max_acceleration_rad_s2`` = 0
-    means not known. ``interval_s`` is the sampling interval T.
+    means not known. ``interval_s`` is the sampling interval T. A measured ``margin_cycles`` only narrows it
+    further.
     """
     if max_acceleration_rad_s2 <= 0.0:
         return residual_limit
     expected = cycles_per_interval_squared(max_acceleration_rad_s2, cycles_per_revolution, interval_s)
-    return min(residual_limit, expected + PHASE_ERROR_MARGIN_CYCLES)
+    return min(residual_limit, expected + min(margin_cycles, PHASE_ERROR_MARGIN_CYCLES))
 
 
 def limit_narrowed_by_jerk(
-    residual_limit: float, max_jerk_rad_s3: float, cycles_per_revolution: float, interval_s: float
+    residual_limit: float,
+    max_jerk_rad_s3: float,
+    cycles_per_revolution: float,
+    interval_s: float,
+    margin_cycles: float = JERK_MARGIN_CYCLES,
 ) -> float:
     """Residual limit of third-order prediction in cycles when the machine's largest jerk is known (2010:08).
 
@@ -87,7 +96,7 @@ def limit_narrowed_by_jerk(
     if max_jerk_rad_s3 <= 0.0:
         return residual_limit
     expected = cycles_per_interval_cubed(max_jerk_rad_s3, cycles_per_revolution, interval_s)
-    return min(residual_limit, expected + JERK_MARGIN_CYCLES)
+    return min(residual_limit, expected + min(margin_cycles, JERK_MARGIN_CYCLES))
 
 
 def cycles_per_interval_squared(

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 
 class Sample(NamedTuple):
-    """One pair of ADC counts with what came with it (objects 2000:01..07).
+    """One pair of ADC counts with what came with it (objects 2000:01..0D).
 
     sine, cosine            ADC counts, signed, zero at mid-scale
-    elapsed                 sampling intervals since the sample before; 1.0 on a bus without
+    elapsed                 intervals of SYNC since the sample before; 1.0 on a bus without
                             losses, n + 1 after n missed samples
     invalid                 the encoder interface itself calls this sample bad (2000:06 bit 1)
     coarse_sine, coarse_cosine  the track with one cycle per revolution, ADC counts, or None
@@ -17,6 +17,8 @@ class Sample(NamedTuple):
                             interval (0..1, 2000:07); None: it did not
     time_100ns              sample time in 100 ns, modulo 2^32 (2000:05), or None. With it the real
                             elapsed time counts, and ``elapsed`` is not used
+    earlier                 pairs (sine, cosine) that were taken before this one in the same interval, the
+                            newest first: pair j of m - 1 was taken j/m of an interval before
     """
 
     sine: float
@@ -27,3 +29,4 @@ class Sample(NamedTuple):
     coarse_cosine: float | None = None
     zero_pulse: float | None = None
     time_100ns: int | None = None
+    earlier: tuple[tuple[float, float], ...] = ()

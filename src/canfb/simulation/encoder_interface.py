@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from canfb import objects as od
+from canfb.cia301 import cob
 from canfb.cia301.cob import CAN_ID
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.cia301.frame import Frame
+from canfb.cia301.pdo_room import mapping_values
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.mapping import Direction
@@ -19,13 +21,12 @@ from canfb.signal.sample import Sample
 from canfb.simulation.fast_recording import FastRecorder
 from canfb.simulation.hearing import TRUE_TIME, Hearing
 from canfb.simulation.sample_clock import SampleClock
+from canfb.simulation.several_samples import SeveralSamples
 from canfb.simulation.shaft_encoder import Machine
 from canfb.sources.protocol import Source, SourceEnded
 
 EDS = "encoder-interface"
 PLACES = 65536  # 2000:03 counts the sample interval in 1/65536
-# TPDO1: sine, cosine, sample time.
-TIMED = {(od.TPDO_MAPPING, 0): 3, (od.TPDO_MAPPING, 3): od.INTERFACE_SAMPLE_TIME.mapped(32)}
 
 
 class EncoderInterface:
@@ -39,6 +40,8 @@ class EncoderInterface:
 
     2000:01 is the time of the sample: that of ``clock`` when the SYNC was received, unless the sample
     brings a time of its own. With ``times`` TPDO1 carries it behind sine and cosine, by default.
+    ``samples_per_sync``, 1..4: so many pairs for each SYNC (6401:05 and up), sampled by the clock of the
+    interface; see :class:`SeveralSamples`. What TPDO1 has no room for is in TPDO2 and TPDO3.
 
     ``store`` keeps what 1010h and LSS save. A ``node_id`` of 255 is one that an LSS master gives it; it
     knows the device by its ``serial_number``, 0..4294967295.
@@ -53,6 +56,7 @@ class EncoderInterface:
         store: Store | None = None,
         serial_number: int = 0,
         times: bool = False,
+        samples_per_sync: int = 1,
         clock: SampleClock | None = None,
     ) -> None:
         if not 0 <= serial_number <= 0xFFFFFFFF:
@@ -60,9 +64,9 @@ class EncoderInterface:
         self.dictionary = Dictionary.load(eds_path(EDS), node_id)
         serial = self.dictionary.entry(*od.IDENTITY_SERIAL_NUMBER)
         serial.default = serial.value = serial_number
-        for place, value in (TIMED if times else {}).items():
-            mapping = self.dictionary.entry(*place)
-            mapping.default = mapping.value = value
+        for place, value in _adc_pdos(node_id, times, samples_per_sync).items():
+            parameter = self.dictionary.entry(*place)
+            parameter.default = parameter.value = value
         self.node = Node(self.dictionary, node_id, autostart=autostart, store=store)
         self.inhibited = self.node.inhibited
         self.node.on_sync = self._on_sync
@@ -77,6 +81,7 @@ class EncoderInterface:
         self.recorder = FastRecorder(self.dictionary, source, lambda: self.hearing.at(self._now))
         self.source = source
         self._machine = source if isinstance(source, Machine) else None
+        self._several = SeveralSamples(source, samples_per_sync) if samples_per_sync > 1 else None
         self.ended = False
         self.samples = 0
         self._silent = False
@@ -86,6 +91,7 @@ class EncoderInterface:
         self._coarse_cosine = entry(*od.INTERFACE_COARSE_COSINE)
         self._time, self._flags = entry(*od.INTERFACE_SAMPLE_TIME), entry(*od.INTERFACE_FLAGS)
         self._place = entry(*od.INTERFACE_ZERO_PULSE_PLACE)
+        self._earlier = [tuple(entry(*part) for part in pair) for pair in od.INTERFACE_EARLIER]
         tpdos = numbers(self.dictionary, Direction.TRANSMIT)
         parameters = COMMUNICATION[Direction.TRANSMIT] - 1
         self._cob_ids = [entry(parameters + number, 1) for number in tpdos]
@@ -142,15 +148,21 @@ class EncoderInterface:
 
     def _sample(self) -> Sample | None:
         """A machine is sampled when the SYNC is heard; a recording has one sample for each SYNC."""
+        if self._several is not None:
+            return self._several.at_sync(self._heard_s)
         return self.source.next() if self._machine is None else self._machine.sample_at(self._heard_s)
 
     def _keep(self, sample: Sample) -> None:
         """Put the sample into 6401h and 2000h."""
-        sine, cosine, _, invalid, coarse_sine, coarse_cosine, pulse, time_100ns = sample
+        sine, cosine, _, invalid, coarse_sine, coarse_cosine, pulse, time_100ns, pairs = sample
         self._sine.value, self._cosine.value = sine, cosine
         if coarse_sine is not None and coarse_cosine is not None:
             self._coarse_sine.value, self._coarse_cosine.value = coarse_sine, coarse_cosine
-        self._time.value = self._clock.ticks(self._heard_s) if time_100ns is None else time_100ns
+        for entries, pair in zip(self._earlier, pairs, strict=False):
+            for channel, counts in zip(entries, pair, strict=True):
+                channel.value = counts
+        taken_s = self._heard_s if self._several is None else self._several.newest_s
+        self._time.value = self._clock.ticks(taken_s) if time_100ns is None else time_100ns
         flags = od.SampleFlag.INVALID if invalid else 0
         if pulse is not None:
             flags |= od.SampleFlag.ZERO_PULSE
@@ -173,3 +185,16 @@ class EncoderInterface:
             return frames
         samples = {cob_id.value & CAN_ID for cob_id in self._cob_ids}
         return [frame for frame in frames if frame.can_id not in samples]
+
+
+def _adc_pdos(node_id: int, times: bool, samples_per_sync: int) -> dict[tuple[int, int], int]:
+    """The TPDOs that carry the samples, where they differ from those of the EDS."""
+    pairs = [(od.INTERFACE_SINE, od.INTERFACE_COSINE), *od.INTERFACE_EARLIER][:samples_per_sync]
+    objects = [one.mapped(16) for pair in pairs for one in pair]
+    if times:
+        objects.append(od.INTERFACE_SAMPLE_TIME.mapped(32))
+    values = mapping_values(od.TPDO_MAPPING, objects)
+    for index in {index for index, _ in values} - {od.TPDO_MAPPING}:
+        number = index - od.TPDO_MAPPING
+        values[od.TPDO + number, 1] = cob.TPDOS[number] + node_id
+    return values

@@ -16,6 +16,7 @@ class FedModule:
     node_id                     1..127; 255: none yet
     encoder_interface           node-ID of the interface that is simulated
     times                       the ADC PDO carries the sample time
+    samples_per_sync            1..4 pairs of sine and cosine for each SYNC
     autostart                   operational without a master
     increments_per_revolution   scale of its position (6001h)
     total_range                 where its position wraps (6002h)
@@ -25,6 +26,7 @@ class FedModule:
     node_id: int
     encoder_interface: int
     times: bool
+    samples_per_sync: int
     autostart: bool
     increments_per_revolution: int
     total_range: int

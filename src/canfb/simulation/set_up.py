@@ -73,6 +73,7 @@ def set_up(
         source,
         autostart=play.autostart or module.autostart,
         times=module.times,
+        samples_per_sync=module.samples_per_sync,
         clock=simulation.sample_clock(),
     )
     # The machine first: it must have moved when the SYNC comes to the others.

@@ -6,6 +6,7 @@ import numpy as np
 
 from tools.faults.wire.line import Plan, Slot
 from tools.faults.wire.motion import Motion
+from tools.faults.wire.servo import draw_servo
 from tools.faults.wire.setups import Options, Setup
 
 LONGEST_RAMP = 420
@@ -19,6 +20,8 @@ def draw_plan(setup: Setup, rng: np.random.Generator, after: int = AFTER, steady
 
     The machine is at its speed then, or, unless ``steady``, perhaps still accelerating, or reversing.
     """
+    if setup.servo:
+        return draw_servo(setup, rng, after)
     options = Options(interval_s=float(rng.choice((1e-3, 1e-3, 1e-3, 2.5e-4, 2e-3, 1e-2))))
     options.limit = (None, None, 0.25, 0.25, 0.15, 0.05)[int(rng.integers(6))]
     options.overflow = int(rng.choice((10, 240)))

@@ -204,7 +204,7 @@ class Judge:
     def _admissible(self, one: Sent) -> list[float]:
         """True positions at the instants of rules J1 to J4."""
         line, cause = self._line, one.cause
-        if cause is not None and cause.what in ("pdo", "extra"):
+        if cause is not None and cause.what in ("pdo", "part", "extra"):
             slot = self._last_sync(cause.time)
             samples = {cause.number, one.newest, *self._samples_of(slot, slot)}
             return [line.positions[n] for n in samples] + self._named(samples)

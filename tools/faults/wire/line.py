@@ -23,6 +23,7 @@ from tools.faults.wire.setups import (
     NMT_ID,
     NODE,
     SYNC_ID,
+    TIMES_ID,
     Options,
     Setup,
     sdo_read,
@@ -31,6 +32,7 @@ from tools.faults.wire.setups import (
 TICK_S = 1e-7
 U32 = 0xFFFFFFFF
 SAMPLE_LATENCY_US = 20.0  # from the end of the SYNC to the hold of both tracks
+TIMES_LATER_US = 60.0  # the next PDO of the interface
 LATEST_PDO = 0.45  # T after its SYNC, on a healthy wire
 COARSE_COUNTS = 1500.0
 FIRST_PULSE = 40.0  # cycles
@@ -47,6 +49,7 @@ class Slot:
     payload: bytes | None = None  # in place of what the set-up has
     again: list[tuple[float, bool, bool]] = field(default_factory=list)  # us later, to module, to interface
     pdo_lost: bool = False
+    times_lost: bool = False  # the PDO with the sample time, where it has its own
     pdo_late_us: float = 0.0
     pdo_again_us: list[float] = field(default_factory=list)
     extra_lost: bool = False
@@ -62,7 +65,7 @@ class Event(NamedTuple):
 
     time: float  # true receive time, T
     order: int
-    what: str  # sync, pdo, extra, foreign, sdo, nmt, bus_off, bus_back
+    what: str  # sync, part (of a sample), pdo (completes it), extra, foreign, sdo, nmt, bus_off, bus_back
     frame: Frame | None
     number: int  # of the slot for sync and foreign, of the sample for pdo and extra
 
@@ -184,7 +187,11 @@ def _payload(plan: Plan, slot: Slot, number: int) -> bytes:
 
 def _send_samples(plan: Plan, samplings: list[_Sampling], positions: np.ndarray, events: list[Event]) -> None:
     rng, us = plan.rng, plan.us
-    sine, cosine = counts(positions, rng)
+    exact = plan.options.exact
+    sine, cosine = counts(positions, rng, exact)
+    # The clock of the interface takes the earlier pair half a period before, wherever the newest one is.
+    half_before = plan.motion.at([one.time - 0.5 for one in samplings])
+    earlier = counts(half_before, rng, exact) if plan.setup.servo else None
     offset = int(rng.integers(1 << 32))
     if rng.integers(3) == 0:  # the clock of the interface wraps during the episode
         offset = (1 << 32) - int(rng.uniform(0.0, plan.end * plan.options.interval_s / TICK_S))
@@ -198,16 +205,25 @@ def _send_samples(plan: Plan, samplings: list[_Sampling], positions: np.ndarray,
     for n, one in enumerate(samplings):
         slot = plan.slots[one.slot]
         data = struct.pack("<hh", sine[n], cosine[n])
+        stamp = b""
         if plan.setup.times:
             true_s = one.time * plan.options.interval_s
             tick = math.floor(true_s * (1.0 + plan.drift) / TICK_S) + offset + slot.stamp_add
-            data += struct.pack("<I", (tick if slot.stamp is None else slot.stamp) & U32)
+            stamp = struct.pack("<I", (tick if slot.stamp is None else slot.stamp) & U32)
+        if earlier is None:
+            data += stamp
+        else:
+            data += struct.pack("<hh", earlier[0][n], earlier[1][n])
         sent = max(one.heard + waits[n], free)
         free = sent + 60.0 * us
         sent += slot.pdo_late_us * us
         if not slot.pdo_lost:
             for later in (0.0, *slot.pdo_again_us):
-                events.append(Event(sent + later * us, len(events), "pdo", Frame(ADC_ID, data), n))
+                what = "pdo" if earlier is None else "part"
+                events.append(Event(sent + later * us, len(events), what, Frame(ADC_ID, data), n))
+                if earlier is not None and not slot.times_lost:
+                    at = sent + (later + TIMES_LATER_US) * us
+                    events.append(Event(at, len(events), "pdo", Frame(TIMES_ID, stamp), n))
         extra = _extra(plan, slot, before, positions[n])
         if extra and not slot.extra_lost:
             for later in (0.0, *slot.extra_again_us):
@@ -219,8 +235,8 @@ def _send_samples(plan: Plan, samplings: list[_Sampling], positions: np.ndarray,
 def _send_foreign(plan: Plan, events: list[Event]) -> None:
     for number, slot in enumerate(plan.slots):
         if slot.foreign_us is not None:
-            data = plan.rng.integers(-1500, 1500, 2).astype("<i2").tobytes()
-            if plan.setup.times:
+            data = plan.rng.integers(-1500, 1500, 4 if plan.setup.servo else 2).astype("<i2").tobytes()
+            if plan.setup.times and not plan.setup.servo:
                 data += plan.rng.bytes(4)
             at = number + 1.0 + slot.foreign_us * plan.us
             events.append(Event(at, len(events), "foreign", Frame(ADC_ID, data), number))

@@ -27,6 +27,7 @@ class Motion:
     start: float = 0.0
     pieces: list[tuple[float, float]] = field(default_factory=list)
     vibrations: list[tuple[float, float, float, float]] = field(default_factory=list)
+    jerks: list[tuple[float, float]] = field(default_factory=list)  # as pieces, of constant jerk
 
     def push(self, begin: float, duration: float, acceleration: float) -> None:
         """Add a constant acceleration for a while."""
@@ -46,6 +47,9 @@ class Motion:
         for begin, acceleration in self.pieces:
             since = np.maximum(t - begin, 0.0)
             x += 0.5 * acceleration * since * since
+        for begin, jerk in self.jerks:
+            since = np.maximum(t - begin, 0.0)
+            x += jerk / 6.0 * since * since * since
         for begin, acceleration, frequency, end in self.vibrations:
             w = 2.0 * np.pi * frequency
             shaking = np.clip(t - begin, 0.0, end - begin)
@@ -58,9 +62,19 @@ class Motion:
         return float(after - before) / 1e-3
 
 
-def counts(position: FloatArray, rng: np.random.Generator) -> tuple[list[int], list[int]]:
-    """ADC counts of sine and cosine at these positions: 12 bits, half a count of noise."""
+def counts(
+    position: FloatArray, rng: np.random.Generator, exact: bool = False
+) -> tuple[list[int], list[int]]:
+    """ADC counts of sine and cosine at these positions: 12 bits, half a count of noise.
+
+    ``exact``: tracks whose quotient is the phase, as after a reference measurement (Table 1 of the paper).
+    """
     angle = 2.0 * np.pi * np.mod(position, 1.0)
+    if exact:
+        octant, part = np.divmod(8.0 * np.mod(position, 1.0), 1.0)
+        odd = octant % 2 == 1
+        within = np.where(odd, np.pi / 4.0 - np.arctan(1.0 - part), np.arctan(part))
+        angle = octant * np.pi / 4.0 + within
     tracks = (AMPLITUDE_COUNTS * np.sin(angle), AMPLITUDE_COUNTS * np.cos(angle))
     noisy = (track + rng.normal(0.0, NOISE_COUNTS, len(position)) for track in tracks)
     sine, cosine = (np.clip(np.rint(one), -FULL_SCALE, FULL_SCALE - 1).astype(int).tolist() for one in noisy)

@@ -9,7 +9,7 @@ from canfb import FeedbackModule, Frame, ModuleConfig
 
 NODE, INTERFACE = 32, 16
 SYNC_ID, NMT_ID = 0x080, 0x000
-ADC_ID, EXTRA_ID = 0x180 + INTERFACE, 0x280 + INTERFACE
+ADC_ID, EXTRA_ID, TIMES_ID = 0x180 + INTERFACE, 0x280 + INTERFACE, 0x380 + INTERFACE
 TPDO1_ID, EMCY_ID, SDO_TX, SDO_RX = 0x180 + NODE, 0x080 + NODE, 0x580 + NODE, 0x600 + NODE
 CYCLES_PER_REVOLUTION = 2500
 UNITS_PER_CYCLE = 8192  # 6004h without scaling
@@ -23,7 +23,8 @@ class Setup:
     """One column of the campaign.
 
     counter: the SYNC has one; times: the ADC PDO holds the sample time; period: 1006h is written (None:
-    in half of the episodes); stamps: frames carry their receive time.
+    in half of the episodes); stamps: frames carry their receive time; servo: two pairs of tracks for
+    each SYNC, third-order prediction, and the motion of a servo.
     """
 
     name: str
@@ -31,6 +32,12 @@ class Setup:
     times: bool = False
     period: bool | None = None
     stamps: bool = False
+    servo: bool = False
+
+    @property
+    def times_id(self) -> int:
+        """The PDO with the sample time."""
+        return TIMES_ID if self.servo else ADC_ID
 
 
 SETUPS = tuple(
@@ -43,6 +50,9 @@ SETUPS = tuple(
         ("times-free", False, True, False),
         ("times+counter", True, True, None),
     )
+) + tuple(
+    Setup("servo" + ("/rx" if stamps else ""), times=True, stamps=stamps, servo=True)
+    for stamps in (False, True)
 )
 
 
@@ -52,6 +62,9 @@ class Options:
 
     interval_s: float = 1e-3
     limit: float | None = None  # 2010:02 in cycles/T^2; None: not known
+    jerk: float | None = None  # 2010:08 in cycles/T^3
+    margin: int = 0  # 2010:09
+    exact: bool = False  # tracks without errors of the cycle, as with a correction table
     overflow: int = 10
     period: bool = False  # write 1006h
     period_factor: float = 1.0  # what 1006h says, relative to the truth
@@ -95,7 +108,9 @@ class Bench:
         if options.limit is not None:
             per_cycle = TWO_PI / CYCLES_PER_REVOLUTION
             write(0x2010, 2, "f", options.limit * per_cycle / options.interval_s**2)
-        if setup.times:
+        if setup.servo:
+            self._be_servo(options)
+        elif setup.times:
             self._map(0x1400, 0x1600, ADC_ID, (0x20000110, 0x20000210, 0x20000520), options.rpdo_type)
         elif options.rpdo_type != 255:
             write(0x1400, 2, "B", options.rpdo_type)
@@ -112,6 +127,17 @@ class Bench:
             write(0x1029, 1, "B", 1)
         if options.acceleration:
             self._map(0x1802, 0x1A02, 0x380 + NODE, (0x20110110, 0x20110920), 254)
+
+    def _be_servo(self, options: Options) -> None:
+        write = self._write
+        write(0x2010, 7, "B", 3)
+        write(0x2010, 9, "B", options.margin)
+        if options.jerk is not None:
+            per_cycle = TWO_PI / CYCLES_PER_REVOLUTION
+            write(0x2010, 8, "f", options.jerk * per_cycle / options.interval_s**3)
+        tracks = (0x20000110, 0x20000210, 0x20000810, 0x20000910)
+        self._map(0x1400, 0x1600, ADC_ID, tracks, options.rpdo_type)
+        self._map(0x1402, 0x1602, TIMES_ID, (0x20000520,), options.rpdo_type)
 
     def _map(self, index: int, mapping: int, can_id: int, objects: tuple[int, ...], kind: int) -> None:
         write = self._write

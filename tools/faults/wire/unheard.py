@@ -42,6 +42,13 @@ def pulse_in_the_gap(plan: Plan) -> None:
         slot.pdo_lost = True
 
 
+def time_lost(plan: Plan) -> None:
+    """The PDO with the sample time alone: once, or now and then."""
+    chance = float(plan.rng.choice((0.0, 0.1)))
+    for number in range(plan.fault, len(plan.slots)):
+        plan.slots[number].times_lost = number == plan.fault or bool(plan.rng.uniform() < chance)
+
+
 def scattered_losses(plan: Plan) -> None:
     for slot in plan.slots[plan.fault : plan.fault + 40]:
         slot.pdo_lost = plan.rng.uniform() < 0.15

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple, Protocol
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.datatypes import DataType
+from canfb.cia301.pdo_room import LONGEST_BITS as LONGEST_BITS
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.od.entry import RPDO_ACCESS, TPDO_ACCESS, Entry
 
-LONGEST_BITS = 64
 UNFIT = (struct.error, OverflowError)
 """What `struct` raises for a value that does not fit."""
 

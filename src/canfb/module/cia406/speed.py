@@ -47,13 +47,13 @@ class MotionObjects:
         entry(ACCELERATION, CHANNEL).on_read = lambda: self._acceleration(*acceleration)
 
     def _speed(self, factor: Entry, divisor: Entry) -> int:
-        last, interval_s = self._last_valid(), self._interval.seconds
+        last, interval_s = self._last_valid(), self._interval.sample_s
         if last is None or interval_s <= 0.0:
             return 0
         return self._scaled(last.speed_cycles, interval_s, factor, divisor)
 
     def _acceleration(self, factor: Entry, divisor: Entry) -> int:
-        last, interval_s = self._last_valid(), self._interval.seconds
+        last, interval_s = self._last_valid(), self._interval.sample_s
         if last is None or interval_s <= 0.0:
             return 0
         return self._scaled(last.acceleration_cycles, interval_s * interval_s, factor, divisor)

@@ -8,8 +8,9 @@ from collections.abc import Callable
 from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.profile import EncoderProfile
-from canfb.module.nominal_sync import NominalSync
+from canfb.module.interval import IntervalEstimate
 from canfb.signal.feedback import Feedback
+from canfb.signal.nominal_sync import NominalSync
 from canfb.signal.sample_times import TICK_S
 from canfb.signal.supervision import COASTING, EXTRAPOLATED, VALID
 from canfb.signal.third_order import THIRD
@@ -20,13 +21,16 @@ KNOWN_ACCELERATION = 3  # successive valid samples that determine one
 
 
 class Prediction:
-    """Extrapolates 6004h and 6008h by one sampling interval, for synchronous TPDOs only.
+    """Extrapolates 6004h and 6008h by one interval of SYNC, for synchronous TPDOs only.
 
     At SYNC k+1 the newest sample is that of SYNC k, whatever the types of the PDOs. With x the
     position, v = x(k) - x(k-1) and a = v(k) - v(k-1), all in cycles and intervals:
 
         1  constant speed         x(k) + v       error at most |acceleration| T^2,   noise times sqrt(5)
         2  constant acceleration  x(k) + v + a   error at most |jerk| T^3,           noise times sqrt(19)
+
+    With m samples in an interval of SYNC, v and a are those of its samples: x(k) + m v, and
+    x(k) + m v + a m (m + 1)/2.
 
     v is the speed of half an interval ago, so a counts whole, not half. docs/latency.md has more. With
     third-order prediction (2010:07) of the cycle count the acceleration may be large: 1 is then as 2.
@@ -48,12 +52,14 @@ class Prediction:
         profile: EncoderProfile,
         chosen: Callable[[], None],
         interval_s: Callable[[], float],
+        interval: IntervalEstimate,
     ) -> None:
         entry = dictionary.entry
         self._kind, self._nominal = entry(*od.PREDICTION_POSITION), entry(*od.PREDICTION_NOMINAL_SYNC)
         self._kind.on_written = self._nominal.on_written = chosen
         self._order = entry(*od.SUPERVISION_ORDER)
         self._interval_s = interval_s
+        self._interval = interval
         self._lock = NominalSync()
         self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
         self._status = entry(*od.FEEDBACK_STATUS)
@@ -103,7 +109,11 @@ class Prediction:
         self._at_sync = last.samples
         displacement = self._displacement(last)
         # Of several samples since one SYNC it is unknown when the last one was taken.
-        if displacement is None or last.samples == self._before or (since is not None and since > 1):
+        if (
+            displacement is None
+            or last.samples == self._before
+            or (since is not None and since > self._interval.samples_per_sync)
+        ):
             return
         cycles, phase = ahead(last.cycles, last.phase, displacement)
         self._measured = self._position.value, self._fine.value, self._status.value
@@ -123,7 +133,7 @@ class Prediction:
             self._valid_samples = 0
             return self._speed_cycles if status & COASTING else None
         self._valid_samples += 1
-        after, lock = 1.0, self._lock  # intervals
+        after, lock = float(self._interval.samples_per_sync), self._lock
         if self.follows and lock.locked:
             after = self._intervals(lock.lead_ticks + lock.period_ticks)
         self._speed_cycles = displacement = last.speed_cycles * after

@@ -9,6 +9,7 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.position import PHASE_UNITS
 from canfb.module.interval import IntervalEstimate
 from canfb.module.objects.sample_input import SampleInput
+from canfb.module.parameters import Limits
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import (
@@ -51,7 +52,12 @@ class Publication:
     """
 
     def __init__(
-        self, dictionary: Dictionary, interval: IntervalEstimate, chain: SignalChain, source: SampleInput
+        self,
+        dictionary: Dictionary,
+        interval: IntervalEstimate,
+        chain: SignalChain,
+        source: SampleInput,
+        limits: Limits,
     ) -> None:
         entry = dictionary.entry
         self._status, self._residual, self._samples = (
@@ -64,6 +70,7 @@ class Publication:
         entry(*od.FEEDBACK_VELOCITY).on_read = self._velocity
         entry(*od.FEEDBACK_ACCELERATION).on_read = self._acceleration
         entry(*od.FEEDBACK_JUMP).on_read = self._jump
+        entry(*od.FEEDBACK_NOISE).on_read = lambda: _sixteen_bits(limits.noise.rms_cycles)
         entry(*od.COUNTER_RECOVERED).on_read = lambda: chain.reference.recovered & U32
         entry(*od.COUNTER_SET_RIGHT).on_read = lambda: chain.reference.set_right & U32
         entry(*od.COUNTER_ZERO_PULSES).on_read = lambda: source.pulses & U32
@@ -96,6 +103,11 @@ class Publication:
         if status & FAULTS or self._lost:
             self._count(status)
 
+    def count(self, feedback: Feedback) -> None:
+        """Count in 2012h what a sample that is not published shows: another one of its SYNC follows."""
+        if feedback.status & FAULTS or self._lost:
+            self._count(feedback.status)
+
     def calibrating(self, working: bool) -> None:
         """Bit 10 of the status word, at once: the module records or computes for 2030h."""
         self._work = CALIBRATING if working else 0
@@ -122,7 +134,7 @@ class Publication:
 
     def _rad_s(self, per_interval: float, power: int) -> float:
         """Cycles per interval, or per interval squared, in rad and s; what REAL32 cannot hold is cut off."""
-        interval_s = self._interval.seconds
+        interval_s = self._interval.sample_s
         if interval_s <= 0.0:
             return 0.0
         rad_per_cycle = 2.0 * math.pi / float(self._cycles_per_revolution.value)
@@ -140,3 +152,8 @@ class Publication:
         if lost and not self._lost:
             self._losses.value += 1
         self._lost = lost
+
+
+def _sixteen_bits(cycles: float) -> int:
+    """In 1/65536 cycle, FFFFh at most; 0 for what is not known."""
+    return 0 if cycles != cycles else min(round(cycles * SIXTEEN_BITS), U16)

@@ -71,7 +71,7 @@ class Recorder:
             self.stop()
 
     def _rate(self) -> int:
-        interval_s = self._interval.seconds
+        interval_s = self._interval.sample_s
         return min(round(1.0 / interval_s), 0xFFFFFFFF) if interval_s > 0.0 else 0
 
 

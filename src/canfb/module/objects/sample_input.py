@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 from canfb import objects as od
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
@@ -19,13 +21,14 @@ PARTS = (
 )
 # Plain integers for the hot path.
 ZERO_PULSE, SAMPLE_INVALID = int(od.SampleFlag.ZERO_PULSE), int(od.SampleFlag.INVALID)
-PLACES = 65536.0  # 2000:07 counts the interval in 1/65536
+PLACES = 65536.0  # 2000:07 counts the interval of SYNC in 1/65536
 
 
 class SampleInput:
     """Waits for all RPDOs that bring a part of 2000h, then gives the sample.
 
-    Both tracks must come in one RPDO: they belong to one instant. What no RPDO brings is not used.
+    Both tracks must come in one RPDO: they belong to one instant. So must those of each earlier pair, which
+    are used up to the first that no RPDO brings. What no RPDO brings is not used.
     """
 
     def __init__(self, dictionary: Dictionary, node: Node) -> None:
@@ -34,6 +37,8 @@ class SampleInput:
             dictionary.entry(*part) for part in PARTS
         )
         self._time, self._flags, self._place = rest
+        self._all_earlier = [tuple(dictionary.entry(*part) for part in pair) for pair in od.SAMPLE_EARLIER]
+        self._earlier = self._all_earlier[:0]
         self._wanted = 0  # bit n: RPDO n
         self.arrived = 0
         """RPDOs of this sample that have come, bit n: RPDO n."""
@@ -51,6 +56,11 @@ class SampleInput:
         """Zero pulses seen."""
 
     @property
+    def samples_per_sync(self) -> int:
+        """Pairs of sine and cosine in an interval of SYNC."""
+        return 1 + len(self._earlier)
+
+    @property
     def expects_pulse(self) -> bool:
         """An RPDO carries 2000:06, which brings the zero pulse."""
         return self._with_flags
@@ -61,12 +71,16 @@ class SampleInput:
         tracks = with_(od.SAMPLE_SINE, od.SAMPLE_COSINE)
         coarse = with_(od.SAMPLE_COARSE_SINE, od.SAMPLE_COARSE_COSINE)
         time, flags, place = with_(od.SAMPLE_TIME), with_(od.SAMPLE_FLAGS), with_(od.SAMPLE_ZERO_PULSE_PLACE)
+        earlier = list(itertools.takewhile(_is_there, (with_(*pair) for pair in od.SAMPLE_EARLIER)))
+        self._earlier = self._all_earlier[: len(earlier)]
         self._wanted = 0
         if tracks is not None:
-            parts = {number for number in (tracks, coarse, time, flags, place) if number is not None}
+            parts = {
+                number for number in (tracks, coarse, time, flags, place, *earlier) if number is not None
+            }
             self._wanted = sum(1 << number for number in parts)
         self.alone = tracks if tracks is not None and self._wanted == 1 << tracks else None
-        self._plain = tracks is not None and coarse is time is None
+        self._plain = tracks is not None and coarse is time is None and not earlier
         self._with_coarse, self.timed = coarse is not None, time is not None
         self._with_flags, self._with_place = flags is not None, place is not None
         self.arrived = 0
@@ -105,7 +119,7 @@ class SampleInput:
         invalid = flags & SAMPLE_INVALID != 0
         if self._plain and not self._with_flags:  # the usual sample, made without its slow constructor
             return tuple.__new__(
-                Sample, (self._sine.value, self._cosine.value, 1.0, invalid, None, None, None, None)
+                Sample, (self._sine.value, self._cosine.value, 1.0, invalid, None, None, None, None, ())
             )
         pulse = None
         if self._with_flags and flags & ZERO_PULSE:
@@ -120,4 +134,10 @@ class SampleInput:
             self._coarse_cosine.value if self._with_coarse else None,
             pulse,
             self._time.value if self.timed else None,
+            tuple((sine.value, cosine.value) for sine, cosine in self._earlier),
         )
+
+
+def _is_there(number: int | None) -> bool:
+    """Whether there is an RPDO with this number."""
+    return number is not None

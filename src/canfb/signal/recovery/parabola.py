@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from canfb.signal.limits import PHASE_ERROR_CYCLES
 from canfb.signal.third_order import step_weights
-from canfb.signal.tracker import Track, split
+from canfb.signal.tracker import RESIDUAL_LIMIT, Track, split
 
 ROUGHNESS_CYCLES = 0.02  # of a third difference: noise, and what a correction leaves
 
@@ -32,25 +32,36 @@ class MotionLimits:
     start_limit     of eq. 9, cycles: for the first samples
     jerk            largest, cycles per interval cubed; None: all that ``residual_limit`` allows
     acceleration    largest, cycles per interval squared; None: any
+    phase_error     largest error of a phase, cycles
+    instant_error   largest error of a sample time, intervals; times the speed it is one of the phase
+    widest_limit    2010:01, cycles: what ``instant_error`` adds stays within it
     """
 
     residual_limit: float
     start_limit: float
     jerk: float | None = None
     acceleration: float | None = None
+    phase_error: float = PHASE_ERROR_CYCLES
+    instant_error: float = 0.0
+    widest_limit: float = RESIDUAL_LIMIT
 
     @property
     def largest_second_difference(self) -> float:
         """Of samples one interval apart: the acceleration, and the errors of three phases; inf: any."""
-        return math.inf if self.acceleration is None else self.acceleration + 4.0 * PHASE_ERROR_CYCLES
+        return math.inf if self.acceleration is None else self.acceleration + 4.0 * self.phase_error
 
-    def from_parabola(self, elapsed: float, last: float, before: float) -> float:
+    def from_parabola(self, elapsed: float, last: float, before: float, speed: float = 0.0) -> float:
         """How far a sample is from the parabola at most, cycles; the intervals newest first."""
         scale, weights = _parabola_scales(elapsed, last, before)
         most = self.residual_limit * max(scale, weights / 8.0)
-        return most if self.jerk is None else min(most, self.jerk * scale + PHASE_ERROR_CYCLES * weights)
+        if self.instant_error:
+            uncertain = self.instant_error * abs(speed) * weights
+            most += min(uncertain, max(0.0, self.widest_limit * max(scale, weights / 8.0) - most))
+            if self.jerk is not None:
+                return min(most, self.jerk * scale + self.phase_error * weights + uncertain)
+        return most if self.jerk is None else min(most, self.jerk * scale + self.phase_error * weights)
 
-    def from_line(self, elapsed: float, last: float, *, known_only: bool) -> float:
+    def from_line(self, elapsed: float, last: float, *, known_only: bool, speed: float = 0.0) -> float:
         """How far a sample is from the line through the last two at most, cycles.
 
         ``known_only``: not limited unless the acceleration is known.
@@ -60,7 +71,8 @@ class MotionLimits:
         most = math.inf if known_only else self.start_limit * max(scale, weights / 4.0)
         if self.acceleration is None:
             return most
-        return min(most, self.acceleration * scale + PHASE_ERROR_CYCLES * weights)
+        error = self.phase_error + self.instant_error * abs(speed)
+        return min(most, self.acceleration * scale + error * weights)
 
 
 def _parabola_scales(elapsed: float, last: float, before: float) -> tuple[float, float]:
@@ -130,12 +142,12 @@ class Parabola:
         interval = last.time - self.spots[-2].time
         moved = _moved(self.spots[-2], last)
         line = last.phase + moved * (elapsed / interval)
-        most = limits.from_line(elapsed, interval, known_only=len(self.spots) == 3)
+        most = limits.from_line(elapsed, interval, known_only=len(self.spots) == 3, speed=moved / interval)
         low, high = line - most, line + most
         if len(self.spots) == 3:
             middle = self._ahead(time)
             before = self.spots[-2].time - self.spots[-3].time
-            most = limits.from_parabola(elapsed, interval, before)
+            most = limits.from_parabola(elapsed, interval, before, moved / interval)
             low, high = max(low, middle - most), min(high, middle + most)
         return low, high
 

@@ -44,7 +44,9 @@ class Recovery:
     __slots__ = (
         "_doubt",
         "_first_after",
+        "_instant_error",
         "_places",
+        "_widest_limit",
         "acceleration_limit",
         "coast_samples",
         "lost",
@@ -60,6 +62,8 @@ class Recovery:
         self.coast_samples = coast_samples
         self.acceleration_limit: float | None = None
         """Largest acceleration of the machine, cycles per interval squared; None: not known."""
+        self._instant_error = 0.0  # of sample times, intervals
+        self._widest_limit = tracker.residual_limit
         self.on_lost: Callable[[], None] = _nothing
         """Called when the position is lost."""
         self._places: deque[tuple[int, float, float]] = deque(maxlen=REMEMBERED_SAMPLES)
@@ -69,6 +73,7 @@ class Recovery:
         """Take what the machine can do, between two samples."""
         self.tracker.residual_limit = limits.residual_limit
         self.acceleration_limit = limits.acceleration
+        self._instant_error, self._widest_limit = limits.instant_error, limits.widest_limit
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
         """Start afresh with this cycle count and speed; the position is not lost any more.
@@ -251,7 +256,11 @@ class Recovery:
         """
         limit = self.tracker.residual_limit
         scale = elapsed * (elapsed + self.tracker.elapsed) / 2.0
-        return max(limit, min(limit * scale, RESIDUAL_LIMIT))
+        grown = max(limit, min(limit * scale, RESIDUAL_LIMIT))
+        if self._instant_error:
+            uncertain = 4.0 * self._instant_error * abs(self.tracker.step_cycles)
+            grown = max(grown, min(grown + uncertain, self._widest_limit))
+        return grown
 
     def bad(self, elapsed: float, missed: bool = False) -> tuple[Track, int]:
         """A sample that failed its checks, or none at all (``missed``): predicted position, status bits."""

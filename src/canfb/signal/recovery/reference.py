@@ -11,6 +11,7 @@ another pulse settles it: by agreeing with the position, or with the first one.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.recovery import Recovery
@@ -25,11 +26,20 @@ AGREEING_SEARCHES = 2  # with third-order prediction
 EXACT_CYCLES = 0.5  # a coarse track better than that needs no zero pulse
 
 
+class Pulse(NamedTuple):
+    """A zero pulse: time in sampling intervals since the start, and the position at which it came."""
+
+    time: float
+    cycles: int
+    phase: float
+
+
 class Reference:
     """Joins coarse track and zero pulse to a :class:`Recovery`."""
 
     def __init__(self, recovery: Recovery, coarse: CoarseTrack, zero: ZeroPulse) -> None:
         self.follow(recovery)
+        self._passed = 0.0  # since the last coarse track, before this sample; below 0: not all were taken
         self.coarse = coarse
         self.zero = zero
         self.recovered = 0
@@ -54,25 +64,28 @@ class Reference:
         self._range_known = False  # ... since the position was lost
         self._begin_search()
 
+    def passed(self, elapsed: float, taken: bool) -> None:
+        """A sample without a coarse track of its own, ``elapsed`` after the one before."""
+        self._passed = self._passed + elapsed if taken and self._passed >= 0.0 else -1.0
+
     def apply(
-        self, sample: Sample, track: Track, bits: int, before: Track | None, time: float, elapsed: float
+        self, sample: Sample, track: Track, bits: int, pulse: Pulse | None, elapsed: float
     ) -> tuple[int, int]:
         """Status bits and jump in cycles after this sample; the jump shows in the next position.
 
-        ``track`` and ``bits`` are what the chain made of ``sample``, at ``time`` intervals since
-        the start, ``elapsed`` after the one ``before``. That is None if either of the two was
-        not taken.
+        ``track`` and ``bits`` are what the chain made of ``sample``, ``elapsed`` intervals after the one
+        before; 0.0 if either of the two was not taken. ``pulse`` came since then, or shortly before.
         """
+        elapsed = elapsed + self._passed if elapsed and self._passed >= 0.0 else 0.0
+        self._passed = 0.0
         was_lost = self._recovery.lost
         jump = 0
         angle: float | None = None
         if sample.coarse_sine is not None and sample.coarse_cosine is not None:
             angle = self.coarse.angle(sample.coarse_sine, sample.coarse_cosine)
-            bits, jump = self._compare(angle, track, bits, elapsed if before else 0.0)
-        if sample.zero_pulse is not None and before is not None and jump == 0:
-            place = sample.zero_pulse
-            cycles, phase = _between(before, track, place)
-            bits, jump = self._pulse(cycles, phase, time - (1.0 - place) * elapsed, track, bits, angle)
+            bits, jump = self._compare(angle, track, bits, elapsed)
+        if pulse is not None and jump == 0:
+            bits, jump = self._pulse(*pulse, track, bits, angle)
         if self._recovery.lost and not was_lost:
             self.position_lost()
         if self.in_doubt and bits & VALID:
@@ -98,7 +111,8 @@ class Reference:
         self._range_known = self._range_from_zero = False
         self._agreeing = 0
         self._disagreeing = 0
-        self._first_pulse: tuple[float, int, float] | None = None
+        self._first_pulse: Pulse | None = None
+        self._passed = 0.0
         self.coarse.restart_search()
 
     def _compare(self, angle: float | None, track: Track, bits: int, elapsed: float) -> tuple[int, int]:
@@ -171,9 +185,9 @@ class Reference:
         return bits & ~(VALID | COASTING) | COARSE | LOST
 
     def _pulse(
-        self, cycles: int, phase: float, time: float, track: Track, bits: int, angle: float | None
+        self, time: float, cycles: int, phase: float, track: Track, bits: int, angle: float | None
     ) -> tuple[int, int]:
-        """A zero pulse at this position and time."""
+        """A zero pulse at this time and position."""
         if bits & VALID:
             return self._pulse_of_valid(cycles, phase, track, bits, angle)
         if not self._recovery.lost:
@@ -232,7 +246,7 @@ class Reference:
         """
         if self._recovery.order == THIRD:
             return
-        first, self._first_pulse = self._first_pulse, (time, cycles, phase)
+        first, self._first_pulse = self._first_pulse, Pulse(time, cycles, phase)
         if first is None or time - first[0] < 1.0:
             return
         intervals = time - first[0]
@@ -247,9 +261,9 @@ class Reference:
             self._range_known = self._range_from_zero = True
 
 
-def _between(before: Track, track: Track, place: float) -> tuple[int, float]:
-    """Position at the fraction ``place`` (0..1) of the displacement between two samples."""
+def pulse_between(before: Track, track: Track, place: float, time: float, elapsed: float) -> Pulse:
+    """The zero pulse at the fraction ``place`` (0..1) between two samples, the second of them at ``time``."""
     way = (track.cycles - before.cycles) + (track.phase - before.phase)
     position = before.phase + place * way
     turns = math.floor(position)
-    return before.cycles + turns, position - turns
+    return Pulse(time - (1.0 - place) * elapsed, before.cycles + turns, position - turns)

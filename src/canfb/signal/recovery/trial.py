@@ -6,10 +6,13 @@ Nothing is assumed of the acceleration. The jerk is within its limits, and
 - a residual over its limit says that one sample is bad, this one or one of the three before it.
 
 Each possibility is followed as a trajectory of its own. It ends where no cycle count of the next sample
-is within the limits (:mod:`canfb.signal.recovery.parabola`): what it assumed is not so. Where more than one
-is, no sample that comes can decide, and the position is lost. The true possibility is among those followed
-and never ends, and each step of it is the only possible one. So when all that are left agree on the last
-samples, these are right.
+is within the limits (:mod:`canfb.signal.recovery.parabola`): what it assumed is not so. The true possibility
+is among those followed and never ends. So when all that are left agree on the last samples, these are right.
+
+After a gap, a sample may have several cycle counts within the limits: each is followed. Two trajectories
+that differ in the three samples after the gap differ by a parabola through whole cycles, which no later
+sample tells apart: the position is lost. After a residual over the limit, it is lost with the first
+sample that has more than one.
 
 More samples may have been bad than assumed. Random phases pass by chance, each new one with a probability of
 twice the residual limit. So unless samples were only missed, enough must follow for it to be below 1e-5, the
@@ -40,6 +43,7 @@ CHANCE = 1e-5
 # After a bad sample the third differences may be this many times the largest before it; and noise.
 ROUGHNESS_FACTOR = 1.25
 FEWEST_SEEN = 4
+MOST_POSSIBLE = 64  # trajectories after a gap; far more than can ever be told apart
 MOST_CHANCE = 0.9  # of one sample: as many confirm as ever do
 LONGEST_TRIAL = 32  # intervals, beyond those that may be coasted
 
@@ -66,6 +70,7 @@ class Trial:
         self._last_good = 0.0
         self._followed = 0  # samples since the last one that was bad or missed
         self._only_missed = True
+        self._only_gaps = True  # no residual was over its limit
         self._is_lost = False
         self._possible = [_until(self._before, speed_cycles)]
 
@@ -99,7 +104,7 @@ class Trial:
     def contradicted(self, phase: float, elapsed: float) -> None:
         """It begins with a sample over the limit, ``elapsed`` intervals later: this or one before is bad."""
         self._now += elapsed
-        self._only_missed = False
+        self._only_missed = self._only_gaps = False
         if len(self._before) < DETERMINING + DOUBTED_BEFORE:
             self._is_lost = True  # too little is known
             return
@@ -108,7 +113,7 @@ class Trial:
             good, later = self._before[:-count], self._before[len(self._before) - count + 1 :]
             here: Parabola | None = _until(good)
             for spot in (*later, newest):
-                here = here and self._extended(here, spot.phase, spot.time)
+                here = here and next(iter(self._extended(here, spot.phase, spot.time)), None)
             if here is not None:
                 self._possible.append(here)
 
@@ -122,13 +127,15 @@ class Trial:
         """A sample that passed its own checks, ``elapsed`` intervals after the one before."""
         self._now += elapsed
         self._followed += 1
-        extended = [self._extended(one, phase, self._now) for one in self._possible]
-        left = [one for one in extended if one is not None]
-        if self._is_lost or not left:
+        left = [longer for one in self._possible for longer in self._extended(one, phase, self._now)]
+        if self._is_lost or not 0 < len(left) <= MOST_POSSIBLE:
             self._is_lost = True
             return TrialResult.LOST
         self._possible, self._last_good = left, self._now
         agreed = all(one.spots == left[0].spots for one in left)
+        if self._only_gaps and not agreed and self._followed >= DETERMINING:
+            self._is_lost = True
+            return TrialResult.LOST
         if not agreed or self._followed < (DETERMINING if self._only_missed else self.enough):
             return TrialResult.OPEN
         if self._only_missed:
@@ -156,12 +163,13 @@ class Trial:
         waited = self._now - self._last_good >= coast_samples + 0.5
         return self._is_lost or waited or self._now > coast_samples + LONGEST_TRIAL
 
-    def _extended(self, one: Parabola, phase: float, time: float) -> Parabola | None:
-        """``one`` with this sample; None if it cannot be on it. Lost if it can be in several places."""
+    def _extended(self, one: Parabola, phase: float, time: float) -> list[Parabola]:
+        """``one`` with this sample, at each place where it can be. Several are for a gap only."""
         cycles = one.continuations(phase, time, self.limits)
-        if len(cycles) > 1:
+        if len(cycles) > (MOST_POSSIBLE if self._only_gaps else 1):
             self._is_lost = True
-        return one.extended(cycles[0], phase, time) if len(cycles) == 1 else None
+            return []
+        return [one.extended(count, phase, time) for count in cycles]
 
 
 def _repeats(spots: Sequence[Spot]) -> bool:

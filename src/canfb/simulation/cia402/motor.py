@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 from canfb.checks import number_in
 
 LONGEST_STEP_S = 1e-4
 LONG_S = 0.1
+REMEMBERED_STEPS = 256  # where an encoder may still look back to
 SETTLED = 50.0  # time constants after which the torque is its command, to the last digit
 
 
@@ -63,6 +65,7 @@ class Motor:
         self.torque_nm = 0.0
         self.command_nm = 0.0
         self.braked = True
+        self._steps: deque[tuple[float, float, float]] = deque(maxlen=REMEMBERED_STEPS)
 
     @property
     def load_nm(self) -> float:
@@ -70,8 +73,19 @@ class Motor:
         return self.config.load_torque_nm if self.time_s >= self.config.load_at_s else 0.0
 
     def revolutions_before(self, seconds: float) -> float:
-        """Position this many seconds ago (or, negative, ahead), at the present speed: for a short time."""
-        return self.revolutions - self.speed_rad_s * seconds / (2.0 * math.pi)
+        """Position this many seconds ago, or, negative, ahead: then at the present speed, for a short time.
+
+        Between the steps of the motion a cubic that has their positions and speeds; before the remembered
+        ones, which are the last tenths of milliseconds, at the speed of the oldest.
+        """
+        wanted_s, after = self.time_s - seconds, (self.time_s, self.revolutions, self.speed_rad_s)
+        if seconds > 0.0:
+            for before in reversed(self._steps):
+                if before[0] <= wanted_s:
+                    return _cubic(before, after, wanted_s)
+                after = before
+        at_s, revolutions, speed_rad_s = after
+        return revolutions - speed_rad_s * (at_s - wanted_s) / (2.0 * math.pi)
 
     def run(self, duration_s: float) -> None:
         """Let this many seconds pass, 0 or more; ValueError for a time that goes back."""
@@ -92,6 +106,7 @@ class Motor:
         self.time_s = end_s
 
     def _step(self, step_s: float) -> None:
+        self._steps.append((self.time_s, self.revolutions, self.speed_rad_s))
         lag = self.config.torque_time_constant_s
         change = self.command_nm - self.torque_nm
         # The mean over the step drives the shaft: the torque itself may settle much faster than a step.
@@ -146,3 +161,16 @@ class Motor:
             self.speed_rad_s = speed + (net_nm / viscous - speed) * decay
             angle = (net_nm * time_s - inertia * (self.speed_rad_s - speed)) / viscous
         self.revolutions += angle / (2.0 * math.pi)
+
+
+def _cubic(before: tuple[float, float, float], after: tuple[float, float, float], at_s: float) -> float:
+    """Revolutions between two moments (time s, revolutions, rad/s), by Hermite's cubic."""
+    (from_s, start, start_rad_s), (to_s, end, end_rad_s) = before, after
+    step_s = to_s - from_s
+    if step_s <= 0.0:
+        return end
+    part = (at_s - from_s) / step_s
+    rest = 1.0 - part
+    blend = part * part * (3.0 - 2.0 * part)
+    bent = part * rest * (rest * start_rad_s - part * end_rad_s) * step_s / (2.0 * math.pi)
+    return start + (end - start) * blend + bent

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from canfb.cia301.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.module.nominal_sync import FIRST_SYNCS, LEARNED_SYNCS, MEMORY_SYNCS, NominalSync
+from canfb.signal.nominal_sync import FIRST_SYNCS, LEARNED_SYNCS, MEMORY_SYNCS, NominalSync
 from canfb.signal.sample_times import TICKS
 from canfb.signal.supervision import EXTRAPOLATED, VALID
 

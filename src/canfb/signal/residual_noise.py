@@ -1,0 +1,125 @@
+"""The noise of the residual, measured while the machine moves (2011:0B), and what of it a limit may use.
+
+The residual holds motion and noise. The motion changes slowly, so the difference of two successive residuals
+holds little of it, and more of the noise: the weights of the phases are 1, 3, 3, 1 in place of 1, 2, 1
+(eq. 9), or 1, 4, 6, 4, 1 in place of 1, 3, 3, 1 (third order). If the errors of the phases are independent,
+the rms of the residual follows. The median of a block stands for its rms: single jerks count for nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import statistics
+from collections import deque
+
+from canfb.signal.feedback import Feedback
+from canfb.signal.supervision import AMPLITUDE, CLIPPED, COASTING, FROZEN, LOST, MISSED, RESIDUAL, VALID
+from canfb.signal.third_order import SECOND
+
+BLOCK_SAMPLES = 64
+MEDIAN_OF_RMS = 0.6745  # of the size of a normal deviate
+# Sums of the squared weights: of the residual, and of the difference of two residuals.
+RESIDUAL_WEIGHTS = {2: 6.0, 3: 20.0}
+DIFFERENCE_WEIGHTS = {2: 20.0, 3: 70.0}
+# The errors of all phases show in a block that has phases in so many eighths of the cycle, and such steps.
+EIGHTHS = 5
+LEAST_STEP = 0.1
+FEWEST_BLOCKS = 4  # before a limit uses the noise
+REFERENCE_BLOCKS = 32  # the first ones are the reference
+MOST_GROWTH = 2.0  # times the reference
+BAD = AMPLITUDE | CLIPPED | COASTING | FROZEN | LOST | MISSED | RESIDUAL
+
+
+class ResidualNoise:
+    """Measures in blocks of 64 successive valid samples, 1 of each 4 blocks, of a machine that moves.
+
+    ``order`` is that of the prediction, 2 or 3. ``rms_cycles`` is the rms of the residual by the last block,
+    cycles, NaN before the first one. ``usable_cycles`` is what a limit may take for it, NaN before four
+    blocks: the largest of the last 32 blocks, at most twice that of the first 32. So a fault that
+    grows from sample to sample, each within the limit, moves a limit by a factor of two at most.
+    """
+
+    __slots__ = (
+        "_accelerations",
+        "_eighths",
+        "_order",
+        "_pause",
+        "_recent",
+        "_reference",
+        "_speed_cycles",
+        "rms_cycles",
+    )
+
+    def __init__(self, order: int = SECOND) -> None:
+        self._order = order
+        self.forget()
+
+    @property
+    def order(self) -> int:
+        """Of the prediction; another one begins anew."""
+        return self._order
+
+    @order.setter
+    def order(self, order: int) -> None:
+        if order != self._order:
+            self._order = order
+            self.forget()
+
+    def forget(self) -> None:
+        """Another table, encoder or prediction: the noise is another one."""
+        self.rms_cycles = math.nan
+        self._reference: list[float] = []
+        self._recent: deque[float] = deque(maxlen=REFERENCE_BLOCKS)
+        self._pause = 0
+        self._begin()
+
+    @property
+    def usable_cycles(self) -> float:
+        """What a limit may take for the rms of the residual, cycles; NaN: too little is known."""
+        if len(self._recent) < FEWEST_BLOCKS:
+            return math.nan
+        return min(max(self._recent), MOST_GROWTH * max(self._reference))
+
+    def take(self, feedback: Feedback) -> bool:
+        """A sample; True if a block is complete with it."""
+        if self._pause:
+            self._pause -= 1
+            return False
+        if feedback.status & (BAD | VALID) != VALID:
+            if self._accelerations:
+                self._begin()
+            return False
+        accelerations = self._accelerations
+        accelerations.append(feedback.acceleration_cycles)
+        self._eighths |= 1 << int(feedback.phase * 8.0)
+        self._speed_cycles = feedback.speed_cycles
+        if len(accelerations) < BLOCK_SAMPLES + self._order:
+            return False
+        return self._complete()
+
+    def _shows_all(self) -> bool:
+        """The errors of all phases are in this block."""
+        step = abs(self._speed_cycles - round(self._speed_cycles))
+        return self._eighths.bit_count() >= EIGHTHS and step >= LEAST_STEP
+
+    def _begin(self) -> None:
+        self._accelerations: list[float] = []
+        self._eighths = 0
+        self._speed_cycles = 0.0
+
+    def _complete(self) -> bool:
+        residuals, moving = self._accelerations[1:], self._shows_all()
+        self._begin()
+        if not moving:
+            return False
+        for _ in range(self._order - 1):
+            residuals = [new - old for old, new in itertools.pairwise(residuals)]
+        difference = statistics.median(map(abs, residuals)) / MEDIAN_OF_RMS
+        ratio = RESIDUAL_WEIGHTS[self._order] / DIFFERENCE_WEIGHTS[self._order]
+        self.rms_cycles = rms = difference * math.sqrt(ratio)
+        self._recent.append(rms)
+        if len(self._reference) < REFERENCE_BLOCKS:
+            self._reference.append(rms)
+        self._pause = 3 * BLOCK_SAMPLES
+        return True

@@ -1,0 +1,194 @@
+"""Several samples for each SYNC, from the encoder interface to the position, on a bus with jitter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from canfb import objects as od
+from canfb.cia301.frame import Frame
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
+from canfb.signal.conditioning import IDENTITY
+from canfb.signal.correction import Correction
+from canfb.signal.feedback import Feedback
+from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.shaft_encoder import ShaftEncoder
+from canfb.sources.motion_source import MotionSource
+from folding import each
+from servo_kit import IDEAL_TABLE, s_curve
+
+N, PERIOD_S, START_S = 2500, 1e-3, 1.0
+SYNC = b""
+
+
+class Servo:
+    """At rest for 0.2 s, then 0 to 3000 rpm in 50 ms."""
+
+    def revolutions(self, time_s: float) -> float:
+        return float(self.revolutions_at(np.array([time_s]))[0])
+
+    def revolutions_at(self, times_s: np.ndarray) -> np.ndarray:
+        return s_curve(100.0 * math.pi, 7850.0, 785e3, times_s - 0.2) / (2.0 * math.pi)
+
+
+class Bus:
+    """The interface, its module, and a master whose SYNC jitters."""
+
+    def __init__(self, jitter_s: float = 0.0, seed: int = 1, **config: float) -> None:
+        values = {"node_id": 32, "prediction_order": 3, "times": True, "autostart": True, **config}
+        self.module = FeedbackModule(ModuleConfig(**values))  # type: ignore[arg-type]
+        self.source = MotionSource(ShaftEncoder(Encoder(noise_lsb=0.5), N, seed), Servo(), PERIOD_S)
+        self.interface = EncoderInterface(
+            16,
+            self.source,
+            autostart=True,
+            times=bool(values["times"]),
+            samples_per_sync=int(values["samples_per_sync"]),
+        )
+        self._rng, self._jitter_s, self._syncs = np.random.default_rng(seed), jitter_s, 0
+        self.deliver: Callable[[Frame], bool] = lambda frame: True
+        self.interface.start(0.0)
+        self.module.start(0.0)
+        self.module.use_correction(Correction(IDEAL_TABLE, IDENTITY))
+
+    def sync(self) -> Feedback | None:
+        now = START_S + self._syncs * PERIOD_S + self._rng.uniform(-self._jitter_s, self._jitter_s)
+        self._syncs += 1
+        pdos = self.interface.receive(Frame(0x80, SYNC, timestamp=now), now)
+        self.module.tick(now)
+        self.module.receive(Frame(0x80, SYNC, timestamp=now), now)
+        for number, frame in enumerate(filter(self.deliver, pdos)):
+            came = now + 130e-6 * (number + 1)
+            self.module.receive(Frame(frame.can_id, frame.data, timestamp=came), came)
+        return self.module.feedback
+
+    def read(self, place: tuple[int, int]) -> float:
+        entry = self.module.dictionary.entry(*place)
+        return float(entry.value if entry.on_read is None else entry.on_read())
+
+    def counter(self, place: tuple[int, int]) -> int:
+        return int(self.read(place))
+
+
+def away(bus: Bus, got: Feedback) -> float:
+    return got.cycles + got.phase - bus.source.position_cycles
+
+
+@pytest.mark.parametrize("jitter_s", [0.0, 5e-5])
+@pytest.mark.parametrize("per_sync", [2, 3, 4])
+def test_a_servo_move_over_a_bus_with_jitter(per_sync: int, jitter_s: float) -> None:
+    bus = Bus(jitter_s, samples_per_sync=per_sync)
+    largest, first = 0.0, None
+    for _ in range(400):
+        got = bus.sync()
+        if got is None or got.samples < 4:
+            continue
+        first = away(bus, got) if first is None else first
+        assert got.valid
+        assert away(bus, got) == pytest.approx(first, abs=0.1)
+        largest = max(largest, *(one.residual for one in (*bus.module.chain.between, got)))
+    assert bus.module.interval_s == pytest.approx(PERIOD_S / per_sync, rel=1e-2)
+    assert 0.0 < largest < 0.08
+    assert [bus.counter((0x2012, sub)) for sub in (1, 2, 3, 4, 5, 8)] == [0] * 6
+
+
+def test_one_sample_is_not_enough_for_a_sharp_residual() -> None:
+    bus = Bus(samples_per_sync=1)
+    largest = max((bus.sync() or NOTHING).residual for _ in range(400))
+    assert 0.3 < largest < 0.45
+
+
+NOTHING = Feedback(0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0, 0, 0.0, 0.0, 0, 0)
+
+
+@each("per_sync", [1, 2, 3, 4])
+@each("times", [False, True])
+def test_speed_and_acceleration_are_those_of_the_machine(per_sync: int, times: bool) -> None:
+    bus = Bus(samples_per_sync=per_sync, times=times)
+    for _ in range(227):  # the acceleration is constant between 10 and 40 ms of the move
+        bus.sync()
+    speed, acceleration = bus.read(od.FEEDBACK_VELOCITY), bus.read(od.FEEDBACK_ACCELERATION)
+    newest_s = START_S + 226 * PERIOD_S - (0.0 if per_sync == 1 else PERIOD_S / 16.0)
+    between_s = bus.source.machine_time(newest_s) - PERIOD_S / per_sync / 2.0
+    assert speed == pytest.approx(7850.0 * (between_s - 0.2 - 0.005), rel=0.01)
+    assert acceleration == pytest.approx(7850.0, rel=0.05)
+
+
+def test_the_mapping_says_how_many_samples_there_are() -> None:
+    module = Bus(samples_per_sync=3).module
+    entry = module.dictionary.entry
+    assert [entry(od.RPDO_MAPPING, sub).value for sub in range(5)] == [
+        4, 0x20000110, 0x20000210, 0x20000810, 0x20000910,
+    ]  # fmt: skip
+    assert [entry(od.RPDO_MAPPING + 1, sub).value for sub in range(4)] == [
+        3,
+        0x20000A10,
+        0x20000B10,
+        0x20000520,
+    ]
+    assert [entry(od.RPDO + number, 1).value for number in range(2)] == [0x190, 0x290]
+    assert module.limits.samples_per_sync == 3
+
+
+@pytest.mark.parametrize("lost_id", [0x190, 0x290])
+def test_a_sample_with_a_lost_pdo_is_missed_as_a_whole(lost_id: int) -> None:
+    bus = Bus(samples_per_sync=2, max_jerk_rad_s3=800e3)
+    for _ in range(150):
+        bus.sync()
+    bus.deliver = lambda frame: frame.can_id != lost_id
+    bus.sync()
+    bus.deliver = lambda frame: True
+    for _ in range(20):
+        got = bus.sync()
+    assert got is not None
+    assert got.valid
+    assert bus.counter(od.COUNTER_MISSED) == 1
+    assert away(bus, got) == pytest.approx(round(away(bus, got)), abs=0.1)
+
+
+def test_one_spoilt_sample_among_many_is_counted_and_never_silent() -> None:
+    bus = Bus(samples_per_sync=2)
+    for _ in range(150):
+        bus.sync()
+    before = bus.counter(od.COUNTER_AMPLITUDE)
+    earlier = bus.interface.dictionary.entry(*od.INTERFACE_EARLIER[0][0])
+    good = earlier.value
+    bus.module.receive(Frame(0x80, SYNC, timestamp=START_S + 0.15), START_S + 0.15)
+    tracks = [bus.interface.dictionary.entry(*one).value for one in (od.INTERFACE_SINE, od.INTERFACE_COSINE)]
+    pdo = b"".join(value.to_bytes(2, "little", signed=True) for value in (*tracks, 0, 0))
+    time = (bus.interface.dictionary.entry(*od.INTERFACE_SAMPLE_TIME).value + 10_000).to_bytes(4, "little")
+    bus.module.receive(Frame(0x190, pdo, timestamp=START_S + 0.15013), START_S + 0.15013)
+    bus.module.receive(Frame(0x290, time, timestamp=START_S + 0.15026), START_S + 0.15026)
+    assert bus.counter(od.COUNTER_AMPLITUDE) == before + 1
+    assert good != 0 or tracks[0] != 0
+
+
+def test_without_times_and_with_jitter_it_is_never_wrong() -> None:
+    bus = Bus(5e-5, samples_per_sync=2, times=False)
+    first = None
+    for _ in range(400):
+        got = bus.sync()
+        if got is None or got.samples < 4:
+            continue
+        first = away(bus, got) if first is None else first
+        assert not got.valid or abs(away(bus, got) - first) < 0.4
+
+
+def test_a_recording_holds_all_samples() -> None:
+    bus = Bus(samples_per_sync=4)
+    for _ in range(210):
+        bus.sync()
+    entry = bus.module.dictionary.entry
+    command = entry(*od.RECORDING_COMMAND)
+    command.value = int(od.RecordingCommand.START)
+    assert command.on_written is not None
+    command.on_written()
+    for _ in range(25):
+        bus.sync()
+    assert bus.read(od.RECORDING_RECORDED) == 100
+    assert bus.read(od.RECORDING_RATE) == pytest.approx(4000, abs=40)

@@ -1,0 +1,228 @@
+"""Several samples in one interval of SYNC: the same bits as one after the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainConfig
+from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Sample
+from canfb.signal.subsamples import LEAST_APART, in_order
+from canfb.signal.supervision import LOST, MISSED, REFERENCED, VALID
+from folding import each
+from servo_kit import IDEAL_TABLE, RATE_HZ, cycles_of, s_curve
+
+AMPLITUDE = 1800.0
+N = 2500
+
+
+def chain(per_sync: int, order: int = 2, **values: float) -> SignalChain:
+    config = ChainConfig(prediction_order=order, cycles_per_revolution=N)
+    made = SignalChain(config, IDEAL_TABLE)
+    made.set_limits(replace(config.chain_limits, samples_per_sync=per_sync, **values))
+    return made
+
+
+def counts(position: float) -> tuple[float, float]:
+    angle = 2.0 * math.pi * math.fmod(position, 1.0)
+    return float(round(AMPLITUDE * math.sin(angle))), float(round(AMPLITUDE * math.cos(angle)))
+
+
+def group(positions: list[float], **parts: float | int | None) -> Sample:
+    """One sample of these positions, oldest first."""
+    *earlier, newest = (counts(one) for one in positions)
+    return Sample(*newest, earlier=tuple(reversed(earlier)), **parts)  # type: ignore[arg-type]
+
+
+def all_of(made: SignalChain, sample: Sample) -> list[Feedback]:
+    newest = made.step(sample)
+    return [*made.between, newest]
+
+
+steps = st.floats(-0.6, 0.6)
+spoilt = st.sampled_from([None, None, None, None, None, (0.0, 0.0), (2047.0, 0.0), (900.0, -1500.0)])
+
+
+@given(per_sync=st.integers(2, 4), order=st.integers(2, 3), data=st.data())
+def test_groups_give_the_same_bits_as_samples_one_by_one(
+    per_sync: int, order: int, data: st.DataObject
+) -> None:
+    accelerations = data.draw(st.lists(steps, min_size=4 * per_sync, max_size=16 * per_sync))
+    del accelerations[len(accelerations) // per_sync * per_sync :]
+    pairs, position, speed = [], 0.0, 0.0
+    for acceleration in accelerations:
+        speed += acceleration
+        position += speed
+        pairs.append(data.draw(spoilt) or counts(position))
+    flat, grouped = chain(1, order), chain(per_sync, order)
+    flat.set_limits(replace(ChainConfig(prediction_order=order).chain_limits, coast_samples=3 * per_sync))
+    for start in range(0, len(pairs), per_sync):
+        *earlier, newest = pairs[start : start + per_sync]
+        expected = [flat.step(Sample(*pair)) for pair in pairs[start : start + per_sync]]
+        got = all_of(grouped, Sample(*newest, earlier=tuple(reversed(earlier))))
+        assert repr(got) == repr(expected)
+
+
+@given(
+    per_sync=st.integers(1, 4),
+    pairs=st.integers(0, 3),
+    passed=st.floats(0.01, 20.0),
+    place=st.none() | st.floats(0.0, 1.0),
+)
+def test_all_are_in_order_and_fill_the_interval(
+    per_sync: int, pairs: int, passed: float, place: float | None
+) -> None:
+    sample = Sample(0.0, 1.0, zero_pulse=place, earlier=tuple((float(j), 0.0) for j in range(1, pairs + 1)))
+    got = in_order(sample, passed, per_sync)
+    assert 1 <= len(got) <= per_sync
+    assert [one.sine for one in got] == [float(j) for j in range(len(got) - 1, -1, -1)]
+    assert sum(one.elapsed for one in got) == pytest.approx(passed)
+    assert all(one.elapsed == 1.0 for one in got[1:-1])
+    assert len(got) == 1 or min(one.elapsed for one in got) >= min(LEAST_APART, 1.0) - 1e-9
+    pulses = [
+        (sum(before.elapsed for before in got[:number]) + one.zero_pulse * one.elapsed) / passed
+        for number, one in enumerate(got)
+        if one.zero_pulse is not None
+    ]
+    assert pulses == pytest.approx([] if place is None else [place], abs=1e-9)
+
+
+def move(per_sync: int, syncs: int = 150) -> Iterator[list[float]]:
+    """0 to 3000 rpm in 50 ms with 7850 rad/s^2 and 785 000 rad/s^3, at 1 kHz."""
+    times_s = np.arange(-20 * per_sync, syncs * per_sync) / per_sync / RATE_HZ
+    positions = cycles_of(1.0) * s_curve(100.0 * math.pi, 7850.0, 785e3, times_s)
+    yield from positions.reshape(-1, per_sync).tolist()
+
+
+@pytest.mark.parametrize(
+    ("per_sync", "order", "least", "most"),
+    [(1, 3, 0.25, 0.33), (2, 3, 0.03, 0.05), (4, 2, 0.15, 0.25), (4, 3, 0.0, 0.02)],
+)
+def test_a_servo_move_is_counted(per_sync: int, order: int, least: float, most: float) -> None:
+    made = chain(per_sync, order)
+    largest = 0.0
+    for positions in move(per_sync):
+        got = all_of(made, group(positions))
+        largest = max(largest, *(one.residual for one in got))
+        assert got[-1].status & VALID
+        assert got[-1].cycles + got[-1].phase == pytest.approx(positions[-1], abs=0.01)
+    assert least < largest < most
+
+
+@pytest.mark.parametrize(("per_sync", "order"), [(1, 2), (2, 2)])
+def test_with_too_few_samples_it_is_lost_and_says_so(per_sync: int, order: int) -> None:
+    made = chain(per_sync, order)
+    for positions in move(per_sync):
+        newest = all_of(made, group(positions))[-1]
+        right = abs(newest.cycles + newest.phase - positions[-1]) < 0.5
+        assert right or not newest.valid
+    assert newest.status & LOST
+
+
+@given(per_sync=st.integers(2, 4), speed=st.floats(-300.0, 300.0), lost=st.integers(1, 2))
+def test_missed_intervals_at_constant_speed_keep_the_count(per_sync: int, speed: float, lost: int) -> None:
+    made = chain(per_sync)
+    made.restart(0, speed / per_sync)
+    for sync in range(30):
+        if 12 <= sync < 12 + lost:
+            assert made.miss().status & MISSED
+            assert made.between == ()
+            continue
+        newest = made.step(group([(sync * per_sync + k) * speed / per_sync for k in range(per_sync)]))
+    assert newest.valid
+    assert newest.cycles + newest.phase == pytest.approx(
+        (29 * per_sync + per_sync - 1) * speed / per_sync, abs=0.01
+    )
+
+
+@each("early_s", [-8e-5, -1e-5, 0.0, 3e-5, 9e-5])
+def test_with_sample_times_the_newest_may_be_early_or_late(early_s: float) -> None:
+    """The earlier pair is half a nominal interval before it, wherever that is."""
+    speed_per_s, made = 12500.0, chain(2)
+    made.interval_s = 1e-3
+    made.restart(0, speed_per_s * 0.5e-3)
+    for sync in range(60):
+        newest_s = sync * 1e-3 + (early_s if sync % 3 == 1 else 0.0)
+        positions = [speed_per_s * (newest_s + 1.0 - 0.5e-3), speed_per_s * (newest_s + 1.0)]
+        newest = made.step(group(positions, time_100ns=round((newest_s + 1.0) * 1e7)))
+        assert newest.valid
+        assert max(one.residual for one in (*made.between, newest)) < 0.02
+    first_s = 1.0 - 0.5e-3
+    whole = speed_per_s * (newest_s + 1.0) - math.floor(speed_per_s * first_s)
+    assert newest.cycles + newest.phase == pytest.approx(whole, abs=0.05)
+
+
+def test_a_fault_of_an_earlier_sample_is_reported_with_it() -> None:
+    made = chain(2)
+    for sync in range(10):
+        made.step(group([sync * 0.2, sync * 0.2 + 0.1]))
+    newest = made.step(Sample(*counts(2.1), earlier=((0.0, 0.0),)))
+    assert not made.between[0].valid
+    assert made.between[0].samples == newest.samples - 1
+    for sync in range(11, 16):
+        newest = made.step(group([sync * 0.2, sync * 0.2 + 0.1]))
+    assert newest.valid
+    assert newest.cycles + newest.phase == pytest.approx(15 * 0.2 + 0.1, abs=0.01)
+
+
+def turning(sync: int, per_sync: int, speed: float, *, pulse_from: float = 0.0) -> Sample:
+    """At a constant speed in cycles per SYNC, with coarse track and zero pulse."""
+    end = sync * speed
+    positions = [end - speed * k / per_sync for k in range(per_sync - 1, -1, -1)]
+    angle = 2.0 * math.pi * (end / N + 0.3)
+    mark = math.floor(end / N) * N + pulse_from
+    place = (mark - (end - speed)) / speed
+    return group(
+        positions,
+        coarse_sine=1500.0 * math.sin(angle),
+        coarse_cosine=1500.0 * math.cos(angle),
+        zero_pulse=place if 0.0 < place <= 1.0 else None,
+    )
+
+
+@each("per_sync", [1, 2, 3, 4])
+def test_coarse_track_and_zero_pulse_find_the_speed_of_a_turning_machine(per_sync: int) -> None:
+    made, speed = chain(per_sync), 137.3
+    for sync in range(1200):
+        newest = made.step(turning(sync, per_sync, speed, pulse_from=40.25))
+    assert newest.valid
+    assert newest.status & REFERENCED
+    assert newest.speed_cycles * per_sync == pytest.approx(speed, abs=0.1)
+    before = newest.cycles + newest.phase
+    newest = made.step(turning(1200, per_sync, speed, pulse_from=40.25))
+    assert newest.cycles + newest.phase - before == pytest.approx(speed, abs=0.03)
+
+
+def test_a_zero_pulse_under_acceleration_is_where_it_was() -> None:
+    """Straight from SYNC to SYNC it would be a/8 beside it, half a cycle here; between samples a/128."""
+    acceleration, made, seen = 4.0, chain(4, 3), []
+    weigh = made.reference.zero.weigh
+    made.reference.zero.weigh = lambda *at: [seen.append(sum(at)), weigh(*at)][1]  # type: ignore[method-assign]
+    for sync in range(-3, 30):
+        positions = [acceleration / 2.0 * max(sync - k / 4.0, 0.0) ** 2 for k in range(3, -1, -1)]
+        made.step(group(positions, zero_pulse=0.375 if sync == 20 else None))
+    expected = acceleration / 2.0 * 19.375**2
+    assert seen == [pytest.approx(expected + acceleration / 16.0 / 8.0, abs=0.01)]
+
+
+def test_the_number_of_samples_may_change_while_it_turns() -> None:
+    made, speed, position = chain(1), 3.3, 0.0
+    made.restart(0, speed)
+    config = ChainConfig()
+    for per_sync in (1, 4, 2, 3, 1):
+        made.set_limits(replace(config.chain_limits, samples_per_sync=per_sync))
+        for _ in range(8):
+            positions = [position + speed * (k + 1) / per_sync for k in range(per_sync)]
+            position = positions[-1]
+            newest = made.step(group(positions))
+    start = 3.3  # the first sample was there
+    assert newest.valid
+    assert newest.cycles + newest.phase == pytest.approx(position - math.floor(start), abs=0.01)
