@@ -197,7 +197,8 @@ values = st.recursive(
 KEYS = ("node_id", "encoder_interface", "cycles_per_revolution", "adc_bits", "amplitude_low_counts",
         "amplitude_high_counts", "residual_limit", "coast_samples", "conditioning", "max_acceleration_rad_s2",
         "state_dir", "serial_number", "autostart", "frozen_samples", "coarse_limit_revolutions",
-        "source", "predict", "times", "nominal_sync", "sync_timeout_periods", "samples_per_sync", "noise_margin", "prediction_order",
+        "source", "predict", "times", "nominal_sync", "sync_timeout_periods", "prediction_order",
+        "samples_per_sync", "noise_margin",
         "max_jerk_rad_s3")  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
+from canfb.signal.recovery.zero_pulse import PulseVerdict
 from canfb.signal.sample import Sample
 from canfb.signal.subsamples import LEAST_APART, in_order
 from canfb.signal.supervision import LOST, MISSED, REFERENCED, VALID
@@ -24,10 +25,10 @@ AMPLITUDE = 1800.0
 N = 2500
 
 
-def chain(per_sync: int, order: int = 2, **values: float) -> SignalChain:
+def chain(per_sync: int, order: int = 2) -> SignalChain:
     config = ChainConfig(prediction_order=order, cycles_per_revolution=N)
     made = SignalChain(config, IDEAL_TABLE)
-    made.set_limits(replace(config.chain_limits, samples_per_sync=per_sync, **values))
+    made.set_limits(replace(config.chain_limits, samples_per_sync=per_sync))
     return made
 
 
@@ -205,7 +206,12 @@ def test_a_zero_pulse_under_acceleration_is_where_it_was() -> None:
     """Straight from SYNC to SYNC it would be a/8 beside it, half a cycle here; between samples a/128."""
     acceleration, made, seen = 4.0, chain(4, 3), []
     weigh = made.reference.zero.weigh
-    made.reference.zero.weigh = lambda *at: [seen.append(sum(at)), weigh(*at)][1]  # type: ignore[method-assign]
+
+    def spy(cycles: int, phase: float) -> PulseVerdict:
+        seen.append(cycles + phase)
+        return weigh(cycles, phase)
+
+    made.reference.zero.weigh = spy  # type: ignore[method-assign]
     for sync in range(-3, 30):
         positions = [acceleration / 2.0 * max(sync - k / 4.0, 0.0) ** 2 for k in range(3, -1, -1)]
         made.step(group(positions, zero_pulse=0.375 if sync == 20 else None))
