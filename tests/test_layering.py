@@ -39,7 +39,10 @@ ALLOWED: dict[str, set[str]] = {
     "commissioning": {"signal", "calibration", "sources", "report"} | WORDS,
     # What others tell of themselves on the bus; so it may watch modules that are not ours.
     "monitoring": WORDS - {"checks"},
-    "bus": {"signal", "sources", "module", "device", "simulation", "configuration", "monitoring"} | WORDS,
+    # What a page shows and lets do; the server, with its clock and sockets, is in bus.
+    "scope": {"signal", "calibration", "monitoring"} | WORDS - {"checks"},
+    "bus": {"signal", "sources", "module", "device", "simulation", "configuration", "monitoring",
+            "scope"} | WORDS,
     "logs": {"signal", "device", "module", "report", "bus", "replay"} | WORDS,
     "demo": {"signal", "calibration", "report", "device", "sources", "module", "simulation", "configuration",
              "eds_files"} | WORDS,
@@ -48,7 +51,7 @@ ALLOWED: dict[str, set[str]] = {
     "planning": {"signal", "device", "module", "simulation", "configuration", "eds_files"} | WORDS,
     "cli": {"signal", "calibration", "device", "sources", "module", "simulation", "configuration",
             "eds_files", "bus", "demo", "commissioning", "report", "monitoring", "replay", "logs",
-            "planning"} | WORDS,
+            "planning", "scope"} | WORDS,
     # StateFiles of bus, when it is asked for.
     "__init__": {"signal", "calibration", "module", "configuration", "eds_files", "bus"} | WORDS,
     "__main__": {"cli"},
@@ -62,7 +65,8 @@ MAY_NAME_A_KIND = {"sources", "simulation", "demo", "commissioning", "cli"}
 
 # What each part may import of other packages. canopen reads the EDS for the device, and is the master of
 # the demo and of the tools; python-can has the words of the command line, and argcomplete completes them;
-# libiio has the converter of a source, which a thread of bus waits for; rich draws the page of the monitor.
+# libiio has the converter of a source, which a thread of bus waits for; rich draws the page of the monitor,
+# Bokeh that of the scope, whose server (with Tornado) is in bus.
 FOREIGN: dict[str, set[str]] = {
     "signal": {"numpy"},
     "calibration": {"numpy"},
@@ -73,7 +77,8 @@ FOREIGN: dict[str, set[str]] = {
     "configuration": {"yaml"},
     "report": {"numpy"},
     "commissioning": {"numpy", "canopen", "can", "yaml"},
-    "bus": {"can", "canopen"},
+    "scope": {"numpy", "bokeh", "jinja2"},
+    "bus": {"can", "canopen", "bokeh", "tornado"},
     "logs": {"numpy", "pyarrow", "distributed"},
     "demo": {"numpy", "canopen"},
     "monitoring": {"rich"},

@@ -30,6 +30,7 @@ COMMANDS = (
     ),
     CommandEntry("run", "run", "run the feedback modules of a configuration on a bus"),
     CommandEntry("monitor", "monitor", "watch modules live, on a bus or in a log"),
+    CommandEntry("scope", "scope", "watch and commission modules on a local web page"),
     CommandEntry(
         "simulate",
         "simulate",

@@ -41,6 +41,10 @@ _EXAMPLES = {
   canfb sdo write 0x20 "samples to coast" 4 --config feedback.yaml
   canfb sdo write 0x20 1010:01 save --config feedback.yaml
   canfb sdo write 5 6083 1000 --eds drive.eds --config feedback.yaml""",
+    "canfb scope": """
+  canfb scope --demo --write
+  canfb scope -i socketcan -c can0 -b 1000000
+  canfb scope --config feedback.yaml --write""",
     "canfb calibrate": """
   canfb calibrate -i socketcan -c can0 --module 0x20 --out measured
   canfb calibrate feedback.yaml --dry-run --json

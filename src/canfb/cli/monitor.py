@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
 
 from canfb.bus.known_modules import assumed_layout, known_layouts
 from canfb.bus.runner import ending_on_signals
 from canfb.bus.watching import Watching
 from canfb.cli.monitor_output import output
-from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, node_number, refuse_idle
+from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, refuse_idle
+from canfb.cli.watch_options import add_machine_unit, add_watched, bit_rate_of, positive
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.sdo_reading import SdoReading
-from canfb.monitoring.units import MachineUnits
 
 FASTEST_HZ = 50.0
 
@@ -24,20 +21,13 @@ FASTEST_HZ = 50.0
 def register(commands: Commands) -> None:
     """Add the command."""
     parser = add_command(commands, "monitor", "watch modules live, on a bus or in a log", monitor)
-    parser.add_argument(
-        "nodes", metavar="NODE", nargs="*", type=node_number, help="node-IDs such as 32 or 0x20"
-    )
-    parser.add_argument("--config", metavar="CONFIG.yaml", help="takes modules and bus from it")
-    parser.add_argument("--log", metavar="FILE", type=Path, help="a log that python-can reads, not a bus")
-    parser.add_argument("--speed", metavar="X", type=_positive, help="of the log: 1 in its own time")
-    parser.add_argument("--rate", metavar="HZ", type=_positive, help="updates per second (5; 1 for lines)")
-    parser.add_argument("--seconds", metavar="S", type=_positive, help="end after so long")
+    add_watched(parser)
+    parser.add_argument("--rate", metavar="HZ", type=positive, help="updates per second (5; 1 for lines)")
+    parser.add_argument("--seconds", metavar="S", type=positive, help="end after so long")
     parser.add_argument(
         "--sdo", action="store_true", help="read mapping and counters by SDO; without it, only listen"
     )
-    parser.add_argument(
-        "--per-revolution", metavar="'5 mm'", type=_units, default=MachineUnits(), help="unit of the machine"
-    )
+    add_machine_unit(parser)
     parser.add_argument("--plain", action="store_true", help="lines, also on a terminal")
     parser.add_argument("--json", action="store_true", help="print one JSON object per update")
     add_bus_options(parser)
@@ -54,7 +44,7 @@ def monitor(options: argparse.Namespace) -> int:
     layouts = known_layouts(config, options.nodes)
     if options.sdo and not layouts:
         raise ConfigError("--sdo: name the nodes that may be asked, or give --config")
-    model = BusModel(layouts, assumed_layout, _bit_rate(words), only_known=bool(options.nodes))
+    model = BusModel(layouts, assumed_layout, bit_rate_of(words), only_known=bool(options.nodes))
     readings = [SdoReading(layout.node_id) for layout in layouts] if options.sdo else []
     with output(options, "canfb monitor") as (show, rate_hz):
         watching = Watching(model, show, min(options.rate or rate_hz, FASTEST_HZ), readings)
@@ -65,25 +55,3 @@ def monitor(options: argparse.Namespace) -> int:
             else:
                 watching.bus(words, options.seconds)
     return 0
-
-
-def _bit_rate(words: Mapping[str, Any]) -> int | None:
-    bit_rate = words.get("bitrate")
-    return bit_rate if isinstance(bit_rate, int) and bit_rate > 0 else None
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
-    return value
-
-
-def _units(text: str) -> MachineUnits:
-    try:
-        return MachineUnits.parse(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None

@@ -45,10 +45,11 @@ class Steps(Protocol):
 
 @dataclass(frozen=True)
 class Account:
-    """What came out: the figures for programs, the lines for people."""
+    """What came out: the figures for programs, the lines for people, and the measurement, if any."""
 
     figures: dict[str, Any]
     lines: list[str]
+    measured: Measurement | None = None
 
 
 class CalibrationRun:
@@ -192,7 +193,7 @@ class CalibrationRun:
         out = self._choices.out
         paths = write(out, measured, done, self._where, self._limits) if out else []
         figures = as_json(measured, done, self._where) | {"files": [str(path) for path in paths]}
-        return Account(figures, _lines(measured, done, self._where, paths))
+        return Account(figures, _lines(measured, done, self._where, paths), measured)
 
     def _judged(self, samples: TrackSamples, act: Callable[[], Any]) -> Any:
         """What ``act`` makes of the samples; what it refuses leaves its samples and a report."""

@@ -63,8 +63,12 @@ def read_table(path: str | Path) -> Correction:
 
 def read_table_file(path: str | Path) -> TableFile:
     """:func:`read_table`, with what else is known of it."""
+    return table_of_bytes(path, read_bytes(Path(path), CommissioningError))
+
+
+def table_of_bytes(path: str | Path, data: bytes) -> TableFile:
+    """:func:`read_table_file` of what is in the file; its name says what it is, and is in messages."""
     path = Path(path)
-    data = read_bytes(path, CommissioningError)
     try:
         return _from_yaml(path, data) if is_yaml(path) else _from_bytes(path, data)
     except (ValueError, TypeError) as error:

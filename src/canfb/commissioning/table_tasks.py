@@ -48,12 +48,22 @@ class Change:
         return self.state.figures() | self.done
 
 
+@dataclass(frozen=True)
+class Advice:
+    """What to do next, in the words of the program that asks; {node} stands for the node-ID."""
+
+    to_stage: str = "canfb table upload stages the table of a file"
+    to_activate: str = "canfb table activate {node}"
+    to_save: str = "--save keeps it"
+
+
 class TableTasks:
     """The tasks on one module. ``guard`` keeps an interruption away from what puts things back."""
 
-    def __init__(self, module: NodeAccess, guard: Guard) -> None:
+    def __init__(self, module: NodeAccess, guard: Guard, advice: Advice | None = None) -> None:
         self._module = module
         self._guard = guard
+        self._advice = advice or Advice()
 
     def upload(self, file: TableFile, *, active: bool, keep: bool) -> Change:
         """Stage the table of a file and prove it by its CRC. ``active`` puts it in force, ``keep`` saves it.
@@ -78,17 +88,15 @@ class TableTasks:
         state = TableState.of_module(self._module)
         lines = [source, self._moves(state, before, wanted)]
         if not active:
-            node = f"{self._module.node_id:#04x}"
-            lines.append(f"staged in {self._module.name}, not in force yet: canfb table activate {node}")
+            how = self._advice.to_activate.format(node=f"{self._module.node_id:#04x}")
+            lines.append(f"staged in {self._module.name}, not in force yet: {how}")
         return Change(state, [*lines, *self._outcome(wanted, done)], done)
 
     def activate(self, *, keep: bool) -> Change:
         """Put the staged table in force, with the conditioning that 2002h holds."""
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
         if not staged:
-            raise CommissioningError(
-                f"{self._module.name}: nothing is staged; canfb table upload stages the table of a file"
-            )
+            raise CommissioningError(f"{self._module.name}: nothing is staged; {self._advice.to_stage}")
         before = read_active(self._module)
         done = self._in_force(before, None, keep, lambda: activate(self._module, staged))
         now = TableState.of_module(self._module)
@@ -171,5 +179,5 @@ class TableTasks:
         if not done["active"]:
             return []
         what = "no table" if used.table is None else f"table {used.crc32:08X}h"
-        saved = f"saved ({done['saved_as']})" if done["saved_as"] else "not saved: --save keeps it"
+        saved = f"saved ({done['saved_as']})" if done["saved_as"] else f"not saved: {self._advice.to_save}"
         return [f"{what} in force in {self._module.name}; {saved}"]

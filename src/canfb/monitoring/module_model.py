@@ -45,6 +45,7 @@ class ModuleModel:
         self._times: dict[Multiplexer, float] = {}
         self._history = PeakHistory(HISTORY_BIN_S, HISTORY_BINS)
         self._tracks: deque[tuple[int, int]] = deque(maxlen=TRACKS)
+        self._tracks_heard = 0
         self._positions: deque[tuple[float, int]] = deque(maxlen=round(SPEED_S / STEP_S) + 1)
         self._seen = dict.fromkeys((*SEEN.values(), LOST), 0)
         self._state: PositionState | None = None
@@ -70,6 +71,7 @@ class ModuleModel:
         values = pdo.decode(data)
         if od.SAMPLE_SINE in values and od.SAMPLE_COSINE in values:
             self._tracks.append((int(values[od.SAMPLE_SINE]), int(values[od.SAMPLE_COSINE])))
+            self._tracks_heard += 1
 
     def put(self, place: Multiplexer, value: Number, now: float) -> None:
         """A value of :data:`.VALUES`, by PDO or SDO."""
@@ -98,6 +100,7 @@ class ModuleModel:
         units, residual = values.get(od.POSITION_VALUE), values.get(od.FEEDBACK_RESIDUAL)
         per_revolution = layout.units_per_revolution
         amplitude = values.get(od.FEEDBACK_AMPLITUDE)
+        crc32 = values.get(od.TABLE_ACTIVE_CRC)
         raw = amplitude is None and bool(self._tracks)
         return ModuleSnapshot(
             layout=str(layout.origin),
@@ -107,6 +110,7 @@ class ModuleModel:
             faults=[] if status is None else od.fault_words(int(status)),
             referenced=bool(int(status or 0) & StatusBit.REFERENCED),
             table_active=bool(int(status or 0) & StatusBit.TABLE_ACTIVE),
+            table_crc32=None if crc32 is None else int(crc32),
             position_units=None if units is None else int(units),
             position_revolutions=units / per_revolution if units is not None and per_revolution else None,
             velocity_rad_s=self._velocity_rad_s(now),
@@ -120,6 +124,7 @@ class ModuleModel:
             amplitude_limits_counts=(layout.amplitude_low_counts, layout.amplitude_high_counts),
             full_scale_counts=layout.full_scale_counts,
             tracks_counts=list(self._tracks),
+            tracks_heard=self._tracks_heard,
             seen=dict(self._seen),
             since_fault_s=_since(self._fault_s, now),
             counters=_counters(values),

@@ -61,11 +61,13 @@ class ModuleSnapshot:
     faults                 in words, from the status word
     position_units         6004h
     position_revolutions   the same, in revolutions, within the total range
+    table_crc32            2020:04, 0: the identity; read by SDO
     velocity_rad_s         of 2011:07, else from the positions
     residual_cycles        of the last sample, with its limit, and the peak of the last second
     residual_history_cycles  peaks of intervals of `history_bin_s`, oldest first; None without a sample
     amplitude_counts       2011:05, else of the ADC counts before conditioning (`amplitude_is_raw`)
     tracks_counts          the last pairs of the ADC PDO: sine, cosine
+    tracks_heard           pairs since the beginning, so that what is new is known
     seen                   position PDOs with each fault, and losses, counted here
     since_fault_s          since a position PDO was not valid
     counters               2012h, where it is read or mapped
@@ -78,6 +80,7 @@ class ModuleSnapshot:
     faults: list[str] = dataclasses.field(default_factory=list)
     referenced: bool = False
     table_active: bool = False
+    table_crc32: int | None = None
     position_units: int | None = None
     position_revolutions: float | None = None
     velocity_rad_s: float | None = None
@@ -91,6 +94,7 @@ class ModuleSnapshot:
     amplitude_limits_counts: tuple[int, int] = (0, 0)
     full_scale_counts: int = 0
     tracks_counts: list[tuple[int, int]] = dataclasses.field(default_factory=list)
+    tracks_heard: int = 0
     seen: dict[str, int] = dataclasses.field(default_factory=dict)
     since_fault_s: float | None = None
     counters: dict[str, int] = dataclasses.field(default_factory=dict)

@@ -1,0 +1,102 @@
+"""One bus for several users in a process: one of them receives, each may send."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import can
+
+Refusal = Callable[[can.Message], str]
+"""Why a frame must not be sent; empty: it may."""
+Heard = can.Message | Exception
+
+
+class SharedBus(can.BusABC):
+    """``bus``, of which one thread receives; each :meth:`branch` gets what is heard from then on, too.
+
+    So a USB adapter, which only one program can open, serves a monitor and a task beside it. Frames for which
+    ``refusal`` has a reason are not sent: can.CanOperationError, which has it.
+    """
+
+    def __init__(self, bus: can.BusABC, refusal: Refusal = lambda message: "") -> None:
+        self._bus, self._refusal = bus, refusal
+        self._branches: list[_Branch] = []
+        self._sending = threading.Lock()
+        super().__init__(channel="")
+        self.channel_info = bus.channel_info
+
+    def branch(self, refusal: Refusal = lambda message: "") -> can.BusABC:
+        """A bus for another thread, with a ``refusal`` of its own; its shutdown leaves the others running."""
+        branch = _Branch(self, refusal)
+        self._branches.append(branch)
+        return branch
+
+    def release(self, branch: can.BusABC) -> None:
+        """It is not used any more."""
+        self._branches = [one for one in self._branches if one is not branch]
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """As in python-can; from any thread."""
+        _check(self._refusal, msg)
+        with self._sending:
+            self._bus.send(msg, timeout)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        try:
+            message = self._bus.recv(timeout)
+        except Exception as error:
+            self._hand_on(error)
+            raise
+        if message is not None:
+            self._hand_on(message)
+        return message, False
+
+    def _hand_on(self, heard: Heard) -> None:
+        for branch in self._branches:
+            branch.take(heard)
+
+    def shutdown(self) -> None:
+        """The bus itself is shut down, too."""
+        super().shutdown()
+        self._bus.shutdown()
+
+
+class _Branch(can.BusABC):
+    def __init__(self, shared: SharedBus, refusal: Refusal) -> None:
+        self._shared, self._refusal = shared, refusal
+        self._heard: queue.SimpleQueue[Heard] = queue.SimpleQueue()
+        super().__init__(channel="")
+        self.channel_info = shared.channel_info
+
+    def take(self, heard: Heard) -> None:
+        if isinstance(heard, Exception) or self._matches_filters(heard):
+            self._heard.put(heard)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        _check(self._refusal, msg)
+        self._shared.send(msg, timeout)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        try:
+            heard = self._heard.get(timeout=timeout)
+        except queue.Empty:
+            return None, False
+        if isinstance(heard, Exception):
+            raise heard
+        return heard, False
+
+    def _apply_filters(self, filters: Any) -> None:
+        """In `take`."""
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        self._shared.release(self)
+
+
+def _check(refusal: Refusal, message: can.Message) -> None:
+    why = refusal(message)
+    if why:
+        raise can.CanOperationError(why)

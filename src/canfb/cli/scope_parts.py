@@ -1,0 +1,106 @@
+"""What ``canfb scope`` is put together from; needs the libraries of the page."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from canfb.bus.known_modules import assumed_layout
+from canfb.bus.master import BusMaster
+from canfb.bus.scope_server import ScopeServer
+from canfb.bus.scoping import ListeningThread, PausedReading, TaskSteps, TaskThread
+from canfb.bus.shared_bus import SharedBus
+from canfb.bus.wall_clock import date_and_time
+from canfb.bus.watching import Watching
+from canfb.cli.watch_options import bit_rate_of
+from canfb.commissioning.measurement import Measurement
+from canfb.commissioning.scope_tasks import ModuleTasks, TaskDone, outcome_of
+from canfb.configuration import Config
+from canfb.monitoring.bus_model import BusModel
+from canfb.monitoring.layout import NodeLayout
+from canfb.monitoring.snapshot import BusSnapshot
+from canfb.scope import desk as tasks
+from canfb.scope.desk import Desk, MeasuredCurves, ScopeTask, TaskResult, Upload, allowed_tasks
+from canfb.scope.scope_page import ScopePage
+from canfb.scope.traces import BusTraces
+
+RATE_HZ = 5.0
+
+
+class ScopeParts:
+    """All of it, before it runs: ``bus`` None for a log, ``layouts`` of the modules that are known."""
+
+    def __init__(
+        self,
+        options: argparse.Namespace,
+        config: Config,
+        words: dict[str, Any],
+        bus: SharedBus | None,
+        layouts: Sequence[NodeLayout],
+    ) -> None:
+        asks = options.sdo or options.write
+        readings = [PausedReading(layout.node_id) for layout in layouts] if asks else []
+        self._options, self._bus, self._asks = options, bus, asks
+        self._interfaces = {
+            one.node_id: None if one.source else one.encoder_interface for one in config.modules
+        }
+        self._first = layouts[0].node_id if layouts else None
+        self._traces = BusTraces()
+        self._worker = TaskThread(bus, self._run, self._traces, readings)
+        self._desk = Desk(self._worker.begin, allowed_tasks(asks=asks, writes=options.write))
+        model = BusModel(layouts, assumed_layout, bit_rate_of(words), only_known=bool(options.nodes))
+        self._watching = Watching(model, self._show, RATE_HZ, readings)
+        self._soon: Callable[..., None] = lambda call, *arguments: None
+
+    def fill(self, document: Any) -> Callable[[], None]:
+        """A page is opened."""
+        units = self._options.per_revolution
+        return ScopePage(document, self._traces, self._desk, units, self._first).update
+
+    @contextlib.contextmanager
+    def running(self, server: ScopeServer) -> Iterator[None]:
+        """The threads behind the page run in here; what ends the one that listens ends the server."""
+        self._soon = server.loop.soon
+        self._worker.loop, self._worker.desk = server.loop, self._desk
+        listening = ListeningThread(self._listen, self._watching.stop)
+        listening.begin(server.stop)
+        if self._asks and self._first is not None:
+            self._desk.begin(tasks.READ, self._first)
+        try:
+            yield
+        finally:
+            self._worker.end()
+            listening.end()
+
+    def _listen(self) -> None:
+        if self._bus is None:
+            self._watching.log(self._options.log, self._options.speed or 1.0)
+        else:
+            self._watching.opened(self._bus)
+
+    def _show(self, snapshot: BusSnapshot) -> None:
+        self._soon(self._traces.take, snapshot)
+
+    def _run(
+        self, task: ScopeTask, node: int, upload: Upload | None, master: BusMaster, steps: TaskSteps
+    ) -> TaskResult:
+        module = ModuleTasks(master, node, self._interfaces.get(node), date_and_time())
+        acts: dict[ScopeTask, Callable[[], TaskDone]] = {
+            tasks.READ: lambda: TaskDone([]),
+            tasks.MEASURE: lambda: module.calibrate(steps, dry_run=True),
+            tasks.CALIBRATE: lambda: module.calibrate(steps, dry_run=False),
+            tasks.UPLOAD: lambda: module.upload(upload.name, upload.data) if upload else TaskDone([]),
+            tasks.ACTIVATE: module.activate,
+            tasks.SAVE: module.save,
+        }
+        done = outcome_of(acts[task], module.module)
+        return TaskResult(done.worked, done.lines, done.active, _curves(done.measured))
+
+
+def _curves(measured: Measurement | None) -> MeasuredCurves | None:
+    if measured is None:
+        return None
+    before = measured.on_samples.mean_over_phase(before=True)
+    return MeasuredCurves(before, measured.calibration.curve.after)

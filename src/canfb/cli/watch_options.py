@@ -1,0 +1,53 @@
+"""Options of the commands that watch modules: which, from where, and in which unit."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from canfb.cli.options import node_number
+from canfb.monitoring.units import MachineUnits
+
+
+def add_watched(parser: argparse.ArgumentParser) -> None:
+    """Nodes, a configuration, or a log."""
+    parser.add_argument(
+        "nodes", metavar="NODE", nargs="*", default=[], type=node_number, help="node-IDs such as 32 or 0x20"
+    )
+    parser.add_argument("--config", metavar="CONFIG.yaml", help="takes modules and bus from it")
+    parser.add_argument("--log", metavar="FILE", type=Path, help="a log that python-can reads, not a bus")
+    parser.add_argument("--speed", metavar="X", type=positive, help="of the log: 1 in its own time")
+
+
+def add_machine_unit(parser: argparse.ArgumentParser) -> None:
+    """``--per-revolution``."""
+    parser.add_argument(
+        "--per-revolution", metavar="'5 mm'", type=units, default=MachineUnits(), help="unit of the machine"
+    )
+
+
+def bit_rate_of(words: Mapping[str, Any]) -> int | None:
+    """The bit rate among python-can's words, bit/s; None without one."""
+    bit_rate = words.get("bitrate")
+    return bit_rate if isinstance(bit_rate, int) and bit_rate > 0 else None
+
+
+def positive(text: str) -> float:
+    """A number above 0: a type for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
+    return value
+
+
+def units(text: str) -> MachineUnits:
+    """A unit of the machine such as "5 mm": a type for argparse."""
+    try:
+        return MachineUnits.parse(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None

@@ -1,0 +1,159 @@
+"""What the page lets do, one task at a time, and how far it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from canfb.errors import CanfbError
+from canfb.signal.correction import Correction
+from canfb.signal.phase import FloatArray
+
+
+class ScopeRefusal(CanfbError):
+    """A task that may not begin; nothing has happened."""
+
+
+@dataclass(frozen=True)
+class Upload:
+    """A file that the browser has sent."""
+
+    name: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class ScopeTask:
+    """A task, by the ``label`` of its button.
+
+    question      what is asked before it begins; {node} stands for the module
+    writes        it changes the module: only with ``--write``
+    takes_file    it needs a table file
+    """
+
+    label: str
+    question: str
+    writes: bool = True
+    takes_file: bool = False
+
+
+READ = ScopeTask("Read table", "", writes=False)
+MEASURE = ScopeTask(
+    "Measure only",
+    "Reference measurement of {node}: the machine must turn. Nothing is written. Begin?",
+    writes=False,
+)
+CALIBRATE = ScopeTask(
+    "Calibrate",
+    "Reference measurement of {node}: the machine must turn. The new table is activated, verified on fresh "
+    "samples and saved; if a step fails, the previous one is restored. Begin?",
+)
+UPLOAD = ScopeTask(
+    "Upload table", "Stage {file} in {node}? It has no effect until it is activated.", takes_file=True
+)
+ACTIVATE = ScopeTask(
+    "Activate", "Put the staged table of {node} in force? Positions move by what the two tables differ."
+)
+SAVE = ScopeTask("Save", "Save table and parameters of {node} (1010h)? They replace what was saved before.")
+TASKS = (READ, MEASURE, CALIBRATE, UPLOAD, ACTIVATE, SAVE)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredCurves:
+    """Mean deviation in equal parts of the cycle, in cycles, as a reference measurement has found it.
+
+    before   with the table and conditioning that were active
+    after    with those that were found; NaN where there is no sample
+    """
+
+    before: FloatArray
+    after: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class TaskResult:
+    """What came out of a task.
+
+    worked     it did what it was to do
+    lines      for people, at the end the state of the module as it was read back
+    active     table and conditioning in force; None where they could not be read
+    measured   of a reference measurement
+    """
+
+    worked: bool
+    lines: list[str]
+    active: Correction | None = None
+    measured: MeasuredCurves | None = None
+
+
+class Stage(StrEnum):
+    """Where the task is."""
+
+    IDLE = "idle"
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, eq=False)
+class DeskState:
+    """What there is to see.
+
+    title      the task and its node
+    step       what it does now, and of that the part 0..1
+    lines      what came out; of a failure, too, what the state of the module is
+    measured   of a reference measurement that has ended
+    """
+
+    stage: Stage = Stage.IDLE
+    title: str = ""
+    step: str = ""
+    part: float = 0.0
+    lines: tuple[str, ...] = ()
+    measured: MeasuredCurves | None = None
+
+
+Begin = Callable[[ScopeTask, int, Upload | None], None]
+"""Begins a task on a node. ScopeRefusal where it may not."""
+
+
+class Desk:
+    """One task at a time, for all pages that are open. ``run`` does it, elsewhere, and reports back here."""
+
+    def __init__(self, run: Begin, allowed: tuple[ScopeTask, ...]) -> None:
+        self.allowed = allowed
+        self.state = DeskState()
+        self._run = run
+
+    def begin(self, task: ScopeTask, node: int, upload: Upload | None = None) -> None:
+        """Begin it. ScopeRefusal where it is not allowed, another one runs, or its file is missing."""
+        if task not in self.allowed:
+            raise ScopeRefusal(f"{task.label}: this page is read-only; start canfb scope with --write")
+        if self.state.stage is Stage.RUNNING:
+            raise ScopeRefusal(f"{task.label}: wait for the end of {self.state.title}")
+        if task.takes_file and upload is None:
+            raise ScopeRefusal(f"{task.label}: choose a file first")
+        self.state = DeskState(Stage.RUNNING, f"{task.label}, module {node} ({node:02X}h)", "begins")
+        self._run(task, node, upload)
+
+    def step(self, text: str) -> None:
+        """A new step begins."""
+        self.state = replace(self.state, step=text, part=0.0)
+
+    def part(self, part: float) -> None:
+        """So much of the step is done, 0..1."""
+        self.state = replace(self.state, part=min(max(part, 0.0), 1.0))
+
+    def end(self, result: TaskResult) -> None:
+        """It has ended."""
+        stage = Stage.DONE if result.worked else Stage.FAILED
+        lines = tuple(result.lines)
+        self.state = replace(
+            self.state, stage=stage, step="", part=0.0, lines=lines, measured=result.measured
+        )
+
+
+def allowed_tasks(*, asks: bool, writes: bool) -> tuple[ScopeTask, ...]:
+    """None where nothing may be sent, those that read (``asks``), or all (``writes``)."""
+    return tuple(task for task in TASKS if writes or (asks and not task.writes))

@@ -1,0 +1,324 @@
+"""``canfb scope`` in a real browser: what it shows, what it lets do, and who is kept away from it."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import contextlib
+import json
+import re
+import socket
+import threading
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from tornado.httpclient import HTTPRequest
+from tornado.websocket import websocket_connect
+
+from canfb.bus.scope_demo import ScopeDemo
+from canfb.cli import scope
+from canfb.cli.main import build_parser
+from canfb.commissioning.scope_tasks import ModuleTasks
+from canfb.scope.send_rule import READING
+from canfb.signal.correction import CorrectionTable
+from chromium import Chromium
+
+LOOPBACK = {"127.0.0.1"}
+LINES_S = 120.0
+
+
+class Running:
+    """The command in a thread, on a demo network whose module the test looks into."""
+
+    def __init__(self, folder: Path, *options: str) -> None:
+        self.ready = threading.Event()
+        self.said: list[str] = []
+        self.servers: list[Any] = []
+        self.networks: list[ScopeDemo] = []
+        self.error: BaseException | None = None
+        arguments = ["scope", "--demo", "--ready-file", str(folder / "ready"), *options]
+        self.options = build_parser().parse_args(arguments)
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self) -> None:
+        try:
+            scope.scope(self.options)
+        except BaseException as error:
+            self.error = error
+        finally:
+            self.ready.set()
+
+    @contextlib.contextmanager
+    def started(self, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+        """Its address, with the token."""
+        from canfb.bus import scope_demo, scope_server
+
+        servers, networks = self.servers, self.networks
+
+        class Server(scope_server.ScopeServer):
+            def run(self) -> None:
+                servers.append(self)
+                super().run()
+
+        class Network(scope_demo.ScopeDemo):
+            def __init__(self) -> None:
+                super().__init__()
+                networks.append(self)
+
+        def say(text: str) -> None:
+            self.said.append(text)
+            self.ready.set()
+
+        monkeypatch.setattr(scope_server, "ScopeServer", Server)
+        monkeypatch.setattr(scope_demo, "ScopeDemo", Network)
+        monkeypatch.setattr(scope, "say", say)
+        monkeypatch.setattr(scope, "ending_on_signals", lambda stop: contextlib.nullcontext())
+        self._thread.start()
+        try:
+            assert self.ready.wait(LINES_S)
+            assert self.error is None, self.error
+            yield self.said[0].removeprefix("open ")
+        finally:
+            for server in servers:
+                server.stop()
+            self._thread.join(LINES_S)
+            assert not self._thread.is_alive()
+            assert self.error is None, self.error
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
+    with Chromium(tmp_path_factory.mktemp("chromium")) as browser:
+        browser.size(1280, 900)
+        yield browser
+
+
+def opened(browser: Chromium, address: str) -> None:
+    browser.go(address)
+    browser.wait_for(lambda: browser.look("document.body.dataset.ready"), "page")
+
+
+def value_of(browser: Chromium, name: str) -> str:
+    rows = browser.texts("tr")
+    return next((row.removeprefix(name) for row in rows if row.startswith(name)), "")
+
+
+def answer(address: str, request: str) -> str:
+    """The first line that the server answers, and its headers."""
+    where = urlsplit(address)
+    with socket.create_connection((where.hostname, where.port), LINES_S) as connection:
+        connection.sendall(request.replace("\n", "\r\n").encode() + b"\r\n\r\n")
+        received = b""
+        while b"\r\n\r\n" not in received and (part := connection.recv(65536)):
+            received += part
+    return received.partition(b"\r\n\r\n")[0].decode()
+
+
+def test_the_page_lives_and_writes(
+    browser: Chromium, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from canfb.cli import scope_parts
+
+    quick = partial(ModuleTasks, least_samples=1000, seconds=3.0)
+    monkeypatch.setattr(scope_parts, "ModuleTasks", quick)
+    running = Running(tmp_path, "--write")
+    with running.started(monkeypatch) as address:
+        opened(browser, address)
+        assert "token" not in browser.look("location.href")
+        browser.wait_for(lambda: "valid" in browser.texts(".state"), "valid position")
+        assert_everything_is_drawn(browser)
+        measure(browser, running)
+        upload(browser, running, tmp_path)
+        assert {
+            urlsplit(one).hostname for one in browser.addresses() if not one.startswith("data:")
+        } == LOOPBACK
+        assert browser.complaints() == []
+        assert_no_text_is_cut(browser)
+        assert_foreign_scripts_do_not_run(browser)
+        refuse_strangers(browser, address)
+        assert_only_loopback_is_bound(running)
+
+
+def assert_everything_is_drawn(browser: Chromium) -> None:
+    """Each picture has data, which change; so do the values."""
+    first = value_of(browser, "position")
+    browser.wait_for(lambda: value_of(browser, "position") != first, "motion")
+    browser.wait_for(lambda: "% rms" in browser.text(), "deviation")
+    assert value_of(browser, "velocity").endswith("rpm")
+    browser.wait_for(lambda: value_of(browser, "missed").startswith("0"), "counters by SDO")
+    for name in ("lissajous", "deviation", "residual", "position", "velocity"):
+        filled = (
+            f"Bokeh.documents[0].get_model_by_name('{name}').renderers.some(one => "
+            "Object.values(one.data_source.data).some(column => column.length > 10))"
+        )
+        browser.wait_for(partial(browser.look, filled), f"data of {name}")
+    limit = "Bokeh.documents[0].get_model_by_name('limit').data_source.data.limit[0]"
+    browser.wait_for(lambda: abs(browser.look(limit) - 1 / 3) < 1e-3, "residual limit")
+
+
+def measure(browser: Chromium, running: Running) -> None:
+    """A reference measurement: its progress, its figures before and after, and nothing is written."""
+    browser.wait_for(lambda: "Read table, module 32 (20h): done" in browser.texts(".state"), "table read")
+    measured = "Bokeh.documents[0].get_model_by_name('measured')"
+    assert not browser.look(f"{measured}.visible")
+    browser.press("Measure only")
+    browser.wait_for(lambda: "the machine must turn" in browser.text(), "question")
+    browser.press("Yes")
+    browser.wait_for(lambda: "collecting samples" in browser.text(), "step")
+    browser.wait_for(lambda: browser.texts("progress"), "progress")
+    browser.wait_for(lambda: "Measure only, module 32 (20h): done" in browser.texts(".state"), "measurement")
+    assert "dry run: nothing was written to the module" in browser.text()
+    (row,) = [line for line in browser.text().splitlines() if line.startswith("deviation, rms ")][:1]
+    before, after = (float(word) for word in re.findall(r"([\d.e-]+) %", row))
+    assert 0.5 < before < 2.0
+    assert 0.0 < after < 0.1 * before
+    browser.wait_for(lambda: browser.look(f"{measured}.visible"), "picture")
+    assert browser.look(f"{measured}.renderers[0].data_source.data.before.length") == 64
+    assert running.networks[0].module.dictionary.entry(0x2020, 2).value == 0
+    assert running.networks[0].module.dictionary.entry(0x2020, 4).value == 0
+
+
+def assert_foreign_scripts_do_not_run(browser: Chromium) -> None:
+    """What gets into the page by a mistake of ours is text: no inline script, no eval, no other address."""
+    browser.look(
+        "(() => { const one = document.createElement('script'); one.textContent = 'window.inlined = 1';"
+        "document.body.append(one); const other = document.createElement('script');"
+        "other.src = 'http://localhost:9/x.js'; document.body.append(other);"
+        "const button = document.createElement('p'); button.setAttribute('onclick', 'window.inlined = 2');"
+        "document.body.append(button); button.click(); })()"
+    )
+    evaluated = "new Promise(done => { setTimeout('window.inlined = 3'); setTimeout(done, 0) })"
+    browser.look(evaluated)
+    assert browser.look("window.inlined === undefined")
+    browser.wait_for(lambda: "Content Security Policy" in str(browser.complaints()), "violation")
+
+
+def assert_forged_sessions_are_closed(host: str, cookie: str) -> None:
+    """With the cookie alone nobody makes a session of its own, in which it could send what it likes."""
+
+    async def first_message() -> str | bytes | None:
+        headers = {"Origin": f"http://{host}", "Cookie": cookie}
+        request = HTTPRequest(f"ws://{host}/ws", headers=headers)
+        forged = base64.urlsafe_b64encode(b'{"session_id": "x", "session_expiry": 99999999999}').decode()
+        connection = await websocket_connect(request, subprotocols=["bokeh", forged.rstrip("=")])
+        try:
+            return await connection.read_message()
+        finally:
+            connection.close()
+
+    loop = asyncio.new_event_loop()
+    with contextlib.closing(loop):
+        first = loop.run_until_complete(asyncio.wait_for(first_message(), LINES_S))
+    assert first is None  # closed, without a word
+
+
+def assert_only_loopback_is_bound(running: Running) -> None:
+    bound = running.servers[0]._server._http._sockets.values()
+    assert {one.getsockname()[0] for one in bound} == LOOPBACK
+
+
+def upload(browser: Chromium, running: Running, folder: Path) -> None:
+    """A table reaches the module: chosen, asked for, staged; then activated."""
+    raw = np.arange(64) / 64
+    table = CorrectionTable(raw + 0.002 * np.sin(2 * np.pi * raw))
+    file = folder / "new <b>.bin"
+    file.write_bytes(table.to_bytes())
+    entry = running.networks[0].module.dictionary.entry
+    browser.choose_file(file)
+
+    def asked() -> bool:  # as soon as the browser has read the file
+        browser.press("Upload table")
+        return "Stage new <b>.bin in module 32" in browser.text()
+
+    browser.wait_for(asked, "question")
+    assert entry(0x2020, 2).value == 0  # nothing before the answer
+    browser.press("Yes")
+    browser.wait_for(lambda: "Upload table, module 32 (20h): done" in browser.texts(".state"), "upload")
+    assert entry(0x2020, 2).value == table.crc32
+    browser.press("Activate")
+    browser.wait_for(lambda: "Put the staged table" in browser.text(), "question")
+    browser.press("Yes")
+    browser.wait_for(lambda: "Activate, module 32 (20h): done" in browser.texts(".state"), "activation")
+    assert entry(0x2020, 4).value == table.crc32
+
+
+def assert_no_text_is_cut(browser: Chromium) -> None:
+    """Neither on a desk nor on a phone the page is wider than its window."""
+    for width in (1280, 390):
+        for dark in (False, True):
+            browser.size(width, 900, dark=dark)
+            ink = "#e6edf3" if dark else "#1d2b33"
+            axis = "Bokeh.documents[0].get_model_by_name('deviation').below[0]"
+            inked = f"{axis}.axis_label_text_color === '{ink}'"
+            browser.wait_for(partial(browser.look, inked), "colour of the axes")
+            fits = f"document.documentElement.scrollWidth <= {width}"
+            browser.wait_for(partial(browser.look, fits), "width")
+    browser.size(1280, 900)
+
+
+def refuse_strangers(browser: Chromium, address: str) -> None:
+    """A wrong token, another host name, another site's websocket."""
+    host = urlsplit(address).netloc
+    good = answer(address, f"GET {address.partition(host)[2]} HTTP/1.1\nHost: {host}")
+    assert good.startswith("HTTP/1.1 303")
+    cookie = next(one for one in good.splitlines() if one.lower().startswith("set-cookie: "))
+    assert "HttpOnly" in cookie
+    assert "SameSite=Strict" in cookie
+    kept = f"Cookie: {cookie.partition(': ')[2].partition(';')[0]}"
+    page = answer(address, f'GET / HTTP/1.1\nHost: {host}\n{kept}; odd[1]={{"of": another}}')
+    assert page.startswith("HTTP/1.1 200")
+    assert "script-src 'self';" in page
+    assert "frame-ancestors 'none'" in page
+    socket_of = (
+        f"GET /ws HTTP/1.1\nHost: {host}\n{kept}\nUpgrade: websocket\nConnection: Upgrade\n"
+        "Sec-WebSocket-Version: 13\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ=="
+    )
+    for refused in (
+        f"GET / HTTP/1.1\nHost: {host}",
+        f"GET /?token=wrong HTTP/1.1\nHost: {host}",
+        f"GET /static/js/bokeh.min.js HTTP/1.1\nHost: {host}",
+        f"GET / HTTP/1.1\nHost: evil.example\n{kept}",
+        f"POST / HTTP/1.1\nHost: {host}\n{kept}",
+        socket_of,
+        f"{socket_of}\nOrigin: http://evil.example",
+    ):
+        assert answer(address, refused).startswith("HTTP/1.1 403"), refused
+    assert answer(address, f"{socket_of}\nOrigin: http://{host}").startswith("HTTP/1.1 101")
+    assert_forged_sessions_are_closed(host, kept.removeprefix("Cookie: "))
+    browser.go(f"http://{host}/?token=wrong")
+    assert "open the address" in browser.text()
+    browser.go("data:text/html,<title>another site</title>")
+    address = json.dumps(f"ws://{host}/ws")
+    opened = browser.look(
+        f"new Promise(done => {{ const one = new WebSocket({address}, ['bokeh', 'x']); "
+        "one.onopen = () => done('open'); one.onerror = () => done('refused') })"
+    )
+    assert opened == "refused"
+
+
+@pytest.mark.parametrize("options", [[], ["--sdo"]])
+def test_without_write_there_is_nothing_to_press_that_writes(
+    browser: Chromium, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str]
+) -> None:
+    running = Running(tmp_path, *options)
+    with running.started(monkeypatch) as address:
+        opened(browser, address)
+        browser.wait_for(lambda: "valid" in browser.texts(".state"), "valid position")
+        assert ("Tasks" in browser.texts("h2")) is bool(options)
+        if options:
+            browser.wait_for(lambda: "Read table, module 32 (20h): done" in browser.texts(".state"), "table")
+            assert browser.buttons() == ["Read table", "Measure only"]
+            heard = running.networks[0]._heard
+            assert heard is not None
+            assert heard.data[0] >> 5 in READING
+        else:
+            assert browser.buttons() == []
+            browser.wait_for(lambda: "(--sdo)" in browser.text(), "deviation")
+            assert running.networks[0]._heard is None  # nothing was sent
+        assert browser.complaints() == []
+        browser.go("about:blank")  # before the server goes, of which the page would complain
