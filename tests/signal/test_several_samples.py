@@ -211,7 +211,7 @@ def test_a_zero_pulse_under_acceleration_is_where_it_was() -> None:
         seen.append(cycles + phase)
         return weigh(cycles, phase)
 
-    made.reference.zero.weigh = spy  # type: ignore[method-assign]
+    made.reference.zero.weigh = spy  # type: ignore[method-assign, assignment]
     for sync in range(-3, 30):
         positions = [acceleration / 2.0 * max(sync - k / 4.0, 0.0) ** 2 for k in range(3, -1, -1)]
         made.step(group(positions, zero_pulse=0.375 if sync == 20 else None))

@@ -15,7 +15,7 @@ from tools.faults.chain.campaign import Campaign
 from tools.faults.chain.classes import CLASSES, FaultClass
 from tools.faults.chain.clean import CleanResult, clean_motion, judge_clean, run_clean
 from tools.faults.chain.judge import Episode, first_illegal, follow, judge, play
-from tools.faults.chain.plant import COMMISSIONED, DEFAULT, ENCODER, HARD, SETTINGS, Setting, Turning
+from tools.faults.chain.plant import COMMISSIONED, DEFAULT, ENCODER, HARD, SERVO, SETTINGS, Setting, Turning
 from tools.faults.chain.tally import Tally
 
 
@@ -201,7 +201,7 @@ def test_an_episode_without_a_fault_is_clean() -> None:
 
 
 def test_false_alarms_are_counted() -> None:
-    truth = clean_motion(0.01, 20_000, np.random.default_rng(1))
+    truth = clean_motion(DEFAULT, 20_000, np.random.default_rng(1))
     sine, cosine = ENCODER.sample(truth, np.random.default_rng(2))
     assert judge_clean(DEFAULT, sine, cosine, truth)[0].all()
     sine[15_000] = 0
@@ -211,6 +211,13 @@ def test_false_alarms_are_counted() -> None:
     assert not valid[15_000]
     missed = Campaign({}, CleanResult(1000, flagged=1, wrong=2)).misses()
     assert missed == ["1 false alarms in 1000 clean samples", "2 wrong positions in clean samples"]
+
+
+def test_the_moves_of_a_servo_are_clean() -> None:
+    result = run_clean(5, 0, 60_000, [SERVO])
+    assert (result.flagged, result.wrong) == (0, 0)
+    assert 0.03 < result.largest_residual < SERVO.residual_limit
+    assert result.largest_speed > 10.0
 
 
 def test_the_result_depends_on_the_seed_only() -> None:

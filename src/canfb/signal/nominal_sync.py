@@ -77,6 +77,9 @@ class NominalSync:
         syncs = list(itertools.accumulate((max(1, round(one / usual)) for one in self._first), initial=0))
         times = list(itertools.accumulate(self._first, initial=0))
         line = statistics.linear_regression(syncs, times)
-        self.period_ticks = line.slope
-        self.lead_ticks = line.intercept + line.slope * syncs[-1] - times[-1]
+        lead = line.intercept + line.slope * syncs[-1] - times[-1]
+        if abs(lead) <= 0.5 * line.slope:
+            self.period_ticks, self.lead_ticks = line.slope, lead
+        else:  # these times are not those of a SYNC
+            self.period_ticks, self.lead_ticks = float(usual), 0.0
         self._seen = FIRST_SYNCS + 1

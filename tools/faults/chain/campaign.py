@@ -23,7 +23,7 @@ try:
     from tools.faults.chain.classes import CLASSES
     from tools.faults.chain.clean import CHUNK_SAMPLES, CleanResult, run_clean
     from tools.faults.chain.judge import judge, play
-    from tools.faults.chain.plant import ALL_SETTINGS, SETTINGS, Turning, speed_of_group
+    from tools.faults.chain.plant import ALL_SETTINGS, SETTINGS, Setting, Turning, speed_of_group
 except ImportError as error:
     sys.exit(f"{error}: run this file with the Python of the virtual environment (make test makes it)")
 import numpy as np
@@ -92,7 +92,7 @@ def run_group(group: Group) -> tuple[Group, Tally]:
     return group, tally
 
 
-def _run_chunk(chunk: tuple[int, int, int]) -> CleanResult:
+def _run_chunk(chunk: tuple[int, int, int, Sequence[Setting]]) -> CleanResult:
     return run_clean(*chunk)
 
 
@@ -101,7 +101,8 @@ def campaign(
 ) -> Campaign:
     """Run it all; the result depends on all but ``processes``."""
     sizes = [min(CHUNK_SAMPLES, clean - begin) for begin in range(0, clean, CHUNK_SAMPLES)]
-    chunks = [(seed, number, size) for number, size in enumerate(sizes)]
+    chosen = [ALL_SETTINGS[one] for one in settings]
+    chunks = [(seed, number, size, chosen) for number, size in enumerate(sizes)]
     if processes == 1:
         return _collect(map(run_group, groups(seed, episodes, settings)), map(_run_chunk, chunks), settings)
     with multiprocessing.get_context("spawn").Pool(processes) as pool:

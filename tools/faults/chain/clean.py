@@ -5,6 +5,7 @@ Over arrays, by :func:`canfb.signal.stream.process_stream`: the same bits as the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +13,18 @@ import numpy.typing as npt
 
 from canfb.signal.stream import process_stream
 from tools.faults.chain.judge import HARM_CYCLES
-from tools.faults.chain.plant import ENCODER, SETTINGS, TOP_CYCLES, Counts, FloatArray, Setting
+from tools.faults.chain.plant import (
+    ENCODER,
+    SETTINGS,
+    TOP_CYCLES,
+    Counts,
+    FloatArray,
+    Setting,
+    servo_moves,
+)
 
 CHUNK_SAMPLES = 1_000_000
+REST = 10  # samples at standstill before the first move of a servo
 RIPPLE_PART = 0.25  # of the largest acceleration; the ramps have the rest
 
 
@@ -38,11 +48,11 @@ class CleanResult:
         )
 
 
-def run_clean(seed: int, chunk: int, samples: int) -> CleanResult:
-    """One chunk, from standstill on; the settings take turns."""
+def run_clean(seed: int, chunk: int, samples: int, settings: Sequence[Setting] = SETTINGS) -> CleanResult:
+    """One chunk, from standstill on; the ``settings`` take turns."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, chunk, 1 << 20]))
-    setting = SETTINGS[chunk % len(SETTINGS)]
-    truth = clean_motion(setting.acceleration, samples, rng)
+    setting = settings[chunk % len(settings)]
+    truth = clean_motion(setting, samples, rng)
     sine, cosine = ENCODER.sample(truth, rng)
     valid, error, residual = judge_clean(setting, sine, cosine, truth)
     return CleanResult(
@@ -54,9 +64,16 @@ def run_clean(seed: int, chunk: int, samples: int) -> CleanResult:
     )
 
 
-def clean_motion(acceleration: float, samples: int, rng: np.random.Generator) -> FloatArray:
-    """Positions from standstill: ramps and constant speeds up to the top speed, with a ripple on them."""
-    accelerations = np.zeros(samples)
+def clean_motion(setting: Setting, samples: int, rng: np.random.Generator) -> FloatArray:
+    """Positions from standstill: ramps and constant speeds up to the top speed, with a ripple on them.
+
+    With third-order prediction the moves of a servo, one after the other.
+    """
+    if setting.jerk is not None:
+        moves = np.concatenate([np.zeros(REST), servo_moves(setting, 0.0, samples - REST, rng)])
+        moving: FloatArray = float(rng.uniform()) + np.cumsum(np.cumsum(moves))
+        return moving
+    acceleration, accelerations = setting.acceleration, np.zeros(samples)
     at, speed = 0, 0.0
     while at < samples:
         anywhere = float(rng.uniform(-TOP_CYCLES, TOP_CYCLES))

@@ -164,7 +164,8 @@ def motion(turning: Turning, samples: int, rng: np.random.Generator) -> FloatArr
     The others change their acceleration every 20..120 samples; they brake near the top speed.
     """
     if turning.setting.jerk is not None:
-        return turning.position + np.cumsum(turning.speed + np.cumsum(servo_moves(turning, samples, rng)))
+        accelerations = servo_moves(turning.setting, turning.speed, samples, rng)
+        return turning.position + np.cumsum(turning.speed + np.cumsum(accelerations))
     acceleration = np.zeros(samples)
     if rng.uniform() > 1.0 / 3.0:
         at, speed = 0, turning.speed
@@ -180,16 +181,19 @@ def motion(turning: Turning, samples: int, rng: np.random.Generator) -> FloatArr
     return turning.position + np.cumsum(speeds)
 
 
-def servo_moves(turning: Turning, samples: int, rng: np.random.Generator) -> FloatArray:
-    """Accelerations of moves from speed to speed, limited in jerk; on some a vibration of 10..200 Hz."""
-    jerk = turning.setting.jerk or 0.0
+def servo_moves(setting: Setting, speed: float, samples: int, rng: np.random.Generator) -> FloatArray:
+    """Accelerations of moves from speed to speed, limited in jerk; on some a vibration of 10..200 Hz.
+
+    The vibration begins at no acceleration.
+    """
+    jerk = setting.jerk or 0.0
     size = float(rng.choice((0.0, 0.3)))
-    vibration = size * jerk * np.sin(rng.uniform(0.063, 1.26) * np.arange(samples) + rng.uniform(0.0, 6.3))
-    accelerations, at, speed = np.cumsum(vibration), 0, turning.speed
+    frequency, at = float(rng.uniform(0.063, 1.26)), 0
+    accelerations: FloatArray = size * jerk / frequency * np.sin(frequency * np.arange(samples))
     while at < samples:
         target = float(rng.choice((0.0, -speed, rng.uniform(-TOP_CYCLES, TOP_CYCLES))))
         way = target - speed
-        steepest = min(turning.setting.acceleration, math.sqrt(abs(way) * jerk)) * rng.uniform(0.3, 1.0)
+        steepest = min(setting.acceleration, math.sqrt(abs(way) * jerk)) * rng.uniform(0.3, 1.0)
         rise = max(1, math.ceil(steepest / ((1.0 - size) * jerk)))
         flat = max(0, round(abs(way) / max(steepest, 1e-9)) - rise)
         shape = np.convolve(np.full(flat + 1, 1.0), np.full(rise, 1.0 / rise))

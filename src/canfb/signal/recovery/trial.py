@@ -16,7 +16,8 @@ sample that has more than one.
 
 More samples may have been bad than assumed. Random phases pass by chance, each new one with a probability of
 twice the residual limit. So unless samples were only missed, enough must follow for it to be below 1e-5, the
-motion must be as smooth as before, and the same phase again and again in motion decides nothing.
+motion must be as smooth as before, and the same phase again and again decides nothing where it was another
+one before.
 """
 
 from __future__ import annotations
@@ -140,7 +141,7 @@ class Trial:
             return TrialResult.OPEN
         if self._only_missed:
             return TrialResult.DECIDED
-        if _repeats(left[0].spots):
+        if _repeats(left[0].spots, self._before[-DOUBTED_BEFORE - 1 :]):
             return TrialResult.OPEN
         if min(one.rough for one in left) <= self._most_rough():
             return TrialResult.DECIDED
@@ -172,9 +173,10 @@ class Trial:
         return [one.extended(count, phase, time) for count in cycles]
 
 
-def _repeats(spots: Sequence[Spot]) -> bool:
-    """The same phase again and again in motion: a converter may be dead since the fault."""
-    return len({spot.phase for spot in spots}) == 1 and spots[0].cycles != spots[-1].cycles
+def _repeats(spots: Sequence[Spot], before: Sequence[Spot]) -> bool:
+    """The same phase again and again, and others ``before``: a converter may be dead since the fault."""
+    stood = len({(spot.cycles, spot.phase) for spot in (*before, *spots)}) == 1
+    return len({spot.phase for spot in spots}) == 1 and not stood
 
 
 def _until(good: tuple[Spot, ...], speed_cycles: float = 0.0) -> Parabola:
