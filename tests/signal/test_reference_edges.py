@@ -114,6 +114,10 @@ class Noted:
     def lose(self) -> None:
         self.lost = True
 
+    def begin_anew(self) -> None:
+        self.lose()
+        self.vouch()
+
 
 def reference(recovery: Noted, n: int = N) -> Reference:
     return Reference(recovery, CoarseTrack(n, 2048, 1 / 32), ZeroPulse(n))  # type: ignore[arg-type]

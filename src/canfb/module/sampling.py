@@ -50,6 +50,7 @@ class Sampling:
         self._taps, self._publishing, self._prediction = taps, publishing, publishing.prediction
         self._unconfirmed = 0  # samples after a pause that are not called valid yet
         self._paused_s = 0.0
+        self._grid_learned_s = 0.0
         self._grid = NominalSync(
             GRID_SYNCS
         )  # by which an interface takes its samples, if several for each SYNC
@@ -128,12 +129,16 @@ class Sampling:
     def _grid_s(self) -> float:
         """The interval of SYNC by the clock of the interface, which takes the earlier samples by it.
 
-        0.0: not known yet. 1006h is exact but for the drift of that clock, and so better for a while.
+        0.0: not known yet. 1006h is exact but for the drift of that clock, and so better for a while. What
+        was learned stays until the module is reset, or a new lock knows better.
         """
         grid, nominal_s = self._grid, self._interval.nominal_s
+        if not grid.locked:
+            return self._grid_learned_s or nominal_s
         learned_s = grid.period_ticks * TICK_S
-        if not grid.locked or (grid.seen < EXACT_SYNCS and abs(learned_s - nominal_s) <= CLOSE * nominal_s):
+        if grid.seen < EXACT_SYNCS and abs(learned_s - nominal_s) <= CLOSE * nominal_s:
             return nominal_s
+        self._grid_learned_s = learned_s
         return learned_s
 
     def _miss(self, samples: int, now: float) -> None:
@@ -194,4 +199,5 @@ class Sampling:
         """After a reset another master may send SYNC at another rate."""
         self._interval.reset()
         self._grid.forget()
+        self._grid_learned_s = 0.0
         self._chain.interval_s = 0.0

@@ -10,6 +10,7 @@ from canfb.signal.sample_times import TICKS
 MEMORY_SYNCS = 256  # that the lock remembers, about
 LEARNED_SYNCS = 64  # from then on it is used
 FIRST_SYNCS = 16  # distances, for the first straight line
+LEAST_APART = 0.5  # of the period
 MOST_MISSED = 16  # from one sample to the next: beyond that the clock was started again
 
 
@@ -48,10 +49,14 @@ class NominalSync:
 
     def sample(self, time_100ns: int) -> None:
         """A valid sample was taken at this time, 0 .. 2^32 - 1."""
-        last, self._last = self._last, time_100ns
+        last = self._last
         if last is None:
+            self._last = time_100ns
             return
         ticks = (time_100ns - last) % TICKS
+        if self._seen and ticks - self.lead_ticks < LEAST_APART * self.period_ticks:
+            return  # the answer to a doubled SYNC
+        self._last = time_100ns
         if not self._seen:
             self._begin(ticks)
             return

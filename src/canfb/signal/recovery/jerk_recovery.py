@@ -72,6 +72,10 @@ class JerkRecovery(Recovery):
         super().vouch()
         self._parabola.predict_by(THIRD)
 
+    def begin_anew(self) -> None:
+        """As :meth:`Recovery.begin_anew`; the acceleration stays known, which eq. 9 could not follow."""
+        self.on_lost()
+
     @property
     def in_doubt(self) -> bool:
         """True while the next samples must decide where the position is; not when it is lost."""

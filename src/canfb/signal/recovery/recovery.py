@@ -125,6 +125,11 @@ class Recovery:
         self.lost = False
         self._remember_tracker()
 
+    def begin_anew(self) -> None:
+        """The count up to here was wrong, and from here on it is right: the motion goes on."""
+        self.lose()
+        self.vouch()
+
     @property
     def in_doubt(self) -> bool:
         """True while the next samples must decide where the position is; not when it is lost."""

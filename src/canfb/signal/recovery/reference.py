@@ -224,8 +224,7 @@ class Reference:
             self._recovery.found(-error, 0)
             return bits & ~VALID | COASTING, -error
         if verdict is PulseVerdict.SLIPPED:  # what is counted from here is certain again
-            self._recovery.lose()
-            self._recovery.vouch()
+            self._recovery.begin_anew()
             if angle is not None:
                 self.coarse.align(angle, track.cycles, track.phase)
             return bits & ~VALID | LOST, 0
