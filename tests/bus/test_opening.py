@@ -10,13 +10,12 @@ import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 
 from canfb.bus.opening import (
-    brings_own_frames_back,
     check_device_bus,
     describe,
-    marks_own_frames,
     open_bus,
     reason,
 )
+from canfb.bus.python_can_bus import brings_own_frames_back, marks_own_frames
 from canfb.errors import BusError, CanfbError, ConfigError
 
 

@@ -22,6 +22,7 @@ from typing import Any, cast
 try:
     import can
 
+    from canfb.bus.python_can_bus import PythonCanBus
     from canfb.bus.runner import Runner
     from canfb.module.feedback_module import FeedbackModule
     from canfb.module.module_config import ModuleConfig
@@ -33,6 +34,7 @@ SYNC = 0x080
 PAIR = struct.Struct("<hh")
 AMPLITUDE_COUNTS = 1500
 MOST_MODULES = 63
+INTERVAL_S = 0.001
 
 
 class FreeBus:
@@ -40,20 +42,27 @@ class FreeBus:
 
     def __init__(self, messages: Sequence[can.Message]) -> None:
         self._messages = iter(messages)
+        self.now = 1000.0
         self.sent = 0
         self.over = False
 
     def recv(self, timeout: float) -> can.Message | None:
         message = next(self._messages, None)
         self.over = message is None
+        if message is not None:
+            self.now = message.timestamp
         return message
+
+    def clock(self) -> float:
+        """Seconds, as the messages have them."""
+        return self.now
 
     def send(self, message: can.Message) -> None:
         self.sent += 1
 
 
-def message(can_id: int, data: bytes = b"") -> can.Message:
-    return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
+def message(can_id: int, timestamp: float, data: bytes = b"") -> can.Message:
+    return can.Message(arbitration_id=can_id, data=data, is_extended_id=False, timestamp=timestamp)
 
 
 def traffic(modules: int, cycles: int) -> list[can.Message]:
@@ -62,8 +71,9 @@ def traffic(modules: int, cycles: int) -> list[can.Message]:
     for cycle in range(cycles):
         angle = 0.2 * cycle
         data = PAIR.pack(round(AMPLITUDE_COUNTS * math.sin(angle)), round(AMPLITUDE_COUNTS * math.cos(angle)))
-        messages.append(message(SYNC))
-        messages += [message(0x180 + FIRST_INTERFACE + n, data) for n in range(modules)]
+        at = 1000.0 + INTERVAL_S * (cycle + 1)
+        messages.append(message(SYNC, at))
+        messages += [message(0x180 + FIRST_INTERFACE + n, at, data) for n in range(modules)]
     return messages
 
 
@@ -77,7 +87,7 @@ def microseconds_per_frame(modules: int, cycles: int) -> float:
     ]
     messages = traffic(modules, cycles)
     bus = FreeBus(messages)
-    runner = Runner(cast(Any, bus), list(devices))
+    runner = Runner(PythonCanBus(cast(Any, bus)), list(devices), clock=bus.clock, wall=bus.clock)
     started = time.process_time()
     runner.run(finished=lambda: bus.over)
     spent = time.process_time() - started

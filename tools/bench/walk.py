@@ -30,6 +30,7 @@ try:
     # Names, not `canfb.FeedbackModule`: what is imported belongs to no walk.
     import canfb.device.od.template
     from canfb import CorrectionTable, FeedbackModule, ModuleConfig, StatusBit
+    from canfb.bus.python_can_bus import PythonCanBus
     from canfb.bus.runner import Runner
     from canfb.eds_files import eds_path
     from tools.bench.cycle import ADC_PDO, ENCODER_INTERFACE, INTERVAL_S, NODE_ID, SYNC, seconds
@@ -162,7 +163,7 @@ def frames() -> dict[str, Walk]:
     )
     table = CorrectionTable.identity(TABLE_ENTRIES)
     bus = WalkedBus(messages(table.crc32))
-    runner = Runner(cast(Any, bus), [module], clock=bus.clock, wall=bus.clock)
+    runner = Runner(PythonCanBus(cast(Any, bus)), [module], clock=bus.clock, wall=bus.clock)
     runner.run(
         finished=lambda: bus.over,
         ready=lambda: module.dictionary.entry(*TABLE_STAGED).download(table.to_bytes()),

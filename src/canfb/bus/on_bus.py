@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Any, Self
 
-from canfb.bus.opening import check_device_bus, open_bus
+from canfb.bus.opening import check_device_bus, open_device_bus
 from canfb.bus.realtime import apply_realtime
 from canfb.bus.runner import Runner
 from canfb.configuration import RealtimeConfig
@@ -39,7 +39,7 @@ class OnBus(ABC):
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as opened:
             devices = self._make_devices(opened)
-            bus = opened.enter_context(open_bus(self.words))
+            bus = opened.enter_context(open_device_bus(self.words))
             self._runner = Runner(bus, devices, meanwhile=self._meanwhile)
             apply_realtime(self._realtime)
             self._resources = opened.pop_all()
