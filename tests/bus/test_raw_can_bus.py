@@ -260,8 +260,11 @@ class Filters:
 
     def __init__(self) -> None:
         self.set: list[bytes] = []
+        self.gone = False
 
     def setsockopt(self, level: int, option: int, value: bytes) -> None:
+        if self.gone:
+            raise OSError(errno.ENODEV, "No such device")
         self.set.append(value)
 
 
@@ -278,4 +281,9 @@ def test_filters_are_exact_and_set_when_they_change(wire: Wire) -> None:
     assert kernel.set[1:] == [struct.pack("=II", 0, EXTENDED)], "all but 29-bit identifiers"
     wire.bus.hear(range(MOST_FILTERS), {0x1A0})
     assert len(kernel.set) == 2, "more than the kernel takes: all again"
+    kernel.gone = True
+    wire.bus.hear({0x080}, ())
+    kernel.gone = False
+    wire.bus.hear({0x080}, ())
+    assert kernel.set[2:] == [struct.pack("=2I", 0x080, mask)], "an interface that is gone is told by reading"
     wire.bus._socket = keeps

@@ -90,8 +90,9 @@ class RawCanBus:
             if len(wanted) <= MOST_FILTERS:
                 filters = b"".join(_FILTER.pack(can_id, _EXACT) for can_id in wanted)
         if filters != self._filters:
-            self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
-            self._filters = filters
+            with contextlib.suppress(OSError):  # the interface is gone, which reading says
+                self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
+                self._filters = filters
 
     def __enter__(self) -> Self:
         return self
