@@ -36,7 +36,7 @@ SAMPLES_BEFORE_REPEAT = 1000  # 100 cycles of the encoder
 WARM_UP = 300
 PATIENCE_S = 20.0
 MOST_MISSED = 0.5  # of the samples, on a machine that is busy with other work
-KINDS = ("stock", "python-can", "canfb", "canfb:alone")
+KINDS = ("stock", "python-can", "canfb", "canfb:alone", "floor")
 
 
 class Node:

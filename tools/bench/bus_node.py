@@ -4,8 +4,8 @@
 
 KIND: `stock` is a canopen.LocalNode that answers with atan2, on python-can; `python-can` is the runner of
 `canfb run` with one module on python-can, `canfb` the same as it is delivered. `alone` after a colon
-(`canfb:alone`) switches the second TPDO of the module off, which the stock node does not have. Without
---true-time the time of the module passes by the SYNC.
+(`canfb:alone`) switches the second TPDO of the module off, which the stock node does not have. `floor`
+answers with a constant: what the bus takes. Without --true-time the time of the module passes by the SYNC.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from canfb.bus.frame_bus import FrameBus, Received
 from canfb.bus.python_can_bus import PythonCanBus
 from canfb.bus.raw_can_bus import RawCanBus
 from canfb.bus.runner import Runner, ending_on_signals
-from tools.bench.cycle import INTERVAL_S, SYNC, feedback_module, stock_node
+from tools.bench.cycle import ADC_PDO, INTERVAL_S, POSITION_PDO, SYNC, feedback_module, stock_node
 
 NO_TPDO2 = 0x8000_0000
 
@@ -98,6 +98,15 @@ class ByTheSync:
         return stamped
 
 
+def serve_constant(bus: FrameBus) -> None:
+    """Until SIGTERM, which ends it."""
+    say_ready()
+    while True:
+        for can_id, _, _ in bus.receive(2 * INTERVAL_S) or ():
+            if can_id == ADC_PDO:
+                bus.send(POSITION_PDO, bytes(8), False)
+
+
 def say_ready() -> None:
     """For the program that measures."""
     gc.collect()
@@ -119,10 +128,13 @@ def main() -> int:
         serve_stock(options)
     elif kind == "python-can":
         serve_module(options, PythonCanBus(python_can_bus(options)))
-    elif options.fd is None:
-        serve_module(options, RawCanBus.open(options.channel))
     else:
-        serve_module(options, RawCanBus(socket.socket(fileno=options.fd)))
+        given = None if options.fd is None else socket.socket(fileno=options.fd)
+        bus = RawCanBus.open(options.channel) if given is None else RawCanBus(given)
+        if kind == "floor":
+            serve_constant(bus)
+        else:
+            serve_module(options, bus)
     return 0
 
 
