@@ -10,6 +10,7 @@ from typing import Any
 
 import can
 
+from canfb.bus.python_can_bus import PythonCanBus
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
@@ -72,7 +73,8 @@ def live(
     clock = Clock()
     bus = NotingBus(clock, plan)
     module = FeedbackModule(config(**fields), store)
-    runner = Runner(bus, [module], lambda line: None, clock=clock, sleep=lambda s: None, wall=clock)  # type: ignore[arg-type]
+    frame_bus = PythonCanBus(bus)  # type: ignore[arg-type]
+    runner = Runner(frame_bus, [module], lambda line: None, clock=clock, sleep=lambda s: None, wall=clock)
     runner.run(finished=lambda: bus.over)
     return bus.log, bus.sent
 

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import socket
+import struct
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import can
+import pytest
 
+from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE, FrameBus, Received
+from canfb.bus.python_can_bus import PythonCanBus
+from canfb.bus.raw_can_bus import RawCanBus
 from canfb.cia301.frame import Frame
+
+CAN_FRAME = struct.Struct("=IB3x8s")
 
 
 class FakeClock:
@@ -61,6 +70,9 @@ class FakeBus:
             raise error
         self.sent.append((self.at, message))
 
+    def shutdown(self) -> None:
+        """Nothing is open."""
+
     def sent_ids(self) -> list[int]:
         return [message.arbitration_id for _, message in self.sent]
 
@@ -104,3 +116,81 @@ class FakeDevice:
 
 def message(can_id: int, data: bytes = b"", **rest: object) -> can.Message:
     return can.Message(arbitration_id=can_id, data=data, is_extended_id=False, **rest)  # type: ignore[arg-type]
+
+
+class WiredBus:
+    """A FakeBus at the other end of a pair of sockets: what is planned and sent goes through a RawCanBus."""
+
+    def __init__(self, fake: FakeBus) -> None:
+        ours, self._far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._raw = RawCanBus(ours)
+        self._fake = fake
+
+    def receive(self, wait_s: float) -> list[Received] | None:
+        planned = self._fake.recv(wait_s)
+        if planned is None:
+            return self._raw.receive(0.0)
+        if planned.is_fd:
+            return []
+        self._far.send(packed(planned))
+        frames = self._raw.receive(0.0)
+        assert frames is not None
+        return [(can_id, data, planned.timestamp) for can_id, data, _ in frames]
+
+    def send(self, can_id: int, data: bytes, remote: bool) -> bool:
+        assert self._raw.send(can_id, data, remote)
+        self._fake.send(unpacked(self._far.recv(CAN_FRAME.size)))
+        return True
+
+    def hear(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
+        self._raw.hear(can_ids, remote_can_ids)
+
+    def __enter__(self) -> WiredBus:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._raw.__exit__(None, None, None)
+        self._far.close()
+
+
+def packed(sent: can.Message) -> bytes:
+    """A struct can_frame."""
+    flags = ERROR * sent.is_error_frame | EXTENDED * sent.is_extended_id | REMOTE * sent.is_remote_frame
+    return CAN_FRAME.pack(sent.arbitration_id | flags, sent.dlc, bytes(sent.data))
+
+
+def unpacked(frame: bytes) -> can.Message:
+    """What a struct can_frame says."""
+    can_id, length, data = CAN_FRAME.unpack(frame)
+    return can.Message(
+        arbitration_id=can_id & 0x1FFF_FFFF,
+        is_remote_frame=bool(can_id & REMOTE),
+        is_extended_id=bool(can_id & EXTENDED),
+        dlc=length,
+        data=None if can_id & REMOTE else data[:length],
+    )
+
+
+_wired: list[WiredBus] | None = None
+
+
+@pytest.fixture(autouse=True, params=["python-can", "raw socket"])
+def each_kind_of_bus(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Import it into a file of tests: each of them then runs on both kinds of FrameBus."""
+    global _wired
+    _wired = [] if request.param == "raw socket" else None
+    yield
+    for one in _wired or ():
+        one.close()
+    _wired = None
+
+
+def frame_bus(fake: Any) -> FrameBus:
+    """The fake bus for a runner, by the kind of bus that the test runs on; python-can's if it has none."""
+    if _wired is None:
+        return PythonCanBus(fake)
+    _wired.append(WiredBus(fake))
+    return _wired[-1]

@@ -7,7 +7,7 @@ from typing import Any
 
 import can
 import pytest
-from fake_bus import FakeBus, FakeClock, FakeDevice, message
+from fake_bus import FakeBus, FakeClock, FakeDevice, each_kind_of_bus, frame_bus, message  # noqa: F401
 
 from canfb.bus.bus_state import ERROR_BUS_OFF, ERROR_RESTARTED, LASTING_S, RETRY_S, SETTLED_S
 from canfb.bus.runner import Runner
@@ -52,7 +52,9 @@ class Scene:
 
     def run(self, duration_s: float) -> Scene:
         bus: Any = self.bus
-        runner = Runner(bus, [self.device, *self.others], self.lines.append, self.clock, self.clock.sleep)
+        runner = Runner(
+            frame_bus(bus), [self.device, *self.others], self.lines.append, self.clock, self.clock.sleep
+        )
         self.bus.end_s = duration_s
         runner.run(finished=lambda: self.bus.at >= duration_s)
         return self

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from computing_jobs import Crash, Forever, Raise, Sum, Where
-from fake_bus import FakeBus, FakeClock
+from fake_bus import FakeBus, FakeClock, frame_bus
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -216,7 +216,7 @@ def test_the_runner_computes_for_the_module_and_ends_it() -> None:
         return module.dictionary.entry(0x2030, 2).current() == 4
 
     bus: Any = FakeBus(clock)
-    Runner(bus, [module], clock=clock).run(finished)
+    Runner(frame_bus(bus), [module], clock=clock).run(finished)
     assert module.dictionary.entry(0x2030, 7).current() == 1, "too few samples"
 
 
@@ -240,7 +240,7 @@ def test_the_runner_kills_it_at_its_own_end() -> None:
         time.sleep(1e-3)
         return bool(device.parts)
 
-    Runner(bus, [device], clock=clock).run(finished)
+    Runner(frame_bus(bus), [device], clock=clock).run(finished)
     assert not is_alive(int(device.parts[0]))
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import can
 import pytest
-from fake_bus import FakeBus, FakeClock, message
+from fake_bus import FakeBus, FakeClock, each_kind_of_bus, frame_bus, message  # noqa: F401
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -60,7 +60,7 @@ def played(delays_s: list[float], samples: int = 60) -> SlowBus:
     module: Device = FeedbackModule(ModuleConfig(node_id=32))
     assert isinstance(module, Inhibited)
     fake: Any = bus
-    runner = Runner(fake, [module], clock=clock, sleep=clock.sleep)
+    runner = Runner(frame_bus(fake), [module], clock=clock, sleep=clock.sleep)
     runner.run(finished=lambda: bus.at > 1.0)
     return bus
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import sys
 from typing import Any
 
 import can
@@ -10,13 +11,14 @@ import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 
 from canfb.bus.opening import (
-    brings_own_frames_back,
     check_device_bus,
     describe,
-    marks_own_frames,
     open_bus,
+    open_device_bus,
     reason,
 )
+from canfb.bus.python_can_bus import PythonCanBus, brings_own_frames_back, marks_own_frames
+from canfb.bus.raw_can_bus import RawCanBus
 from canfb.errors import BusError, CanfbError, ConfigError
 
 
@@ -167,3 +169,86 @@ def test_a_device_may_not_hear_itself() -> None:
     check_device_bus({**words, "receive_own_messages": False})
     with open_bus(words) as bus:
         assert marks_own_frames(bus), "should it get them all the same"
+
+
+VIRTUAL = {"interface": "virtual", "channel": "canfb device bus"}
+
+
+@pytest.mark.parametrize("words", [VIRTUAL, VIRTUAL | {"python_can": True}], ids=["plain", "python_can"])
+def test_a_bus_for_devices_is_that_of_python_can(words: dict[str, Any]) -> None:
+    with open_device_bus(words) as bus:
+        assert isinstance(bus, PythonCanBus)
+    with open_bus(words) as other:
+        assert other.channel_info == "Virtual bus channel canfb device bus"
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """What is opened, and how."""
+    calls: list[Any] = []
+
+    def raw(channel: str) -> None:
+        calls.append(channel)
+
+    def python_can(**words: object) -> None:
+        calls.append(words)
+
+    monkeypatch.setattr(RawCanBus, "open", raw)
+    monkeypatch.setattr(can, "Bus", python_can)
+    monkeypatch.setattr("canfb.bus.opening.PythonCanBus", lambda bus: bus)
+    return calls
+
+
+CAN0 = {"interface": "socketcan", "channel": "can0"}
+RAW: list[dict[str, Any]] = [
+    CAN0,
+    {**CAN0, "bitrate": 500_000},
+    {**CAN0, "receive_own_messages": False, "python_can": False},
+    {**CAN0, "fd": None},
+]
+NOT_RAW: list[dict[str, Any]] = [
+    {**CAN0, "python_can": True},
+    {**CAN0, "fd": True},
+    {**CAN0, "local_loopback": False},
+    {**CAN0, "ignore_rx_error_frames": True},
+    {**CAN0, "channel": ""},
+    {**CAN0, "channel": 0},
+    {**CAN0, "interface": "kvaser"},
+]
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="SocketCAN is of Linux")
+@pytest.mark.parametrize("words", RAW, ids=str)
+def test_socketcan_has_a_raw_socket(opened: list[Any], words: dict[str, Any]) -> None:
+    open_device_bus(words)
+    assert opened == ["can0"]
+
+
+@pytest.mark.parametrize("words", NOT_RAW, ids=str)
+def test_python_can_opens_what_is_more_than_that(opened: list[Any], words: dict[str, Any]) -> None:
+    open_device_bus(words)
+    assert opened == [{key: value for key, value in words.items() if key != "python_can"}]
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="SocketCAN is of Linux")
+def test_an_interface_of_the_environment_counts(opened: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CAN_INTERFACE", "socketcan")
+    monkeypatch.setenv("CAN_CHANNEL", "can5")
+    open_device_bus({})
+    monkeypatch.setenv("CAN_INTERFACE", "pcan")
+    open_device_bus({})
+    assert opened == ["can5", {}]
+
+
+@pytest.mark.parametrize("value", ["yes", 1, 0])
+def test_python_can_is_true_or_false(value: object) -> None:
+    with pytest.raises(ConfigError, match="python_can in bus must be true or false, not"):
+        open_device_bus({**CAN0, "python_can": value})
+
+
+def test_a_raw_socket_that_cannot_be_had_gets_the_same_line() -> None:
+    with pytest.raises(BusError) as caught:
+        open_device_bus({"interface": "socketcan", "channel": "nothing77"})
+    text = str(caught.value)
+    assert text.startswith("cannot open the bus socketcan nothing77: ")
+    assert "docs/vcan.md" in text

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import struct
 from collections.abc import Callable
@@ -12,7 +11,7 @@ from typing import Any
 
 import can
 import pytest
-from fake_bus import FakeBus, FakeClock, message
+from fake_bus import FakeBus, FakeClock, each_kind_of_bus, frame_bus, message  # noqa: F401
 
 from canfb.bus import on_bus
 from canfb.bus.runner import Runner
@@ -105,13 +104,13 @@ def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
 
     def play(plan: list[tuple[float, can.Message]]) -> Story:
         clock = FakeClock()
-        bus = EndingBus(clock, plan)
+        bus = story_bus = EndingBus(clock, plan)
 
         def make_runner(bus: Any, devices: Any, meanwhile: Any) -> Runner:
-            bus.runner = Runner(bus, devices, clock=clock, sleep=clock.sleep, meanwhile=meanwhile)
-            return bus.runner
+            story_bus.runner = Runner(bus, devices, clock=clock, sleep=clock.sleep, meanwhile=meanwhile)
+            return story_bus.runner
 
-        monkeypatch.setattr(on_bus, "open_bus", lambda words: contextlib.nullcontext(bus))
+        monkeypatch.setattr(on_bus, "open_device_bus", lambda words: frame_bus(bus))
         monkeypatch.setattr(on_bus, "Runner", make_runner)
         story = Story(main(["run", str(config), "-i", "socketcan", "-c", "can7"]))
         for _, sent in bus.sent:

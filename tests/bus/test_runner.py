@@ -9,7 +9,7 @@ from typing import Any, cast
 import can
 import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
-from fake_bus import FakeBus, FakeClock, FakeDevice, message
+from fake_bus import FakeBus, FakeClock, FakeDevice, each_kind_of_bus, frame_bus, message  # noqa: F401
 
 from canfb.bus.bus_state import RETRY_S, SETTLED_S
 from canfb.bus.runner import LONGEST_BLIND_DRAIN_S, LONGEST_WAIT_S, DeviceFailure, Runner
@@ -42,7 +42,7 @@ class Bench:
     def run(self, devices: list[Device], duration_s: float) -> Runner:
         bus: Any = self.bus
         runner = Runner(
-            bus,
+            frame_bus(bus),
             devices,
             lambda text: self.lines.append((self.bus.at, text)),
             self.clock,
@@ -79,7 +79,7 @@ def test_ready_is_when_the_boot_up_is_out_and_frames_are_taken() -> None:
     bus: Any = bench.bus
     module = FeedbackModule(ModuleConfig(node_id=32))
     sent: list[list[int]] = []
-    runner = Runner(bus, [module], clock=bench.clock, sleep=bench.clock.sleep)
+    runner = Runner(frame_bus(bus), [module], clock=bench.clock, sleep=bench.clock.sleep)
     bench.bus.end_s = 0.2
     runner.run(
         finished=lambda: bench.bus.at >= 0.2,
@@ -209,7 +209,7 @@ def test_a_deadline_in_the_past_waits_for_nothing() -> None:
     bench = Bench()
     device = bench.device(period_s=1e-4)
     device.tick = lambda now: []  # type: ignore[method-assign]  # it does not move its deadline on
-    runner = Runner(bench.bus, [device], clock=bench.clock)  # type: ignore[arg-type]
+    runner = Runner(frame_bus(bench.bus), [device], clock=bench.clock)
     runner.run(finished=lambda: len(bench.bus.waits) > 20)
     assert set(bench.bus.waits[2:]) == {0.0}
 
@@ -236,7 +236,7 @@ def test_stop_ends_it_from_within() -> None:
         return [Frame(0x200, b"")]
 
     device = bench.device(answer=ending)
-    runner = Runner(bench.bus, [device], clock=bench.clock)  # type: ignore[arg-type]
+    runner = Runner(frame_bus(bench.bus), [device], clock=bench.clock)
     runner.run()
     assert device.heard_ids() == [0x123]
     assert bench.bus.sent_ids() == [0x200]
@@ -245,7 +245,7 @@ def test_stop_ends_it_from_within() -> None:
 def test_stopped_before_it_runs_it_powers_on_and_ends() -> None:
     bench = Bench()
     device = bench.device(boot=(Frame(0x701, b"\0"),))
-    runner = Runner(bench.bus, [device], clock=bench.clock)  # type: ignore[arg-type]
+    runner = Runner(frame_bus(bench.bus), [device], clock=bench.clock)
     runner.stop()
     runner.run()
     assert bench.bus.sent_ids() == [0x701]
@@ -322,6 +322,9 @@ def test_other_devices_hear_a_frame_that_the_bus_refused() -> None:
     assert other.heard_ids() == [0x80] * 5
 
 
+only_python_can = pytest.mark.parametrize("each_kind_of_bus", ["python-can"], indirect=True)
+
+
 class EchoingBus(FakeBus, UdpMulticastBus):
     """As udp_multicast: a sender hears itself, and the channel of a message goes along."""
 
@@ -333,6 +336,7 @@ class EchoingBus(FakeBus, UdpMulticastBus):
         self.plan.append((self.at, msg))
 
 
+@only_python_can
 def test_on_a_bus_that_brings_own_frames_back_they_are_left_out() -> None:
     bench = Bench()
     bench.bus = EchoingBus(bench.clock)
@@ -355,6 +359,7 @@ class GsUsbBus(FakeBus):
         self.plan.append((self.at, message(msg.arbitration_id, is_rx=False)))
 
 
+@only_python_can
 def test_on_a_bus_that_marks_own_frames_they_are_left_out() -> None:
     bench = Bench()
     bench.bus = GsUsbBus(bench.clock, [(0.2, message(0x181))])
@@ -365,6 +370,7 @@ def test_on_a_bus_that_marks_own_frames_they_are_left_out() -> None:
     assert runner.counters.received == 1
 
 
+@only_python_can
 def test_on_socketcan_the_mark_is_one_of_this_computer() -> None:
     """There it is set for the frames of every process on the same computer."""
     bench = Bench((0.1, message(0x181, is_rx=False)))
@@ -373,6 +379,7 @@ def test_on_socketcan_the_mark_is_one_of_this_computer() -> None:
     assert device.heard_ids() == [0x181]
 
 
+@only_python_can
 def test_frames_of_another_process_are_heard_there_as_well() -> None:
     bench = Bench()
     bench.bus = EchoingBus(bench.clock, [(0.1, message(0x80, channel="of another process"))])
@@ -381,6 +388,7 @@ def test_frames_of_another_process_are_heard_there_as_well() -> None:
     assert device.heard_ids() == [0x80]
 
 
+@only_python_can
 def test_on_every_other_bus_the_channel_of_a_message_is_left_alone() -> None:
     bench = Bench()
     bench.run([bench.device(period_s=0.1)], 0.15)

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import gc
 import os
 import signal
+import sys
 import threading
 from typing import Any
 
 import pytest
 
-from canfb.bus.realtime import MCL_CURRENT, MCL_FUTURE, RealtimeThread, apply_realtime
+from canfb.bus.realtime import (
+    MCL_CURRENT,
+    MCL_FUTURE,
+    RealtimeThread,
+    apply_realtime,
+    outside_collections,
+)
 from canfb.bus.runner import ending_on_signals
 from canfb.configuration import RealtimeConfig
 
@@ -106,8 +114,17 @@ def test_what_is_refused_is_reported_each_in_one_line_and_the_rest_is_still_aske
     apply_realtime(ALL, lines.append)
     assert system.calls == ALL_CALLS
     reason = os.strerror(errno.EPERM)
+    python = os.path.realpath(sys.executable)
+    remedies = (
+        f"; sudo setcap cap_sys_nice+ep {python}, or LimitRTPRIO=99 in the systemd unit; "
+        "see docs/realtime.md",
+        f"; sudo setcap cap_ipc_lock+ep {python}, or LimitMEMLOCK=infinity in the systemd unit; "
+        "see docs/realtime.md",
+        "",
+    )
     assert lines == [
-        f"realtime: {name} could not be set: {reason}" for name in ("priority", "lock_memory", "cpu")
+        f"realtime: {name} could not be set: {reason}{remedy}"
+        for name, remedy in zip(("priority", "lock_memory", "cpu"), remedies, strict=True)
     ]
 
 
@@ -152,3 +169,11 @@ def test_a_processor_that_there_is_not_is_refused_by_the_real_system() -> None:
     apply_realtime(RealtimeConfig(cpu=65535), lines.append)
     assert lines == ["realtime: cpu could not be set: Invalid argument"]
     assert os.sched_getaffinity(0) == before
+
+
+def test_what_is_there_is_outside_of_collections_until_the_end() -> None:
+    before = gc.get_freeze_count()
+    with outside_collections():
+        assert gc.get_freeze_count() > before + 1000
+        assert len(gc.get_objects()) < 1000
+    assert gc.get_freeze_count() == 0

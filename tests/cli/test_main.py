@@ -192,7 +192,7 @@ def test_the_bus_options_replace_the_words_of_the_configuration(
         opened.append(options)
         raise BusError("no")
 
-    monkeypatch.setattr(on_bus, "open_bus", refuse)
+    monkeypatch.setattr(on_bus, "open_device_bus", refuse)
     assert main(["run", config]) == 1
     assert main(["run", config, "-c", "can3", "-b", "500000"]) == 1
     assert main(["run", config, "-i", "socketcan", "--bus-kwargs", "local_loopback=False", "port=7"]) == 1

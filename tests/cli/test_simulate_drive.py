@@ -10,6 +10,7 @@ from pathlib import Path
 import can
 import pytest
 
+from canfb.bus.python_can_bus import PythonCanBus
 from canfb.bus.runner import Runner
 from canfb.bus.simulating import fed_module
 from canfb.cia301.frame import Frame
@@ -234,7 +235,13 @@ def test_all_in_one_process_on_a_runner_move_the_shaft() -> None:
     clock = Clock()
     bus = VirtualBus(clock)
     devices: list[Device] = [axis.plant, interface, axis.drive, module]
-    runner = Runner(bus, devices, clock=lambda: clock.now, sleep=lambda seconds: None, wall=lambda: clock.now)
+    runner = Runner(
+        PythonCanBus(bus),
+        devices,
+        clock=lambda: clock.now,
+        sleep=lambda seconds: None,
+        wall=lambda: clock.now,
+    )
     syncs = 0
 
     def finished() -> bool:

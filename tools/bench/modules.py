@@ -2,10 +2,11 @@
 
     python -m tools.bench.modules [--modules 1,8,32] [--cycles N] [--repeat N]
 
-One cycle is a SYNC, then an ADC PDO for each module, to which each answers with its position PDO; so the
+One cycle is a SYNC, then an ADC PDO for each module, to which each answers with its position PDOs; so the
 number of frames grows with the modules, and the time for one frame ought not to. The runner is that of
-`canfb run`, the bus costs nothing: it hands out messages that are made beforehand and forgets what is sent.
-Times are those of the process; printed are medians.
+`canfb run`, the bus costs nothing: it hands out the frames of a cycle and forgets what is sent. Times are
+those of the process, measured in turns; printed are medians, the median ratio to the first row, and which
+part of a processor a SYNC rate of 1 kHz takes.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ import statistics
 import struct
 import sys
 import time
-from collections.abc import Sequence
-from typing import Any, cast
+from collections.abc import Iterable, Sequence
+from typing import cast
 
 try:
-    import can
-
+    from canfb.bus.frame_bus import FrameBus, Received
+    from canfb.bus.frame_reader import MOST_FRAMES
     from canfb.bus.runner import Runner
     from canfb.module.feedback_module import FeedbackModule
     from canfb.module.module_config import ModuleConfig
@@ -33,58 +34,71 @@ SYNC = 0x080
 PAIR = struct.Struct("<hh")
 AMPLITUDE_COUNTS = 1500
 MOST_MODULES = 63
+INTERVAL_S = 0.001
+START_S = 1000.0
 
 
 class FreeBus:
-    """Hands out messages at once, and counts what is sent."""
+    """Hands out the frames of each cycle at once, in pieces as a bus does, and counts what is sent."""
 
-    def __init__(self, messages: Sequence[can.Message]) -> None:
-        self._messages = iter(messages)
-        self.sent = 0
+    def __init__(self, modules: int, cycles: int) -> None:
+        self._pieces = iter(traffic(modules, cycles))
+        self.now = 0.0
+        self.sent = self.received = 0
         self.over = False
 
-    def recv(self, timeout: float) -> can.Message | None:
-        message = next(self._messages, None)
-        self.over = message is None
-        return message
+    def clock(self) -> float:
+        """Seconds, as the frames have them."""
+        return self.now
 
-    def send(self, message: can.Message) -> None:
+    def receive(self, wait_s: float) -> list[Received] | None:
+        """The next frames."""
+        frames = next(self._pieces, None)
+        self.over = frames is None
+        if frames is not None:
+            self.now = frames[0][2]
+            self.received += len(frames)
+        return frames
+
+    def send(self, can_id: int, data: bytes, remote: bool) -> bool:
+        """Forget it."""
         self.sent += 1
+        return True
+
+    def hear(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
+        """It has what is needed."""
 
 
-def message(can_id: int, data: bytes = b"") -> can.Message:
-    return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
-
-
-def traffic(modules: int, cycles: int) -> list[can.Message]:
+def traffic(modules: int, cycles: int) -> list[list[Received]]:
     """SYNC and ADC PDOs of machines that turn slowly."""
-    messages = []
+    pieces = []
     for cycle in range(cycles):
         angle = 0.2 * cycle
         data = PAIR.pack(round(AMPLITUDE_COUNTS * math.sin(angle)), round(AMPLITUDE_COUNTS * math.cos(angle)))
-        messages.append(message(SYNC))
-        messages += [message(0x180 + FIRST_INTERFACE + n, data) for n in range(modules)]
-    return messages
+        at = START_S + INTERVAL_S * cycle
+        frames = [(SYNC, b"", at), *((0x180 + FIRST_INTERFACE + n, data, at) for n in range(modules))]
+        pieces += [frames[n : n + MOST_FRAMES] for n in range(0, len(frames), MOST_FRAMES)]
+    return pieces
 
 
-def microseconds_per_frame(modules: int, cycles: int) -> float:
-    """Process time for one frame in or out, in the steady state."""
+def cost(modules: int, cycles: int) -> tuple[float, float]:
+    """Process time for one frame in or out, microseconds, and the frames of a cycle, in the steady state."""
     devices = [
         FeedbackModule(
             ModuleConfig(node_id=FIRST_NODE + n, encoder_interface=FIRST_INTERFACE + n, autostart=True)
         )
         for n in range(modules)
     ]
-    messages = traffic(modules, cycles)
-    bus = FreeBus(messages)
-    runner = Runner(cast(Any, bus), list(devices))
+    bus = FreeBus(modules, cycles)
+    runner = Runner(cast(FrameBus, bus), list(devices), clock=bus.clock, wall=bus.clock)
     started = time.process_time()
     runner.run(finished=lambda: bus.over)
     spent = time.process_time() - started
     samples = [device.dictionary.entry(0x2011, 8).value for device in devices]
     if samples != [cycles] * modules:
         raise RuntimeError(f"not each module has had each sample: {samples}")
-    return spent / (len(messages) + bus.sent) * 1e6
+    frames = bus.received + bus.sent
+    return spent / frames * 1e6, frames / cycles
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -98,10 +112,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     counts = [int(count) for count in options.modules.split(",")]
     if not all(1 <= count <= MOST_MODULES for count in counts):
         parser.error(f"--modules: 1 to {MOST_MODULES}")
-    print("modules  us per frame")
-    for count in counts:
-        times = [microseconds_per_frame(count, options.cycles) for _ in range(options.repeat)]
-        print(f"{count:7d}  {statistics.median(times):12.1f}", flush=True)
+    rounds = [[cost(count, options.cycles) for count in counts] for _ in range(options.repeat)]
+    print("modules  us per frame  ratio  processor at 1 kHz")
+    for place, count in enumerate(counts):
+        costs_us = [one[place][0] for one in rounds]
+        ratio = statistics.median(one[place][0] / one[0][0] for one in rounds)
+        middle_us = statistics.median(costs_us)
+        part = middle_us * rounds[0][place][1] * 1e-6 / INTERVAL_S
+        print(f"{count:7d}  {middle_us:12.1f}  {ratio:5.2f}  {part:17.0%}")
     return 0
 
 

@@ -16,20 +16,20 @@ import math
 import statistics
 import struct
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 from types import FrameType
-from typing import Any, TypeVar, cast
+from typing import TypeVar, cast
 
 try:
-    import can
     import canopen
 
     # Names, not `canfb.FeedbackModule`: what is imported belongs to no walk.
     import canfb.device.od.template
     from canfb import CorrectionTable, FeedbackModule, ModuleConfig, StatusBit
+    from canfb.bus.frame_bus import FrameBus, Received
     from canfb.bus.runner import Runner
     from canfb.eds_files import eds_path
     from tools.bench.cycle import ADC_PDO, ENCODER_INTERFACE, INTERVAL_S, NODE_ID, SYNC, seconds
@@ -110,39 +110,41 @@ def usual(walks: list[Walk]) -> Walk:
 
 
 class WalkedBus:
-    """Hands out messages, and walks with those that have a name. Time stands still between them."""
+    """Hands out frames, and walks with those that have a name. Time stands still between them."""
 
-    def __init__(self, messages: list[tuple[float, str, can.Message]]) -> None:
-        self._messages = iter(messages)
+    def __init__(self, frames: list[tuple[float, str, Received]]) -> None:
+        self._frames = iter(frames)
         self._walk: Walk | None = None
         self.walks: dict[str, list[Walk]] = {}
         self.now = 0.0
         self.over = False
-        self.sent: list[can.Message] = []
 
     def clock(self) -> float:
         return self.now
 
-    def recv(self, timeout: float) -> can.Message | None:
+    def receive(self, wait_s: float) -> list[Received] | None:
         if self._walk is not None:
             self._walk.end()
-        self.now, name, message = next(self._messages, (self.now, "", None))
-        self.over = message is None
+        self.now, name, frame = next(self._frames, (self.now, "", None))
+        self.over = frame is None
         self._walk = Walk() if name else None
         if self._walk is not None:
             self.walks.setdefault(name, []).append(self._walk)
             self._walk.begin()
-        return message
+        return None if frame is None else [frame]
 
-    def send(self, message: can.Message) -> None:
-        self.sent.append(message)
+    def send(self, can_id: int, data: bytes, remote: bool) -> bool:
+        return True
+
+    def hear(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
+        pass
 
 
-def messages(crc32: int) -> list[tuple[float, str, can.Message]]:
-    """(time, name of its walk, message): SYNCs and their ADC PDOs; 2020:03 before and after."""
+def planned_frames(crc32: int) -> list[tuple[float, str, Received]]:
+    """(time, name of its walk, frame): SYNCs and their ADC PDOs; 2020:03 before and after."""
 
-    def planned(now: float, name: str, can_id: int, data: bytes = b"") -> tuple[float, str, can.Message]:
-        return now, name, can.Message(now, can_id, is_extended_id=False, data=data)
+    def planned(now: float, name: str, can_id: int, data: bytes = b"") -> tuple[float, str, Received]:
+        return now, name, (can_id, data, now)
 
     activate = struct.pack("<BHBI", 0x23, 0x2020, 3, crc32)
     plan = [planned(0.0, "", SDO, activate)]
@@ -161,8 +163,8 @@ def frames() -> dict[str, Walk]:
         ModuleConfig(node_id=NODE_ID, encoder_interface=ENCODER_INTERFACE, autostart=True)
     )
     table = CorrectionTable.identity(TABLE_ENTRIES)
-    bus = WalkedBus(messages(table.crc32))
-    runner = Runner(cast(Any, bus), [module], clock=bus.clock, wall=bus.clock)
+    bus = WalkedBus(planned_frames(table.crc32))
+    runner = Runner(cast(FrameBus, bus), [module], clock=bus.clock, wall=bus.clock)
     runner.run(
         finished=lambda: bus.over,
         ready=lambda: module.dictionary.entry(*TABLE_STAGED).download(table.to_bytes()),

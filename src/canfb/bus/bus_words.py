@@ -13,6 +13,7 @@ from typing import Any
 import can
 from can.interfaces import BACKENDS
 
+from canfb.bus.opening import FORCE_PYTHON_CAN
 from canfb.errors import ConfigError
 
 # Read by python-can itself, whatever the interface.
@@ -21,6 +22,7 @@ _GENERAL = frozenset(
         "interface",
         "channel",
         "bitrate",
+        FORCE_PYTHON_CAN,
         "fd",
         "data_bitrate",
         "timing",

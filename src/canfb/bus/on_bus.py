@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Any, Self
 
-from canfb.bus.opening import check_device_bus, open_bus
-from canfb.bus.realtime import apply_realtime
+from canfb.bus.opening import check_device_bus, open_device_bus
+from canfb.bus.realtime import apply_realtime, outside_collections
 from canfb.bus.runner import Runner
 from canfb.configuration import RealtimeConfig
 from canfb.device.hosted import Device
@@ -39,9 +39,10 @@ class OnBus(ABC):
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as opened:
             devices = self._make_devices(opened)
-            bus = opened.enter_context(open_bus(self.words))
+            bus = opened.enter_context(open_device_bus(self.words))
             self._runner = Runner(bus, devices, meanwhile=self._meanwhile)
             apply_realtime(self._realtime)
+            opened.enter_context(outside_collections())
             self._resources = opened.pop_all()
         return self
 

@@ -1,20 +1,25 @@
-"""Opening a bus with python-can, with one clear line when it does not work."""
+"""Opening a bus, of python-can or of our own, with one clear line when it does not work."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import re
+import sys
+from collections.abc import Iterator
 from typing import Any
 
 import can
-from can.interfaces.udp_multicast import UdpMulticastBus
 
+from canfb.bus.frame_bus import FrameBus
+from canfb.bus.python_can_bus import PythonCanBus
 from canfb.errors import BusError, ConfigError, reason
 
-# Buses of python-can that hand out what was sent through them, and say so (`is_rx` is false). SocketCAN and
-# Kvaser say it of frames of other processes on the same computer, which are to be heard.
-_ECHOING = frozenset({"GsUsbBus", "CantactBus", "VirtualBus"})
+FORCE_PYTHON_CAN = "python_can"
+"""The key in ``bus:`` that is not python-can's: true for python-can on SocketCAN as well."""
+
+# What the raw socket does, or what does not matter for it: the bit rate is set in the interface.
+_RAW_WORDS = frozenset({"interface", "channel", "bitrate", "receive_own_messages", FORCE_PYTHON_CAN})
 
 _MISSING = re.compile(r"missing \d+ required [a-z -]+ arguments?: (.*)")
 
@@ -25,8 +30,52 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
     What is not given comes from python-can's environment variables and configuration
     files. BusError when there is no such bus.
     """
+    words = {key: value for key, value in options.items() if key != FORCE_PYTHON_CAN}
+    with _told(options):
+        return can.Bus(**words)
+
+
+def open_device_bus(options: dict[str, Any]) -> FrameBus:
+    """The bus for devices, from the same words: a raw socket for SocketCAN, python-can for all else.
+
+    Python-can, too, where ``python_can: true`` or another word asks for what the raw socket does not have.
+    ConfigError and BusError as from :func:`check_device_bus` and :func:`open_bus`.
+    """
+    check_device_bus(options)
+    channel = _raw_channel(options)
+    if channel is None:
+        return PythonCanBus(open_bus(options))
+    from canfb.bus.raw_can_bus import RawCanBus  # here: it is for Linux
+
+    with _told({"interface": "socketcan", **options}):
+        return RawCanBus.open(channel)
+
+
+def _raw_channel(options: dict[str, Any]) -> str | None:
+    """The SocketCAN interface for a raw socket of our own; None if python-can has to open the bus."""
+    words = {key: value for key, value in options.items() if value is not None}
+    if not sys.platform.startswith("linux") or words.get(FORCE_PYTHON_CAN) or words.keys() - _RAW_WORDS:
+        return None
+    if "interface" not in words or "channel" not in words:
+        try:
+            words = can.util.load_config(
+                config={key: words[key] for key in words.keys() - {FORCE_PYTHON_CAN}}
+            )
+        except Exception:  # python-can says it better, when it opens the bus
+            return None
+        if words.keys() - _RAW_WORDS - {"ignore_config"}:
+            return None
+    channel = words.get("channel")
+    if words.get("interface") != "socketcan" or not isinstance(channel, str) or not channel:
+        return None
+    return channel
+
+
+@contextlib.contextmanager
+def _told(options: dict[str, Any]) -> Iterator[None]:
+    """BusError, in one line, for whatever a driver raises."""
     try:
-        return can.Bus(**options)
+        yield
     except Exception as error:  # what the drivers raise has no common root
         raise BusError(f"cannot open the bus {describe(options)}: {_advice(options, error)}") from error
 
@@ -45,20 +94,13 @@ def open_sync_bus(options: dict[str, Any], *, hears_itself: bool) -> can.BusABC:
 def check_device_bus(options: dict[str, Any]) -> None:
     """Refuse a bus on which a device would hear itself, and take that for a second node.
 
-    ConfigError for ``receive_own_messages``.
+    ConfigError for ``receive_own_messages``, and for a ``python_can`` that is neither true nor false.
     """
+    forced = options.get(FORCE_PYTHON_CAN)
+    if forced is not None and not isinstance(forced, bool):
+        raise ConfigError(f"{FORCE_PYTHON_CAN} in bus must be true or false, not {forced!r}")
     if options.get("receive_own_messages"):
         raise ConfigError("receive_own_messages: omit it; a device must not receive its own frames")
-
-
-def marks_own_frames(bus: can.BusABC) -> bool:
-    """True where a message with ``is_rx`` false was sent through this very bus: gs_usb and the like."""
-    return type(bus).__name__ in _ECHOING
-
-
-def brings_own_frames_back(bus: can.BusABC) -> bool:
-    """True for udp_multicast, whose sender hears itself; a CAN controller does not."""
-    return isinstance(bus, UdpMulticastBus)
 
 
 def describe(options: dict[str, Any]) -> str:

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import errno
+import gc
 import logging
 import os
+import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from canfb.configuration import RealtimeConfig
 
 log = logging.getLogger(__name__)
 
 MCL_CURRENT, MCL_FUTURE = 1, 2
+
+_REFUSALS = frozenset({errno.EPERM, errno.ENOMEM})
+_RIGHTS = {
+    "priority": ("cap_sys_nice", "LimitRTPRIO=99"),
+    "lock_memory": ("cap_ipc_lock", "LimitMEMLOCK=infinity"),
+}
 
 
 class RealtimeThread(threading.Thread):
@@ -30,12 +40,35 @@ def apply_realtime(config: RealtimeConfig, report: Callable[[str], None] = log.w
         _try("cpu", report, lambda: _set_cpu(cpu))
 
 
+@contextlib.contextmanager
+def outside_collections() -> Iterator[None]:
+    """What there is when this is entered is left out of garbage collections, until the end.
+
+    With canopen and the dictionaries that is some 50 000 objects: a full collection takes 40 ms, in which
+    no frame is served, and 5 µs without them.
+    """
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
 def _try(name: str, report: Callable[[str], None], action: Callable[[], None]) -> None:
     try:
         action()
     except (OSError, AttributeError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        report(f"realtime: {name} could not be set: {reason}")
+        report(f"realtime: {name} could not be set: {reason}{_remedy(name, error)}")
+
+
+def _remedy(name: str, error: Exception) -> str:
+    """What grants the right that is missing."""
+    if name not in _RIGHTS or not isinstance(error, OSError) or error.errno not in _REFUSALS:
+        return ""
+    capability, limit = _RIGHTS[name]
+    python = os.path.realpath(sys.executable)
+    return f"; sudo setcap {capability}+ep {python}, or {limit} in the systemd unit; see docs/realtime.md"
 
 
 def _set_fifo(priority: int) -> None:

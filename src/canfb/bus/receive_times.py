@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import nan
 
 LARGEST_STEP_S = 0.0005  # between two looks at both clocks; more is a step of the wall clock
 LOOKS = 3
@@ -31,13 +32,25 @@ class ReceiveTimes:
 
     def received(self, stamp_s: float, now: float) -> float | None:
         """When a frame with this stamp came, seconds on the clock of ``now``; None if that is not known."""
+        self.compare(now)
+        return self.of(stamp_s, now)
+
+    def compare(self, now: float) -> float:
+        """Look at the wall clock at ``now``, for :meth:`of` several frames.
+
+        What it is ahead of the other one, seconds; not a number where stamps are not to be used.
+        """
         difference = self._wall() - now
         if abs(difference - self._difference_s) > LARGEST_STEP_S:
             difference = self._look()  # the processor may have been away between the two clocks
             if abs(difference - self._difference_s) > LARGEST_STEP_S:
                 self._stepped = True
         self._difference_s = difference
-        delay = difference + now - stamp_s
+        return nan if self._stepped else difference
+
+    def of(self, stamp_s: float, now: float) -> float | None:
+        """:meth:`received`, where :meth:`compare` was called with this ``now``, or an earlier one."""
+        delay = self._difference_s + now - stamp_s
         if self._stepped or not -LARGEST_STEP_S <= delay <= LONGEST_DELAY_S:
             return None
         return min(now, now - delay)

@@ -1,4 +1,4 @@
-"""Devices on a python-can bus: frames in, frames out, deadlines kept, a clean end on a signal."""
+"""Devices on a bus: frames in, frames out, deadlines kept, a clean end on a signal."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from uuid import uuid4
 
 import can
 
-from canfb.bus.bus_state import RETRY_S, BusState, FailureWatch
+from canfb.bus.bus_state import RETRY_S as BUS_RETRY_S
+from canfb.bus.bus_state import BusState, FailureWatch
 from canfb.bus.computing import Computation
-from canfb.bus.opening import brings_own_frames_back, marks_own_frames
-from canfb.bus.receive_times import ReceiveTimes
-from canfb.cia301.frame import Frame
-from canfb.device.hosted import BusWatching, Computing, Device, Ending, Inhibited
+from canfb.bus.dispatch import Dispatch, Port
+from canfb.bus.frame_bus import ERROR, EXTENDED, FrameBus, Received
+from canfb.bus.frame_sender import RETRY_S, FrameSender
+from canfb.bus.receive_times import LONGEST_DELAY_S, ReceiveTimes
+from canfb.cia301.frame import HIGHEST_ID, Frame
+from canfb.device.hosted import BusWatching, Computing, Device, Ending
 from canfb.device.moment import NEVER
 from canfb.errors import CanfbError
 
@@ -31,6 +33,8 @@ LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
 LEAST_WAIT_S = 2e-4  # what is not faster than that was waited for
 LONGEST_DRAIN_S = 1.0  # how long frames that wait may put off a deadline
 LONGEST_BLIND_DRAIN_S = 0.1  # where they have no receive times, and may have come after it
+
+_new = tuple.__new__
 
 
 class DeviceFailure(CanfbError):
@@ -55,9 +59,9 @@ class BusCounters:
 class Runner:
     """Runs devices on one bus in the calling thread until :meth:`stop`.
 
-    Devices of one process hear each other as well. A bus that fails is tried again; what
-    happened is counted and reported to ``report``, one line each time it changes, and the devices
-    that want to know hear when the bus goes and comes back. A device that raises ends
+    A frame goes to the devices that listen to it; those of one process hear each other as well. A bus that
+    fails is tried again; what happened is counted and reported to ``report``, one line each time it changes,
+    and the devices that want to know hear when the bus goes and comes back. A device that raises ends
     :meth:`run` for all, with DeviceFailure: its state is unknown.
 
     Frames get the time at which the bus received them (:class:`ReceiveTimes`). A runner that comes
@@ -70,7 +74,7 @@ class Runner:
 
     def __init__(
         self,
-        bus: can.BusABC,
+        bus: FrameBus,
         devices: list[Device],
         report: Callable[[str], None] = log.warning,
         clock: Callable[[], float] = time.monotonic,
@@ -78,30 +82,37 @@ class Runner:
         wall: Callable[[], float] = time.time,
         meanwhile: Callable[[float], None] = lambda now: None,
     ) -> None:
-        self.counters = BusCounters()
         self._bus = bus
-        self._devices = devices
         self._meanwhile = meanwhile
         self._clock = clock
         self._sleep = sleep
+        self._dispatch = Dispatch(devices, bus)
+        self._alone = len(devices) == 1
         self._times = ReceiveTimes(clock, wall)
+        self._due_s = NEVER  # the earliest deadline, when frames were asked for
+        self._received = self._error_frames = self._bus_failures = 0
         self._received_s: float | None = None  # when the last frame came, if frames may wait behind it
         self._longest_drain_s = LONGEST_DRAIN_S
         self._put_off_s: float | None = None  # since when frames that wait put off deadlines
-        self._asked_s = clock()  # when a frame was asked for
+        self._asked_s = self._now = clock()  # when frames were asked for; the last look at the clock
         self._compute_s = -NEVER  # when to look for computations next
         self._stopped = False
         self._receiving = FailureWatch(report, "the bus fails", "the bus works again")
-        self._sending = FailureWatch(report, "a frame could not be sent", "frames can be sent again")
         self._bus_state = BusState(report)
+        self._sender = FrameSender(bus, clock, self._bus_state, report)
         self._computations = [
-            (device, Computation(device, report)) for device in devices if isinstance(device, Computing)
+            (port, Computation(port.device, report))
+            for port in self._dispatch.ports
+            if isinstance(port.device, Computing)
         ]
-        self._inhibited = {id(device): device for device in devices if isinstance(device, Inhibited)}
-        self._alone = len(devices) == 1
-        # Such a bus carries the channel of a message along: it shows which frames are ours.
-        self._mark = uuid4().hex if brings_own_frames_back(bus) else None
-        self._echoes = marks_own_frames(bus)
+
+    @property
+    def counters(self) -> BusCounters:
+        """What went over the bus until now."""
+        sender = self._sender
+        return BusCounters(
+            self._received, sender.sent, sender.failures, self._error_frames, self._bus_failures
+        )
 
     def stop(self) -> None:
         """End :meth:`run`; may be called from a signal handler or another thread."""
@@ -115,23 +126,16 @@ class Runner:
         ``ready`` is called once, when they have been powered on and serve what comes from then on.
         """
         try:
-            for device in self._devices:
-                self._spread(device, self._asked(device, device.start, self._clock()))
+            for port in self._dispatch.ports:
+                self._spread(port, self._asked(port, port.device.start, self._clock()))
             ready()
             while not self._stopped and not finished():
-                due = NEVER  # as _due(), at each frame
-                for device in self._devices:
-                    deadline = device.deadline()
-                    if deadline is not None and deadline < due:
-                        due = deadline
-                if due <= self._clock() and not self._waits_before(due):
-                    self._tick()
-                    due = self._due()
-                message = self._next_message(due)
-                if message is not None:
-                    self._take(message)
-                else:
-                    self._emptied()
+                frames = self._wait()
+                if frames:
+                    if self._due_s > self._now or len(frames) == 1:
+                        self._take(frames)
+                    else:
+                        self._take_overdue(frames)
                 if self._bus_state.gone:
                     self._tell_bus_state()
                 if self._asked_s >= self._compute_s:
@@ -139,108 +143,160 @@ class Runner:
         finally:
             for _, computation in self._computations:
                 computation.close()
-            for device in self._devices:
-                if isinstance(device, Ending):
-                    device.end(self._clock())
+            for port in self._dispatch.ports:
+                if isinstance(port.device, Ending):
+                    port.device.end(self._clock())
 
-    def _emptied(self) -> None:
-        """No frame waits."""
-        self._received_s = self._put_off_s = None
-        self._times.emptied()
+    def _wait(self) -> list[Received] | None:
+        """Keep the deadlines; then wait for frames until the next one, and not longer than a signal may wait.
+
+        None if no frame waits.
+        """
+        if self._dispatch.moved:
+            self._dispatch.follow()
+        self._now = asked = self._clock()
+        due = self._dispatch.due_s()
+        if due <= asked:
+            due = self._keep_deadlines(due)
+            asked = self._now
+        self._asked_s, self._due_s = asked, due
+        wait = min(due - asked, LONGEST_WAIT_S) if due > asked else 0.0
+        if self._sender.waiting:
+            wait = min(wait, RETRY_S)
+        try:
+            frames = self._bus.receive(wait)
+        except (can.CanError, OSError) as error:
+            self._reading_failed(error)
+            frames = None
+        else:
+            self._now = now = self._clock()
+            if self._bus_state.troubled:
+                self._bus_state.reading_worked(now, frame=False)
+            if frames and self._receiving.failed_s is not None:
+                self._receiving.worked(now)
+        if frames is None:
+            self._received_s = self._put_off_s = None
+            self._times.emptied()
+        if self._sender.waiting:
+            self._sender.retry(self._now)
+        return frames
+
+    def _keep_deadlines(self, due: float) -> float:
+        """Tick what is due, unless frames that came before may still wait; the earliest deadline then."""
+        if self._waits_before(due):
+            return due
+        self._tick()
+        return self._dispatch.due_s()
 
     def _waits_before(self, due: float) -> bool:
         """Frames that came before this deadline may still wait."""
-        received = self._received_s
+        received, now = self._received_s, self._now
         if received is None or received >= due:
             self._put_off_s = None
             return False
-        now = self._clock()
         if self._put_off_s is None:
             self._put_off_s = now
         return now - self._put_off_s < self._longest_drain_s
 
-    def _due(self) -> float:
-        """The earliest deadline of all devices, NEVER for none."""
-        due = NEVER
-        for device in self._devices:
-            deadline = device.deadline()
-            if deadline is not None and deadline < due:
-                due = deadline
-        return due
+    def _reading_failed(self, error: Exception) -> None:
+        self._bus_failures += 1
+        self._now = now = self._clock()
+        self._bus_state.reading_failed(error, now)
+        if self._receiving.failed(error, now):
+            self._sleep(BUS_RETRY_S)
 
-    def _next_message(self, due: float) -> can.Message | None:
-        """Wait for a message until `due`, and not longer than a signal may wait."""
-        self._asked_s = asked = self._clock()
-        wait = min(LONGEST_WAIT_S, max(0.0, due - asked))
-        try:
-            message = self._bus.recv(wait)
-        except (can.CanError, OSError) as error:
-            self.counters.bus_failures += 1
-            now = self._clock()
-            self._bus_state.reading_failed(error, now)
-            if self._receiving.failed(error, now):
-                self._sleep(RETRY_S)
-            return None
-        if self._bus_state.troubled:
-            is_frame = message is not None and not message.is_error_frame
-            self._bus_state.reading_worked(self._clock(), frame=is_frame)
-        if message is not None and self._receiving.failed_s is not None:
-            self._receiving.worked(self._clock())
-        return message
+    def _take_overdue(self, frames: list[Received]) -> None:
+        """The same one by one: a deadline has come, and lies before some of them perhaps."""
+        for number, frame in enumerate(frames):
+            if number:
+                due = self._dispatch.due_s()
+                if due <= self._now:
+                    self._keep_deadlines(due)
+            self._take([frame])
 
-    def _take(self, message: can.Message) -> None:
-        if self._mark is not None and message.channel == self._mark:
-            return
-        if self._echoes and not message.is_rx:
-            return
-        now = self._clock()
-        if message.is_error_frame:
-            self.counters.error_frames += 1
-            self._bus_state.error_frame(message.arbitration_id, now)
-            return
-        if message.is_extended_id or message.is_fd:
-            return  # CANopen uses 11-bit identifiers; others may share the bus
-        self.counters.received += 1
-        received = self._times.received(message.timestamp, now)
-        if received is None:
-            self._received_s = -NEVER
+    def _take(self, frames: list[Received]) -> None:
+        """Give frames of one call of the bus to those who listen to them."""
+        dispatch, times = self._dispatch, self._times
+        alone, send = self._alone, self._sender.send
+        ahead_s = times.compare(self._now)
+        last_s: float | None = None
+        for can_id, data, stamp_s in frames:
+            if self._stopped:
+                return
+            table, remote = dispatch.data, False
+            if can_id > HIGHEST_ID:
+                if not self._is_remote(can_id):
+                    continue
+                can_id &= HIGHEST_ID
+                table, remote, data = dispatch.remote, True, b""
+            received_s: float | None = stamp_s - ahead_s
+            if not 0.0 <= self._now - stamp_s + ahead_s <= LONGEST_DELAY_S:  # or it is not a number
+                received_s = times.of(stamp_s, self._now)
+            last_s = -NEVER if received_s is None else received_s
+            self._received += 1
+            if self._bus_state.troubled:
+                self._bus_state.reading_worked(self._now, frame=True)
+            ports = table.get(can_id, dispatch.everyone)
+            if not ports:
+                continue
+            frame = _new(Frame, (can_id, data, remote, received_s))
+            for port in ports:
+                try:
+                    answers = port.device_receive(frame, self._now)
+                except Exception as error:
+                    raise DeviceFailure(port.device, error) from error
+                if port.keeps_deadline:
+                    dispatch.called(port)
+                if answers:
+                    if alone and not dispatch.moved:
+                        for answer in answers:
+                            send(port, answer)
+                    else:
+                        self._spread(port, answers)
+            if dispatch.moved:
+                dispatch.follow()
+        if last_s is not None:
+            self._came(last_s)
+
+    def _is_remote(self, can_id: int) -> bool:
+        """A CAN-ID with flags: a remote frame, or one that is not of CANopen."""
+        if can_id & ERROR:
+            self._error_frames += 1
+            self._bus_state.error_frame(can_id & ~ERROR, self._now)
+            return False
+        return not can_id & EXTENDED  # others may share the bus
+
+    def _came(self, received_s: float) -> None:
+        """When the last frame was received; -NEVER if that is not known."""
+        self._received_s = received_s
+        if received_s == -NEVER:
             self._longest_drain_s = LONGEST_BLIND_DRAIN_S
-            waited_for = now - self._asked_s >= LEAST_WAIT_S
+            waited_for = self._now - self._asked_s >= LEAST_WAIT_S
         else:
-            self._received_s = received
             self._longest_drain_s = LONGEST_DRAIN_S
-            waited_for = received >= self._asked_s
+            waited_for = received_s >= self._asked_s
         if waited_for:
             self._put_off_s = None
-        frame = Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame, received)
-        for device in self._devices:
-            try:
-                answers = device.receive(frame, now)
-            except Exception as error:
-                raise DeviceFailure(device, error) from error
-            if self._alone:
-                for answer in answers:
-                    self._send(device, answer)
-            elif answers:
-                self._spread(device, answers)
 
     def _tick(self) -> None:
-        now = self._clock()
-        for device in self._devices:
-            deadline = device.deadline()
+        self._now = now = self._clock()
+        for port in self._dispatch.ports:
+            deadline = port.due_s if port.keeps_deadline else port.device_deadline()
             if deadline is not None and deadline <= now:
-                self._spread(device, self._asked(device, device.tick, now))
+                self._spread(port, self._asked(port, port.device.tick, now))
 
     def _tell_bus_state(self) -> None:
         """Notify the devices when the bus has gone, and when it is back."""
-        now = self._clock()
+        self._now = now = self._clock()
         lost, returned = self._bus_state.lost(), self._bus_state.returned(now)
-        for device in self._devices:
+        for port in self._dispatch.ports:
+            device = port.device
             if isinstance(device, BusWatching):
                 if lost:
-                    self._spread(device, self._asked(device, device.bus_off, now))
+                    self._spread(port, self._asked(port, device.bus_off, now))
                 if returned:
-                    self._spread(device, self._asked(device, device.bus_back, now))
+                    self._spread(port, self._asked(port, device.bus_back, now))
+        self._dispatch.hear_all(self._bus_state.gone)  # any frame is a sign of life
 
     def _compute(self) -> None:
         """Give what a device wants computed to another process, without waiting for it.
@@ -248,61 +304,49 @@ class Runner:
         Few frames start or end a computation that takes seconds: it is looked for at this rate only.
         """
         self._compute_s = self._asked_s + POLL_S
-        for device, computation in self._computations:
-            frames = self._asked(device, computation.poll, self._clock())
+        for port, computation in self._computations:
+            frames = self._asked(port, computation.poll, self._clock())
             if frames:
-                self._spread(device, frames)
+                self._spread(port, frames)
         self._meanwhile(self._asked_s)
+        self._dispatch.ask_all()
 
-    def _asked(self, device: Device, method: Callable[[float], list[Frame]], now: float) -> list[Frame]:
+    def _asked(self, port: Port, method: Callable[[float], list[Frame]], now: float) -> list[Frame]:
         """What a method of the device gives; DeviceFailure for what it raises."""
         try:
-            return method(now)
+            frames = method(now)
         except Exception as error:
-            raise DeviceFailure(device, error) from error
+            raise DeviceFailure(port.device, error) from error
+        if port.keeps_deadline:
+            self._dispatch.called(port)
+        return frames
 
-    def _spread(self, sender: Device, frames: list[Frame]) -> None:
-        """Send frames, and give them to the other devices of this process as well."""
-        queue: deque[tuple[Device, Frame]] = deque()
-        for frame in frames:
-            queue.append((sender, frame))
+    def _spread(self, sender: Port, frames: list[Frame]) -> None:
+        """Send frames, and give them to the other devices of this process that listen to them."""
+        dispatch, send = self._dispatch, self._sender.send
+        if dispatch.moved:
+            dispatch.follow()  # before the master hears that it may send what is new
+        if self._alone:
+            for frame in frames:
+                send(sender, frame)
+            return
+        queue: deque[tuple[Port, Frame]] = deque([(sender, frame) for frame in frames])
         while queue:
             origin, frame = queue.popleft()
-            self._send(origin, frame)
-            now = self._clock()
-            for device in self._devices:
-                if device is not origin:
+            if dispatch.moved:
+                dispatch.follow()
+            send(origin, frame)
+            for port in dispatch.listeners(frame):
+                if port is not origin:
+                    self._now = now = self._clock()
                     try:
-                        answers = device.receive(frame, now)
+                        answers = port.device_receive(frame, now)
                     except Exception as error:
-                        raise DeviceFailure(device, error) from error
+                        raise DeviceFailure(port.device, error) from error
+                    if port.keeps_deadline:
+                        dispatch.called(port)
                     if answers:
-                        queue.extend((device, answer) for answer in answers)
-
-    def _send(self, sender: Device, frame: Frame) -> None:
-        message = can.Message(
-            arbitration_id=frame.can_id,
-            data=frame.data,
-            is_remote_frame=frame.rtr,
-            is_extended_id=False,
-            channel=self._mark,
-        )
-        try:
-            self._bus.send(message)
-        except (can.CanError, OSError) as error:
-            self.counters.send_failures += 1
-            now = self._clock()
-            self._bus_state.sending_failed(error, now)
-            self._sending.failed(error, now)
-        else:
-            self.counters.sent += 1
-            if self._bus_state.troubled:
-                self._bus_state.sending_worked(self._clock())
-            if self._sending.failed_s is not None:
-                self._sending.worked(self._clock())
-        inhibited = self._inhibited.get(id(sender))
-        if inhibited is not None and frame.can_id in inhibited.inhibited:
-            inhibited.sent(frame.can_id, self._clock())
+                        queue.extend((port, answer) for answer in answers)
 
 
 def _in_one_line(error: Exception) -> str:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
 from canfb.cia301.frame import Frame
+from canfb.device.routing import CanIds
 
 
 class Device(Protocol):
@@ -22,6 +23,21 @@ class Device(Protocol):
 
     def deadline(self) -> float | None:
         """When tick is due."""
+
+
+@runtime_checkable
+class Selective(Protocol):
+    """A device that says what it listens to, as FeedbackModule does.
+
+    A host need not give it other frames. Its deadline moves in calls of its own only, or is looked for
+    late, some hundred times a second.
+    """
+
+    def can_ids(self) -> CanIds:
+        """The CAN-IDs that it listens to."""
+
+    def follow_can_ids(self, moved: Callable[[], None]) -> None:
+        """``moved`` is called in each call after which :meth:`can_ids` may give others."""
 
 
 @runtime_checkable

@@ -10,6 +10,7 @@ from canfb.device.hooks import Hooks
 from canfb.device.lss.lss import REQUEST_ID, UNCONFIGURED, LssSlave
 from canfb.device.nmt_slave import Startup
 from canfb.device.od.dictionary import Dictionary
+from canfb.device.routing import CanIds
 from canfb.device.services import Services
 from canfb.device.silence import Silence
 from canfb.device.storage.storage import Storage, Store
@@ -52,6 +53,20 @@ class LifeCycle(Reactions):
         self.lss.power_on()
         self._change_node_id(now)
         self._power_up(now)
+
+    def can_ids(self) -> CanIds:
+        """Which CAN-IDs are listened to, now and in any NMT state."""
+        data, remote = frozenset(self.core.routes.data), frozenset(self.core.routes.remote)
+        always = frozenset({REQUEST_ID})
+        if self.core.node_id == UNCONFIGURED:
+            return CanIds(data, remote, data | always, remote)
+        services = self.services
+        return CanIds(
+            data,
+            remote,
+            services.can_ids_in_any_state() | always,
+            services.remote_can_ids_in_any_state(),
+        )
 
     def enter(self, state: NmtState, now: float) -> None:
         """Go to an NMT state; nothing happens when the node is in it."""

@@ -15,6 +15,7 @@ from canfb.device.moment import NEVER
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo import pdo
 from canfb.device.pdo.rpdo import Rpdo
+from canfb.device.routing import CanIds
 from canfb.device.sdo.server import TIMEOUT_S
 from canfb.device.storage.storage import Store
 
@@ -109,6 +110,14 @@ class Node(Hooks):
     def heard_can_ids(self) -> frozenset[int]:
         """The CAN-IDs of data frames that do anything now, but for the own ones: the rest is counted only."""
         return frozenset(self._routes) - self.own_can_ids
+
+    def can_ids(self) -> CanIds:
+        """The CAN-IDs that it listens to: a host need not give it other frames."""
+        return self._life.can_ids()
+
+    def follow_can_ids(self, moved: Callable[[], None]) -> None:
+        """Have ``moved`` called whenever :meth:`can_ids` may give others, in the call that moves them."""
+        self._core.routes.on_change = moved
 
     @property
     def now(self) -> float:

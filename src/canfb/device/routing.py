@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 Handler = Callable[[bytes, float], None]
 """Takes the data of a frame, and the time."""
@@ -10,18 +11,37 @@ RemoteHandler = Callable[[float], None]
 """Takes a remote frame: the time."""
 
 
+class CanIds(NamedTuple):
+    """What a node listens to, by CAN-ID; all other frames do nothing but count.
+
+    `data` and `remote` are those of data and remote frames now. `any_state` and `any_state_remote` are those
+    with the present parameters in any NMT state: a master that starts the node need not wait before it sends
+    PDOs, so a filter of the bus has to pass them before.
+    """
+
+    data: frozenset[int]
+    remote: frozenset[int]
+    any_state: frozenset[int]
+    any_state_remote: frozenset[int]
+
+
+def _nobody_follows() -> None:
+    """Nobody asked."""
+
+
 class Routes:
     """The listeners of the present NMT state, by CAN-ID: `data` and `remote` for the two kinds of frames.
 
     `sent` are those that want to know when a frame of the node itself has left: an inhibit time counts
-    from there. The three tables stay the same objects, whatever they hold. `changes` moves whenever they
-    are filled again.
+    from there. The three tables stay the same objects, whatever they hold. `changes` moves, and `on_change`
+    is called, whenever they are filled again.
     """
 
-    __slots__ = ("changes", "data", "remote", "sent")
+    __slots__ = ("changes", "data", "on_change", "remote", "sent")
 
     def __init__(self) -> None:
         self.changes = 0
+        self.on_change: Callable[[], None] = _nobody_follows
         self.data: dict[int, Handler] = {}
         self.remote: dict[int, RemoteHandler] = {}
         self.sent: dict[int | None, Callable[[float], None]] = {}
@@ -29,6 +49,7 @@ class Routes:
     def clear(self) -> None:
         """Nobody listens."""
         self.changes += 1
+        self.on_change()
         self.data.clear()
         self.remote.clear()
         self.sent.clear()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from canfb.cia301.cob import ERROR_CONTROL
 from canfb.cia301.nmt import NmtState
 from canfb.device.agenda import Timed
@@ -129,12 +131,25 @@ class Services:
         One that the node is also configured to listen to is not among them: there are other senders,
         and the configuration wants them. Boot-up and heartbeat are always its own.
         """
-        sent = [
+        sent = {
             *(channel.response_id for channel in self.channels),
             self.emergency.can_id,
             *(tpdo.configured_can_id for tpdo in self.pdos.tpdos.values()),
-        ]
-        heard = {
+        }
+        return _without_none(sent - self._heard_in_any_state() | {self._error_control_id})
+
+    def can_ids_in_any_state(self) -> frozenset[int]:
+        """The CAN-IDs of data frames that do anything in some NMT state, with the present parameters."""
+        return _without_none(self._heard_in_any_state()) | self.own_can_ids()
+
+    def remote_can_ids_in_any_state(self) -> frozenset[int]:
+        """Those of remote frames."""
+        asked = {tpdo.configured_can_id for tpdo in self.pdos.tpdos.values()}
+        return _without_none(asked | {self.guarding.can_id})
+
+    def _heard_in_any_state(self) -> set[int | None]:
+        """What is listened to in some NMT state; None for what is not in use."""
+        return {
             NMT_COMMAND,
             self.sync.can_id,
             self.time_stamp.can_id,
@@ -142,5 +157,7 @@ class Services:
             *(channel.request_id for channel in self.channels),
             *(rpdo.configured_can_id for rpdo in self.pdos.rpdos.values()),
         }
-        own = {can_id for can_id in sent if can_id is not None and can_id not in heard}
-        return frozenset(own | {self._error_control_id})
+
+
+def _without_none(can_ids: Iterable[int | None]) -> frozenset[int]:
+    return frozenset(can_id for can_id in can_ids if can_id is not None)

@@ -11,6 +11,7 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.moment import NEVER
 from canfb.device.node import Node
+from canfb.device.routing import CanIds
 from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import Store
 from canfb.module.calibration_job import CalibrationJob, Outcome
@@ -225,6 +226,14 @@ class FeedbackModule:
         if until == NEVER:
             return due
         return until if due is None or until < due else due
+
+    def can_ids(self) -> CanIds:
+        """The CAN-IDs that it listens to: a host need not give it other frames."""
+        return self.node.can_ids()
+
+    def follow_can_ids(self, moved: Callable[[], None]) -> None:
+        """Have ``moved`` called in each call after which :meth:`can_ids` may give others."""
+        self.node.follow_can_ids(moved)
 
     def sent(self, can_id: int, now: float) -> None:
         """A frame with this CAN-ID has left at ``now``: inhibit times count from there."""

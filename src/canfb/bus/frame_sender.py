@@ -1,0 +1,101 @@
+"""Sending: at once, or in order when the bus has room again; what fails is counted and reported."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections import deque
+from collections.abc import Callable
+
+import can
+
+from canfb.bus.bus_state import BusState, FailureWatch
+from canfb.bus.dispatch import Port
+from canfb.bus.frame_bus import FrameBus
+from canfb.cia301.frame import Frame
+
+RETRY_S = 0.0005  # a frame takes 0.05 to 0.13 ms at 1 Mbit/s
+LONGEST_QUEUE = 256  # frames
+LONGEST_DELAY_S = 0.1  # a position that is older helps nobody
+
+
+class FrameSender:
+    """Sends the frames of devices, and tells those with inhibit times when their frames have left.
+
+    A bus that takes no frame now keeps it and those that follow in a queue. A frame that has waited for
+    LONGEST_DELAY_S, or finds LONGEST_QUEUE others, is a failure like one that the bus refuses:
+    reported once, and counted in ``failures``.
+    """
+
+    def __init__(
+        self, bus: FrameBus, clock: Callable[[], float], bus_state: BusState, report: Callable[[str], None]
+    ) -> None:
+        self._bus_send = bus.send
+        self._clock = clock
+        self._bus_state = bus_state
+        self._watch = FailureWatch(report, "a frame could not be sent", "frames can be sent again")
+        self.sent = 0
+        self.failures = 0
+        self.waiting: deque[tuple[Port, Frame, float]] = deque()
+        """Frames that the bus did not take yet, and since when."""
+
+    def send(self, port: Port, frame: Frame) -> None:
+        """Send a frame of the device at ``port``, or put it behind those that wait."""
+        can_id, data, remote, _ = frame
+        try:
+            gone = not self.waiting and self._bus_send(can_id, data, remote)
+        except (can.CanError, OSError) as error:
+            self._failed(port, frame, error)
+            return
+        if not gone:
+            self._put_off(port, frame, self._clock())
+        elif self._watch.failed_s is None and not self._bus_state.troubled and can_id not in port.inhibited:
+            self.sent += 1
+        else:
+            self._left(port, frame)
+
+    def retry(self, now: float) -> None:
+        """Send what waits, as far as the bus takes it."""
+        while self.waiting:
+            port, frame, since_s = self.waiting[0]
+            if now - since_s > LONGEST_DELAY_S:
+                self.waiting.popleft()
+                self._failed(port, frame, _no_room())
+                continue
+            try:
+                gone = self._bus_send(frame.can_id, frame.data, frame.rtr)
+            except (can.CanError, OSError) as error:
+                self.waiting.popleft()
+                self._failed(port, frame, error)
+                continue
+            if not gone:
+                return
+            self.waiting.popleft()
+            self._left(port, frame)
+
+    def _put_off(self, port: Port, frame: Frame, now: float) -> None:
+        if len(self.waiting) < LONGEST_QUEUE:
+            self.waiting.append((port, frame, now))
+        else:
+            self._failed(port, frame, _no_room())
+
+    def _left(self, port: Port, frame: Frame) -> None:
+        self.sent += 1
+        if self._bus_state.troubled:
+            self._bus_state.sending_worked(self._clock())
+        if self._watch.failed_s is not None:
+            self._watch.worked(self._clock())
+        if frame.can_id in port.inhibited:
+            port.device_sent(frame.can_id, self._clock())
+
+    def _failed(self, port: Port, frame: Frame, error: Exception) -> None:
+        self.failures += 1
+        now = self._clock()
+        self._bus_state.sending_failed(error, now)
+        self._watch.failed(error, now)
+        if frame.can_id in port.inhibited:  # it counts from here: it may have left after all
+            port.device_sent(frame.can_id, now)
+
+
+def _no_room() -> OSError:
+    return OSError(errno.ENOBUFS, os.strerror(errno.ENOBUFS))

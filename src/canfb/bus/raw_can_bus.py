@@ -1,0 +1,103 @@
+"""SocketCAN without python-can: a raw socket, several frames with one system call, filters of the kernel."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import select
+import socket
+import struct
+from collections.abc import Iterable
+from types import TracebackType
+from typing import Any, Self
+
+from canfb.bus.frame_bus import EXTENDED, REMOTE, Received
+from canfb.bus.frame_reader import FrameReader
+
+_FRAME = struct.Struct("=IB3x8s")  # struct can_frame (linux/can.h)
+_FILTER = struct.Struct("=II")  # struct can_filter: the CAN-ID, and which bits of it count
+_STANDARD_ID = 0x7FF
+_EXACT = EXTENDED | REMOTE | _STANDARD_ID  # the kernel looks these up, and does not try them in turn
+RESOLUTION_S = 0.001  # of poll
+MOST_FILTERS = 512  # CAN_RAW_FILTER_MAX
+_ANY_STANDARD = _FILTER.pack(0, EXTENDED)
+_ALL_ERRORS = 0x1FFF_FFFF
+_CAN_RAW_ERR_FILTER = 2  # python names it on Linux only
+
+
+class RawCanBus:
+    """A :class:`.FrameBus` on a SocketCAN interface. Own frames do not come back.
+
+    Sending never waits: a full queue of the interface or of the socket is a frame that is to be sent again.
+    """
+
+    def __init__(self, raw: socket.socket) -> None:
+        """``raw`` is a raw CAN socket, bound, or another datagram socket that carries struct can_frame."""
+        raw.setblocking(False)
+        self._socket = raw
+        self._send = raw.send
+        self._is_can = raw.family == getattr(socket, "AF_CAN", None)
+        self._read = FrameReader(raw).read
+        self._sources = [raw]
+        poll = select.poll()
+        poll.register(raw, select.POLLIN)
+        self._poll = poll.poll
+        self._full: list[socket.socket] = []  # the socket, while its own queue is full
+        self._filters = b""
+        if self._is_can:
+            raw.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ALL_ERRORS)
+
+    @classmethod
+    def open(cls, channel: str) -> Self:
+        """Open the interface; OSError for one that there is not, or that this system cannot have."""
+        with contextlib.ExitStack() as opened:
+            raw = opened.enter_context(socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW))
+            bus = cls(raw)  # times and error frames, before the first frame
+            raw.bind((channel,))
+            opened.pop_all()
+        return bus
+
+    def receive(self, wait_s: float) -> list[Received] | None:
+        """See :class:`.FrameBus`."""
+        if self._full or 0.0 < wait_s < RESOLUTION_S:
+            ready: list[Any] = select.select(self._sources, self._full, [], wait_s)[0]
+        else:
+            ready = self._poll(int(wait_s * 1000.0))  # less work than select, and milliseconds only
+        return self._read() if ready else None
+
+    def send(self, can_id: int, data: bytes, remote: bool) -> bool:
+        """See :class:`.FrameBus`."""
+        try:
+            self._send(_FRAME.pack(can_id | REMOTE if remote else can_id, len(data), data))
+        except BlockingIOError:
+            self._full = self._sources
+            return False
+        except OSError as error:
+            if error.errno != errno.ENOBUFS:
+                raise
+            return False  # that of the interface: nobody says when it has room
+        if self._full:
+            self._full = []
+        return True
+
+    def hear(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
+        """Filters in the kernel. It adds new ones before it removes old ones: no frame is lost."""
+        if not self._is_can:
+            return
+        filters = _ANY_STANDARD
+        if can_ids is not None:
+            wanted = [*sorted(can_ids), *(can_id | REMOTE for can_id in sorted(remote_can_ids))]
+            if len(wanted) <= MOST_FILTERS:
+                filters = b"".join(_FILTER.pack(can_id, _EXACT) for can_id in wanted)
+        if filters != self._filters:
+            with contextlib.suppress(OSError):  # the interface is gone, which reading says
+                self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
+                self._filters = filters
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._socket.close()
