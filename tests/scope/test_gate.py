@@ -25,7 +25,11 @@ def test_the_token_lets_in_and_the_cookie_serves() -> None:
     assert GATE.token in GATE.address
 
 
-@pytest.mark.parametrize("token", ["", "x", GATE.token[:-1], GATE.token + "x", GATE.token.upper(), "\udcff"])
+@pytest.mark.parametrize(
+    "token",
+    ["", "x", GATE.token[:-1], GATE.token + "x", GATE.token.upper(), "\udcff"],
+    ids=["none", "another", "shorter", "longer", "capitals", "no text"],  # the same in each process
+)
 def test_another_token_is_refused(token: str) -> None:
     assert verdict(HOST, {}, token) is GateVerdict.REFUSED
     assert verdict(HOST, COOKIE, token) is GateVerdict.REFUSED
