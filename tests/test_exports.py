@@ -46,6 +46,8 @@ ADDITIONS = {
     "Drift",
     "Feedback",
     "Sample",
+    "SecondPositionConfig",
+    "SecondSensor",
     "StatusBit",
     "ThirdOrderTracker",
     "Track",

@@ -29,6 +29,7 @@ ERRORS = {
     0x8130: "heartbeat of another node lost",
     0x8611: "following error",
     0x8700: "no SYNC",
+    0xFF1C: "the motor's encoder disagrees",
 }  # what canopen has no words for
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # what type checkers and readers see; at run time __getattr__
     from canfb.errors import BusError, CalibrationError, CanfbError, ConfigError
     from canfb.module.feedback_module import FeedbackModule
     from canfb.module.module_config import ModuleConfig
+    from canfb.module.second_position_config import SecondPositionConfig
     from canfb.objects import StatusBit
     from canfb.signal.batch import process
     from canfb.signal.chain import SignalChain
@@ -33,6 +34,7 @@ if TYPE_CHECKING:  # what type checkers and readers see; at run time __getattr__
     from canfb.signal.limits import max_acceleration, max_jerk, max_speed
     from canfb.signal.phase import phase_in_cycle
     from canfb.signal.sample import Sample
+    from canfb.signal.second_position import SecondSensor
     from canfb.signal.stream import ChainResult, process_stream
     from canfb.signal.third_order import ThirdOrderTracker
     from canfb.signal.tracker import Track, Tracker, TrackResult
@@ -55,6 +57,8 @@ __all__ = [
     "Frame",
     "ModuleConfig",
     "Sample",
+    "SecondPositionConfig",
+    "SecondSensor",
     "SignalChain",
     "StateFiles",
     "StatusBit",
@@ -89,6 +93,7 @@ _PLACES = {
     "errors": ("BusError", "CalibrationError", "CanfbError", "ConfigError"),
     "module.feedback_module": ("FeedbackModule",),
     "module.module_config": ("ModuleConfig",),
+    "module.second_position_config": ("SecondPositionConfig",),
     "objects": ("StatusBit",),
     "signal.batch": ("process",),
     "signal.chain": ("SignalChain",),
@@ -99,6 +104,7 @@ _PLACES = {
     "signal.limits": ("max_acceleration", "max_jerk", "max_speed"),
     "signal.phase": ("phase_in_cycle",),
     "signal.sample": ("Sample",),
+    "signal.second_position": ("SecondSensor",),
     "signal.stream": ("ChainResult", "process_stream"),
     "signal.third_order": ("ThirdOrderTracker",),
     "signal.tracker": ("Track", "Tracker", "TrackResult"),

@@ -20,6 +20,7 @@ import yaml
 from canfb.checks import flag, integer_in
 from canfb.errors import ConfigError
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig
+from canfb.module.second_position_config import SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.cia402.drive_config import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
@@ -68,6 +69,7 @@ _NESTED: dict[str, type] = {
     "modules": ModuleConfig,
     "realtime": RealtimeConfig,
     "conditioning": Conditioning,
+    "second_position": SecondPositionConfig,
     "simulation": SimulationConfig,
     "encoder": EncoderScenario,
     "motion": MotionConfig,
@@ -135,8 +137,8 @@ def changed_module(module: ModuleConfig, settings: Sequence[str]) -> ModuleConfi
         loader = _Loader(text)
         try:
             values[key] = loader.get_single_data()
-            if key == "conditioning":
-                values[key] = Conditioning(**values[key])
+            if key in _NESTED:
+                values[key] = _NESTED[key](**values[key])
         except (yaml.YAMLError, ValueError, TypeError) as error:
             raise ConfigError(f"--set {setting}: {' '.join(str(error).split())}") from None
         finally:

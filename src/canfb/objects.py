@@ -51,6 +51,7 @@ SAMPLE_EARLIER: Final = tuple(
     (Multiplexer(0x2000, 8 + 2 * j), Multiplexer(0x2000, 9 + 2 * j)) for j in range(3)
 )
 """Sine and cosine of earlier pairs in the same interval of SYNC, the newest first."""
+SAMPLE_SECOND_POSITION: Final = Multiplexer(0x2000, 14)
 
 # 6401h and 2000h of the encoder interface: the same, as its TPDOs send it.
 INTERFACE_SINE: Final = Multiplexer(0x6401, 1)
@@ -127,6 +128,7 @@ class StatusBit(IntFlag):
     CALIBRATING = 1 << 10
     FROZEN = 1 << 11
     EXTRAPOLATED = 1 << 12
+    SECOND_POSITION = 1 << 13
 
 
 FAULT_WORDS: Final[dict[int, str]] = {
@@ -136,8 +138,9 @@ FAULT_WORDS: Final[dict[int, str]] = {
     StatusBit.CLIPPED.value: "clipped",
     StatusBit.FROZEN.value: "frozen input",
     StatusBit.COARSE.value: "coarse track disagrees",
+    StatusBit.SECOND_POSITION.value: "second position disagrees",
 }
-"""Bits of the status word that take the valid bit, in words."""
+"""Bits of the status word for what is wrong, in words. All but the last take the valid bit."""
 
 
 def fault_words(status: int) -> list[str]:
@@ -178,6 +181,7 @@ class EncoderEmergency(IntEnum):
     FREQUENCY = 0xFF10, "residual near its limit"
     AMPLITUDE_LOW = 0xFF11, "low amplitude"
     NOT_REFERENCED = 0xFF15, "zero pulse not yet confirmed"
+    SECOND_POSITION = 0xFF1C, "second position disagrees"
 
 
 EMERGENCY_TEXTS: Final = {int(code): code.text for code in EncoderEmergency}
@@ -198,9 +202,17 @@ COUNTER_COARSE_DISAGREEMENTS: Final = Multiplexer(0x2012, 11)
 COUNTER_SET_RIGHT: Final = Multiplexer(0x2012, 12)
 COUNTER_DUPLICATE_SYNCS: Final = Multiplexer(0x2012, 13)
 COUNTER_SYNCS_NOT_HEARD: Final = Multiplexer(0x2012, 14)
+COUNTER_SECOND_DISAGREEMENTS: Final = Multiplexer(0x2012, 15)
 
 PREDICTION_POSITION: Final = Multiplexer(0x2013, 1)
 PREDICTION_NOMINAL_SYNC: Final = Multiplexer(0x2013, 2)
+
+SECOND_INCREMENTS: Final = Multiplexer(0x2014, 1)
+SECOND_REVOLUTIONS: Final = Multiplexer(0x2014, 2)
+SECOND_REVERSED: Final = Multiplexer(0x2014, 3)
+SECOND_TOLERANCE: Final = Multiplexer(0x2014, 4)
+SECOND_INVALIDATES: Final = Multiplexer(0x2014, 5)
+SECOND_DIFFERENCE: Final = Multiplexer(0x2014, 6)
 
 TABLE_STAGED: Final = Multiplexer(0x2020, 1)
 TABLE_STAGED_CRC: Final = Multiplexer(0x2020, 2)

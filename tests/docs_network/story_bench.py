@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -89,9 +90,13 @@ class StoryNetwork(EmbeddedNetwork):
 class DriveNetwork:
     """All nodes, powered on; on a bus where frames take their time, and others send as well."""
 
-    def __init__(self) -> None:
+    def __init__(self, **drive: float) -> None:
+        """``drive``: keys of the drive in feedback.yaml that differ."""
         self.bus = EmbeddedBus(BIT_RATE)
         config = load_config(FOLDER / "feedback.yaml")
+        assert config.simulation.drive is not None
+        changed = dataclasses.replace(config.simulation.drive, **drive)  # type: ignore[arg-type]
+        config = dataclasses.replace(config, simulation=dataclasses.replace(config.simulation, drive=changed))
         simulated = simulated_axis(config.simulation, fed_module(config.modules[0]))
         assert simulated is not None
         self.plant, self.drive = simulated.plant, simulated.drive

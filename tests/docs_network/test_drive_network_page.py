@@ -76,4 +76,5 @@ def test_the_files_agree() -> None:
         "../encoder-interface.md",
         "../vcan.md",
         "../calibration.md",
+        "../second-position.md",
     }

@@ -31,7 +31,7 @@ DIMENSIONLESS = {
     "order",
     "prediction_order",
 }
-DIMENSIONLESS |= {"sine_gain", "cosine_gain", "bus_load"}
+DIMENSIONLESS |= {"sine_gain", "cosine_gain", "bus_load", "cob_id"}
 KINDS = [kind for _, kind, _ in SECTIONS] + list(source_kinds().values())
 
 

@@ -71,6 +71,7 @@ MODULE_CONTRACT = """
 2000:05 U32 rww pdo
 2000:06 U8 rww pdo
 2000:07 U16 rww pdo
+2000:0E I32 rww pdo
 2001:01 U32 rw 2500 1..1048576
 2001:02 U16 rw 2048
 2001:03 U16 rw 410
@@ -93,6 +94,13 @@ MODULE_CONTRACT = """
 2011:08 U32 ro pdo
 2012:01 U32 ro
 2012:08 U32 ro
+2012:0F U32 ro
+2014:01 U32 rw 1048576
+2014:02 U32 rw 1
+2014:03 U8 rw 0
+2014:04 REAL32 rw 0
+2014:05 U8 rw 0
+2014:06 REAL32 ro pdo
 2020:01 DOMAIN rw
 2020:02 U32 ro
 2020:03 U32 wo
@@ -112,7 +120,7 @@ MODULE_CONTRACT = """
 6503:00 U16 ro pdo
 6504:00 U16 ro 0x1001
 6505:00 U16 ro pdo
-6506:00 U16 ro 0x0023
+6506:00 U16 ro 0x1023
 6507:00 U32 ro 0x00020302
 6508:00 U32 ro
 6509:00 I32 ro
@@ -240,7 +248,7 @@ def test_the_counters_are_in_the_order_of_the_contract_and_ours_follow() -> None
         *("Missed samples", "Residual faults", "Amplitude faults", "Coasted samples"),
         *("Position lost", "Recovered by coarse track", "Zero pulses", "Bad frames"),
         *("Clipped samples", "Frozen samples", "Coarse track disagreements", "Set right by zero pulse"),
-        *("Duplicate SYNCs", "SYNCs not heard"),
+        *("Duplicate SYNCs", "SYNCs not heard", "Second position disagreements"),
     ]
 
 

@@ -22,6 +22,7 @@ from canfb.eds_files import eds_path
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from canfb.module.second_position_config import SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
 
 TABLE = table(256, 0.015)
@@ -58,6 +59,10 @@ SOURCES: dict[str, tuple[dict[str, Any], list[Write]]] = {
     "as delivered": ({}, []),
     "16 bits": ({"adc_bits": 16, "cycles_per_revolution": 1024, "encoder_interface": 0x11}, []),
     "conditioning": ({"conditioning": CONDITIONING, "max_acceleration_rad_s2": 1234.567}, []),
+    "a second position": (
+        {"second_position": SecondPositionConfig(tolerance_revolutions=0.01, cob_id=0x1B0)},
+        [],
+    ),
     "a servo": ({"prediction_order": 3, "max_jerk_rad_s3": 785_000.0}, []),
     "table": ({"conditioning": CONDITIONING, "adc_bits": 14}, WITH_TABLE),
     "not valid": ({}, [write(0x1801, 2, 1, 0xFC), write(0x1801, 1, 4, 0xC0000500)]),

@@ -24,6 +24,7 @@ from canfb.device.od.concise import Write, decode_concise, encode_concise
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of, configuration_read
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from canfb.module.second_position_config import SecondPositionConfig
 from canfb.objects import StatusBit
 from canfb.signal.conditioning import Conditioning
 
@@ -97,6 +98,8 @@ def test_a_good_configuration_is_heard_of_at_all(modules: tuple[FeedbackModule, 
     {"adc_bits": 14, "conditioning": Conditioning(12.5, -3.25, 1.07, 0.93, 0.021)},
     {"residual_limit": 0.25, "max_acceleration_rad_s2": 1234.5, "autostart": True, "encoder_interface": 17},
     {"prediction_order": 3, "max_jerk_rad_s3": 785_000.0},
+    {"second_position": SecondPositionConfig(increments=4096, revolutions=3, reversed=True, cob_id=0x1B0,
+                                             tolerance_revolutions=0.01, invalidates=True, before_bytes=3)},
 ])  # fmt: skip
 def test_a_module_of_a_configuration_and_one_that_was_loaded(fields: dict[str, object]) -> None:
     source = FeedbackModule(ModuleConfig(node_id=NODE_ID, **fields))  # type: ignore[arg-type]

@@ -18,6 +18,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from canfb.module.second_position_config import SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.sample import Sample
@@ -253,6 +254,14 @@ configurations = st.fixed_dictionaries(
             Conditioning, st.floats(-50, 50), st.floats(-50, 50), st.floats(0.5, 2), st.floats(0.5, 2)
         ),
         "autostart": st.booleans(),
+        "second_position": st.builds(
+            SecondPositionConfig,
+            increments=st.integers(1, 2**32 - 1),
+            revolutions=st.integers(1, 2**32 - 1),
+            tolerance_revolutions=st.floats(0, 0.25, width=32),
+            before_bytes=st.integers(0, 4),
+            cob_id=st.none() | st.integers(0x181, 0x57F),
+        ),
     },
 )
 

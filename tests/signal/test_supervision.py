@@ -33,7 +33,7 @@ NARROW_LOW, NARROW_HIGH = 412.5, 2325.0  # 400 * 33/32, 2400 * 31/32
 
 def test_the_bits_are_those_of_the_object() -> None:
     names = ["VALID", "COASTING", "LOST", "RESIDUAL", "AMPLITUDE", "CLIPPED", "MISSED", "TABLE_ACTIVE"]
-    names += ["REFERENCED", "COARSE", "CALIBRATING", "FROZEN", "EXTRAPOLATED"]
+    names += ["REFERENCED", "COARSE", "CALIBRATING", "FROZEN", "EXTRAPOLATED", "SECOND_POSITION"]
     assert {bit.name: bit.value for bit in StatusBit} == {name: 1 << n for n, name in enumerate(names)}
     for name in names:
         plain = getattr(supervision, name, None)

@@ -44,6 +44,7 @@ def test_two_moves_and_an_alarm_between_them(
     assert "EMCY of module (20h): 7300h" in said
     assert "EMCY of drive (30h): 7305h" in said
     assert "is in FAULT" in said
+    assert "FF1C" not in said, "the drive's own encoder goes with the position"
     assert said.index("is in FAULT") < said.index("recovered:")
     for one in processes:
         assert one.stop() == 0

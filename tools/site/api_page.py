@@ -20,7 +20,15 @@ The names of ``canfb``, with shapes, units, ranges and errors. Others are not st
 PARTS = (
     (
         "Configuration and device",
-        ("load_config", "Config", "ModuleConfig", "FeedbackModule", "StateFiles", "Frame"),
+        (
+            "load_config",
+            "Config",
+            "ModuleConfig",
+            "SecondPositionConfig",
+            "FeedbackModule",
+            "StateFiles",
+            "Frame",
+        ),
     ),
     ("Signals", ("phase_in_cycle", "track", "process", "process_stream", "max_acceleration", "max_speed")),
     (

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from canfb.configuration import Config, RealtimeConfig
 from canfb.module.module_config import ModuleConfig
+from canfb.module.second_position_config import SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.cia402.drive_config import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
@@ -19,6 +20,11 @@ from tools.site.markdown import plain, table
 SECTIONS: tuple[tuple[str, type, str], ...] = (
     ("modules", ModuleConfig, "a list: one part for each module"),
     ("modules: conditioning", Conditioning, "the errors of the tracks, corrected before the table (2002h)"),
+    (
+        "modules: second_position",
+        SecondPositionConfig,
+        "another sensor of the machine (2014h); see [the second position](../docs/second-position.md)",
+    ),
     ("realtime", RealtimeConfig, "see [real time](../docs/realtime.md)"),
     ("simulation", SimulationConfig, "what `canfb simulate` plays; see [simulation](../docs/simulation.md)"),
     ("simulation: encoder", EncoderScenario, "the errors of the simulated encoder"),
@@ -53,6 +59,8 @@ SUFFIXES = {
     "scale": "ADC counts",
     "cycles_per_revolution": "cycles",
     "revolutions": "revolutions",
+    "increments": "increments",
+    "bytes": "bytes",
     "samples": "samples",
     "samples_per_sync": "samples",
     "noise_margin": "standard deviations",

@@ -28,6 +28,7 @@ modules:                                        # one process serves several nod
     # max_jerk_rad_s3: 785000                   # and narrows it, if it is known (2010:08)
     # predict: true                             # synchronous PDOs carry the position of their SYNC (2013h)
     # nominal_sync: true                        # the position of a SYNC without jitter (2013:02)
+    # second_position: {cob_id: 0x3B0, increments: 65536, tolerance_revolutions: 0.01}    # 2014h
     # state_dir: /var/lib/canfb/x               # storage of `save` (1010h); without it, nothing is saved
     # source: {kind: iio, device: ads7950}      # the module's own ADC (Linux IIO) instead of the ADC PDO, or
     #                                           # {kind: recording, file: tracks.csv}, or {kind: motion}

@@ -15,6 +15,7 @@ class EventKind(StrEnum):
     SYNC_LOST = "sync_lost"
     FIRST_SAMPLE = "first_sample"
     POSITION = "position"
+    SECOND_POSITION = "second_position"
     TABLE = "table"
     SAVED = "saved"
     FAULT = "fault"

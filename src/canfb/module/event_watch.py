@@ -16,7 +16,7 @@ from canfb.module.parameters import Limits
 from canfb.module.timeline import Timeline
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
-from canfb.signal.supervision import AMPLITUDE, MISSED, REFERENCED, RESIDUAL
+from canfb.signal.supervision import AMPLITUDE, MISSED, REFERENCED, RESIDUAL, SECOND_POSITION
 
 NEVER_SEEN = -1  # no status word
 FAULTS = sum(od.FAULT_WORDS)
@@ -38,6 +38,9 @@ class EventWatch:
         self._low, self._high = (
             dictionary.entry(*one) for one in (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
         )
+        self._difference, self._tolerance = (
+            dictionary.entry(*one) for one in (od.SECOND_DIFFERENCE, od.SECOND_TOLERANCE)
+        )
         self._rate_hz = 0.0
         self._corrected = False
         self.reset()
@@ -45,7 +48,7 @@ class EventWatch:
     def reset(self) -> None:
         """After a reset of the node: no sample."""
         self.status = NEVER_SEEN
-        self._sampled = False
+        self._sampled = self._disagrees = False
         self._state: od.PositionState | None = None
         self._causes = 0
         self._not_valid_s = 0.0
@@ -89,6 +92,19 @@ class EventWatch:
             self._changed(state, feedback, now)
         elif before != NEVER_SEEN and feedback.status & ~before & REFERENCED:
             self._tell(EventKind.POSITION, now, "referenced to the zero pulse", state=state, referenced=True)
+        if bool(feedback.status & SECOND_POSITION) is not self._disagrees:
+            self._second(not self._disagrees, now)
+
+    def _second(self, disagrees: bool, now: float) -> None:
+        """The other sensor contradicts the position, or does so no longer."""
+        self._disagrees = disagrees
+        away, tolerance = self._difference.current(), self._tolerance.value
+        if disagrees:
+            text = f"second position disagrees: {away:+.4g} revolutions, tolerance {tolerance:.4g}"
+        else:
+            text = "second position disagrees no longer"
+        known = None if math.isnan(away) else away
+        self._tell(EventKind.SECOND_POSITION, now, text, disagrees=disagrees, difference_revolutions=known)
 
     def outdated(self, now: float) -> None:
         """What was published is not the position any more, and nothing takes its place."""

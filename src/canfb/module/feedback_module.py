@@ -27,6 +27,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.module.objects.calibrating import Calibrating
 from canfb.module.objects.recorder import Recorder
 from canfb.module.objects.sample_input import SampleInput
+from canfb.module.objects.second_input import SecondInput
 from canfb.module.objects.table_store import TableStore
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
@@ -102,6 +103,7 @@ class FeedbackModule:
         self._interval = interval = IntervalEstimate(dictionary.entry(*od.CYCLE_PERIOD))
         self._limits = Limits(dictionary, chain, interval)
         self._input = SampleInput(dictionary, node)
+        self._second = SecondInput(dictionary, node, chain)
         self._source = None
         if source is not None:
             self._source = LocalSource(source, dictionary, self._input, self._tell_of_source)
@@ -141,7 +143,7 @@ class FeedbackModule:
 
     def _listen_to_node(self) -> None:
         node, pairing = self.node, self._sampling.pairing
-        node.on_rpdo = pairing.on_rpdo if self._source is None else None
+        self._choose_rpdo_hook()
         node.accepts_sync = pairing.accepts_sync
         self._choose_sync_hooks()
         node.on_state = self._on_state
@@ -300,6 +302,20 @@ class FeedbackModule:
         self.node.on_sync = self._on_sync_predicting if wanted else self._sampling.pairing.on_sync
         self.node.on_synchronised = prediction.withdraw if wanted else None
 
+    def _choose_rpdo_hook(self) -> None:
+        """With or without a second position. Samples of a source come by no RPDO."""
+        pairing, second = self._sampling.pairing, self._second
+        usual = pairing.on_rpdo if self._source is None else None
+        wanted = self._on_rpdo_with_second if second.mapped else usual
+        if self.node.on_rpdo != wanted:
+            self.node.on_rpdo = wanted
+        pairing.on_interval = second.interval_over if second.mapped else None
+
+    def _on_rpdo_with_second(self, number: int, now: float) -> None:
+        self._second.on_rpdo(number)
+        if self._source is None:
+            self._sampling.pairing.on_rpdo(number, now)
+
     def _on_followed(self, now: float, proved: bool) -> None:
         """SYNCs come as expected, which is an event after a pause, and measures their jitter.
 
@@ -348,6 +364,7 @@ class FeedbackModule:
         self._publishing.reset()
         self._choose_sync_hooks()
         self._limits.reset()
+        self._second.apply()
         self._tables.reset()
         self._recorder.reset()
         self._calibrating.reset()
@@ -366,6 +383,8 @@ class FeedbackModule:
         self._input.configure()
         per_sync = 1 if self._source else self._input.samples_per_sync
         self._sampling.configured(per_sync, self._sampling.pairing.timed)
+        self._second.configure()
+        self._choose_rpdo_hook()
         self._publishing.configured()
 
     def _on_bad_rpdo(self, number: int, received: int, mapped: int, now: float) -> None:

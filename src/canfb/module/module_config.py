@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 from canfb.checks import flag, integer_in
 from canfb.device.lss.lss import UNCONFIGURED as UNCONFIGURED  # for readers of configurations
+from canfb.module.second_position_config import SecondPositionConfig
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.subsamples import MOST_PER_SYNC
 from canfb.sources.source_config import SourceConfig
 
+RPDOS = 3
 MOST_ACCELERATION_RAD_S2, MOST_JERK_RAD_S3 = 1e9, 1e15  # 2010:02, 2010:08
 
 
@@ -43,6 +45,8 @@ class ModuleConfig(ChainConfig):
     nominal_sync             True: with ``times`` the position is that of a SYNC without jitter (2013:02)
     sync_timeout_periods     2..255 periods without SYNC or sample until the position is not valid
                              (2010:06)
+    second_position          another sensor of the machine, such as the motor encoder of the drive, that is
+                             compared with the position (2014h); None: none
     state_dir                folder for the data of `save` (1010h), created if missing; None: nothing
                              is saved. `canfb run` uses it; each module has its own
     autostart                True: OPERATIONAL without a master
@@ -60,6 +64,7 @@ class ModuleConfig(ChainConfig):
     predict: bool | int = False
     nominal_sync: bool = False
     sync_timeout_periods: int = 2
+    second_position: SecondPositionConfig | None = None
     state_dir: str | None = None
     autostart: bool = False
 
@@ -72,6 +77,13 @@ class ModuleConfig(ChainConfig):
         integer_in("samples_per_sync", self.samples_per_sync, 1, MOST_PER_SYNC)
         if self.source is not None and not isinstance(self.source, SourceConfig):
             raise ValueError(f"source must be a configuration of a source, not {self.source!r}")
+        if self.second_position is not None and not isinstance(self.second_position, SecondPositionConfig):
+            raise ValueError(f"second_position must be a SecondPositionConfig, not {self.second_position!r}")
+        if self.second_position is not None and self.second_position.cob_id and self.adc_pdos >= RPDOS:
+            raise ValueError(
+                "second_position: no RPDO is left for cob_id beside four samples and their time: "
+                "leave out times, or take fewer samples_per_sync"
+            )
         if self.source is None and self.encoder_interface == self.node_id:
             raise ValueError(f"encoder_interface must differ from node_id {self.node_id}")
         _check_largest("max_acceleration_rad_s2", self.max_acceleration_rad_s2, MOST_ACCELERATION_RAD_S2)
@@ -84,6 +96,11 @@ class ModuleConfig(ChainConfig):
             flag(name, getattr(self, name))
         if self.state_dir is not None and not _is_folder_name(self.state_dir):
             raise ValueError(f"state_dir must be the name of a folder, not {self.state_dir!r}")
+
+    @property
+    def adc_pdos(self) -> int:
+        """RPDOs with the samples of the encoder interface: two pairs, or one and the time, fill one."""
+        return (self.samples_per_sync + self.times + 1) // 2
 
 
 def _is_folder_name(name: object) -> bool:

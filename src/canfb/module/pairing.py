@@ -59,6 +59,8 @@ class Pairing:
         self._input = sample_input
         self._source = source
         self._findings = findings
+        self.on_interval: Callable[[bool], None] | None = None
+        """Called at each SYNC, before its sample, with whether the one before it was heard in its time."""
         self._bad_frames, self._duplicate_syncs, self._unheard_syncs = (
             dictionary.entry(*counter) for counter in COUNTERS
         )
@@ -137,6 +139,8 @@ class Pairing:
 
     def on_sync(self, counter: int | None, now: float) -> None:
         """A SYNC that was accepted: the interval before it is over."""
+        if self.on_interval is not None:
+            self.on_interval(not (self._unheard or self.timeline.withheld or self._extra_syncs))
         if self._source is not None:
             self._sample_source(self._source, counter, now)
         else:

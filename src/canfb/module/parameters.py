@@ -44,6 +44,7 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
     )
     return {
         **adc_pdos(config),
+        **_second_position(config),
         od.IDENTITY_SERIAL_NUMBER: config.serial_number,
         od.SERIAL_NUMBER: config.serial_number,
         od.ENCODER_CYCLES_PER_REVOLUTION: config.cycles_per_revolution,
@@ -80,6 +81,27 @@ def adc_pdos(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         number = index - od.RPDO_MAPPING
         mapping[od.RPDO + number, 1] = cob.TPDOS[number] + config.encoder_interface
     return mapping
+
+
+def _second_position(config: ModuleConfig) -> dict[tuple[int, int], Any]:
+    """2014h, and the first RPDO after those of the encoder interface if it is to bring 2000:0E."""
+    second = config.second_position
+    if second is None:
+        return {}
+    defaults: dict[tuple[int, int], Any] = {
+        od.SECOND_INCREMENTS: second.increments,
+        od.SECOND_REVOLUTIONS: second.revolutions,
+        od.SECOND_REVERSED: int(second.reversed),
+        od.SECOND_TOLERANCE: second.tolerance_revolutions,
+        od.SECOND_INVALIDATES: int(second.invalidates),
+    }
+    if second.cob_id is not None:
+        number = config.adc_pdos
+        defaults[od.RPDO + number, 1] = second.cob_id
+        mapping = second.mapping
+        defaults[od.RPDO_MAPPING + number, 0] = len(mapping)
+        defaults |= {(od.RPDO_MAPPING + number, n): entry for n, entry in enumerate(mapping, 1)}
+    return defaults
 
 
 def without_adc_pdo(config: ModuleConfig) -> dict[tuple[int, int], Any]:

@@ -61,6 +61,7 @@ class Publishing:
         )
         self.objects = Publication(dictionary, interval, chain, parts, limits)
         self.alarm = PositionAlarm(node)
+        self._chain = chain
         self.events = EventWatch(dictionary, limits)
         self._event_tpdos: list[Callable[[float], None]] = []
 
@@ -73,7 +74,7 @@ class Publishing:
             self.prediction.shift(feedback)
         status, warnings = feedback.status, self.warnings
         if self.alarm.active or not status & VALID:
-            self.alarm.report(bool(status & VALID), status, now)
+            self._alarm(status, now)
             if self.events.detailed:
                 self.events.fault(feedback, now)
         if send:
@@ -89,6 +90,11 @@ class Publishing:
             warnings.follow(feedback, now)
         if self.on_feedback is not None:
             self.on_feedback(feedback, now)
+
+    def _alarm(self, status: int, now: float) -> None:
+        second = self._chain.second
+        if self.alarm.active or second is None or not second.is_waiting:
+            self.alarm.report(bool(status & VALID), status, now)
 
     def count(self, between: Sequence[Feedback], now: float) -> None:
         """Samples that were taken before the one to publish, in the same interval of SYNC."""

@@ -35,6 +35,7 @@ COUNTERS: dict[Multiplexer, str] = {
     od.COUNTER_SET_RIGHT: "set right",
     od.COUNTER_DUPLICATE_SYNCS: "duplicate SYNCs",
     od.COUNTER_SYNCS_NOT_HEARD: "SYNCs not heard",
+    od.COUNTER_SECOND_DISAGREEMENTS: "second position disagreements",
 }
 """2012h, by name."""
 

@@ -29,6 +29,7 @@ SEEN = {
     StatusBit.CLIPPED: COUNTERS[od.COUNTER_CLIPPED],
     StatusBit.FROZEN: COUNTERS[od.COUNTER_FROZEN],
     StatusBit.COARSE: COUNTERS[od.COUNTER_COARSE_DISAGREEMENTS],
+    StatusBit.SECOND_POSITION: COUNTERS[od.COUNTER_SECOND_DISAGREEMENTS],
 }
 """Bits of the status word that are counted, under the names of 2012h."""
 

@@ -17,6 +17,7 @@ KINDS = {
     "clipped": StatusBit.CLIPPED,
     "frozen": StatusBit.FROZEN,
     "coarse": StatusBit.COARSE,
+    "second": StatusBit.SECOND_POSITION,
     "coasting": StatusBit.COASTING,
     "lost": StatusBit.LOST,
 }

@@ -16,6 +16,7 @@ from canfb.signal.phase import FloatArray, raw_phase
 from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.orders import recovery_of, successor
 from canfb.signal.recovery.reference import Pulse, Reference, pulse_between
+from canfb.signal.recovery.second_listener import SecondListener
 from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import REPEATED, SUSPECT, SampleTimes
@@ -40,7 +41,7 @@ LARGEST_SLIP_CYCLES = 0.15
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
 
-class SignalChain:
+class SignalChain(SecondListener):
     """One encoder, sample by sample.
 
     A sample that fails a check is flagged in its own :class:`Feedback` and never moves the
@@ -154,6 +155,7 @@ class SignalChain:
         coarse = CoarseTrack(n, limits.sample.full_scale_counts, limits.coarse_limit_revolutions)
         self._reference = Reference(self._recovery, coarse, ZeroPulse(n))
         self._referenced = 0
+        self._renew_second()
 
     def activate(self, correction: Correction) -> None:
         """Take another ``correction``, between two samples. TypeError if its table is none."""
@@ -173,6 +175,7 @@ class SignalChain:
         """
         self._recovery.restart(cycles, speed_cycles)
         self._reference.restart()
+        self._restart_second()
         self._pause()
         self._speed = float(speed_cycles)
 
@@ -185,6 +188,7 @@ class SignalChain:
         """
         was_lost, moved = self._recovery.lost, self._could_move(intervals, STANDSTILL_CYCLES)
         self._reference.restart(keep=not was_lost and not moved)
+        self._restart_second(not was_lost and not moved, not was_lost)
         self._recovery.resume()
         self._pause()
         if moved and not was_lost:
@@ -275,7 +279,8 @@ class SignalChain:
         pulse = None
         for one in samples[:-1]:
             before = self._before
-            feedback = self._take(one._replace(zero_pulse=None), one.elapsed, False, False, next_one)
+            first = one._replace(zero_pulse=None)
+            feedback = self._take(first, one.elapsed, False, False, next_one, newest=False)
             after = self._before
             self._reference.passed(one.elapsed, after is not None)
             if after is None or (between and (between[-1].status ^ feedback.status) & (VALID | LOST)):
@@ -299,10 +304,11 @@ class SignalChain:
         unplaced: bool,
         next_one: bool,
         pulse: Pulse | None = None,
+        newest: bool = True,
     ) -> Feedback:
         """One sample, ``elapsed`` sampling intervals after the one before; its time was looked at.
 
-        ``pulse`` is a zero pulse that came before one of the :attr:`between`.
+        ``pulse`` is a zero pulse that came before one of the :attr:`between`; ``newest``: it is none of them.
         """
         sine, cosine, _, _, coarse, _, zero_pulse, _, _ = sample
         offset_s, gain_s, offset_c, factor_c, skew = self._coefficients
@@ -343,6 +349,8 @@ class SignalChain:
                 pulse = pulse_between(before, track, zero_pulse, self._clock, elapsed)
             bits, jump = reference.apply(sample, track, bits, pulse, elapsed if before else 0.0)
             self._referenced = REFERENCED if self._reference.zero.referenced else 0
+        if self._second is not None:
+            bits, jump = self._second.apply(track, bits, jump, elapsed, measured, coarse is None, newest)
         self._before = track if measured and jump == 0 else None
         if elapsed > MISSED_INTERVALS and not (next_one and bits & VALID):
             bits |= MISSED
@@ -412,6 +420,7 @@ class SignalChain:
         self._before = None
         self.between = ()
         self._reference.missed()
+        bits = self._miss_second(bits)
         return self._feedback(math.nan, math.nan, 0.0, math.nan, track, bits | MISSED, 0)
 
     def _restarted(self, sample: Sample) -> Feedback:

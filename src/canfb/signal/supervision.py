@@ -21,6 +21,7 @@ COARSE: Final = int(StatusBit.COARSE)
 CALIBRATING: Final = int(StatusBit.CALIBRATING)
 FROZEN: Final = int(StatusBit.FROZEN)
 EXTRAPOLATED: Final = int(StatusBit.EXTRAPOLATED)
+SECOND_POSITION: Final = int(StatusBit.SECOND_POSITION)
 
 # After a fault the limits are narrower by this factor until a sample keeps them.
 AMPLITUDE_HYSTERESIS = 1.0 / 32.0

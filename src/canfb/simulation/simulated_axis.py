@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from canfb.device.od.dictionary import Dictionary
 from canfb.errors import ConfigError
 from canfb.signal.chain_config import ChainConfig
+from canfb.simulation.cia402.coupling import Coupling
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.motor import Motor, MotorConfig
 from canfb.simulation.cia402.plant import Plant, PlantSource
@@ -57,7 +58,12 @@ def simulated_axis(
     chain = module.chain
     encoder = simulation.encoder.encoder(chain.adc_bits)
     source = PlantSource(
-        encoder, plant, chain.cycles_per_revolution, simulation.seed, simulation.aperture_jitter_s
+        encoder,
+        plant,
+        chain.cycles_per_revolution,
+        simulation.seed,
+        simulation.aperture_jitter_s,
+        Coupling(settings.slip_revolutions, settings.slip_at_s),
     )
     link = FeedbackModuleLink(
         node_id=module.node_id,
@@ -65,7 +71,9 @@ def simulated_axis(
         total_range=module.total_range,
         synchronous=settings.synchronous_feedback,
     )
-    drive = ServoDrive(settings.node_id, plant, link, autostart=autostart)
+    drive = ServoDrive(
+        settings.node_id, plant, link, autostart=autostart, motor_increments=settings.motor_increments
+    )
     demand = None
     if rate_hz is not None:
         demand = profile_demand(settings, drive.dictionary, chain, rate_hz)

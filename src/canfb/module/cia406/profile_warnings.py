@@ -9,15 +9,16 @@ from canfb import objects as od
 from canfb.cia301.codes import ErrorRegister
 from canfb.device.od.dictionary import Dictionary
 from canfb.signal.feedback import Feedback
-from canfb.signal.supervision import REFERENCED, VALID
+from canfb.signal.supervision import REFERENCED, SECOND_POSITION, VALID
 
-FREQUENCY, AMPLITUDE_LOW, NOT_REFERENCED = 1 << 0, 1 << 1, 1 << 5  # 6505h
+FREQUENCY, AMPLITUDE_LOW, NOT_REFERENCED, DISAGREES = 1 << 0, 1 << 1, 1 << 5, 1 << 12  # 6505h
 EVERY_SAMPLE = FREQUENCY | AMPLITUDE_LOW
 """Warnings that each sample can bring or end."""
 CODES = {
     FREQUENCY: od.EncoderEmergency.FREQUENCY,
     AMPLITUDE_LOW: od.EncoderEmergency.AMPLITUDE_LOW,
     NOT_REFERENCED: od.EncoderEmergency.NOT_REFERENCED,
+    DISAGREES: od.EncoderEmergency.SECOND_POSITION,
 }
 """EMCY of each warning."""
 REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE
@@ -118,6 +119,8 @@ class Warnings:
                 warnings = FREQUENCY
             if last.amplitude < AMPLITUDE_RESERVE * self._low.value:
                 warnings |= AMPLITUDE_LOW
+            if last.status & SECOND_POSITION:
+                warnings |= DISAGREES
         if self._expects_pulse() and not (last is not None and last.status & REFERENCED):
             warnings |= NOT_REFERENCED
         return warnings

@@ -53,6 +53,20 @@ class Reference:
         self._recovery = recovery
         recovery.on_lost = self.position_lost
 
+    @property
+    def recovery(self) -> Recovery:
+        """What they are joined to."""
+        return self._recovery
+
+    @property
+    def range_known(self) -> bool:
+        """Since the position was lost, its speed was found to be right: a zero pulse may set the count."""
+        return self._range_known
+
+    @range_known.setter
+    def range_known(self, known: bool) -> None:
+        self._range_known = known
+
     def restart(self, keep: bool = False) -> None:
         """After a start: the machine may be turning. ``keep``: the position goes on from before."""
         if not keep:

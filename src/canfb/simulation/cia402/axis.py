@@ -34,6 +34,8 @@ class Axis:
         self.scaling = Scaling(dictionary)
         self._feedback = feedback
         self._loop = PositionLoop()
+        self.motor_increments = 0
+        """Of an encoder on the motor in a revolution, which 6063h is of then; 0: there is none."""
         self.on_mode: Callable[[], None] | None = None
         """Called when 6060h was written."""
         self._trajectory, self._interpolation = Trajectory(), Interpolation()
@@ -122,9 +124,15 @@ class Axis:
     def measure(self) -> None:
         """A position of the feedback: 6063h, 6064h, 606Ch."""
         feedback, units = self._feedback, self.scaling.units
-        self._internal.value = wrapped(feedback.position)
+        if not self.motor_increments:
+            self._internal.value = wrapped(feedback.position)
         self._actual.value = wrapped(round(feedback.revolutions * units))
         self._speed.value = saturated(feedback.speed * units, 32)
+
+    def measure_motor(self, revolutions: float) -> None:
+        """The position of the motor by its own encoder: 6063h."""
+        if self.motor_increments:
+            self._internal.value = wrapped(math.floor(revolutions * self.motor_increments))
 
     def control(self, period_s: float) -> float:
         """The torque in Nm, from the demand and the position of this cycle."""

@@ -40,8 +40,9 @@ class ServoDrive:
 
     Attach the plant to the bus before the drive. With ``feedback`` RPDO4, the EMCY it listens to and the
     scale are set up for that module, as defaults: a master may change them. The motor's rated torque and
-    inertia become 6076h and 2100:05. ``autostart``, ``store`` and ``serial_number`` are those of the
-    encoder interface.
+    inertia become 6076h and 2100:05. With ``motor_increments`` 6063h is the position of an encoder on the
+    motor with so many in a revolution, at the SYNC. ``autostart``, ``store`` and ``serial_number`` are
+    those of the encoder interface.
     """
 
     def __init__(
@@ -53,6 +54,7 @@ class ServoDrive:
         autostart: bool = False,
         store: Store | None = None,
         serial_number: int = 0,
+        motor_increments: int = 0,
     ) -> None:
         if not 0 <= serial_number <= 0xFFFFFFFF:
             raise ValueError(f"serial_number must be 0..4294967295, not {serial_number}")
@@ -63,6 +65,7 @@ class ServoDrive:
         self.inhibited = self.node.inhibited
         self.feedback = FeedbackInput(self.dictionary)
         self.axis = Axis(self.dictionary, self.feedback)
+        self.axis.motor_increments = motor_increments
         self._machine = StateMachine()
         self._interval = SyncInterval()
         self.hearing: Hearing = TRUE_TIME
@@ -167,6 +170,8 @@ class ServoDrive:
         self._interval.event(self._heard_s)
         self._watched_from_s = now
         self.feedback.sync(self._heard_s)
+        plant = self.plant
+        self.axis.measure_motor(plant.motor.revolutions_before(plant.ahead_s(self._heard_s)))
         self._supervise(now)
         period_s = self.interval_s
         self._cycle.value = period_s

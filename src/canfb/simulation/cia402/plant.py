@@ -5,6 +5,7 @@ from __future__ import annotations
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.signal.sample import Sample
+from canfb.simulation.cia402.coupling import Coupling
 from canfb.simulation.cia402.motor import Motor
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.hearing import TRUE_TIME, Hearing
@@ -69,7 +70,10 @@ class Plant:
 
 
 class PlantSource:
-    """The encoder on the shaft of a plant; ``position_cycles`` is the true position of the last sample."""
+    """The encoder on the shaft of a plant; ``position_cycles`` is the true position of the last sample.
+
+    ``coupling`` is between the motor and the encoder.
+    """
 
     def __init__(
         self,
@@ -78,11 +82,12 @@ class PlantSource:
         cycles_per_revolution: int,
         seed: int = 1,
         aperture_jitter_s: float = 0.0,
+        coupling: Coupling | None = None,
     ) -> None:
         self._shaft = ShaftEncoder(encoder, cycles_per_revolution, seed, aperture_jitter_s)
-        self._plant = plant
+        self._plant, self._coupling = plant, coupling or Coupling()
         self._last_s = 0.0
-        self._last_revolutions = plant.motor.revolutions
+        self._last_revolutions = plant.motor.revolutions - self._coupling.slipped(0.0)
 
     @property
     def position_cycles(self) -> float:
@@ -103,12 +108,12 @@ class PlantSource:
         motor = self._plant.motor
         time_s = motor.time_s - ahead_s
         from_s, start = self._last_s, self._last_revolutions
-        end = motor.revolutions_before(ahead_s)
+        end = motor.revolutions_before(ahead_s) - self._coupling.slipped(time_s)
 
         def between(at_s: float) -> float:
             """Straight from sample to sample; about the sample itself with the speed of the motor."""
             if not from_s < at_s < time_s:
-                return motor.revolutions_before(motor.time_s - at_s)
+                return motor.revolutions_before(motor.time_s - at_s) - self._coupling.slipped(at_s)
             return start + (end - start) * (at_s - from_s) / (time_s - from_s)
 
         self._last_s, self._last_revolutions = time_s, end

@@ -1,0 +1,91 @@
+"""The position of another sensor on the same machine, such as the motor encoder of a drive, in cycles.
+
+Its increments are 32 bits and wrap. All conversions are of whole numbers: one increment is N d / n cycles,
+with N cycles per revolution of the encoder and n increments in d of its revolutions, so distances are
+counted in 1/n cycle. Nothing is rounded but the last result, however far the machine has turned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import NamedTuple
+
+from canfb.checks import flag, integer_in, number_in
+
+RANGE = 1 << 32  # increments after which a value wraps
+U32 = 0xFFFFFFFF
+MOST_TOLERANCE_REVOLUTIONS = 0.25
+UNIT_INCREMENTS = 1 << 20  # default per revolution
+
+
+@dataclass(frozen=True, kw_only=True)
+class SecondSensor:
+    """The other sensor (2014h); ValueError for a bad value.
+
+    increments               of it in these ``revolutions``, 1..4294967295 (2014:01)
+    revolutions              of the encoder, 1..4294967295 (2014:02): above 1 with a gear between the two
+    reversed                 True: it counts down where the encoder counts up (2014:03)
+    tolerance_revolutions    how far the two positions may differ by compliance, backlash and age of the
+                             value, 0..0.25 revolutions of the encoder (2014:04); 0: it is not used
+    invalidates              True: the position is not valid while the two disagree (2014:05)
+    """
+
+    increments: int = UNIT_INCREMENTS
+    revolutions: int = 1
+    reversed: bool = False
+    tolerance_revolutions: float = 0.0
+    invalidates: bool = False
+
+    def __post_init__(self) -> None:
+        integer_in("increments", self.increments, 1, U32)
+        integer_in("revolutions", self.revolutions, 1, U32)
+        flag("reversed", self.reversed)
+        number_in("tolerance_revolutions", self.tolerance_revolutions, 0.0, MOST_TOLERANCE_REVOLUTIONS)
+        flag("invalidates", self.invalidates)
+
+
+class Pair(NamedTuple):
+    """What both sensors say of one SYNC.
+
+    cycles, phase   the position of the encoder, cycles
+    increments      of the other sensor, unwrapped
+    time            sampling intervals since the start
+    """
+
+    cycles: int
+    phase: float
+    increments: int
+    time: float
+
+
+class SecondScale:
+    """Distances of the two sensors in cycles, for an encoder with so many cycles per revolution."""
+
+    def __init__(self, sensor: SecondSensor, cycles_per_revolution: int) -> None:
+        cycles = Fraction(cycles_per_revolution * sensor.revolutions, sensor.increments)
+        self._cycles = -cycles.numerator if sensor.reversed else cycles.numerator
+        self._per = cycles.denominator
+        self.increment_cycles = float(cycles)
+        """One increment in cycles: how far the truth may be from a value."""
+        self.tolerance_cycles = sensor.tolerance_revolutions * cycles_per_revolution
+
+    def difference_cycles(self, since: Pair, now: Pair) -> float:
+        """How much further the other sensor has moved than the encoder from one pair to another, cycles."""
+        return self.moved_cycles(since, now, now.cycles - since.cycles) - (now.phase - since.phase)
+
+    def moved_cycles(self, since: Pair, now: Pair, less_cycles: int = 0) -> float:
+        """How far the other sensor has moved, cycles, less so many: the nearest float of the exact result."""
+        moved = (now.increments - since.increments) * self._cycles
+        return (moved - less_cycles * self._per) / self._per
+
+
+def step_increments(before: int, value: int) -> int:
+    """From one value to another, over the wrap of 32 bits, at most half the range."""
+    return (value - before + RANGE // 2) % RANGE - RANGE // 2
+
+
+def only_count(difference_cycles: float, limit_cycles: float) -> int | None:
+    """Whole cycles to add to the count for the difference to be within the limit; None unless just one."""
+    low, high = -(-(difference_cycles - limit_cycles) // 1), (difference_cycles + limit_cycles) // 1
+    return int(low) if low == high else None

@@ -1,0 +1,292 @@
+"""2000:0E and 2014h through the module: pairing by SYNC, status bit, counter, EMCY, event."""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Any
+
+import pytest
+from canopen import SdoAbortedError
+from module_bench import SYNC, Bench
+
+from canfb.cia301.frame import Frame
+from canfb.module.event import Event, EventKind
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
+from canfb.module.second_position_config import SecondPositionConfig
+from canfb.objects import StatusBit
+from canfb.signal.sample import Sample
+from folding import each
+
+N, INCREMENTS = 2500, 1 << 20
+VALUE_ID = 0x1B0
+DISAGREES = StatusBit.SECOND_POSITION
+EMERGENCY = 0xFF1C
+
+
+def second(**fields: Any) -> SecondPositionConfig:
+    fields = {"increments": INCREMENTS, "tolerance_revolutions": 0.01, "cob_id": VALUE_ID} | fields
+    return SecondPositionConfig(**fields)
+
+
+class Axis(Bench):
+    """An encoder interface and a drive, both played by hand."""
+
+    def __init__(self, late: bool = False, values: int = 1, **fields: Any) -> None:
+        super().__init__(**{"second_position": second(before_bytes=3)} | fields)
+        self.events: list[Event] = []
+        self.module.events.on_event = self.events.append
+        self.late = late
+        self.place = self.slip = 0.0
+        self.start()
+        self.run(30, values=values)
+
+    def cycle(self, speed: float = 0.0, values: int = 1) -> int:
+        """A SYNC, then the sample and the value in either order; the status word."""
+        self.place += speed
+        self.sync()
+        increments = math.floor((self.place + self.slip) / N * INCREMENTS)
+        data = struct.pack("<HBi", 0x1234, 8, increments)
+        if not self.late:
+            self._values(data, values)
+        angle = 2 * math.pi * self.place
+        sent = self.counts(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+        if self.late:
+            self._values(data, values)
+        return self.position(sent)[1]
+
+    def _values(self, data: bytes, values: int) -> None:
+        for _ in range(values):
+            self.sent(Frame(VALUE_ID, data))
+
+    def run(self, cycles: int, speed: float = 0.0, values: int = 1) -> list[int]:
+        return [self.cycle(speed, values) for _ in range(cycles)]
+
+    def texts(self) -> list[str]:
+        return [event.text for event in self.events if event.kind is EventKind.SECOND_POSITION]
+
+
+@each("late", [False, True])
+def test_a_slipping_coupling(late: bool) -> None:
+    """The value may come before the sample or after it."""
+    axis = Axis(late)
+    for k in range(100):
+        axis.cycle(min(0.2 * k, 15.0))
+    assert axis.run(50, 15.0)[-1] == StatusBit.VALID
+    statuses = []
+    for _ in range(60):
+        axis.slip -= 0.7
+        statuses.append(axis.cycle(15.0))
+    first = statuses.index(StatusBit.VALID | DISAGREES)
+    assert 0.7 * (first + 1) == pytest.approx(0.01 * N + 3 * 0.7, abs=1.5)
+    assert all(status == StatusBit.VALID | DISAGREES for status in statuses[first:])
+    assert axis.sdo[0x2012][15].raw == 60 - first
+    assert axis.sdo[0x2014][6].raw == pytest.approx(-59 * 0.7 / N, abs=1e-5)
+    assert axis.sdo[0x6505].raw == 1 << 12
+    assert axis.emergencies().count(EMERGENCY) == 1
+    (text,) = axis.texts()
+    assert text == f"second position disagrees: -{0.7 * first / N:.4g} revolutions, tolerance 0.01"
+    axis.slip = 0.0
+    assert axis.run(5, 15.0)[-1] == StatusBit.VALID
+    assert axis.texts()[1:] == ["second position disagrees no longer"]
+
+
+@each("kind", ["synchronous", "in one PDO with another", "mapped by a master"])
+def test_other_ways_to_bring_the_value(kind: str) -> None:
+    axis = Axis()
+    if kind == "synchronous":
+        axis.sdo[0x1401][2].raw = 1
+    if kind == "mapped by a master":
+        axis = Axis(second_position=second(cob_id=None))
+        assert axis.module.chain.second is None
+        axis.sdo[0x1601][1].raw, axis.sdo[0x1601][2].raw = 0x00060010, 0x00050008
+        axis.sdo[0x1601][3].raw = 0x20000E20
+        axis.sdo[0x1601][0].raw = 3
+        axis.sdo[0x1401][1].raw = VALUE_ID
+        axis.run(30)
+    assert axis.run(200, 0.1)[-1] == StatusBit.VALID
+    axis.slip = 27.0
+    assert axis.run(6, 0.1)[-1] & DISAGREES
+
+
+@each("values", [0, 2, 3])
+def test_what_does_not_belong_to_one_sync_is_no_opinion(values: int) -> None:
+    axis = Axis()
+    axis.slip = 400.0
+    assert axis.run(40, 0.1, values)[-1] == StatusBit.VALID
+    assert axis.run(5, 0.1)[-1] & DISAGREES
+
+
+def test_a_missed_sample_does_not_pair_a_value_with_another_one() -> None:
+    axis = Axis()
+    for k in range(200):
+        axis.cycle(min(0.2 * k, 30.0))
+    for _ in range(10):
+        axis.place += 30.0  # neither sample
+        axis.sync()
+        axis.sent(Frame(VALUE_ID, struct.pack("<HBi", 0, 0, math.floor(axis.place / N * INCREMENTS))))
+        assert not any(status & DISAGREES for status in axis.run(12, 30.0))
+    assert axis.sdo[0x2012][15].raw == 0
+
+
+def test_without_a_drive_it_is_a_module_as_any_other() -> None:
+    axis = Axis(values=0)
+    assert axis.run(60, 0.1, 0)[-1] == StatusBit.VALID
+    assert math.isnan(axis.sdo[0x2014][6].raw)
+
+
+def test_a_write_to_2014h_learns_the_offset_again() -> None:
+    axis = Axis()
+    axis.slip = 100.0
+    assert axis.run(6)[-1] & DISAGREES
+    axis.sdo[0x2014][4].raw = 0.02
+    assert axis.run(30)[-1] == StatusBit.VALID
+    axis.slip += 0.021 * N
+    assert axis.run(6)[-1] & DISAGREES
+    axis.sdo[0x2014][4].raw = 0.0  # off
+    assert axis.run(6)[-1] == StatusBit.VALID
+    assert axis.module.chain.second is None
+
+
+def test_it_may_end_the_validity() -> None:
+    axis = Axis(second_position=second(before_bytes=3, invalidates=True))
+    axis.slip = 100.0
+    before = axis.emergencies().count(0x7300)
+    assert axis.run(6)[-1] == DISAGREES | StatusBit.COASTING
+    assert axis.emergencies().count(0x7300) == before + 1
+    assert "position coasting: second position disagrees" in [event.text for event in axis.events]
+
+
+def test_a_reset_forgets_it() -> None:
+    axis = Axis()
+    axis.slip = 100.0
+    axis.run(6)
+    axis.remote.nmt.state = "RESET"
+    axis.remote.nmt.state = "OPERATIONAL"
+    assert axis.run(30)[-1] == StatusBit.VALID
+
+
+def test_a_sync_too_many_pairs_nothing_wrong() -> None:
+    axis = Axis()
+    for k in range(200):
+        axis.cycle(min(0.2 * k, 30.0))
+    for _ in range(10):
+        axis.sent(SYNC)
+        assert not any(status & DISAGREES for status in axis.run(12, 30.0))
+    axis.slip = 100.0
+    assert axis.run(10, 30.0)[-1] & DISAGREES
+
+
+@each("subindex, value", [(1, 0), (2, 0), (3, 2), (4, -0.1), (4, 0.3), (4, math.nan), (5, 2)])
+def test_values_that_are_not_good_are_refused(bench: Bench, subindex: int, value: float) -> None:
+    before = bench.sdo[0x2014][subindex].raw
+    with pytest.raises(SdoAbortedError):
+        bench.sdo[0x2014][subindex].raw = value
+    assert bench.sdo[0x2014][subindex].raw == before
+
+
+@each("before, after, entries", [
+    (0, 0, []), (3, 0, [0x00060010, 0x00050008]), (4, 0, [0x00070020]), (1, 2, [0x00050008, 0x00060010]),
+])  # fmt: skip
+def test_the_mapping_of_rpdo2(before: int, after: int, entries: list[int]) -> None:
+    bench = Bench(second_position=second(before_bytes=before, after_bytes=after))
+    count = bench.sdo[0x1601][0].raw
+    mapped = [bench.sdo[0x1601][n].raw for n in range(1, count + 1)]
+    assert sorted(mapped) == sorted([*entries, 0x20000E20])
+    assert sum(entry & 0xFF for entry in mapped[: mapped.index(0x20000E20)]) == 8 * before
+    assert bench.sdo[0x1401][1].raw == VALUE_ID
+
+
+@each("field, value", [("cob_id", 0x180), ("cob_id", 0x600), ("before_bytes", 5), ("after_bytes", -1)])
+def test_a_pdo_that_cannot_be(field: str, value: int) -> None:
+    with pytest.raises(ValueError, match=field):
+        second(**{field: value})
+
+
+def test_a_configuration_that_is_not_one() -> None:
+    with pytest.raises(ValueError, match="second_position"):
+        ModuleConfig(node_id=3, second_position={})  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="after_bytes"):
+        second(before_bytes=2, after_bytes=3)
+
+
+@each("order", [2, 3])
+@each("pairs", [2, 4])
+def test_with_several_samples_in_one_sync(order: int, pairs: int) -> None:
+    """The value belongs to the newest of them, and comes in the first RPDO that is left."""
+    bench = Bench(
+        second_position=second(tolerance_revolutions=0.3 / N, increments=1 << 24),
+        samples_per_sync=pairs,
+        prediction_order=order,
+    )
+    bench.start()
+    place = slip = 0.0
+
+    def cycle(speed: float, dead: bool = False) -> int:
+        nonlocal place
+        place += speed
+        frames = bench.sync()
+        increments = math.floor((place + slip) / N * (1 << 24))
+        bench.sent(Frame(VALUE_ID, struct.pack("<i", increments)))
+        counts = []
+        for j in range(pairs):
+            angle = 2 * math.pi * (place - speed * j / pairs)
+            size = 0 if dead else 1500
+            counts += [round(size * math.sin(angle)), round(size * math.cos(angle))]
+        frames = []
+        for n in range(0, 2 * pairs, 4):
+            frames += bench.sent(Frame(0x190 + 0x40 * n, struct.pack("<4h", *counts[n : n + 4])))
+        return bench.position(frames)[1] & ~StatusBit.MISSED
+
+    assert [cycle(0.0) for _ in range(20)][-1] == StatusBit.VALID
+    assert bench.sdo[0x1400 + pairs // 2][1].raw == VALUE_ID
+    speeds = [min(0.3 * k, 60.0) for k in range(220)]
+    assert all(cycle(speed) == StatusBit.VALID for speed in speeds)
+    second_opinion = bench.module.chain.second
+    assert second_opinion is not None
+    assert second_opinion.difference_cycles == pytest.approx(0.0, abs=0.03)
+    assert [cycle(61.0, dead=True) for _ in range(10)][-1] & StatusBit.LOST
+    statuses = [cycle(61.5) for _ in range(60)]
+    assert statuses[-1] == StatusBit.VALID
+    assert second_opinion.difference_cycles == pytest.approx(0.0, abs=0.03)
+    slip = 1.0
+    assert [cycle(61.5) for _ in range(6)][-1] == StatusBit.VALID | DISAGREES
+
+
+def test_where_no_rpdo_is_left() -> None:
+    with pytest.raises(ValueError, match="second_position: no RPDO is left"):
+        ModuleConfig(node_id=3, second_position=second(), samples_per_sync=4, times=True)
+    ModuleConfig(node_id=3, second_position=second(cob_id=None), samples_per_sync=4, times=True)
+
+
+class Turning:
+    """A source at constant speed, from the tenth sample on."""
+
+    def __init__(self) -> None:
+        self.place, self.samples = 0.0, 0
+
+    def next(self) -> Sample:
+        self.samples += 1
+        self.place += min(max(0.0, 0.2 * (self.samples - 20)), 30.0)
+        angle = 2 * math.pi * self.place
+        return Sample(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+
+
+def test_with_the_samples_of_a_source() -> None:
+    """They belong to the SYNC itself, and the value comes after it."""
+    source, slip = Turning(), 0.0
+    config = ModuleConfig(node_id=32, autostart=True, second_position=second())
+    module = FeedbackModule(config, source=source)
+    module.start(0.0)
+    statuses = []
+    for k in range(400):
+        now = 1.0 + k * 1e-3
+        module.receive(SYNC, now)
+        slip += 1.0 if k >= 350 else 0.0
+        value = math.floor((source.place + slip) / N * INCREMENTS)
+        module.receive(Frame(VALUE_ID, struct.pack("<i", value)), now + 3e-4)
+        assert module.feedback is not None
+        statuses.append(module.feedback.status)
+    assert set(statuses[5:350]) == {StatusBit.VALID}
+    assert statuses[350:].index(StatusBit.VALID | DISAGREES) == pytest.approx(28, abs=1)

@@ -1,0 +1,185 @@
+"""An adversary moves both sensors as a machine may, and the bus as a bus may; then it breaks something.
+
+The motion is its own: random accelerations, reversals, standstills; the shaft twists with the acceleration
+and has backlash; values are lost, late, doubled and repeated. Without a fault nobody notices the second
+sensor. With one that the tracks cannot show, it is reported within a stated number of cycles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from second_kit import INCREMENTS, N, wrapped
+from supervision_kit import at
+
+from canfb.objects import StatusBit
+from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainConfig
+from canfb.signal.feedback import Feedback
+from canfb.signal.recovery.second_opinion import DISAGREEING_VALUES
+from canfb.signal.sample import Sample
+from canfb.signal.second_position import SecondSensor
+from folding import each
+
+Rng = np.random.Generator
+TOLERANCE = 0.01  # revolutions
+TOLERANCE_CYCLES = TOLERANCE * N
+TWIST_CYCLES, BACKLASH_CYCLES = 0.3 * TOLERANCE_CYCLES, 0.5 * TOLERANCE_CYCLES
+INCREMENT_CYCLES = N / INCREMENTS
+MOST_ACCELERATION = 0.15  # cycles per interval squared
+TOP = 90.0  # cycles per interval
+DISAGREES, VALID, LOST = int(StatusBit.SECOND_POSITION), int(StatusBit.VALID), int(StatusBit.LOST)
+
+
+def motion(rng: Rng, intervals: int, still: int = 30) -> Iterator[tuple[float, float]]:
+    """Position and acceleration of the encoder, cycles: standstill, then whatever comes."""
+    position, speed, acceleration = float(rng.uniform(0, N)), 0.0, 0.0
+    left = 0
+    for k in range(intervals):
+        if k >= still:
+            if left == 0:
+                left = int(rng.integers(5, 120))
+                acceleration = float(rng.choice([-1, 0, 1]) * rng.uniform(0, MOST_ACCELERATION))
+                if rng.random() < 0.2 and abs(speed) < 15.0:  # to a standstill, exactly
+                    left = max(1, math.ceil(abs(speed) / MOST_ACCELERATION))
+                    acceleration = -speed / left
+            if abs(speed + acceleration) > TOP:
+                acceleration = 0.0
+            left -= 1
+            speed += acceleration
+        position += speed
+        yield position, acceleration
+
+
+class Shaft:
+    """Between the two sensors: twist by the torque, and backlash that is passed when it reverses."""
+
+    def __init__(self, start: float) -> None:
+        self._last, self._side = start, 0.0
+
+    def other(self, position: float, acceleration: float) -> float:
+        speed, self._last = position - self._last, position
+        if abs(speed) > 0.01:
+            self._side += max(-0.05, min(0.05, math.copysign(1.0, speed) - self._side))
+        return position + BACKLASH_CYCLES / 2.0 * self._side + TWIST_CYCLES * acceleration / MOST_ACCELERATION
+
+
+class Bus:
+    """Delivers the values of each interval: one, unless it is in one of its moods."""
+
+    def __init__(self, rng: Rng, moody: float) -> None:
+        self._rng, self._moody = rng, moody
+        self._queue: list[int] = []
+        self._mood, self._left = "usual", 0
+        self._shown = 0
+
+    def interval(self, value: int) -> list[int]:
+        if self._left == 0 and self._rng.random() < self._moody:
+            self._mood = str(self._rng.choice(["lost", "late", "doubled", "repeated"]))
+            self._left = int(self._rng.integers(1, 3 if self._mood == "late" else 40))
+        if self._left == 0:
+            self._shown = value
+            values, self._queue = [*self._queue, value], []
+            return values
+        self._left -= 1
+        if self._mood == "late":
+            self._queue.append(value)
+            return []
+        if self._mood == "repeated":
+            return [self._shown]
+        return [] if self._mood == "lost" else [value, value]
+
+
+class Axis:
+    """A chain with the second sensor and one without, on the same tracks."""
+
+    def __init__(self, rng: Rng, moody: float, **config: object) -> None:
+        self.chain, self.without = (SignalChain(ChainConfig(cycles_per_revolution=N, **config)) for _ in "ab")  # type: ignore[arg-type]
+        self.chain.use_second(SecondSensor(increments=INCREMENTS, tolerance_revolutions=TOLERANCE))
+        self._bus = Bus(rng, moody)
+        self._origin = int(rng.integers(-(2**31), 2**31))
+        self._last_bit = 0  # a sensor of 20 bits is never still
+
+    def step(self, sample: Sample, other: float) -> tuple[Feedback, Feedback]:
+        got = self.chain.step(sample), self.without.step(sample)
+        self._last_bit ^= 1
+        increments = self._origin + math.floor(other / INCREMENT_CYCLES) + self._last_bit
+        values = self._bus.interval(wrapped(increments))
+        self.chain.hear_second(len(values), values[-1] if values else 0)
+        return got
+
+
+@each("order", [2, 3])
+def test_a_machine_that_is_well_is_never_contradicted(order: int) -> None:
+    """Whatever the bus does to the values: the position, its status word, everything is as without them."""
+    for seed in range(25):
+        rng = np.random.default_rng((seed, order))
+        axis, shaft = Axis(rng, 0.02, prediction_order=order), None
+        for k, (position, acceleration) in enumerate(motion(rng, 1000)):
+            shaft = shaft or Shaft(position)
+            got, without = axis.step(at(position), shaft.other(position, acceleration))
+            if k > 10:
+                assert got == without, (seed, k)
+
+
+KINDS = ["slip forward", "slip backward", "swapped tracks", "frozen tracks", "broken shaft"]
+
+
+@each("kind", KINDS)
+def test_what_the_tracks_cannot_show_is_reported(kind: str) -> None:
+    """A valid position is further from the other sensor than the tolerance for three samples, no longer."""
+    reported = 0
+    for seed in range(40):
+        rng = np.random.default_rng((seed, 99))
+        axis, apart, over = Axis(rng, 0.0), 0.0, 0
+        positions = list(motion(rng, 900))
+        begin = int(rng.integers(100, 300))
+        shaft = Shaft(positions[0][0])
+        slip_speed = float(rng.uniform(0.05, 20.0))
+        broken_at, slip = positions[begin][0], 0.0
+        for k, (position, acceleration) in enumerate(positions):
+            other, shown = shaft.other(position, acceleration), position
+            if k > begin and kind.startswith("slip"):
+                slip += slip_speed if kind == "slip forward" else -slip_speed
+            elif k > begin and kind == "broken shaft":  # the motor runs on at its own speed
+                slip += slip_speed * math.sin(0.01 * (k - begin))
+            elif k > begin:
+                shown = broken_at if kind == "frozen tracks" else 2.0 * broken_at - position
+            got, _ = axis.step(at(shown), other + slip)
+            if k == 20:  # at standstill
+                start = other - (got.cycles + got.phase)
+            if got.status & (DISAGREES | LOST):
+                assert k > begin
+                reported += 1
+                break
+            if k > 20:
+                apart = (other + slip) - (got.cycles + got.phase) - start
+            beyond = abs(apart) > TOLERANCE_CYCLES + 3.0 * INCREMENT_CYCLES
+            over = over + 1 if beyond and got.status & VALID else 0  # coasting is a report of its own
+            assert over <= DISAGREEING_VALUES, (seed, k)
+    assert reported >= 38  # the others turn on at the one speed at which dead tracks look alive
+
+
+@each("kind", ["frozen", "swapped"])
+def test_tracks_that_are_wrong_from_the_standstill_on(kind: str) -> None:
+    """The machine is started with dead or swapped tracks: at most the tolerance and three samples later."""
+    for seed in range(20):
+        rng = np.random.default_rng((seed, 7))
+        axis = Axis(rng, 0.01)
+        first: float | None = None
+        speed, position = 0.0, float(rng.uniform(0, N))
+        start, rate = position, float(rng.uniform(0.001, MOST_ACCELERATION)) * float(rng.choice([-1, 1]))
+        for k in range(900):
+            speed += rate if k > 60 and abs(speed) < TOP else 0.0
+            position += speed
+            got, _ = axis.step(at(start if kind == "frozen" else 2.0 * start - position), position)
+            apart = (position - start) * (1.0 if kind == "frozen" else 2.0)
+            if first is None and abs(apart) > TOLERANCE_CYCLES - INCREMENT_CYCLES:
+                first = abs(apart)
+            if got.status & DISAGREES:
+                assert first is not None, (seed, k)
+                break
+        else:
+            raise AssertionError((seed, "nothing was reported"))

@@ -1,0 +1,276 @@
+"""A second position through the chain: start, loss, disagreement, and what costs nothing but the opinion."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from second_kit import N, TwoSensors
+from supervision_kit import DEAD, at, has
+from test_second_adversary import motion
+
+from canfb.objects import StatusBit
+from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainConfig
+from canfb.signal.recovery.second_opinion import LONGEST_GAP, START_SAMPLES
+from canfb.signal.second_position import SecondSensor
+from folding import each
+
+DISAGREES, VALID, LOST = StatusBit.SECOND_POSITION, StatusBit.VALID, StatusBit.LOST
+EXACT = 0.3 / N  # revolutions: less than half a cycle
+FINE = 1 << 22  # increments: 0.0006 cycle each
+
+
+def standing(tolerance: float = 0.01, **config: object) -> TwoSensors:
+    """A machine at rest whose offset is learned."""
+    machine = TwoSensors(tolerance, **config)  # type: ignore[arg-type]
+    assert machine.run(30)[-1].valid
+    return machine
+
+
+@each("order", [2, 3])
+@each("speed", [0.0, 0.2, -83.2, 83.5, 0.5, 41.99, -7.25])
+@each("tolerance", [EXACT, 0.001])
+def test_a_start_on_a_turning_machine(order: int, speed: float, tolerance: float) -> None:
+    machine = TwoSensors(tolerance, prediction_order=order)
+    got = machine.run(250, speed)
+    first = has(got, VALID).index(True)
+    assert all(feedback.valid for feedback in got[first:])
+    assert got[-1].speed_cycles == pytest.approx(speed, abs=0.05)
+    counted = got[-1].cycles - got[first].cycles + got[-1].phase - got[first].phase
+    assert counted == pytest.approx(speed * (249 - first), abs=0.05)
+    at_rest = 2 if order == 2 else 4
+    assert first <= (at_rest if abs(speed) < 0.1 else 16.0 * (tolerance * N + 2.0))
+
+
+def test_without_values_it_starts_as_without_a_sensor() -> None:
+    machine = TwoSensors()
+    machine.on_bus = lambda value: []
+    assert has(machine.run(20), VALID) == [False] * START_SAMPLES + [True] * (20 - START_SAMPLES)
+
+
+def test_with_a_coarse_track_that_finds_the_speed() -> None:
+    machine = TwoSensors()
+    turn = 2 * math.pi / N
+    got = []
+    for k in range(1200):
+        sine, cosine = (1500 * f(turn * k * 83.2) for f in (math.sin, math.cos))
+        got.append(machine.step(83.2, coarse_sine=sine, coarse_cosine=cosine))
+    assert got[-1].valid
+    assert got[-1].speed_cycles == pytest.approx(83.2, abs=0.05)
+    assert not any(has(got, DISAGREES))
+
+
+@each("order", [2, 3])
+@each("speed", [0.0, 83.2, -40.7])
+@each("dead", [8, 40])
+def test_a_lost_count_is_set_right(order: int, speed: float, dead: int) -> None:
+    """Announced by its jump, and valid with the next sample; the machine changed its speed meanwhile."""
+    machine = standing(EXACT, increments=FINE, prediction_order=order)
+    machine.ramp(0.0, speed)
+    before = machine.error(machine.step(speed))
+    machine.spoil = lambda sample: DEAD
+    assert machine.run(dead, speed + 3.3)[-1].status & LOST
+    machine.spoil = lambda sample: sample
+    got = machine.run(90, speed + 1.7)
+    first = has(got, VALID).index(True)
+    assert machine.error(got[-1]) == pytest.approx(before, abs=0.02)
+    assert got[first - 1].jump_cycles == got[first].cycles - got[first - 1].cycles - math.floor(
+        got[first].speed_cycles + got[first - 1].phase
+    )
+    assert not any(has(got, DISAGREES))
+    assert machine.chain.reference.recovered == 1
+
+
+@each("tolerance", [0.6 / N, 0.001, 0.01])
+def test_an_ambiguous_count_stays_lost(tolerance: float) -> None:
+    """Where more than one count can be within the tolerance; it is set near the other sensor all the same."""
+    machine = standing(tolerance, increments=FINE)
+    machine.ramp(0.0, 40.0)
+    machine.other = machine.other + 0.5  # the shaft twists: half a cycle, so two counts fit
+    machine.spoil = lambda sample: DEAD
+    machine.run(60, 43.0)
+    machine.spoil = lambda sample: sample
+    got = machine.run(600, 43.0)
+    assert not any(has(got, VALID))
+    assert abs(machine.error(got[-1]) - 0.0) <= 2.0 * tolerance * N + 1.5
+
+
+def test_what_disagreed_before_the_loss_sets_nothing_right() -> None:
+    machine = standing(EXACT, increments=FINE)
+    machine.other += 7.0  # the coupling slips
+    assert machine.run(5)[-1].status & DISAGREES
+    machine.spoil = lambda sample: DEAD
+    machine.run(20)
+    machine.spoil = lambda sample: sample
+    assert not any(has(machine.run(300), VALID))
+
+
+@each("order", [2, 3])
+@each("tolerance", [0.3, 0.7, 0.95])
+def test_no_wrong_count_is_ever_valid_after_a_loss(order: int, tolerance: float) -> None:
+    """Dead tracks of any length in a motion of any kind; the shaft twists as far as the tolerance allows."""
+    recovered = 0
+    for seed in range(40):
+        rng = np.random.default_rng((seed, order))
+        machine = TwoSensors(tolerance / N, FINE, prediction_order=order)
+        begin = int(rng.integers(60, 300))
+        end = begin + int(rng.integers(1, 60))
+        last, valid_after = 0.0, False
+        for k, (position, _) in enumerate(motion(rng, 600)):
+            step = position - last if k else 0.0
+            last = position
+            machine.spoil = (lambda sample: DEAD) if begin <= k < end else (lambda sample: sample)
+            twist = 0.95 * tolerance * math.sin(0.01 * (k - 50)) if k > 50 else 0.0
+            machine.other = machine.position + twist
+            got = machine.step(step)
+            if got.valid:
+                assert abs(machine.error(got)) < 0.5, (seed, k)
+                valid_after |= k > end + 50
+        recovered += valid_after
+    assert recovered > {0.3: 30, 0.7: 5, 0.95: -1}[tolerance]  # the wider, the seldomer is one count alone
+
+
+def test_a_drive_that_restarts_counts_from_elsewhere() -> None:
+    machine = standing()
+    machine.ramp(0.0, 20.0)
+    machine.on_bus = lambda value: []
+    machine.run(LONGEST_GAP + 5, 20.0)
+    machine.on_bus = lambda value: [value]
+    machine.origin += 987654
+    got = machine.run(100, 20.0)
+    assert not any(has(got, DISAGREES))
+    machine.other += 60.0  # it is compared again, by twice the tolerance until it stands still
+    assert has(machine.run(6, 20.0), DISAGREES)[-1]
+
+
+def test_without_a_pause_another_origin_is_a_disagreement() -> None:
+    machine = standing()
+    machine.origin += 987654
+    got = machine.run(20)
+    assert has(got, DISAGREES) == [False] * 3 + [True] * 17
+    assert all(feedback.valid for feedback in got)
+    machine.chain.use_second(machine.sensor)  # a write to 2014h
+    assert not any(has(machine.run(20), DISAGREES))
+
+
+def test_it_ends_well_within_the_tolerance() -> None:
+    machine = standing()
+    machine.other += 0.0104 * N
+    assert has(machine.run(5), DISAGREES)[-1]
+    machine.other -= 0.0014 * N
+    assert has(machine.run(5), DISAGREES)[-1]
+    machine.other -= 0.002 * N
+    assert not has(machine.run(5), DISAGREES)[-1]
+
+
+def test_it_may_take_the_valid_bit() -> None:
+    machine = standing(invalidates=True)
+    machine.other += 0.02 * N
+    got = machine.run(10)
+    assert got[-1].status == DISAGREES | StatusBit.COASTING
+    machine.other -= 0.02 * N
+    assert machine.run(3)[-1].status == VALID
+
+
+def test_values_over_the_wrap() -> None:
+    """A machine that turns and turns; with 2^30 increments in a revolution the value wraps every four."""
+    machine = standing(0.0001, increments=1 << 30, origin=(1 << 31) - 5)
+    machine.ramp(0.0, 90.0)
+    got = machine.run(1500, 90.0) + machine.ramp(90.0, -90.0) + machine.run(1500, -90.0)
+    assert all(feedback.status == VALID for feedback in got)
+
+
+def test_a_value_that_repeats_itself_in_motion_says_nothing() -> None:
+    machine = standing()
+    machine.ramp(0.0, 60.0)
+    frozen = machine.value
+    machine.on_bus = lambda value: [frozen]
+    assert not any(has(machine.run(500, 60.0), DISAGREES))
+    machine.on_bus = lambda value: [value]
+    assert not any(has(machine.run(50, 60.0), DISAGREES))
+
+
+def test_values_that_are_late_for_good() -> None:
+    """After a SYNC without a value each may be that of the one before; at standstill that does not matter."""
+    machine = standing()
+    machine.ramp(0.0, 60.0)
+    queue: list[int] = []
+
+    def late(value: int) -> list[int]:
+        queue.append(value)
+        return [queue.pop(0)] if len(queue) > 1 else []
+
+    machine.on_bus = late
+    assert not any(has(machine.run(200, 60.0), DISAGREES))
+    machine.ramp(60.0, 0.0)
+    machine.run(20)
+    machine.other += 0.011 * N
+    assert has(machine.run(6), DISAGREES)[-1]
+
+
+@each("slip", [0.0, 40.0])
+def test_after_a_pause_the_offset_is_that_of_before(slip: float) -> None:
+    machine = standing()
+    machine.chain.resume(1000.0)
+    machine.other += slip
+    got = machine.run(30)
+    assert got[-1].valid
+    assert has(got, DISAGREES)[-1] == bool(slip)
+
+
+def test_a_machine_that_turns_after_a_pause_did_not_stand_still() -> None:
+    machine = standing()
+    machine.chain.resume(1000.0)
+    got = machine.run(400, 83.2)
+    assert got[-1].status & LOST
+    assert not any(has(got, VALID))
+
+
+def test_a_zero_pulse_ends_the_loss_once_the_speed_is_known() -> None:
+    machine = standing(0.001)
+    machine.ramp(0.0, 50.0)
+    for _ in range(2):  # two pulses, a revolution apart, make the reference
+        machine.run(49, 50.0)
+        machine.step(50.0, zero_pulse=0.5)
+    assert machine.step(50.0).status & StatusBit.REFERENCED
+    machine.spoil = lambda sample: DEAD
+    machine.run(10, 51.5)
+    machine.spoil = lambda sample: sample
+    assert machine.run(60, 51.5)[-1].status & LOST
+    assert machine.chain.reference.range_known
+    machine.step(51.5, zero_pulse=0.5)
+    assert machine.step(51.5).valid
+
+
+def test_a_loss_before_any_position_has_nothing_to_lose() -> None:
+    machine = TwoSensors(0.001, residual_limit=0.1)
+    got = machine.run(100, 83.4)
+    assert any(has(got, LOST))
+    assert got[-1].valid
+
+
+def test_a_sensor_that_may_have_turned_half_its_range_is_learned_again() -> None:
+    """2^30 increments in a revolution wrap every four: 56 intervals at 90 cycles are half of it."""
+    machine = standing(0.0001, increments=1 << 30)
+    machine.ramp(0.0, 90.0)
+    assert machine.chain.second is not None
+    firm = machine.chain.second._origin
+    machine.on_bus = lambda value: []
+    machine.run(60, 90.0)
+    machine.on_bus = lambda value: [value]
+    assert machine.run(20, 90.0)[-1].status == VALID
+    assert machine.chain.second._origin is not firm
+
+
+def test_it_must_be_a_sensor() -> None:
+    chain = SignalChain(ChainConfig())
+    with pytest.raises(TypeError, match="SecondSensor"):
+        chain.use_second({})  # type: ignore[arg-type]
+    chain.hear_second(1, 5)  # without one nothing happens
+    chain.use_second(SecondSensor(tolerance_revolutions=0.1))
+    chain.step(at(0.0))
+    chain.hear_second(-1, 7)
+    chain.use_second(None)
+    assert chain.second is None
