@@ -149,8 +149,9 @@ class Trial:
         return TrialResult.LOST
 
     def _most_rough(self) -> float:
-        """Of a motion that goes on as before; the last samples may have been bad, and do not count."""
-        seen = third_differences(self._before)[:-DOUBTED_BEFORE]
+        """Of a motion that goes on as before. The last samples do not count: they may have been bad, by less
+        than the limit, as long as a residual remembers."""
+        seen = third_differences(self._before)[: -2 * DOUBTED_BEFORE]
         return ROUGHNESS_FACTOR * max(seen) if len(seen) >= FEWEST_SEEN else -1.0
 
     @property
