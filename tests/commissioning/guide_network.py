@@ -93,7 +93,7 @@ class GuideNetwork:
             resources.push(entered._resources.pop_all())
 
         monkeypatch.setattr(on_bus, "Runner", Attaching)
-        monkeypatch.setattr(on_bus, "open_bus", lambda words: contextlib.nullcontext())
+        monkeypatch.setattr(on_bus, "open_device_bus", lambda words: contextlib.nullcontext())
         monkeypatch.setattr(on_bus, "apply_realtime", lambda realtime: None)
         monkeypatch.setattr(on_bus.OnBus, "__exit__", keep)
         monkeypatch.setattr(nmt_command, "open_bus", lambda words: None)

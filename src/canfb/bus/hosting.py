@@ -45,6 +45,7 @@ class Hosting(OnBus):
         self.config = config
         self.modules: list[FeedbackModule] = []
         self._events = EventLog(verbose)
+        self._looked_s = 0.0
 
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
         config = self.config
@@ -56,6 +57,7 @@ class Hosting(OnBus):
         return list(self.modules)
 
     def _meanwhile(self, now: float) -> None:
+        self._looked_s = now
         self._events.tick(now)
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
@@ -82,7 +84,7 @@ class Hosting(OnBus):
             (failed,) = (module for module in self.modules if module is failure.device)
             raise CanfbError(f"{title_of(failed)}: {failure}; all modules of the process end") from failure
         finally:
-            self._events.close(max(module.node.now for module in self.modules))
+            self._events.close(max(self._looked_s, *(module.node.now for module in self.modules)))
             for module in self.modules:
                 log.info(summary_of(module))
 
