@@ -1,4 +1,4 @@
-"""`canfb simulate` with several samples for each SYNC: a move that one sample loses, and what is said of it."""
+"""`canfb simulate` with several samples for each SYNC: a move that one sample loses, and what is said."""
 
 from __future__ import annotations
 
