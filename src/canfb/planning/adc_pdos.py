@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import Any
 
 from canfb import objects as od
@@ -32,9 +31,7 @@ def _mapped(values: Values) -> dict[int, list[int]]:
 
 def samples_per_sync(values: Values) -> int:
     """The pairs that RPDOs carry, up to the first that none does, as the module counts them; at least 1."""
-    mapped = [set(one) for one in _mapped(values).values()]
-    earlier = itertools.takewhile(lambda pair: any(_pair(*pair) <= one for one in mapped), od.SAMPLE_EARLIER)
-    return 1 + sum(1 for _ in earlier)
+    return od.samples_per_sync(list(_mapped(values).values()))
 
 
 def sample_bytes(values: Values) -> int:
