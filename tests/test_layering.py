@@ -37,8 +37,9 @@ ALLOWED: dict[str, set[str]] = {
     # Pictures need what is measured, and nothing of how: so the demo and every tool on top may use them.
     "report": {"signal", "calibration"},
     "commissioning": {"signal", "calibration", "sources", "report"} | WORDS,
-    # What others tell of themselves on the bus; so it may watch modules that are not ours.
-    "monitoring": WORDS - {"checks"},
+    # What others tell of themselves on the bus; so it may watch modules that are not ours. The residual limit
+    # in force is arithmetic of signal.
+    "monitoring": {"signal"} | WORDS - {"checks"},
     # What a page shows and lets do; the server, with its clock and sockets, is in bus.
     "scope": {"signal", "calibration", "monitoring"} | WORDS - {"checks"},
     "bus": {"signal", "sources", "module", "device", "simulation", "configuration", "monitoring",

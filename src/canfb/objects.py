@@ -6,6 +6,8 @@ of words of the EDS; those of the encoder interface begin with INTERFACE.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Collection, Sequence
 from enum import IntEnum, IntFlag, StrEnum
 from typing import Final, NamedTuple
 
@@ -52,6 +54,17 @@ SAMPLE_EARLIER: Final = tuple(
 )
 """Sine and cosine of earlier pairs in the same interval of SYNC, the newest first."""
 SAMPLE_SECOND_POSITION: Final = Multiplexer(0x2000, 14)
+
+
+def samples_per_sync(mapped: Sequence[Collection[int]]) -> int:
+    """Pairs of sine and cosine for each SYNC, 1..4, by the entries that each RPDO maps.
+
+    They count up to the first that no RPDO brings, as the module counts them.
+    """
+    pairs = [{one.mapped(16) for one in pair} for pair in SAMPLE_EARLIER]
+    found = itertools.takewhile(lambda pair: any(pair.issubset(one) for one in mapped), pairs)
+    return 1 + sum(1 for _ in found)
+
 
 # 6401h and 2000h of the encoder interface: the same, as its TPDOs send it.
 INTERFACE_SINE: Final = Multiplexer(0x6401, 1)

@@ -16,7 +16,7 @@ from canfb.cli.main import main
 from canfb.demo.story import Story
 from html_page import Page
 
-PICTURES = ["tracks.svg", "error-over-phase.svg", "residual-over-time.svg"]
+PICTURES = ["tracks.svg", "error-over-phase.svg", "residual-over-time.svg", "servo-move.svg"]
 
 
 class Run(NamedTuple):
@@ -58,7 +58,7 @@ def test_it_tells_the_same_each_time(run: Run, capsys: pytest.CaptureFixture[str
     assert again == {key: value for key, value in run.figures.items() if key not in ("figures", "report")}
 
 
-def test_three_pictures_and_a_page_are_written(run: Run) -> None:
+def test_four_pictures_and_a_page_are_written(run: Run) -> None:
     assert run.figures["figures"] == [str(run.folder / name) for name in PICTURES]
     assert run.figures["report"] == str(run.folder / "report.html")
     assert sorted(path.name for path in run.folder.iterdir()) == sorted([*PICTURES, "report.html"])
@@ -76,7 +76,7 @@ def test_the_page_stands_alone_and_has_the_figures(run: Run) -> None:
     page = Page(text)
     assert not {"script", "link", "img", "iframe", "object", "embed", "base"} & set(page.tags)
     assert not {"src", "href", "data"} & {name for name, _ in page.attributes}
-    assert page.tags.count("svg") == page.tags.count("figure") == 4
+    assert page.tags.count("svg") == page.tags.count("figure") == 5
     for check in run.figures["checks"]:
         assert check in page.text
     assert f"{run.figures['samples']} samples" in page.text

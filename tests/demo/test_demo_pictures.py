@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from canfb.demo import demo_page
-from canfb.demo.demo_pictures import error_after, error_before, fault_samples, residual, tracks
+from canfb.demo.demo_pictures import error_after, error_before, fault_samples, residual, servo, tracks
 from canfb.demo.story import FAULT_SAMPLES, FAULTS, LOST_SAMPLE, Story
 from canfb.report.plot import Plot
 from canfb.simulation.encoder import Encoder
@@ -82,7 +82,7 @@ def test_a_story_that_did_not_hold_is_shown_as_one(monkeypatch: pytest.MonkeyPat
     pages = [
         Page(
             demo_page.demo_page(
-                told, *(plot(told) for plot in (residual, error_before, error_after, residual))
+                told, *(plot(told) for plot in (residual, error_before, error_after, residual, servo))
             )
         )
         for told in (good, bad)
@@ -91,10 +91,10 @@ def test_a_story_that_did_not_hold_is_shown_as_one(monkeypatch: pytest.MonkeyPat
     assert ("class", "verdict bad") not in pages[0].attributes
     assert "Failed: it <floats>." in pages[1].text
     assert ("class", "verdict bad") in pages[1].attributes
-    assert [page.tags.count("figure") for page in pages] == [4, 4]
+    assert [page.tags.count("figure") for page in pages] == [5, 5]
 
 
 def test_there_is_no_page_of_a_story_that_has_not_been_told() -> None:
     told = story()
     with pytest.raises(ValueError, match="has not run"):
-        demo_page.demo_page(told, *(residual(told),) * 4)
+        demo_page.demo_page(told, *(residual(told),) * 5)

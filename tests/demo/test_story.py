@@ -81,7 +81,7 @@ def case(request: pytest.FixtureRequest) -> Told:
 def test_the_story_holds(case: Told) -> None:
     assert [name for name, held in case.story.checks.items() if not held] == []
     assert case.story.held
-    assert len(case.story.checks) == 11
+    assert len(case.story.checks) == 13
 
 
 def test_the_machine_turns_as_told(case: Told) -> None:

@@ -125,7 +125,10 @@ def play(
     """
     bus, machine = EmbeddedBus(bit_rate), Turning(placed)
     module = FeedbackModule(ModuleConfig(node_id=NODE, autostart=True, **fields))
-    interface = EncoderInterface(INTERFACE, machine, autostart=True, times=module.config.times)
+    config = module.config
+    interface = EncoderInterface(
+        INTERFACE, machine, autostart=True, times=config.times, samples_per_sync=config.samples_per_sync
+    )
     for device in (interface, module):
         bus.attach(device)
     if table:
@@ -137,6 +140,8 @@ def play(
         if frame.can_id == POSITION_PDO and module.feedback is not None:
             found, truth = module.feedback, machine.truth[-1]
             outcome.valid.append(found.valid)
+            outcome.valid += [one.valid for one in module.chain.between]
+            outcome.residuals += [one.residual for one in module.chain.between]
             outcome.errors_cycles.append(found.cycles + found.phase - truth)
             outcome.residuals.append(found.residual)
 

@@ -14,9 +14,10 @@ from planning_kit import planned
 import canfb
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.planning.budget import RAW_PHASE_ERROR_CYCLES, ResidualBudget
+from canfb.planning.budget import ResidualBudget
 from canfb.planning.detection import SAMPLE_BOUNDS
 from canfb.planning.jerk_budget import budget_of
+from canfb.planning.phase_errors import PEAK, RAW_PHASE_ERROR_CYCLES
 from canfb.planning.plan import Limited, Plan
 from canfb.signal.limits import PHASE_ERROR_MARGIN_CYCLES, narrowed_residual_limit, samples_without_harm
 from canfb.simulation.demand import of_motion
@@ -142,9 +143,13 @@ def test_an_uncorrected_phase_takes_what_the_module_allows_it_and_noise_is_withi
     assert one.needed_cycles == PHASE_ERROR_MARGIN_CYCLES
     assert budget(noise_counts=5.0).needed_cycles > PHASE_ERROR_MARGIN_CYCLES
     assert budget(table=True).needed_cycles < 0.006
-    assert budget(phase_error_cycles=0.02).needed_cycles == pytest.approx(0.08 + one.noise_cycles())
+    assert budget(phase_error_cycles=0.02).needed_cycles == pytest.approx(
+        0.08 + PEAK * math.sqrt(6.0) * one.phase_errors.noise_cycles
+    )
     few_bits = planned(adc_bits=6).budgets[0]
-    assert few_bits.noise_cycles() == pytest.approx(64.0 * one.noise_cycles())
+    assert PEAK * math.sqrt(6.0) * few_bits.phase_errors.noise_cycles == pytest.approx(
+        64.0 * PEAK * math.sqrt(6.0) * one.phase_errors.noise_cycles
+    )
 
 
 def test_what_is_not_stated_has_no_margin() -> None:

@@ -75,6 +75,7 @@ ARROWS = [
     ("module", "calibration"),
     ("module", "device"),
     ("report", "calibration"),
+    ("monitoring", "signal"),
     ("sources", "signal"),
     ("calibration", "signal"),
 ]

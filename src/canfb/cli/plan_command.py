@@ -58,6 +58,15 @@ def register(commands: Commands) -> None:
     parser.add_argument(
         "--prediction-order", type=whole_number, metavar="ORDER", help="2 or 3, of every module (2)"
     )
+    parser.add_argument(
+        "--samples-per-sync", type=whole_number, metavar="COUNT", help="1 to 4, of every interface (1)"
+    )
+    parser.add_argument(
+        "--noise-margin",
+        type=whole_number,
+        metavar="FACTOR",
+        help="2010:09 of every module (0: fixed margin)",
+    )
     parser.add_argument("--times", action="store_true", help="the ADC PDO carries sample times")
     parser.add_argument("--table", action="store_true", help="a correction table is in force")
     parser.add_argument(
@@ -103,4 +112,5 @@ def _named(message: str) -> str:
     options = {field: option for option, field, _, _ in NUMBERS}
     options |= {"bit_rate": "--bitrate", "cycles_per_revolution": "--cycles", "adc_bits": "--adc-bits"}
     options |= {"modules": "--modules", "prediction_order": "--prediction-order"}
+    options |= {"samples_per_sync": "--samples-per-sync", "noise_margin": "--noise-margin"}
     return message.replace(name, options.get(name, name), 1)

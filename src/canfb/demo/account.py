@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from canfb.demo.demo_network import CLOCK_DRIFT_PPM, TIMING
+from canfb.demo.servo_act import ACCELERATION_RAD_S2, JERK_RAD_S3, RPM
 from canfb.demo.story import FAULTS, REFERENCE_HZ, REFERENCE_SAMPLES, Story, peak, rms
 
 TITLE = "canfb demo: drive, encoder interface and feedback module on an embedded CAN bus, simulated time"
@@ -22,6 +23,8 @@ def account(story: Story) -> str:
         "   (noise of single 12-bit samples)",
         "",
         *(_line(*fact) for fact in fault_facts(story)),
+        "",
+        *(_line(*fact) for fact in servo_facts(story)),
         "",
     ]
     lines += [f"  {verdict(held):6}  {name}" for name, held in story.checks.items()]
@@ -71,6 +74,12 @@ def fault_facts(story: Story) -> list[tuple[str, str]]:
         ),
         ("bus load", f"{100 * story.bus_load:.0f} % of 1 Mbit/s"),
     ]
+
+
+def servo_facts(story: Story) -> list[tuple[str, str]]:
+    """The same of the second act, and of what other settings make of it."""
+    move = f"0 to {RPM:g} rpm in 50 ms: {ACCELERATION_RAD_S2:g} rad/s^2, {JERK_RAD_S3:g} rad/s^3"
+    return [("servo", move), *(("", f"{run.name}: {run.outcome}") for run in story.servo)]
 
 
 def verdict(held: bool) -> str:

@@ -107,7 +107,7 @@ class DemoNetwork:
     """
 
     def __init__(self, encoder: Encoder | None = None, seed: int = 1) -> None:
-        self.encoder = encoder or demo_encoder()
+        self.encoder, self.seed = encoder or demo_encoder(), seed
         self.bus = EmbeddedBus(BIT_RATE)
         self.adc = AdcLog()
         self.bus.taps.append(self.adc.hear)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from canfb.demo.account import TITLE, fault_facts, run_facts, verdict
+from canfb.demo.account import TITLE, fault_facts, run_facts, servo_facts, verdict
 from canfb.demo.demo_network import DemoNetwork
-from canfb.demo.demo_pictures import error_after, error_before, residual, tracks
+from canfb.demo.demo_pictures import error_after, error_before, residual, servo, tracks
 from canfb.demo.story import Story, peak, rms
 from canfb.errors import CanfbError
 from canfb.report.page import beside, comparison_table, facts_table, figure, gallery, page
@@ -16,6 +16,7 @@ from canfb.report.plot import Plot
 REPORT = "report.html"
 FOOTER = "Made by canfb demo: a simulation with fixed seeds; its figures are the same each time."
 RESIDUAL = "Residual while faults are provoked"
+SERVO = "A move of a servo"
 TRACKS = "Encoder tracks"
 BEFORE, AFTER = "Position error before the table", "Position error with the table"
 
@@ -37,11 +38,13 @@ def write_files(network: DemoNetwork, story: Story, folder: Path) -> tuple[list[
         error_after(story),
         residual(story),
     )
+    moved = servo(story)
     files = {
         "tracks.svg": svg_file([(TRACKS, seen)]),
         "error-over-phase.svg": svg_file([(BEFORE, before), (AFTER, after)]),
         "residual-over-time.svg": svg_file([(RESIDUAL, faults)]),
-        REPORT: demo_page(story, seen, before, after, faults),
+        "servo-move.svg": svg_file([(SERVO, moved)]),
+        REPORT: demo_page(story, seen, before, after, faults, moved),
     }
     try:
         for name, text in files.items():
@@ -52,7 +55,7 @@ def write_files(network: DemoNetwork, story: Story, folder: Path) -> tuple[list[
     return pictures, report
 
 
-def demo_page(story: Story, seen: Plot, before: Plot, after: Plot, faults: Plot) -> str:
+def demo_page(story: Story, seen: Plot, before: Plot, after: Plot, faults: Plot, moved: Plot) -> str:
     """The page: what the account says, with the pictures. ValueError if the demo has not run yet."""
     sizes = story.error_before, story.error_after
     rows = [
@@ -61,6 +64,7 @@ def demo_page(story: Story, seen: Plot, before: Plot, after: Plot, faults: Plot)
     ]
     tables = comparison_table("Position error, % of a cycle", ("before the table", "with the table"), rows)
     tables += facts_table("Run", [*run_facts(story), *fault_facts(story)])
+    act = facts_table("A move of a servo", servo_facts(story))
     checks = facts_table("Checks", [(name, verdict(held)) for name, held in story.checks.items()])
     finer = peak(story.error_before) / peak(story.error_after)
     return page(
@@ -75,7 +79,8 @@ def demo_page(story: Story, seen: Plot, before: Plot, after: Plot, faults: Plot)
                 figure(AFTER, f"noise of single 12-bit samples, scale {finer:.0f} times finer", after.svg()),
             ],
         )
-        + beside(checks, figure(RESIDUAL, "at 2000 rpm; the limit is that of eq. 12", faults.svg())),
+        + beside(checks, figure(RESIDUAL, "at 2000 rpm; the limit is that of eq. 12", faults.svg()))
+        + beside(act, figure(SERVO, "all samples; the limit is that of the known jerk", moved.svg())),
         FOOTER,
         story.held,
     )

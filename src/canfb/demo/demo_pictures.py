@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from canfb.demo.demo_network import DemoNetwork
+from canfb.demo.servo_act import ServoRun
 from canfb.demo.story import FAULT_SAMPLES, FAULTS, LOST_SAMPLE, Story
 from canfb.report.lissajous import SHOWN_SAMPLES, circle, cloud, square_plot
 from canfb.report.plot import Plot
@@ -13,6 +14,7 @@ from canfb.signal.phase import FloatArray
 from canfb.signal.tracker import RESIDUAL_LIMIT
 
 PERCENT = 100.0
+MOVE_SHOWN_MS = -10.0, 75.0
 FIRST_NAME, NAMES_APART = 0.75, 0.06  # heights of the names of the faults, above all residuals
 
 
@@ -91,3 +93,27 @@ def residual(story: Story) -> Plot:
     plot.dots(number, story.residual, "after large")
     plot.level(RESIDUAL_LIMIT, "limit dashed", "limit 1/3")
     return plot
+
+
+def servo(story: Story) -> Plot:
+    """The residuals of the servo's move: two samples for each SYNC, and what eq. 9 makes of it."""
+    plot = Plot(
+        "Residual of each sample in a move of a servo from 0 to 3000 rpm in 50 ms",
+        MOVE_SHOWN_MS,
+        (0.0, 0.55),
+        ("time, ms", "residual, cycles"),
+    )
+    if not story.servo:
+        return plot
+    ours, eq_9 = story.servo[0], story.servo[-1]
+    plot.line(*_shown(eq_9), "before thin", eq_9.name)
+    plot.line(*_shown(ours), "after thin", ours.name)
+    plot.dots(*_shown(ours), "after")
+    plot.level(ours.limit_cycles, "limit dashed", f"limit {ours.limit_cycles:.2f}")
+    return plot
+
+
+def _shown(run: ServoRun) -> tuple[FloatArray, FloatArray]:
+    time_ms = 1e3 * run.time_s
+    inside = (time_ms >= MOVE_SHOWN_MS[0]) & (time_ms <= MOVE_SHOWN_MS[1])
+    return time_ms[inside], run.residual[inside]

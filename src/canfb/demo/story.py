@@ -20,6 +20,7 @@ from canfb.demo.demo_network import (
     DemoNetwork,
     Fault,
 )
+from canfb.demo.servo_act import MOST_RESIDUAL_CYCLES, ServoRun, servo_move
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import VALID
@@ -72,6 +73,7 @@ class Story:
     residual: FloatArray = field(default_factory=lambda: np.zeros(0))
     fault_window: tuple[int, int] = (0, 0)
     bus_load: float = 0.0
+    servo: list[ServoRun] = field(default_factory=list)
     checks: dict[str, bool] = field(default_factory=dict)
 
     @property
@@ -94,6 +96,8 @@ def tell(network: DemoNetwork, progress: Callable[[str], None] = lambda text: No
     progress("provoking faults")
     _provoke_faults(network, story)
     _finish(network, story)
+    progress("servo move")
+    _move_servo(network, story)
     return story
 
 
@@ -203,6 +207,18 @@ def _finish(network: DemoNetwork, story: Story) -> None:
     }
 
 
+def _move_servo(network: DemoNetwork, story: Story) -> None:
+    """A second network, and a move that is limited in jerk; with the table of this one."""
+    story.servo = servo_move(network.encoder, network.module.chain.correction, network.seed)
+    two_samples = story.servo[0]
+    story.checks |= {
+        "servo move counted exactly": two_samples.exact,
+        f"servo residuals below {MOST_RESIDUAL_CYCLES:g} cycle": bool(
+            two_samples.largest_residual < MOST_RESIDUAL_CYCLES
+        ),
+    }
+
+
 def as_json(story: Story) -> dict[str, Any]:
     """The figures of the story, for programs."""
     calibration = story.calibration
@@ -222,6 +238,7 @@ def as_json(story: Story) -> dict[str, Any]:
         "faults_flagged_in_the_same_sample": story.faults.flagged_at_once,
         "wrong_positions_called_valid": story.faults.wrong_and_valid,
         "bus_load": story.bus_load,
+        "servo_move": {run.name: run.figures() for run in story.servo},
         "sync_jitter_us": TIMING.sync_jitter_us,
         "clock_drift_ppm": CLOCK_DRIFT_PPM,
     }

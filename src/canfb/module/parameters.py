@@ -30,8 +30,6 @@ from canfb.signal.third_order import SECOND
 
 SAME_NOISE = 0.02  # of it: no reason for new limits
 LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
-# RPDO1: sine, cosine, sample time.
-TIMED = {(od.RPDO_MAPPING, 0): 3, (od.RPDO_MAPPING, 3): od.SAMPLE_TIME.mapped(32)}
 
 
 def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:

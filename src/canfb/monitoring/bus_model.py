@@ -97,11 +97,12 @@ class BusModel:
         shown = [
             node for _, node in sorted(self._nodes.items()) if node.module is not None or not self._only_known
         ]
+        sync = self._sync.snapshot(now)
         return BusSnapshot(
             now,
-            self._sync.snapshot(now),
+            sync,
             self._load.snapshot(now),
-            [node.snapshot(now) for node in shown],
+            [node.snapshot(now, sync.rate_hz) for node in shown],
             self._error_frames,
         )
 

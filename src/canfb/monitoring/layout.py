@@ -9,6 +9,7 @@ from enum import StrEnum
 
 from canfb import objects as od
 from canfb.cia301 import cob
+from canfb.monitoring.limit_in_force import NOTHING_NARROWS, LimitSettings
 from canfb.objects import Multiplexer
 
 Number = int | float
@@ -46,6 +47,7 @@ VALUES: dict[Multiplexer, str] = {
     od.FEEDBACK_AMPLITUDE: "H",
     od.FEEDBACK_VELOCITY: "f",
     od.FEEDBACK_SAMPLES: "I",
+    od.FEEDBACK_NOISE: "H",
     od.TABLE_ACTIVE_CRC: "I",
     **dict.fromkeys(COUNTERS, "I"),
 }
@@ -62,6 +64,11 @@ SETTINGS: dict[Multiplexer, str] = {
     od.ENCODER_LOWEST_AMPLITUDE: "H",
     od.ENCODER_HIGHEST_AMPLITUDE: "H",
     od.SUPERVISION_RESIDUAL_LIMIT: "H",
+    od.SUPERVISION_ACCELERATION: "f",
+    od.SUPERVISION_ORDER: "B",
+    od.SUPERVISION_JERK: "f",
+    od.SUPERVISION_NOISE_MARGIN: "B",
+    od.CYCLE_PERIOD: "I",
     od.UNITS_PER_REVOLUTION: "I",
     od.TOTAL_RANGE: "I",
     **{Multiplexer(base + n, 1): "I" for base in (od.TPDO, od.RPDO) for n in range(PDOS)},
@@ -107,7 +114,7 @@ class NodeLayout:
     sync_id, emcy_id    CAN-IDs of SYNC and of its EMCY
     cycles_per_revolution, units_per_revolution, total_range  2001:01, 6001h, 6002h
     full_scale_counts, amplitude_low_counts, amplitude_high_counts   2001:02..04
-    residual_limit_cycles   2010:01; the limit in force may be narrower (2010:02)
+    supervision         what the residual limit in force depends on
     """
 
     node_id: int
@@ -122,7 +129,7 @@ class NodeLayout:
     full_scale_counts: int = 2048
     amplitude_low_counts: int = 0
     amplitude_high_counts: int = 0
-    residual_limit_cycles: float = 0.5
+    supervision: LimitSettings = NOTHING_NARROWS
 
 
 def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
@@ -145,7 +152,29 @@ def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
         full_scale_counts=integer(od.ENCODER_FULL_SCALE, 2048),
         amplitude_low_counts=integer(od.ENCODER_LOWEST_AMPLITUDE, 0),
         amplitude_high_counts=integer(od.ENCODER_HIGHEST_AMPLITUDE, 0),
-        residual_limit_cycles=integer(od.SUPERVISION_RESIDUAL_LIMIT, LIMIT_UNITS // 2) / LIMIT_UNITS,
+        supervision=_supervision(read, integer),
+    )
+
+
+def _supervision(read: Read, integer: Callable[[Multiplexer, int], int]) -> LimitSettings:
+    mapped = [
+        [
+            int(read(Multiplexer(od.RPDO_MAPPING + n, sub + 1)) or 0)
+            for sub in range(min(int(count), MOST_MAPPED))
+        ]
+        for n in range(PDOS)
+        if (count := read(Multiplexer(od.RPDO_MAPPING + n, 0)))
+        and not integer(Multiplexer(od.RPDO + n, 1), cob.NOT_VALID) & cob.NOT_VALID
+    ]
+    return LimitSettings(
+        integer(od.SUPERVISION_RESIDUAL_LIMIT, LIMIT_UNITS // 2) / LIMIT_UNITS,
+        integer(od.SUPERVISION_ORDER, 2),
+        float(read(od.SUPERVISION_ACCELERATION) or 0.0),
+        float(read(od.SUPERVISION_JERK) or 0.0),
+        integer(od.SUPERVISION_NOISE_MARGIN, 0),
+        integer(od.CYCLE_PERIOD, 0) * 1e-6,
+        od.samples_per_sync(mapped),
+        any(od.SAMPLE_TIME.mapped(32) in one for one in mapped),
     )
 
 

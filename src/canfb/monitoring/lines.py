@@ -54,7 +54,9 @@ def residual_words(module: ModuleSnapshot) -> str:
     """Residual of the last sample against its limit."""
     if module.residual_cycles is None or module.residual_limit_cycles is None:
         return "-"
-    return f"{module.residual_cycles:.3f} of {module.residual_limit_cycles:.3f} cycle"
+    noise = module.residual_noise_cycles
+    said = "" if noise is None else f", noise {noise:.4f}"
+    return f"{module.residual_cycles:.3f} of {module.residual_limit_cycles:.3f} cycle{said}"
 
 
 def amplitude_words(module: ModuleSnapshot) -> str:

@@ -94,14 +94,16 @@ class ModuleModel:
         if not self._positions or now - self._positions[-1][0] >= STEP_S:
             self._positions.append((now, position))
 
-    def snapshot(self, now: float) -> ModuleSnapshot:
-        """What is known by ``now``."""
+    def snapshot(self, now: float, sync_hz: float | None = None) -> ModuleSnapshot:
+        """What is known by ``now``; ``sync_hz`` is the SYNC rate on the bus."""
         layout, values = self.layout, self._values
         status = values.get(od.FEEDBACK_STATUS)
         units, residual = values.get(od.POSITION_VALUE), values.get(od.FEEDBACK_RESIDUAL)
         per_revolution = layout.units_per_revolution
         amplitude = values.get(od.FEEDBACK_AMPLITUDE)
         crc32 = values.get(od.TABLE_ACTIVE_CRC)
+        velocity = self._velocity_rad_s(now)
+        noise = values.get(od.FEEDBACK_NOISE, 0) / LIMIT_UNITS or None
         raw = amplitude is None and bool(self._tracks)
         return ModuleSnapshot(
             layout=str(layout.origin),
@@ -114,9 +116,12 @@ class ModuleModel:
             table_crc32=None if crc32 is None else int(crc32),
             position_units=None if units is None else int(units),
             position_revolutions=units / per_revolution if units is not None and per_revolution else None,
-            velocity_rad_s=self._velocity_rad_s(now),
+            velocity_rad_s=velocity,
             residual_cycles=None if residual is None else residual / LIMIT_UNITS,
-            residual_limit_cycles=layout.residual_limit_cycles,
+            residual_limit_cycles=layout.supervision.limit_cycles(
+                layout.cycles_per_revolution, sync_hz, noise, velocity
+            ),
+            residual_noise_cycles=noise,
             residual_peak_cycles=self._history.peak(now, PEAK_S),
             residual_history_cycles=self._history.values(now),
             history_bin_s=self._history.bin_s,

@@ -89,7 +89,7 @@ class NodeModel:
             self._alike = 0
         return self._alike >= ALIKE
 
-    def snapshot(self, now: float) -> NodeSnapshot:
+    def snapshot(self, now: float, sync_hz: float | None = None) -> NodeSnapshot:
         """What is known by ``now``."""
         emergencies = [
             EmergencySnapshot(
@@ -109,5 +109,5 @@ class NodeModel:
             self._boot_ups,
             emergencies,
             self._emergency_count,
-            None if self.module is None else self.module.snapshot(now),
+            None if self.module is None else self.module.snapshot(now, sync_hz),
         )

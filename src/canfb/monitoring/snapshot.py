@@ -63,7 +63,8 @@ class ModuleSnapshot:
     position_revolutions   the same, in revolutions, within the total range
     table_crc32            2020:04, 0: the identity; read by SDO
     velocity_rad_s         of 2011:07, else from the positions
-    residual_cycles        of the last sample, with its limit, and the peak of the last second
+    residual_cycles        of the last sample, with the limit in force, and the peak of the last second
+    residual_noise_cycles  2011:0B, rms, where it is read or mapped and already measured
     residual_history_cycles  peaks of intervals of `history_bin_s`, oldest first; None without a sample
     amplitude_counts       2011:05, else of the ADC counts before conditioning (`amplitude_is_raw`)
     tracks_counts          the last pairs of the ADC PDO: sine, cosine
@@ -86,6 +87,7 @@ class ModuleSnapshot:
     velocity_rad_s: float | None = None
     residual_cycles: float | None = None
     residual_limit_cycles: float | None = None
+    residual_noise_cycles: float | None = None
     residual_peak_cycles: float | None = None
     residual_history_cycles: list[float | None] = dataclasses.field(default_factory=list)
     history_bin_s: float = 0.0

@@ -5,9 +5,11 @@ The residual of a healthy machine is at most
     motion  +  w v u  +  w e  +  noise
 
 with the speed v, the error e of a phase and the uncertainty u of the sampling instant: without sample times
-half the range of the SYNC, with them half a unit of the sample time. w is 4 for eq. 9, 8 for third-order
-prediction. What the motion leaves is, for eq. 9, a N/(2 pi) T^2 with the acceleration a; unequal intervals T,
-which sample times allow, make it larger. :mod:`canfb.planning.jerk_budget` is that of third-order prediction.
+half the range of the SYNC, with them half a unit of the sample time, which the module adds to its limit. An
+interface that sends several samples for each SYNC takes them by its own timer, whatever the SYNC does. w is 4
+for eq. 9, 8 for third-order prediction. What the motion leaves is, for eq. 9, a N/(2 pi) T^2 with the
+acceleration a and the interval T from sample to sample; unequal intervals, which sample times allow, make it
+larger. :mod:`canfb.planning.jerk_budget` is that of third-order prediction.
 """
 
 from __future__ import annotations
@@ -15,44 +17,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
+from canfb.planning.phase_errors import PEAK, SECOND_DIFFERENCE, PhaseErrors, Weights
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.situation import Situation
 from canfb.signal.limits import (
-    JERK_MARGIN_CYCLES,
-    PHASE_ERROR_MARGIN_CYCLES,
+    PHASE_ERROR_CYCLES,
     cycles_per_interval_squared,
     max_acceleration,
     max_speed,
 )
-from canfb.signal.third_order import SECOND, THIRD
+from canfb.signal.sample_times import TICK_S
 
-HALF_TICK_S = 50e-9  # a sample time is rounded down to 100 ns
-RAW_PHASE_ERROR_CYCLES = 0.0113  # of Table 1, without a correction table
-TABLE_PHASE_ERROR_CYCLES = 0.001  # of what a reference measurement leaves
-PEAK = 6.0  # standard deviations of the noise: one healthy sample in 5e8 is further off
-ROUNDING_VARIANCE = 1.0 / 12.0  # counts^2
+HALF_TICK_S = TICK_S / 2.0  # a sample time is rounded down
 ROUNDING, ROUNDING_CYCLES = 1e-6, 1e-9  # of sums: a limit that is narrowed to the motion holds
-
-
-class Weights(NamedTuple):
-    """How a difference of phases adds up their errors.
-
-    order            of the prediction
-    errors           sum of the sizes of the weights
-    variance         sum of their squares
-    margin_cycles    what the module keeps for the errors of an uncorrected encoder
-    """
-
-    order: int
-    errors: float
-    variance: float
-    margin_cycles: float
-
-
-SECOND_DIFFERENCE = Weights(SECOND, 4.0, 6.0, PHASE_ERROR_MARGIN_CYCLES)  # 1, 2, 1
-THIRD_DIFFERENCE = Weights(THIRD, 8.0, 20.0, JERK_MARGIN_CYCLES)  # 1, 3, 3, 1
 
 
 @dataclass(frozen=True)
@@ -74,18 +52,49 @@ class ResidualBudget:
 
     @property
     def interval_s(self) -> float:
-        """The nominal sampling interval."""
-        return 1.0 / self.situation.sync_hz
+        """The nominal sampling interval: that of SYNC, divided by the samples in it."""
+        return 1.0 / self.sample_hz
+
+    @property
+    def sample_hz(self) -> float:
+        """Samples per second."""
+        return self.situation.sync_hz * self.module.samples_per_sync
 
     @cached_property
     def limit_cycles(self) -> float:
-        """The residual limit in force."""
-        return self.module.residual_limit_cycles(self.interval_s)
+        """The residual limit in force at the stated speed: uncertain sample times widen a narrowed one."""
+        uncertain = self.weights.errors * self._cycles_per_s * self.known_uncertainty_s
+        return min(self.slow_limit_cycles + uncertain, self.module.widest_limit_cycles)
+
+    @cached_property
+    def slow_limit_cycles(self) -> float:
+        """The residual limit of a machine that turns slowly."""
+        return self.module.residual_limit_cycles(self.interval_s, self.noise_margin_cycles)
 
     @property
     def is_narrowed(self) -> bool:
         """What is known of the machine is narrower than 2010:01."""
-        return self.limit_cycles < self.module.widest_limit_cycles
+        return self.slow_limit_cycles < self.module.widest_limit_cycles
+
+    @cached_property
+    def measured_noise_cycles(self) -> float:
+        """The rms of the residual without the motion (2011:0B)."""
+        return self.phase_errors.rms_in(self.weights)
+
+    @cached_property
+    def noise_margin_cycles(self) -> float:
+        """2010:09 times the noise that the module will measure; inf while it is 0."""
+        return self.module.noise_margin * self.measured_noise_cycles or math.inf
+
+    @property
+    def has_noise_margin(self) -> bool:
+        """The margin of the limit in force is that of the measured noise."""
+        return self.is_narrowed and self.noise_margin_cycles < self.weights.margin_cycles
+
+    @property
+    def known_phase_error_cycles(self) -> float:
+        """The error of a phase that the module reckons with after missed samples."""
+        return min(PHASE_ERROR_CYCLES, self.noise_margin_cycles / math.sqrt(self.weights.variance))
 
     @property
     def asked_rad_s2(self) -> float | None:
@@ -107,7 +116,13 @@ class ResidualBudget:
         """Half the range in which the sampling instant may be; 0.0 for a module that samples itself."""
         if self.module.samples_itself:
             return 0.0
-        return (HALF_TICK_S if self.module.times else self.sync_jitter_s) + self.situation.aperture_s
+        jitter_s = 0.0 if self.module.samples_per_sync > 1 else self.sync_jitter_s
+        return (self.known_uncertainty_s if self.module.times else jitter_s) + self.situation.aperture_s
+
+    @property
+    def known_uncertainty_s(self) -> float:
+        """What of it the module knows, and adds to its limit: the resolution of sample times."""
+        return HALF_TICK_S if self.module.times and not self.module.samples_itself else 0.0
 
     @property
     def parts(self) -> tuple[ResidualPart, ...]:
@@ -137,17 +152,17 @@ class ResidualBudget:
     @property
     def equation_rad_s2(self) -> float:
         """The acceleration that eq. 12 allows without any errors."""
-        return self._acceleration(self.limit_cycles, self.situation.sync_hz)
+        return self._acceleration(self.limit_cycles, self.sample_hz)
 
     @property
     def paper_rad_s2(self) -> float:
         """The acceleration that eq. 10 allows."""
-        return max_acceleration(self.module.cycles_per_revolution, self.situation.sync_hz)
+        return max_acceleration(self.module.cycles_per_revolution, self.sample_hz)
 
     @property
     def largest_acceleration_rad_s2(self) -> float:
         """With the speed as stated, unless that alone is too much; 0.0 if the errors need the whole limit."""
-        return self._acceleration(self.left_cycles(self.limit_cycles), 1.0 / self.worst_interval_s)
+        return self._acceleration(self.left_in_force_cycles, 1.0 / self.worst_interval_s)
 
     @property
     def largest_jerk_rad_s3(self) -> float:
@@ -162,7 +177,7 @@ class ResidualBudget:
     @property
     def equation_speed_rad_s(self) -> float:
         """The speed that w v u < L allows without any errors; inf without an uncertainty."""
-        return self.speed_rad_s(self.limit_cycles, self.weights)
+        return self._speed_beside(0.0)
 
     @property
     def largest_speed_rad_s(self) -> float:
@@ -170,10 +185,18 @@ class ResidualBudget:
 
         0.0 if the errors need the whole limit, inf if the sampling instants are known.
         """
-        left = self.limit_cycles - self.motion_part.cycles
-        if left < self.rest_cycles(0.0) - ROUNDING_CYCLES:
-            left = self.limit_cycles
-        return self.speed_rad_s(left - self.phase_cycles(), self.weights)
+        motion = self.motion_part.cycles
+        if self.slow_limit_cycles - motion < self.rest_cycles(0.0) - ROUNDING_CYCLES:
+            motion = 0.0
+        return self._speed_beside(motion + self.phase_cycles())
+
+    def _speed_beside(self, needed_cycles: float) -> float:
+        """The speed at which the sampling instants need what this leaves; the limit grows with the speed."""
+        own_s = self.uncertainty_s - self.known_uncertainty_s
+        return min(
+            self.speed_rad_s(self.slow_limit_cycles - needed_cycles, self.weights, own_s),
+            self.speed_rad_s(self.module.widest_limit_cycles - needed_cycles, self.weights),
+        )
 
     @property
     def least_sync_hz(self) -> float:
@@ -182,7 +205,8 @@ class ResidualBudget:
         With 2010:01: a limit that is narrowed follows the rate. A speed that is too high alone does not
         count.
         """
-        taken, left = self.motion_part.cycles, self.left_cycles(self.module.widest_limit_cycles)
+        widest = self.module.widest_limit_cycles
+        taken, left = self.motion_part.cycles, self.left_cycles(widest, widest)
         if not taken:
             return 0.0
         return self.situation.sync_hz * (taken / left) ** (1.0 / self.power) if left > 0.0 else math.inf
@@ -203,7 +227,8 @@ class ResidualBudget:
 
         0.0 without sample times: they count as equal then, and as an error of the position.
         """
-        return self.sync_jitter_s if self.module.times and not self.module.samples_itself else 0.0
+        by_sync = self.module.samples_per_sync == 1 and not self.module.samples_itself
+        return self.sync_jitter_s if self.module.times and by_sync else 0.0
 
     @property
     def worst_interval_s(self) -> float:
@@ -219,28 +244,29 @@ class ResidualBudget:
             acceleration_rad_s2, self.module.cycles_per_revolution, self.worst_interval_s
         )
 
-    def noise_cycles(self, weights: Weights | None = None) -> float:
-        """The noise of the tracks in a difference of phases, at most; that of the residual by default."""
-        errors = self.situation.errors
-        counts = math.sqrt(errors.noise_counts**2 + ROUNDING_VARIANCE)
-        amplitude = errors.amplitude * self.module.full_scale_counts
-        if not amplitude:
-            return math.inf
-        variance = (weights or self.weights).variance
-        return PEAK * math.sqrt(variance) * counts / (2.0 * math.pi * amplitude)
+    @cached_property
+    def phase_errors(self) -> PhaseErrors:
+        """Those of the encoder."""
+        return PhaseErrors(self.situation.errors, self.module)
 
     def phase_cycles(self, weights: Weights | None = None) -> float:
-        """Errors of the phases in a difference, without those of their instants."""
-        stated = self.situation.errors.phase_cycles
-        if stated is None:
-            stated = TABLE_PHASE_ERROR_CYCLES if self.module.has_table else RAW_PHASE_ERROR_CYCLES
-        return (weights or self.weights).errors * stated + self.noise_cycles(weights)
+        """Errors of the phases in a difference, without those of their instants.
+
+        All at the same time; with a margin by the measured noise six standard deviations, if that is less.
+        """
+        weights, errors = weights or self.weights, self.phase_errors
+        largest = errors.largest_in(weights)
+        return min(largest, PEAK * errors.rms_in(weights)) if self.has_noise_margin else largest
+
+    @property
+    def _cycles_per_s(self) -> float:
+        """The stated speed."""
+        cycles = self.module.cycles_per_revolution
+        return (self.situation.motion.speed_rad_s or 0.0) * cycles / (2 * math.pi)
 
     def instants_cycles(self, weights: Weights | None = None) -> float:
         """Errors of the sampling instants in a difference of phases."""
-        cycles = self.module.cycles_per_revolution
-        cycles_per_s = (self.situation.motion.speed_rad_s or 0.0) * cycles / (2 * math.pi)
-        return (weights or self.weights).errors * cycles_per_s * self.uncertainty_s
+        return (weights or self.weights).errors * self._cycles_per_s * self.uncertainty_s
 
     def rest_cycles(self, instants_cycles: float, weights: Weights | None = None) -> float:
         """All but the motion, not below what the module itself allows for an uncorrected phase."""
@@ -248,19 +274,28 @@ class ResidualBudget:
         rest = self.phase_cycles(weights) + instants_cycles
         return max(rest, (weights or self.weights).margin_cycles) if uncorrected else rest
 
-    def left_cycles(self, limit_cycles: float) -> float:
-        """What a limit leaves for the motion, with the speed as stated unless that alone is too much."""
-        left = limit_cycles - self.rest_cycles(self.instants_cycles())
-        return left if left > 0.0 else limit_cycles - self.rest_cycles(0.0)
+    @property
+    def left_in_force_cycles(self) -> float:
+        """What the limit in force leaves for the motion, as :meth:`left_cycles`."""
+        return self.left_cycles(self.limit_cycles, self.slow_limit_cycles)
 
-    def speed_rad_s(self, left_cycles: float, weights: Weights) -> float:
+    def left_cycles(self, limit_cycles: float, slow_limit_cycles: float) -> float:
+        """What a limit leaves for the motion, with the speed as stated unless that alone is too much.
+
+        ``slow_limit_cycles`` is that of a machine that turns slowly.
+        """
+        left = limit_cycles - self.rest_cycles(self.instants_cycles())
+        return left if left > 0.0 else slow_limit_cycles - self.rest_cycles(0.0)
+
+    def speed_rad_s(self, left_cycles: float, weights: Weights, uncertainty_s: float | None = None) -> float:
         """The speed at which the sampling instants need so much; inf if they are known."""
         if left_cycles <= 0.0:
             return 0.0
-        if not self.uncertainty_s:
+        uncertain_s = self.uncertainty_s if uncertainty_s is None else uncertainty_s
+        if uncertain_s <= 0.0:
             return math.inf
         cycles, order = self.module.cycles_per_revolution, weights.order
-        return max_speed(cycles, self.uncertainty_s, min(left_cycles, 0.5), order)
+        return max_speed(cycles, uncertain_s, min(left_cycles, 0.5), order)
 
     def _acceleration(self, left_cycles: float, rate_hz: float) -> float:
         cycles = self.module.cycles_per_revolution

@@ -27,6 +27,8 @@ class Remedy:
     situation: Situation
 
 
+NOISE_MARGIN = 6  # docs/sharp-limit.md
+
 Proposals = Iterator[tuple[str, Situation]]
 
 
@@ -58,6 +60,25 @@ def with_table(module: PlannedModule) -> PlannedModule:
 def knowing_jerk(module: PlannedModule, jerk_rad_s3: float) -> PlannedModule:
     """With 2010:08."""
     return module.with_values({od.SUPERVISION_JERK: jerk_rad_s3})
+
+
+def noise_margined(module: PlannedModule) -> PlannedModule:
+    """With 2010:09 = 6, where nothing else is set."""
+    return module if module.noise_margin else module.with_values({od.SUPERVISION_NOISE_MARGIN: NOISE_MARGIN})
+
+
+def with_samples(situation: Situation, per_sync: int) -> tuple[str, Situation] | None:
+    """At least ``per_sync`` samples for each SYNC of every module, and the cost; None: no RPDO is left."""
+    try:
+        after = each(situation, lambda module: module.with_samples(max(per_sync, module.samples_per_sync)))
+    except ValueError:
+        return None
+    old, new = situation.bus, after.bus
+    more = sum(one.sample_bytes for one in after.modules) - sum(one.sample_bytes for one in situation.modules)
+    percent = 100.0 * (new.load - old.load)
+    cost = f"{more} bytes more for each SYNC, bus load +{percent:.1f} %"
+    words = {2: "two", 3: "three", 4: "four"}[per_sync]
+    return f"send {words} samples for each SYNC (samples_per_sync: {per_sync}; {cost})", after
 
 
 def third_order(module: PlannedModule) -> PlannedModule:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from canfb.signal.limits import ROUNDING, safe_deviation, samples_without_harm
+from canfb.signal.limits import PHASE_ERROR_CYCLES, ROUNDING, safe_deviation, samples_without_harm
 from canfb.signal.recovery.parabola import MotionLimits
 
 SAMPLE_BOUNDS = {n: safe_deviation(n) for n in (1, 2, 3)}
@@ -66,10 +66,12 @@ class JerkDetection(CountDetection):
 
     known_jerk      2010:08, cycles per interval cubed; None: not known
     phase_cycles    largest error of a phase
+    known_error     what the module takes for it
     """
 
     known_jerk: float | None
     phase_cycles: float
+    known_error: float = PHASE_ERROR_CYCLES
 
     well = WELL_THIRD_ORDER
 
@@ -89,7 +91,9 @@ class JerkDetection(CountDetection):
         return next((n for n in (3, 2, 1) if self._is_certain(n)), 0)
 
     def _is_certain(self, missed: int) -> bool:
-        limits = MotionLimits(self.limit_cycles, self.limit_cycles, self.known_jerk)
+        limits = MotionLimits(
+            self.limit_cycles, self.limit_cycles, self.known_jerk, phase_error=self.known_error
+        )
         accepted = limits.from_parabola(missed + 1.0, 1.0, 1.0)
         scale = (missed + 1.0) * (missed + 2.0) * (missed + 3.0) / 6.0
         weights = 2.0 * (missed + 2.0) ** 2

@@ -10,13 +10,8 @@ from __future__ import annotations
 import math
 from functools import cached_property
 
-from canfb.planning.budget import (
-    ROUNDING_CYCLES,
-    SECOND_DIFFERENCE,
-    THIRD_DIFFERENCE,
-    ResidualBudget,
-    ResidualPart,
-)
+from canfb.planning.budget import ROUNDING_CYCLES, ResidualBudget, ResidualPart
+from canfb.planning.phase_errors import SECOND_DIFFERENCE, THIRD_DIFFERENCE
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.situation import Situation
 from canfb.signal.limits import cycles_per_interval_cubed, cycles_per_interval_squared, max_jerk
@@ -52,25 +47,24 @@ class JerkBudget(ResidualBudget):
     @property
     def equation_rad_s3(self) -> float:
         """The jerk that the residual limit allows without any errors (:func:`canfb.max_jerk`)."""
-        return max_jerk(
-            self.module.cycles_per_revolution, self.situation.sync_hz, min(self.limit_cycles, 0.5)
-        )
+        return max_jerk(self.module.cycles_per_revolution, self.sample_hz, min(self.limit_cycles, 0.5))
 
     @property
     def largest_jerk_rad_s3(self) -> float:
         """With the speed as stated, unless that alone is too much; 0.0 if the errors need the whole limit."""
-        return max(0.0, self.left_cycles(self.limit_cycles)) / self._cycles_per_rad_s3
+        return max(0.0, self.left_in_force_cycles) / self._cycles_per_rad_s3
 
     @property
     def largest_acceleration_rad_s2(self) -> float:
         """As a step, where no jerk is known; by 2010:02, where it is set; inf without both."""
-        left = self._known_cycles - self.rest_cycles(
-            self.instants_cycles(SECOND_DIFFERENCE), SECOND_DIFFERENCE
-        )
+        instants = self.instants_cycles(SECOND_DIFFERENCE)
+        if self.uncertainty_s:  # what the module knows of it widens this limit as well
+            instants *= 1.0 - self.known_uncertainty_s / self.uncertainty_s
+        left = self._known_cycles - self.rest_cycles(instants, SECOND_DIFFERENCE)
         largest = max(0.0, left) / self.acceleration_cycles(1.0)
         if not self.steps:
             return largest
-        step = max(0.0, self.left_cycles(self.limit_cycles)) / self._cycles_per_rad_s2_of_a_step
+        step = max(0.0, self.left_in_force_cycles) / self._cycles_per_rad_s2_of_a_step
         return min(largest, step)
 
     @property
@@ -79,7 +73,8 @@ class JerkBudget(ResidualBudget):
         left = self._known_cycles - self.acceleration_cycles(self.asked_rad_s2 or 0.0)
         if left < self.rest_cycles(0.0, SECOND_DIFFERENCE) - ROUNDING_CYCLES:
             left = self._known_cycles
-        checked = self.speed_rad_s(left - self.phase_cycles(SECOND_DIFFERENCE), SECOND_DIFFERENCE)
+        own_s = self.uncertainty_s - self.known_uncertainty_s
+        checked = self.speed_rad_s(left - self.phase_cycles(SECOND_DIFFERENCE), SECOND_DIFFERENCE, own_s)
         return min(super().largest_speed_rad_s, math.inf if math.isinf(self._known_cycles) else checked)
 
     @property
@@ -89,7 +84,7 @@ class JerkBudget(ResidualBudget):
         if not known:
             return math.inf
         cycles = cycles_per_interval_squared(known, self.module.cycles_per_revolution, self.interval_s)
-        return cycles + SECOND_DIFFERENCE.margin_cycles
+        return cycles + SECOND_DIFFERENCE.errors * self.known_phase_error_cycles
 
     @property
     def worst_interval_s(self) -> float:

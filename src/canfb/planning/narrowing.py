@@ -6,18 +6,21 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from canfb.planning.budget import SECOND_DIFFERENCE, THIRD_DIFFERENCE, ResidualBudget
+from canfb.planning.budget import ResidualBudget
 from canfb.planning.changes import (
+    NOISE_MARGIN,
     Proposals,
     Remedy,
     each,
     knowing,
     knowing_jerk,
     limited,
+    noise_margined,
     rounded_limit,
     third_order,
 )
 from canfb.planning.detection import WELL, WELL_THIRD_ORDER
+from canfb.planning.phase_errors import SECOND_DIFFERENCE, THIRD_DIFFERENCE
 from canfb.planning.plan import Plan
 from canfb.planning.planned_module import PlannedModule
 from canfb.signal.tracker import RESIDUAL_LIMIT
@@ -77,7 +80,7 @@ def sharper(plan: Plan) -> Iterator[Remedy]:
             break
     if _is_sharp(plan):
         return
-    for text, situation in (*_by_third_order(plan, kind), *_faster(plan, kind)):
+    for text, situation in (*_by_noise(plan, kind), *_by_third_order(plan, kind), *_faster(plan, kind)):
         after = Plan(situation)
         if after.holds and _is_sharp(after):
             yield Remedy("detection", text, situation)
@@ -94,6 +97,16 @@ def _narrowing(plan: Plan, kind: _Known, stated: float) -> Proposals:
     text = f"lower residual_limit (2010:01) to {limit:.3f} cycle"
     if limit <= RESIDUAL_LIMIT and not any(kind.known(module) for module in situation.modules):
         yield text, each(situation, lambda module: limited(module, limit))
+
+
+def _by_noise(plan: Plan, kind: _Known) -> Proposals:
+    if all(kind.known(module) for module in plan.situation.modules):
+        situation = each(plan.situation, noise_margined)
+        limit = max(budget.limit_cycles for budget in Plan(situation).budgets)
+        yield (
+            f"set noise_margin (2010:09) to {NOISE_MARGIN}: the residual limit becomes {limit:.3f}",
+            situation,
+        )
 
 
 def _by_third_order(plan: Plan, kind: _Known) -> Proposals:

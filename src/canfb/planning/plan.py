@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 
-from canfb.planning.budget import THIRD_DIFFERENCE, ResidualBudget, over
+from canfb.planning.budget import ResidualBudget, over
 from canfb.planning.detection import CountDetection, JerkDetection
 from canfb.planning.jerk_budget import budget_of
+from canfb.planning.phase_errors import THIRD_DIFFERENCE
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.situation import Situation
 from canfb.signal.limits import cycles_per_interval_cubed, cycles_per_interval_squared
@@ -77,7 +78,7 @@ class Plan:
             jerk = budget.module.known_jerk_rad_s3
             known_jerk = cycles_per_interval_cubed(jerk, cycles, budget.interval_s) if jerk else None
             error = budget.phase_cycles() / THIRD_DIFFERENCE.errors
-            return JerkDetection(limit, motion, limit, known_jerk, error)
+            return JerkDetection(limit, motion, limit, known_jerk, error, budget.known_phase_error_cycles)
         known = budget.module.known_acceleration_rad_s2
         accepted = cycles_per_interval_squared(known, cycles, budget.interval_s) if known else limit
         return CountDetection(limit, motion, accepted)

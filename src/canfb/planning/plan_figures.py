@@ -62,9 +62,13 @@ def _module(plan: Plan, budget: ResidualBudget) -> dict[str, Any]:
         "node_id": module.node_id,
         "cycles_per_revolution": module.cycles_per_revolution,
         "prediction_order": budget.weights.order,
+        "samples_per_sync": module.samples_per_sync,
+        "sample_bytes": module.sample_bytes,
         "times": module.times,
         "table": module.has_table,
         "residual_limit_cycles": budget.limit_cycles,
+        "noise_margin": module.noise_margin,
+        "measured_noise_cycles": _finite(budget.measured_noise_cycles),
         "sync_jitter_s": budget.sync_jitter_s,
         "speed": {
             "stated_rpm": _scaled(motion.speed_rad_s),

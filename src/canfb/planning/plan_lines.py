@@ -63,10 +63,10 @@ def _module_lines(plan: Plan, names: str, budget: ResidualBudget) -> list[str]:
     module, motion = budget.module, plan.situation.motion
     third = module.is_third_order
     order = "third-order prediction, " if third else ""
-    narrowed = f", narrowed by {'2010:08' if third else '2010:02'}" if budget.is_narrowed else ""
+    several = f"{module.samples_per_sync} samples per SYNC, " if module.samples_per_sync > 1 else ""
     return [
         f"node{'s' if ',' in names else ''} {names}: {module.cycles_per_revolution} cycles per revolution, "
-        f"{order}residual limit {budget.limit_cycles:.3f} cycle{narrowed}",
+        f"{several}{order}residual limit {budget.limit_cycles:.3f} cycle{_narrowed(budget)}",
         *([f"  {motion.where}"] if motion.where else []),
         _speed_line(budget, motion.speed_rad_s),
         f"    {_instants(budget)}",
@@ -75,6 +75,13 @@ def _module_lines(plan: Plan, names: str, budget: ResidualBudget) -> list[str]:
         "    " + " + ".join(f"{part.what} {part.cycles:.3f}" for part in budget.parts),
         *_detection_lines(plan.detection(budget), budget),
     ]
+
+
+def _narrowed(budget: ResidualBudget) -> str:
+    if not budget.is_narrowed:
+        return ""
+    known = "2010:08" if budget.module.is_third_order else "2010:02"
+    return f", narrowed by {known}{' and 2010:09' if budget.has_noise_margin else ''}"
 
 
 def _speed_line(budget: ResidualBudget, stated: float | None) -> str:
@@ -92,6 +99,8 @@ def _instants(budget: ResidualBudget) -> str:
         return "the module samples itself: the jitter of SYNC does not matter"
     if budget.module.times:
         return "sample times: the jitter of SYNC does not limit the speed"
+    if budget.module.samples_per_sync > 1:
+        return "the interface samples by its own timer: the jitter of SYNC does not limit the speed"
     bus_us, own_us = budget.situation.bus.sync_delay_s / 2.0 * 1e6, budget.situation.jitter_s * 1e6
     said = f"no sample times; SYNC ±{own_us + bus_us:.3g} µs"
     return f"{said}: producer {own_us:.3g}, frames before it {bus_us:.3g}"
@@ -184,8 +193,8 @@ def _alike(plan: Plan) -> list[tuple[str, ResidualBudget]]:
         module = budget.module
         low_high, frozen = module.amplitude_limits_counts, module.frozen_samples
         key = (module.cycles_per_revolution, module.times, module.has_table, module.samples_itself, low_high,
-               frozen, module.is_third_order, budget.limit_cycles, budget.needed_cycles,
-               module.full_scale_counts)  # fmt: skip
+               frozen, module.is_third_order, module.samples_per_sync, budget.limit_cycles,
+               budget.needed_cycles, module.full_scale_counts)  # fmt: skip
         found.setdefault(key, ([], budget))[0].append(f"{module.node_id:02X}h")
     return [(", ".join(names), budget) for names, budget in found.values()]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -9,8 +10,9 @@ from typing import Any
 
 from canfb import objects as od
 from canfb.device.od.dcf import Place
-from canfb.module.parameters import LIMIT_UNITS, TIMED
-from canfb.planning.traffic import Values, mapped_objects, valid_pdos
+from canfb.module.parameters import LIMIT_UNITS
+from canfb.planning import adc_pdos
+from canfb.planning.traffic import Values
 from canfb.signal.limits import limit_narrowed_by_jerk, narrowed_residual_limit
 from canfb.signal.third_order import THIRD
 
@@ -71,26 +73,47 @@ class PlannedModule:
         """2010:07: the prediction has constant acceleration."""
         return int(self.values[od.SUPERVISION_ORDER]) == THIRD
 
-    def residual_limit_cycles(self, interval_s: float) -> float:
-        """The residual limit in force at this sampling interval."""
+    @property
+    def noise_margin(self) -> int:
+        """2010:09, 0: the fixed margin."""
+        return int(self.values[od.SUPERVISION_NOISE_MARGIN])
+
+    def residual_limit_cycles(self, interval_s: float, margin_cycles: float = math.inf) -> float:
+        """The residual limit in force at this sampling interval; ``margin_cycles`` is that of 2010:09."""
         widest, cycles = self.widest_limit_cycles, self.cycles_per_revolution
         if self.is_third_order:
-            return limit_narrowed_by_jerk(widest, self.known_jerk_rad_s3, cycles, interval_s)
-        return narrowed_residual_limit(widest, self.known_acceleration_rad_s2, cycles, interval_s)
+            return limit_narrowed_by_jerk(widest, self.known_jerk_rad_s3, cycles, interval_s, margin_cycles)
+        return narrowed_residual_limit(
+            widest, self.known_acceleration_rad_s2, cycles, interval_s, margin_cycles
+        )
 
     @cached_property
     def times(self) -> bool:
         """The ADC PDO brings the time of each sample, or the module takes the sample itself."""
-        wanted = od.SAMPLE_TIME.mapped(32)
-        return self.samples_itself or any(
-            wanted in mapped_objects(self.values, od.RPDO_MAPPING + number - 1)
-            for number, _ in valid_pdos(self.values, od.RPDO)
-        )
+        return self.samples_itself or adc_pdos.has_time(self.values)
+
+    @cached_property
+    def samples_per_sync(self) -> int:
+        """Pairs of sine and cosine for each SYNC, 1..4."""
+        return 1 if self.samples_itself else adc_pdos.samples_per_sync(self.values)
+
+    @property
+    def sample_bytes(self) -> int:
+        """Data bytes of the ADC PDOs for each SYNC."""
+        return 0 if self.samples_itself else adc_pdos.sample_bytes(self.values)
 
     def with_values(self, values: Mapping[Place, Any]) -> PlannedModule:
         """The same with other values of these objects."""
         return replace(self, values={**self.values, **values})
 
     def with_times(self) -> PlannedModule:
-        """The same with ``times: true``."""
-        return self if self.times else self.with_values(TIMED)
+        """The same with ``times: true``. ValueError if no RPDO has room for it."""
+        if self.times:
+            return self
+        return self.with_values(adc_pdos.laid_out(self.values, self.samples_per_sync, times=True))
+
+    def with_samples(self, per_sync: int) -> PlannedModule:
+        """The same with ``samples_per_sync``, 1..4; a module that samples itself stays. ValueError."""
+        if self.samples_itself or per_sync == self.samples_per_sync:
+            return self
+        return self.with_values(adc_pdos.laid_out(self.values, per_sync, self.times))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,16 +18,19 @@ from canfb.planning.changes import (
     limited,
     rounded_limit,
     third_order,
+    with_samples,
     with_table,
 )
 from canfb.planning.narrowing import sharper
 from canfb.planning.plan import Limited, Margin, Plan
 from canfb.planning.situation import Situation
+from canfb.signal.subsamples import MOST_PER_SYNC
 from canfb.signal.tracker import RESIDUAL_LIMIT
 from canfb.simulation.demand import rounded_up
 
 LEAVES = 0.95  # of the largest SYNC rate, of what jitter may be
 FASTER = 1.05
+LITTLE_FASTER = 1.25
 MOST_FASTER = 40  # steps of FASTER: 7 times the rate
 
 
@@ -104,7 +108,8 @@ def _of_speed(plan: Plan, margin: Margin) -> Proposals:
     yield from _times(situation)
     yield from _table(situation)
     speed = situation.motion.speed_rad_s or 0.0
-    if budget.largest_speed_rad_s > 0.0 and not budget.module.times:
+    by_jitter = not budget.module.times and budget.module.samples_per_sync == 1
+    if budget.largest_speed_rad_s > 0.0 and by_jitter:
         # The largest speed goes with 1/u: so much smaller the uncertainty has to be.
         allowed_s = LEAVES * budget.uncertainty_s * budget.largest_speed_rad_s / speed
         jitter_s = allowed_s - (budget.uncertainty_s - situation.jitter_s)
@@ -134,7 +139,10 @@ def _of_residual(plan: Plan, margin: Margin) -> Proposals:
         yield text, each(situation, lambda module: limited(module, limit))
     yield from _table(situation)
     yield from _third_order(plan)
-    yield from _faster(plan)
+    least_hz = max(one.least_sync_hz for one in plan.budgets)
+    a_little = least_hz <= LITTLE_FASTER * situation.sync_hz  # not worth another interface
+    for way in (_several, _faster) if jerk and not a_little else (_faster, _several):
+        yield from way(plan)
     yield from _gentler(plan)
     slower = min(one.largest_acceleration_rad_s2 for one in plan.budgets) * (1.0 - 1e-9)
     if stated and 0.0 < slower < stated:
@@ -160,16 +168,35 @@ PROPOSALS: dict[Limited, Callable[[Plan, Margin], Proposals]] = {
 
 def _times(situation: Situation) -> Proposals:
     if not all(module.times for module in situation.modules):
-        yield (
-            "send sample times with the ADC PDO (times: true)",
-            each(situation, lambda module: module.with_times()),
-        )
+        with contextlib.suppress(ValueError):  # no RPDO has room for them
+            changed = each(situation, lambda module: module.with_times())
+            yield "send sample times with the ADC PDO (times: true)", changed
 
 
 def _table(situation: Situation) -> Proposals:
     if situation.errors.phase_cycles is None and not all(module.has_table for module in situation.modules):
         text = "measure the correction table (canfb calibrate)"
         yield text, each(situation, with_table)
+
+
+def _several(plan: Plan) -> Proposals:
+    """More samples for each SYNC, of any order, if the move holds then."""
+    situation = plan.situation
+    fewest = min(module.samples_per_sync for module in situation.modules)
+    by_third = bool(situation.motion.jerk_rad_s3) and not all(m.is_third_order for m in situation.modules)
+    for per_sync in range(fewest + 1, MOST_PER_SYNC + 1):
+        found = with_samples(situation, per_sync)
+        if found is None or all(module.samples_itself for module in situation.modules):
+            return
+        text, after = found
+        if _motion_holds(after):
+            yield f"{text}: that holds this move", after
+        elif by_third and _motion_holds(changed := each(after, third_order)):
+            yield f"set prediction_order: 3 (2010:07), and {text}: that holds this move", changed
+
+
+def _motion_holds(situation: Situation) -> bool:
+    return all(margin.holds for margin in Plan(situation).margins if margin.limited in MOTION)
 
 
 def _third_order(plan: Plan) -> Proposals:
@@ -180,7 +207,7 @@ def _third_order(plan: Plan) -> Proposals:
     changed = each(situation, third_order)
     text = "set prediction_order: 3 (2010:07): order 3 holds this move"
     for extra, proposal in (("", changed), *((f"{one}, and ", after) for one, after in _table(changed))):
-        if all(margin.holds for margin in Plan(proposal).margins if margin.limited in MOTION):
+        if _motion_holds(proposal):
             yield extra + text, proposal
 
 

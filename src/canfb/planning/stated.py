@@ -17,6 +17,7 @@ from canfb.module.parameters import LIMIT_UNITS
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.situation import EncoderErrors, Situation, StatedMotion
 from canfb.planning.traffic import Values
+from canfb.signal.subsamples import MOST_PER_SYNC
 from canfb.signal.third_order import check_order
 from canfb.signal.tracker import check_residual_limit
 from canfb.simulation.cia402.drive_config import DriveConfig
@@ -48,6 +49,8 @@ class Stated:
     cycles_per_revolution      2001:01 of every module
     residual_limit             2010:01 of every module, cycles
     prediction_order           2010:07 of every module, 2 or 3
+    samples_per_sync           1..4 pairs that the interface of every module sends for each SYNC
+    noise_margin               2010:09 of every module, 0..255
     times                      True: the ADC PDOs carry sample times
     table                      True: a correction table is in force
 
@@ -67,6 +70,8 @@ class Stated:
     cycles_per_revolution: int | None = None
     residual_limit: float | None = None
     prediction_order: int | None = None
+    samples_per_sync: int | None = None
+    noise_margin: int | None = None
     times: bool = False
     table: bool = False
 
@@ -92,6 +97,10 @@ class Stated:
             check_residual_limit(self.residual_limit)
         if self.prediction_order is not None:
             check_order("prediction_order", self.prediction_order)
+        if self.samples_per_sync is not None:
+            integer_in("samples_per_sync", self.samples_per_sync, 1, MOST_PER_SYNC)
+        if self.noise_margin is not None:
+            integer_in("noise_margin", self.noise_margin, 0, 255)
 
 
 def situation_of(config: Config, modules: Iterable[DeviceConfiguration], stated: Stated) -> Situation:
@@ -139,6 +148,10 @@ def _planned(config: ModuleConfig, found: DeviceConfiguration, stated: Stated) -
         module = module.with_values({od.SUPERVISION_RESIDUAL_LIMIT: limit})
     if stated.prediction_order is not None:
         module = module.with_values({od.SUPERVISION_ORDER: stated.prediction_order})
+    if stated.noise_margin is not None:
+        module = module.with_values({od.SUPERVISION_NOISE_MARGIN: stated.noise_margin})
+    if stated.samples_per_sync is not None:
+        module = module.with_samples(stated.samples_per_sync)
     return module.with_times() if stated.times else module
 
 

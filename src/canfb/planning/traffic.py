@@ -88,10 +88,21 @@ def adc_messages(values: Values) -> list[Message]:
     """What the RPDOs of a module receive: a sample for each SYNC."""
     found = []
     for number, cob_id in valid_pdos(values, od.RPDO):
-        node, size = cob_id - cob.TPDO1, mapped_bytes(values, od.RPDO_MAPPING + number - 1)
-        kind, sender = ("ADC PDO", node) if number == 1 else (f"for RPDO{number}", 0)
-        sender_id = sender if 1 <= sender <= 127 else None
-        found.append(Message(can_id=cob_id, kind=kind, node_id=sender_id, data_bytes=size, each_syncs=1))
+        mapping = od.RPDO_MAPPING + number - 1
+        carried = mapped_objects(values, mapping)
+        kind, sender = f"for RPDO{number}", 0
+        if number == 1 or any(one >> 16 == od.SAMPLE_SINE.object_index for one in carried):
+            kind = "ADC PDO" if number == 1 else f"ADC PDO {number}"
+            sender = cob_id - cob.TPDOS[number - 1] if number <= len(cob.TPDOS) else 0
+        found.append(
+            Message(
+                can_id=cob_id,
+                kind=kind,
+                node_id=sender if 1 <= sender <= 127 else None,
+                data_bytes=mapped_bytes(values, mapping),
+                each_syncs=1,
+            )
+        )
     return found
 
 

@@ -52,7 +52,7 @@ class Extreme:
 
 @dataclass
 class Margins:
-    """Of all samples that came.
+    """Of all samples that came, also of those before the newest of a SYNC.
 
     residual          cycles, against the residual limit; while the position was followed
     amplitude_low, amplitude_high   counts, after conditioning

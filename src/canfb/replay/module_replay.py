@@ -72,7 +72,9 @@ class ModuleReplay:
         self.faults, self.margins, self.times = FaultList(), Margins(), LogTime()
         self._correction, self._begin, self._sent = correction, begin, sent
         self.samples = SampleColumns(
-            self.module, [self._before_block, self.faults.take, self.margins.take, *takers]
+            self.module,
+            [self._before_block, self.faults.take, self.margins.take, *takers],
+            [self.margins.take],
         )
         self.module.on_feedback = self.samples.take
         self._left = self.module.node.sent

@@ -73,18 +73,26 @@ _LIMITS = (
 class SampleColumns:
     """Collects what ``module`` makes of each sample, and gives full blocks to ``takers``.
 
+    With several samples for each SYNC a row is the newest. The ones before it come in blocks of their own to
+    ``earlier_takers``: with the stages of the feedback, and time, position and counts of the newest.
     ``origin_s`` is added to the times of the module. Call :meth:`flush` at the end.
     """
 
-    def __init__(self, module: FeedbackModule, takers: Sequence[Callable[[Block], None]]) -> None:
+    def __init__(
+        self,
+        module: FeedbackModule,
+        takers: Sequence[Callable[[Block], None]],
+        earlier_takers: Sequence[Callable[[Block], None]] = (),
+    ) -> None:
         self.origin_s = 0.0
         self.rows = 0
         self._module = module
-        self._takers = takers
+        self._takers, self._earlier_takers = takers, earlier_takers
         entry = module.dictionary.entry
         self._position = entry(*od.POSITION_VALUE)
         self._sine, self._cosine = entry(*od.SAMPLE_SINE), entry(*od.SAMPLE_COSINE)
         self._collected: list[tuple[Any, ...]] = []
+        self._earlier: list[tuple[Any, ...]] = []
 
     def take(self, feedback: Feedback, now: float) -> None:
         """A feedback of the module."""
@@ -100,6 +108,9 @@ class SampleColumns:
                 module.limits,
             )
         )
+        if module.chain.between:
+            *before, _, limits = collected[-1]
+            self._earlier += [(*before, one, limits) for one in module.chain.between]
         if len(collected) == BLOCK_ROWS:
             self.flush()
 
@@ -113,6 +124,11 @@ class SampleColumns:
         collected.clear()
         for take in self._takers:
             take(block)
+        if self._earlier:
+            earlier = _block(self._earlier)
+            self._earlier.clear()
+            for take in self._earlier_takers:
+                take(earlier)
 
 
 def _block(rows: list[tuple[Any, ...]]) -> Block:

@@ -26,7 +26,7 @@ class MotionDemand:
     """The largest speed and acceleration of a motion, and the module that has to follow them.
 
     what                  what moves, for people
-    rate_hz               SYNC rate
+    rate_hz               samples per second
     speed_cycles          largest speed, cycles per sample; None where it is not known
     acceleration_rad_s2   largest acceleration
     start_cycles          speed at the first sample, cycles per sample
@@ -34,6 +34,7 @@ class MotionDemand:
     errors_cycles         part of the residual limit of eq. 9 that the errors of the encoder need; twice as
                           much of that of third-order prediction
     jerk_rad_s3           largest jerk, for a module of ``prediction_order`` 3
+    per_sync              samples for each SYNC
     """
 
     what: str
@@ -45,6 +46,7 @@ class MotionDemand:
     advice: str = ""
     errors_cycles: float = PHASE_ERROR_MARGIN_CYCLES
     jerk_rad_s3: float = 0.0
+    per_sync: int = 1
 
     @property
     def allowed_rad_s2(self) -> float:
@@ -88,7 +90,17 @@ class MotionDemand:
 
         inf if no rate is enough.
         """
-        return self.rate_hz * math.sqrt(self.asked)
+        return self.sync_hz * math.sqrt(self.asked)
+
+    @property
+    def sync_hz(self) -> float:
+        """SYNC rate."""
+        return self.rate_hz / self.per_sync
+
+    @property
+    def _at_rate(self) -> str:
+        several = f" with {self.per_sync} samples for each SYNC" if self.per_sync > 1 else ""
+        return f"at {self.sync_hz:g} Hz{several}"
 
     def _figures(self) -> tuple[str, str]:
         """What is asked, and what is followed."""
@@ -102,8 +114,8 @@ class MotionDemand:
         asked, followed = self._figures()
         law = "third-order prediction" if self.module.prediction_order == THIRD else "eq. 10"
         return (
-            f"{self.what}: {speed}{asked.format('up to ')}, the module follows {followed} at "
-            f"{self.rate_hz:g} Hz ({law})"
+            f"{self.what}: {speed}{asked.format('up to ')}, the module follows {followed} "
+            f"{self._at_rate} ({law})"
         )
 
     def warning(self) -> str | None:
@@ -121,7 +133,7 @@ class MotionDemand:
             asked, followed = self._figures()
             return (
                 f"{self.what}: the module will lose the position: {asked.format('')}, it follows {followed} "
-                f"at {self.rate_hz:g} Hz: set --rate to {rounded_up(self.least_rate_hz)} or more{advice}"
+                f"{self._at_rate}: set --rate to {rounded_up(self.least_rate_hz)} or more{advice}"
             )
         if self.start_cycles >= HALF_CYCLE:
             return (

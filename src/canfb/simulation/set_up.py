@@ -124,7 +124,10 @@ def source_of(simulation: SimulationConfig, module: FedModule, play: Play) -> So
 
 def _demand(simulation: SimulationConfig, module: FedModule, play: Play, source: Source) -> MotionDemand:
     """What the motion, or the recording, asks of the module."""
-    rate_hz = sync_rate(simulation, play.rate_hz)
+    per_sync = module.samples_per_sync
+    rate_hz = sync_rate(simulation, play.rate_hz) * per_sync
     if isinstance(source, (RecordingSource, ArraySource)):
-        return of_recording(*source.tracks(), module.chain, rate_hz, str(play.file))
-    return of_motion(simulation.motion, module.chain, rate_hz)
+        demand = of_recording(*source.tracks(), module.chain, rate_hz, str(play.file))
+    else:
+        demand = of_motion(simulation.motion, module.chain, rate_hz)
+    return replace(demand, per_sync=per_sync)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from canfb.device.od.dictionary import Dictionary
 from canfb.errors import ConfigError
@@ -76,7 +76,9 @@ def simulated_axis(
     )
     demand = None
     if rate_hz is not None:
-        demand = profile_demand(settings, drive.dictionary, chain, rate_hz)
+        per_sync = module.samples_per_sync
+        demand = profile_demand(settings, drive.dictionary, chain, rate_hz * per_sync)
+        demand = replace(demand, per_sync=per_sync)
     return SimulatedAxis(plant, source, drive, module.node_id, demand)
 
 

@@ -1,0 +1,64 @@
+"""A replay of a module with two samples for each SYNC: margins are those of all, rows those of the newest."""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+
+from canfb.cia301.frame import Frame
+from canfb.replay.sample_columns import Block
+from replay_kit import ADC_ID, EPOCH_S, PERIOD_S, SYNC_ID, Planned, contents, live, replayed
+
+SPEED = 0.035  # cycles from sample to sample
+GLITCH_AT, GLITCH = 200, 0.05
+WEAK_AT, WEAK_COUNTS = 300, 900.0
+
+
+def counts(cycles: float, amplitude: float = 1500.0) -> tuple[int, int]:
+    angle = 2.0 * math.pi * cycles
+    return round(amplitude * math.sin(angle)), round(amplitude * math.cos(angle))
+
+
+def session() -> list[Planned]:
+    plan: list[Planned] = []
+    for n in range(500):
+        at = 0.1 + n * PERIOD_S
+        newest = counts(2 * n * SPEED + (GLITCH if n == GLITCH_AT else 0.0))
+        earlier = counts((2 * n - 1) * SPEED, WEAK_COUNTS if n == WEAK_AT else 1500.0)
+        plan += [
+            (at, Frame(SYNC_ID, b"")),
+            (at + 2e-4, Frame(ADC_ID, struct.pack("<hhhh", *newest, *earlier))),
+        ]
+    return plan
+
+
+@pytest.mark.parametrize("per_sync", [1, 2])
+def test_margins_of_all_samples(per_sync: int) -> None:
+    """Behind a glitch the residual is twice as large, and here that is an earlier sample."""
+    fields: dict[str, Any] = {"autostart": True, "samples_per_sync": per_sync}
+    plan = session() if per_sync == 2 else [
+        (at, frame._replace(data=frame.data[:4])) for at, frame in session()
+    ]  # fmt: skip
+    log, sent = live(plan, **fields)
+    rows: list[Block] = []
+    replay, again = replayed(log, options={"takers": [rows.append]}, **fields)
+    assert contents(again) == contents(sent)
+    assert replay.samples.rows == sum(len(block["time_s"]) for block in rows) == 500
+    of_rows = max(float(np.max(block["residual"][5:])) for block in rows)
+    lowest = min(float(np.min(block["amplitude_counts"][5:])) for block in rows)
+    margins = replay.margins
+    assert lowest > 1490.0
+    if per_sync == 2:
+        assert margins.residual.value == pytest.approx(2 * GLITCH, abs=0.03)
+        assert margins.residual.value > of_rows + 0.02
+        assert margins.residual.time_s == pytest.approx(
+            EPOCH_S + 0.1 + (GLITCH_AT + 1.2) * PERIOD_S, abs=1e-4
+        )
+        assert margins.amplitude_low.value == pytest.approx(WEAK_COUNTS, abs=2.0)
+    else:
+        assert margins.residual.value == of_rows
+        assert margins.amplitude_low.value > 1490.0
