@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from servo_kit import phases as phases_of
-from servo_kit import servo_move
 
 import canfb
 from canfb.signal.limits import max_jerk
 from canfb.signal.third_order import ThirdOrderTracker, step_weights, tracker_of
 from canfb.signal.tracker import Track, TrackResult
 from canfb.signal.tracking import track
+from servo_kit import phases as phases_of
+from servo_kit import servo_move
 
 phases = st.floats(0, 1, exclude_max=True)
 limits = st.floats(0.01, 0.5)

@@ -57,6 +57,7 @@ class Pairing:
         self._moment = node.moment
         self._interval = interval
         self._input = sample_input
+        sample_input.on_mixed = self.count_bad_frame
         self._source = source
         self._findings = findings
         self.on_interval: Callable[[bool], None] | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 
 from canfb import objects as od
 from canfb.device.node import Node
@@ -21,6 +22,7 @@ PARTS = (
 )
 # Plain integers for the hot path.
 ZERO_PULSE, SAMPLE_INVALID = int(od.SampleFlag.ZERO_PULSE), int(od.SampleFlag.INVALID)
+NEW_ORDER = 3  # intervals in a row
 PLACES = 65536.0  # 2000:07 counts the interval of SYNC in 1/65536
 
 
@@ -50,6 +52,12 @@ class SampleInput:
         """The RPDO with the tracks, if only its own arrival says to which SYNC they belong."""
         self.is_synchronous = False
         """The tracks are taken over at the SYNC after they came."""
+        self.on_mixed: Callable[[], None] = _nothing
+        """Called for a part that is not used."""
+        self._first: int | None = None  # the RPDO that begins a sample
+        self._early = self._earliest = 0  # bit n: RPDO n came before that one; the first of them
+        self._others_first = 0  # intervals in a row in which the missing parts came before the others
+        self._is_mixed = False  # a part came twice
         self._waiting: Rpdo | None = None
         self._with_flags = False
         self.pulses = 0
@@ -84,23 +92,50 @@ class SampleInput:
         self._with_coarse, self.timed = coarse is not None, time is not None
         self._with_flags, self._with_place = flags is not None, place is not None
         self.arrived = 0
+        self._first, self._is_mixed = None, False
+        self._early = self._others_first = 0
         self._waiting = None if tracks is None else self._node.synchronous_rpdo(tracks)
         self.is_synchronous = self._waiting is not None
         self.judged = None if self.timed or self.is_synchronous else tracks
 
     def take(self, number: int) -> bool:
-        """RPDO ``number`` has come; True if the sample is complete with it."""
-        if not self._wanted >> number & 1:
+        """RPDO ``number`` has come; True if the sample is complete with it.
+
+        Parts of two samples must not make one. A part that comes twice before the others leaves open which
+        of the two belongs to them: the sample is dropped. A part that comes before the one that usually
+        begins a sample is left over from the sample before, or comes doubled.
+        """
+        part = 1 << number
+        if not self._wanted & part:
             return False
-        self.arrived |= 1 << number
+        if not self.arrived and self._first not in (None, number):
+            self._earliest = self._earliest if self._early else number
+            self._early |= part
+            self.on_mixed()
+            return False
+        if not self.arrived:
+            self._first = number
+        self._is_mixed |= self.arrived & part != 0
+        self.arrived |= part
         if self.arrived != self._wanted:
             return False
-        self.arrived = 0
-        return True
+        mixed, self._is_mixed = self._is_mixed, False
+        self.arrived = self._early = self._others_first = 0
+        if mixed:
+            self.on_mixed()
+        return not mixed
 
     def give_up(self) -> bool:
-        """The interval is over; True if parts of a sample came, but not all."""
-        parts, self.arrived = self.arrived, 0
+        """The interval is over; True if parts of a sample came, but not all.
+
+        If the missing ones came before the others, again and again, the interface sends in another order.
+        """
+        parts, self.arrived, self._is_mixed = self.arrived, 0, False
+        early, self._early = self._early, 0
+        if parts and early == self._wanted & ~parts:
+            self._others_first += 1
+            if self._others_first >= NEW_ORDER:
+                self._first, self._others_first = self._earliest, 0
         return parts != 0
 
     @property
@@ -141,3 +176,7 @@ class SampleInput:
 def _is_there(number: int | None) -> bool:
     """Whether there is an RPDO with this number."""
     return number is not None
+
+
+def _nothing() -> None:
+    pass
