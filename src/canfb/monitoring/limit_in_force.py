@@ -6,10 +6,8 @@ import math
 from dataclasses import dataclass
 
 from canfb.signal.limits import limit_narrowed_by_jerk, narrowed_residual_limit
-
-HALF_TICK_S = 50e-9  # of a sample time
-THIRD = 3
-WEIGHTS = {2: 4.0, THIRD: 8.0}  # how often an error of all phases counts
+from canfb.signal.sample_times import TICK_S
+from canfb.signal.third_order import THIRD
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ class LimitSettings:
         limit = narrowed(self.widest_cycles, known, cycles_per_revolution, interval_s, margin)
         if self.timed and velocity_rad_s:
             cycles_per_s = abs(velocity_rad_s) * cycles_per_revolution / (2.0 * math.pi)
-            limit += WEIGHTS[THIRD if third else 2] * cycles_per_s * HALF_TICK_S
+            limit += (8.0 if third else 4.0) * cycles_per_s * (TICK_S / 2.0)  # all phases off by half a tick
         return min(limit, self.widest_cycles)
 
 

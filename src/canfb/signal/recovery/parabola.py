@@ -54,12 +54,11 @@ class MotionLimits:
         """How far a sample is from the parabola at most, cycles; the intervals newest first."""
         scale, weights = _parabola_scales(elapsed, last, before)
         most = self.residual_limit * max(scale, weights / 8.0)
-        if self.instant_error:
-            uncertain = self.instant_error * abs(speed) * weights
-            most += min(uncertain, max(0.0, self.widest_limit * max(scale, weights / 8.0) - most))
-            if self.jerk is not None:
-                return min(most, self.jerk * scale + self.phase_error * weights + uncertain)
-        return most if self.jerk is None else min(most, self.jerk * scale + self.phase_error * weights)
+        uncertain = self.instant_error * abs(speed) * weights
+        most += min(uncertain, max(0.0, self.widest_limit * max(scale, weights / 8.0) - most))
+        if self.jerk is None:
+            return most
+        return min(most, self.jerk * scale + self.phase_error * weights + uncertain)
 
     def from_line(self, elapsed: float, last: float, *, known_only: bool, speed: float = 0.0) -> float:
         """How far a sample is from the line through the last two at most, cycles.
