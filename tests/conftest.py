@@ -16,7 +16,7 @@ from canfb.bus.opening import open_bus
 from canfb.errors import BusError
 
 # No deadlines: a loaded machine is no finding. CI draws the same examples each time, so that a run can be
-# repeated, and a quarter of them, to be through in a quarter of an hour; everywhere else they are drawn anew.
+# repeated, and a quarter of them, to be through in a quarter of an hour; elsewhere they are random.
 settings.register_profile("default", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True, max_examples=25)
 settings.load_profile("ci" if os.environ.get("CI") else "default")

@@ -114,7 +114,7 @@ class Noted:
     def lose(self) -> None:
         self.lost = True
 
-    def begin_anew(self) -> None:
+    def restart_count(self) -> None:
         self.lose()
         self.vouch()
 

@@ -57,7 +57,7 @@ class ResidualNoise:
 
     @property
     def order(self) -> int:
-        """Of the prediction; another one begins anew."""
+        """Of the prediction. Another one has another noise, which is not known yet."""
         return self._order
 
     @order.setter

@@ -72,8 +72,8 @@ class JerkRecovery(Recovery):
         super().vouch()
         self._parabola.predict_by(THIRD)
 
-    def begin_anew(self) -> None:
-        """As :meth:`Recovery.begin_anew`; the acceleration stays known, which eq. 9 could not follow."""
+    def restart_count(self) -> None:
+        """As :meth:`Recovery.restart_count`; the acceleration stays known, which eq. 9 could not follow."""
         self.on_lost()
 
     @property

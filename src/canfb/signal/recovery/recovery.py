@@ -125,7 +125,7 @@ class Recovery:
         self.lost = False
         self._remember_tracker()
 
-    def begin_anew(self) -> None:
+    def restart_count(self) -> None:
         """The count up to here was wrong, and from here on it is right: the motion goes on."""
         self.lose()
         self.vouch()

@@ -238,7 +238,7 @@ class Reference:
             self._recovery.found(-error, 0)
             return bits & ~VALID | COASTING, -error
         if verdict is PulseVerdict.SLIPPED:  # what is counted from here is certain again
-            self._recovery.begin_anew()
+            self._recovery.restart_count()
             if angle is not None:
                 self.coarse.align(angle, track.cycles, track.phase)
             return bits & ~VALID | LOST, 0
