@@ -160,18 +160,11 @@ class Node(Hooks):
             moment.proved = True
         else:
             moment.stamped(timestamp)
-        if rtr:
-            self._receive_remote(can_id, now)
-        elif len(data) > LONGEST_DATA:
-            self.counters.malformed_frames += 1
+        handler = self._routes.get(can_id)
+        if handler is not None and not rtr and len(data) <= LONGEST_DATA:
+            handler(data, now)
         else:
-            handler = self._routes.get(can_id)
-            if handler is not None:
-                handler(data, now)
-            elif 0 <= can_id <= HIGHEST_ID:
-                self.counters.unknown_cob_ids += 1
-            else:
-                self.counters.malformed_frames += 1
+            self._receive_other(can_id, data, rtr, now)
         outbox = self._outbox
         if not outbox:
             return []
@@ -286,6 +279,15 @@ class Node(Hooks):
         sent = [] if self._silence.active else self._outbox[:]
         self._outbox.clear()
         return sent
+
+    def _receive_other(self, can_id: int, data: bytes, rtr: bool, now: float) -> None:
+        """A remote frame, or one that nobody listens to."""
+        if rtr:
+            self._receive_remote(can_id, now)
+        elif len(data) > LONGEST_DATA or not 0 <= can_id <= HIGHEST_ID:
+            self.counters.malformed_frames += 1
+        else:
+            self.counters.unknown_cob_ids += 1
 
     def _receive_remote(self, can_id: int, now: float) -> None:
         handler = self._remote_routes.get(can_id)

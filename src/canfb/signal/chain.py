@@ -16,7 +16,6 @@ from canfb.signal.phase import FloatArray, raw_phase
 from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.orders import recovery_of, successor
 from canfb.signal.recovery.reference import Pulse, Reference, pulse_between
-from canfb.signal.recovery.second_listener import SecondListener
 from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import REPEATED, SUSPECT, SampleTimes
@@ -33,6 +32,7 @@ from canfb.signal.supervision import (
 )
 from canfb.signal.tracker import Track, TrackResult
 from canfb.signal.tracking import write_places_before
+from canfb.signal.usual_step import UsualStep
 
 MISSED_INTERVALS = 1.5  # since the sample before: one was missed
 STANDSTILL_CYCLES = 0.001  # per interval, on average: what noise and a servo at rest may show
@@ -41,7 +41,7 @@ LARGEST_SLIP_CYCLES = 0.15
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
 
-class SignalChain(SecondListener):
+class SignalChain(UsualStep):
     """One encoder, sample by sample.
 
     A sample that fails a check is flagged in its own :class:`Feedback` and never moves the
@@ -53,24 +53,19 @@ class SignalChain(SecondListener):
 
     def __init__(self, config: ChainConfig, table: CorrectionTable | None = None) -> None:
         check_config(config)
+        super().__init__()
         self._recovery = recovery_of(config.prediction_order, config.residual_limit, config.coast_samples)
         self._tracker = self._recovery.tracker
         self._supervision = Supervision(config.limits)
         self._frozen = FrozenInput(config.frozen_samples, self._tracker.residual_limit)
-        self._samples = 0
         self._per_sync = 1
         self.between: tuple[Feedback, ...] = ()
         """Of the last interval: what the samples before the newest gave, oldest first."""
-        self._speed = 0.0
         self._was_valid = 0  # the sample before
-        self._sine = self._cosine = math.nan
         self._times = SampleTimes()
-        self._last: Feedback | None = None
         self._waited = 0.0  # intervals without a sample since the last one with a sample time
         self.measures_intervals = True
         """Sample times say how long an interval was; False: they only tell new samples from doubled ones."""
-        self._clock = 0.0  # sampling intervals since the start
-        self._before: Track | None = None  # the sample before, if it was taken
         limits = config.chain_limits
         self._make_reference(limits)
         self.set_limits(limits)
@@ -116,6 +111,7 @@ class SignalChain(SecondListener):
 
     def set_limits(self, limits: ChainLimits) -> None:
         """Take new limits, between two samples. Another encoder resets coarse track and zero pulse."""
+        self._nothing_in_doubt = False
         if limits.samples_per_sync != self._per_sync:
             self._sample_faster(limits.samples_per_sync)
         self._predict_by(limits.prediction_order, limits.residual_limit)
@@ -145,6 +141,7 @@ class SignalChain(SecondListener):
         """From the next interval on there are so many samples in it; the position stays."""
         factor = per_sync / self._per_sync
         self._per_sync = per_sync
+        self.between = ()
         self._recovery.rescale(factor)
         self._reference.slipped()
         self._speed /= factor
@@ -161,7 +158,7 @@ class SignalChain(SecondListener):
         """Take another ``correction``, between two samples. TypeError if its table is none."""
         check_table(correction.table)
         self._correction = correction
-        self._table = correction.table  # for the hot path
+        self._use_table(correction.table)
         self._coefficients = correction.conditioning.coefficients()
         self._base_status = 0 if correction.table is None else TABLE_ACTIVE
 
@@ -213,10 +210,6 @@ class SignalChain(SecondListener):
             return None
         return self.lose()
 
-    def repeats(self, sine: float, cosine: float) -> bool:
-        """``sine`` and ``cosine`` are the counts of the last sample, before conditioning."""
-        return sine == self._sine and cosine == self._cosine
-
     def lose(self) -> Feedback:
         """The position is lost from now on: no cycles were counted."""
         self._recovery.lose()
@@ -225,13 +218,10 @@ class SignalChain(SecondListener):
         return self._feedback(math.nan, math.nan, 0.0, math.nan, track, LOST, 0)
 
     def _pause(self) -> None:
-        self._last = None
+        self._forget_sample()
         self._times.forget()
         self._referenced = REFERENCED if self._reference.zero.referenced else 0
         self._waited = 0.0
-        self._before = None
-        self._sine = self._cosine = math.nan
-        self._speed = 0.0
         self._was_valid = 0
 
     def step(
@@ -248,7 +238,11 @@ class SignalChain(SecondListener):
         With several samples in an interval (``samples_per_sync`` of :class:`ChainLimits`) all of them are
         taken, in their order; the result is that of the newest, :attr:`between` has the others.
         """
-        elapsed, bad, time_100ns = sample.elapsed, sample.invalid, sample.time_100ns
+        sine, cosine, elapsed, bad, coarse, _, pulse, time_100ns, _ = sample
+        if elapsed == 1.0 and not bad and coarse is pulse is time_100ns is None:
+            feedback = self.usual(sine, cosine)
+            if feedback is not None:
+                return feedback
         next_one = unplaced = False
         if time_100ns is not None:
             speed = self._tracker.step_cycles * self._per_sync
@@ -266,7 +260,10 @@ class SignalChain(SecondListener):
                     elapsed = passed - self._waited  # what was waited for is counted already
                 self._waited = 0.0
         if self._per_sync == 1:
-            return self._take(sample, elapsed, bad, unplaced, next_one)
+            feedback = self._take(sample, elapsed, bad, unplaced, next_one)
+            if time_100ns is None:
+                self._look_again(feedback)
+            return feedback
         return self._take_all(sample, elapsed, bad, unplaced, next_one)
 
     def _take_all(
@@ -398,6 +395,7 @@ class SignalChain(SecondListener):
             self._reference.slipped()
         self._clock += stop - start
         self._samples += stop - start
+        self._nothing_in_doubt = False
         return stop - start
 
     def _repeats(
@@ -432,6 +430,7 @@ class SignalChain(SecondListener):
     def _feedback(
         self, s: float, c: float, amplitude: float, raw: float, track: Track, bits: int, jump: int
     ) -> Feedback:
+        self._nothing_in_doubt = False
         self._samples = samples = self._samples + 1
         cycles, phase, residual, _ = track
         speed = self._tracker.step_cycles

@@ -18,6 +18,8 @@ MIN_ENTRIES = 16
 MAX_ENTRIES = 4096
 MAX_DEVIATION_CYCLES = 0.25
 
+Lines = tuple[tuple[float, float], ...]
+
 
 class CorrectionTable:
     """Phase of one encoder as a function of its raw phase, by linear interpolation.
@@ -31,7 +33,7 @@ class CorrectionTable:
     0.25 cycle from ``n / N``.
     """
 
-    __slots__ = ("_bytes", "_first", "_lines", "_n", "_slope")
+    __slots__ = ("_bytes", "_first", "_n", "_slope", "lines")
 
     def __init__(self, entries: npt.ArrayLike) -> None:
         try:
@@ -46,9 +48,8 @@ class CorrectionTable:
         self._first: FloatArray = np.append(first, first[0])
         self._slope: FloatArray = np.append(np.diff(first, append=first[0] + 1.0), 0.0)
         # The same for one sample at a time: plain floats are ten times as fast as those of numpy.
-        self._lines: list[tuple[float, float]] = list(
-            zip(self._first.tolist(), self._slope.tolist(), strict=True)
-        )
+        self.lines: Lines = tuple(zip(self._first.tolist(), self._slope.tolist(), strict=True))
+        """For :meth:`correct`: entry and slope from there, cycles; N + 1 of them."""
 
     @classmethod
     def identity(cls, n: int = 256) -> Self:
@@ -108,7 +109,7 @@ class CorrectionTable:
         """Phase at one raw phase, which must lie in 0..1 (the hot path: unchecked)."""
         place = raw * self._n
         index = int(place)
-        first, slope = self._lines[index]
+        first, slope = self.lines[index]
         phase = first + (place - index) * slope
         if phase < 0.0:
             phase += 1.0

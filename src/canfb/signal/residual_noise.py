@@ -44,10 +44,10 @@ class ResidualNoise:
         "_accelerations",
         "_eighths",
         "_order",
-        "_pause",
         "_recent",
         "_reference",
         "_speed_cycles",
+        "pause",
         "rms_cycles",
     )
 
@@ -71,7 +71,8 @@ class ResidualNoise:
         self.rms_cycles = math.nan
         self._reference: list[float] = []
         self._recent: deque[float] = deque(maxlen=REFERENCE_BLOCKS)
-        self._pause = 0
+        self.pause = 0
+        """Samples until the next block; :meth:`take` counts them down, or who would call it."""
         self._begin()
 
     @property
@@ -83,8 +84,8 @@ class ResidualNoise:
 
     def take(self, feedback: Feedback) -> bool:
         """A sample; True if a block is complete with it."""
-        if self._pause:
-            self._pause -= 1
+        if self.pause:
+            self.pause -= 1
             return False
         if feedback.status & (BAD | VALID) != VALID:
             if self._accelerations:
@@ -121,5 +122,5 @@ class ResidualNoise:
         self._recent.append(rms)
         if len(self._reference) < REFERENCE_BLOCKS:
             self._reference.append(rms)
-        self._pause = 3 * BLOCK_SAMPLES
+        self.pause = 3 * BLOCK_SAMPLES
         return True

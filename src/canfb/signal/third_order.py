@@ -16,11 +16,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from canfb.signal.tracker import RESIDUAL_LIMIT, Track, Tracker, split
+from canfb.signal.tracker import NOT_USUAL, RESIDUAL_LIMIT, Track, Tracker, split
 
 SECOND, THIRD = 2, 3
 ORDERS = (SECOND, THIRD)
-_new = tuple.__new__
 
 
 class ThirdOrderTracker(Tracker):
@@ -117,7 +116,7 @@ class ThirdOrderTracker(Tracker):
 
     def full_state(self) -> tuple[float, float, float, int, int, int]:
         """(p(k-3), p(k-2), p(k-1), i(k-1), first and second difference of i) of a steady tracker."""
-        return self._phase_third, self._phase_before, self._phase, self._cycles, self._step, self._bend
+        return self._phase_third, self._phase_before, self._phase, self.cycles, self._step, self._bend
 
     def set_full_state(
         self, third: float, before: float, phase: float, cycles: int, step: int, bend: int
@@ -163,42 +162,38 @@ class ThirdOrderTracker(Tracker):
             return track if phase != phase else track._replace(ok=track.residual < self.speed_limit)
         elapsed += self._gap
         if elapsed == self._elapsed == self._elapsed_before:
-            cycles = self._cycles + self._step + self._bend
+            cycles = self.cycles + self._step + self._bend
             c = 3.0 * (self._phase - self._phase_before) + self._phase_third - phase
         else:
             whole, c = self._carry_on(elapsed)
-            cycles = self._cycles + whole
+            cycles = self.cycles + whole
             c = self._phase + c - phase
         turns = round(c)
         residual = abs(turns - c)
         return Track(cycles + turns, phase, residual, residual < self.residual_limit)
 
-    def follow(self, phase: float) -> Track | None:
-        """:meth:`look` and :meth:`accept` in one, for the usual sample: one interval after a steady run.
-
-        None, and nothing changed, where the tracker is not steady, or residual or acceleration are over
-        their limit.
-        """
+    def advance(self, phase: float) -> float:
+        """As :meth:`Tracker.advance`; NOT_USUAL also where the acceleration is over its limit."""
         if not self._steady:
-            return None
+            return NOT_USUAL
         before, earlier = self._phase, self._phase_before
         c = 3.0 * (before - earlier) + self._phase_third - phase
         turns = round(c)
         residual = abs(turns - c)
         if not residual < self.residual_limit:
-            return None
+            return NOT_USUAL
         bend = self._bend + turns
         step = self._step + bend
         speed = step + (phase - before)
         if not abs(speed - self.step_cycles) < self.acceleration_limit:
-            return None
+            return NOT_USUAL
         self._bend, self._step = bend, step
-        self._cycles = cycles = self._cycles + step
+        self.cycles += step
         self.step_cycles = speed
         self._phase_third = earlier
         self._phase_before = before
         self._phase = phase
-        return _new(Track, (cycles, phase, residual, True))
+        return residual
 
     def accept(self, track: Track, elapsed: float = 1.0) -> None:
         """As :meth:`Tracker.accept`."""
@@ -224,7 +219,7 @@ class ThirdOrderTracker(Tracker):
             return super().predict(elapsed)
         whole, part = self._carry_on(elapsed + self._gap)
         turns, phase = split(self._phase + part)
-        return Track(self._cycles + whole + turns, phase, 0.5, False)
+        return Track(self.cycles + whole + turns, phase, 0.5, False)
 
     @property
     def _by_parabola(self) -> bool:

@@ -18,10 +18,8 @@ import numpy.typing as npt
 from canfb.signal.phase import FloatArray
 
 RESIDUAL_LIMIT = 1.0 / 3.0
+NOT_USUAL = -1.0  # in place of a residual
 MOST_SPEED_CYCLES = float(1 << 31)  # at a start: beyond it a float holds too little of the phase
-
-
-_new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
 
 class Track(NamedTuple):
@@ -57,7 +55,6 @@ class Tracker:
     """
 
     __slots__ = (
-        "_cycles",
         "_elapsed",
         "_gap",
         "_phase",
@@ -65,6 +62,7 @@ class Tracker:
         "_start_speed",
         "_started",
         "_step",
+        "cycles",
         "residual_limit",
         "step_cycles",
     )
@@ -79,7 +77,8 @@ class Tracker:
         ValueError for a speed that is not finite or above 2**31 in size, and nothing is changed then.
         """
         self._start_speed = check_speed(speed_cycles)
-        self._cycles = cycles  # i(k-1)
+        self.cycles = cycles
+        """Cycle count of the last sample, i(k-1)."""
         self._step = 0  # i(k-1) - i(k-2)
         self._phase = 0.0  # p(k-1)
         self._phase_before = 0.0  # p(k-2)
@@ -91,7 +90,7 @@ class Tracker:
 
     def take_over(self, old: Tracker) -> None:
         """Go on where ``old`` is, which predicts by another order."""
-        self.restart(old._cycles, old._start_speed)
+        self.restart(old.cycles, old._start_speed)
         self._step, self._phase, self._phase_before = old._step, old._phase, old._phase_before
         self._elapsed, self._gap, self._started = old._elapsed, old._gap, old._started
         self.step_cycles = old.step_cycles
@@ -121,8 +120,8 @@ class Tracker:
     @property
     def places(self) -> tuple[Track, Track, float]:
         """The last two samples that were taken, and the intervals between them; residuals not known."""
-        before = Track(self._cycles - self._step, self._phase_before, 0.0, True)
-        return before, Track(self._cycles, self._phase, 0.0, True), self._elapsed
+        before = Track(self.cycles - self._step, self._phase_before, 0.0, True)
+        return before, Track(self.cycles, self._phase, 0.0, True), self._elapsed
 
     @property
     def elapsed(self) -> float:
@@ -136,7 +135,7 @@ class Tracker:
 
     def state(self) -> tuple[float, float, int, int]:
         """(p(k-2), p(k-1), i(k-1), i(k-1) - i(k-2)) of a steady tracker."""
-        return self._phase_before, self._phase, self._cycles, self._step
+        return self._phase_before, self._phase, self.cycles, self._step
 
     def set_state(self, phase_before: float, phase: float, cycles: int, step: int) -> None:
         """Set what :meth:`state` gives; the tracker is steady then.
@@ -145,7 +144,7 @@ class Tracker:
         the other.
         """
         self._started, self._elapsed, self._gap = True, 1.0, 0.0
-        self._phase_before, self._phase, self._cycles, self._step = phase_before, phase, cycles, step
+        self._phase_before, self._phase, self.cycles, self._step = phase_before, phase, cycles, step
         self._find_speed()
 
     def snapshot(self) -> tuple[float | int, ...]:
@@ -164,7 +163,7 @@ class Tracker:
 
     def shift(self, cycles: int, step_cycles: int) -> None:
         """Add ``cycles`` to the cycle count, and ``step_cycles`` per interval to the speed."""
-        self._cycles += cycles
+        self.cycles += cycles
         self._step += round(step_cycles * self._elapsed)
         self._find_speed()
 
@@ -198,50 +197,56 @@ class Tracker:
         if phase != phase:
             return self.predict(elapsed)
         if not self._started:
-            return Track(self._cycles, phase, 0.0, True)
+            return Track(self.cycles, phase, 0.0, True)
         elapsed += self._gap
         if elapsed == self._elapsed:
-            cycles = self._cycles + self._step
+            cycles = self.cycles + self._step
             c = 2.0 * self._phase - self._phase_before - phase
         else:
             whole, c = self._carry(elapsed)
-            cycles = self._cycles + whole
+            cycles = self.cycles + whole
             c = self._phase + c - phase
         turns = round(c)
         residual = abs(turns - c)
         return Track(cycles + turns, phase, residual, residual < self.residual_limit)
 
-    def follow(self, phase: float) -> Track | None:
+    def advance(self, phase: float) -> float:
         """:meth:`look` and :meth:`accept` in one, for the usual sample: one interval after a steady run.
 
-        None, and nothing changed, where the tracker is not steady or the residual is over the limit.
+        The result is its residual; :attr:`cycles` and :attr:`step_cycles` are those of the sample then.
+        NOT_USUAL, and nothing changed, where the tracker is not steady or the residual is over the limit.
         """
         if self._gap != 0.0 or self._elapsed != 1.0 or not self._started:
-            return None
+            return NOT_USUAL
         before = self._phase
         c = 2.0 * before - self._phase_before - phase
         turns = round(c)
         residual = abs(turns - c)
         if not residual < self.residual_limit:
-            return None
+            return NOT_USUAL
         self._step = step = self._step + turns
-        self._cycles = cycles = self._cycles + step
+        self.cycles += step
         self.step_cycles = step + (phase - before)
         self._phase_before = before
         self._phase = phase
-        return _new(Track, (cycles, phase, residual, True))
+        return residual
+
+    def follow(self, phase: float) -> Track | None:
+        """:meth:`advance` to a track; None where the sample is not a usual one."""
+        residual = self.advance(phase)
+        return None if residual < 0.0 else Track(self.cycles, phase, residual, True)
 
     def accept(self, track: Track, elapsed: float = 1.0) -> None:
         """Make ``track``, from :meth:`look`, the last sample of the recursion."""
         if self._started:
-            self._step = track.cycles - self._cycles
+            self._step = track.cycles - self.cycles
             self._phase_before = self._phase
             self._elapsed = elapsed + self._gap
         else:
             self._started = True
             whole, self._phase_before = split(track.phase - self._start_speed)
             self._step = -whole
-        self._cycles = track.cycles
+        self.cycles = track.cycles
         self._phase = track.phase
         self._gap = 0.0
         self._find_speed()
@@ -254,10 +259,10 @@ class Tracker:
     def predict(self, elapsed: float = 1.0) -> Track:
         """Position after ``elapsed`` intervals at the last speed; residual 0.5, never ok."""
         if not self._started:
-            return Track(self._cycles, 0.0, 0.5, False)
+            return Track(self.cycles, 0.0, 0.5, False)
         whole, part = self._carry(elapsed + self._gap)
         turns, phase = split(self._phase + part)
-        return Track(self._cycles + whole + turns, phase, 0.5, False)
+        return Track(self.cycles + whole + turns, phase, 0.5, False)
 
     def _find_speed(self) -> None:
         self.step_cycles = (self._step + (self._phase - self._phase_before)) / self._elapsed

@@ -55,7 +55,8 @@ class Pdos:
     def synchronise(self, counter: int | None, now: float) -> None:
         """A SYNC, with its counter if it has one: in OPERATIONAL, and if the program accepts it."""
         hooks = self._hooks
-        if not self._operational or (hooks.accepts_sync is not None and not hooks.accepts_sync(counter, now)):
+        accepts = hooks.accepts_sync
+        if not self._operational or (accepts is not None and not accepts(counter, now)):
             return
         for rpdo in self._sync_rpdos:
             rpdo.synchronise(now)

@@ -52,7 +52,7 @@ class Tpdo(Timed):
         self._timer_end = NEVER
         self._event = False
         self._waits_for_start = False
-        self._every_sync = False
+        self._pack_each_sync: Callable[[], bytes] | None = None
         self._syncs = 0
         self._sampled: bytes | None = None
 
@@ -90,7 +90,9 @@ class Tpdo(Timed):
         self._timer_end = now + self._timer_s if self._timer_s else NEVER
         self._event = False
         self._waits_for_start = _value(self._start_value) > 0
-        self._every_sync = self._type == 1 and not self._waits_for_start
+        self._pack_each_sync = (
+            self._pack if self._type == 1 and not (self._waits_for_start or self._limited) else None
+        )
         self._syncs = 0
         self._sampled = None
         self._schedule()
@@ -111,8 +113,9 @@ class Tpdo(Timed):
 
     def synchronise(self, counter: int | None, now: float) -> None:
         """A SYNC, with its counter if it has one."""
-        if self._every_sync:
-            self._send(now)
+        pack = self._pack_each_sync
+        if pack is not None:
+            self._emit(_new(Frame, (self._can_id, pack(), False, None)))
         elif self._type == 0:
             if self._event:
                 self._event = False

@@ -112,7 +112,7 @@ class JerkRecovery(Recovery):
         """As :meth:`Recovery.good`."""
         settled = not (self._trial or self.lost)
         if elapsed == 1.0 and settled and (followed := self._parabola.follow(phase)) is not None:
-            self._places.append((followed[0], phase, 1.0))
+            self.places.append((followed[0], phase, 1.0))
             return followed, VALID
         if self.lost:
             return self._count_on(phase, elapsed)
@@ -179,25 +179,25 @@ class JerkRecovery(Recovery):
 
     def _accept(self, track: Track, elapsed: float) -> None:
         self._parabola.accept(track, elapsed)
-        self._places.append((track.cycles, track.phase, elapsed))
+        self.places.append((track.cycles, track.phase, elapsed))
 
     def _adopt_three(self, places: list[Place]) -> Track:
         third, before, last = (Track(place.cycles, place.phase, 0.0, True) for place in places)
         self._parabola.set_three(third, before, last, places[1].elapsed, places[2].elapsed)
         self._trial = None
-        self._places.extend(places)
+        self.places.extend(places)
         return last
 
     def _begin_trial(self) -> Trial:
         if self._trial is None:
-            before = [Place(*place) for place in self._places]
+            before = [Place(*place) for place in self.places]
             self._trial = Trial(before, self._limits, self._parabola.step_cycles)
         return self._trial
 
     def _parabola_now(self) -> Parabola:
         """The samples that predict the next one; their times count up to the last, at 0."""
         spots, time = [], 0.0
-        for cycles, phase, elapsed in list(self._places)[-self._parabola.known :][::-1]:
+        for cycles, phase, elapsed in list(self.places)[-self._parabola.known :][::-1]:
             spots.append(Spot(cycles, phase, time))
             time -= elapsed
         return Parabola(tuple(spots[::-1]), self._parabola.step_cycles)

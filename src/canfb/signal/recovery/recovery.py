@@ -45,12 +45,12 @@ class Recovery:
         "_doubt",
         "_first_after",
         "_instant_error",
-        "_places",
         "_widest_limit",
         "acceleration_limit",
         "coast_samples",
         "lost",
         "on_lost",
+        "places",
         "tracker",
     )
 
@@ -66,7 +66,8 @@ class Recovery:
         self._widest_limit = tracker.residual_limit
         self.on_lost: Callable[[], None] = _nothing
         """Called when the position is lost."""
-        self._places: deque[tuple[int, float, float]] = deque(maxlen=REMEMBERED_SAMPLES)
+        self.places: deque[tuple[int, float, float]] = deque(maxlen=REMEMBERED_SAMPLES)
+        """The last good samples: cycle count, phase, and the intervals since the one before."""
         self.restart()
 
     def set_motion(self, limits: MotionLimits) -> None:
@@ -84,38 +85,38 @@ class Recovery:
         self.lost = False
         self._doubt: Doubt | None = None
         self._first_after: Place | None = None  # the first sample after a gap, its speed not certain yet
-        self._places.clear()
+        self.places.clear()
 
     def take_over(self, old: Recovery) -> None:
         """Go on where ``old`` is, which predicts by another order; what is in doubt stays behind."""
         self.on_lost, self.lost = old.on_lost, old.lost
         self.tracker.take_over(old.tracker)
-        self._places.extend(old._places)
+        self.places.extend(old.places)
 
     def resume(self) -> None:
         """Go on at standstill from the last position, or from cycle count 0 if it was lost."""
-        if self.lost or self._doubt or not self._places:
+        if self.lost or self._doubt or not self.places:
             self.restart()
         else:
             self.tracker.halt()
-            cycles, phase, _ = self._places[-1]
-            self._places.clear()
-            self._places.append((cycles, phase, 1.0))
+            cycles, phase, _ = self.places[-1]
+            self.places.clear()
+            self.places.append((cycles, phase, 1.0))
 
     def lose(self) -> None:
         """Call the position lost, from outside."""
         self.lost = True
         self._doubt = self._first_after = None
-        self._places.clear()
+        self.places.clear()
         self.on_lost()
 
     def found(self, cycles: int, step_cycles: int) -> None:
         """Shift the cycle count by ``cycles`` and the speed by ``step_cycles`` per interval."""
         self.tracker.shift(cycles, step_cycles)
         if self._doubt is None and not step_cycles and not self.lost:
-            places = [(count + cycles, phase, elapsed) for count, phase, elapsed in self._places]
-            self._places.clear()
-            self._places.extend(places)
+            places = [(count + cycles, phase, elapsed) for count, phase, elapsed in self.places]
+            self.places.clear()
+            self.places.extend(places)
         else:
             self._doubt = self._first_after = None
             self._remember_tracker()
@@ -163,18 +164,18 @@ class Recovery:
     def followed(self, cycles: Sequence[int], phases: Sequence[float]) -> None:
         """The tracker has followed a run of samples to these places, the last ones of the run."""
         if not self.lost:
-            self._places.extend((count, phase, 1.0) for count, phase in zip(cycles, phases, strict=True))
+            self.places.extend((count, phase, 1.0) for count, phase in zip(cycles, phases, strict=True))
 
     def _remember_tracker(self) -> None:
         """The two samples that eq. 9 stands on are the last places: the position goes on with its speed."""
         before, last, elapsed = self.tracker.places
-        self._places.clear()
-        self._places.append((before.cycles, before.phase, 1.0))
-        self._places.append((last.cycles, last.phase, elapsed))
+        self.places.clear()
+        self.places.append((before.cycles, before.phase, 1.0))
+        self.places.append((last.cycles, last.phase, elapsed))
 
     def acceleration(self) -> float:
         """Between the last three places, cycles per interval squared; 0 with fewer."""
-        places = [Place(*place) for place in self._places]
+        places = [Place(*place) for place in self.places]
         if self._first_after is not None:
             places.append(self._first_after)
         return accelerations(places[-3:])[-1] if len(places) > 2 else 0.0
@@ -182,29 +183,29 @@ class Recovery:
     def rescale(self, factor: float) -> None:
         """Sampling intervals are counted in another unit: all of them are this many times longer."""
         self.tracker.rescale(factor)
-        places = [(cycles, phase, elapsed * factor) for cycles, phase, elapsed in self._places]
-        self._places.clear()
-        self._places.extend(places)
+        places = [(cycles, phase, elapsed * factor) for cycles, phase, elapsed in self.places]
+        self.places.clear()
+        self.places.extend(places)
 
     def steady_speed(self) -> float:
         """Mean speed over the remembered places, cycles per interval; 0 with fewer than two."""
-        if len(self._places) < 2:
+        if len(self.places) < 2:
             return 0.0
-        places = list(self._places)
+        places = list(self.places)
         (cycles, phase, _), (last_cycles, last_phase, _) = places[0], places[-1]
         return ((last_cycles - cycles) + (last_phase - phase)) / sum(place[2] for place in places[1:])
 
     def least_speed(self) -> float:
         """The smallest speed of the last samples, cycles per interval: any of them may have been bad."""
-        places = list(self._places)[-DOUBTED_SAMPLES - 2 :]
+        places = list(self.places)[-DOUBTED_SAMPLES - 2 :]
         steps = [((new[0] - old[0]) + (new[1] - old[1])) / new[2] for old, new in itertools.pairwise(places)]
         return min(steps, key=abs, default=0.0)
 
     def least_speeds(self, cycles: npt.NDArray[np.int64], phase: FloatArray) -> FloatArray:
         """The size of :meth:`least_speed` before each of these samples, which follow the last one."""
-        if self.lost or not self._places:
+        if self.lost or not self.places:
             return np.zeros(len(cycles))
-        known = list(self._places)[-DOUBTED_SAMPLES - 2 :]
+        known = list(self.places)[-DOUBTED_SAMPLES - 2 :]
         steps: FloatArray = np.diff(np.concatenate([[place[0] for place in known], cycles[:-1]])) + np.diff(
             np.concatenate([[place[1] for place in known], phase[:-1]])
         )
@@ -223,7 +224,7 @@ class Recovery:
         """
         settled = not (self._doubt or self.lost)
         if elapsed == 1.0 and settled and (followed := self.tracker.follow(phase)) is not None:
-            self._places.append((followed[0], phase, 1.0))
+            self.places.append((followed[0], phase, 1.0))
             return followed, VALID
         if self.lost:
             track = self.tracker.look(phase, elapsed)
@@ -240,7 +241,7 @@ class Recovery:
         self.tracker.accept(track, elapsed)
         if settled and (track.ok or track.residual < limit):
             if started or self.tracker.step_cycles == 0.0:
-                self._places.append((track.cycles, phase, elapsed))
+                self.places.append((track.cycles, phase, elapsed))
             else:
                 self._remember_tracker()  # a known speed: there is a place before the first one
             return track, VALID
@@ -286,7 +287,7 @@ class Recovery:
     def _doubted(self) -> Doubt:
         """The doubt that is, or that begins with this sample."""
         if self._doubt is None:
-            before = [Place(*place) for place in self._places]
+            before = [Place(*place) for place in self.places]
             self._doubt = Doubt(before, DOUBTED_SAMPLES, self.tracker.residual_limit)
         return self._doubt
 
@@ -312,22 +313,22 @@ class Recovery:
 
     def _go_on(self, places: Sequence[Place]) -> Track:
         """The places after a gap; with a single one the next sample must confirm its speed."""
-        known = [Place(*place) for place in [*self._places, *places]]
+        known = [Place(*place) for place in [*self.places, *places]]
         before, last = (Track(place.cycles, place.phase, 0.0, True) for place in known[-2:])
         self.tracker.set_places(before, last, places[-1].elapsed)
         if len(places) == 1:
             self._first_after = places[0]
             return last
         self._doubt = self._first_after = None
-        self._places.extend(places)
+        self.places.extend(places)
         return last
 
     def _adopt(self, places: Sequence[Place]) -> Track:
         before, last = (Track(place.cycles, place.phase, 0.0, True) for place in places[-2:])
         self.tracker.set_places(before, last, places[-1].elapsed)
         self._doubt = self._first_after = None
-        self._places.clear()
-        self._places.extend(places)
+        self.places.clear()
+        self.places.extend(places)
         return last
 
 

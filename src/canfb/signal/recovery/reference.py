@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from canfb.signal.feedback import Feedback
 from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.recovery import Recovery
 from canfb.signal.recovery.zero_pulse import PulseVerdict, ZeroPulse
@@ -274,7 +275,9 @@ class Reference:
             self._range_known = self._range_from_zero = True
 
 
-def pulse_between(before: Track, track: Track, place: float, time: float, elapsed: float) -> Pulse:
+def pulse_between(
+    before: Track | Feedback, track: Track | Feedback, place: float, time: float, elapsed: float
+) -> Pulse:
     """The zero pulse at the fraction ``place`` (0..1) between two samples, the second of them at ``time``."""
     way = (track.cycles - before.cycles) + (track.phase - before.phase)
     position = before.phase + place * way

@@ -12,6 +12,7 @@ class SecondListener:
 
     _reference: Reference
     _second: SecondOpinion | None = None
+    _nothing_in_doubt = False  # the next sample may be a usual one
 
     @property
     def begun(self) -> bool:
@@ -27,6 +28,7 @@ class SecondListener:
         """Take another sensor from now on, or none; nothing is known of it. TypeError if it is not one."""
         if sensor is not None and not isinstance(sensor, SecondSensor):
             raise TypeError(f"sensor must be a SecondSensor or None, not {type(sensor).__name__}")
+        self._nothing_in_doubt = False
         self._second = None if sensor is None else SecondOpinion(sensor, self._reference, self.begun)
 
     def hear_second(self, values: int, increments: int) -> None:

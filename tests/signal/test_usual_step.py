@@ -1,0 +1,236 @@
+"""The usual sample in one piece gives what the parts of the chain give, called one by one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainConfig, ChainLimits
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Sample
+from canfb.signal.second_position import SecondSensor
+from canfb.signal.stream import process_stream
+from canfb.signal.supervision import SECOND_POSITION, SampleLimits
+
+TABLE = CorrectionTable([k / 64 + 0.02 * math.sin(2 * math.pi * k / 64) for k in range(64)])
+CONDITIONING = Conditioning(3.0, -2.0, 1.01, 0.98, 0.02)
+LIMITS = ChainLimits(
+    sample=SampleLimits(2048, 410, 2048),
+    cycles_per_revolution=2500,
+    residual_limit=0.3,
+    coast_samples=5,
+    frozen_samples=4,
+    coarse_limit_revolutions=0.01,
+)
+
+
+class Parts(SignalChain):
+    """The same chain, without the short way."""
+
+    def usual(self, sine: float, cosine: float) -> None:
+        return None
+
+
+class Counted(SignalChain):
+    """Counts how often the short way was taken."""
+
+    taken = 0
+
+    def usual(self, sine: float, cosine: float) -> Feedback | None:
+        feedback = super().usual(sine, cosine)
+        self.taken += feedback is not None
+        return feedback
+
+
+def counts(position: float, amplitude: float = 1500.0) -> tuple[int, int]:
+    angle = 2.0 * math.pi * position
+    return round(amplitude * math.sin(angle)), round(amplitude * math.cos(angle))
+
+
+def same(ours: Feedback | None, theirs: Feedback | None) -> bool:
+    """Bit for bit: repr tells -0.0 from 0.0 and takes NaN for equal."""
+    return repr(ours) == repr(theirs)
+
+
+@st.composite
+def events(draw: st.DrawFn) -> list[tuple[str, float]]:
+    """Runs of samples, and what happens between them."""
+    kinds = st.sampled_from(
+        [
+            "run",
+            "run",
+            "run",
+            "jump",
+            "still",
+            "weak",
+            "clipped",
+            "invalid",
+            "zeros",
+            "late",
+            "time",
+            "pulse",
+            "coarse",
+            "missed",
+            "limits",
+            "order",
+            "several",
+            "table",
+            "restart",
+            "resume",
+            "lose",
+            "uncertain",
+            "interval",
+            "second",
+        ]
+    )
+    return draw(st.lists(st.tuples(kinds, st.floats(-1.0, 1.0, allow_nan=False)), min_size=3, max_size=20))
+
+
+def happen(chain: SignalChain, kind: str, x: float, position: float, ticks: int) -> Feedback | None:
+    """One thing that is no usual sample."""
+    sine, cosine = counts(position)
+    if kind == "jump":
+        return chain.step(Sample(*counts(position + x)))
+    if kind == "weak":
+        return chain.step(Sample(*counts(position, 1500.0 * abs(x))))
+    if kind == "clipped":
+        return chain.step(Sample(*counts(position, 2047.0 + 30 * x)))
+    if kind == "invalid":
+        return chain.step(Sample(sine, cosine, invalid=True))
+    if kind == "zeros":
+        return chain.step(Sample(0, 0))
+    if kind == "late":
+        return chain.step(Sample(sine, cosine, elapsed=1.0 + 3.0 * abs(x)))
+    if kind == "time":
+        return chain.step(Sample(sine, cosine, time_100ns=ticks))
+    if kind == "pulse":
+        return chain.step(Sample(sine, cosine, zero_pulse=abs(x)))
+    if kind == "coarse":
+        return chain.step(Sample(sine, cosine, 1.0, False, *counts(position / 2500)))
+    if kind == "missed":
+        return chain.miss()
+    if kind == "limits":
+        chain.set_limits(
+            replace(LIMITS, residual_limit=0.2 + 0.1 * abs(x), sample=SampleLimits(2048, 300, 2048))
+        )
+    elif kind == "order":
+        chain.set_limits(replace(LIMITS, prediction_order=3 if x > 0 else 2))
+    elif kind == "several":
+        chain.set_limits(replace(LIMITS, samples_per_sync=2 if x > 0 else 1))
+    elif kind == "table":
+        chain.activate(Correction(TABLE if x > 0 else None, CONDITIONING if abs(x) > 0.5 else Conditioning()))
+    elif kind == "restart":
+        chain.restart(round(100 * x), x)
+    elif kind == "resume":
+        chain.resume(5.0 * abs(x))
+    elif kind == "lose":
+        return chain.lose()
+    elif kind == "uncertain":
+        return chain.uncertain(abs(x))
+    elif kind == "interval":
+        chain.interval_s = 0.001 * (1.0 + abs(x))
+    elif kind == "second":
+        chain.use_second(
+            SecondSensor(increments=4096, tolerance_revolutions=0.01, invalidates=x > 0.5) if x > 0 else None
+        )
+    return None
+
+
+@pytest.mark.parametrize("order", [2, 3])
+@given(happenings=events(), speed=st.floats(-0.4, 0.4), bend=st.floats(-0.01, 0.01))
+def test_same_bits_as_the_parts_called_one_by_one(
+    order: int, happenings: list[tuple[str, float]], speed: float, bend: float
+) -> None:
+    config = ChainConfig(prediction_order=order)
+    ours, theirs = SignalChain(config, TABLE), Parts(config, TABLE)
+    position, step, ticks = 0.1, 0.0, 0
+    for kind, x in happenings:
+        for k in range(8 if kind in ("run", "still") else 3):
+            step += bend if abs(step) < abs(speed) else 0.0
+            position += 0.0 if kind == "still" else step
+            ticks += 10000
+            if k == 0 and kind not in ("run", "still"):
+                assert same(
+                    happen(ours, kind, x, position, ticks), happen(theirs, kind, x, position, ticks)
+                ), kind
+            else:
+                sample = Sample(*counts(position))
+                for chain in (ours, theirs):  # the other sensor says what it likes
+                    chain.hear_second(1, round(position / 2500 * 4096 + 4096 * x))
+                assert same(ours.step(sample), theirs.step(sample)), (kind, k)
+        assert ours.lost == theirs.lost
+        assert ours.is_steady == theirs.is_steady
+        assert ours.between == theirs.between
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_nearly_each_sample_of_a_healthy_machine_takes_the_short_way(order: int) -> None:
+    chain = Counted(ChainConfig(prediction_order=order), TABLE)
+    for k in range(1000):
+        chain.step(Sample(*counts(0.1 + 0.3 * k)))
+    assert chain.taken > 990
+
+
+def test_nan_and_infinite_counts_are_flagged() -> None:
+    for bad in (math.nan, math.inf, -math.inf):
+        for place in ((bad, 100.0), (100.0, bad)):
+            ours, theirs = (kind(ChainConfig(), TABLE) for kind in (SignalChain, Parts))
+            for k in range(20):
+                sample = Sample(*counts(0.1 + 0.3 * k))
+                assert same(ours.step(sample), theirs.step(sample))
+            got = ours.step(Sample(*place))
+            assert same(got, theirs.step(Sample(*place)))
+            assert not got.valid
+
+
+def test_samples_between_are_forgotten_with_one_sample_for_each_sync() -> None:
+    chain = SignalChain(ChainConfig(), TABLE)
+    chain.set_limits(replace(LIMITS, samples_per_sync=2))
+    chain.step(Sample(*counts(0.1)))
+    chain.step(Sample(*counts(0.2), earlier=(counts(0.15),)))
+    assert len(chain.between) == 1
+    chain.set_limits(replace(LIMITS, samples_per_sync=1))
+    chain.step(Sample(*counts(0.3)))
+    assert chain.between == ()
+
+
+def test_another_sensor_is_asked_from_its_first_sample_on() -> None:
+    chain = SignalChain(ChainConfig(), TABLE)
+    disagreed = []
+    for k in range(400):
+        position = 0.1 + 0.3 * k
+        if k == 100:
+            chain.use_second(SecondSensor(increments=4096, tolerance_revolutions=0.01))
+        slipped = 800 if k >= 250 else 0
+        chain.hear_second(1, round(position / 2500 * 4096) + slipped)
+        disagreed.append(bool(chain.step(Sample(*counts(position))).status & SECOND_POSITION))
+    assert not any(disagreed[:250])
+    assert all(disagreed[260:])
+
+
+def test_repeats_of_a_run_on_arrays_are_counted_on() -> None:
+    """An input that freezes in one block and moves again in a short one, then freezes once more."""
+    config = ChainConfig(frozen_samples=6)
+    steps = [1.1] * 36 + [1.0] * 4 + [1.1] * 2 + [1.0] * 4 + [1.1] * 10  # a whole cycle looks like none
+    positions = np.cumsum(steps).tolist()
+    pairs = np.array([counts(position) for position in positions], float)
+    by_parts = Parts(config)
+    by_parts.restart(0, 1.1)
+    wanted = [by_parts.step(Sample(*pair)) for pair in pairs.tolist()]
+    for first in range(9, len(pairs)):
+        blocks = [
+            (pairs[a:b, 0], pairs[a:b, 1])
+            for a, b in pairwise([0, 8, *range(first, len(pairs), 5), len(pairs)])
+        ]
+        results = list(process_stream(blocks, config, speed_cycles=1.1))
+        assert np.concatenate([one.status for one in results]).tolist() == [one.status for one in wanted]
+        assert np.concatenate([one.cycles for one in results]).tolist() == [one.cycles for one in wanted]
