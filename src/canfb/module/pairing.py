@@ -22,6 +22,7 @@ COUNTERS = (od.COUNTER_BAD_FRAMES, od.COUNTER_DUPLICATE_SYNCS, od.COUNTER_SYNCS_
 class Findings(NamedTuple):
     """What is done with what was found.
 
+    take_usual(now)               two counts and no more have come, in answer to the last SYNC
     take(sample, received_s, synced_s, now)
                                   a sample, and when it and its SYNC were received, seconds, None if that is
                                   not known; False if it was an earlier one again
@@ -31,6 +32,7 @@ class Findings(NamedTuple):
     repeats(sine, cosine)         whether these are the counts of the last sample
     """
 
+    take_usual: Callable[[float], None]
     take: Callable[[Sample, float | None, float | None, float], bool]
     miss: Callable[[int, float], None]
     lose_count: Callable[[float, float], None]
@@ -48,12 +50,13 @@ class Pairing:
         self,
         dictionary: Dictionary,
         node: Node,
+        timeline: Timeline,
         interval: IntervalEstimate,
         sample_input: SampleInput,
         source: LocalSource | None,
         findings: Findings,
     ) -> None:
-        self.timeline = Timeline(dictionary, interval)
+        self.timeline = timeline
         self._moment = node.moment
         self._interval = interval
         self._input = sample_input
@@ -96,6 +99,15 @@ class Pairing:
         parts = self._input
         if self._stale:
             return
+        if (
+            number == parts.whole
+            and self._synced
+            and not self._tracks_came
+            and self.timeline.is_usual_answer(self._moment.received)
+        ):
+            self._tracks_came = self._sample_came = self.sampled = True
+            self._findings.take_usual(now)
+            return
         if number == parts.judged:
             if (
                 self._synced
@@ -116,14 +128,17 @@ class Pairing:
 
     def accepts_sync(self, counter: int | None, now: float) -> bool:
         """Before anything is done with a SYNC: is it a new one, and were others missed?"""
-        moment = self._moment
-        verdict = self.timeline.sync(moment.received, moment.proved, counter)
+        moment, parts = self._moment, self._input
+        received, proved = moment.received, moment.proved
+        verdict = self.timeline.sync(received, proved, counter)
+        if verdict is ON_TIME and not parts.is_synchronous:  # as usual
+            self._sync_s = received if proved else None
+            return True
         if verdict.duplicate:
             _count(self._duplicate_syncs)
             self._extra_syncs = True
             return False
-        self._sync_s = moment.received if moment.proved else None
-        parts = self._input
+        self._sync_s = received if proved else None
         if parts.is_synchronous and parts.is_ambiguous and not parts.timed:
             self.count_bad_frame()
             self._stale = True
@@ -147,15 +162,21 @@ class Pairing:
         else:
             parts = self._input
             if not parts.timed:
-                self._measure()
+                if self.timeline.withheld:
+                    self._interval.pause()
+                else:
+                    self._interval.event(self._moment.received, self._moment.proved)
             if parts.arrived and parts.give_up():
                 self.count_bad_frame()
-        if self._synced and self.sampled and not self._sample_came:
+        if self._sample_came:
+            self._sample_came = False
+        elif self._synced and self.sampled:
             self._miss(1, now)
         if self._unheard:
             self._miss_unheard(counter, now)
-        self._sample_came = self._tracks_came = self._extra_syncs = self._stale = False
-        self._synced = True
+        if self._extra_syncs or self._stale:
+            self._extra_syncs = self._stale = False
+        self._tracks_came, self._synced = False, True
 
     def _measure(self) -> None:
         """A SYNC measures the interval, unless it may be late, or others were not heard."""

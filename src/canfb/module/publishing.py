@@ -14,6 +14,7 @@ from canfb.module.cia406.profile import EncoderProfile
 from canfb.module.cia406.profile_warnings import Warnings
 from canfb.module.event_watch import EventWatch
 from canfb.module.interval import IntervalEstimate
+from canfb.module.latest import Latest
 from canfb.module.objects.prediction import Prediction
 from canfb.module.objects.publication import Publication
 from canfb.module.objects.sample_input import SampleInput
@@ -30,8 +31,8 @@ class Publishing:
     """Takes each :class:`Feedback` of the chain to all who want to know of it, in this order.
 
     2011h and 2012h (Publication), the encoder profile, the shift to the nominal SYNC (Prediction), EMCY
-    7300h (PositionAlarm), event-driven TPDOs, events and warnings. ``last`` is the last feedback, None
-    before the first one. ``prediction_chosen()`` is called when 2013h is written.
+    7300h (PositionAlarm), event-driven TPDOs, events and warnings. ``prediction_chosen()`` is called when
+    2013h is written.
     """
 
     def __init__(
@@ -44,10 +45,10 @@ class Publishing:
         parts: SampleInput,
         prediction_chosen: Callable[[], None],
     ) -> None:
-        self.last: Feedback | None = None
+        self.latest = Latest()
         self.on_feedback: Callable[[Feedback, float], None] | None = None
         self._dictionary, self._node = dictionary, node
-        self.profile = EncoderProfile(dictionary, interval)
+        self.profile = EncoderProfile(dictionary, interval, self.latest)
         self.warnings = Warnings(
             dictionary,
             node,
@@ -59,16 +60,23 @@ class Publishing:
         self.prediction = Prediction(
             dictionary, self.profile, prediction_chosen, lambda: chain.unit_s, interval
         )
-        self.objects = Publication(dictionary, interval, chain, parts, limits)
+        self.objects = Publication(dictionary, interval, chain, parts, limits, self.latest)
         self.alarm = PositionAlarm(node)
         self._chain = chain
         self.events = EventWatch(dictionary, limits)
-        self._event_tpdos: list[Callable[[float], None]] = []
+        self.event_tpdos: list[Callable[[float], None]] = []
+
+    @property
+    def last(self) -> Feedback | None:
+        """The last feedback, None before the first one."""
+        return self.latest.feedback
 
     def publish(self, feedback: Feedback, now: float, send: bool = True) -> None:
         """Into the dictionary, and out if there is something new to say."""
-        self.last = feedback
         self.objects.publish(feedback)
+        self.latest.feedback = feedback
+        if feedback.status & VALID:
+            self.latest.valid = feedback
         self.profile.publish(feedback)
         if self.prediction.follows:
             self.prediction.shift(feedback)
@@ -78,7 +86,7 @@ class Publishing:
             if self.events.detailed:
                 self.events.fault(feedback, now)
         if send:
-            for trigger in self._event_tpdos:
+            for trigger in self.event_tpdos:
                 trigger(now)
         if (
             status != warnings.status
@@ -122,7 +130,7 @@ class Publishing:
     def configured(self) -> None:
         """PDO parameters or the NMT state have changed: which TPDOs go out with a sample."""
         self.warnings.look_again()
-        self._event_tpdos = [
+        self.event_tpdos = [
             self._node.tpdo_trigger(number) for number in TPDOS if self._is_event_tpdo(number)
         ]
 
@@ -137,7 +145,7 @@ class Publishing:
 
     def reset(self) -> None:
         """After a reset of the node: no feedback."""
-        self.last = None
+        self.latest.forget()
         self.events.reset()
         self.profile.reset()
         self.objects.reset()

@@ -97,7 +97,7 @@ class Response:
         self._sooner = 0
         self._seen = min(self._seen + count, LEARNED_SAMPLES)
         gain = count / self._seen
-        self._spread_s += (sum(abs(delay - usual) for delay in delays_s) / count - self._spread_s) * gain
+        self._spread_s += (sum([abs(delay - usual) for delay in delays_s]) / count - self._spread_s) * gain
         self.usual_s += (sum(delays_s) / count - usual) * gain
         self._follow_least(min(delays_s), count)
         if self._seen >= LEARNED_SAMPLES:

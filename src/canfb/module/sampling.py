@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from canfb.device.moment import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
@@ -12,6 +14,8 @@ from canfb.module.pairing import Findings, Pairing
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.module.tap import Taps
+from canfb.module.timeline import Timeline
+from canfb.module.usual_sample import UsualSample
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
 from canfb.signal.nominal_sync import NominalSync
@@ -48,15 +52,29 @@ class Sampling:
     ) -> None:
         self._interval, self._limits, self._chain = interval, limits, chain
         self._taps, self._publishing, self._prediction = taps, publishing, publishing.prediction
-        self._unconfirmed = 0  # samples after a pause that are not called valid yet
         self._paused_s = 0.0
         self._grid_learned_s = 0.0
         self._grid = NominalSync(
             GRID_SYNCS
         )  # by which an interface takes its samples, if several for each SYNC
-        found = Findings(self._take, self._miss, self._lose_count, publishing.withhold, chain.repeats)
-        self.pairing = Pairing(dictionary, node, interval, parts, source, found)
-        self.timeline = self.pairing.timeline
+        self.timeline = timeline = Timeline(dictionary, interval)
+        self._usual = UsualSample(
+            dictionary,
+            chain,
+            limits,
+            timeline,
+            taps,
+            publishing,
+            unusual=partial(self._take_counts, parts),
+        )
+        found = Findings(
+            self._usual.take, self._take, self._miss, self._lose_count, publishing.withhold, chain.repeats
+        )
+        self.pairing = Pairing(dictionary, node, timeline, interval, parts, source, found)
+
+    def _take_counts(self, parts: SampleInput, now: float) -> None:
+        """A sample without a time."""
+        self._take(parts.sample(), None, None, now)
 
     def _take(self, sample: Sample, received_s: float | None, synced_s: float | None, now: float) -> bool:
         """A sample through the chain, and out; False if it is an earlier one, and nothing happened."""
@@ -65,7 +83,7 @@ class Sampling:
         time_100ns = sample.time_100ns
         if time_100ns is None:
             feedback = self._chain.step(sample)
-            if feedback.status & VALID and (self._unconfirmed or self.timeline.withheld):
+            if feedback.status & VALID and (self._usual.unconfirmed or self.timeline.withheld):
                 feedback = self._withheld(feedback)
         else:
             self._follow_interval()
@@ -79,7 +97,7 @@ class Sampling:
                     self._grid.sample(time_100ns)
                 if self._prediction.follows:
                     self._prediction.sampled(time_100ns)
-                if self._unconfirmed:
+                if self._usual.unconfirmed:
                     feedback = self._withheld(feedback)
         noise = self._limits.noise
         if self._chain.between:
@@ -111,8 +129,8 @@ class Sampling:
 
     def _withheld(self, feedback: Feedback) -> Feedback:
         """What may be right, but is not confirmed."""
-        if self._unconfirmed:
-            self._unconfirmed -= 1
+        if self._usual.unconfirmed:
+            self._usual.unconfirmed -= 1
         return feedback._replace(status=feedback.status & ~VALID | COASTING)
 
     def _follow_interval(self) -> None:
@@ -181,7 +199,7 @@ class Sampling:
         chain, interval = self._chain, self._interval
         self.pairing.begin()
         interval_s = interval.settled_s or interval.seconds
-        self._unconfirmed = CONFIRMING_SAMPLES if chain.begun and not chain.lost else 0
+        self._usual.unconfirmed = CONFIRMING_SAMPLES if chain.begun and not chain.lost else 0
         chain.resume((now - self._paused_s) / interval_s if interval_s else NEVER)
         interval.pause()
         self._prediction.pause(self._publishing.last)

@@ -20,6 +20,7 @@ COUNTER_OVERFLOW = 0x1019
 PERIODS = od.SUPERVISION_PERIODS
 PULLING = 0.25  # period: a SYNC that may have been heard late moves the lock if it is nearer than that
 GAIN = 0.2  # of the lock on the SYNCs
+REST = 1.0 - GAIN
 HALF = 0.5  # period: nearer to this SYNC, or to the one beside it
 JITTER_GAIN = 1.0 / 64.0
 FOLLOWED_TOGETHER = 8  # SYNCs
@@ -115,7 +116,7 @@ class Timeline:
         if grid is not None:
             error = time_s - grid - self._period_s
             if self._low_s < error < self._high_s and (counter is None or self._is_next(counter)):
-                self._grid_s = time_s - error * (1.0 - GAIN)
+                self._grid_s = time_s - error * REST
                 self._apart_s = time_s - self._heard_s
                 self._heard_s = self._sync_s = time_s
                 self._counter = counter

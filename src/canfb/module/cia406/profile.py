@@ -19,6 +19,7 @@ from canfb.module.cia406.position import (
 from canfb.module.cia406.speed import MotionObjects
 from canfb.module.cia406.work_area import WorkArea
 from canfb.module.interval import IntervalEstimate
+from canfb.module.latest import Latest
 from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import VALID
 
@@ -34,7 +35,7 @@ class EncoderProfile:
     those of :class:`canfb.module.cia406.profile_warnings.Warnings`.
     """
 
-    def __init__(self, dictionary: Dictionary, interval: IntervalEstimate) -> None:
+    def __init__(self, dictionary: Dictionary, interval: IntervalEstimate, latest: Latest) -> None:
         entry = dictionary.entry
         self._operating = entry(*od.OPERATING_PARAMETERS)
         self._units_per_rev, self._range = entry(*od.UNITS_PER_REVOLUTION), entry(*od.TOTAL_RANGE)
@@ -44,8 +45,7 @@ class EncoderProfile:
         self._revolutions = entry(*od.DISTINGUISHABLE_REVOLUTIONS)
         self._offset = entry(*od.OFFSET_VALUE)
         self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
-        self._last: Feedback | None = None
-        self._last_valid: Feedback | None = None
+        self._latest = latest
         self._standing_alarms = 0
         """Bits of 6503h that no sample ends."""
         self._presets = entry(*od.PRESET_VALUE), entry(*od.HIGH_PRECISION_PRESET)
@@ -56,14 +56,13 @@ class EncoderProfile:
         for changed in (self._operating, self._units_per_rev, self._range):
             changed.on_written = self.rescale
         self._module_range = entry(0x650A, 2), entry(0x650A, 3)
-        self._cams = Cams(dictionary, self._valid_position)
-        WorkArea(dictionary, self._valid_position, lambda: self._scale.total_range)
-        MotionObjects(dictionary, interval, lambda: self._last_valid, lambda: self._scale)
+        self.cams = Cams(dictionary, self._valid_position)
+        WorkArea(dictionary, self._valid_position, lambda: self.scale.total_range)
+        MotionObjects(dictionary, interval, lambda: self._latest.valid, lambda: self.scale)
         self.reset()
 
     def reset(self) -> None:
         """No position, no alarm; the preset is that of 6509h."""
-        self._last = self._last_valid = None
         self._standing_alarms = self._alarms.value = 0
         self.rescale()
 
@@ -73,7 +72,7 @@ class EncoderProfile:
         self._resolution.value = resolution = single_turn_resolution(cycles)
         self._revolutions.value = revolutions = distinguishable_revolutions(resolution)
         scaling = self._operating.value & SCALING
-        self._scale = PositionScale(
+        self.scale = PositionScale(
             cycles,
             self._units_per_rev.value if scaling else resolution,
             self._range.value if scaling else resolution * revolutions,
@@ -84,29 +83,27 @@ class EncoderProfile:
         self._status.value = self._operating.value
         # INTEGER32 objects for a range that needs 32 bits without sign: saturated, not wrapped.
         self._module_range[0].value = 0
-        self._module_range[1].value = min(self._scale.total_range - 1, 0x7FFFFFFF)
+        self._module_range[1].value = min(self.scale.total_range - 1, 0x7FFFFFFF)
         self._moved()
 
     def _moved(self) -> None:
         """Every position has another value now."""
-        self._cams.configure(self._scale.total_range)
-        if self._last is not None:
-            self.publish(self._last)
+        self.cams.configure(self.scale.total_range)
+        if self._latest.feedback is not None:
+            self.publish(self._latest.feedback)
 
     def publish(self, feedback: Feedback) -> None:
         """Write the position objects and the alarm."""
-        self._last = feedback
-        scale = self._scale
+        scale = self.scale
         if scale.binary:
             units = feedback.cycles * scale.binary + int(feedback.phase * scale.binary_factor)
         else:
             units = scale.units(feedback.cycles, feedback.phase)
         self._position.value = self._fine.value = position = (units + scale.offset) % scale.total_range
         if feedback.status & VALID:
-            self._last_valid = feedback
             self._alarms.value = self._standing_alarms
-            if self._cams.follows:
-                self._cams.follow(position)
+            if self.cams.follows:
+                self.cams.follow(position)
         else:
             self._alarms.value = self._standing_alarms | ALARM_POSITION
 
@@ -117,14 +114,14 @@ class EncoderProfile:
 
     def position_at(self, cycles: int, phase: float) -> int:
         """What 6004h is at this place: cycle count and phase, 0 <= phase < 1."""
-        return self._scale.position(cycles, phase)
+        return self.scale.position(cycles, phase)
 
     def _valid_position(self) -> int | None:
-        last = self._last_valid
-        return None if last is None else self._scale.position(last.cycles, last.phase)
+        last = self._latest.valid
+        return None if last is None else self.scale.position(last.cycles, last.phase)
 
     def _raw_position(self) -> int:
-        last, scale = self._last, self._raw_scale
+        last, scale = self._latest.feedback, self._raw_scale
         if last is None:
             return 0
         return scale.units(last.cycles, last.phase) % scale.total_range
@@ -136,13 +133,13 @@ class EncoderProfile:
     def _preset(self, written: Entry) -> None:
         """Move the position. A preset that `save` has kept does not: 6509h holds what it led to."""
         value = written.value
-        if value >= self._scale.total_range:
+        if value >= self.scale.total_range:
             raise SdoAbort(AbortCode.INVALID_VALUE)
-        last = self._last
+        last = self._latest.feedback
         if last is None or not last.valid or abs(last.speed_cycles) > STANDSTILL_CYCLES:
             raise SdoAbort(AbortCode.DEVICE_STATE)
-        units = self._scale.units(last.cycles, last.phase)
-        self._offset.value = self._scale.offset = self._scale.offset_for(units, value)
+        units = self.scale.units(last.cycles, last.phase)
+        self._offset.value = self.scale.offset = self.scale.offset_for(units, value)
         for preset in self._presets:  # one value, in 32 and in 64 bits
             preset.value = value
         self._moved()

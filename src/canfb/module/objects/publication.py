@@ -8,6 +8,7 @@ from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.position import PHASE_UNITS
 from canfb.module.interval import IntervalEstimate
+from canfb.module.latest import Latest
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.parameters import Limits
 from canfb.signal.chain import SignalChain
@@ -60,6 +61,7 @@ class Publication:
         chain: SignalChain,
         source: SampleInput,
         limits: Limits,
+        latest: Latest,
     ) -> None:
         entry = dictionary.entry
         self._status, self._residual, self._samples = (
@@ -80,13 +82,14 @@ class Publication:
         self._losses = entry(*od.COUNTER_LOST)
         self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         self._interval = interval
-        self._work = 0  # bit 10 of the status word
+        self._latest = latest
+        self.work = 0
+        """Bit 10 of the status word."""
         self.reset()
 
     def reset(self) -> None:
         """After a reset: no feedback; counting of losses restarts."""
-        self._last = NOTHING
-        self._last_raw = 0.0
+        self._last_raw = 0.0  # the last one before the present sample
         self._lost = False
 
     def withhold(self) -> None:
@@ -94,14 +97,12 @@ class Publication:
         self._status.value &= ~VALID
 
     def publish(self, feedback: Feedback) -> None:
-        """Put it into 2011h, count in 2012h."""
-        self._last = feedback
-        status, raw = feedback.status, feedback.raw_phase
-        self._status.value = status | self._work
+        """Put it into 2011h, count in 2012h, before it is the latest one."""
+        self._last_raw = self._known_raw()
+        status = feedback.status
+        self._status.value = status | self.work
         self._residual.value = int(feedback.residual * SIXTEEN_BITS)
         self._samples.value = feedback.samples & U32
-        if raw == raw:
-            self._last_raw = raw
         if status & FAULTS or self._lost:
             self._count(status)
 
@@ -112,8 +113,17 @@ class Publication:
 
     def calibrating(self, working: bool) -> None:
         """Bit 10 of the status word, at once: the module records or computes for 2030h."""
-        self._work = CALIBRATING if working else 0
-        self._status.value = self._status.value & ~CALIBRATING | self._work
+        self.work = CALIBRATING if working else 0
+        self._status.value = self._status.value & ~CALIBRATING | self.work
+
+    @property
+    def _last(self) -> Feedback:
+        return self._latest.feedback or NOTHING
+
+    def _known_raw(self) -> float:
+        """The last raw phase that there was, cycles."""
+        raw = self._last.raw_phase
+        return raw if raw == raw else self._last_raw
 
     def _phase(self) -> int:
         return int(self._last.phase * PHASE_UNITS)
@@ -126,7 +136,7 @@ class Publication:
         return min(int(amplitude), U16) if amplitude == amplitude else 0
 
     def _raw_phase(self) -> int:
-        return int(self._last_raw * SIXTEEN_BITS)
+        return int(self._known_raw() * SIXTEEN_BITS)
 
     def _velocity(self) -> float:
         return self._rad_s(self._last.speed_cycles, 1)

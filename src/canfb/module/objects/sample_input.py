@@ -23,6 +23,7 @@ PARTS = (
 # Plain integers for the hot path.
 ZERO_PULSE, SAMPLE_INVALID = int(od.SampleFlag.ZERO_PULSE), int(od.SampleFlag.INVALID)
 NEW_ORDER = 3  # intervals in a row
+NO_RPDO = -1
 PLACES = 65536.0  # 2000:07 counts the interval of SYNC in 1/65536
 
 
@@ -46,6 +47,8 @@ class SampleInput:
         """RPDOs of this sample that have come, bit n: RPDO n."""
         self.alone: int | None = None
         """The RPDO that brings the whole sample, if one does: no need to wait for others."""
+        self.whole = NO_RPDO
+        """The RPDO that brings a whole sample of two counts and no more, at once; else NO_RPDO."""
         self.timed = False
         """Each sample brings its time."""
         self.judged: int | None = None
@@ -97,6 +100,9 @@ class SampleInput:
         self._waiting = None if tracks is None else self._node.synchronous_rpdo(tracks)
         self.is_synchronous = self._waiting is not None
         self.judged = None if self.timed or self.is_synchronous else tracks
+        self.whole = NO_RPDO
+        if self._plain and not self._with_flags and self.judged is not None and self.judged == self.alone:
+            self.whole = self.judged
 
     def take(self, number: int) -> bool:
         """RPDO ``number`` has come; True if the sample is complete with it.

@@ -1,0 +1,182 @@
+"""The usual sample in one piece: the same frames and the same objects as part by part."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.cia301.codes import SdoAbort
+from canfb.cia301.frame import Frame
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
+from canfb.signal.correction import CorrectionTable
+from canfb.signal.feedback import Feedback
+
+SYNC, ADC_PDO = 0x80, 0x190
+TABLE = CorrectionTable([k / 64 + 0.02 * math.sin(2 * math.pi * k / 64) for k in range(64)])
+STOP, OPERATIONAL, PRE_OPERATIONAL, RESET_COMMUNICATION = (
+    Frame(0, bytes([command, 32])) for command in (2, 1, 128, 130)
+)
+WRITES = {
+    "scaling": [(0x6001, 0, 10_000), (0x6000, 0, 4)],
+    "reverse": [(0x6000, 0, 1)],
+    "preset": [(0x6003, 0, 77)],
+    "cam": [(0x6310, 1, 100), (0x6320, 1, 9000), (0x6330, 1, 20), (0x6301, 1, 1)],
+    "predict": [(0x2013, 1, 1)],
+    "no prediction": [(0x2013, 1, 0)],
+    "acceleration": [(0x2010, 2, 1e4)],
+    "third order": [(0x2010, 7, 3)],
+    "order 2": [(0x2010, 7, 2)],
+    "residual": [(0x2010, 1, 2000)],
+    "flags": [(0x2000, 6, 2)],
+    "no flags": [(0x2000, 6, 0)],
+    "low": [(0x2001, 3, 1400)],
+    "warnings": [(0x2004, 2, 0)],
+    "noise margin": [(0x2010, 9, 8.0)],
+    "recording": [(0x2050, 1, 1)],
+    "PDO off": [(0x1800, 1, 0x800001A0)],
+    "PDO on": [(0x1800, 1, 0x1A0)],
+    "PDO at SYNC": [(0x1800, 2, 1)],
+    "cycles": [(0x2001, 1, 100)],
+}
+FRAMES = {
+    "stop": STOP,
+    "operational": OPERATIONAL,
+    "pre-operational": PRE_OPERATIONAL,
+    "reset": RESET_COMMUNICATION,
+    "bad length": Frame(ADC_PDO, b"\1\2\3"),
+}
+SAMPLES = (
+    "run",
+    "run",
+    "run",
+    "still",
+    "jump",
+    "weak",
+    "missed",
+    "lost SYNC",
+    "doubled",
+    "doubled SYNC",
+    "late",
+)
+happenings = st.lists(
+    st.tuples(
+        st.sampled_from([*SAMPLES, *WRITES, *FRAMES, "table", "stamps", "listen"]), st.floats(0.0, 1.0)
+    ),
+    min_size=3,
+    max_size=15,
+)
+
+
+class Pair:
+    """Two modules that hear the same; the second takes each sample part by part."""
+
+    def __init__(self) -> None:
+        config = ModuleConfig(node_id=32, encoder_interface=16, autostart=True)
+        self.modules = FeedbackModule(config), FeedbackModule(config)
+        self.modules[1].chain.usual = lambda sine, cosine: None  # type: ignore[method-assign]
+        self.usual = 0
+        usual = self.modules[0].chain.usual
+
+        def counted(sine: float, cosine: float) -> Feedback | None:
+            feedback = usual(sine, cosine)
+            self.usual += feedback is not None
+            return feedback
+
+        self.modules[0].chain.usual = counted  # type: ignore[method-assign]
+        self.now, self.stamps = 0.0, True
+        self.heard: tuple[list[Feedback], list[Feedback]] = ([], [])
+        for module in self.modules:
+            module.start(0.0)
+
+    def send(self, frame: Frame, after_s: float = 0.0) -> None:
+        self.now += after_s
+        for module in self.modules:
+            while (due := module.deadline()) is not None and due <= self.now:
+                module.tick(due)
+        stamped = frame._replace(timestamp=self.now) if self.stamps else frame
+        ours, theirs = (module.receive(stamped, self.now) for module in self.modules)
+        assert ours == theirs
+
+    def sample(self, position: float, amplitude: float = 1500.0) -> None:
+        angle = 2 * math.pi * position
+        pair = round(amplitude * math.sin(angle)), round(amplitude * math.cos(angle))
+        self.send(Frame(ADC_PDO, struct.pack("<hh", *pair)), 0.0002)
+
+    def write(self, index: int, subindex: int, value: float) -> None:
+        for module in self.modules:
+            entry = module.dictionary.entry(index, subindex)
+            try:
+                entry.store(value)
+            except SdoAbort:
+                continue
+
+    def listen(self) -> None:
+        for module, heard in zip(self.modules, self.heard, strict=True):
+            module.on_feedback = lambda feedback, now, heard=heard: heard.append(feedback)
+
+    def compare(self) -> None:
+        ours, theirs = (
+            [(entry.index, entry.subindex, read(entry)) for entry in module.dictionary]
+            for module in self.modules
+        )
+        assert ours == theirs
+        assert repr(self.modules[0].feedback) == repr(self.modules[1].feedback)
+        assert repr(self.heard[0]) == repr(self.heard[1])
+        assert self.modules[0].deadline() == self.modules[1].deadline()
+
+
+def read(entry: object) -> str:
+    try:
+        return repr(entry.current())  # type: ignore[attr-defined]
+    except SdoAbort as abort:
+        return str(abort)
+
+
+@given(happenings=happenings, speed=st.floats(0.05, 0.4))
+def test_frames_and_objects_are_those_of_the_parts(happenings: list[tuple[str, float]], speed: float) -> None:
+    pair = Pair()
+    position = step = 0.0
+    for kind, x in [("run", 0.0), *happenings]:
+        if kind in WRITES:
+            for write in WRITES[kind]:
+                pair.write(*write)
+        elif kind in FRAMES:
+            pair.send(FRAMES[kind], 0.0003)
+        elif kind == "table":
+            for module in pair.modules:
+                module.dictionary.entry(0x2020, 1).download(TABLE.to_bytes())
+                module.dictionary.entry(0x2020, 3).download(TABLE.crc32.to_bytes(4, "little"))
+        elif kind == "stamps":
+            pair.stamps = x > 0.5
+        elif kind == "listen":
+            pair.listen()
+        for k in range(30 if kind == "run" else 6):
+            step += (speed - step) * 0.02
+            position += 0.0 if kind == "still" else step
+            if not (kind == "lost SYNC" and k == 3):
+                pair.send(Frame(SYNC, b""), 0.0008)
+            if kind == "doubled SYNC" and k == 3:
+                pair.send(Frame(SYNC, b""), 0.00001)
+            if kind == "missed" and k == 3:
+                continue
+            if kind == "late" and k == 3:
+                pair.now += 0.0007 * x
+            amplitude = 1500.0 * x if kind == "weak" and k == 3 else 1500.0
+            pair.sample(position + (x if kind == "jump" and k == 3 else 0.0), amplitude)
+            if kind == "doubled" and k == 3:
+                pair.sample(position)
+        pair.compare()
+    assert pair.usual > 10
+
+
+def test_nearly_each_sample_of_a_healthy_machine_takes_the_short_way() -> None:
+    pair = Pair()
+    for k in range(2000):
+        pair.send(Frame(SYNC, b""), 0.0008)
+        pair.sample(0.3 * k if k > 20 else 0.0)
+    assert pair.usual > 1900
+    pair.compare()
