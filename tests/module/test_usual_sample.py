@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,7 +21,7 @@ TABLE = CorrectionTable([k / 64 + 0.02 * math.sin(2 * math.pi * k / 64) for k in
 STOP, OPERATIONAL, PRE_OPERATIONAL, RESET_COMMUNICATION = (
     Frame(0, bytes([command, 32])) for command in (2, 1, 128, 130)
 )
-WRITES = {
+WRITES: dict[str, list[tuple[int, int, float]]] = {
     "scaling": [(0x6001, 0, 10_000), (0x6000, 0, 4)],
     "reverse": [(0x6000, 0, 1)],
     "preset": [(0x6003, 0, 77)],
@@ -74,15 +75,16 @@ happenings = st.lists(
 class Pair:
     """Two modules that hear the same; the second takes each sample part by part."""
 
-    def __init__(self) -> None:
-        config = ModuleConfig(node_id=32, encoder_interface=16, autostart=True)
+    def __init__(self, times: bool = False) -> None:
+        config = ModuleConfig(node_id=32, encoder_interface=16, autostart=True, times=times)
+        self.times = times
         self.modules = FeedbackModule(config), FeedbackModule(config)
-        self.modules[1].chain.usual = lambda sine, cosine: None  # type: ignore[method-assign]
+        self.modules[1].chain.usual = lambda sine, cosine, elapsed=1.0: None  # type: ignore[method-assign]
         self.usual = 0
         usual = self.modules[0].chain.usual
 
-        def counted(sine: float, cosine: float) -> Feedback | None:
-            feedback = usual(sine, cosine)
+        def counted(sine: float, cosine: float, elapsed: float = 1.0) -> Feedback | None:
+            feedback = usual(sine, cosine, elapsed)
             self.usual += feedback is not None
             return feedback
 
@@ -104,7 +106,10 @@ class Pair:
     def sample(self, position: float, amplitude: float = 1500.0) -> None:
         angle = 2 * math.pi * position
         pair = round(amplitude * math.sin(angle)), round(amplitude * math.cos(angle))
-        self.send(Frame(ADC_PDO, struct.pack("<hh", *pair)), 0.0002)
+        data = struct.pack("<hh", *pair)
+        if self.times:
+            data += struct.pack("<I", round(self.now * 1e7) & 0xFFFFFFFF)
+        self.send(Frame(ADC_PDO, data), 0.0002)
 
     def write(self, index: int, subindex: int, value: float) -> None:
         for module in self.modules:
@@ -136,9 +141,12 @@ def read(entry: object) -> str:
         return str(abort)
 
 
+@pytest.mark.parametrize("times", [False, True])
 @given(happenings=happenings, speed=st.floats(0.05, 0.4))
-def test_frames_and_objects_are_those_of_the_parts(happenings: list[tuple[str, float]], speed: float) -> None:
-    pair = Pair()
+def test_frames_and_objects_are_those_of_the_parts(
+    times: bool, happenings: list[tuple[str, float]], speed: float
+) -> None:
+    pair = Pair(times)
     position = step = 0.0
     for kind, x in [("run", 0.0), *happenings]:
         if kind in WRITES:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
+from random import Random
 
 import numpy as np
 import pytest
@@ -36,7 +37,7 @@ LIMITS = ChainLimits(
 class Parts(SignalChain):
     """The same chain, without the short way."""
 
-    def usual(self, sine: float, cosine: float) -> None:
+    def usual(self, sine: float, cosine: float, elapsed: float = 1.0) -> None:
         return None
 
 
@@ -45,8 +46,8 @@ class Counted(SignalChain):
 
     taken = 0
 
-    def usual(self, sine: float, cosine: float) -> Feedback | None:
-        feedback = super().usual(sine, cosine)
+    def usual(self, sine: float, cosine: float, elapsed: float = 1.0) -> Feedback | None:
+        feedback = super().usual(sine, cosine, elapsed)
         self.taken += feedback is not None
         return feedback
 
@@ -146,9 +147,20 @@ def happen(chain: SignalChain, kind: str, x: float, position: float, ticks: int)
 
 
 @pytest.mark.parametrize("order", [2, 3])
-@given(happenings=events(), speed=st.floats(-0.4, 0.4), bend=st.floats(-0.01, 0.01))
+@pytest.mark.parametrize("jitter_ticks", [None, 0, 800])
+@given(
+    happenings=events(),
+    speed=st.floats(-0.4, 0.4),
+    bend=st.floats(-0.01, 0.01),
+    random=st.randoms(use_true_random=False),
+)
 def test_same_bits_as_the_parts_called_one_by_one(
-    order: int, happenings: list[tuple[str, float]], speed: float, bend: float
+    order: int,
+    jitter_ticks: int | None,
+    happenings: list[tuple[str, float]],
+    speed: float,
+    bend: float,
+    random: Random,
 ) -> None:
     config = ChainConfig(prediction_order=order)
     ours, theirs = SignalChain(config, TABLE), Parts(config, TABLE)
@@ -164,6 +176,9 @@ def test_same_bits_as_the_parts_called_one_by_one(
                 ), kind
             else:
                 sample = Sample(*counts(position))
+                if jitter_ticks is not None:
+                    early = random.randint(-jitter_ticks, jitter_ticks)
+                    sample = Sample(*counts(position + step * early / 10000), time_100ns=ticks + early)
                 for chain in (ours, theirs):  # the other sensor says what it likes
                     chain.hear_second(1, round(position / 2500 * 4096 + 4096 * x))
                 assert same(ours.step(sample), theirs.step(sample)), (kind, k)
@@ -173,11 +188,19 @@ def test_same_bits_as_the_parts_called_one_by_one(
 
 
 @pytest.mark.parametrize("order", [2, 3])
-def test_nearly_each_sample_of_a_healthy_machine_takes_the_short_way(order: int) -> None:
-    chain = Counted(ChainConfig(prediction_order=order), TABLE)
+@pytest.mark.parametrize("speed", [0.3, 0.0])
+@pytest.mark.parametrize("jitter_ticks", [None, 0, 300])
+def test_nearly_each_sample_of_a_healthy_machine_takes_the_short_way(
+    order: int, speed: float, jitter_ticks: int | None
+) -> None:
+    chain, random = Counted(ChainConfig(prediction_order=order), TABLE), Random(1)
+    chain.interval_s = 0.001
+    chain.restart(0, speed)
     for k in range(1000):
-        chain.step(Sample(*counts(0.1 + 0.3 * k)))
-    assert chain.taken > 990
+        early = random.randint(-(jitter_ticks or 0), jitter_ticks or 0)
+        pair = counts(0.1 + speed * (k + early / 10000))
+        chain.step(Sample(*pair, time_100ns=None if jitter_ticks is None else 10000 * k + early))
+    assert chain.taken > 980
 
 
 def test_nan_and_infinite_counts_are_flagged() -> None:

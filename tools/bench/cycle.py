@@ -162,11 +162,15 @@ def encoder_table() -> canfb.CorrectionTable:
     return canfb.CorrectionTable(ideal + 0.01 * np.sin(2 * np.pi * (ideal + 0.1)))
 
 
-def feedback_module(order: int = 2) -> canfb.FeedbackModule:
+def feedback_module(order: int = 2, times: bool = False) -> canfb.FeedbackModule:
     """The module as it is delivered, operational, with an active correction table."""
     module = canfb.FeedbackModule(
         canfb.ModuleConfig(
-            node_id=NODE_ID, encoder_interface=ENCODER_INTERFACE, autostart=True, prediction_order=order
+            node_id=NODE_ID,
+            encoder_interface=ENCODER_INTERFACE,
+            autostart=True,
+            prediction_order=order,
+            times=times,
         )
     )
     module.start(0.0)
@@ -176,9 +180,9 @@ def feedback_module(order: int = 2) -> canfb.FeedbackModule:
     return module
 
 
-def adc_data(cycles: int) -> list[bytes]:
-    """ADC PDOs of a drive that turns at 0.3 cycles a sample."""
-    angles = [2 * math.pi * 0.3 * k for k in range(cycles)]
+def adc_data(cycles: int, speed: float = 0.3) -> list[bytes]:
+    """ADC PDOs of a drive that turns at this speed, cycles per sample."""
+    angles = [2 * math.pi * speed * k for k in range(cycles)]
     return [
         PAIR.pack(round(AMPLITUDE_COUNTS * math.sin(x)), round(AMPLITUDE_COUNTS * math.cos(x)))
         for x in angles
@@ -188,17 +192,20 @@ def adc_data(cycles: int) -> list[bytes]:
 class ModuleRun:
     """The module, cycle by cycle; what it sends is checked at the end."""
 
-    def __init__(self, cycles: int, order: int = 2) -> None:
-        self.module = feedback_module(order)
+    interval_s = INTERVAL_S
+
+    def __init__(self, cycles: int, order: int = 2, *, speed: float = 0.3, times: bool = False) -> None:
+        self.module = feedback_module(order, times)
         self.sync = canfb.Frame(SYNC, b"")
-        self.samples = [canfb.Frame(ADC_PDO, data) for data in adc_data(cycles)]
+        self.samples = [canfb.Frame(ADC_PDO, data) for data in adc_data(cycles, speed)]
         self.now = 0.0
 
     def __call__(self) -> None:
         receive, sync, now = self.module.receive, self.sync, self.now
         sent: list[canfb.Frame] = []
+        interval_s = self.interval_s
         for sample in self.samples:
-            now += INTERVAL_S
+            now += interval_s
             receive(sync, now)
             sent = receive(sample, now)
         self.now = now
@@ -206,6 +213,21 @@ class ModuleRun:
         assert feedback is not None
         assert feedback.status == canfb.StatusBit.VALID | canfb.StatusBit.TABLE_ACTIVE
         assert [one.can_id for one in sent] == [POSITION_PDO]
+
+
+class TimedRun(ModuleRun):
+    """The same with sample times (2000:05), which wrap with each repetition: 512 intervals are 2^32 ticks."""
+
+    CYCLES = 512
+    TICKS = 2**32 // CYCLES
+    interval_s = TICKS * 1e-7
+
+    def __init__(self) -> None:
+        super().__init__(self.CYCLES, speed=160 / self.CYCLES, times=True)
+        self.samples = [
+            frame._replace(data=frame.data + (number * self.TICKS).to_bytes(4, "little"))
+            for number, frame in enumerate(self.samples)
+        ]
 
 
 class StockRun:
@@ -357,12 +379,22 @@ def comparisons(cycles: int, samples: int) -> list[Comparison]:
     module = ("canfb.FeedbackModule: ADC PDO, SYNC in, position out", ModuleRun(cycles))
     third = ("the same, with third-order prediction", ModuleRun(cycles, 3))
     second = ("canfb.FeedbackModule as delivered", ModuleRun(cycles))
+    still = ("the same, the machine stands", ModuleRun(cycles, speed=0.0))
+    timed = ("the same, with sample times", TimedRun())
     null_bus = cast(can.BusABC, NullBus())
     frames, messages = StockRun(StockNetwork(), cycles), StockRun(canopen.Network(null_bus), cycles)
     unit, scale = "us per cycle", 1e6 / cycles
     return [
-        Comparison("cycle", module, ("canopen.LocalNode with atan2", frames), unit, scale, goal=1.0),
+        Comparison("cycle", module, ("canopen.LocalNode with atan2", frames), unit, scale, goal=0.6),
         Comparison("cycle, third order", third, second, unit, scale, goal=1.05),
+        Comparison("cycle, at standstill", still, ("canopen.LocalNode with atan2", frames), unit, scale),
+        Comparison(
+            "cycle, sample times",
+            timed,
+            ("canopen.LocalNode with atan2", StockRun(StockNetwork(), TimedRun.CYCLES)),
+            unit,
+            1e6 / TimedRun.CYCLES,
+        ),
         Comparison("cycle, can.Message", module, ("the same, with a can.Message", messages), unit, scale),
         *array_comparisons(samples),
         *sample_comparisons(cycles),

@@ -97,13 +97,7 @@ class IntervalEstimate:
             else:
                 self._look_at_heard(now)
         elif last is not None and now > last:
-            interval_s, period = now - last, self.settled_s
-            # The usual one, as _approach would take it.
-            usual = SHORTEST * period < interval_s < USUAL_LONGEST * period
-            if usual and self._intervals >= KNOWN_INTERVALS and not self._long:
-                self.settled_s = self._estimate_s = period + (interval_s - period) * SMOOTHING
-            else:
-                self.measured(interval_s)
+            self.measured(now - last)
 
     def _look_at_heard(self, now: float) -> None:
         heard = self._heard
@@ -125,7 +119,11 @@ class IntervalEstimate:
     def measured(self, interval_s: float) -> None:
         """One interval of this length, seconds, above 0."""
         period = self.settled_s
-        if not period:
+        # The usual one, as _approach would take it.
+        usual = SHORTEST * period < interval_s < USUAL_LONGEST * period
+        if usual and self._intervals >= KNOWN_INTERVALS and not self._long:
+            self.settled_s = self._estimate_s = period + (interval_s - period) * SMOOTHING
+        elif not period:
             self._settle(interval_s)
         elif interval_s < SHORTEST * period:
             return  # a burst or a duplicate; another rate shows itself in Timeline

@@ -12,12 +12,16 @@ from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.profile import EncoderProfile
 from canfb.module.latest import Latest
-from canfb.module.objects.publication import SIXTEEN_BITS, U32, Publication
+from canfb.module.objects.publication import FAULTS, SIXTEEN_BITS, U32, Publication
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.module.tap import Taps
 from canfb.module.timeline import Timeline
 from canfb.signal.chain import SignalChain
+from canfb.signal.feedback import Feedback
+from canfb.signal.supervision import VALID
+
+NO_FAULT = FAULTS | VALID
 
 
 class UsualSample:
@@ -58,7 +62,7 @@ class UsualSample:
 
     def take(self, now: float) -> None:
         """The sample that has come, ``now`` in seconds."""
-        limits, publishing = self._limits, self._publishing
+        limits = self._limits
         if self.unconfirmed or self._timeline.withheld or self._taps.open or self._flags.value:
             self._unusual(now)
             return
@@ -72,11 +76,17 @@ class UsualSample:
             limits.noise.pause -= 1
         elif limits.noise.take(feedback):
             limits.measured()
+        self.publish(feedback, now)
+
+    def publish(self, feedback: Feedback, now: float) -> None:
+        """:meth:`Publishing.publish`, which takes all but a valid one without a fault, after another."""
+        publishing = self._publishing
         _, _, amplitude, _, cycles, phase, residual, status, _, _, _, samples = feedback
         scale, warnings = self._profile.scale, self._warnings
         binary = scale.binary
         if (
             status != warnings.status  # another one than before
+            or status & NO_FAULT != VALID
             or self._alarm.active
             or self._prediction.follows
             or self._cams.follows

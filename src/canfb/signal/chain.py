@@ -100,11 +100,6 @@ class SignalChain(UsualStep):
         return self._times.unit_s / self._per_sync
 
     @property
-    def begun(self) -> bool:
-        """There was a sample since the start."""
-        return self._tracker.started
-
-    @property
     def lost(self) -> bool:
         """True from the moment the position is lost until :meth:`restart`."""
         return self._recovery.lost
@@ -259,10 +254,13 @@ class SignalChain(UsualStep):
                 if self.measures_intervals:
                     elapsed = passed - self._waited  # what was waited for is counted already
                 self._waited = 0.0
+                if not bad and coarse is pulse is None:
+                    feedback = self.usual(sine, cosine, elapsed)
+                    if feedback is not None:
+                        return feedback
         if self._per_sync == 1:
             feedback = self._take(sample, elapsed, bad, unplaced, next_one)
-            if time_100ns is None:
-                self._look_again(feedback)
+            self._look_again(feedback)
             return feedback
         return self._take_all(sample, elapsed, bad, unplaced, next_one)
 

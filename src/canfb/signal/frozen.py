@@ -41,6 +41,12 @@ class FrozenInput:
             return False
         return self.repeats >= self.frozen_samples
 
+    @property
+    def stands(self) -> bool:
+        """The counts repeat, and however long they do so, they are those of a machine that stands still."""
+        slow = not self.frozen_samples or abs(self._speed) < self.residual_limit_cycles
+        return self.repeats > 0 and slow
+
     def take_run(self, equal: npt.NDArray[np.bool_], speeds: npt.NDArray[np.float64]) -> int:
         """:meth:`repeated` where a sample is ``equal`` to the one before, :meth:`moved` where not.
 

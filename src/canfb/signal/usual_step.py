@@ -40,12 +40,18 @@ class UsualStep(SecondListener):
     def __init__(self) -> None:
         self._nothing_in_doubt = False
         self._status = VALID  # of a usual sample
+        self._stands = False  # the counts repeat, and the machine stands still
         self._samples = 0
         self._clock = 0.0  # sampling intervals since the start
         self._speed = 0.0
         self._sine = self._cosine = math.nan  # counts of the last sample
         self._last: Feedback | None = None
         self._before: Track | Feedback | None = None  # the last sample, if it was taken
+
+    @property
+    def begun(self) -> bool:
+        """There was a sample since the start."""
+        return self._tracker.started
 
     def repeats(self, sine: float, cosine: float) -> bool:
         """``sine`` and ``cosine`` are the counts of the last sample, before conditioning."""
@@ -67,18 +73,29 @@ class UsualStep(SecondListener):
     def _look_again(self, feedback: Feedback) -> None:
         """After ``feedback``: may the next sample be a usual one?"""
         in_doubt = self._recovery.in_doubt or self._reference.in_doubt or self._second is not None
-        faulty = self._supervision.after_fault or self._frozen.repeats
+        self._stands = self._frozen.stands
+        faulty = self._supervision.after_fault or (self._frozen.repeats and not self._stands)
         if feedback.status & VALID and not (in_doubt or faulty):
             self._nothing_in_doubt = True
             self._places, self._bounds = self._recovery.places, self._supervision.bounds
             self._status = VALID | self._base_status | self._referenced
 
-    def usual(self, sine: float, cosine: float) -> Feedback | None:
+    def _count_repeats(self, repeated: bool) -> None:
+        """The counts of a machine that stood still are the same again, or others."""
+        if repeated:
+            self._frozen.repeats += 1
+        else:
+            self._frozen.moved()
+            self._stands = False
+
+    def usual(self, sine: float, cosine: float, elapsed: float = 1.0) -> Feedback | None:
         """:meth:`SignalChain.step` for these counts if the sample is a usual one; else None, nothing changed.
 
-        The arithmetic is that of :func:`raw_phase` (Table 1) and :meth:`CorrectionTable.correct`.
+        ``elapsed`` in intervals. The arithmetic is that of :func:`raw_phase` (Table 1) and
+        :meth:`CorrectionTable.correct`.
         """
-        if not self._nothing_in_doubt or (sine == self._sine and cosine == self._cosine):
+        repeated = sine == self._sine and cosine == self._cosine
+        if not self._nothing_in_doubt or (repeated and not self._stands):
             return None
         offset_s, gain_s, offset_c, factor_c, skew = self._coefficients
         lowest, highest, smallest, largest = self._bounds
@@ -118,13 +135,15 @@ class UsualStep(SecondListener):
             if phase >= 1.0:
                 phase -= 1.0
         tracker = self._tracker
-        residual = tracker.advance(phase)
+        residual = tracker.advance(phase) if elapsed == 1.0 else self._recovery.advance_over(phase, elapsed)
         if residual < 0.0:
             return None
+        if self._stands:
+            self._count_repeats(repeated)
         cycles, speed = tracker.cycles, tracker.step_cycles
-        self._places.append((cycles, phase, 1.0))
+        self._places.append((cycles, phase, elapsed))
         self._sine, self._cosine = sine, cosine
-        self._clock += 1.0
+        self._clock += elapsed
         self._samples = samples = self._samples + 1
         acceleration, self._speed = speed - self._speed, speed
         self._last = self._before = last = _new(

@@ -202,20 +202,23 @@ def _unfit(entries: tuple[Entry, ...]) -> ValueError:
 def _storer(
     unpack: Callable[[bytes], tuple[Any, ...]], entries: tuple[Entry, ...]
 ) -> Callable[[bytes], None]:
-    """Stores the values of entries without limits and hooks. Two, the usual sample, without a loop."""
+    """Stores the values of entries without limits and hooks. Two or three, a sample, without a loop."""
 
     def store(data: bytes) -> None:
         for entry, value in zip(entries, unpack(data), strict=True):
             entry.value = value
 
-    if len(entries) != 2:
+    if len(entries) not in (2, 3):
         return store
-    first, second = entries
+    first, second, third = (entries * 2)[:3]
 
     def store_two(data: bytes) -> None:
         first.value, second.value = unpack(data)
 
-    return store_two
+    def store_three(data: bytes) -> None:
+        first.value, second.value, third.value = unpack(data)
+
+    return store_two if len(entries) == 2 else store_three
 
 
 def _is_aligned(slot: Slot) -> bool:

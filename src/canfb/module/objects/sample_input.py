@@ -166,16 +166,20 @@ class SampleInput:
         if self._with_flags and flags & ZERO_PULSE:
             self.pulses += 1
             pulse = self._place.value / PLACES if self._with_place else 1.0
-        return Sample(
-            self._sine.value,
-            self._cosine.value,
-            1.0,
-            invalid,
-            self._coarse_sine.value if self._with_coarse else None,
-            self._coarse_cosine.value if self._with_coarse else None,
-            pulse,
-            self._time.value if self.timed else None,
-            tuple((sine.value, cosine.value) for sine, cosine in self._earlier),
+        earlier = self._earlier
+        return tuple.__new__(
+            Sample,
+            (
+                self._sine.value,
+                self._cosine.value,
+                1.0,
+                invalid,
+                self._coarse_sine.value if self._with_coarse else None,
+                self._coarse_cosine.value if self._with_coarse else None,
+                pulse,
+                self._time.value if self.timed else None,
+                tuple([(sine.value, cosine.value) for sine, cosine in earlier]) if earlier else (),
+            ),
         )
 
 

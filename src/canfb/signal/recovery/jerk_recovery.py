@@ -9,11 +9,11 @@ from __future__ import annotations
 from canfb.signal.blocks import Scratch
 from canfb.signal.recovery.bridge import Place
 from canfb.signal.recovery.parabola import MotionLimits, Parabola, Spot
-from canfb.signal.recovery.recovery import Recovery
+from canfb.signal.recovery.recovery import LONGEST_USUAL, Recovery
 from canfb.signal.recovery.trial import Trial, TrialResult
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.third_order import SECOND, THIRD, ThirdOrderTracker
-from canfb.signal.tracker import Track, TrackResult
+from canfb.signal.tracker import NOT_USUAL, Track, TrackResult
 
 
 class JerkRecovery(Recovery):
@@ -132,6 +132,17 @@ class JerkRecovery(Recovery):
             self.bad(float(missed), missed=True)
             return self.good(phase, elapsed - missed)
         return self._contradicted(phase, elapsed) if settled else self._meet(phase, elapsed)
+
+    def advance_over(self, phase: float, elapsed: float) -> float:
+        """As :meth:`Recovery.advance_over`."""
+        if not elapsed < LONGEST_USUAL:
+            return NOT_USUAL
+        cycles = self._parabola_now().continuations(phase, elapsed, self._limits)
+        if len(cycles) != 1:
+            return NOT_USUAL
+        track = self._parabola.look(phase, elapsed)._replace(cycles=cycles[0], ok=True)
+        self._parabola.accept(track, elapsed)
+        return track.residual
 
     def bad(self, elapsed: float, missed: bool = False) -> tuple[Track, int]:
         """As :meth:`Recovery.bad`."""

@@ -21,11 +21,12 @@ from canfb.signal.recovery.bridge import Place, accelerations
 from canfb.signal.recovery.doubt import Doubt, Undecided
 from canfb.signal.recovery.parabola import MotionLimits
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
-from canfb.signal.tracker import RESIDUAL_LIMIT, Track, Tracker, TrackResult
+from canfb.signal.tracker import NOT_USUAL, RESIDUAL_LIMIT, Track, Tracker, TrackResult
 from canfb.signal.tracking import steady_run
 
 # A glitch below the residual limit is seen one sample later, a row of three at most three later.
 DOUBTED_SAMPLES = 3
+LONGEST_USUAL = 1.5  # intervals: from there on a sample was missed
 LARGEST_CERTAIN_CYCLES = (
     0.95  # of deviation from the prediction, in one direction and in the other: 1 less noise
 )
@@ -231,8 +232,11 @@ class Recovery:
             self.tracker.accept(track, elapsed)
             return track, LOST if track.ok else LOST | RESIDUAL
         missed = round(elapsed) - 1
-        long = next_one and settled and self._is_certain(phase, elapsed)
-        if missed > 0 and self.tracker.started and not long:
+        if (
+            missed > 0
+            and self.tracker.started
+            and not (next_one and settled and self._is_certain(phase, elapsed))
+        ):
             self.bad(float(missed), missed=True)
             return self.good(phase, elapsed - missed)
         started = self.tracker.started
@@ -247,6 +251,20 @@ class Recovery:
             return track, VALID
         track, bits = self._decide(track, elapsed)
         return track, bits | RESIDUAL if settled else bits
+
+    def advance_over(self, phase: float, elapsed: float) -> float:
+        """:meth:`Tracker.advance` over an interval that is not quite one, as sample times give it.
+
+        Only where nothing is in doubt. NOT_USUAL, and nothing changed, where :meth:`good` has to decide.
+        """
+        tracker = self.tracker
+        if not elapsed < LONGEST_USUAL:
+            return NOT_USUAL
+        track = tracker.look(phase, elapsed)
+        if not (track.ok or track.residual < self._limit_over(elapsed)):
+            return NOT_USUAL
+        tracker.accept(track, elapsed)
+        return track.residual
 
     def _is_certain(self, phase: float, elapsed: float) -> bool:
         """After an interval of this length no acceleration leads to another cycle with this phase."""
