@@ -4,6 +4,7 @@ import math
 import tracemalloc
 from collections.abc import Callable, Iterator
 from itertools import pairwise
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 import canfb
 from canfb.objects import StatusBit
+from canfb.signal import stream
 from canfb.signal.blocks import BLOCK_SAMPLES
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
@@ -171,7 +173,10 @@ def recording(
         coast_samples=st.sampled_from([0, 1, 3, 40]),
         frozen_samples=st.sampled_from([0, 1, 2, 3, 16]),
         amplitude_low_counts=st.sampled_from([None, 0]),
+        prediction_order=st.sampled_from([2, 3]),
     ),
+    kind=st.sampled_from([np.float64, np.int16, np.float32]),
+    part=st.sampled_from([17, 40, 300, BLOCK_SAMPLES]),
 )
 def test_a_stream_gives_the_bits_of_single_samples(
     seed: int,
@@ -182,10 +187,17 @@ def test_a_stream_gives_the_bits_of_single_samples(
     lengths: list[int],
     table: CorrectionTable | None,
     config: ChainConfig,
+    kind: type[np.generic],
+    part: int,
 ) -> None:
     sine, cosine = recording(seed, samples, motion, rate, noise)
+    if kind is np.int16:
+        sine, cosine = (np.clip(np.nan_to_num(track), -32768, 32767) for track in (sine, cosine))
+    with np.errstate(over="ignore"):
+        sine, cosine = sine.astype(kind), cosine.astype(kind)
     wanted = one_by_one(sine, cosine, config, table)
-    assert_same(in_blocks(sine, cosine, config, table, lengths), wanted)
+    with patch.object(stream, "BLOCK_SAMPLES", part):
+        assert_same(in_blocks(sine, cosine, config, table, lengths), wanted)
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -204,6 +216,21 @@ def test_each_fault_in_a_long_block(fault: Fault, length: int) -> None:
         assert not wanted.valid[1000]
     if length == 1:
         assert wanted.valid[-1]
+
+
+@each("order", [2, 3])
+@each("length", [1, 2, 3])
+def test_what_stands_before_a_part_of_a_block_is_left_as_it_is(order: int, length: int) -> None:
+    """A fault on the seam: what the prediction goes on from is not what was given for these samples."""
+    config = ChainConfig(prediction_order=order)
+    position = np.cumsum(np.cumsum(np.linspace(0.0, 0.02, 120)))
+    for at in range(55, 66):
+        sine, cosine = tracks_at(position)
+        sine[at : at + length] = cosine[at : at + length] = 0.0
+        sine[at + length + 1] *= -1.0
+        wanted = one_by_one(sine, cosine, config, TABLE)
+        with patch.object(stream, "BLOCK_SAMPLES", 60):
+            assert_same(in_blocks(sine, cosine, config, TABLE), wanted)
 
 
 def test_amplitudes_and_counts_at_their_limits() -> None:

@@ -183,7 +183,6 @@ def test_same_bits_as_the_parts_called_one_by_one(
                     chain.hear_second(1, round(position / 2500 * 4096 + 4096 * x))
                 assert same(ours.step(sample), theirs.step(sample)), (kind, k)
         assert ours.lost == theirs.lost
-        assert ours.is_steady == theirs.is_steady
         assert ours.between == theirs.between
 
 

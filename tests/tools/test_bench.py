@@ -24,15 +24,33 @@ def test_json_has_machine_and_every_comparison(capsys: pytest.CaptureFixture[str
     printed = json.loads(capsys.readouterr().out)
     assert {"processor", "python", "numpy", "canopen"} <= set(printed["machine"])
     goals = {one["name"]: one["goal"] for one in printed["results"]}
+    floats, counts, stream = cycle.array_goals()
     assert goals == {
-        "cycle": 1.0, "cycle, third order": 1.05, "cycle, can.Message": None,
-        "1000 samples, float64": 1.0, "1000 samples, int16": 1.0,
-        "1000 samples, supervised": None,
+        "cycle": 0.6, "cycle, third order": 1.05, "cycle, at standstill": None,
+        "cycle, sample times": None, "cycle, can.Message": None,
+        "1000 samples, float64": floats, "1000 samples, int16": counts,
+        "1000 samples, supervised": stream,
         "tracker": None, "chain": None,
     }  # fmt: skip
     for one in printed["results"]:
         for key in ("ours_time", "other_time", "ratio"):
             assert 0.0 < one[key]["lower"] <= one[key]["median"] <= one[key]["upper"]
+
+
+@pytest.mark.parametrize(
+    ("found", "goals"),
+    [
+        ({"found": ["X86_V3", "X86_V4"]}, cycle.GOALS_AVX512),
+        ({"found": ["AVX2", "AVX512_SKX"]}, cycle.GOALS_AVX512),
+        ({"found": ["X86_V3"], "not found": ["X86_V4"]}, cycle.GOALS_OTHER),
+        ({}, cycle.GOALS_OTHER),
+    ],
+)
+def test_the_goals_of_arrays_depend_on_avx512(
+    found: dict[str, list[str]], goals: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cycle.np, "show_config", lambda mode: {"SIMD Extensions": found})
+    assert cycle.array_goals() == goals
 
 
 def test_text_names_what_is_compared(capsys: pytest.CaptureFixture[str]) -> None:
@@ -49,6 +67,8 @@ def test_markdown_is_a_table(capsys: pytest.CaptureFixture[str]) -> None:
     assert [row.split(" | ")[0] for row in rows[2:]] == [
         "| cycle",
         "| cycle, third order",
+        "| cycle, at standstill",
+        "| cycle, sample times",
         "| cycle, can.Message",
     ]
     assert {row.count("|") for row in rows} == {7}

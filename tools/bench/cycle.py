@@ -42,6 +42,9 @@ TABLE_ENTRIES = 256
 INTERVAL_S = 0.001
 CYCLES = 500  # frames to frames, in one repetition
 SAMPLES = 1_000_000  # of an array
+# float64, int16, supervised: numpy's arctangent is ten times as fast with AVX-512, and nothing of ours.
+GOALS_AVX512 = 0.45, 0.5, 0.7
+GOALS_OTHER = 0.33, 0.4, 0.5
 PAIR = struct.Struct("<hh")
 COUNTS = struct.Struct("<Ii")
 
@@ -265,11 +268,18 @@ def tracks(samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return position, sine, cosine
 
 
+def array_goals() -> tuple[float, float, float]:
+    """Of float64, int16 and the supervised stream."""
+    found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
+    return GOALS_AVX512 if any("AVX512" in name or name == "X86_V4" for name in found) else GOALS_OTHER
+
+
 def array_comparisons(samples: int) -> list[Comparison]:
     position, sine, cosine = tracks(samples)
     table = encoder_table()
     comparisons = []
-    for name, kind in (("float64", np.float64), ("int16", np.int16)):
+    *goals, stream_goal = array_goals()
+    for name, kind, goal in zip(("float64", "int16"), (np.float64, np.int16), goals, strict=True):
         s, c = (np.rint(track).astype(kind) if kind is np.int16 else track for track in (sine, cosine))
 
         def ours(s: np.ndarray = s, c: np.ndarray = c) -> canfb.TrackResult:
@@ -290,14 +300,16 @@ def array_comparisons(samples: int) -> list[Comparison]:
                 ("numpy.unwrap(numpy.arctan2(s, c))", other),
                 "ns per sample",
                 1e9 / samples,
-                goal=1.0,
+                goal,
             )
         )
-    comparisons.append(stream_comparison(sine, cosine, table))
+    comparisons.append(stream_comparison(sine, cosine, table, stream_goal))
     return comparisons
 
 
-def stream_comparison(sine: np.ndarray, cosine: np.ndarray, table: canfb.CorrectionTable) -> Comparison:
+def stream_comparison(
+    sine: np.ndarray, cosine: np.ndarray, table: canfb.CorrectionTable, goal: float
+) -> Comparison:
     """The supervised chain over the same samples, from one to the next block of them."""
     samples = len(sine)
     parts = [slice(start, start + STREAM_BLOCK) for start in range(0, samples, STREAM_BLOCK)]
@@ -315,6 +327,7 @@ def stream_comparison(sine: np.ndarray, cosine: np.ndarray, table: canfb.Correct
         ("numpy.unwrap(numpy.arctan2(s, c))", other),
         "ns per sample",
         1e9 / samples,
+        goal,
     )
 
 

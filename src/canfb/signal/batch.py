@@ -10,7 +10,7 @@ import numpy.typing as npt
 from canfb.signal.blocks import BLOCK_SAMPLES, Scratch, blocks
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable, check_table
-from canfb.signal.phase import raw_phase_block, wrap_block
+from canfb.signal.phase import FloatArray, raw_phase_block, wrap_block
 from canfb.signal.recovery.orders import recovery_of
 from canfb.signal.recovery.recovery import COAST_SAMPLES
 from canfb.signal.supervision import VALID
@@ -65,14 +65,20 @@ def process(
     for part, scratch in blocks(len(sines)):
         s, c, phase = sines[part], cosines[part], result.phase[part]
         if conditioning is not None:
-            s, c = conditioning.apply(s.astype(np.float64), c.astype(np.float64))
-        raw_phase_block(s, c, phase, scratch)
+            s, c = conditioning.apply_block(s, c, scratch)
         if table is None:
+            raw_phase_block(s, c, phase, scratch)
             wrap_block(phase, scratch)
         else:
-            table.correct_block(phase, phase, scratch)
+            raw_phase_block(s, c, scratch.raw, scratch)
+            table.correct_block(scratch.raw, phase, scratch)
         follower.take(result, part, scratch)
     return result
+
+
+def _gaps(phase: FloatArray) -> list[int]:
+    """Where there is no phase; the largest one shows that there is one everywhere, as nearly always."""
+    return np.flatnonzero(np.isnan(phase)).tolist() if math.isnan(phase.max()) else []
 
 
 class _Follower:
@@ -86,10 +92,8 @@ class _Follower:
 
     def take(self, result: TrackResult, part: slice, scratch: Scratch) -> None:
         """Fill ``result[part]`` from its phases, NaN where there is none."""
-        np.isnan(result.phase[part], out=scratch.bit[: part.stop - part.start])
-        gaps = np.flatnonzero(scratch.bit[: part.stop - part.start]) + part.start
         at = part.start
-        for gap in [*gaps.tolist(), part.stop]:
+        for gap in [*(part.start + gap for gap in _gaps(result.phase[part])), part.stop]:
             while at < gap:
                 if self._may_run(result, at):
                     at = self._run(result, at, min(gap, at + self._run_samples), scratch)

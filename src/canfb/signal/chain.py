@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-import numpy.typing as npt
-
 from canfb.signal.blocks import Scratch
 from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
 from canfb.signal.correction import Correction, CorrectionTable, check_table
 from canfb.signal.feedback import Feedback
-from canfb.signal.frozen import FrozenInput
-from canfb.signal.phase import FloatArray, raw_phase
+from canfb.signal.frozen import FrozenInput, repeats
+from canfb.signal.phase import AnyArray, raw_phase
 from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.orders import recovery_of, successor
 from canfb.signal.recovery.reference import Pulse, Reference, pulse_between
@@ -31,7 +28,7 @@ from canfb.signal.supervision import (
     Supervision,
 )
 from canfb.signal.tracker import Track, TrackResult
-from canfb.signal.tracking import write_places_before
+from canfb.signal.tracking import continues, write_places_before
 from canfb.signal.usual_step import UsualStep
 
 MISSED_INTERVALS = 1.5  # since the sample before: one was missed
@@ -351,60 +348,57 @@ class SignalChain(UsualStep):
             bits |= MISSED
         return self._feedback(s, c, amplitude, raw, track, bits | faults, jump)
 
-    @property
-    def is_steady(self) -> bool:
-        """True if :meth:`follow_run` may take the next samples: nothing of the last ones is in doubt.
+    def write_places_before(self, tracked: TrackResult, at: int) -> None:
+        """Write what the prediction needs into ``tracked``, three places before ``at``."""
+        if self._tracker.is_steady:
+            write_places_before(self._tracker, tracked, at)
 
-        A lost position is not in doubt: eq. 9 runs on with it.
+    def continues(self, tracked: TrackResult, at: int) -> bool:
+        """True if :meth:`follow_run` may begin at ``at``: what the prediction needs stands before.
+
+        And nothing of the last samples is in doubt. A lost position is not: eq. 9 runs on with it.
         """
-        return self._tracker.is_steady and not (
-            self._recovery.in_doubt or self._supervision.after_fault or self._reference.in_doubt
-        )
+        doubts = self._recovery.in_doubt or self._supervision.after_fault or self._reference.in_doubt
+        return not doubts and continues(self._tracker, tracked, at)
 
     def follow_run(
-        self, sine: FloatArray, cosine: FloatArray, tracked: TrackResult, run: slice, scratch: Scratch
+        self, sine: AnyArray, cosine: AnyArray, tracked: TrackResult, run: slice, scratch: Scratch
     ) -> int:
         """:meth:`step` for a run of samples, one interval apart, that keep the limits of one sample.
 
-        Only where :attr:`is_steady`. ``sine[run]``, ``cosine[run]`` are the counts and
-        ``tracked.phase[run]`` the corrected phases; ``run.start`` is at least 3, and the three places
-        before it are overwritten. ``scratch`` has the length of the run. Fills the rest of
-        ``tracked[run]``. The result is the number of samples taken: those before the first with a
-        residual over the limit (unless the position is lost) or a frozen input. The chain stands
+        Only where :meth:`continues`. ``sine``, ``cosine`` are its counts, ``tracked.phase[run]`` the
+        corrected phases. ``scratch`` has the length of the run. Fills the rest of ``tracked[run]``.
+        The result is the number of samples taken: those before the first with a residual
+        over the limit (unless the position is lost) or a frozen input. The chain stands
         after these, and the rest is for :meth:`step`.
         """
         start: int = run.start
         cycles, phase = tracked.cycles, tracked.phase
         state = self._tracker.snapshot()
-        write_places_before(self._tracker, tracked, start)
         stop = self._recovery.follow_run(tracked, run, scratch)
-        sine[start - 1], cosine[start - 1] = self._sine, self._cosine
-        stop = start + self._frozen.take_run(*self._repeats(sine, cosine, tracked, start, stop))
+        if stop > start:
+            before = self._sine, self._cosine
+            equal = repeats(sine[: stop - start], cosine[: stop - start], before, scratch.bit)
+            if equal is None:
+                self._frozen.moved()
+            else:
+                speeds = self._recovery.least_speeds(cycles[start:stop], phase[start:stop])
+                stop = start + self._frozen.take_run(equal, speeds)
         if stop == start:
             self._tracker.restore(state)
             return 0
         last = Track(int(cycles[stop - 1]), float(phase[stop - 1]), float(tracked.residual[stop - 1]), True)
         self._recovery.take_run(tracked, start, stop)
-        self._sine, self._cosine = float(sine[stop - 1]), float(cosine[stop - 1])
+        self._sine, self._cosine = float(sine[stop - start - 1]), float(cosine[stop - start - 1])
         self._before, self._last = last, None
         self._speed = self._tracker.step_cycles
         self._was_valid = 0 if self._recovery.lost else VALID
-        if not tracked.ok[start:stop].all():
+        if self._recovery.lost and not tracked.ok[start:stop].all():
             self._reference.slipped()
         self._clock += stop - start
         self._samples += stop - start
         self._nothing_in_doubt = False
         return stop - start
-
-    def _repeats(
-        self, sine: FloatArray, cosine: FloatArray, tracked: TrackResult, start: int, stop: int
-    ) -> tuple[npt.NDArray[np.bool_], FloatArray]:
-        """Which samples repeat the one before, and the least speed before each, if any does."""
-        equal = sine[start:stop] == sine[start - 1 : stop - 1]
-        equal &= cosine[start:stop] == cosine[start - 1 : stop - 1]
-        if not equal.any():
-            return equal, np.zeros(0)
-        return equal, self._recovery.least_speeds(tracked.cycles[start:stop], tracked.phase[start:stop])
 
     def miss(self) -> Feedback:
         """One interval of SYNC without a sample: the position coasts, flagged."""

@@ -6,6 +6,11 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+from canfb.signal.blocks import Scratch
+
 
 @dataclass(frozen=True)
 class Conditioning:
@@ -72,6 +77,19 @@ class Conditioning:
         offset_s, gain_s, offset_c, factor_c, skew = self.coefficients()
         s = (sine - offset_s) * gain_s
         return s, (cosine - offset_c) * factor_c - s * skew
+
+    def apply_block(
+        self, sine: npt.NDArray[Any], cosine: npt.NDArray[Any], scratch: Scratch
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """:meth:`apply` for a block of counts of any kind, into ``scratch.sine`` and ``scratch.cosine``."""
+        offset_s, gain_s, offset_c, factor_c, skew = self.coefficients()
+        s, c = scratch.sine, scratch.cosine
+        np.subtract(sine, offset_s, out=s, dtype=np.float64)
+        s *= gain_s
+        np.subtract(cosine, offset_c, out=c, dtype=np.float64)
+        c *= factor_c
+        c -= np.multiply(s, skew, out=scratch.a)
+        return s, c
 
 
 IDENTITY = Conditioning()

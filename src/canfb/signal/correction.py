@@ -134,13 +134,12 @@ class CorrectionTable:
             index[:] = whole
         place -= whole
         # NaN has no index; "clip" keeps the look-up inside, and NaN comes back by the fraction.
-        slope = self._slope.take(index, mode="clip", out=whole)
-        slope *= place
-        self._first.take(index, mode="clip", out=out)
-        out += slope
-        wrap_block(out, scratch)
-        if self._first[0] < 0.0:  # then a phase just below 0 may have become 1.0
-            wrap_block(out, scratch)
+        phase = self._slope.take(index, mode="clip", out=whole)
+        phase *= place
+        phase += self._first.take(index, mode="clip", out=place)
+        if self._first[0] < 0.0:  # then a phase just below 0 may become 1.0, which is 0.0
+            wrap_block(phase, scratch)
+        np.subtract(phase, np.floor(phase, out=place), out=out)
 
 
 @dataclass(frozen=True)

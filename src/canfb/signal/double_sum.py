@@ -18,9 +18,11 @@ _PLACES = np.arange(1.0, ROW + 1.0)
 # A turn at one place of a row is in the step, and so in each later count once more: at a later
 # place it counts as often as the places are apart, and once.
 _TURN_COUNTS = np.maximum(0.0, _PLACES - _PLACES[:, np.newaxis] + 1.0)
-# The step before a row counts at each of its places, the cycle count before it is there once.
-_BEFORE_COUNTS = np.array([_PLACES, np.ones(ROW)])
-EXACT = 1 << 52  # integers of this size are exact in float64, and so are sums of a few
+# What the turns of a row add to the step, and to the count beside the step before the row.
+_TOTALS = np.stack([np.ones(ROW), _TURN_COUNTS[:, -1]], axis=1)
+EXACT = 1 << 48  # sums of a row with counts of this size are exact in float64
+# OpenBLAS starts threads for a product of more than 2^18 multiplications; they cost more than they save.
+MOST_SAMPLES = (1 << 18) // ROW
 
 
 def cycle_counts(
@@ -29,13 +31,14 @@ def cycle_counts(
     """Add up step(k) = step(k-1) + turns(k), i(k) = i(k-1) + step(k), i into ``out``; the last step.
 
     ``cycles`` and ``step`` are i and step before the first of ``turns``, which are whole and at
-    most 2 in size. Exact; ``scratch.a`` and ``scratch.index`` are overwritten.
+    most 2 in size. Exact; ``turns``, ``scratch.a`` and ``scratch.index`` are overwritten.
     """
-    head = len(turns) // ROW * ROW
+    products = -(-len(turns) // MOST_SAMPLES)
+    head = len(turns) // (ROW * products) * (ROW * products)
     if abs(cycles) + abs(step) * head >= EXACT:
         head = 0
     if head:
-        cycles, step = _in_rows(turns[:head], cycles, step, out[:head], scratch)
+        cycles, step = _in_rows(turns[:head].reshape(products, -1, ROW), cycles, step, out[:head], scratch)
     if head == len(turns):
         return step
     steps = scratch.index[: len(turns) - head]
@@ -51,16 +54,20 @@ def cycle_counts(
 def _in_rows(
     turns: FloatArray, cycles: int, step: int, out: npt.NDArray[np.int64], scratch: Scratch
 ) -> tuple[int, int]:
-    """Whole rows; cycle count and step after them."""
-    rows = scratch.a[: len(turns)].reshape(-1, ROW)
-    np.matmul(turns.reshape(-1, ROW), _TURN_COUNTS, out=rows)
-    before = np.empty((len(rows) + 1, 2))  # step and cycle count before each row, and after the last one
-    steps, counts = before[:, 0], before[:, 1]
+    """Turns of shape (products, rows, ROW); cycle count and step after them."""
+    rows = turns.reshape(-1, ROW)
+    totals = np.matmul(turns, _TOTALS).reshape(-1, 2)
+    steps, counts = np.empty(len(rows) + 1), np.empty(len(rows) + 1)  # before each row, and after the last
     steps[0], counts[0] = step, cycles
-    np.subtract(rows[:, -1], rows[:, -2], out=steps[1:])
+    steps[1:] = totals[:, 0]
     np.add.accumulate(steps, out=steps)
-    np.add(rows[:, -1], ROW * steps[:-1], out=counts[1:])
+    np.multiply(steps[:-1], ROW, out=counts[1:])
+    counts[1:] += totals[:, 1]
     np.add.accumulate(counts, out=counts)
-    rows += np.matmul(before[:-1], _BEFORE_COUNTS)
-    out[:] = rows.reshape(-1)
+    # Step y and count x before a row come in as turns, x + y at its first place and -x at the second one:
+    # that makes the step x + y, and then y; one product gives the counts.
+    rows[:, 1] -= counts[:-1]
+    rows[:, 0] += counts[:-1] + steps[:-1]
+    sums = np.matmul(turns, _TURN_COUNTS, out=scratch.a[: turns.size].reshape(turns.shape))
+    out[:] = sums.reshape(-1)
     return int(counts[-1]), int(steps[-1])

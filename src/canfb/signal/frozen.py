@@ -5,6 +5,25 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from canfb.signal.phase import AnyArray
+
+
+def repeats(
+    sine: AnyArray, cosine: AnyArray, before: tuple[float, float], out: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.bool_] | None:
+    """Which pairs of counts, of one or more, are those of the sample before; in ``out``. None: not one.
+
+    ``before`` is the pair before the first one.
+    """
+    equal = out[: len(sine)]
+    equal[0] = sine[0] == before[0]
+    np.equal(sine[1:], sine[:-1], out=equal[1:])
+    if not equal.any():  # then the other track need not be looked at
+        return None
+    equal[0] &= cosine[0] == before[1]
+    equal[1:] &= cosine[1:] == cosine[:-1]
+    return equal if equal.any() else None
+
 
 class FrozenInput:
     """Counts repeated pairs of counts.

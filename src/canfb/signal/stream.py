@@ -9,25 +9,26 @@ chain one by one.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from canfb.signal.blocks import BLOCK_SAMPLES, Scratch
+from canfb.signal.blocks import BLOCK_SAMPLES, Scratch, aligned
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.correction import CorrectionTable
-from canfb.signal.phase import FloatArray, raw_phase_block, wrap_block
+from canfb.signal.phase import AnyArray, FloatArray, raw_phase_block, wrap_block
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import LOST, RESIDUAL, TABLE_ACTIVE, VALID
 from canfb.signal.tracker import TrackResult
 from canfb.signal.tracks import check_counts, pair_of_tracks
 
-# The prediction needs the two or three samples before.
-BEFORE = 3
+# The prediction needs the two or three samples before a block. Their room is one line of the cache, so that
+# the block itself begins at the next one.
+BEFORE = 8
 # To start on arrays takes as long as some single samples; fewer than these are taken one by one.
 SHORTEST_BLOCK = 16
 SHORTEST_RUN = 10
@@ -60,6 +61,17 @@ class ChainResult:
         phase, residual, amplitude, raw_phase = (np.empty(samples) for _ in range(4))
         cycles, status = np.empty(samples, np.int64), np.empty(samples, np.uint16)
         return cls(cycles, phase, residual, amplitude, raw_phase, status)
+
+    def part(self, samples: slice) -> ChainResult:
+        """The same arrays, of these samples only."""
+        return ChainResult(
+            self.cycles[samples],
+            self.phase[samples],
+            self.residual[samples],
+            self.amplitude[samples],
+            self.raw_phase[samples],
+            self.status[samples],
+        )
 
     @property
     def valid(self) -> npt.NDArray[np.bool_]:
@@ -103,13 +115,10 @@ class _Stream:
         self._base_status = 0 if table is None else TABLE_ACTIVE
         self._run_samples = FIRST_RUN
         self._is_first = True
-        # All with room for the samples before.
-        self._sine, self._cosine = np.zeros(BEFORE + BLOCK_SAMPLES), np.zeros(BEFORE + BLOCK_SAMPLES)
-        self._tracked = TrackResult.empty(BEFORE + BLOCK_SAMPLES)
         self._scratch = Scratch(BLOCK_SAMPLES)
-        self._good = np.empty(BLOCK_SAMPLES, np.bool_)
+        self._ok = np.empty(BEFORE + BLOCK_SAMPLES, np.bool_)
 
-    def tracks(self, block: tuple[npt.ArrayLike, npt.ArrayLike]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    def tracks(self, block: tuple[npt.ArrayLike, npt.ArrayLike]) -> tuple[AnyArray, AnyArray]:
         """The arrays of the next block; ValueError if it is not such a pair."""
         if not hasattr(block, "__len__"):
             raise ValueError(f"a block must be a pair (sine, cosine), not {type(block).__name__}")
@@ -122,96 +131,126 @@ class _Stream:
         self._is_first = False
         return sine, cosine
 
-    def take(self, sine: npt.NDArray[np.generic], cosine: npt.NDArray[np.generic]) -> ChainResult:
+    def take(self, sine: AnyArray, cosine: AnyArray) -> ChainResult:
         """One block, in parts that stay in the processor's cache."""
-        result = ChainResult.empty(len(sine))
-        for start in range(0, len(sine), BLOCK_SAMPLES):
-            stop = min(start + BLOCK_SAMPLES, len(sine))
-            room = slice(BEFORE, BEFORE + stop - start)
-            self._sine[room], self._cosine[room] = sine[start:stop], cosine[start:stop]
-            if stop - start < SHORTEST_BLOCK:
-                for k in range(stop - start):
-                    self._step(k, result, start)
-            else:
-                self._take_part(result, start, stop)
+        samples = len(sine)
+        cycles = aligned(BEFORE + samples, np.int64)
+        phase, residual = (aligned(BEFORE + samples, np.float64) for _ in range(2))
+        amplitude, raw, status = (aligned(samples, kind) for kind in (np.float64, np.float64, np.uint16))
+        result = ChainResult(cycles[BEFORE:], phase[BEFORE:], residual[BEFORE:], amplitude, raw, status)
+        self._chain.write_places_before(TrackResult(cycles, phase, residual, self._ok), BEFORE)
+        for start in range(0, samples, BLOCK_SAMPLES):
+            part = slice(start, min(start + BLOCK_SAMPLES, samples))
+            room = slice(start, BEFORE + part.stop)
+            tracked = TrackResult(cycles[room], phase[room], residual[room], self._ok)
+            self._take_part(_counts(sine[part]), _counts(cosine[part]), result.part(part), tracked)
         return result
 
-    def _take_part(self, result: ChainResult, start: int, stop: int) -> None:
-        bad = self._compute(result, slice(start, stop)).tolist()
-        bad.append(stop - start)
+    def _take_part(self, sine: AnyArray, cosine: AnyArray, result: ChainResult, tracked: TrackResult) -> None:
+        """``tracked`` is the same memory as ``result``, with the samples before."""
+        samples = len(sine)
+        on_arrays = samples >= SHORTEST_BLOCK
+        bad = self._compute(sine, cosine, result) if on_arrays else []
         k = 0
-        for fault in bad:
+        for fault in [*bad, samples]:
             while k < fault:
-                if self._chain.is_steady and fault - k >= SHORTEST_RUN:
-                    k = self._run(k, fault, result, start)
+                long = on_arrays and fault - k >= SHORTEST_RUN
+                if long and self._chain.continues(tracked, BEFORE + k):
+                    k = self._run(k, fault, sine, cosine, result, tracked)
                 else:
-                    self._step(k, result, start)
+                    self._step(k, sine, cosine, result)
                     k += 1
-            if k < stop - start:
-                self._step(k, result, start)
+            if k < samples:
+                self._step(k, sine, cosine, result)
                 k += 1
 
-    def _compute(self, result: ChainResult, part: slice) -> npt.NDArray[np.intp]:
+    def _compute(self, sine: AnyArray, cosine: AnyArray, result: ChainResult) -> list[int]:
         """All that depends on one sample alone; the samples that do not keep the limits."""
-        samples = part.stop - part.start
-        room = slice(BEFORE, BEFORE + samples)
-        sine, cosine, good = self._sine[room], self._cosine[room], self._good[:samples]
-        scratch, bit = self._scratch.head(samples), self._scratch.bit[:samples]
-        amplitude, raw, phase = result.amplitude[part], result.raw_phase[part], self._tracked.phase[room]
-        lowest, highest, smallest, largest = self._bounds
+        scratch = self._scratch.head(len(sine))
+        amplitude, raw = result.amplitude, result.raw_phase
         with np.errstate(over="ignore", invalid="ignore"):
-            s, c = (sine, cosine) if self._conditioning is None else self._conditioning.apply(sine, cosine)
-            np.multiply(s, s, out=amplitude)
-            np.multiply(c, c, out=scratch.a)
-            amplitude += scratch.a
-            np.sqrt(amplitude, out=amplitude)
-            raw_phase_block(s, c, raw, scratch)
-            wrap_block(raw, scratch)
-            if self._table is None:
-                phase[:] = raw
+            if self._conditioning is None:
+                s, c = sine, cosine
             else:
-                self._table.correct_block(raw, phase, scratch)
-        np.equal(raw, raw, out=good)
-        good &= np.greater_equal(amplitude, smallest, out=bit)
-        good &= np.less_equal(amplitude, largest, out=bit)
-        for track in (sine, cosine):
-            good &= np.greater(track, lowest, out=bit)
-            good &= np.less(track, highest, out=bit)
-        np.logical_not(good, out=bit)
-        return np.flatnonzero(bit)
+                s, c = self._conditioning.apply_block(sine, cosine, scratch)
+            _amplitudes(s, c, amplitude, scratch)
+            raw_phase_block(s, c, raw, scratch)
+            if not raw.max() < 1.0:
+                wrap_block(raw, scratch)
+            if self._table is None:
+                result.phase[:] = raw
+            else:
+                self._table.correct_block(raw, result.phase, scratch)
+        return self._bad(sine, cosine, result)
 
-    def _run(self, k: int, fault: int, result: ChainResult, start: int) -> int:
+    def _bad(self, sine: AnyArray, cosine: AnyArray, result: ChainResult) -> list[int]:
+        """The samples that do not keep the limits.
+
+        In nearly every block the extremes show that all do: no count is larger than its amplitude, and
+        an amplitude above zero has a phase. A comparison with NaN is false.
+        """
+        lowest, highest, smallest, largest = self._bounds
+        amplitude = result.amplitude
+        least, most = amplitude.min(), amplitude.max()
+        if least > 0.0 and smallest <= least and most <= largest and most < math.inf:
+            if self._conditioning is None and most < min(-lowest, highest):
+                return []
+            if all(lowest < track.min() and track.max() < highest for track in (sine, cosine)):
+                return []
+        good = result.raw_phase == result.raw_phase
+        good &= (amplitude >= smallest) & (amplitude <= largest)
+        for track in (sine, cosine):
+            good &= (track > lowest) & (track < highest)
+        return np.flatnonzero(~good).tolist()
+
+    def _run(
+        self,
+        k: int,
+        fault: int,
+        sine: AnyArray,
+        cosine: AnyArray,
+        result: ChainResult,
+        tracked: TrackResult,
+    ) -> int:
         """Samples k..fault or fewer on arrays, and one more if that one has a fault; where to go on."""
         length = min(fault - k, self._run_samples)
-        run = slice(BEFORE + k, BEFORE + k + length)
-        tracked = self._tracked
-        taken = self._chain.follow_run(self._sine, self._cosine, tracked, run, self._scratch.head(length))
-        done, here = slice(start + k, start + k + taken), slice(run.start, run.start + taken)
-        result.cycles[done] = tracked.cycles[here]
-        result.phase[done] = tracked.phase[here]
-        result.residual[done] = tracked.residual[here]
-        status = result.status[done]
+        run, scratch = slice(BEFORE + k, BEFORE + k + length), self._scratch.head(length)
+        counts = sine[k : k + length], cosine[k : k + length]
+        taken = self._chain.follow_run(*counts, tracked, run, scratch)
+        status = result.status[k : k + taken]
         if self._chain.lost:
             status[:] = LOST | self._base_status
-            status[~tracked.ok[here]] |= RESIDUAL
+            status[~tracked.ok[run.start : run.start + taken]] |= RESIDUAL
         else:
             status[:] = VALID | self._base_status
         k += taken
         if taken < length:
             self._run_samples = FIRST_RUN
-            self._step(k, result, start)
+            self._step(k, sine, cosine, result)
             return k + 1
         if length == self._run_samples:
             self._run_samples = min(2 * length, BLOCK_SAMPLES)
         return k
 
-    def _step(self, k: int, result: ChainResult, start: int) -> None:
+    def _step(self, k: int, sine: AnyArray, cosine: AnyArray, result: ChainResult) -> None:
         """One sample through the chain."""
-        got = self._chain.step(Sample(float(self._sine[BEFORE + k]), float(self._cosine[BEFORE + k])))
-        at = start + k
-        result.cycles[at], result.phase[at], result.residual[at] = got.cycles, got.phase, got.residual
-        result.amplitude[at], result.raw_phase[at], result.status[at] = (
-            got.amplitude,
-            got.raw_phase,
-            got.status,
-        )
+        got = self._chain.step(Sample(float(sine[k]), float(cosine[k])))
+        result.cycles[k], result.phase[k], result.residual[k] = got.cycles, got.phase, got.residual
+        result.amplitude[k], result.raw_phase[k] = got.amplitude, got.raw_phase
+        result.status[k] = got.status
+
+
+def _counts(track: AnyArray) -> AnyArray:
+    """A track to compute with: float64, or int16 as converters have it, which is as exact and shorter."""
+    return track if track.dtype in (np.float64, np.int16) else track.astype(np.float64)
+
+
+def _amplitudes(s: AnyArray, c: AnyArray, out: FloatArray, scratch: Scratch) -> None:
+    for track, square in ((s, out), (c, scratch.a)):
+        if track.dtype == np.float64:
+            np.multiply(track, track, out=square)
+        else:
+            square[:] = track
+            square *= square
+    out += scratch.a
+    np.sqrt(out, out=out)

@@ -87,16 +87,14 @@ def places_before(tracker: Tracker) -> int:
 
 
 def continues(tracker: Tracker, result: TrackResult, at: int) -> bool:
-    """True if the phases that the prediction needs stand in the result just before ``at``."""
+    """True if what the prediction needs stands in the result just before ``at``."""
+    places = places_before(tracker)
+    if at < places or not tracker.is_steady:
+        return False
+    before = (*result.phase[at - places : at].tolist(), int(result.cycles[at - 1]))
     if predicts_by_parabola(tracker):
-        return (
-            at >= 3
-            and tracker.is_steady
-            and tracker.full_state()[:3] == (*result.phase[at - 3 : at].tolist(),)
-        )
-    return (
-        at >= 2 and tracker.is_steady and tracker.state()[:2] == (result.phase[at - 2], result.phase[at - 1])
-    )
+        return tracker.full_state()[:4] == before
+    return tracker.state()[:3] == before
 
 
 def write_places_before(tracker: Tracker, result: TrackResult, at: int) -> None:
@@ -175,6 +173,7 @@ def _within_acceleration(
 
 
 def _round(c: FloatArray, turns: FloatArray, residual: FloatArray) -> None:
+    """``c`` is overwritten: results are written once, because their memory is not in the cache yet."""
     np.rint(c, out=turns)
-    np.subtract(turns, c, out=residual)
-    np.abs(residual, out=residual)
+    np.subtract(turns, c, out=c)
+    np.abs(c, out=residual)
