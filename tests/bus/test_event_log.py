@@ -38,8 +38,10 @@ def watched(verbose: bool = False) -> tuple[EventLog, canfb.FeedbackModule]:
 def test_a_line_has_time_node_and_text_and_a_program_gets_the_values(
     logged: pytest.LogCaptureFixture,
 ) -> None:
-    _, module = watched()
+    log, module = watched()
     module.start(5.0)
+    assert logged.records == [], "no frame waits for a line"
+    log.tick(5.001)
     (record,) = logged.records
     assert record.getMessage() == "2026-05-04 12:30:01.250 node 32 (20h): boot-up, PRE-OPERATIONAL"
     values = record.event  # type: ignore[attr-defined]

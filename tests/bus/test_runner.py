@@ -198,6 +198,39 @@ def test_a_runner_that_was_away_gives_the_frames_first() -> None:
     assert len(order) > 570
 
 
+def test_a_runner_that_was_away_after_it_saw_no_frame_looks_again() -> None:
+    """A wait ends a little early; then the processor is away, while frames and a deadline come."""
+    bench = Bench(*((0.007 * n, message(0x300, timestamp=WALL_S + 1000.0 + 0.007 * n)) for n in range(100)))
+    order: list[str] = []
+    receive = bench.bus.recv
+
+    def hears(frame: Frame) -> list[Frame]:
+        order.append("frame")
+        device.next_s = None if frame.timestamp is None else frame.timestamp + 0.0075
+        return []
+
+    def ticks(now: float) -> list[Frame]:
+        order.append("tick")
+        device.next_s = None
+        return []
+
+    def ends_early(timeout: float | None = None) -> can.Message | None:
+        assert timeout is not None
+        if len(order) != 20:
+            return receive(timeout)
+        order.append("away")
+        bench.clock.now += timeout - 0.0009 + 0.02
+        return None
+
+    bench.bus.recv = ends_early  # type: ignore[method-assign]
+    device = bench.device(period_s=0.0075, answer=hears)
+    device.tick = ticks  # type: ignore[method-assign]
+    bench.run([device], 0.69)
+    assert order.count("away") == 1
+    assert "tick" not in order
+    assert order.count("frame") > 95
+
+
 def test_without_deadlines_a_wait_is_short_enough_for_a_signal() -> None:
     bench = Bench()
     bench.run([bench.device()], 5.0)

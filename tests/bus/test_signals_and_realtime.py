@@ -7,6 +7,7 @@ import errno
 import gc
 import os
 import signal
+import subprocess
 import sys
 import threading
 from typing import Any
@@ -125,6 +126,37 @@ def test_what_is_refused_is_reported_each_in_one_line_and_the_rest_is_still_aske
     assert lines == [
         f"realtime: {name} could not be set: {reason}{remedy}"
         for name, remedy in zip(("priority", "lock_memory", "cpu"), remedies, strict=True)
+    ]
+
+
+WITHOUT_RIGHTS = """\
+import ctypes, resource, sys
+from canfb.bus.realtime import apply_realtime
+from canfb.configuration import RealtimeConfig
+libc = ctypes.CDLL(None, use_errno=True)
+header, none = (ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)()
+assert libc.capset(header, none) == 0, ctypes.get_errno()
+resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+resource.setrlimit(resource.RLIMIT_MEMLOCK, 2 * (int(sys.argv[1]),))
+apply_realtime(RealtimeConfig(priority=80, lock_memory=True), print)
+"""
+
+
+@pytest.mark.parametrize("lockable_bytes", [0, 1 << 16])
+def test_the_real_system_refuses_and_the_remedy_is_named(lockable_bytes: int) -> None:
+    command = [sys.executable, "-c", WITHOUT_RIGHTS, str(lockable_bytes)]
+    lines = subprocess.run(
+        command, capture_output=True, text=True, timeout=60, check=True
+    ).stdout.splitlines()
+    reasons = os.strerror(errno.EPERM), os.strerror(errno.ENOMEM if lockable_bytes else errno.EPERM)
+    rights = ("cap_sys_nice", "LimitRTPRIO=99"), ("cap_ipc_lock", "LimitMEMLOCK=infinity")
+    python = os.path.realpath(sys.executable)
+    assert lines == [
+        f"realtime: {name} could not be set: {reason}; sudo setcap {capability}+ep {python}, "
+        f"or {limit} in the systemd unit; see docs/realtime.md"
+        for name, reason, (capability, limit) in zip(
+            ("priority", "lock_memory"), reasons, rights, strict=True
+        )
     ]
 
 

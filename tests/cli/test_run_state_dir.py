@@ -17,8 +17,8 @@ import pytest
 from canfb.bus.hosting import make_module
 from canfb.bus.state_files import StateDirError
 from canfb.cia301.frame import Frame
+from canfb.cli.log_printing import printed_log
 from canfb.cli.main import main
-from canfb.cli.printing import printed_log
 from canfb.eds_files import eds_path
 from canfb.module.module_config import ModuleConfig
 

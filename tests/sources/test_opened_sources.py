@@ -10,7 +10,7 @@ import pytest
 
 from canfb.bus.hosting import make_module, open_source
 from canfb.cia301.frame import Frame
-from canfb.cli.printing import printed_log
+from canfb.cli.log_printing import printed_log
 from canfb.commissioning.sample_files import write_npz
 from canfb.commissioning.samples import TrackSamples
 from canfb.configuration import parse_config

@@ -1,40 +1,130 @@
-"""tools/bench/latency.py without a bus, and the picture of docs/latency.md."""
+"""tools/bench/latency.py on little work, its load against a module, and the picture of docs/latency.md."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
-from tools.bench import latency
+import canfb
+from canfb.cia301.frame import Frame
+from tools.bench import latency, latency_bus
+from tools.bench.bus import NODE_ID
+from tools.bench.latency_bus import Times
+from tools.bench.latency_load import SDO_REQUEST, TableTransfers, TransferFailed, table
 
 ROOT = Path(__file__).parents[2]
+ENTRIES = 100  # 400 bytes: 57 segments, two blocks of 31 down and one up, and a byte over
 
 
-def test_every_variant_answers_in_process(capsys: pytest.CaptureFixture[str]) -> None:
-    assert latency.main(["--in-process", "--cycles", "20"]) == 0
-    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| in process")]
-    assert [row.split("|")[2].strip() for row in rows] == [
-        latency.variant_name(*variant) for variant in latency.VARIANTS
-    ]
-    assert all(row.endswith("| 0 |") for row in rows)
-    # At once: upon the ADC PDO. Synchronous: with the SYNC.
-    assert [row.split("|")[3].strip() == "-" for row in rows] == [True, False, False, False]
-    assert [row.split("|")[6].strip() == "-" for row in rows] == [False, True, True, True]
+def rows(text: str) -> list[list[str]]:
+    lines = [line for line in text.splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines[2:]]
 
 
-def test_a_table_has_median_99_of_100_and_the_largest() -> None:
-    assert latency.spread([float(n) for n in range(1, 101)]) == "50 | 100 | 100"
-    assert latency.spread([1.25]) == "1.2 | 1.2 | 1.2"
-    assert latency.spread([]) == "- | - | -"
+def test_every_call_is_measured_in_process(capsys: pytest.CaptureFixture[str]) -> None:
+    assert latency.main(["--in-process", "--cycles", "20", "--markdown"]) == 0
+    found = rows(capsys.readouterr().out)
+    calls = [(load, kind, call) for load, kind, call, *_ in found]
+    for kind in ("canfb", "collecting"):
+        for load in ("alone", "sdo", "full"):
+            assert (load, kind, "SYNC") in calls
+            assert (load, kind, "ADC PDO") in calls
+            assert ((load, kind, "load frame") in calls) == (load != "alone")
+    assert all(row[3] == "20" for row in found if row[2] in ("SYNC", "ADC PDO"))
+    for row in found:
+        for times in row[4:]:
+            percentiles = [float(one) for one in times.split(" / ")]
+            assert len(percentiles) == 4
+            assert percentiles == sorted(percentiles)
 
 
-@pytest.mark.parametrize("wrong", [["--cycles", "0"], ["--rate", "0"], ["--rate", "nan"]])
+@pytest.mark.parametrize("kind", ["canfb", "floor"])
+def test_a_node_answers_on_a_pair_of_sockets(
+    kind: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(latency_bus, "WARM_UP", 50)
+    arguments = ["--cycles", "40", "--rounds", "2", "--rate", "100", "--nodes", kind]
+    assert latency.main([*arguments, "--loads", "full", "--realtime", "no", "--markdown"]) == 0
+    out, err = capsys.readouterr()
+    (row,) = rows(out)
+    assert row[:3] == ["full", kind, "no"]
+    assert all(len(times.split(" / ")) == 4 for times in row[3:6])
+    assert err.splitlines() == [f"round {n} of 2: full, {kind}, no" for n in (1, 2)]
+
+
+def test_a_position_that_comes_late_or_never_is_not_in_time() -> None:
+    times = Times(
+        sync_s={1: 1.0, 2: 1.01, 3: 1.02},
+        adc_s={1: 1.001, 2: 1.011, 3: 1.021},
+        at_once_s={1: 1.002, 2: 1.0215},
+        with_sync_s={1: 1.0105, 3: 1.0305},
+    )
+    assert times.from_adc_us() == pytest.approx([1000.0, 10500.0])
+    assert times.from_sync_us() == pytest.approx([500.0]), "the SYNC after the last sample is not known"
+    assert times.not_in_time(0.01) == 2
+
+
+class Module:
+    """A module that is given requests, in simulated time."""
+
+    def __init__(self) -> None:
+        self.module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=NODE_ID))
+        self.module.start(0.0)
+        self.now = 0.0
+
+    def answers(self, request: bytes) -> Iterator[Frame]:
+        self.now += 1e-4
+        yield from self.module.receive(Frame(SDO_REQUEST, request), self.now)
+        while (deadline := self.module.deadline()) is not None and deadline < self.now + 0.1:
+            self.now = max(self.now, deadline)
+            yield from self.module.tick(self.now)
+
+
+def transfer(load: TableTransfers, module: Module) -> None:
+    while load.waits:
+        can_id, request = load.frame
+        assert can_id == SDO_REQUEST
+        load.sent()
+        for answer in module.answers(request):
+            load.take(answer.can_id, answer.data)
+
+
+def test_tables_are_transferred_and_in_force() -> None:
+    load, module = TableTransfers(ENTRIES, rounds=2), Module()
+    transfer(load, module)
+    assert load.transfers == 8
+    assert module.module.dictionary.entry(0x2020, 5).value == ENTRIES
+    assert not load.waits
+
+
+def test_a_table_that_is_refused_is_no_load() -> None:
+    load, module = TableTransfers(ENTRIES), Module()
+    module.module.dictionary.entry(0x2020, 1).access = "ro"
+    with pytest.raises(TransferFailed, match="80 20 20 01"):
+        transfer(load, module)
+
+
+def test_the_table_of_the_load_corrects_table_1_of_the_paper() -> None:
+    raw = canfb.phase_in_cycle(3.0, 4.0)
+    assert table(4096, 0.0)(raw) == pytest.approx(0.10242, abs=2e-5)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [["--cycles", "0"], ["--rate", "0"], ["--rate", "nan"], ["--rounds", "0"], ["--loads", "heavy"]],
+)
 def test_wrong_use_is_told(wrong: list[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         latency.main(["--in-process", *wrong])
     assert ended.value.code == 2
+
+
+def test_an_interface_that_there_is_not_is_told() -> None:
+    with pytest.raises(SystemExit, match="no interface nowhere0"):
+        latency.main(["--channel", "nowhere0"])
 
 
 def test_the_picture_names_the_objects_as_text() -> None:

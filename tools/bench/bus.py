@@ -18,15 +18,15 @@ import argparse
 import contextlib
 import math
 import select
-import signal
 import socket
 import statistics
 import struct
-import subprocess
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+
+from tools.bench.node_process import PATIENCE_S, NodeProcess
 
 NODE_ID, ENCODER_INTERFACE = 32, 16
 SYNC, ADC_PDO, POSITION_PDO = 0x080, 0x180 + ENCODER_INTERFACE, 0x180 + NODE_ID
@@ -34,7 +34,6 @@ CAN_FRAME = struct.Struct("=IB3x8s")
 STEP_CYCLES = 0.1
 SAMPLES_BEFORE_REPEAT = 1000  # 100 cycles of the encoder
 WARM_UP = 300
-PATIENCE_S = 20.0
 MOST_MISSED = 0.5  # of the samples, on a machine that is busy with other work
 KINDS = ("stock", "python-can", "canfb", "canfb:alone", "floor")
 
@@ -45,40 +44,20 @@ class Node:
     def __init__(self, kind: str, channel: str | None, rate_hz: float) -> None:
         self.kind = kind
         self._rate_hz = rate_hz
-        command = [sys.executable, "-m", "tools.bench.bus_node", kind, *["--true-time"] * bool(rate_hz)]
-        if channel is None:
-            self.bus, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-            command += ["--fd", str(theirs.fileno())]
-        else:
-            theirs = self.bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        arguments = ["tools.bench.bus_node", kind, *["--true-time"] * bool(rate_hz)]
+        self._process = NodeProcess(arguments, channel, ready="ready")
+        self.bus = self._process.bus
+        if channel is not None:
             only_position = struct.pack("=II", POSITION_PDO, 0x7FF)
             self.bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, only_position)
-            self.bus.bind((channel,))
-            command += ["--channel", channel]
-        self._process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, text=True, pass_fds=[theirs.fileno()]
-        )
-        if theirs is not self.bus:
-            theirs.close()
         self.bus.settimeout(PATIENCE_S)
-        assert self._process.stdout is not None
-        if self._process.stdout.readline() != "ready\n":
-            sys.exit(f"the node {kind} did not start")
-        self._clock = (~self._process.pid << 3) | 2  # of the process: clock_getcpuclockid(3)
+        self._clock = self._process.processor_clock
         self._played = 0
         self.play(WARM_UP)
 
     def end(self) -> None:
         """End the process."""
-        self.bus.close()
-        self._process.send_signal(signal.SIGTERM)
-        try:
-            self._process.wait(timeout=PATIENCE_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        if self._process.stdout is not None:
-            self._process.stdout.close()
+        self._process.end()
 
     def play(self, cycles: int) -> tuple[float, float]:
         """Processor time of the node and time on the wall of so many cycles, seconds for one."""
@@ -124,14 +103,15 @@ def _is_position(frame: bytes) -> bool:
     return bool(struct.unpack_from("=I", frame) == (POSITION_PDO,))
 
 
-def _adc(number: int) -> bytes:
-    angle = 2.0 * math.pi * STEP_CYCLES * number
+def adc_frame(number: int, step_cycles: float = STEP_CYCLES) -> bytes:
+    """The ADC PDO of one sample of an encoder that turns steadily."""
+    angle = 2.0 * math.pi * step_cycles * number
     data = struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
     return CAN_FRAME.pack(ADC_PDO, len(data), data)
 
 
 SYNC_FRAME = CAN_FRAME.pack(SYNC, 0, b"")
-ADC_FRAMES = [_adc(number) for number in range(SAMPLES_BEFORE_REPEAT)]
+ADC_FRAMES = [adc_frame(number) for number in range(SAMPLES_BEFORE_REPEAT)]
 
 
 @dataclass

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable, Mapping
 from datetime import datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 from canfb.bus.module_lines import title_of
 from canfb.bus.throttle import Held, Throttle
@@ -18,19 +19,30 @@ log = logging.getLogger(__name__)
 Told = tuple[FeedbackModule, Event]
 
 
+class _Noted(NamedTuple):
+    at: datetime
+    node_id: int
+    title: str
+    event: Event
+    text: str
+    more: Mapping[str, Any]
+
+
 class EventLog:
     """Writes what happens in modules to the logger, as information; with ``verbose`` single faults, too.
 
-    A record has the attribute `event`, a dict of plain values for programs. What a module repeats within a
-    second is counted, and reported by :meth:`tick`. What happens before :meth:`begin` waits for it. ``wall``
-    is the time of day, for tests.
+    An event is noted when it happens and written by the next :meth:`tick`: the position PDO of a bad sample
+    must not wait for a line of text. A record has the attribute `event`, a dict of plain values for programs.
+    What a module repeats within a second is counted, and reported by :meth:`tick`. What happens before
+    :meth:`begin` waits for it. ``wall`` is the time of day, for tests.
     """
 
     def __init__(self, verbose: bool = False, wall: Callable[[], datetime] = local_time) -> None:
         self._verbose = verbose
         self._wall = wall
         self._throttle: Throttle[Told] = Throttle()
-        self._waiting: list[tuple[str, dict[str, Any]]] | None = []
+        self._noted: deque[_Noted] = deque()
+        self._begun = False
 
     def watch(self, module: FeedbackModule) -> None:
         """Write its events from now on."""
@@ -38,46 +50,48 @@ class EventLog:
         module.events.on_event = lambda event: self._take(module, event)
 
     def begin(self) -> None:
-        """The modules are on the bus: write what has happened, and all that follows at once."""
-        waiting, self._waiting = self._waiting or [], None
-        for text, values in waiting:
-            log.info("%s", text, extra={"event": values})
+        """The modules are on the bus: write what has happened."""
+        self._begun = True
+        self._write_noted()
 
     def tick(self, now: float) -> None:
-        """Report what was held back, when it is time to; ``now`` as the modules have it."""
-        for held in self._throttle.ended(now):
-            self._tell_held(held)
+        """Write what has happened, and what was held back, when it is time to; ``now`` is that of modules."""
+        self._note_held(self._throttle.ended(now))
+        if self._begun:
+            self._write_noted()
 
     def close(self, now: float) -> None:
-        """Report what is held back, at the end."""
+        """Write all there is, at the end."""
+        self._note_held(self._throttle.close(now))
         self.begin()
-        for held in self._throttle.close(now):
-            self._tell_held(held)
 
     def _take(self, module: FeedbackModule, event: Event) -> None:
         if event.kind in DETAILS and not self._verbose:
             return
-        self.tick(event.time_s)
+        self._note_held(self._throttle.ended(event.time_s))
         if self._throttle.admits((id(module), event.kind), (module, event), event.time_s):
-            self._write(module, event, event.text, {})
+            self._note((module, event), event.text, {})
 
-    def _tell_held(self, held: Held[Told]) -> None:
-        module, event = held.last
-        text = f"{held.count} more in the last {held.seconds:.3g} s; the last: {event.text}"
-        self._write(module, event, text, {"more": held.count, "seconds": round(held.seconds, 3)})
+    def _note_held(self, ended: list[Held[Told]]) -> None:
+        for held in ended:
+            text = f"{held.count} more in the last {held.seconds:.3g} s; the last: {held.last[1].text}"
+            more = {"more": held.count, "seconds": round(held.seconds, 3)}
+            self._note(held.last, text, more)
 
-    def _write(self, module: FeedbackModule, event: Event, text: str, more: Mapping[str, Any]) -> None:
-        now = self._wall()
-        head = {
-            "time": now.isoformat(timespec="milliseconds"),
-            "event": str(event.kind),
-            "node": module.node.node_id,
-            "text": text,
-        }
-        values = {**head, **event.values, **more, "monotonic_s": event.time_s}
-        time_of_day = now.replace(tzinfo=None).isoformat(" ", "milliseconds")
-        line = f"{time_of_day} {title_of(module)}: {text}"
-        if self._waiting is None:
-            log.info("%s", line, extra={"event": values})
-        else:
-            self._waiting.append((line, values))
+    def _note(self, told: Told, text: str, more: Mapping[str, Any]) -> None:
+        module, event = told  # whose node-ID may be another one soon
+        noted = _Noted(self._wall(), module.node.node_id, title_of(module), event, text, more)
+        self._noted.append(noted)
+
+    def _write_noted(self) -> None:
+        while self._noted:
+            at, node_id, title, event, text, more = self._noted.popleft()
+            head = {
+                "time": at.isoformat(timespec="milliseconds"),
+                "event": str(event.kind),
+                "node": node_id,
+                "text": text,
+            }
+            values = {**head, **event.values, **more, "monotonic_s": event.time_s}
+            time_of_day = at.replace(tzinfo=None).isoformat(" ", "milliseconds")
+            log.info("%s", f"{time_of_day} {title}: {text}", extra={"event": values})

@@ -59,6 +59,7 @@ class Hosting(OnBus):
     def _meanwhile(self, now: float) -> None:
         self._looked_s = now
         self._events.tick(now)
+        super()._meanwhile(now)
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Serve the modules until :meth:`stop`. ``ready`` is called when they are on the bus.

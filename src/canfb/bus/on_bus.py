@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from types import TracebackType
@@ -28,13 +29,16 @@ class OnBus(ABC):
         self._realtime = realtime
         self._runner: Runner | None = None
         self._resources = contextlib.ExitStack()
+        self._log_handlers = logging.getLogger("canfb").handlers
 
     @abstractmethod
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
         """The devices; what they have open is closed with ``resources``. Before the bus is opened."""
 
-    def _meanwhile(self, now: float) -> None:  # noqa: B027
+    def _meanwhile(self, now: float) -> None:
         """Called now and then, between frames."""
+        for handler in self._log_handlers:
+            handler.flush()  # what a slow reader has not taken yet
 
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as opened:

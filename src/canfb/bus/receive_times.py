@@ -6,6 +6,7 @@ from collections.abc import Callable
 from math import nan
 
 LARGEST_STEP_S = 0.0005  # between two looks at both clocks; more is a step of the wall clock
+CLOSE_S = 1e-5  # so much later than the look before: the processor may have been away between the clocks
 LOOKS = 3
 LONGEST_DELAY_S = 60.0  # a time further back is not of the wall clock
 
@@ -41,8 +42,8 @@ class ReceiveTimes:
         What it is ahead of the other one, seconds; not a number where stamps are not to be used.
         """
         difference = self._wall() - now
-        if abs(difference - self._difference_s) > LARGEST_STEP_S:
-            difference = self._look()  # the processor may have been away between the two clocks
+        if not -LARGEST_STEP_S <= difference - self._difference_s <= CLOSE_S:
+            difference = self._look()  # else the frames would seem to have come earlier than they did
             if abs(difference - self._difference_s) > LARGEST_STEP_S:
                 self._stepped = True
         self._difference_s = difference

@@ -30,6 +30,8 @@ log = logging.getLogger(__name__)
 
 POLL_S = 0.01  # from one look at the computations to the next
 LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
+BUS_RESOLUTION_S = 0.001  # so much earlier a bus may end a wait that is longer
+CLOSE_S = 1e-6  # what a moment may lack by rounding
 LEAST_WAIT_S = 2e-4  # what is not faster than that was waited for
 LONGEST_DRAIN_S = 1.0  # how long frames that wait may put off a deadline
 LONGEST_BLIND_DRAIN_S = 0.1  # where they have no receive times, and may have come after it
@@ -92,6 +94,7 @@ class Runner:
         self._due_s = NEVER  # the earliest deadline, when frames were asked for
         self._received = self._error_frames = self._bus_failures = 0
         self._received_s: float | None = None  # when the last frame came, if frames may wait behind it
+        self._empty_s = -NEVER  # when no frame waited, as far as it is known
         self._longest_drain_s = LONGEST_DRAIN_S
         self._put_off_s: float | None = None  # since when frames that wait put off deadlines
         self._asked_s = self._now = clock()  # when frames were asked for; the last look at the clock
@@ -176,6 +179,7 @@ class Runner:
                 self._receiving.worked(now)
         if frames is None:
             self._received_s = self._put_off_s = None
+            self._empty_s = asked + (wait if wait < BUS_RESOLUTION_S else wait - BUS_RESOLUTION_S)
             self._times.emptied()
         if self._sender.waiting:
             self._sender.retry(self._now)
@@ -191,7 +195,8 @@ class Runner:
     def _waits_before(self, due: float) -> bool:
         """Frames that came before this deadline may still wait."""
         received, now = self._received_s, self._now
-        if received is None or received >= due:
+        taken_s = self._empty_s + CLOSE_S if received is None else received
+        if taken_s >= due:
             self._put_off_s = None
             return False
         if self._put_off_s is None:

@@ -8,8 +8,8 @@ import contextlib
 from canfb.bus.hosting import Hosting
 from canfb.bus.readiness import Readiness
 from canfb.bus.runner import ending_on_signals
+from canfb.cli.log_printing import printed_as_json, printed_without_waiting
 from canfb.cli.options import Commands, add_bus_options, add_command, add_ready_file, bus_options
-from canfb.cli.printing import printed_as_json
 from canfb.configuration import load_config
 
 
@@ -32,7 +32,12 @@ def run(options: argparse.Namespace) -> int:
     """
     config = load_config(options.config)
     hosting = Hosting(config, bus_options(options, config.bus), verbose=options.verbose)
-    as_json = printed_as_json() if options.json else contextlib.nullcontext()
-    with as_json, Readiness(options.ready_file) as readiness, hosting, ending_on_signals(hosting.stop):
+    with (
+        printed_as_json() if options.json else contextlib.nullcontext(),
+        printed_without_waiting(),
+        Readiness(options.ready_file) as readiness,
+        hosting,
+        ending_on_signals(hosting.stop),
+    ):
         hosting.run(readiness.ready)
     return 0

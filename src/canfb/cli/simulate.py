@@ -8,6 +8,7 @@ from canfb.bus.opening import check_device_bus
 from canfb.bus.readiness import Readiness
 from canfb.bus.runner import ending_on_signals
 from canfb.bus.simulating import Simulating
+from canfb.cli.log_printing import printed_without_waiting
 from canfb.cli.options import Commands, add_command, bus_options
 from canfb.cli.printing import say
 from canfb.cli.simulate_options import add_options, chosen
@@ -35,7 +36,12 @@ def simulate(options: argparse.Namespace) -> int:
     record = None if options.record is None else check_record(options.record)
     simulating = Simulating(*what, words, config.realtime, options.seconds)
     network = simulating.network
-    with Readiness(options.ready_file) as readiness, simulating, ending_on_signals(simulating.stop):
+    with (
+        printed_without_waiting(),
+        Readiness(options.ready_file) as readiness,
+        simulating,
+        ending_on_signals(simulating.stop),
+    ):
         try:
             simulating.run(readiness.ready)
         finally:

@@ -1,0 +1,52 @@
+"""Lines to a reader that may be slow: a program with a SYNC cycle does not wait for a terminal or a pipe."""
+
+from __future__ import annotations
+
+import os
+import select
+from collections import deque
+from collections.abc import Callable
+
+MOST_LINES = 1000
+
+
+class LineOutput:
+    """Writes lines to ``descriptor`` as far as it takes them at once, and keeps the others in order.
+
+    A terminal that is stopped (Ctrl-S), a pager or a service that does not read hold nothing up. When
+    MOST_LINES wait further ones are left out; ``excuse`` makes the line that follows of their number.
+    OSError as write(2) has it.
+    """
+
+    def __init__(self, descriptor: int, excuse: Callable[[int], str], encoding: str = "utf-8") -> None:
+        self._descriptor = descriptor
+        self._excuse = excuse
+        self._encoding = encoding
+        self._waiting: deque[bytes] = deque()
+        self._left_out = 0
+
+    def put(self, line: str) -> None:
+        """Write a line, now or later."""
+        if len(self._waiting) < MOST_LINES:
+            self._keep(line)
+        else:
+            self._left_out += 1
+        self.flush()
+
+    def flush(self, wait_s: float = 0.0) -> None:
+        """Write what waits; wait at most so long each time that nothing can be written."""
+        while self._waiting:
+            if not select.select([], [self._descriptor], [], wait_s)[1]:
+                return
+            line = self._waiting[0]
+            written = os.write(self._descriptor, line[: select.PIPE_BUF])  # which does not block then
+            if written < len(line):
+                self._waiting[0] = line[written:]
+            else:
+                self._waiting.popleft()
+            if self._left_out and not self._waiting:
+                left_out, self._left_out = self._left_out, 0
+                self._keep(self._excuse(left_out))
+
+    def _keep(self, line: str) -> None:
+        self._waiting.append(f"{line}\n".encode(self._encoding, "backslashreplace"))
