@@ -33,7 +33,7 @@ class CorrectionTable:
     0.25 cycle from ``n / N``.
     """
 
-    __slots__ = ("_bytes", "_first", "_n", "_slope", "lines")
+    __slots__ = ("_bytes", "_first", "_lines", "_n", "_slope")
 
     def __init__(self, entries: npt.ArrayLike) -> None:
         try:
@@ -47,9 +47,7 @@ class CorrectionTable:
         # Raw phase 1.0 is raw phase 0.0, so entry 0 stands at the end once more.
         self._first: FloatArray = np.append(first, first[0])
         self._slope: FloatArray = np.append(np.diff(first, append=first[0] + 1.0), 0.0)
-        # The same for one sample at a time: plain floats are ten times as fast as those of numpy.
-        self.lines: Lines = tuple(zip(self._first.tolist(), self._slope.tolist(), strict=True))
-        """For :meth:`correct`: entry and slope from there, cycles; N + 1 of them."""
+        self._lines: Lines = ()  # made for the first sample that needs them: an upload checks a table only
 
     @classmethod
     def identity(cls, n: int = 256) -> Self:
@@ -105,11 +103,20 @@ class CorrectionTable:
         with np.errstate(invalid="ignore"):
             return self.correct_array(raws % 1.0 % 1.0)
 
+    def lines(self) -> Lines:
+        """For one sample at a time: entry and slope from there, cycles; N + 1 of them.
+
+        Plain floats are ten times as fast as those of numpy.
+        """
+        if not self._lines:
+            self._lines = tuple(zip(self._first.tolist(), self._slope.tolist(), strict=True))
+        return self._lines
+
     def correct(self, raw: float) -> float:
         """Phase at one raw phase, which must lie in 0..1 (the hot path: unchecked)."""
         place = raw * self._n
         index = int(place)
-        first, slope = self.lines[index]
+        first, slope = (self._lines or self.lines())[index]
         phase = first + (place - index) * slope
         if phase < 0.0:
             phase += 1.0

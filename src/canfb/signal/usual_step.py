@@ -61,7 +61,7 @@ class UsualStep(SecondListener):
         """Correct by this table from the next sample on."""
         self._nothing_in_doubt = False
         self._table = table
-        self._entries, self._lines = (0, ()) if table is None else (len(table), table.lines)
+        self._entries, self._lines = (0, ()) if table is None else (len(table), table.lines())
 
     def _forget_sample(self) -> None:
         """The next sample is the first of its kind."""
