@@ -97,14 +97,15 @@ def test_no_sequence_of_faults_widens_it_beyond_twice_the_reference(
 ) -> None:
     """The first 32 blocks are the reference; whatever comes then, and however slowly it grows."""
     noise, rng = ResidualNoise(order), np.random.default_rng(seed)
-    reference = 0.0
+    reference, taken = 0.0, 0
     for block in range(REFERENCE_BLOCKS + len(scales)):
         scale = 1e-4 if block < REFERENCE_BLOCKS else scales[block - REFERENCE_BLOCKS]
         done = False
         for sample in range(BLOCK_SAMPLES * 4 + order):
             acceleration = float(rng.normal(0.0, scale))
+            taken += 1
             done |= noise.take(
-                Feedback(0.0, 0.0, 1.0, 0.0, 0, sample % 8 / 8.0, 0.0, VALID, 7.3, acceleration, 0, sample)
+                Feedback(0.0, 0.0, 1.0, 0.0, 0, sample % 8 / 8.0, 0.0, VALID, 7.3, acceleration, 0, taken)
             )
         assert done
         if block < REFERENCE_BLOCKS:

@@ -72,9 +72,8 @@ class UsualSample:
         if feedback is None:
             self._unusual(now)
             return
-        if limits.noise.pause:
-            limits.noise.pause -= 1
-        elif limits.noise.take(feedback):
+        noise = limits.noise
+        if feedback[-1] >= noise.due and noise.take(feedback):
             limits.measured()
         self.publish(feedback, now)
 

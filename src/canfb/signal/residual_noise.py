@@ -47,7 +47,7 @@ class ResidualNoise:
         "_recent",
         "_reference",
         "_speed_cycles",
-        "pause",
+        "due",
         "rms_cycles",
     )
 
@@ -71,8 +71,8 @@ class ResidualNoise:
         self.rms_cycles = math.nan
         self._reference: list[float] = []
         self._recent: deque[float] = deque(maxlen=REFERENCE_BLOCKS)
-        self.pause = 0
-        """Samples until the next block; :meth:`take` counts them down, or who would call it."""
+        self.due = 0
+        """The number of the sample with which the next block begins: none before it need be shown."""
         self._begin()
 
     @property
@@ -84,8 +84,7 @@ class ResidualNoise:
 
     def take(self, feedback: Feedback) -> bool:
         """A sample; True if a block is complete with it."""
-        if self.pause:
-            self.pause -= 1
+        if feedback.samples < self.due:
             return False
         if feedback.status & (BAD | VALID) != VALID:
             if self._accelerations:
@@ -97,7 +96,7 @@ class ResidualNoise:
         self._speed_cycles = feedback.speed_cycles
         if len(accelerations) < BLOCK_SAMPLES + self._order:
             return False
-        return self._complete()
+        return self._complete(feedback.samples)
 
     def _shows_all(self) -> bool:
         """The errors of all phases are in this block."""
@@ -109,7 +108,7 @@ class ResidualNoise:
         self._eighths = 0
         self._speed_cycles = 0.0
 
-    def _complete(self) -> bool:
+    def _complete(self, samples: int) -> bool:
         residuals, moving = self._accelerations[1:], self._shows_all()
         self._begin()
         if not moving:
@@ -122,5 +121,5 @@ class ResidualNoise:
         self._recent.append(rms)
         if len(self._reference) < REFERENCE_BLOCKS:
             self._reference.append(rms)
-        self.pause = 3 * BLOCK_SAMPLES
+        self.due = samples + 3 * BLOCK_SAMPLES + 1
         return True
