@@ -64,3 +64,23 @@ def test_values_that_are_not_good_are_refused(bench: Bench, subindex: int, value
 def test_a_configuration_that_is_not_good_is_refused(key: str, value: object) -> None:
     with pytest.raises(ValueError, match=key):
         ModuleConfig(node_id=3, **{key: value})  # type: ignore[arg-type]
+
+
+def test_a_position_ahead_of_an_unknown_acceleration_is_not_valid(make_bench: type[Bench]) -> None:
+    """One lost ADC PDO at two cycles per interval squared: no extrapolated position is valid and wrong."""
+    bench = make_bench(prediction_order=3, max_jerk_rad_s3=0.05 * JERK, predict=1)
+    bench.sdo[0x1800][2].raw = 1
+    bench.start()
+    positions = ramp(2.0, 0.04, 120)
+    valid = []
+    for k, x in enumerate(positions[:-1]):
+        sent = bench.sync()
+        if k:  # the position of this very SYNC
+            units, status, _ = bench.position(sent)
+            valid.append(bool(status & StatusBit.VALID))
+            error = (units - x * 8192 + 2**31) % 2**32 - 2**31
+            assert not (valid[-1] and abs(error) > 0.5 * 8192), (k, error / 8192, hex(status))
+        if k != 80:
+            bench.counts(round(1500 * math.sin(2 * math.pi * x)), round(1500 * math.cos(2 * math.pi * x)))
+    assert not all(valid[80:84])
+    assert all(valid[90:])

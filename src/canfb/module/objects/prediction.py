@@ -33,7 +33,8 @@ class Prediction:
     x(k) + m v + a m (m + 1)/2.
 
     v is the speed of half an interval ago, so a counts whole, not half. docs/latency.md has more. With
-    third-order prediction (2010:07) of the cycle count the acceleration may be large: 1 is then as 2.
+    third-order prediction (2010:07) of the cycle count the acceleration may be large: 1 is then as 2, and
+    the extrapolated position is not valid before the third successive valid sample.
 
     :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled, :meth:`withdraw` after it: whoever
     else reads the objects finds the measured position. Bit 12 of the status word stands for as long as
@@ -119,12 +120,19 @@ class Prediction:
         self._measured = self._position.value, self._fine.value, self._status.value
         self._position.value = self._fine.value = self._profile.position_at(cycles, phase)
         self._status.value |= EXTRAPOLATED
+        if self._may_bend(last):
+            self._status.value = self._status.value & ~VALID | COASTING
 
     def withdraw(self) -> None:
         """The TPDOs of the SYNC are sampled: the measured position again."""
         if self._measured is not None:
             self._position.value, self._fine.value, self._status.value = self._measured
             self._measured = None
+
+    def _may_bend(self, last: Feedback) -> bool:
+        """With third-order prediction the acceleration may be whole cycles, and it is not known yet."""
+        unknown = 0 < self._valid_samples < KNOWN_ACCELERATION
+        return bool(last.status & VALID) and unknown and self._order.value == THIRD
 
     def _displacement(self, last: Feedback) -> float | None:
         """Cycles from the last sample to this SYNC; None without a position to go on from."""
