@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -11,7 +13,7 @@ from supervision_kit import DEAD, Drive, above, at, below, flags, has
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.frozen import FrozenInput
+from canfb.signal.frozen import FrozenInput, repeats
 from canfb.signal.sample import Sample
 from folding import each
 
@@ -188,3 +190,32 @@ def test_it_is_off_unless_asked_for() -> None:
     chain = SignalChain(ChainConfig())
     for k in range(200):
         assert not chain.step(at(0.2 * min(k, 100))).status & StatusBit.FROZEN
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2)), min_size=1, max_size=12),
+    st.tuples(st.integers(0, 2), st.integers(0, 2)),
+)
+def test_repeats_are_pairs_like_the_one_before(pairs: list[tuple[int, int]], before: tuple[int, int]) -> None:
+    sine, cosine = np.array(pairs, np.int16).T
+    wanted = [new == old for old, new in pairwise([before, *pairs])]
+    found = repeats(sine, cosine, before, np.ones(len(pairs) + 2, np.bool_))
+    assert ([False] * len(pairs) if found is None else found.tolist()) == wanted
+    assert (found is None) == (not any(wanted))
+
+
+@pytest.mark.parametrize(
+    ("samples", "speed", "stands"), [(4, 0.1, True), (4, -0.9, False), (4, 0.3, False), (0, 0.9, True)]
+)
+def test_a_machine_stands_where_no_number_of_repeats_is_a_fault(
+    samples: int, speed: float, stands: bool
+) -> None:
+    frozen = FrozenInput(samples, 0.3)
+    assert not frozen.stands
+    flagged = [frozen.repeated(speed)]
+    assert frozen.stands is stands
+    flagged += [frozen.repeated(speed) for _ in range(20)]
+    assert any(flagged) is not stands
+    assert frozen.take_run(np.zeros(3, np.bool_), np.zeros(3)) == 3
+    assert not frozen.stands
+    assert frozen.repeats == 0
