@@ -148,7 +148,8 @@ class _Ending:
 
 
 def _against(ours: list[float], others: list[float]) -> str:
-    ratio = statistics.median(one / two for one, two in zip(ours, others, strict=True))
+    # A node that a busy machine has not let run has spent nothing.
+    ratio = statistics.median(one / two if two else math.nan for one, two in zip(ours, others, strict=True))
     return f"{statistics.median(ours):.0f} | {ratio:.2f}"
 
 
