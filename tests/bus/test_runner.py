@@ -172,6 +172,15 @@ def test_a_timer_waits_for_frames_that_came_before_it(
     assert all(lag_s - 0.0003 <= late_s <= lag_s + 0.0003 for late_s in device.ticked)
 
 
+def note_ticks(device: FakeDevice, order: list[str]) -> None:
+    def ticks(now: float) -> list[Frame]:
+        order.append("tick")
+        device.next_s = None
+        return []
+
+    device.tick = ticks  # type: ignore[method-assign]
+
+
 def test_a_runner_that_was_away_gives_the_frames_first() -> None:
     """Two seconds, and what came meanwhile takes its time: nothing was late but the runner."""
     plan = [(0.005 * n, message(0x300, timestamp=WALL_S + 1000.0 + 0.005 * n)) for n in range(600)]
@@ -186,13 +195,8 @@ def test_a_runner_that_was_away_gives_the_frames_first() -> None:
         device.next_s = None if frame.timestamp is None else frame.timestamp + 0.0075
         return []
 
-    def ticks(now: float) -> list[Frame]:
-        order.append("tick")
-        device.next_s = None
-        return []
-
     device = bench.device(period_s=0.0075, answer=hears)
-    device.tick = ticks  # type: ignore[method-assign]
+    note_ticks(device, order)
     bench.run([device], 2.9)
     assert "tick" not in order
     assert len(order) > 570
@@ -209,11 +213,6 @@ def test_a_runner_that_was_away_after_it_saw_no_frame_looks_again() -> None:
         device.next_s = None if frame.timestamp is None else frame.timestamp + 0.0075
         return []
 
-    def ticks(now: float) -> list[Frame]:
-        order.append("tick")
-        device.next_s = None
-        return []
-
     def ends_early(timeout: float | None = None) -> can.Message | None:
         assert timeout is not None
         if len(order) != 20:
@@ -224,7 +223,7 @@ def test_a_runner_that_was_away_after_it_saw_no_frame_looks_again() -> None:
 
     bench.bus.recv = ends_early  # type: ignore[method-assign]
     device = bench.device(period_s=0.0075, answer=hears)
-    device.tick = ticks  # type: ignore[method-assign]
+    note_ticks(device, order)
     bench.run([device], 0.69)
     assert order.count("away") == 1
     assert "tick" not in order

@@ -156,7 +156,7 @@ def _download(index: int, subindex: int, content: bytes, before: list[bytes]) ->
 
 
 def _upload(index: int, subindex: int, wanted: bytes) -> Generator[list[bytes], bytes, list[bytes]]:
-    """CiA 301, 7.2.4.3.12 to 7.2.4.3.15: what comes must be what is wanted.
+    """Block upload (CiA 301, 7.2.4.3.12 to 7.2.4.3.15) of ``wanted``.
 
     Returns the last request, which has no answer.
     """

@@ -162,10 +162,7 @@ class Pairing:
         else:
             parts = self._input
             if not parts.timed:
-                if self.timeline.withheld:
-                    self._interval.pause()
-                else:
-                    self._interval.event(self._moment.received, self._moment.proved)
+                self._measure()
             if parts.arrived and parts.give_up():
                 self.count_bad_frame()
         if self._sample_came:

@@ -12,6 +12,7 @@ from canfb.signal.frozen import FrozenInput, repeats
 from canfb.signal.phase import AnyArray, raw_phase
 from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.orders import recovery_of, successor
+from canfb.signal.recovery.recovery import MISSED_INTERVALS
 from canfb.signal.recovery.reference import Pulse, Reference, pulse_between
 from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
@@ -31,7 +32,6 @@ from canfb.signal.tracker import Track, TrackResult
 from canfb.signal.tracking import continues, write_places_before
 from canfb.signal.usual_step import UsualStep
 
-MISSED_INTERVALS = 1.5  # since the sample before: one was missed
 STANDSTILL_CYCLES = 0.001  # per interval, on average: what noise and a servo at rest may show
 FASTEST_STANDSTILL_CYCLES = 0.5  # per interval; from there on eq. 9 cannot start again from standstill
 LARGEST_SLIP_CYCLES = 0.15

@@ -162,9 +162,7 @@ class SampleTimes:
         return SUSPECT
 
     def _learn(self, usual: UsualScatter, off_s: float) -> None:
-        largest_s = LARGEST_LEARNED * (self.interval_s or self._first_s)
-        off_s = abs(off_s)
-        usual.learn(off_s if off_s < largest_s else largest_s)
+        usual.learn(min(abs(off_s), LARGEST_LEARNED * self.unit_s))
 
     def _accept(self, time_100ns: int, received_s: float | None, synced_s: float | None = None) -> None:
         self._last, self._received_s, self._suspect = time_100ns, received_s, None

@@ -183,9 +183,9 @@ class Tracker:
         if not 0.0 < elapsed < math.inf:
             raise ValueError(f"elapsed must be a positive number of sampling intervals, not {elapsed!r}")
         if elapsed == 1.0 and phase == phase:
-            residual = self.advance(phase)
-            if residual >= 0.0:
-                return _new(Track, (self.cycles, phase, residual, True))
+            followed = self.follow(phase)
+            if followed is not None:
+                return followed
         track = self.look(phase, elapsed)
         if phase == phase:
             self.accept(track, elapsed)

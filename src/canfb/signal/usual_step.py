@@ -83,7 +83,7 @@ class UsualStep(SecondListener):
     def _count_repeats(self, repeated: bool) -> None:
         """The counts of a machine that stood still are the same again, or others."""
         if repeated:
-            self._frozen.repeats += 1
+            self._frozen.repeated(0.0)  # the speed counts at the first repeat only
         else:
             self._frozen.moved()
             self._stands = False

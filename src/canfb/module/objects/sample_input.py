@@ -91,7 +91,7 @@ class SampleInput:
             }
             self._wanted = sum(1 << number for number in parts)
         self.alone = tracks if tracks is not None and self._wanted == 1 << tracks else None
-        self._plain = tracks is not None and coarse is time is None and not earlier
+        plain = tracks is not None and coarse is time is flags is None and not earlier
         self._with_coarse, self.timed = coarse is not None, time is not None
         self._with_flags, self._with_place = flags is not None, place is not None
         self.arrived = 0
@@ -101,7 +101,7 @@ class SampleInput:
         self.is_synchronous = self._waiting is not None
         self.judged = None if self.timed or self.is_synchronous else tracks
         self.whole = NO_RPDO
-        if self._plain and not self._with_flags and self.judged is not None and self.judged == self.alone:
+        if plain and self.judged is not None and self.judged == self.alone:
             self.whole = self.judged
 
     def take(self, number: int) -> bool:
@@ -158,16 +158,12 @@ class SampleInput:
         """The sample of the parts that have come."""
         flags = self._flags.value
         invalid = flags & SAMPLE_INVALID != 0
-        if self._plain and not self._with_flags:  # the usual sample, made without its slow constructor
-            return tuple.__new__(
-                Sample, (self._sine.value, self._cosine.value, 1.0, invalid, None, None, None, None, ())
-            )
         pulse = None
         if self._with_flags and flags & ZERO_PULSE:
             self.pulses += 1
             pulse = self._place.value / PLACES if self._with_place else 1.0
         earlier = self._earlier
-        return tuple.__new__(
+        return tuple.__new__(  # without its slow constructor
             Sample,
             (
                 self._sine.value,

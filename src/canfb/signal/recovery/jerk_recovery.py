@@ -9,7 +9,7 @@ from __future__ import annotations
 from canfb.signal.blocks import Scratch
 from canfb.signal.recovery.bridge import Place
 from canfb.signal.recovery.parabola import MotionLimits, Parabola, Spot
-from canfb.signal.recovery.recovery import LONGEST_USUAL, Recovery
+from canfb.signal.recovery.recovery import MISSED_INTERVALS, Recovery
 from canfb.signal.recovery.trial import Trial, TrialResult
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.third_order import SECOND, THIRD, ThirdOrderTracker
@@ -94,7 +94,7 @@ class JerkRecovery(Recovery):
         self._parabola.set_full_state(*self._before_run)
         if stop - start < 3:
             for phase in tracked.phase[start:stop].tolist():
-                self._parabola.follow(phase)
+                self._parabola.advance(phase)
         else:
             first, middle, last = tracked.cycles[stop - 3 : stop].tolist()
             step, bend = last - middle, last - 2 * middle + first
@@ -120,13 +120,11 @@ class JerkRecovery(Recovery):
             track = self._parabola.look(phase, elapsed)
             self._accept(track, elapsed)
             return track, VALID
-        if settled and (elapsed < 1.5 or next_one):
-            track = self._parabola.look(phase, elapsed)
-            cycles = self._parabola_now().continuations(phase, elapsed, self._limits)
-            if len(cycles) == 1:
-                track = track._replace(cycles=cycles[0], ok=True)
-                self._accept(track, elapsed)
-                return track, VALID
+        if settled and (elapsed < MISSED_INTERVALS or next_one):
+            continued = self._continued(phase, elapsed)
+            if continued is not None:
+                self._accept(continued, elapsed)
+                return continued, VALID
         missed = round(elapsed) - 1
         if missed > 0:
             self.bad(float(missed), missed=True)
@@ -135,14 +133,18 @@ class JerkRecovery(Recovery):
 
     def advance_over(self, phase: float, elapsed: float) -> float:
         """As :meth:`Recovery.advance_over`."""
-        if not elapsed < LONGEST_USUAL:
+        continued = self._continued(phase, elapsed) if elapsed < MISSED_INTERVALS else None
+        if continued is None:
             return NOT_USUAL
+        self._parabola.accept(continued, elapsed)
+        return continued.residual
+
+    def _continued(self, phase: float, elapsed: float) -> Track | None:
+        """Where the motion goes on with this phase; None if that is not one place. Nothing changes."""
         cycles = self._parabola_now().continuations(phase, elapsed, self._limits)
         if len(cycles) != 1:
-            return NOT_USUAL
-        track = self._parabola.look(phase, elapsed)._replace(cycles=cycles[0], ok=True)
-        self._parabola.accept(track, elapsed)
-        return track.residual
+            return None
+        return self._parabola.look(phase, elapsed)._replace(cycles=cycles[0], ok=True)
 
     def bad(self, elapsed: float, missed: bool = False) -> tuple[Track, int]:
         """As :meth:`Recovery.bad`."""

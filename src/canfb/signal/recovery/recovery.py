@@ -26,7 +26,7 @@ from canfb.signal.tracking import steady_run
 
 # A glitch below the residual limit is seen one sample later, a row of three at most three later.
 DOUBTED_SAMPLES = 3
-LONGEST_USUAL = 1.5  # intervals: from there on a sample was missed
+MISSED_INTERVALS = 1.5  # since the sample before: one was missed
 LARGEST_CERTAIN_CYCLES = (
     0.95  # of deviation from the prediction, in one direction and in the other: 1 less noise
 )
@@ -258,7 +258,7 @@ class Recovery:
         Only where nothing is in doubt. NOT_USUAL, and nothing changed, where :meth:`good` has to decide.
         """
         tracker = self.tracker
-        if not elapsed < LONGEST_USUAL:
+        if not elapsed < MISSED_INTERVALS:
             return NOT_USUAL
         track = tracker.look(phase, elapsed)
         if not (track.ok or track.residual < self._limit_over(elapsed)):
