@@ -179,6 +179,31 @@ def position_state(status: int) -> PositionState:
     return PositionState.COASTING if status & StatusBit.COASTING else PositionState.NOT_VALID
 
 
+class LossCause(IntEnum):
+    """Why the position was lost, object 2012:10."""
+
+    text: str
+
+    def __new__(cls, value: int, text: str) -> LossCause:
+        """Make the member with its text."""
+        member = int.__new__(cls, value)
+        member._value_ = value
+        member.text = text
+        return member
+
+    NONE = 0, "not lost since the start"
+    COASTED = 1, "more samples in a row were bad or missing than 2010:03 allows"
+    AMBIGUOUS = 2, "several motions within the declared limits fit the samples"
+    CONTRADICTED = 3, "no motion within the declared limits fits the samples"
+    JUMP = 4, "the samples changed from one motion to another at once"
+    UNDECIDED = 5, "the samples did not decide between several motions in time"
+    TIME = 6, "the number of intervals that passed is not known"
+    PAUSE = 7, "the machine moved during a pause"
+    START = 8, "the samples contradict the speed assumed at the start"
+    REFERENCE = 9, "coarse track or zero pulse contradicts the cycle count"
+    CONFIGURATION = 10, "the configuration changed while the position was in doubt"
+
+
 class EncoderEmergency(IntEnum):
     """Emergency error codes of the warnings 6505h, FF10h plus the number of the bit, and their meaning."""
 
