@@ -19,8 +19,9 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
+from canfb.signal.declared import Declared
+from canfb.signal.estimator import Estimator
 from canfb.signal.phase import phase_in_cycle
-from canfb.signal.recovery.recovery import COAST_SAMPLES, Recovery
 from canfb.signal.sample import Sample
 from canfb.signal.stream import process_stream
 from canfb.signal.tracker import Tracker, TrackResult
@@ -58,7 +59,7 @@ def columns(rows: list[tuple[int, float, float, bool]]) -> list[bytes]:
 
 def one_by_one(sines: list[float], cosines: list[float], table: CorrectionTable | None) -> list[bytes]:
     """Any floats, also those that no converter gives."""
-    recovery, rows = Recovery(Tracker(), COAST_SAMPLES), []
+    recovery, rows = Estimator(Declared()), []
     for sine, cosine in zip(sines, cosines, strict=True):
         raw = phase_in_cycle(sine, cosine)
         phase = raw if table is None else table(raw)

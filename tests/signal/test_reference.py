@@ -127,7 +127,7 @@ def test_without_either_a_lost_position_stays_lost() -> None:
 def test_a_count_that_is_wrong_by_cycles_is_set_right_at_the_zero_pulse_and_not_in_silence() -> None:
     chain, machine = starts_at_rest(coarse=False, pulse=True)
     reference = np.median(errors(run(chain, machine, 100)))
-    chain._recovery.found(7, 0)
+    chain._estimator.found(7, 0)
     after = run(chain, machine, 100)
     set_right = [feedback for feedback, _ in after if feedback.jump_cycles]
     assert [feedback.jump_cycles for feedback in set_right] == [-7]
@@ -289,7 +289,7 @@ def test_after_a_count_was_set_right_one_bad_sample_costs_nothing(speed: float) 
     machine.speed = speed
     feedback, truth = run(chain, machine, 2000)[-1]
     reference = feedback.cycles + feedback.phase - truth
-    chain._recovery.found(7, 0)
+    chain._estimator.found(7, 0)
     while not chain.step(machine.sample()).jump_cycles:
         pass
     spoil(chain, machine, 1)

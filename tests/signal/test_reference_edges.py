@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from supervision_kit import at, flags
 
+from canfb.objects import LossCause
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
@@ -102,21 +103,17 @@ class Noted:
     def __init__(self, lost: bool) -> None:
         self.lost = lost
         self.told: list[tuple[int, int]] = []
-        self.vouched = 0
+        self.confirmed = 0
 
     def found(self, jump: int, missing: int) -> None:
         self.told.append((jump, missing))
 
-    def vouch(self) -> None:
+    def confirm_count(self) -> None:
         self.lost = False
-        self.vouched += 1
+        self.confirmed += 1
 
-    def lose(self) -> None:
+    def lose(self, cause: LossCause) -> None:
         self.lost = True
-
-    def restart_count(self) -> None:
-        self.lose()
-        self.vouch()
 
 
 def reference(recovery: Noted, n: int = N) -> Reference:
@@ -203,10 +200,10 @@ def test_what_two_pulses_have_told_the_third_confirms_and_sets_the_place() -> No
     recovery = Noted(lost=True)
     made = reference(recovery)
     for turn in range(3):
-        assert recovery.vouched == 0
+        assert recovery.confirmed == 0
         pulse(made, 83.4, 100.0 + turn * N / 83.4, 0.5, 1.0)
     assert recovery.told == [(0, 0), (0, 0)]
-    assert recovery.vouched == 1
+    assert recovery.confirmed == 1
     assert made.zero.referenced
     assert made.set_right == 0
 
@@ -218,11 +215,11 @@ def test_a_missed_sample_ends_what_two_pulses_have_told() -> None:
         pulse(made, 83.4, 100.0 + turn * N / 83.4, 0.5, 1.0)
     made.missed()
     pulse(made, 83.4, 100.0 + 2 * N / 83.4, 0.5, 1.0)
-    assert recovery.vouched == 0
+    assert recovery.confirmed == 0
     pulse(made, 83.4, 100.0 + 3 * N / 83.4, 0.5, 1.0)
-    assert recovery.vouched == 0
+    assert recovery.confirmed == 0
     pulse(made, 83.4, 100.0 + 4 * N / 83.4, 0.5, 1.0)
-    assert recovery.vouched == 1
+    assert recovery.confirmed == 1
 
 
 class Seen:
@@ -265,7 +262,7 @@ def test_lost_before_there_was_a_position_it_is_good_as_it_is() -> None:
     seen = Seen(lost=True, aligned=False)
     assert seen.until_told(0.0, 0) == (LOST & ~VALID, 0)
     assert seen.recovery.told == []
-    assert seen.recovery.vouched == 1
+    assert seen.recovery.confirmed == 1
     assert seen.made.recovered == 1
 
 
@@ -279,7 +276,9 @@ def test_lost_the_coarse_track_sets_count_and_speed_right(off: int, missing: int
     assert (jump + wrong) % N == 0, "whole revolutions are not known"
     assert 0 < abs(jump) <= N / 2
     assert seen.recovery.told == [(jump, missing)]
-    assert seen.recovery.vouched == 0, "it is good to a 32nd of a revolution only: the zero pulse is to come"
+    assert seen.recovery.confirmed == 0, (
+        "it is good to a 32nd of a revolution only: the zero pulse is to come"
+    )
     assert seen.made.recovered == 1
 
 
@@ -420,7 +419,7 @@ def test_lost_with_a_known_speed_the_pulse_sets_the_count_right(off: int) -> Non
     coarse = {"coarse_sine": 1500 * math.sin(angle), "coarse_cosine": 1500 * math.cos(angle)}
     assert pulse_at(seen.made, seen.counted, LOST, **coarse) == (LOST, -off)
     assert seen.recovery.told[-1] == (-off, 0)
-    assert seen.recovery.vouched == 1
+    assert seen.recovery.confirmed == 1
     assert seen.made.set_right == bool(off)
     seen.counted -= off
     cycles, phase = track(seen.counted + 0.1)[:2]
@@ -435,7 +434,7 @@ def test_a_pulse_without_an_angle_does_not_align_the_coarse_track(coarse: dict[s
     made = reference(recovery)
     made._range_known = True
     assert pulse_at(made, 70.5, LOST, **coarse) == (LOST, 0)
-    assert recovery.vouched == 1
+    assert recovery.confirmed == 1
     assert not made.coarse.aligned
     assert not made.zero.referenced
     assert pulse_at(made, 70.5 + N, VALID) == (VALID, 0)
@@ -446,7 +445,7 @@ def test_a_pulse_without_an_angle_does_not_align_the_coarse_track(coarse: dict[s
 def test_a_pulse_that_cannot_tell_the_speed_yet_changes_nothing() -> None:
     recovery = Noted(lost=True)
     assert pulse(reference(recovery), 83.4, 100.0, 0.5, 1.0) == (LOST, 0)
-    assert (recovery.told, recovery.vouched) == ([], 0)
+    assert (recovery.told, recovery.confirmed) == ([], 0)
 
 
 @each("way", [3.3, -3.3, 0.4, -83.75])

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from canfb.signal.limits import PHASE_ERROR_CYCLES, ROUNDING, safe_deviation, samples_without_harm
-from canfb.signal.recovery.parabola import MotionLimits
+from canfb.signal.motion import scale
 
 SAMPLE_BOUNDS = {n: safe_deviation(n) for n in (1, 2, 3)}
 """Largest L + a for so many samples in a row."""
@@ -91,11 +91,10 @@ class JerkDetection(CountDetection):
         return next((n for n in (3, 2, 1) if self._is_certain(n)), 0)
 
     def _is_certain(self, missed: int) -> bool:
-        limits = MotionLimits(
-            self.limit_cycles, self.limit_cycles, self.known_jerk, phase_error=self.known_error
-        )
-        accepted = limits.from_parabola(missed + 1.0, 1.0, 1.0)
-        scale = (missed + 1.0) * (missed + 2.0) * (missed + 3.0) / 6.0
+        jerks = scale((-2.0, -1.0, 0.0), missed + 1.0)
         weights = 2.0 * (missed + 2.0) ** 2
-        off = self.motion_cycles * scale + self.phase_cycles * weights
+        accepted = self.limit_cycles * max(jerks, weights / 8.0)
+        if self.known_jerk is not None:
+            accepted = min(accepted, self.known_jerk * jerks + self.known_error * weights)
+        off = self.motion_cycles * jerks + self.phase_cycles * weights
         return accepted + off <= 1.0 + ROUNDING

@@ -10,9 +10,9 @@ import numpy.typing as npt
 from canfb.signal.blocks import BLOCK_SAMPLES, Scratch, blocks
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable, check_table
+from canfb.signal.declared import Declared
+from canfb.signal.estimator import Estimator
 from canfb.signal.phase import FloatArray, raw_phase_block, wrap_block
-from canfb.signal.recovery.orders import recovery_of
-from canfb.signal.recovery.recovery import COAST_SAMPLES
 from canfb.signal.supervision import VALID
 from canfb.signal.tracker import RESIDUAL_LIMIT, TrackResult
 from canfb.signal.tracking import continues
@@ -82,12 +82,12 @@ def _gaps(phase: FloatArray) -> list[int]:
 
 
 class _Follower:
-    """Eq. 9 over block after block, as far as nothing is in doubt; :class:`Recovery` for the rest."""
+    """Eq. 9 over block after block, as far as nothing is in doubt; :class:`Estimator` for the rest."""
 
     def __init__(self, residual_limit: float, speed_cycles: float, order: int) -> None:
-        self._recovery = recovery_of(order, residual_limit, COAST_SAMPLES)
-        self._tracker = self._recovery.tracker
-        self._recovery.restart(0, speed_cycles)
+        self._estimator = Estimator(Declared(order=order, residual_limit=residual_limit))
+        self._tracker = self._estimator.tracker
+        self._estimator.restart(0, speed_cycles)
         self._run_samples = BLOCK_SAMPLES
 
     def take(self, result: TrackResult, part: slice, scratch: Scratch) -> None:
@@ -105,17 +105,17 @@ class _Follower:
                 at = gap + 1
 
     def _may_run(self, result: TrackResult, at: int) -> bool:
-        return not self._recovery.in_doubt and continues(self._tracker, result, at)
+        return not self._estimator.in_doubt and continues(self._tracker, result, at)
 
     def _run(self, result: TrackResult, start: int, stop: int, scratch: Scratch) -> int:
         """Samples start..stop on arrays, up to the first that leaves the position in doubt, and that one."""
         state = self._tracker.snapshot()
-        end = self._recovery.follow_run(result, slice(start, stop), scratch)
+        end = self._estimator.follow_run(result, slice(start, stop), scratch)
         if end > start:
-            self._recovery.take_run(result, start, end)
+            self._estimator.take_run(state, result, start, end)
         else:
             self._tracker.restore(state)
-        if self._recovery.lost:
+        if self._estimator.lost:
             result.ok[start:end] = False
         if end == stop:
             self._run_samples = min(2 * self._run_samples, BLOCK_SAMPLES)
@@ -127,8 +127,8 @@ class _Follower:
     def _take_one(self, result: TrackResult, at: int) -> None:
         phase = float(result.phase[at])
         if math.isnan(phase):
-            track, status = self._recovery.bad(1.0)
+            track, status = self._estimator.bad(1.0)
         else:
-            track, status = self._recovery.good(phase, 1.0)
+            track, status = self._estimator.good(phase, 1.0)
         result.cycles[at], result.phase[at], result.residual[at], _ = track
         result.ok[at] = bool(status & VALID)

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 
+from canfb.objects import LossCause
 from canfb.signal.blocks import Scratch
 from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
 from canfb.signal.correction import Correction, CorrectionTable, check_table
+from canfb.signal.declared import Declared
+from canfb.signal.estimator import HOLE_INTERVALS, Estimator, successor
 from canfb.signal.feedback import Feedback
 from canfb.signal.frozen import FrozenInput, repeats
 from canfb.signal.phase import AnyArray, raw_phase
 from canfb.signal.recovery.coarse import CoarseTrack
-from canfb.signal.recovery.orders import recovery_of, successor
-from canfb.signal.recovery.recovery import MISSED_INTERVALS
 from canfb.signal.recovery.reference import Pulse, Reference, pulse_between
 from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
@@ -42,7 +43,7 @@ class SignalChain(UsualStep):
     """One encoder, sample by sample.
 
     A sample that fails a check is flagged in its own :class:`Feedback` and never moves the
-    cycle count; see :mod:`canfb.signal.recovery.recovery` for what happens then.
+    cycle count; see :mod:`canfb.signal.estimator` for what happens then.
 
     TypeError for a ``config`` that is not a :class:`ChainConfig` and a ``table`` that is not a
     :class:`CorrectionTable` (None: the identity).
@@ -51,8 +52,8 @@ class SignalChain(UsualStep):
     def __init__(self, config: ChainConfig, table: CorrectionTable | None = None) -> None:
         check_config(config)
         super().__init__()
-        self._recovery = recovery_of(config.prediction_order, config.residual_limit, config.coast_samples)
-        self._tracker = self._recovery.tracker
+        self._estimator = Estimator(config.chain_limits.declared)
+        self._tracker = self._estimator.tracker
         self._supervision = Supervision(config.limits)
         self._frozen = FrozenInput(config.frozen_samples, self._tracker.residual_limit)
         self._per_sync = 1
@@ -89,7 +90,7 @@ class SignalChain(UsualStep):
         old, self._times.interval_s = self._times.unit_s, interval_s
         if old > 0.0 and interval_s > 0.0:
             self._waited *= old / interval_s
-            self._recovery.rescale(old / interval_s)
+            self._estimator.rescale(old / interval_s)
 
     @property
     def unit_s(self) -> float:
@@ -97,44 +98,48 @@ class SignalChain(UsualStep):
         return self._times.unit_s / self._per_sync
 
     @property
+    def loss_cause(self) -> LossCause:
+        """Why the position was lost the last time."""
+        return self._estimator.loss_cause
+
+    @property
     def lost(self) -> bool:
         """True from the moment the position is lost until :meth:`restart`."""
-        return self._recovery.lost
+        return self._estimator.lost
 
     def set_limits(self, limits: ChainLimits) -> None:
         """Take new limits, between two samples. Another encoder resets coarse track and zero pulse."""
         self._nothing_in_doubt = False
         if limits.samples_per_sync != self._per_sync:
             self._sample_faster(limits.samples_per_sync)
-        self._predict_by(limits.prediction_order, limits.residual_limit)
-        self._recovery.set_motion(limits.motion)
+        self._declare(limits.declared)
         self._frozen.residual_limit_cycles = limits.residual_limit
         self._supervision.set_limits(limits.sample)
-        self._recovery.coast_samples = limits.coast_samples * self._per_sync
         self._frozen.frozen_samples = limits.frozen_samples
         if limits.cycles_per_revolution != self._reference.coarse.cycles_per_revolution:
             self._make_reference(limits)
         self._reference.coarse.limit_revolutions = limits.coarse_limit_revolutions
         self._reference.coarse.full_scale_counts = limits.sample.full_scale_counts
 
-    def _predict_by(self, order: int, residual_limit: float) -> None:
-        """Predict by this order from the next sample on; the position stays.
+    def _declare(self, declared: Declared) -> None:
+        """Hold the next samples against this; the position stays.
 
-        It is lost if the samples were about to determine it; or if the machine accelerates by more than
-        the prediction of constant speed can follow.
+        With another order of prediction it is lost if the samples were about to determine it; or if the
+        machine accelerates by more than the prediction of constant speed can follow.
         """
-        if order == self._recovery.order:
+        if declared.order == self._estimator.order:
+            self._estimator.declare(declared)
             return
-        self._recovery = successor(self._recovery, order, residual_limit)
-        self._tracker = self._recovery.tracker
-        self._reference.follow(self._recovery)
+        self._estimator = successor(self._estimator, declared)
+        self._tracker = self._estimator.tracker
+        self._reference.follow(self._estimator)
 
     def _sample_faster(self, per_sync: int) -> None:
         """From the next interval on there are so many samples in it; the position stays."""
         factor = per_sync / self._per_sync
         self._per_sync = per_sync
         self.between = ()
-        self._recovery.rescale(factor)
+        self._estimator.rescale(factor)
         self._reference.slipped()
         self._speed /= factor
         self._before = None
@@ -142,7 +147,7 @@ class SignalChain(UsualStep):
     def _make_reference(self, limits: ChainLimits) -> None:
         n = limits.cycles_per_revolution
         coarse = CoarseTrack(n, limits.sample.full_scale_counts, limits.coarse_limit_revolutions)
-        self._reference = Reference(self._recovery, coarse, ZeroPulse(n))
+        self._reference = Reference(self._estimator, coarse, ZeroPulse(n))
         self._referenced = 0
         self._renew_second()
 
@@ -162,7 +167,7 @@ class SignalChain(UsualStep):
         sample shows that it is not.
         ValueError for a speed that is not finite or above 2**31 in size.
         """
-        self._recovery.restart(cycles, speed_cycles)
+        self._estimator.restart(cycles, speed_cycles)
         self._reference.restart()
         self._restart_second()
         self._pause()
@@ -175,18 +180,18 @@ class SignalChain(UsualStep):
         at that speed could have left the cycle meanwhile, the position is lost. One that was lost
         before the pause starts again, at cycle count 0.
         """
-        was_lost, moved = self._recovery.lost, self._could_move(intervals, STANDSTILL_CYCLES)
+        was_lost, moved = self._estimator.lost, self._could_move(intervals, STANDSTILL_CYCLES)
         self._reference.restart(keep=not was_lost and not moved)
         self._restart_second(not was_lost and not moved, not was_lost)
-        self._recovery.resume()
+        self._estimator.resume()
         self._pause()
         if moved and not was_lost:
-            self._recovery.lose()
+            self._estimator.lose(LossCause.PAUSE)
             self._reference.slipped()
 
     def _could_move(self, intervals: float, least_cycles: float) -> bool:
         """At the last speeds the machine leaves its cycle within this many intervals."""
-        speed = self._recovery.steady_speed()
+        speed = self._estimator.steady_speed()
         fast = abs(self._tracker.step_cycles) >= FASTEST_STANDSTILL_CYCLES
         passed = intervals * self._per_sync
         return fast or (abs(speed) >= least_cycles and abs(speed) * passed > LARGEST_SLIP_CYCLES)
@@ -196,15 +201,15 @@ class SignalChain(UsualStep):
 
         None where that makes no difference: each phase is then less than half a cycle from the last.
         """
-        speed = max(abs(self._tracker.step_cycles), abs(self._recovery.steady_speed()))
+        speed = max(abs(self._tracker.step_cycles), abs(self._estimator.steady_speed()))
         most = speed * intervals * self._per_sync
-        if self._recovery.lost or not self._tracker.started or most < LARGEST_SLIP_CYCLES:
+        if self._estimator.lost or not self._tracker.started or most < LARGEST_SLIP_CYCLES:
             return None
         return self.lose()
 
     def lose(self) -> Feedback:
         """The position is lost from now on: no cycles were counted."""
-        self._recovery.lose()
+        self._estimator.lose(LossCause.TIME)
         self._reference.slipped()
         track = self._tracker.predict(0.0)
         return self._feedback(math.nan, math.nan, 0.0, math.nan, track, LOST, 0)
@@ -247,7 +252,7 @@ class SignalChain(UsualStep):
                     return self._restarted(sample)
                 self._waited += elapsed
             else:
-                next_one = elapsed + self._waited < MISSED_INTERVALS
+                next_one = elapsed + self._waited < HOLE_INTERVALS
                 if self.measures_intervals:
                     elapsed = passed - self._waited  # what was waited for is counted already
                 self._waited = 0.0
@@ -317,7 +322,7 @@ class SignalChain(UsualStep):
         else:
             faults = supervision.faults(sine, cosine, amplitude)
         if sine == self._sine and cosine == self._cosine:
-            if self._frozen.repeated(0.0 if self._frozen.repeats else self._recovery.least_speed()):
+            if self._frozen.repeated(0.0 if self._frozen.repeats else self._estimator.least_speed()):
                 faults |= FROZEN
         else:
             self._sine, self._cosine = sine, cosine
@@ -327,9 +332,9 @@ class SignalChain(UsualStep):
         if measured:
             table = self._table
             phase = raw if table is None else table.correct(raw)
-            track, bits = self._recovery.good(phase, elapsed, next_one)
+            track, bits = self._estimator.good(phase, elapsed)
         else:
-            track, bits = self._recovery.bad(elapsed, missed=unplaced)
+            track, bits = self._estimator.bad(elapsed, missed=unplaced)
         reference = self._reference
         if bits & LOST and (not measured or bits & RESIDUAL):
             reference.slipped()
@@ -344,7 +349,7 @@ class SignalChain(UsualStep):
         if self._second is not None:
             bits, jump = self._second.apply(track, bits, jump, elapsed, measured, coarse is None, newest)
         self._before = track if measured and jump == 0 else None
-        if elapsed > MISSED_INTERVALS and not (next_one and bits & VALID):
+        if elapsed > HOLE_INTERVALS and not (next_one and bits & VALID):
             bits |= MISSED
         return self._feedback(s, c, amplitude, raw, track, bits | faults, jump)
 
@@ -358,7 +363,7 @@ class SignalChain(UsualStep):
 
         And nothing of the last samples is in doubt. A lost position is not: eq. 9 runs on with it.
         """
-        doubts = self._recovery.in_doubt or self._supervision.after_fault or self._reference.in_doubt
+        doubts = self._estimator.in_doubt or self._supervision.after_fault or self._reference.in_doubt
         return not doubts and continues(self._tracker, tracked, at)
 
     def follow_run(
@@ -375,25 +380,25 @@ class SignalChain(UsualStep):
         start: int = run.start
         cycles, phase = tracked.cycles, tracked.phase
         state = self._tracker.snapshot()
-        stop = self._recovery.follow_run(tracked, run, scratch)
+        stop = self._estimator.follow_run(tracked, run, scratch)
         if stop > start:
             before = self._sine, self._cosine
             equal = repeats(sine[: stop - start], cosine[: stop - start], before, scratch.bit)
             if equal is None:
                 self._frozen.moved()
             else:
-                speeds = self._recovery.least_speeds(cycles[start:stop], phase[start:stop])
+                speeds = self._estimator.least_speeds(cycles[start:stop], phase[start:stop])
                 stop = start + self._frozen.take_run(equal, speeds)
         if stop == start:
             self._tracker.restore(state)
             return 0
         last = Track(int(cycles[stop - 1]), float(phase[stop - 1]), float(tracked.residual[stop - 1]), True)
-        self._recovery.take_run(tracked, start, stop)
+        self._estimator.take_run(state, tracked, start, stop)
         self._sine, self._cosine = float(sine[stop - start - 1]), float(cosine[stop - start - 1])
         self._before, self._last = last, None
         self._speed = self._tracker.step_cycles
-        self._was_valid = 0 if self._recovery.lost else VALID
-        if self._recovery.lost and not tracked.ok[start:stop].all():
+        self._was_valid = 0 if self._estimator.lost else VALID
+        if self._estimator.lost and not tracked.ok[start:stop].all():
             self._reference.slipped()
         self._clock += stop - start
         self._samples += stop - start
@@ -402,10 +407,10 @@ class SignalChain(UsualStep):
 
     def miss(self) -> Feedback:
         """One interval of SYNC without a sample: the position coasts, flagged."""
-        if not self._recovery.lost:  # then its length does not matter
+        if not self._estimator.lost:  # then its length does not matter
             self._waited += 1.0
         intervals = float(self._per_sync)
-        track, bits = self._recovery.bad(intervals, missed=True)
+        track, bits = self._estimator.bad(intervals, missed=True)
         self._clock += intervals
         self._before = None
         self.between = ()
@@ -429,7 +434,7 @@ class SignalChain(UsualStep):
         if self._was_valid or not bits & VALID:
             acceleration = speed - self._speed
         else:  # the speed of a sample that was not valid may be wrong by whole cycles
-            acceleration = self._recovery.acceleration()
+            acceleration = self._estimator.acceleration()
         self._speed, self._was_valid = speed, bits & VALID
         status = bits | self._base_status
         if self._referenced and not bits & LOST:

@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 
 from canfb.checks import integer_in
 from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.declared import COAST_SAMPLES, DOUBT_ACCELERATION, Declared
 from canfb.signal.limits import PHASE_ERROR_CYCLES
-from canfb.signal.recovery.parabola import MotionLimits
-from canfb.signal.recovery.recovery import COAST_SAMPLES
 from canfb.signal.subsamples import MOST_PER_SYNC
 from canfb.signal.supervision import SampleLimits
 from canfb.signal.third_order import SECOND, check_order
@@ -49,6 +48,8 @@ class ChainLimits:
     phase_error: float = PHASE_ERROR_CYCLES
     instant_error: float = 0.0
     widest_limit: float | None = None
+    bad_samples: int = 0
+    doubt_acceleration: float = DOUBT_ACCELERATION
 
     def __post_init__(self) -> None:
         check_residual_limit(self.residual_limit)
@@ -66,18 +67,20 @@ class ChainLimits:
         return (self.acceleration if self.prediction_order == SECOND else self.jerk) or 0.0
 
     @property
-    def motion(self) -> MotionLimits:
-        """What the machine can do."""
-        start = self.residual_limit if self.start_limit is None else self.start_limit
-        widest = self.residual_limit if self.widest_limit is None else self.widest_limit
-        return MotionLimits(
-            self.residual_limit,
-            start,
-            self.jerk,
-            self.acceleration,
-            self.phase_error,
-            self.instant_error,
-            widest,
+    def declared(self) -> Declared:
+        """The same for the estimator."""
+        return Declared(
+            order=self.prediction_order,
+            residual_limit=self.residual_limit,
+            given_start_limit=self.start_limit,
+            widest_limit=self.widest_limit,
+            acceleration=self.acceleration,
+            jerk=self.jerk,
+            phase_error=self.phase_error,
+            instant_error=self.instant_error,
+            bad=self.bad_samples,
+            doubt_acceleration=self.doubt_acceleration,
+            coast_samples=self.coast_samples * self.samples_per_sync,
         )
 
 

@@ -12,9 +12,9 @@ from collections import deque
 from math import sqrt
 
 from canfb.signal.correction import CorrectionTable, Lines
+from canfb.signal.estimator import Estimator
 from canfb.signal.feedback import Feedback
 from canfb.signal.frozen import FrozenInput
-from canfb.signal.recovery.recovery import Recovery
 from canfb.signal.recovery.second_listener import SecondListener
 from canfb.signal.supervision import VALID, Supervision
 from canfb.signal.tracker import Track, Tracker
@@ -25,13 +25,13 @@ _new = tuple.__new__  # makes a named tuple in half the time that its own constr
 class UsualStep(SecondListener):
     """What a usual sample reads and writes; the chain says when one may come (``_nothing_in_doubt``)."""
 
-    _recovery: Recovery
+    _estimator: Estimator
     _supervision: Supervision
     _frozen: FrozenInput
     _base_status: int  # TABLE_ACTIVE or 0
     _referenced: int  # REFERENCED or 0
     _tracker: Tracker
-    _places: deque[tuple[int, float, float]]  # of the recovery
+    _places: deque[tuple[int, float, float]]  # of the estimator
     _coefficients: tuple[float, float, float, float, float]
     _bounds: tuple[float, float, float, float]
     _entries: int  # of the table; 0 for the identity
@@ -72,12 +72,12 @@ class UsualStep(SecondListener):
 
     def _look_again(self, feedback: Feedback) -> None:
         """After ``feedback``: may the next sample be a usual one?"""
-        in_doubt = self._recovery.in_doubt or self._reference.in_doubt or self._second is not None
+        in_doubt = self._estimator.in_doubt or self._reference.in_doubt or self._second is not None
         self._stands = self._frozen.stands
         faulty = self._supervision.after_fault or (self._frozen.repeats and not self._stands)
         if feedback.status & VALID and not (in_doubt or faulty):
             self._nothing_in_doubt = True
-            self._places, self._bounds = self._recovery.places, self._supervision.bounds
+            self._places, self._bounds = self._estimator.places, self._supervision.bounds
             self._status = VALID | self._base_status | self._referenced
 
     def _count_repeats(self, repeated: bool) -> None:
@@ -135,7 +135,7 @@ class UsualStep(SecondListener):
             if phase >= 1.0:
                 phase -= 1.0
         tracker = self._tracker
-        residual = tracker.advance(phase) if elapsed == 1.0 else self._recovery.advance_over(phase, elapsed)
+        residual = tracker.advance(phase) if elapsed == 1.0 else self._estimator.advance_over(phase, elapsed)
         if residual < 0.0:
             return None
         if self._stands:

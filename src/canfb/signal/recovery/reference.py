@@ -13,9 +13,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from canfb.objects import LossCause
+from canfb.signal.estimator import Estimator
 from canfb.signal.feedback import Feedback
 from canfb.signal.recovery.coarse import CoarseTrack
-from canfb.signal.recovery.recovery import Recovery
 from canfb.signal.recovery.zero_pulse import PulseVerdict, ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
@@ -36,9 +37,9 @@ class Pulse(NamedTuple):
 
 
 class Reference:
-    """Joins coarse track and zero pulse to a :class:`Recovery`."""
+    """Joins coarse track and zero pulse to a :class:`Estimator`."""
 
-    def __init__(self, recovery: Recovery, coarse: CoarseTrack, zero: ZeroPulse) -> None:
+    def __init__(self, recovery: Estimator, coarse: CoarseTrack, zero: ZeroPulse) -> None:
         self.follow(recovery)
         self._passed = 0.0  # since the last coarse track, before this sample; below 0: not all were taken
         self.coarse = coarse
@@ -49,15 +50,15 @@ class Reference:
         """How often a zero pulse found the count wrong and set it right."""
         self.restart()
 
-    def follow(self, recovery: Recovery) -> None:
+    def follow(self, recovery: Estimator) -> None:
         """Join them to another recovery, which goes on where the one before was."""
-        self._recovery = recovery
+        self._estimator = recovery
         recovery.on_lost = self.position_lost
 
     @property
-    def recovery(self) -> Recovery:
+    def recovery(self) -> Estimator:
         """What they are joined to."""
-        return self._recovery
+        return self._estimator
 
     @property
     def range_known(self) -> bool:
@@ -93,7 +94,7 @@ class Reference:
         """
         elapsed = elapsed + self._passed if elapsed and self._passed >= 0.0 else 0.0
         self._passed = 0.0
-        was_lost = self._recovery.lost
+        was_lost = self._estimator.lost
         jump = 0
         angle: float | None = None
         if sample.coarse_sine is not None and sample.coarse_cosine is not None:
@@ -101,7 +102,7 @@ class Reference:
             bits, jump = self._compare(angle, track, bits, elapsed)
         if pulse is not None and jump == 0:
             bits, jump = self._pulse(*pulse, track, bits, angle)
-        if self._recovery.lost and not was_lost:
+        if self._estimator.lost and not was_lost:
             self.position_lost()
         if self.in_doubt and bits & VALID:
             bits = bits & ~VALID | COASTING
@@ -116,7 +117,7 @@ class Reference:
     def missed(self) -> None:
         """A sample did not come."""
         self._agreeing = 0
-        self.slipped() if self._recovery.lost else self.coarse.restart_search()
+        self.slipped() if self._estimator.lost else self.coarse.restart_search()
 
     def slipped(self) -> None:
         """A sample of a lost position was not taken, or over the limit: its speed is not known any more."""
@@ -131,12 +132,12 @@ class Reference:
         self.coarse.restart_search()
 
     def _compare(self, angle: float | None, track: Track, bits: int, elapsed: float) -> tuple[int, int]:
-        lost = self._recovery.lost
+        lost = self._estimator.lost
         if self._proven and not lost:
             return self._check(angle, track, bits), 0
         jump = 0
-        by_jerk = self._recovery.order == THIRD
-        if elapsed == 0.0 or (by_jerk and self._recovery.in_doubt):  # this sample was not taken
+        by_jerk = self._estimator.order == THIRD
+        if elapsed == 0.0 or (by_jerk and self._estimator.in_doubt):  # this sample was not taken
             self._agreeing = 0
             self.coarse.restart_search()
         elif not (lost and self._range_known):
@@ -161,24 +162,24 @@ class Reference:
         """
         self.coarse.restart_search()
         if missing:
-            self._recovery.found(0, missing)
+            self._estimator.found(0, missing)
         self._agreeing = 0 if missing else self._agreeing + 1
         return self._agreeing >= AGREEING_SEARCHES
 
     def _range_found(self, missing: int, angle: float, track: Track) -> int:
         coarse = self.coarse
         jump = coarse.nearest_cycles(angle, track.cycles, track.phase) - track.cycles if coarse.aligned else 0
-        if missing or (jump and self._recovery.lost):
-            self._recovery.found(jump if self._recovery.lost else 0, missing)
-        if missing or self._recovery.lost:
+        if missing or (jump and self._estimator.lost):
+            self._estimator.found(jump if self._estimator.lost else 0, missing)
+        if missing or self._estimator.lost:
             self.recovered += 1
         self._range_known = self._proven = True
-        if not self._recovery.lost:
+        if not self._estimator.lost:
             coarse.align(angle, track.cycles, track.phase)
             return 0
         exact = coarse.limit_revolutions * coarse.cycles_per_revolution < EXACT_CYCLES
         if exact or not (coarse.aligned or self.zero.referenced):
-            self._recovery.vouch()  # or there was no position yet that could be lost
+            self._estimator.confirm_count()  # or there was no position yet that could be lost
         return jump
 
     def _check(self, angle: float | None, track: Track, bits: int) -> int:
@@ -196,7 +197,7 @@ class Reference:
 
     def _contradicted(self, bits: int) -> int:
         self._disagreeing = 0
-        self._recovery.lose()
+        self._estimator.lose(LossCause.REFERENCE)
         return bits & ~(VALID | COASTING) | COARSE | LOST
 
     def _pulse(
@@ -205,7 +206,7 @@ class Reference:
         """A zero pulse at this time and position."""
         if bits & VALID:
             return self._pulse_of_valid(cycles, phase, track, bits, angle)
-        if not self._recovery.lost:
+        if not self._estimator.lost:
             return bits, 0
         if not self._range_known:
             self._range_from_pulses(time, cycles, phase)
@@ -219,8 +220,8 @@ class Reference:
             else:
                 self.zero.weigh(cycles, phase)
         self.set_right += jump != 0
-        self._recovery.found(jump, 0)
-        self._recovery.vouch()
+        self._estimator.found(jump, 0)
+        self._estimator.confirm_count()
         if angle is not None:
             self.coarse.align(angle, track.cycles + jump, track.phase)
         self._proven = True
@@ -236,10 +237,10 @@ class Reference:
         self.in_doubt = verdict is PulseVerdict.CONTRADICTS
         if verdict is PulseVerdict.WRONG:
             self.set_right += 1
-            self._recovery.found(-error, 0)
+            self._estimator.found(-error, 0)
             return bits & ~VALID | COASTING, -error
         if verdict is PulseVerdict.SLIPPED:  # what is counted from here is certain again
-            self._recovery.restart_count()
+            self._estimator.on_lost()
             if angle is not None:
                 self.coarse.align(angle, track.cycles, track.phase)
             return bits & ~VALID | LOST, 0
@@ -258,7 +259,7 @@ class Reference:
 
         That determines a speed, but not an acceleration.
         """
-        if self._recovery.order == THIRD:
+        if self._estimator.order == THIRD:
             return
         first, self._first_pulse = self._first_pulse, Pulse(time, cycles, phase)
         if first is None or time - first[0] < 1.0:
@@ -271,7 +272,7 @@ class Reference:
             if abs(missing - round(missing)) * intervals < 1.0:
                 found.add(round(missing))
         if len(found) == 1:
-            self._recovery.found(0, found.pop())
+            self._estimator.found(0, found.pop())
             self._range_known = self._range_from_zero = True
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 
+from canfb.objects import LossCause
 from canfb.signal.recovery.reference import Reference
 from canfb.signal.recovery.second_search import PHASE_CYCLES, CountSearch, SpeedSearch, Standstill
 from canfb.signal.recovery.second_values import MOST_LATE, SecondValues
@@ -226,7 +227,7 @@ class SecondOpinion:
         self._restart_search()
         if missing:
             if self._paused:
-                recovery.lose()  # it did not stand still in the pause
+                recovery.lose(LossCause.PAUSE)  # it did not stand still in the pause
             recovery.found(0, missing)
             reference.recovered += 1
         self._searches = self._searches_after(missing, searches)
@@ -297,7 +298,7 @@ class SecondOpinion:
                 return 0
         if self._origin is None or not self._firm:
             if not self._had_position:  # there was no position yet that could be lost
-                recovery.vouch()
+                recovery.confirm_count()
                 self._proven, self._origin = True, pair
             return 0
         return self._set_count(pair, self._origin)
@@ -317,7 +318,7 @@ class SecondOpinion:
         self._restart_search()
         if wanted:
             recovery.found(wanted, 0)
-        recovery.vouch()
+        recovery.confirm_count()
         self._proven = True
         return wanted
 

@@ -1,0 +1,412 @@
+"""Every motion that the machine can have made since a sample was missing, flagged or contradicted.
+
+The idea is that of integer ambiguity resolution (GNSS), with bounds in place of probabilities. A
+:class:`Candidate` is one sequence of cycle counts. Each sample gives it one successor for each count in its
+window (:mod:`canfb.signal.motion`), and none where there is no count. What is left is every motion within
+the declared bounds; where all that are left agree, the position is right as long as the declaration holds.
+
+- **Missing.** Over missing samples the junction decides. One count left: valid, at the first sample behind
+  the hole.
+- **An unknown number of intervals.** A sample may come with several possible elapsed times. Each is
+  followed; for all of them the sample is behind a hole. Valid as soon as all counts agree, whatever the
+  time was.
+- **Contradicted.** No candidate can take sample K. Up to m neighbouring samples may be bad unnoticed, and
+  their residuals are over the limit r - 1 samples after the last of them at the latest: from each sample K
+  - (m + r - 1) .. K on, m samples are left out, and the search starts again there.
+- **Flagged.** One bad sample is known, so the ones beside it are less certain, too.
+
+After a contradiction or a flagged sample the position is valid again when one candidate is left, r samples
+of it are settled, and three tests are passed, which can take validity away and never give it:
+
+- random phases would leave a candidate with a probability of at most 1e-5. A window of width w takes a
+  random phase with probability w, and M residuals within w by themselves with M w^(M-1);
+- the same phase again and again, where it was another before, is an input that stands still, not a motion;
+- the run does not extend backwards up to the sample that contradicted. If it does, all samples fit the
+  motion before or the motion after: a jump (tracks exchanged, a cable moved), and no glitch.
+
+It is lost when no candidate is left, or too many, or when no later phase can separate them: counts that
+differ by a polynomial of degree below r through whole numbers at whole times.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from canfb.objects import LossCause
+from canfb.signal.motion import MOST_JOINED, SHORT_INTERVAL, Motion, Spot, Window
+
+FALSE_ACCEPTANCE = 1e-5  # probability per decision that random phases pass for a machine
+MOST_CANDIDATES = 256
+MOST_INTERVALS = 32.0  # of doubt with samples: many times what decides (at most some ten samples)
+HOLE_INTERVALS = 1.5  # from here on samples are missing between two
+SAME_TIME = 1e-9  # intervals: rounding
+SPOTS_KEPT = 8  # of a candidate: what a junction and the windows of short intervals need
+NO_RESIDUALS = (0, math.inf, -math.inf)
+
+
+class Candidate(NamedTuple):
+    """One motion: what it makes of each sample.
+
+    time       of its last entry, intervals
+    spots      the samples before the hole, and those of the run behind it, oldest first; the last ones
+    run        samples since the last hole
+    leaves     so many samples are still to be left out
+    chance     expected number of random phases that would have got so far
+    joined     the same, up to the end of the junction
+    residuals  of the samples behind the junction: how many, smallest, largest, cycles
+    took       elapsed times that were not certain: (number of the entry, intervals)
+    """
+
+    time: float
+    spots: tuple[Spot, ...]
+    run: int
+    leaves: int = 0
+    chance: float = 1.0
+    joined: float = 1.0
+    residuals: tuple[int, float, float] = NO_RESIDUALS
+    took: tuple[tuple[int, float], ...] = ()
+
+    @property
+    def last(self) -> Spot:
+        """The newest sample."""
+        return self.spots[-1]
+
+    @property
+    def run_spots(self) -> tuple[Spot, ...]:
+        """The samples since the last hole, as far as they are kept."""
+        return self.spots[-self.run :] if self.run else ()
+
+    def is_settled(self, order: int) -> bool:
+        """The run determines the next sample, and nothing is to be left out."""
+        return self.run >= order and not self.leaves
+
+    @property
+    def probability(self) -> float:
+        """That random phases would look like this."""
+        number, least, most = self.residuals
+        spread = number * max(0.0, most - least) ** (number - 1) if number > 1 else 1.0
+        return min(self.chance, self.joined * spread)
+
+    def over_hole(self, elapsed: float, left_out: bool = False) -> Candidate:
+        """With an entry that it does not use, ``elapsed`` intervals later."""
+        return self._replace(
+            time=self.time + elapsed,
+            run=0,
+            leaves=self.leaves - left_out,
+            joined=self.chance,
+            residuals=NO_RESIDUALS,
+        )
+
+    def window(self, time: float, motion: Motion) -> tuple[Window, bool]:
+        """Where its next sample can be; and whether the hole before its run decides that."""
+        run = self.run_spots
+        before = self.spots[: len(self.spots) - len(run)]
+        if self.run < motion.order and before:
+            return motion.beyond(before, run, time), True
+        window = motion.window(run if self.run >= motion.order else self.spots, time)
+        if len(before) >= 2 and self.run < MOST_JOINED and _is_close(run):
+            window = window.meet(motion.beyond(before, run, time))
+        return window, False
+
+    def successors(
+        self, phase: float, options: Sequence[float], number: int, motion: Motion
+    ) -> Iterable[Candidate]:
+        """With a sample after one of the elapsed times ``options``: one for each count in its window."""
+        for elapsed in options:
+            uncertain = len(options) > 1
+            start = self.over_hole(0.0) if self.run and (uncertain or elapsed >= HOLE_INTERVALS) else self
+            time = self.time + elapsed
+            window, joins = start.window(time, motion)
+            chance = start.chance * window.width * len(options)
+            took = (*start.took, (number, elapsed)) if uncertain else start.took
+            for cycles in window.counts(phase):
+                residuals = start.residuals if joins else _noted(start.residuals, window, cycles + phase)
+                yield Candidate(
+                    time,
+                    (*start.spots[-SPOTS_KEPT:], Spot(time, cycles, phase)),
+                    start.run + 1,
+                    0,
+                    chance,
+                    chance if joins else start.joined,
+                    residuals,
+                    took,
+                )
+
+    def rescaled(self, factor: float) -> Candidate:
+        """The same, in another unit of time."""
+        return self._replace(
+            time=self.time * factor,
+            spots=tuple(spot._replace(time=spot.time * factor) for spot in self.spots),
+            took=tuple((number, elapsed * factor) for number, elapsed in self.took),
+        )
+
+    def future(self, order: int) -> tuple[object, ...]:
+        """What its next windows depend on: the same for two candidates that cannot come apart."""
+        recent = self.spots[-order:] if self.run >= order else self.spots[-order - self.run :]
+        places = tuple((round(spot.time - self.time, 9), spot.cycles, spot.phase) for spot in recent)
+        return places, min(self.run, order), self.leaves
+
+    def joined_by(self, other: Candidate) -> Candidate:
+        """This one and ``other`` of the same future as one; what only one of them used is forgotten."""
+        number, least, most = self.residuals
+        number_, least_, most_ = other.residuals
+        common = 0
+        for one, two in zip(reversed(self.spots), reversed(other.spots), strict=False):
+            shift = self.time - other.time
+            if one[1:] != two[1:] or abs(one.time - two.time - shift) > SAME_TIME:
+                break
+            common += 1
+        return self._replace(
+            spots=self.spots[-common:],
+            run=min(self.run, other.run),
+            chance=self.chance + other.chance,
+            joined=self.joined + other.joined,
+            residuals=(min(number, number_), min(least, least_), max(most, most_)),
+            took=tuple(dict.fromkeys(self.took + other.took)),
+        )
+
+
+def _noted(residuals: tuple[int, float, float], window: Window, position: float) -> tuple[int, float, float]:
+    number, least, most = residuals
+    residual = position - window.base - (window.low + window.high) / 2.0
+    return number + 1, min(least, residual), max(most, residual)
+
+
+def _is_close(run: tuple[Spot, ...]) -> bool:
+    return any(later.time - one.time < SHORT_INTERVAL for one, later in itertools.pairwise(run))
+
+
+def merged(candidates: Iterable[Candidate], order: int) -> list[Candidate] | None:
+    """One candidate for all with the same future; None if there are too many to follow."""
+    unique: dict[tuple[object, ...], Candidate] = {}
+    for one in candidates:
+        key = one.future(order)
+        other = unique.get(key)
+        unique[key] = one if other is None else other.joined_by(one)
+        if len(unique) > MOST_CANDIDATES:
+            return None
+    return list(unique.values())
+
+
+class Entry(NamedTuple):
+    """One sample or its absence: the phase of a good one, its elapsed times, the candidates before it."""
+
+    phase: float | None
+    options: tuple[float, ...]
+    before: Sequence[Candidate]
+
+
+class Verdict(NamedTuple):
+    """What the candidates say: the one that is right, and whether nothing is in doubt any more."""
+
+    candidate: Candidate | None = None
+    settled: bool = False
+    lost: LossCause | None = None
+
+
+UNDECIDED = Verdict()
+
+
+class Doubt:
+    """Candidates from the last certain samples on, until one is right or the position is lost.
+
+    ``log`` are the entries before, with the candidates at that time: a contradiction goes back into them.
+    ``start`` are the candidates now.
+    """
+
+    def __init__(
+        self, motion: Motion, bad_samples: int, log: Sequence[Entry], start: list[Candidate]
+    ) -> None:
+        self.motion = motion
+        self.bad_samples = bad_samples
+        self.log = list(log)
+        self.candidates = start
+        self._begun = len(self.log)
+        self._first_spots = start[0].spots
+        self._only_missing = True
+        self._contradicted: int | None = None  # number of the last entry that no candidate could take
+        self._followed = 0.0  # intervals with samples
+
+    def skip(self, elapsed: float, flagged: bool) -> None:
+        """No sample, or one that failed its checks (``flagged``)."""
+        self._only_missing &= not flagged
+        self._enter(None, (elapsed,))
+        self._follow(one.over_hole(elapsed) for one in self.candidates)
+
+    def take(self, phase: float, options: tuple[float, ...], refused: bool = False) -> Verdict:
+        """A good sample, after one of the elapsed times ``options``.
+
+        ``refused``: its residual was over the limit of usual samples, and so it contradicts.
+        """
+        self._followed += min(options)
+        self._enter(phase, options)
+        number = len(self.log) - 1
+        if not self._follow([] if refused else self._advance(self.candidates, number)):
+            return Verdict(lost=LossCause.UNDECIDED)
+        if not self.candidates:
+            self._only_missing = False
+            self._contradicted = self._first_misfit(number)
+            if not self._go_back(self._contradicted):
+                return Verdict(lost=LossCause.UNDECIDED)
+        return self._decide()
+
+    def confirm(self, back: int, elapsed: float) -> None:
+        """The entry ``back`` before the last one came after this elapsed time."""
+        number = len(self.log) - 1 - back
+        if number < 0 or len(self.log[number].options) == 1:
+            return
+        self.log[number] = self.log[number]._replace(options=(elapsed,))
+        self.candidates = _confirmed(self.candidates, number, elapsed)
+        for later in range(number + 1, len(self.log)):
+            entry = self.log[later]
+            self.log[later] = entry._replace(before=_confirmed(entry.before, number, elapsed))
+
+    def declare(self, motion: Motion, bad_samples: int) -> None:
+        """Take other bounds, between two samples."""
+        self.motion, self.bad_samples = motion, bad_samples
+
+    def without_times_taken(self) -> list[Entry]:
+        """The log, its candidates without the numbers of its entries."""
+        return [
+            entry._replace(before=tuple(one._replace(took=()) for one in entry.before)) for entry in self.log
+        ]
+
+    def rescale(self, factor: float) -> None:
+        """Intervals are counted in another unit: all are ``factor`` times as many of it."""
+        self.candidates = [one.rescaled(factor) for one in self.candidates]
+        self.log = [
+            Entry(
+                phase,
+                tuple(one * factor for one in options),
+                tuple(one.rescaled(factor) for one in before),
+            )
+            for phase, options, before in self.log
+        ]
+
+    def _enter(self, phase: float | None, options: tuple[float, ...]) -> None:
+        self.log.append(Entry(phase, options, tuple(self.candidates)))
+
+    def _follow(self, found: Iterable[Candidate]) -> bool:
+        """Go on with these; False if they are too many."""
+        candidates = merged(found, self.motion.order)
+        self.candidates = candidates or []
+        return candidates is not None
+
+    def _advance(self, candidates: Iterable[Candidate], number: int) -> Iterable[Candidate]:
+        """All of them over one entry of the log."""
+        phase, options, _ = self.log[number]
+        for one in candidates:
+            if phase is None:
+                for elapsed in options:
+                    yield one.over_hole(elapsed)
+            elif one.leaves:
+                for elapsed in options:
+                    yield one.over_hole(elapsed, left_out=True)
+            else:
+                yield from one.successors(phase, options, number, self.motion)
+
+    def _go_back(self, contradicted: int) -> bool:
+        """Leave m samples out, from each entry on that can have been the first bad one."""
+        now = len(self.log)
+        found: list[Candidate] = []
+        for start in range(max(0, contradicted - self._reach), contradicted + 1):
+            if self.log[start].phase is None:
+                continue
+            some: list[Candidate] | None = [
+                one._replace(leaves=self.bad_samples) for one in self.log[start].before if not one.leaves
+            ]
+            for number in range(start, now):
+                some = merged(self._advance(some or (), number), self.motion.order)
+                if some is None:
+                    return False
+            found += some or ()
+        return self._follow(found)
+
+    def _decide(self) -> Verdict:
+        order = self.motion.order
+        candidates = self.candidates
+        if not candidates:
+            return Verdict(lost=LossCause.CONTRADICTED)
+        one = candidates[0]
+        counts = {other.last.cycles for other in candidates}
+        settled = all(other.is_settled(order) for other in candidates)
+        if self._only_missing and len(counts) == 1:
+            return Verdict(one, settled=settled and len(candidates) == 1)
+        if len(candidates) == 1:
+            if settled and not self._only_missing and self._is_proven(one):
+                return Verdict(lost=LossCause.JUMP) if self._is_jump(one) else Verdict(one, settled=True)
+        elif settled and self._is_inseparable():
+            return Verdict(lost=LossCause.AMBIGUOUS)
+        if self._followed > MOST_INTERVALS:
+            return Verdict(lost=LossCause.UNDECIDED)
+        return UNDECIDED
+
+    def _is_proven(self, one: Candidate) -> bool:
+        """Random phases, or a frozen input, would not look like this."""
+        if one.probability > FALSE_ACCEPTANCE:
+            return False
+        phases = {spot.phase for spot in one.run_spots}
+        if len(phases) > 1:
+            return True
+        return (
+            sum(spot.phase in phases for spot in self._first_spots) >= self.motion.order
+        )  # it stood still before
+
+    def _is_inseparable(self) -> bool:
+        """No later phase tells them apart."""
+        entries = self.log[self._begun :]
+        if any(len(entry.options) > 1 for entry in entries):
+            return False  # it may still be confirmed which it was
+        return all(abs(entry.options[0] - round(entry.options[0])) <= SAME_TIME for entry in entries)
+
+    def _is_jump(self, one: Candidate) -> bool:
+        """After a contradiction: all samples fit the motion before, or the run extended backwards."""
+        first = self._contradicted
+        if first is None:
+            return False
+        spots = one.run_spots
+        time = spots[0].time
+        for number in range(len(self.log) - len(spots), first, -1):
+            time -= self.log[number].options[0]
+            phase = self.log[number - 1].phase
+            if phase is None:
+                continue
+            backwards = tuple(spot._replace(time=-spot.time) for spot in reversed(spots))
+            window = self.motion.window(backwards, -time)
+            counts = window.counts(phase)
+            if not counts:
+                return False
+            spots = (Spot(time, counts[len(counts) // 2], phase), *spots)[:SPOTS_KEPT]
+        return True
+
+    def _first_misfit(self, contradicted: int) -> int:
+        """The first entry that the motion before does not fit, up to the one that contradicted.
+
+        While the acceleration is not known the residual limit of usual samples is wider than the window
+        in doubt: a sample beyond that was bad, although it was counted.
+        """
+        for number in range(max(0, contradicted - self._reach), contradicted):
+            phase, options, before = self.log[number]
+            if phase is None or len(before) != 1 or len(options) > 1:
+                continue
+            window, _ = before[0].window(before[0].time + options[0], self.motion)
+            if not window.counts(phase):
+                return number
+        return contradicted
+
+    @property
+    def _reach(self) -> int:
+        """So many samples before a contradiction may be bad."""
+        return self.bad_samples + self.motion.order - 1
+
+
+def _confirmed(candidates: Sequence[Candidate], number: int, elapsed: float) -> list[Candidate]:
+    kept = []
+    for one in candidates:
+        times = [time for entry, time in one.took if entry == number]
+        if not times or any(abs(time - elapsed) <= SAME_TIME for time in times):
+            kept.append(one)
+    return kept

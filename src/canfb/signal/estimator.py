@@ -1,0 +1,483 @@
+"""The position of a machine, from one phase after the other: counted, in doubt, or lost.
+
+Usually eq. 9 (or third-order prediction) counts: a residual within the limit leaves one cycle count, and
+the sample costs no more than that. All else is one question, which :mod:`canfb.signal.doubt` answers: which
+motions within what is declared are left?
+
+    counted --- missing, flagged, contradicted, or an interval of unknown length ---> in doubt
+    in doubt --- one motion is left ---> counted
+    in doubt --- none is left, or several that no sample can separate, or it takes too long ---> lost
+    lost --- a start, or an absolute value ---> counted
+
+While samples were only missing, the position may be valid in doubt: all motions that are left agree on it.
+While it is lost, eq. 9 runs on: its speed is then wrong by whole cycles per interval, which absolute values
+can show (:mod:`canfb.signal.recovery.reference`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.objects import LossCause
+from canfb.signal.blocks import Scratch
+from canfb.signal.declared import Declared
+from canfb.signal.doubt import SPOTS_KEPT, Candidate, Doubt, Entry, Verdict
+from canfb.signal.motion import Spot
+from canfb.signal.phase import FloatArray
+from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
+from canfb.signal.third_order import SECOND, ThirdOrderTracker, tracker_of
+from canfb.signal.tracker import NOT_USUAL, Track, TrackResult
+from canfb.signal.tracking import predicts_by_parabola, steady_run
+
+HOLE_INTERVALS = 1.5  # since the sample before: one was missed
+STEADY_SAMPLES = 16  # show whether the machine stands still
+START_SAMPLES = 8  # uneven times contradict a wrong speed at a start by sample 5 in 95 %
+REMEMBERED_SAMPLES = 24  # r + 2 (m + r - 1): to go back behind m bad samples, m = 8 at order 3
+
+
+class Estimator:
+    """Feeds a :class:`Tracker` with good samples, and decides what it is fed after any other.
+
+    ``places`` are the last samples that were counted: cycle count, phase, intervals since the one before.
+    """
+
+    __slots__ = (
+        "_coasted",
+        "_doubt",
+        "_past",
+        "_past_places",
+        "_virtual",
+        "declared",
+        "loss_cause",
+        "lost",
+        "on_lost",
+        "places",
+        "tracker",
+    )
+
+    def __init__(self, declared: Declared) -> None:
+        self.tracker = tracker_of(declared.order, declared.residual_limit)
+        self.on_lost: Callable[[], None] = _nothing
+        """Called when the position is lost."""
+        self.loss_cause = LossCause.NONE
+        """Of the last loss."""
+        self.places: deque[tuple[int, float, float]] = deque(maxlen=REMEMBERED_SAMPLES)
+        self.restart()
+        self.declare(declared)
+
+    @property
+    def order(self) -> int:
+        """Of the prediction: 2 limits the acceleration, 3 the jerk."""
+        return self.declared.order
+
+    def declare(self, declared: Declared) -> None:
+        """Take what the machine can do, between two samples; of the same order."""
+        self.declared = declared
+        tracker = self.tracker
+        tracker.residual_limit = declared.residual_limit
+        if isinstance(tracker, ThirdOrderTracker):
+            tracker.start_limit = declared.start_limit
+            tracker.acceleration_limit = declared.largest_second_difference
+        if self._doubt is not None:
+            self._doubt.declare(declared.in_doubt, declared.bad_samples)
+
+    # Starts, and what is known from outside.
+
+    def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
+        """Start with this cycle count and speed; the position is not lost any more.
+
+        ``speed_cycles`` in cycles per interval, as in :meth:`Tracker.restart`.
+        """
+        self.tracker.restart(cycles, speed_cycles)
+        self.lost = False
+        self._virtual: tuple[int, float, float] | None = (
+            None  # the sample before the first: the speed assumed
+        )
+        self._forget()
+
+    def _forget(self) -> None:
+        self._doubt: Doubt | None = None
+        self._past: Doubt | None = None  # the last one, while a contradiction can go back into it
+        self._past_places = 0
+        self._coasted = 0.0  # intervals since the last good sample
+        self.places.clear()
+
+    def take_over(self, old: Estimator) -> None:
+        """Go on where ``old`` is, which predicts by another order; what is in doubt stays behind."""
+        self.on_lost, self.lost, self.loss_cause = old.on_lost, old.lost, old.loss_cause
+        self.tracker.take_over(old.tracker)
+        self.places.extend(old.places)
+        self._virtual = old._virtual
+        self._count_by(SECOND if self.lost else self.order)
+
+    def resume(self) -> None:
+        """Go on at standstill from the last position, or from cycle count 0 if it was lost."""
+        if self.lost or self._doubt or not self.places:
+            self.restart()
+            return
+        self.tracker.halt()
+        self._forget()
+        self._begin_places()
+
+    def lose(self, cause: LossCause) -> None:
+        """Call the position lost. Eq. 9 counts from here on."""
+        self.lost = True
+        self.loss_cause = cause
+        self._forget()
+        self._count_by(SECOND)
+        self.on_lost()
+
+    def found(self, cycles: int, step_cycles: int) -> None:
+        """Shift the cycle count by ``cycles`` and the speed by ``step_cycles`` per interval."""
+        self.tracker.shift(cycles, step_cycles)
+        if step_cycles or self._doubt is not None or self.lost:
+            self._remember_tracker()
+            if step_cycles and isinstance(self.tracker, ThirdOrderTracker):
+                self.tracker.predict_by(self.tracker.order)  # another speed may have had another acceleration
+        else:
+            places = [(count + cycles, phase, elapsed) for count, phase, elapsed in self.places]
+            self.places.clear()
+            self.places.extend(places)
+            self._past = None
+
+    def confirm_count(self) -> None:
+        """The position is not lost any more: what eq. 9 counts is right."""
+        self.lost = False
+        self._remember_tracker()
+        self._count_by(self.order)
+
+    def _count_by(self, order: int) -> None:
+        if isinstance(self.tracker, ThirdOrderTracker):
+            self.tracker.predict_by(order)
+
+    def _begin_places(self) -> None:
+        """One sample is counted, and its speed assumed."""
+        before, last, elapsed = self.tracker.places
+        self._virtual = (before.cycles, before.phase, 1.0)
+        self.places.clear()
+        if self.tracker.step_cycles:
+            self.places.append(self._virtual)
+        self.places.append((last.cycles, last.phase, elapsed))
+
+    def _remember_tracker(self) -> None:
+        """The two samples that eq. 9 stands on are the last places: the position goes on with its speed."""
+        before, last, elapsed = self.tracker.places
+        self._forget()
+        self.places.append((before.cycles, before.phase, 1.0))
+        self.places.append((last.cycles, last.phase, elapsed))
+
+    def rescale(self, factor: float) -> None:
+        """Sampling intervals are counted in another unit: all of them are this many times longer."""
+        self.tracker.rescale(factor)
+        places = [(cycles, phase, elapsed * factor) for cycles, phase, elapsed in self.places]
+        self.places.clear()
+        self.places.extend(places)
+        for doubt in (self._doubt, self._past):
+            if doubt is not None:
+                doubt.rescale(factor)
+
+    # One sample.
+
+    @property
+    def in_doubt(self) -> bool:
+        """True while the next samples must decide where the position is; not when it is lost."""
+        return self._doubt is not None
+
+    def good(self, phase: float, elapsed: float | tuple[float, ...]) -> tuple[Track, int]:
+        """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL.
+
+        ``elapsed`` intervals after the one before; several if it is not known which of them.
+        """
+        if elapsed == 1.0 and not (self._doubt or self.lost):
+            followed = self.tracker.follow(phase)
+            if followed is not None:
+                self.places.append((followed[0], phase, 1.0))
+                return followed, VALID
+        options = elapsed if isinstance(elapsed, tuple) else (elapsed,)
+        tracker = self.tracker
+        if self.lost:
+            return self._count_on(phase, options[0])
+        if not tracker.started:
+            track = tracker.look(phase)
+            tracker.accept(track)
+            self._begin_places()
+            return track, VALID
+        if self._coasted + max(0, round(options[0]) - 1) > self.declared.coast_samples + 0.5:
+            self.lose(LossCause.COASTED)
+            return self._count_on(phase, options[0])
+        self._coasted = 0.0
+        bits = 0
+        if self._doubt is None and options[-1] < HOLE_INTERVALS:
+            counted = self._counted(phase, options)
+            if counted is not None:
+                tracker.accept(counted, options[0])
+                self.places.append((counted.cycles, phase, options[0]))
+                return counted, VALID
+            bits = RESIDUAL
+            if self._start_is_assumed:
+                self.lose(LossCause.START)
+                return self._count_on(phase, options[0], LOST | bits)
+        return self._decide(phase, options, bits)
+
+    @property
+    def _start_is_assumed(self) -> bool:
+        """The samples since the start do not show yet that its speed was right."""
+        samples = len(self.places) - (self.places[0] is self._virtual)
+        if self._virtual is None or samples > START_SAMPLES:
+            return False
+        even = all(place[2] == 1.0 for place in itertools.islice(self.places, 1, None))
+        return samples < (self.order if even else START_SAMPLES)
+
+    def advance_over(self, phase: float, elapsed: float) -> float:
+        """:meth:`Tracker.advance` over an interval that is not quite one, as sample times give it.
+
+        Only where nothing is in doubt. NOT_USUAL, and nothing changed, where :meth:`good` has to decide.
+        """
+        counted = self._counted(phase, (elapsed,))
+        if counted is None:
+            return NOT_USUAL
+        self.tracker.accept(counted, elapsed)
+        return counted.residual
+
+    def _counted(self, phase: float, options: tuple[float, ...]) -> Track | None:
+        """The position of a sample in turn, if it is the only one that the machine can be at."""
+        elapsed = options[0]
+        if len(options) > 1 or elapsed >= HOLE_INTERVALS:
+            return None
+        if elapsed == 1.0 and self.tracker.is_steady and not self.declared.instant_error:
+            if len(self.places) > 1:
+                return None  # the prediction has refused it already
+            track = self.tracker.look(phase)
+            return track._replace(ok=True) if track.residual < self.declared.first_limit else None
+        spots = self._spots()
+        counts = self.declared.usual.window(spots, spots[-1].time + elapsed).counts(phase)
+        if len(counts) != 1:
+            return None
+        return self.tracker.look(phase, elapsed)._replace(cycles=counts[0], ok=True)
+
+    def bad(self, elapsed: float, missed: bool = False) -> tuple[Track, int]:
+        """A sample that failed its checks, or none at all (``missed``): predicted position, status bits."""
+        predicted = self.tracker.predict(elapsed)
+        if not self.tracker.started:  # no position yet: nothing to coast on, nothing to lose
+            return predicted, LOST if self.lost else 0
+        self.tracker.skip(elapsed)
+        if self.lost:
+            return predicted, LOST
+        self._coasted += elapsed
+        if self._coasted > self.declared.coast_samples + 0.5:
+            self.lose(LossCause.COASTED)
+            return predicted, LOST
+        self._doubted().skip(elapsed, not missed)
+        return predicted, COASTING
+
+    def confirm(self, elapsed: float, back: int = 0) -> None:
+        """The sample ``back`` before the last one came after this one of its elapsed times."""
+        if self._doubt is not None:
+            self._doubt.confirm(back, elapsed)
+
+    def _count_on(self, phase: float, elapsed: float, bits: int = LOST) -> tuple[Track, int]:
+        """A sample of a position that is lost."""
+        track = self.tracker.look(phase, elapsed)
+        self.tracker.accept(track, elapsed)
+        return track, bits if track.ok else bits | RESIDUAL
+
+    def _decide(self, phase: float, options: tuple[float, ...], bits: int) -> tuple[Track, int]:
+        """A sample in doubt; ``bits`` are those of one that brings it in doubt."""
+        verdict = self._doubted().take(phase, options, bool(bits))
+        if verdict.lost is not None:
+            self.lose(verdict.lost)
+            return self._count_on(phase, options[0], LOST | bits)
+        if verdict.candidate is not None:
+            return self._adopt(verdict), VALID
+        followed, predicted = (self.tracker.look(one, options[0]) for one in (phase, math.nan))
+        self.tracker.skip(options[0])
+        counts = [one.last.cycles for one in self._doubt.candidates if one.run] if self._doubt else []
+        if counts:  # not valid, and so the likeliest will do
+            nearest = min(counts, key=lambda cycles: abs(cycles - followed.cycles))
+            return followed._replace(cycles=nearest), COASTING | bits
+        return predicted._replace(residual=followed.residual), COASTING | bits
+
+    def _adopt(self, verdict: Verdict) -> Track:
+        candidate = verdict.candidate
+        assert candidate is not None
+        spots = candidate.run_spots if verdict.settled else candidate.spots
+        doubt, past = self._doubt, self._past
+        times = [spot.time for spot in spots]
+        elapsed = [1.0, *(b - a for a, b in itertools.pairwise(times))]
+        self._follow_spots(spots, elapsed)
+        self._forget()
+        self.places.extend((spot.cycles, spot.phase, e) for spot, e in zip(spots, elapsed, strict=True))
+        self._doubt, self._past = (None, doubt) if verdict.settled else (doubt, past)
+        self._past_places = len(self.places)
+        return Track(candidate.last.cycles, candidate.last.phase, 0.0, True)
+
+    def _follow_spots(self, spots: Sequence[Spot], elapsed: Sequence[float]) -> None:
+        before, last = (Track(spot.cycles, spot.phase, 0.0, True) for spot in spots[-2:])
+        if isinstance(self.tracker, ThirdOrderTracker) and len(spots) > 2:
+            third = Track(spots[-3].cycles, spots[-3].phase, 0.0, True)
+            self.tracker.set_three(third, before, last, elapsed[-2], elapsed[-1])
+        else:
+            self.tracker.set_places(before, last, elapsed[-1])
+
+    # The way back.
+
+    def _spots(self) -> tuple[Spot, ...]:
+        """The last samples that were counted, the newest at time 0; two at least."""
+        time = 0.0
+        spots: list[Spot] = []
+        for place in reversed(self.places):
+            cycles, phase, elapsed = place
+            error = 0.0
+            if place is self._virtual:
+                if len(spots) > 1:
+                    break
+                error = self.declared.start_error
+            spots.append(Spot(time, cycles, phase, error))
+            if len(spots) == SPOTS_KEPT:
+                break
+            time -= elapsed
+        if len(spots) == 1 and self._virtual is not None:
+            cycles, phase, _ = self._virtual
+            spots.append(Spot(-1.0, cycles, phase, self.declared.start_error))
+        return tuple(reversed(spots))
+
+    def _doubted(self) -> Doubt:
+        """The doubt that is, or that begins with this sample."""
+        if self._doubt is None:
+            log = self._log()
+            spots = self._spots()
+            start = Candidate(0.0, spots, max(self.order, len(spots)))
+            self._doubt = Doubt(self.declared.in_doubt, self.declared.bad_samples, log, [start])
+        return self._doubt
+
+    def _log(self) -> list[Entry]:
+        """The last samples as entries: 2 (m + r - 1) of them, those in a doubt before with its candidates."""
+        needed = 2 * (self.declared.bad_samples + self.order - 1)
+        places = list(self.places)
+        past: list[Entry] = []
+        first = self.order  # the first place that has what predicts it before it
+        if self._past is not None:
+            first = self._past_places if len(places) < REMEMBERED_SAMPLES else first
+            past = self._past.without_times_taken()
+        time = 0.0
+        entries: list[Entry] = []
+        spots: list[Spot] = []
+        for number, (cycles, phase, elapsed) in enumerate(places):
+            time += elapsed
+            if number >= first:
+                before = tuple(spots[-SPOTS_KEPT:])
+                candidate = Candidate(time - elapsed, before, max(self.order, len(before)))
+                entries.append(Entry(phase, (elapsed,), (candidate,)))
+            error = self.declared.start_error if places[number] is self._virtual else 0.0
+            spots.append(Spot(time, cycles, phase, error))
+        if len(places) == REMEMBERED_SAMPLES:
+            past = []
+        return [*past, *entries][-needed:]
+
+    # Runs on arrays.
+
+    def follow_run(self, tracked: TrackResult, run: slice, scratch: Scratch) -> int:
+        """Follow a run of phases, ``tracked.phase[run]``, one interval apart, with eq. 9 on arrays.
+
+        Only where the tracker is steady and nothing is in doubt. What the prediction stands on is in
+        ``tracked`` before the run. Fills the rest of ``tracked[run]``. The result is the place of the first
+        sample that :meth:`good` must take, or the end of the run. Call :meth:`take_run` with what is taken.
+        """
+        steady_run(self.tracker, tracked, run.start, run.stop, scratch)
+        if self.lost or tracked.ok[run].all():
+            return int(run.stop)
+        return int(run.start + tracked.ok[run].argmin())
+
+    def take_run(self, state: tuple[float | int, ...], tracked: TrackResult, start: int, stop: int) -> None:
+        """Go on after the samples start..stop of a run that :meth:`follow_run` began; none are possible.
+
+        ``state`` is the tracker's snapshot before the run.
+        """
+        tracker = self.tracker
+        by_parabola = predicts_by_parabola(tracker)
+        if stop - start < 1 + by_parabola:
+            tracker.restore(state)
+            for phase in tracked.phase[start:stop].tolist():
+                tracker.advance(phase)
+        else:
+            counts = tracked.cycles[stop - 2 - by_parabola : stop].tolist()
+            *before, phase_before, phase = tracked.phase[stop - 2 - by_parabola : stop].tolist()
+            step = counts[-1] - counts[-2]
+            if isinstance(tracker, ThirdOrderTracker) and by_parabola:
+                bend = step - (counts[-2] - counts[-3])
+                tracker.set_full_state(before[0], phase_before, phase, counts[-1], step, bend)
+            else:
+                tracker.set_state(phase_before, phase, counts[-1], step)
+        if stop > start and not self.lost:
+            new = slice(max(start, stop - REMEMBERED_SAMPLES), stop)
+            counts, phases = tracked.cycles[new].tolist(), tracked.phase[new].tolist()
+            self.places.extend((count, phase, 1.0) for count, phase in zip(counts, phases, strict=True))
+
+    # Speeds.
+
+    def acceleration(self) -> float:
+        """Between the last three places, cycles per interval squared; 0 with fewer."""
+        if len(self.places) < 3:
+            return 0.0
+        (c0, p0, _), (c1, p1, e1), (c2, p2, e2) = (self.places[n] for n in (-3, -2, -1))
+        before, after = ((c1 - c0) + (p1 - p0)) / e1, ((c2 - c1) + (p2 - p1)) / e2
+        return 2.0 * (after - before) / (e1 + e2)
+
+    def steady_speed(self) -> float:
+        """Mean speed over the remembered places, cycles per interval; 0 with fewer than two."""
+        if len(self.places) < 2:
+            return 0.0
+        places = list(self.places)[-STEADY_SAMPLES:]
+        (cycles, phase, _), (last_cycles, last_phase, _) = places[0], places[-1]
+        return ((last_cycles - cycles) + (last_phase - phase)) / sum(place[2] for place in places[1:])
+
+    def least_speed(self) -> float:
+        """The smallest speed of the last samples, cycles per interval: any of them may have been bad."""
+        places = list(self.places)[-self._window_samples - 1 :]
+        steps = [((new[0] - old[0]) + (new[1] - old[1])) / new[2] for old, new in itertools.pairwise(places)]
+        return min(steps, key=abs, default=0.0)
+
+    @property
+    def _window_samples(self) -> int:
+        return self.declared.bad_samples + 1
+
+    def least_speeds(self, cycles: npt.NDArray[np.int64], phase: FloatArray) -> FloatArray:
+        """The size of :meth:`least_speed` before each of these samples, which follow the last one."""
+        if self.lost or not self.places:
+            return np.zeros(len(cycles))
+        window = self._window_samples
+        known = list(self.places)[-window - 1 :]
+        steps: FloatArray = np.diff(np.concatenate([[place[0] for place in known], cycles[:-1]])) + np.diff(
+            np.concatenate([[place[1] for place in known], phase[:-1]])
+        )
+        steps[: len(known) - 1] /= [place[2] for place in known[1:]]
+        padded = np.concatenate([np.full(window, np.inf), np.abs(steps)])[len(known) - 1 :]
+        least = padded[: len(cycles)]
+        for later in range(1, window):
+            least = np.minimum(least, padded[later : later + len(cycles)])
+        return np.where(np.isfinite(least), least, 0.0)
+
+
+def successor(old: Estimator, declared: Declared) -> Estimator:
+    """An estimator of another order that goes on where ``old`` is.
+
+    The position is lost if it was in doubt, or if eq. 9 is to follow an acceleration that is not below its
+    limit: phases show accelerations up to whole cycles per interval squared only.
+    """
+    new = Estimator(declared)
+    acceleration, in_doubt = old.acceleration(), old.in_doubt
+    new.take_over(old)
+    too_fast = declared.order == SECOND and abs(acceleration) >= declared.residual_limit
+    if not new.lost and (in_doubt or too_fast):
+        new.lose(LossCause.CONFIGURATION)
+    return new
+
+
+def _nothing() -> None:
+    pass

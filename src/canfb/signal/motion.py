@@ -1,0 +1,266 @@
+"""What a machine is declared to do, and where its next sample can be then.
+
+A motion x(t), in cycles, keeps a bound B of order r if all its divided differences over r + 1 instants,
+times r!, are at most B: its acceleration (r = 2) or its jerk (r = 3), in cycles per sampling interval^r. A
+sample shows x(t) modulo one cycle, with an error of at most e = phase error + instant error x |speed|.
+
+Window. Newton's form of the interpolation through r samples at t_1 .. t_r misses x(t) by the divided
+difference over all r + 1 instants:
+
+    |x(t) - sum w_i x_i| <= B prod |t - t_i| / r! + e (1 + sum |w_i|),
+
+w_i the weights of Lagrange. At equal intervals that is B + 4 e for eq. 9 and B + 8 e for third-order
+prediction, the residual limits. After a short interval the weights are large: from 0.1 to 0.8 intervals
+ahead they are 9 and 8. Then the windows of the newest sample with older ones are sharper, and all of them
+hold.
+
+Junction. Over a hole the window of each sample alone is too wide, for the samples behind the hole belong to
+one motion. Nodes are put about one interval apart where samples are missing. Each node, and each sample
+behind the hole, is the extrapolation of the r nodes before it plus a generator of size B prod / r!; each
+sample has another one of size e. So the deviations d of k samples from the extrapolation of the r samples
+before lie in a sum of segments, a zonotope, which is the intersection of |n d| <= sum |n g| over the
+normals n of its facets: for k = 2 these are perpendicular to each generator, for k = 3 the cross products
+of each pair.
+
+Both are necessary conditions: a motion within the bound is never outside.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from canfb.signal.phase import FloatArray
+
+MOST_JOINED = (
+    3  # samples behind a hole in one junction: its facets grow with the power k - 1 of the generators
+)
+MOST_NODES = 32  # in a hole; in a longer one they are further apart, and the junction is wider
+SHORT_INTERVAL = 0.75  # below it the weights of eq. 9 are above 2.3 and 1.3: older samples are asked as well
+BASELINES = 5  # so many samples
+ROUNDING_CYCLES = 1e-9  # of the arithmetic here, below any phase error
+
+
+class Spot(NamedTuple):
+    """A sample on a trajectory: time in intervals, cycle count, phase, an error beside that of the phase."""
+
+    time: float
+    cycles: int
+    phase: float
+    error: float = 0.0
+
+
+class Window(NamedTuple):
+    """Where a sample can be: ``low`` .. ``high``, cycles from the cycle count ``base``."""
+
+    base: int
+    low: float
+    high: float
+
+    @property
+    def width(self) -> float:
+        """In cycles: how many cycle counts a phase has in it on average."""
+        return max(0.0, self.high - self.low)
+
+    def counts(self, phase: float) -> range:
+        """The cycle counts of the samples of this phase in the window."""
+        if not -math.inf < self.low <= self.high < math.inf:
+            return range(0)
+        first = math.ceil(self.low - phase - ROUNDING_CYCLES)
+        last = math.floor(self.high - phase + ROUNDING_CYCLES)
+        return range(self.base + first, self.base + last + 1)
+
+    def meet(self, other: Window) -> Window:
+        """Where both are."""
+        shift = other.base - self.base
+        return Window(self.base, max(self.low, other.low + shift), min(self.high, other.high + shift))
+
+
+class Bound(NamedTuple):
+    """Of a motion: ``largest`` acceleration (``order`` 2) or jerk (3), cycles per interval^order."""
+
+    order: int
+    largest: float
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Bounds of a machine, and the errors with which samples show it.
+
+    ``bounds``: one or two :class:`Bound`, that of the prediction first; ``at_start`` is that of second order
+    for third-order prediction while only two samples are known. ``phase_error`` is the largest of a phase,
+    cycles; ``instant_error`` of a sampling instant, intervals.
+    """
+
+    bounds: tuple[Bound, ...]
+    at_start: Bound
+    phase_error: float
+    instant_error: float = 0.0
+
+    @property
+    def order(self) -> int:
+        """Of the prediction: so many samples determine the next one."""
+        return self.bounds[0].order
+
+    def in_force(self, spots: int) -> tuple[Bound, ...]:
+        """The bounds that so many samples can be held against."""
+        return tuple(bound for bound in self.bounds if bound.order <= spots) or (self.at_start,)
+
+    def error(self, spots: tuple[Spot, ...]) -> float:
+        """The largest error of a phase at the speed of the last two samples, cycles."""
+        if not self.instant_error or len(spots) < 2:
+            return self.phase_error
+        before, last = spots[-2:]
+        way = (last.cycles - before.cycles) + (last.phase - before.phase)
+        return self.phase_error + self.instant_error * abs(way / (last.time - before.time))
+
+    def window(self, spots: tuple[Spot, ...], time: float) -> Window:
+        """Where a sample at ``time`` is after these, two at least, the newest last."""
+        error = self.error(spots)
+        base = spots[-1].cycles
+        low, high = -math.inf, math.inf
+        for bound in self.in_force(len(spots)):
+            short = any(
+                abs(b.time - a.time) < SHORT_INTERVAL for a, b in itertools.pairwise(spots[-bound.order :])
+            )
+            for some in _baselines(spots, bound.order) if short else (spots[-bound.order :],):
+                centre, radius = extrapolation(some, time, base, bound, error)
+                low, high = max(low, centre - radius), min(high, centre + radius)
+        return Window(base, low, high)
+
+    def beyond(self, before: tuple[Spot, ...], run: tuple[Spot, ...], time: float) -> Window:
+        """Where a sample at ``time`` is after a hole between ``before`` and ``run``, two samples at most."""
+        error = self.error(before)
+        base = before[-1].cycles
+        zero = before[-1].time
+        low, high = -math.inf, math.inf
+        for bound in self.in_force(len(before)):
+            known = before[-bound.order :]
+            facets = junction(
+                bound,
+                tuple(round(spot.time - zero, 9) for spot in known),
+                tuple(round(one - zero, 9) for one in (*(spot.time for spot in run), time)),
+                tuple(error + spot.error for spot in known),
+                error,
+            )
+            deviations = [(spot.cycles - base) + spot.phase - _centre(known, spot.time, base) for spot in run]
+            centre = _centre(known, time, base)
+            least, most = facets.last(deviations)
+            low, high = max(low, centre + least), min(high, centre + most)
+        return Window(base, low, high)
+
+
+def _baselines(spots: tuple[Spot, ...], order: int) -> list[tuple[Spot, ...]]:
+    older = spots[-BASELINES:-1]
+    return [(*some, spots[-1]) for some in itertools.combinations(older, order - 1)]
+
+
+def weights(times: tuple[float, ...], time: float) -> tuple[float, ...]:
+    """Of Lagrange: how often the values at ``times`` count in the extrapolation to ``time``."""
+    if len(times) == 2:
+        ratio = (time - times[1]) / (times[1] - times[0])
+        return -ratio, 1.0 + ratio
+    return tuple(
+        math.prod((time - other) / (one - other) for j, other in enumerate(times) if j != i)
+        for i, one in enumerate(times)
+    )
+
+
+def scale(times: tuple[float, ...], time: float) -> float:
+    """prod |time - t_i| / r!: how often a bound of order r = len(times) counts at ``time``."""
+    return math.prod(abs(time - one) for one in times) / math.factorial(len(times))
+
+
+def extrapolation(
+    spots: tuple[Spot, ...], time: float, base: int, bound: Bound, error: float
+) -> tuple[float, float]:
+    """Centre, cycles from the cycle count ``base``, and radius of the window at ``time``."""
+    times = tuple(spot.time for spot in spots)
+    factors = weights(times, time)
+    centre = sum(w * ((spot.cycles - base) + spot.phase) for w, spot in zip(factors, spots, strict=True))
+    spread = sum(abs(w) * (error + spot.error) for w, spot in zip(factors, spots, strict=True))
+    return centre, bound.largest * scale(times, time) + error + spread
+
+
+def _centre(spots: tuple[Spot, ...], time: float, base: int) -> float:
+    factors = weights(tuple(spot.time for spot in spots), time)
+    return sum(w * ((spot.cycles - base) + spot.phase) for w, spot in zip(factors, spots, strict=True))
+
+
+class Facets:
+    """A zonotope as the intersection of |normal x d| <= limit."""
+
+    __slots__ = ("_before", "_last", "_limits", "_sides")
+
+    def __init__(self, normals: FloatArray, limits: FloatArray) -> None:
+        bounds_last = np.abs(normals[:, -1]) > 1e-9
+        self._last = normals[bounds_last, -1]
+        self._before = normals[bounds_last, :-1]
+        self._limits = limits[bounds_last]
+        self._sides = normals[~bounds_last, :-1], limits[~bounds_last]
+
+    def last(self, deviations: list[float]) -> tuple[float, float]:
+        """Between which values the last deviation lies if the others are these; (inf, -inf): nowhere."""
+        d = np.array(deviations)
+        if (np.abs(self._sides[0] @ d) > self._sides[1] + ROUNDING_CYCLES).any():
+            return math.inf, -math.inf
+        middle = (self._before @ d) / -self._last
+        half = self._limits / np.abs(self._last)
+        return float((middle - half).max()), float((middle + half).min())
+
+
+@lru_cache(maxsize=512)
+def junction(
+    bound: Bound,
+    before: tuple[float, ...],
+    behind: tuple[float, ...],
+    errors: tuple[float, ...],
+    error: float,
+) -> Facets:
+    """The zonotope of the deviations of the samples at the times ``behind`` from the extrapolation.
+
+    ``before`` are the times of the samples before the hole, ``errors`` those of their phases, cycles,
+    ``error`` that of each sample behind it, of which there are one to three.
+    """
+    generators = _generators(bound, before, behind, errors, error)
+    k = len(behind)
+    if k == 1:
+        normals = np.ones((1, 1))
+    elif k == 2:
+        normals = np.stack([-generators[1], generators[0]], axis=1)
+    else:
+        first, second = np.triu_indices(generators.shape[1], 1)
+        normals = np.cross(generators.T[first], generators.T[second])
+    lengths = np.linalg.norm(normals, axis=1)
+    proper = lengths > 1e-12 * lengths.max()
+    normals = normals[proper] / lengths[proper, None]
+    return Facets(normals, np.abs(normals @ generators).sum(axis=1))
+
+
+def _generators(
+    bound: Bound,
+    before: tuple[float, ...],
+    behind: tuple[float, ...],
+    errors: tuple[float, ...],
+    error: float,
+) -> FloatArray:
+    """Of the deviations of the samples behind the hole: one column each, shape (samples, generators)."""
+    order = len(before)
+    gap = behind[0] - before[-1]
+    nodes = min(max(0, round(gap) - 1), MOST_NODES)
+    between = [before[-1] + gap * (n + 1) / (nodes + 1) for n in range(nodes)]
+    times = [*before, *between, *behind]
+    motions = len(times) - order
+    rows = np.zeros((len(times), order + motions))
+    rows[range(order), range(order)] = errors
+    for n in range(order, len(times)):
+        known = tuple(times[n - order : n])
+        rows[n] = weights(known, times[n]) @ rows[n - order : n]
+        rows[n, n] += bound.largest * scale(known, times[n])
+    own = error * np.eye(len(behind))
+    return np.hstack([rows[-len(behind) :], own])
