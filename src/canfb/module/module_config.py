@@ -86,6 +86,11 @@ class ModuleConfig(ChainConfig):
             )
         if self.source is None and self.encoder_interface == self.node_id:
             raise ValueError(f"encoder_interface must differ from node_id {self.node_id}")
+        for name, key in (("max_acceleration_cycles", "_rad_s2"), ("max_jerk_cycles", "_rad_s3")):
+            if getattr(self, name):
+                raise ValueError(
+                    f"{name} belongs to a chain without a bus: {name.removesuffix('_cycles') + key}"
+                )
         _check_largest("max_acceleration_rad_s2", self.max_acceleration_rad_s2, MOST_ACCELERATION_RAD_S2)
         _check_largest("max_jerk_rad_s3", self.max_jerk_rad_s3, MOST_JERK_RAD_S3)
         if not isinstance(self.predict, int) or not 0 <= self.predict <= 2:

@@ -17,7 +17,6 @@ from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, MOST_JERK_RAD_S
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.limits import (
-    PHASE_ERROR_CYCLES,
     cycles_per_interval_cubed,
     cycles_per_interval_squared,
     limit_narrowed_by_jerk,
@@ -58,6 +57,9 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         od.SUPERVISION_ORDER: config.prediction_order,
         od.SUPERVISION_JERK: config.max_jerk_rad_s3,
         od.SUPERVISION_NOISE_MARGIN: config.noise_margin,
+        od.SUPERVISION_BAD_SAMPLES: config.bad_samples,
+        od.SUPERVISION_DOUBT_ACCELERATION: round(config.doubt_acceleration_cycles * LIMIT_UNITS),
+        od.SUPERVISION_PHASE_ERROR: max(1, round(config.phase_error_cycles * LIMIT_UNITS)),
         od.SUPERVISION_PERIODS: config.sync_timeout_periods,
         od.PREDICTION_POSITION: int(config.predict),
         od.PREDICTION_NOMINAL_SYNC: int(config.nominal_sync),
@@ -134,6 +136,11 @@ class Limits:
         self._order, self._jerk = entry(*od.SUPERVISION_ORDER), entry(*od.SUPERVISION_JERK)
         self._coast, self._frozen = entry(*od.SUPERVISION_COAST), entry(*od.SUPERVISION_FROZEN)
         self._coarse, self._margin = entry(*od.SUPERVISION_COARSE_LIMIT), entry(*od.SUPERVISION_NOISE_MARGIN)
+        self._bad, self._assumed = (
+            entry(*od.SUPERVISION_BAD_SAMPLES),
+            entry(*od.SUPERVISION_DOUBT_ACCELERATION),
+        )
+        self._phase_error = entry(*od.SUPERVISION_PHASE_ERROR)
         self.noise = ResidualNoise()
         """Of the residual, as measured; :meth:`measured` is called with each block of it."""
         self._applied_noise = math.nan
@@ -162,6 +169,9 @@ class Limits:
             self._frozen,
             self._coarse,
             self._margin,
+            self._bad,
+            self._assumed,
+            self._phase_error,
         ):
             changed.on_written = self.apply
         self._full_scale.on_written = self._full_scale_written
@@ -205,15 +215,16 @@ class Limits:
         limit = speed_limit = self._residual.value / LIMIT_UNITS
         known_s, per_sync = self._interval.known_s, self._interval.samples_per_sync
         interval_s, cycles = known_s / per_sync, self._cycles_per_revolution.value
+        phase_error = self._phase_error.value / LIMIT_UNITS
         acceleration = jerk = None
         if interval_s > 0.0 and self._acceleration.value > 0.0:
             eq9_margin = margin if self.order == SECOND else math.inf
             speed_limit = narrowed_residual_limit(
-                limit, self._acceleration.value, cycles, interval_s, eq9_margin
+                limit, self._acceleration.value, cycles, interval_s, eq9_margin, phase_error
             )
             acceleration = cycles_per_interval_squared(self._acceleration.value, cycles, interval_s)
         if interval_s > 0.0 and self._jerk.value > 0.0:
-            limit = limit_narrowed_by_jerk(limit, self._jerk.value, cycles, interval_s, margin)
+            limit = limit_narrowed_by_jerk(limit, self._jerk.value, cycles, interval_s, margin, phase_error)
             jerk = cycles_per_interval_cubed(self._jerk.value, cycles, interval_s)
         if self.order == SECOND:
             limit = speed_limit
@@ -233,7 +244,9 @@ class Limits:
             samples_per_sync=per_sync,
             instant_error=TICK_S / 2.0 / interval_s if self.timed and interval_s > 0.0 else 0.0,
             widest_limit=self._residual.value / LIMIT_UNITS,
-            phase_error=min(PHASE_ERROR_CYCLES, margin / math.sqrt(RESIDUAL_WEIGHTS[self.order])),
+            phase_error=min(phase_error, margin / math.sqrt(RESIDUAL_WEIGHTS[self.order])),
+            bad_samples=self._bad.value,
+            doubt_acceleration=self._assumed.value / LIMIT_UNITS,
         )
         self._chain.set_limits(self.in_force)
         if self.on_applied is not None:

@@ -11,6 +11,7 @@ from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.monitoring.limit_in_force import NOTHING_NARROWS, LimitSettings
 from canfb.objects import Multiplexer
+from canfb.signal.limits import PHASE_ERROR_CYCLES
 
 Number = int | float
 Read = Callable[[Multiplexer], Number | None]
@@ -68,6 +69,7 @@ SETTINGS: dict[Multiplexer, str] = {
     od.SUPERVISION_ORDER: "B",
     od.SUPERVISION_JERK: "f",
     od.SUPERVISION_NOISE_MARGIN: "B",
+    od.SUPERVISION_PHASE_ERROR: "H",
     od.CYCLE_PERIOD: "I",
     od.UNITS_PER_REVOLUTION: "I",
     od.TOTAL_RANGE: "I",
@@ -172,6 +174,7 @@ def _supervision(read: Read, integer: Callable[[Multiplexer, int], int]) -> Limi
         float(read(od.SUPERVISION_ACCELERATION) or 0.0),
         float(read(od.SUPERVISION_JERK) or 0.0),
         integer(od.SUPERVISION_NOISE_MARGIN, 0),
+        integer(od.SUPERVISION_PHASE_ERROR, round(PHASE_ERROR_CYCLES * LIMIT_UNITS)) / LIMIT_UNITS,
         integer(od.CYCLE_PERIOD, 0) * 1e-6,
         od.samples_per_sync(mapped),
         any(od.SAMPLE_TIME.mapped(32) in one for one in mapped),

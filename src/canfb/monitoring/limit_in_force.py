@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from canfb.signal.limits import limit_narrowed_by_jerk, narrowed_residual_limit
+from canfb.signal.limits import PHASE_ERROR_CYCLES, limit_narrowed_by_jerk, narrowed_residual_limit
 from canfb.signal.sample_times import TICK_S
 from canfb.signal.third_order import THIRD
 
@@ -18,6 +18,7 @@ class LimitSettings:
     prediction_order       2010:07
     acceleration_rad_s2, jerk_rad_s3   2010:02 and 2010:08
     noise_margin           2010:09
+    phase_error_cycles     2010:0C
     cycle_period_s         1006h
     samples_per_sync       pairs that its RPDOs carry
     timed                  they carry the sample time
@@ -28,6 +29,7 @@ class LimitSettings:
     acceleration_rad_s2: float = 0.0
     jerk_rad_s3: float = 0.0
     noise_margin: int = 0
+    phase_error_cycles: float = PHASE_ERROR_CYCLES
     cycle_period_s: float = 0.0
     samples_per_sync: int = 1
     timed: bool = False
@@ -55,7 +57,9 @@ class LimitSettings:
             if third
             else (narrowed_residual_limit, self.acceleration_rad_s2)
         )
-        limit = narrowed(self.widest_cycles, known, cycles_per_revolution, interval_s, margin)
+        limit = narrowed(
+            self.widest_cycles, known, cycles_per_revolution, interval_s, margin, self.phase_error_cycles
+        )
         if self.timed and velocity_rad_s:
             cycles_per_s = abs(velocity_rad_s) * cycles_per_revolution / (2.0 * math.pi)
             limit += (8.0 if third else 4.0) * cycles_per_s * (TICK_S / 2.0)  # all phases off by half a tick

@@ -22,7 +22,6 @@ from canfb.planning.phase_errors import PEAK, SECOND_DIFFERENCE, PhaseErrors, We
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.situation import Situation
 from canfb.signal.limits import (
-    PHASE_ERROR_CYCLES,
     cycles_per_interval_squared,
     max_acceleration,
     max_speed,
@@ -94,7 +93,10 @@ class ResidualBudget:
     @property
     def known_phase_error_cycles(self) -> float:
         """The error of a phase that the module reckons with after missed samples."""
-        return min(PHASE_ERROR_CYCLES, self.noise_margin_cycles / math.sqrt(self.weights.variance))
+        return min(
+            self.module.declared_phase_error_cycles,
+            self.noise_margin_cycles / math.sqrt(self.weights.variance),
+        )
 
     @property
     def asked_rad_s2(self) -> float | None:

@@ -80,12 +80,24 @@ class PlannedModule:
 
     def residual_limit_cycles(self, interval_s: float, margin_cycles: float = math.inf) -> float:
         """The residual limit in force at this sampling interval; ``margin_cycles`` is that of 2010:09."""
-        widest, cycles = self.widest_limit_cycles, self.cycles_per_revolution
-        if self.is_third_order:
-            return limit_narrowed_by_jerk(widest, self.known_jerk_rad_s3, cycles, interval_s, margin_cycles)
-        return narrowed_residual_limit(
-            widest, self.known_acceleration_rad_s2, cycles, interval_s, margin_cycles
+        narrowed, known = (
+            (limit_narrowed_by_jerk, self.known_jerk_rad_s3)
+            if self.is_third_order
+            else (narrowed_residual_limit, self.known_acceleration_rad_s2)
         )
+        return narrowed(
+            self.widest_limit_cycles,
+            known,
+            self.cycles_per_revolution,
+            interval_s,
+            margin_cycles,
+            self.declared_phase_error_cycles,
+        )
+
+    @property
+    def declared_phase_error_cycles(self) -> float:
+        """2010:0C."""
+        return int(self.values[od.SUPERVISION_PHASE_ERROR]) / LIMIT_UNITS
 
     @cached_property
     def times(self) -> bool:

@@ -235,8 +235,8 @@ class SignalChain(UsualStep):
         With several samples in an interval (``samples_per_sync`` of :class:`ChainLimits`) all of them are
         taken, in their order; the result is that of the newest, :attr:`between` has the others.
         """
-        sine, cosine, elapsed, bad, coarse, _, pulse, time_100ns, _ = sample
-        if elapsed == 1.0 and not bad and coarse is pulse is time_100ns is None:
+        sine, cosine, elapsed, bad, coarse, _, pulse, time_100ns, _, options = sample
+        if elapsed == 1.0 and not options and not bad and coarse is pulse is time_100ns is None:
             feedback = self.usual(sine, cosine)
             if feedback is not None:
                 return feedback
@@ -261,15 +261,22 @@ class SignalChain(UsualStep):
                     if feedback is not None:
                         return feedback
         if self._per_sync == 1:
-            feedback = self._take(sample, elapsed, bad, unplaced, next_one)
+            feedback = self._take(sample, elapsed, bad, unplaced, next_one, options=options)
             self._look_again(feedback)
             return feedback
-        return self._take_all(sample, elapsed, bad, unplaced, next_one)
+        return self._take_all(sample, elapsed, bad, unplaced, next_one, options)
 
     def _take_all(
-        self, sample: Sample, elapsed: float, bad: bool, unplaced: bool, next_one: bool
+        self,
+        sample: Sample,
+        elapsed: float,
+        bad: bool,
+        unplaced: bool,
+        next_one: bool,
+        options: tuple[float, ...],
     ) -> Feedback:
         """The samples of one SYNC in their order, ``elapsed`` intervals of SYNC after those before."""
+        later = [(one - elapsed) * self._per_sync for one in options]  # than the first option
         samples = [sample] if bad else in_order(sample, elapsed * self._per_sync, self._per_sync)
         next_one = next_one and len(samples) == self._per_sync
         between: list[Feedback] = []
@@ -277,7 +284,8 @@ class SignalChain(UsualStep):
         for one in samples[:-1]:
             before = self._before
             first = one._replace(zero_pulse=None)
-            feedback = self._take(first, one.elapsed, False, False, next_one, newest=False)
+            times = () if between else tuple(one.elapsed + more for more in later)
+            feedback = self._take(first, one.elapsed, False, False, next_one, newest=False, options=times)
             after = self._before
             self._reference.passed(one.elapsed, after is not None)
             if after is None or (between and (between[-1].status ^ feedback.status) & (VALID | LOST)):
@@ -287,7 +295,8 @@ class SignalChain(UsualStep):
             between.append(feedback)
         newest = samples[-1]
         whole = elapsed * self._per_sync if bad else newest.elapsed
-        feedback = self._take(newest, whole, bad, unplaced, next_one, pulse)
+        times = () if between else tuple(whole + more for more in later)
+        feedback = self._take(newest, whole, bad, unplaced, next_one, pulse, options=times)
         if any(one.status & MISSED for one in between):
             feedback = self._last = feedback._replace(status=feedback.status | MISSED)
         self.between = tuple(one._replace(status=one.status & ~MISSED) for one in between)
@@ -302,12 +311,15 @@ class SignalChain(UsualStep):
         next_one: bool,
         pulse: Pulse | None = None,
         newest: bool = True,
+        options: tuple[float, ...] = (),
     ) -> Feedback:
         """One sample, ``elapsed`` sampling intervals after the one before; its time was looked at.
 
+        ``options`` are all times that may have elapsed, if it is not known which.
+
         ``pulse`` is a zero pulse that came before one of the :attr:`between`; ``newest``: it is none of them.
         """
-        sine, cosine, _, _, coarse, _, zero_pulse, _, _ = sample
+        sine, cosine, _, _, coarse, _, zero_pulse, _, _, _ = sample
         offset_s, gain_s, offset_c, factor_c, skew = self._coefficients
         s = (sine - offset_s) * gain_s
         c = (cosine - offset_c) * factor_c - s * skew
@@ -332,9 +344,9 @@ class SignalChain(UsualStep):
         if measured:
             table = self._table
             phase = raw if table is None else table.correct(raw)
-            track, bits = self._estimator.good(phase, elapsed)
+            track, bits = self._estimator.good(phase, options or elapsed)
         else:
-            track, bits = self._estimator.bad(elapsed, missed=unplaced)
+            track, bits = self._estimator.bad(options or elapsed, missed=unplaced)
         reference = self._reference
         if bits & LOST and (not measured or bits & RESIDUAL):
             reference.slipped()
@@ -404,6 +416,15 @@ class SignalChain(UsualStep):
         self._samples += stop - start
         self._nothing_in_doubt = False
         return stop - start
+
+    def confirm(self, elapsed: float, back: int = 0) -> None:
+        """Now it is known that the sample ``back`` before the last one came after this elapsed time.
+
+        It is one of its :attr:`canfb.Sample.options`. Missed samples count in ``back``. The position is lost if
+        the sample was taken to have come after another.
+        """
+        last = self._per_sync - 1  # the first sample of an interval has the times
+        self._estimator.confirm((elapsed - 1.0) * self._per_sync + 1.0, back * self._per_sync + last)
 
     def miss(self) -> Feedback:
         """One interval of SYNC without a sample: the position coasts, flagged."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from canfb.checks import integer_in
+from canfb.checks import integer_in, number_in
 from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.declared import COAST_SAMPLES, DOUBT_ACCELERATION, Declared
+from canfb.signal.declared import COAST_SAMPLES, DOUBT_ACCELERATION, MOST_BAD_SAMPLES, Declared
 from canfb.signal.limits import PHASE_ERROR_CYCLES
 from canfb.signal.subsamples import MOST_PER_SYNC
 from canfb.signal.supervision import SampleLimits
@@ -17,6 +17,12 @@ from canfb.signal.tracker import RESIDUAL_LIMIT, check_residual_limit
 # with 40 % offset and 20 % amplitude error the raw amplitude still varies between 24 and 120 %.
 AMPLITUDE_LOW = 0.2
 AMPLITUDE_HIGH = 1.25
+LARGEST = {
+    "max_acceleration_cycles": 1000.0,
+    "max_jerk_cycles": 1000.0,
+    "phase_error_cycles": 1.0 / 16.0,
+    "doubt_acceleration_cycles": 0.5,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,6 +108,14 @@ class ChainConfig:
     prediction_order        2..3 (2010:07): 2 constant speed, eq. 9; 3 constant acceleration, so that the
                             residual limit bounds the jerk
     conditioning            offset, gain and phase error of the tracks (2002h)
+    max_acceleration_cycles  largest acceleration of the machine, 0..1000 cycles per interval^2; 0: not known
+    max_jerk_cycles         largest jerk, 0..1000 cycles per interval^3, for prediction_order 3; 0: not known
+    phase_error_cycles      largest phase error of a good sample, above 0, at most 1/16 cycle (2010:0C): of
+                            encoder, conditioning and table
+    bad_samples             0..8 neighbouring samples that may be bad unnoticed (2010:0A); 0: as many as
+                            cannot do harm
+    doubt_acceleration_cycles  assumed while in doubt if max_acceleration is not known, 0..0.5 cycles per
+                            interval^2 (2010:0B); 0: none, and each gap that leaves two motions is lost
     """
 
     cycles_per_revolution: int = 2500
@@ -114,6 +128,11 @@ class ChainConfig:
     coarse_limit_revolutions: float = 1.0 / 32.0
     prediction_order: int = SECOND
     conditioning: Conditioning = field(default=IDENTITY)
+    max_acceleration_cycles: float = 0.0
+    max_jerk_cycles: float = 0.0
+    phase_error_cycles: float = PHASE_ERROR_CYCLES
+    bad_samples: int = 0
+    doubt_acceleration_cycles: float = DOUBT_ACCELERATION
 
     def __post_init__(self) -> None:
         integer_in("cycles_per_revolution", self.cycles_per_revolution, 1, 1048576)
@@ -125,6 +144,11 @@ class ChainConfig:
         limit = self.coarse_limit_revolutions
         if not isinstance(limit, (int, float)) or not 0.0 < limit <= 0.25:
             raise ValueError(f"coarse_limit_revolutions must be above 0 and at most 0.25, not {limit!r}")
+        integer_in("bad_samples", self.bad_samples, 0, MOST_BAD_SAMPLES)
+        for name, most in LARGEST.items():
+            number_in(name, getattr(self, name), 0.0, most)
+        if not self.phase_error_cycles:
+            raise ValueError("phase_error_cycles must be above 0: no encoder is without")
         if not isinstance(self.conditioning, Conditioning):
             raise ValueError("conditioning must be a Conditioning")
         for name in ("amplitude_low_counts", "amplitude_high_counts"):
@@ -150,11 +174,26 @@ class ChainConfig:
 
     @property
     def chain_limits(self) -> ChainLimits:
-        """All limits; the acceleration is not known."""
+        """All limits, the residual limit narrowed by what is declared of the machine."""
+        acceleration, jerk = self.max_acceleration_cycles or None, self.max_jerk_cycles or None
+        limit = start_limit = self.residual_limit
+        if acceleration is not None:
+            start_limit = min(limit, acceleration + 4.0 * self.phase_error_cycles)
+        if self.prediction_order == SECOND:
+            limit = start_limit
+        elif jerk is not None:
+            limit = min(limit, jerk + 8.0 * self.phase_error_cycles)
         return ChainLimits(
             sample=self.limits,
             cycles_per_revolution=self.cycles_per_revolution,
-            residual_limit=self.residual_limit,
+            residual_limit=limit,
+            start_limit=start_limit,
+            widest_limit=self.residual_limit,
+            acceleration=acceleration,
+            jerk=jerk,
+            phase_error=self.phase_error_cycles,
+            bad_samples=self.bad_samples,
+            doubt_acceleration=self.doubt_acceleration_cycles,
             coast_samples=self.coast_samples,
             frozen_samples=self.frozen_samples,
             coarse_limit_revolutions=self.coarse_limit_revolutions,

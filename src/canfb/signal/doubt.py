@@ -95,7 +95,7 @@ class Candidate(NamedTuple):
         return self._replace(
             time=self.time + elapsed,
             run=0,
-            leaves=self.leaves - left_out,
+            leaves=max(0, self.leaves - left_out),
             joined=self.chance,
             residuals=NO_RESIDUALS,
         )
@@ -230,11 +230,11 @@ class Doubt:
         self._contradicted: int | None = None  # number of the last entry that no candidate could take
         self._followed = 0.0  # intervals with samples
 
-    def skip(self, elapsed: float, flagged: bool) -> None:
-        """No sample, or one that failed its checks (``flagged``)."""
+    def skip(self, options: tuple[float, ...], flagged: bool) -> None:
+        """No sample, or one that failed its checks (``flagged``), after one of these elapsed times."""
         self._only_missing &= not flagged
-        self._enter(None, (elapsed,))
-        self._follow(one.over_hole(elapsed) for one in self.candidates)
+        self._enter(None, options)
+        self._follow(self._advance(self.candidates, len(self.log) - 1))
 
     def take(self, phase: float, options: tuple[float, ...], refused: bool = False) -> Verdict:
         """A good sample, after one of the elapsed times ``options``.
@@ -253,16 +253,17 @@ class Doubt:
                 return Verdict(lost=LossCause.UNDECIDED)
         return self._decide()
 
-    def confirm(self, back: int, elapsed: float) -> None:
-        """The entry ``back`` before the last one came after this elapsed time."""
+    def confirm(self, back: int, elapsed: float) -> bool:
+        """The entry ``back`` before the last one came after this elapsed time; False: no candidate did so."""
         number = len(self.log) - 1 - back
-        if number < 0 or len(self.log[number].options) == 1:
-            return
+        if not 0 <= number < len(self.log) or len(self.log[number].options) == 1:
+            return True
         self.log[number] = self.log[number]._replace(options=(elapsed,))
         self.candidates = _confirmed(self.candidates, number, elapsed)
         for later in range(number + 1, len(self.log)):
             entry = self.log[later]
             self.log[later] = entry._replace(before=_confirmed(entry.before, number, elapsed))
+        return bool(self.candidates)
 
     def declare(self, motion: Motion, bad_samples: int) -> None:
         """Take other bounds, between two samples."""
@@ -299,12 +300,10 @@ class Doubt:
         """All of them over one entry of the log."""
         phase, options, _ = self.log[number]
         for one in candidates:
-            if phase is None:
+            if phase is None or one.leaves:
                 for elapsed in options:
-                    yield one.over_hole(elapsed)
-            elif one.leaves:
-                for elapsed in options:
-                    yield one.over_hole(elapsed, left_out=True)
+                    took = (*one.took, (number, elapsed)) if len(options) > 1 else one.took
+                    yield one.over_hole(elapsed, left_out=phase is not None)._replace(took=took)
             else:
                 yield from one.successors(phase, options, number, self.motion)
 

@@ -261,8 +261,10 @@ class Estimator:
             return None
         return self.tracker.look(phase, elapsed)._replace(cycles=counts[0], ok=True)
 
-    def bad(self, elapsed: float, missed: bool = False) -> tuple[Track, int]:
+    def bad(self, elapsed: float | tuple[float, ...], missed: bool = False) -> tuple[Track, int]:
         """A sample that failed its checks, or none at all (``missed``): predicted position, status bits."""
+        options = elapsed if isinstance(elapsed, tuple) else (elapsed,)
+        elapsed = options[0]
         predicted = self.tracker.predict(elapsed)
         if not self.tracker.started:  # no position yet: nothing to coast on, nothing to lose
             return predicted, LOST if self.lost else 0
@@ -273,13 +275,19 @@ class Estimator:
         if self._coasted > self.declared.coast_samples + 0.5:
             self.lose(LossCause.COASTED)
             return predicted, LOST
-        self._doubted().skip(elapsed, not missed)
+        self._doubted().skip(options, not missed)
         return predicted, COASTING
 
     def confirm(self, elapsed: float, back: int = 0) -> None:
         """The sample ``back`` before the last one came after this one of its elapsed times."""
         if self._doubt is not None:
-            self._doubt.confirm(back, elapsed)
+            possible = self._doubt.confirm(back, elapsed)
+        elif self._past is not None and len(self.places) < REMEMBERED_SAMPLES:
+            possible = self._past.confirm(back - (len(self.places) - self._past_places), elapsed)
+        else:
+            return
+        if not possible:  # the samples were taken to have come after another time
+            self.lose(LossCause.TIME)
 
     def _count_on(self, phase: float, elapsed: float, bits: int = LOST) -> tuple[Track, int]:
         """A sample of a position that is lost."""

@@ -54,9 +54,9 @@ def max_speed(
     return 2.0 * math.pi / cycles_per_revolution * check_residual_limit(residual_limit) / (weights * jitter_s)
 
 
-# The error of the raw phase without a table. Eq. 9 weighs three phases with 1, 2, 1, third-order prediction
-# four with 1, 3, 3, 1: with a margin of four or eight times this error a narrowed limit holds before the
-# reference measurement as well.
+# The default of 2010:0C: the error of the raw phase without a table. Eq. 9 weighs three phases with 1, 2, 1,
+# third-order prediction four with 1, 3, 3, 1: with a margin of four or eight times this error a narrowed
+# limit holds before the reference measurement as well.
 PHASE_ERROR_CYCLES = 0.0125
 PHASE_ERROR_MARGIN_CYCLES = 0.05
 JERK_MARGIN_CYCLES = 0.1
@@ -67,19 +67,19 @@ def narrowed_residual_limit(
     max_acceleration_rad_s2: float,
     cycles_per_revolution: float,
     interval_s: float,
-    margin_cycles: float = PHASE_ERROR_MARGIN_CYCLES,
+    margin_cycles: float = math.inf,
+    phase_error_cycles: float = PHASE_ERROR_CYCLES,
 ) -> float:
     """Residual limit in cycles when the machine's largest acceleration is known (2010:02).
 
-    An acceleration a leaves the residual a N/(2 pi) T^2, here with a margin for the error of
-    an uncorrected phase; never more than ``residual_limit``. ``max_acceleration_rad_s2`` = 0
-    means not known. ``interval_s`` is the sampling interval T. A measured ``margin_cycles`` only narrows it
-    further.
+    An acceleration a leaves the residual a N/(2 pi) T^2, here with a margin of four times the largest error
+    of a phase (2010:0C); never more than ``residual_limit``. ``max_acceleration_rad_s2`` = 0 means not known.
+    ``interval_s`` is the sampling interval T. A measured ``margin_cycles`` only narrows it further.
     """
     if max_acceleration_rad_s2 <= 0.0:
         return residual_limit
     expected = cycles_per_interval_squared(max_acceleration_rad_s2, cycles_per_revolution, interval_s)
-    return min(residual_limit, expected + min(margin_cycles, PHASE_ERROR_MARGIN_CYCLES))
+    return min(residual_limit, expected + min(margin_cycles, 4.0 * phase_error_cycles))
 
 
 def limit_narrowed_by_jerk(
@@ -87,7 +87,8 @@ def limit_narrowed_by_jerk(
     max_jerk_rad_s3: float,
     cycles_per_revolution: float,
     interval_s: float,
-    margin_cycles: float = JERK_MARGIN_CYCLES,
+    margin_cycles: float = math.inf,
+    phase_error_cycles: float = PHASE_ERROR_CYCLES,
 ) -> float:
     """Residual limit of third-order prediction in cycles when the machine's largest jerk is known (2010:08).
 
@@ -96,7 +97,7 @@ def limit_narrowed_by_jerk(
     if max_jerk_rad_s3 <= 0.0:
         return residual_limit
     expected = cycles_per_interval_cubed(max_jerk_rad_s3, cycles_per_revolution, interval_s)
-    return min(residual_limit, expected + min(margin_cycles, JERK_MARGIN_CYCLES))
+    return min(residual_limit, expected + min(margin_cycles, 8.0 * phase_error_cycles))
 
 
 def cycles_per_interval_squared(

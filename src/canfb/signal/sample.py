@@ -19,6 +19,8 @@ class Sample(NamedTuple):
                             elapsed time counts, and ``elapsed`` is not used
     earlier                 pairs (sine, cosine) that were taken before this one in the same interval, the
                             newest first: pair j of m - 1 was taken j/m of an interval before
+    options                 elapsed times that are possible if it is not known which one it was, ``elapsed``
+                            the first of them: the phases decide, or :meth:`SignalChain.confirm`
     """
 
     sine: float
@@ -30,3 +32,4 @@ class Sample(NamedTuple):
     zero_pulse: float | None = None
     time_100ns: int | None = None
     earlier: tuple[tuple[float, float], ...] = ()
+    options: tuple[float, ...] = ()
