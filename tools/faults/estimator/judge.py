@@ -1,9 +1,9 @@
 """What became of an episode: silent errors, with the proof, and availability.
 
-A position is wrong if it is valid and half a cycle or more from the true one. It is *excused* if the position
-is that of a legal motion through all samples so far that nothing flagged (:class:`LegalMotions`), and the
-true motion is not: then the samples are those of a healthy machine that moved so (docs/legal-motion.md).
-Every other wrong position is *silent*: where two legal motions fit, the true one among them, it was guessed.
+A position is wrong if it is valid and half a cycle or more from the true one. It is *excused* if every legal
+motion through all samples so far that nothing flagged (:class:`LegalMotions`) is there, and there is one: then
+the samples are those of a healthy machine that moved so (docs/legal-motion.md). Every other wrong position is
+*silent*: where legal motions to different positions fit, it was guessed.
 """
 
 from __future__ import annotations
@@ -99,9 +99,9 @@ def causes(episode: Episode, published: Published, wrong: np.ndarray) -> dict[in
                 here = float(episode.truth[k])
                 truth.paths = [path for path in truth.paths if abs(path[-1] - here) < WRONG_CYCLES]
         if k in said and received[k]:
-            fits = any(abs(path[-1] - published.position[k]) < WRONG_CYCLES for path in motions.paths)
-            if fits:
-                said[k] = Cause.GUESSED if truth.paths else Cause.EXCUSED
+            fits = [abs(path[-1] - published.position[k]) < WRONG_CYCLES for path in motions.paths]
+            if any(fits):
+                said[k] = Cause.EXCUSED if all(fits) and not truth.paths else Cause.GUESSED
             elif motions.overflow:
                 said[k] = Cause.UNDECIDED
     return said
