@@ -102,6 +102,18 @@ def test_the_wrong_one_of_two_legal_motions_was_guessed() -> None:
     assert proof(episode, play(episode), episode.fault + 3).startswith("2 legal motions")
 
 
+def test_one_of_two_legal_motions_was_guessed_also_where_neither_is_the_true_one() -> None:
+    episode = _episode("missing 1", FAST)
+    k = np.arange(len(episode.truth))
+    legal: Array = (7.3 + 0.19 * k**2 / 2.0).astype(np.float64)
+    states = np.where(k > episode.fault, State.BAD, episode.state).astype(np.int8)
+    truth = np.where(k > episode.fault, legal + 5.0, legal)
+    episode = replace(episode, truth=truth, phase=np.mod(legal, 1.0), state=states)
+    good = states != State.MISSING
+    verdict = judge(episode, _saying(episode, np.where(k > episode.fault, -5.0, 0.0), good))
+    assert set(verdict.wrong.values()) == {Cause.GUESSED}
+
+
 def test_what_the_samples_of_a_healthy_machine_would_be_is_excused() -> None:
     """One bad sample on the way of a machine that turns off by a whole cycle in three intervals."""
     episode = _episode("one bad", FAST)
