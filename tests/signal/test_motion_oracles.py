@@ -1,0 +1,160 @@
+"""The oracles agree with each other, with the bounds of docs/missed-samples.md, and with the generator."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from motion_oracles import all_motions, ends_through, motions_through
+
+from tools.faults.estimator.declared import Declared
+from tools.faults.estimator.episodes import draw
+from tools.faults.estimator.kinds import KINDS, State
+from tools.faults.estimator.legal import LegalMotions, is_legal, least_bound, nodes_of, window
+
+Q = 24  # grid steps per cycle
+
+
+@pytest.mark.parametrize("missed", [1, 2, 3, 4, 5])
+def test_a_whole_cycle_over_a_gap_takes_the_bound_of_the_proof(missed: int) -> None:
+    """docs/missed-samples.md: one cycle more and the same speed; A + a = 1 / floor((n + 2)^2 / 4)."""
+    at = np.array([0.0, 1.0, missed + 2.0, missed + 3.0])
+    least = least_bound(at, np.array([0.0, 0.0, 1.0, 1.0]), 0.0, 2)
+    assert least == pytest.approx(1.0 / ((missed + 2) ** 2 // 4))
+    if missed == 2:  # the divided differences of the received samples alone are too loose
+        assert least > 1.0 / 12.0 + 0.1
+
+
+@pytest.mark.parametrize("missed", [1, 2, 3, 4])
+def test_another_whole_speed_after_a_gap_takes_the_bound_of_the_proof(missed: int) -> None:
+    """The speed changes by a whole cycle in n + 2 steps; where it is then is free."""
+    least = min(
+        least_bound(
+            np.array([0.0, 1.0, missed + 2.0, missed + 3.0]), np.array([0.0, 0.0, c, c + 1.0]), 0.0, 2
+        )
+        for c in range(missed + 3)
+    )
+    sharp = 1.0 / (missed + 2)
+    assert sharp - 1e-9 <= least
+    grid = [c for c in range(missed + 3) if 2 * c == missed + 1]
+    if grid:  # an even change of speed ends on a whole number of cycles
+        assert least == pytest.approx(sharp)
+
+
+def test_the_phase_error_is_taken_off_with_its_weights() -> None:
+    at, cycles = np.arange(3.0), np.array([0.0, 0.0, 1.0])
+    assert least_bound(at, cycles, 0.0125, 2) == pytest.approx(1.0 - 4 * 0.0125)
+    assert least_bound(np.arange(4.0), np.array([0.0, 0.0, 0.0, 1.0]), 0.0125, 3) == pytest.approx(1.0 - 0.1)
+    assert least_bound(at[:2], cycles[:2], 0.0, 2) == 0.0
+
+
+@given(
+    st.integers(2, 3),
+    st.lists(st.floats(0.2, 3.4), min_size=3, max_size=7),
+    st.randoms(use_true_random=False),
+)
+def test_the_least_bound_is_one_that_is_met(order: int, apart: list[float], random) -> None:
+    """A motion with a bound fits its samples with that bound, those moved by the error as well."""
+    at = np.concatenate(([0.0], np.cumsum(apart)))
+    nodes, places = nodes_of(at)
+    samples = np.array([random.uniform(-1.0, 1.0) for _ in nodes])
+    rows = [
+        abs(_divided(nodes[n : n + order + 1], samples[n : n + order + 1])) for n in range(len(nodes) - order)
+    ]
+    bound = max(rows, default=0.0) * (2.0 if order == 2 else 6.0)
+    moved = samples[places] + np.array([random.uniform(-0.01, 0.01) for _ in places])
+    assert least_bound(at, samples[places], 0.0, order) <= bound * (1.0 + 1e-6) + 1e-6
+    assert least_bound(at, moved, 0.01, order) <= bound * (1.0 + 1e-6) + 1e-6
+
+
+def _divided(at: np.ndarray, values: np.ndarray) -> float:
+    while len(values) > 1:
+        values = np.diff(values) / (at[len(at) - len(values) + 1 :] - at[: len(values) - 1])
+    return float(values[0])
+
+
+@pytest.mark.parametrize(
+    ("order", "missed", "bound"), [(2, 1, 4), (2, 2, 3), (2, 3, 2), (3, 1, 2), (3, 2, 1)]
+)
+def test_every_motion_on_the_grid_is_legal_and_the_others_are_not(
+    order: int, missed: int, bound: int
+) -> None:
+    """Enumeration against the linear program: the end counts of all motions over a gap are feasible ones.
+
+    And a motion of the program is one of the grid where the bound has a grid step to spare.
+    """
+    known = [0] * order
+    for phase in (0, 7, 12):
+        phases = [None] * missed + [phase]
+        found = ends_through(known, phases, Q, order, bound)
+        at = np.array([*range(order), order + missed], float)
+        for count in range(-3, 4):
+            end = count + phase / Q
+            samples = np.array([*np.zeros(order), end])
+            least = least_bound(at, samples, 0.0, order) * Q
+            if count * Q + phase in found:
+                assert least <= bound + 1e-6, (phase, count)
+            else:
+                assert least > bound - 1, (phase, count)
+
+
+def test_both_enumerations_end_at_the_same_places() -> None:
+    for phases in ([None, 5], [None, None, 0], [3, None, 7], [23]):
+        every = {motion[-1] for motion in motions_through([0, 2], phases, Q, 2, 4)}
+        assert every == ends_through([0, 2], phases, Q, 2, 4)
+
+
+def test_two_samples_after_a_gap_leave_what_enumeration_finds() -> None:
+    """The whole junction, two before and two after two missed ones, at each pair of phases."""
+    bound, missed = 3, 2  # 1/8 cycle: sharp
+    for first in (0, 5, 12):
+        for second in range(0, Q, 6):
+            found = motions_through([0, 0], [None] * missed + [first, second], Q, 2, bound)
+            pairs = {motion[-2:] for motion in found}
+            at = np.array([0.0, 1.0, 4.0, 5.0])
+            for one in range(-2, 3):
+                for two in range(-3, 4):
+                    places = (one * Q + first, two * Q + second)
+                    least = least_bound(at, np.array([0.0, 0.0, *places]) / np.array([1, 1, Q, Q]), 0.0, 2)
+                    assert (places in pairs) <= (least * Q <= bound + 1e-6)
+                    assert (places in pairs) or least * Q > bound - 1
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_the_window_holds_every_next_position(order: int) -> None:
+    bound = 3
+    for motion in all_motions([0] * order, 4, order, bound):
+        weights, reach = window([0.0, 1.0, 2.0][:order], float(order), 0.0, bound)
+        centre = float(np.dot(weights, motion[:order]))
+        assert abs(motion[order] - centre) <= reach + 1e-9
+
+
+MACHINES = (
+    Declared(0.01),
+    Declared(0.1),
+    Declared(0.2),
+    Declared(0.05, samples_per_sync=3),
+    Declared(0.05, 0.002),
+    Declared(0.0, order=3, jerk=0.05),
+)
+
+
+@pytest.mark.parametrize("kind", [one for one in KINDS if one.bad == 0], ids=lambda one: one.name)
+@pytest.mark.parametrize("machine", MACHINES, ids=str)
+def test_the_true_motion_is_a_legal_one(kind, machine: Declared) -> None:
+    """Of the whole episode: the generator keeps what is declared, and the judge never drops the truth."""
+    if machine.samples_per_sync > 1 and (kind.jitter or kind.stall or kind.elapsed):
+        pytest.skip("uneven instants are those of one sample for each SYNC")
+    for episode in draw(kind, machine, 2, np.random.default_rng(24)):
+        received = ~np.isin(episode.state, (State.MISSING, State.FLAGGED))
+        right = episode.phase + np.rint(episode.truth - episode.phase)
+        assert np.abs(right - episode.truth)[received].max() < machine.phase_error
+        part = slice(max(0, episode.fault - 6), episode.fault + 14)
+        at, samples = episode.instants[part][received[part]], right[part][received[part]]
+        assert is_legal(at, samples, machine.phase_error, machine.order, machine.bound)
+        motions = LegalMotions(machine.phase_error, machine.order, machine.bound)
+        motions.begin(at[:4].tolist(), samples[:4].tolist())
+        for instant, sample in zip(at[4:].tolist(), samples[4:].tolist(), strict=True):
+            motions.add(instant, sample % 1.0)
+            assert any(abs(path[-1] - sample) < 0.01 for path in motions.paths)

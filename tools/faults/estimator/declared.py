@@ -1,0 +1,95 @@
+"""What is declared of a machine, and the chain that is configured with it.
+
+:func:`config_of` and :func:`limits_of` are the only places that know how a chain gets its limits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from canfb import CorrectionTable, SignalChain
+from canfb.signal.chain_config import ChainConfig, ChainLimits
+from canfb.signal.limits import PHASE_ERROR_CYCLES, samples_without_harm
+
+RESIDUAL_LIMIT = 1.0 / 3.0
+COAST_SAMPLES = 8
+MOST_BAD = 3
+MOST_BAD_THIRD_ORDER = 2
+
+
+@dataclass(frozen=True)
+class Declared:
+    """The largest acceleration (cycles per interval^2), and with order 3 the largest jerk (per interval^3).
+
+    phase_error     largest error of the phase of a good sample, cycles
+    bad_samples     how many neighbouring samples may be bad without a sign of it; None: see ``bad``
+    samples_per_sync  intervals are those from sample to sample
+    """
+
+    acceleration: float
+    phase_error: float = PHASE_ERROR_CYCLES
+    bad_samples: int | None = None
+    order: int = 2
+    jerk: float = 0.0
+    samples_per_sync: int = 1
+
+    @property
+    def bound(self) -> float:
+        """Of the derivative of this order."""
+        return self.acceleration if self.order == 2 else self.jerk
+
+    @property
+    def bad(self) -> int:
+        """``bad_samples``, by default as many as cannot do harm at twice the acceleration, 1 to 3."""
+        if self.bad_samples is not None:
+            return self.bad_samples
+        if self.order != 2:
+            return MOST_BAD_THIRD_ORDER
+        return max(1, min(MOST_BAD, samples_without_harm(2.0 * self.acceleration)))
+
+    @property
+    def residual_limit(self) -> float:
+        """Of eq. 9 and its third-order form: the motion and the errors of all phases in it."""
+        return min(RESIDUAL_LIMIT, self.bound + 2.0**self.order * self.phase_error)
+
+
+def config_of(declared: Declared) -> ChainConfig:
+    """As far as a :class:`ChainConfig` can say it: the rest is in :func:`limits_of`."""
+    options: dict[str, Any] = {"prediction_order": declared.order, "coast_samples": COAST_SAMPLES}
+    if _config_has_all():
+        options |= {
+            "max_acceleration_cycles": declared.acceleration if declared.order == 2 else 0.0,
+            "max_jerk_cycles": declared.jerk if declared.order == 3 else 0.0,
+            "phase_error_cycles": declared.phase_error,
+            "bad_samples": declared.bad,
+        }
+    else:
+        options["residual_limit"] = declared.residual_limit
+    return ChainConfig(**options)
+
+
+def limits_of(declared: Declared) -> ChainLimits:
+    """All limits, to be given to :meth:`SignalChain.set_limits`."""
+    limits = config_of(declared).chain_limits
+    if not _config_has_all():
+        limits = replace(
+            limits,
+            start_limit=RESIDUAL_LIMIT if declared.order == 3 else None,
+            acceleration=declared.acceleration if declared.order == 2 else None,
+            jerk=declared.jerk if declared.order == 3 else None,
+            phase_error=declared.phase_error,
+        )
+    return replace(limits, samples_per_sync=declared.samples_per_sync)
+
+
+def _config_has_all() -> bool:
+    known = {one.name for one in fields(ChainConfig)}
+    return {"max_acceleration_cycles", "max_jerk_cycles", "phase_error_cycles", "bad_samples"} <= known
+
+
+def make_chain(declared: Declared, table: CorrectionTable | None = None) -> SignalChain:
+    """A chain for this machine: coasts for 8 samples, otherwise the defaults."""
+    chain = SignalChain(config_of(declared), table)
+    chain.set_limits(limits_of(declared))
+    return chain

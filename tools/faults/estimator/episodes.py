@@ -1,0 +1,196 @@
+"""Episodes of one kind of fault, drawn as arrays, and played on a chain sample by sample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb import CorrectionTable, SignalChain
+from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Sample
+from tools.faults.estimator.declared import Declared, make_chain
+from tools.faults.estimator.kinds import Kind, State
+from tools.faults.estimator.machine import (
+    Array,
+    Counts,
+    Rng,
+    counts,
+    derivatives,
+    phases,
+    positions,
+    start_speeds,
+    table_of,
+)
+
+BEFORE = (14, 31)  # good samples before the fault
+AFTER = 48  # good ones after its begin: more than the 32 intervals of doubt, and a fault
+VALID, LOST = 1, 4
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What the chain gets, and what is true: arrays over the samples, one interval apart where not given.
+
+    fault     index of the first sample that may be bad
+    truth     cycles; ``instants`` in intervals
+    phase     of the counts, as the chain computes it (of missing samples as well: not used)
+    """
+
+    declared: Declared
+    kind: Kind
+    fault: int
+    instants: Array
+    truth: Array
+    sine: Counts
+    cosine: Counts
+    phase: Array
+    state: npt.NDArray[np.int8]
+    speed: float
+
+
+@dataclass(frozen=True)
+class Published:
+    """What the chain said of each sample: position (cycles) minus that of the true count, and status word.
+
+    A sample that nothing was said of has the status 0.
+    """
+
+    position: Array
+    status: npt.NDArray[np.int64]
+
+    @property
+    def valid(self) -> npt.NDArray[np.bool_]:
+        bits: npt.NDArray[np.bool_] = (self.status & VALID) != 0
+        return bits
+
+
+def draw(kind: Kind, declared: Declared, episodes: int, rng: Rng) -> list[Episode]:
+    """So many episodes of this kind."""
+    per_sync = declared.samples_per_sync
+    at = rng.integers(*BEFORE, episodes)
+    at += -at % per_sync  # what is missing or flagged is so for all samples of a SYNC
+    samples = BEFORE[1] + per_sync + AFTER
+    samples += -samples % per_sync
+    state = np.zeros((episodes, samples), np.int8)
+    for n, first in enumerate(at.tolist()):
+        state[n, first:] = _spread(kind.draw(rng, samples - first), per_sync)
+    instants = np.tile(np.arange(float(samples)), (episodes, 1))
+    if kind.jitter:
+        instants += 1.0 + rng.uniform(-kind.jitter, kind.jitter, instants.shape)
+    if kind.stall is not None:
+        pause = rng.uniform(*kind.stall, episodes) - 1.0
+        instants += pause[:, None] * (np.arange(samples)[None, :] >= at[:, None])
+    uneven = bool(kind.jitter) or kind.stall is not None
+    u = derivatives(declared, rng, at, samples + (10 if uneven else 0))
+    reserve = declared.bound * samples if declared.order == 2 else 0.4 * samples
+    speed = start_speeds(rng, episodes, reserve)
+    truth = positions(declared, u, speed, rng, instants if uneven else None)
+    sine, cosine = _faulty(state, *counts(truth, rng), rng)
+    phase = phases(sine, cosine, table_of(declared.phase_error))
+    return [
+        Episode(
+            declared,
+            kind,
+            int(at[n]),
+            instants[n],
+            truth[n],
+            sine[n],
+            cosine[n],
+            phase[n],
+            state[n],
+            float(speed[n]),
+        )
+        for n in range(episodes)
+    ]
+
+
+def _spread(state: npt.NDArray[np.int8], per_sync: int) -> npt.NDArray[np.int8]:
+    """What is missing or flagged concerns a SYNC: all its samples, if one of them."""
+    if per_sync == 1:
+        return state
+    whole = len(state) // per_sync * per_sync
+    groups = state[:whole].reshape(-1, per_sync)
+    for one in (State.FLAGGED, State.MISSING):
+        groups[(groups == one).any(axis=1)] = one
+    return state
+
+
+def _faulty(state: npt.NDArray[np.int8], sine: Counts, cosine: Counts, rng: Rng) -> tuple[Counts, Counts]:
+    """The counts with the faults in them; flagged samples have any counts."""
+    swapped, frozen = state == State.SWAPPED, state == State.FROZEN
+    sine, cosine = np.where(swapped, cosine, sine), np.where(swapped, sine, cosine)
+    replaced = (state == State.BAD) | (state == State.FLAGGED)
+    for_all = counts(rng.uniform(size=state.shape), rng)
+    sine, cosine = np.where(replaced, for_all[0], sine), np.where(replaced, for_all[1], cosine)
+    for n in np.flatnonzero(frozen.any(axis=1)):
+        first = int(np.argmax(frozen[n]))
+        sine[n, first:], cosine[n, first:] = sine[n, first - 1], cosine[n, first - 1]
+    return sine, cosine
+
+
+def has_sets() -> bool:
+    """The chain takes a set of elapsed times, and :meth:`confirm`."""
+    return hasattr(SignalChain, "confirm")
+
+
+def chain_for(episode: Episode, table: CorrectionTable | None = None) -> SignalChain:
+    """A chain that knows the speed of the first sample of this episode."""
+    chain = make_chain(episode.declared, table_of(episode.declared.phase_error) if table is None else table)
+    apart = float(episode.instants[1] - episode.instants[0])
+    chain.restart(0, float(episode.truth[1] - episode.truth[0]) / apart)
+    return chain
+
+
+def play(
+    episode: Episode,
+    chain: SignalChain | None = None,
+    before: Callable[[SignalChain, int], None] | None = None,
+) -> Published:
+    """Through the public interface of the chain; ``before`` is called before each SYNC, with its sample."""
+    chain = chain_for(episode) if chain is None else chain
+    per_sync = episode.declared.samples_per_sync
+    samples = len(episode.truth)
+    position, status = np.zeros(samples), np.zeros(samples, np.int64)
+    sine, cosine = episode.sine.tolist(), episode.cosine.tolist()
+    state, instants = episode.state.tolist(), episode.instants.tolist()
+    clock = instants[per_sync - 1] - per_sync
+    unconfirmed: list[tuple[int, float]] = []
+    for k in range(per_sync - 1, samples, per_sync):
+        if before is not None:
+            before(chain, k)
+        if k >= per_sync and state[k] == State.MISSING:
+            if episode.kind.elapsed:
+                continue
+            said = [chain.miss()]
+            clock += per_sync
+        else:
+            elapsed: float | tuple[float, ...] = (instants[k] - clock) / per_sync
+            if episode.kind.elapsed and k >= episode.fault and not unconfirmed:
+                unconfirmed.append((k, (instants[k] - clock) / per_sync))
+                elapsed = episode.kind.elapsed
+            clock = instants[k]
+            earlier = tuple((sine[k - j], cosine[k - j]) for j in range(1, per_sync))
+            said = _said(chain, sine[k], cosine[k], elapsed, state[k] == State.FLAGGED, earlier)
+            if unconfirmed and k == unconfirmed[0][0] + episode.kind.confirmed > unconfirmed[0][0]:
+                chain.confirm(unconfirmed[0][1])  # type: ignore[attr-defined]
+        for j, one in enumerate(reversed(said)):
+            position[k - j], status[k - j] = one.cycles + one.phase, one.status
+    first = per_sync - 1
+    offset = round(float(episode.truth[first] - position[first]))
+    return Published(position + offset, status)
+
+
+def _said(
+    chain: SignalChain,
+    sine: int,
+    cosine: int,
+    elapsed: float | tuple[float, ...],
+    invalid: bool,
+    earlier: tuple[tuple[float, float], ...],
+) -> list[Feedback]:
+    sample = Sample(sine, cosine, elapsed, invalid, earlier=earlier)  # type: ignore[arg-type]
+    feedback = chain.step(sample)
+    return [*chain.between, feedback] if earlier and not invalid else [feedback]
