@@ -420,8 +420,8 @@ class SignalChain(UsualStep):
     def confirm(self, elapsed: float, back: int = 0) -> None:
         """Now it is known that the sample ``back`` before the last one came after this elapsed time.
 
-        It is one of its :attr:`canfb.Sample.options`. Missed samples count in ``back``. The position is lost if
-        the sample was taken to have come after another.
+        It is one of its :attr:`canfb.Sample.options`. Missed samples count in ``back``. The position is lost
+        if the sample was taken to have come after another.
         """
         last = self._per_sync - 1  # the first sample of an interval has the times
         self._estimator.confirm((elapsed - 1.0) * self._per_sync + 1.0, back * self._per_sync + last)

@@ -167,15 +167,19 @@ def play(
             said = [chain.miss()]
             clock += per_sync
         else:
-            elapsed: float | tuple[float, ...] = (instants[k] - clock) / per_sync
+            elapsed = (instants[k] - clock) / per_sync
+            options: tuple[float, ...] = ()
             if episode.kind.elapsed and k >= episode.fault and not unconfirmed:
                 unconfirmed.append((k, (instants[k] - clock) / per_sync))
-                elapsed = episode.kind.elapsed
+                options = episode.kind.elapsed
+                elapsed = options[0]
             clock = instants[k]
             earlier = tuple((sine[k - j], cosine[k - j]) for j in range(1, per_sync))
-            said = _said(chain, sine[k], cosine[k], elapsed, state[k] == State.FLAGGED, earlier)
+            invalid = state[k] == State.FLAGGED
+            sample = Sample(sine[k], cosine[k], elapsed, invalid, earlier=earlier, options=options)
+            said = _said(chain, sample)
             if unconfirmed and k == unconfirmed[0][0] + episode.kind.confirmed > unconfirmed[0][0]:
-                chain.confirm(unconfirmed[0][1])  # type: ignore[attr-defined]
+                chain.confirm(unconfirmed[0][1], episode.kind.confirmed)
         for j, one in enumerate(reversed(said)):
             position[k - j], status[k - j] = one.cycles + one.phase, one.status
     first = per_sync - 1
@@ -183,14 +187,6 @@ def play(
     return Published(position + offset, status)
 
 
-def _said(
-    chain: SignalChain,
-    sine: int,
-    cosine: int,
-    elapsed: float | tuple[float, ...],
-    invalid: bool,
-    earlier: tuple[tuple[float, float], ...],
-) -> list[Feedback]:
-    sample = Sample(sine, cosine, elapsed, invalid, earlier=earlier)  # type: ignore[arg-type]
+def _said(chain: SignalChain, sample: Sample) -> list[Feedback]:
     feedback = chain.step(sample)
-    return [*chain.between, feedback] if earlier and not invalid else [feedback]
+    return [*chain.between, feedback] if sample.earlier and not sample.invalid else [feedback]
