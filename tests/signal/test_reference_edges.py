@@ -158,7 +158,7 @@ def test_a_pulse_belongs_to_its_place_between_two_samples(
 
 @pytest.mark.parametrize("apart", [-1, 1])
 def test_a_search_begins_anew_at_a_sample_that_was_not_taken(apart: int) -> None:
-    """At rest it takes 8 samples; the one that was not taken is none of them."""
+    """At rest it takes 6 samples; the one that was not taken is none of them."""
     time, made = 0.0, reference(Noted(lost=False))
 
     def step(taken: bool) -> bool:
@@ -170,9 +170,9 @@ def test_a_search_begins_anew_at_a_sample_that_was_not_taken(apart: int) -> None
         )
         return bool(bits & VALID)
 
-    assert [step(True) for _ in range(7)] == [False] * 7
+    assert [step(True) for _ in range(5)] == [False] * 5
     assert not step(False)
-    assert [step(True) for _ in range(8)] == [*[False] * 7, True]
+    assert [step(True) for _ in range(6)] == [*[False] * 5, True]
 
 
 @pytest.mark.parametrize(("speed", "told"), [(500.0, []), (-1250.0, []), (499.3, [(0, 3)])])
@@ -498,7 +498,7 @@ def test_pulses_a_cycle_off_tell_no_speed(off: float, told: list[tuple[int, int]
 def test_a_speed_that_is_not_known_any_more_is_searched_anew() -> None:
     seen = Seen(lost=True, aligned=True)
     for _ in range(2):
-        for _ in range(7):
+        for _ in range(5):
             seen.step(LOST)
             assert not seen.made._range_known
         seen.made.slipped()

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 
+from canfb.signal.recovery.speed_search import SpeedSearch
+
 HYSTERESIS = 0.75  # a disagreement ends below this part of the limit
 LOWEST_AMPLITUDE = 0.1  # of the full scale: a coarse track below it is ignored
-FIRM = 0.25  # a slope is taken for a whole number of cycles per interval if it is this close
 NOISE_LSB = 4.0  # of the angle
 HARMONIC = 2  # of the revolution, the highest that the error of the coarse track may have
 
@@ -69,8 +70,14 @@ class CoarseTrack:
         """Restart the search for the range of speed."""
         self._turned = 0.0
         self._last_angle: float | None = None
-        self._first: tuple[int, float] | None = None
+        self._first_cycles = 0
         self._time = 0.0
+        slope = (
+            2.0 * math.pi * HARMONIC * self.limit_revolutions
+        )  # the error changes slowly along the revolution
+        noise = NOISE_LSB / (math.pi * self.full_scale_counts) * self.cycles_per_revolution
+        most = 2.0 * self.limit_revolutions * self.cycles_per_revolution
+        self._search = SpeedSearch(slope, most, noise)
 
     def search(self, angle: float | None, cycles: int, phase: float, elapsed: float) -> int | None:
         """Feed a position that eq. 9 counts with a speed wrong by whole cycles per interval.
@@ -81,32 +88,14 @@ class CoarseTrack:
         if angle is None:
             self.restart_search()
             return None
-        if self._first is None or self._last_angle is None:
-            self._first, self._last_angle = (cycles, phase), angle
-            return None
+        if self._last_angle is None:
+            self._last_angle, self._first_cycles = angle, cycles
+        else:
+            self._time += elapsed
         self._turned += _wrapped(angle - self._last_angle)
         self._last_angle = angle
-        self._time += elapsed
-        if self._uncertainty_cycles() > FIRM * self._time:
-            return None
-        counted = (cycles - self._first[0]) + (phase - self._first[1])
-        slope = (self._turned * self.cycles_per_revolution - counted) / self._time
-        missing = round(slope)
-        if abs(slope - missing) < FIRM:
-            return missing
-        self.restart_search()
-        return None
-
-    def _uncertainty_cycles(self) -> float:
-        """How wrong the turn seen since the begin of the search may be.
-
-        Twice the error of the coarse track at most; less if it has hardly turned, for the
-        error changes slowly along the revolution. And noise.
-        """
-        slope = 2.0 * math.pi * HARMONIC * self.limit_revolutions
-        error = min(2.0 * self.limit_revolutions, slope * abs(self._turned))
-        noise = NOISE_LSB / (math.pi * self.full_scale_counts)
-        return (error + noise) * self.cycles_per_revolution
+        moved = self._turned * self.cycles_per_revolution
+        return self._search.feed(self._time, moved - (cycles - self._first_cycles) - phase, moved)
 
     def _fine_angle(self, cycles: int, phase: float) -> float:
         return (cycles % self.cycles_per_revolution + phase) / self.cycles_per_revolution

@@ -12,8 +12,9 @@ from collections import deque
 
 from canfb.objects import LossCause
 from canfb.signal.recovery.reference import Reference
-from canfb.signal.recovery.second_search import PHASE_CYCLES, CountSearch, SpeedSearch, Standstill
+from canfb.signal.recovery.second_search import CountSearch, Standstill
 from canfb.signal.recovery.second_values import MOST_LATE, SecondValues
+from canfb.signal.recovery.speed_search import PHASE_CYCLES, SpeedSearch
 from canfb.signal.second_position import Pair, SecondScale, SecondSensor, only_count
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, SECOND_POSITION, VALID
 from canfb.signal.third_order import THIRD
@@ -42,7 +43,8 @@ class SecondOpinion:
         self._firm_limit_cycles = tolerance + one
         self._provisional_limit_cycles = PROVISIONAL * tolerance + one
         self._values = SecondValues(self._scale)
-        self._search = SpeedSearch(self._scale)
+        self._search = SpeedSearch(1.0, 2.0 * tolerance, one)  # the other sensor drives the machine
+        self._first: Pair | None = None  # of the search
         self._standstill = Standstill(self._scale)
         self._count = CountSearch(self._scale)
         self._had_position = begun
@@ -84,6 +86,7 @@ class SecondOpinion:
 
     def _restart_search(self) -> None:
         self._search.restart()
+        self._first = None
         self._standstill.restart()
         self._count.restart()
         self._searches = 0
@@ -219,7 +222,7 @@ class SecondOpinion:
             self._wait()
             return
         self._waited = 0
-        missing = self._search.feed(pair)
+        missing = self._missing(pair)
         if missing is None:
             return
         recovery, reference = self._reference.recovery, self._reference
@@ -232,6 +235,14 @@ class SecondOpinion:
             reference.recovered += 1
         self._searches = self._searches_after(missing, searches)
         self._proven = not recovery.lost and self._searches >= self._enough_searches
+
+    def _missing(self, pair: Pair) -> int | None:
+        """What the counted speed lacks, cycles per interval; None as long as that is not certain."""
+        if self._first is None:
+            self._first = pair
+        first, scale = self._first, self._scale
+        moved, ahead = scale.moved_cycles(first, pair), scale.difference_cycles(first, pair)
+        return self._search.feed(pair.time, ahead, moved)
 
     def _searches_after(self, missing: int, searches: int) -> int:
         """Those in a row that count, with one more; with third-order prediction only without a correction."""
@@ -282,7 +293,7 @@ class SecondOpinion:
         if self._values.is_stale(pair, moving=False):
             return 0
         if not reference.range_known:
-            missing = self._search.feed(pair)
+            missing = self._missing(pair)
             if missing is None:
                 return 0
             searches = self._searches

@@ -1,49 +1,13 @@
-"""From pairs of positions of both sensors: the range of speed, the count, and a standstill."""
+"""From pairs of positions of both sensors: the count, and a standstill."""
 
 from __future__ import annotations
 
 from canfb.signal.second_position import Pair, SecondScale, only_count
 
-FIRM = 0.25  # a slope is taken for a whole number of cycles per interval if it is this close
-PHASE_CYCLES = 0.05  # what noise and an uncorrected phase may be wrong
 AGREEING_VALUES = 8  # in a row that want the same count,
 STEADY_CYCLES = 0.1  # and differ by no more: if they drift apart, one does not follow the machine
 STILL_CYCLES = 0.25
 STILL_PAIRS = 8
-
-
-class SpeedSearch:
-    """Finds the whole cycles per interval that the counted speed lacks, by the displacement of the other."""
-
-    def __init__(self, scale: SecondScale) -> None:
-        self._scale = scale
-        self.restart()
-
-    def restart(self) -> None:
-        """The next pair is the first."""
-        self._first: Pair | None = None
-
-    def feed(self, pair: Pair) -> int | None:
-        """The number, None as long as it is not certain. Eq. 9 has counted without a gap since the first.
-
-        The two positions may come apart by twice the tolerance meanwhile, but not by more than the other
-        sensor has moved: it drives the machine.
-        """
-        first = self._first
-        if first is None or pair.time <= first.time:
-            self._first = pair
-            return None
-        passed = pair.time - first.time
-        scale = self._scale
-        apart = min(2.0 * scale.tolerance_cycles, abs(scale.moved_cycles(first, pair)))
-        if apart + scale.increment_cycles + PHASE_CYCLES > FIRM * passed:
-            return None
-        slope = scale.difference_cycles(first, pair) / passed
-        missing = round(slope)
-        if abs(slope - missing) < FIRM:
-            return missing
-        self._first = pair
-        return None
 
 
 class CountSearch:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from canfb.signal.recovery.second_search import PHASE_CYCLES, STILL_CYCLES
+from canfb.signal.recovery.second_search import STILL_CYCLES
+from canfb.signal.recovery.speed_search import PHASE_CYCLES
 from canfb.signal.second_position import RANGE, Pair, SecondScale, step_increments
 
 MOST_LATE = 3  # intervals by which a value may be late and is still known as that
