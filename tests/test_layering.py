@@ -29,21 +29,22 @@ ALLOWED: dict[str, set[str]] = {
     # A source gives samples, the word of signal, and all else comes to it as an argument (Surroundings):
     # the simulated machine, and the threads and clocks of bus. So module, simulation and bus build on it.
     "sources": {"signal"} | WORDS,
-    "module": {"signal", "calibration", "device", "sources", "eds_files"} | WORDS,
+    "module": {"signal", "calibration", "device", "sources", "eds_files", "view"} | WORDS,
     "simulation": {"signal", "device", "sources", "eds_files"} | WORDS,
     # Time is an argument here as well: frames of a log in, what the module made of them out.
     "replay": {"signal", "calibration", "device", "module"} | WORDS,
     "configuration": {"signal", "sources", "module", "simulation", "checks", "errors"},
     # Pictures need what is measured, and nothing of how: so the demo and every tool on top may use them.
     "report": {"signal", "calibration"},
-    "commissioning": {"signal", "calibration", "sources", "report"} | WORDS,
-    # What others tell of themselves on the bus; so it may watch modules that are not ours. The residual limit
-    # in force is arithmetic of signal.
-    "monitoring": {"signal"} | WORDS - {"checks"},
+    # What a module is, from its objects; whoever reads them. The limits in force are arithmetic of signal.
+    "view": {"signal"} | WORDS,
+    "commissioning": {"signal", "calibration", "sources", "report", "view"} | WORDS,
+    # What others tell of themselves on the bus; so it may watch modules that are not ours.
+    "monitoring": {"signal", "view"} | WORDS - {"checks"},
     # What a page shows and lets do; the server, with its clock and sockets, is in bus.
     "scope": {"signal", "calibration", "monitoring"} | WORDS - {"checks"},
     "bus": {"signal", "sources", "module", "device", "simulation", "configuration", "monitoring",
-            "scope"} | WORDS,
+            "scope", "view"} | WORDS,
     "logs": {"signal", "device", "module", "report", "bus", "replay"} | WORDS,
     "demo": {"signal", "calibration", "report", "device", "sources", "module", "simulation", "configuration",
              "eds_files"} | WORDS,

@@ -69,6 +69,17 @@ def test_a_bus_that_fails_is_tried_again(tmp_path: Path) -> None:
     assert (counters.frames, counters.bus_failures) == (5, 1)
 
 
+@pytest.mark.parametrize("of_udp", [True, False])
+def test_senders_of_udp_multicast_are_one_channel(
+    tmp_path: Path, of_udp: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("canfb.bus.bus_log.brings_own_frames_back", lambda bus: of_udp)
+    plan = [message(0x180 + n, channel=f"sender{n % 3}") for n in range(6)]
+    recorded(tmp_path / "bus.log", plan)
+    channels = {one.channel for one in can.LogReader(tmp_path / "bus.log")}
+    assert channels == ({"udp_multicast"} if of_udp else {"sender0", "sender1", "sender2"})
+
+
 def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(writer: object, msg: can.Message) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")

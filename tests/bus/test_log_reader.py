@@ -54,8 +54,7 @@ def by_python_can(path: Path, channel: str | None) -> list[Frame]:
     for one in can.LogReader(path):
         if one.is_error_frame:  # of candump it has no channel
             continue
-        channel = str(one.channel) if channel is None else channel
-        if str(one.channel) != channel or one.is_extended_id or one.is_fd:
+        if channel not in (None, str(one.channel)) or one.is_extended_id or one.is_fd:
             continue
         frames.append(Frame(one.arbitration_id, bytes(one.data), one.is_remote_frame, one.timestamp))
     return frames
@@ -68,15 +67,22 @@ def test_they_give_the_frames_of_python_can(
     tmp_path_factory: pytest.TempPathFactory, suffix: str, messages: list[tuple[int, can.Message]]
 ) -> None:
     path = written(tmp_path_factory.mktemp("logs") / f"bus{suffix}", messages)
-    log = BusLogFile(path)
-    # An error frame comes first on channel 0, which candump notes.
-    if not (messages and messages[0][1].is_error_frame):
-        assert list(log) == by_python_can(path, None)
-    else:
-        list(log)
-    assert log.trouble is None
-    assert log.counters.frames == sum(1 for _ in can.LogReader(path))
-    assert log.counters.damaged_lines == 0
+    for channel in (None, "can1" if suffix == ".log" else "1"):
+        log = BusLogFile(path, channel)
+        assert list(log) == by_python_can(path, channel)
+        assert log.trouble is None
+        counters = log.counters
+        assert counters.frames == sum(1 for _ in can.LogReader(path))
+        assert counters.damaged_lines == 0
+        assert channel is None or counters.channels <= {channel}
+        others = [
+            (str(one.channel), one.arbitration_id)
+            for one in can.LogReader(path)
+            if not (one.is_error_frame or one.is_extended_id or one.is_fd)
+            and channel not in (None, str(one.channel))
+        ]
+        left_out = [(name, can_id) for name, ids in counters.left_out.items() for can_id in ids.elements()]
+        assert sorted(left_out) == sorted(others)
 
 
 def test_many_containers(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import signal
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from canfb.bus import opening
+from canfb.cli import calibrate as calibrate_command
 from canfb.cli.main import main
 from canfb.cli.progress import CLEAR, Progress
 from canfb.errors import BusError
@@ -113,6 +115,14 @@ def test_who_produces_the_sync_has_to_hear_it(
     assert failed(bus, capsys) == (1, "no")
     plain = {"interface": "virtual", "channel": "x"}
     assert opened == [plain | {"receive_own_messages": True}, plain, plain]
+
+
+def test_ctrl_c_is_exit_code_130_and_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(calibrate_command, "over_bus", lambda *rest: signal.raise_signal(signal.SIGINT))
+    assert main(["calibrate", "-i", "virtual", "-c", "interrupted"]) == 130
+    assert capsys.readouterr().err.splitlines() == ["canfb: interrupted; the module is unchanged"]
 
 
 def test_the_configuration_names_bus_and_nodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -261,6 +271,25 @@ def test_progress_is_lines_and_on_a_terminal_a_bar() -> None:
     bars = terminal.getvalue().split(CLEAR)
     assert [bar.split()[-2] for bar in bars if "%" in bar] == ["0", "50", "100"]
     assert bars[-1] == "... two\n"
+
+
+def test_without_a_terminal_a_long_step_says_how_far_it_is_every_five_seconds() -> None:
+    clock, plain = [100.0], io.StringIO()
+    progress = Progress(stream=plain, now=lambda: clock[0])
+    progress.step("collecting")
+    for second in range(1, 21):
+        clock[0] = 100.0 + second
+        progress.part(second / 20.0)
+    progress.step("next")
+    clock[0] += 4.0
+    progress.part(0.5)
+    assert plain.getvalue().splitlines() == [
+        "... collecting",
+        "    25 %, 15 s left",
+        "    50 %, 10 s left",
+        "    75 %, 5 s left",
+        "... next",
+    ]
 
 
 def test_the_remaining_time_is_that_of_the_step_so_far() -> None:

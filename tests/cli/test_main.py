@@ -203,14 +203,14 @@ def test_the_bus_options_replace_the_words_of_the_configuration(
     ]
 
 
-def test_ctrl_c_before_the_bus_is_open_is_exit_code_1_without_a_traceback(
+def test_ctrl_c_before_the_bus_is_open_is_exit_code_130_without_a_traceback(
     monkeypatch: pytest.MonkeyPatch, config: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupted(path: str) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(run_command, "load_config", interrupted)
-    assert main(["run", config]) == 1
+    assert main(["run", config]) == 130
     assert capsys.readouterr().err == ""
 
 

@@ -236,7 +236,7 @@ def test_an_interruption_brings_back_what_was(canfb: Commands, file: Path) -> No
         return None
 
     between(bench, interrupted)
-    _, err = canfb(bench, "restore", file, code=1)
+    _, err = canfb(bench, "restore", file, code=130)
     assert err == "canfb: interrupted; the node is as it was\n"
     assert values(bench) == before
 

@@ -23,7 +23,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CalibrationError
 from canfb.signal.correction import NO_CORRECTION
 from canfb.signal.supervision import TABLE_ACTIVE
-from canfb.simulation.motion import Motion
+from canfb.simulation.motion import Motion, Ramp, Ripple
 
 SHORT = ("--seconds", "1.5", "--least-samples", "1000", "--verify", "0.6")
 
@@ -91,6 +91,64 @@ def test_the_account_for_people(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     ]
     assert "X1" in (tmp_path / "report.html").read_text()
     assert (tmp_path / "table.bin").read_bytes() == bench.module.chain.correction.table.to_bytes()  # type: ignore[union-attr]
+
+
+def test_the_figures_are_those_of_the_module(capsys: pytest.CaptureFixture[str]) -> None:
+    """Cycles from standstill on, missed samples by its counter, and a position that is not lost."""
+    bench = Bench(motion=Motion((Ramp(0.2, 0.0), Ramp(2.0, 600.0)), (Ripple(10.0, 0.31),)))
+    bench.bus.run_until(2.5)
+    rng = np.random.default_rng(2)
+    bench.source.change = lambda counts: counts if rng.random() > 0.01 else None
+    began, missed, asked = bench.bus.now, bench.value(0x2012, 1), bench.source.motion.position_cycles
+    assert calibrate(bench, "--json", "--dry-run") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["module_lost"] is False
+    assert found["module_missed"] == bench.value(0x2012, 1) - missed
+    assert found["samples_missed"] == pytest.approx(found["module_missed"], abs=2)
+    assert found["samples_missed"] > 5
+    assert found["intervals_without_sync"] == 0
+    moved = bench.source.motion.position_cycles - asked
+    assert 1.5 * 9.0 * CYCLES < moved < 3.0 * 11.0 * CYCLES
+    assert found["module_cycles"] == pytest.approx(moved, rel=0.05)
+    assert found["mean_rate_hz"] == pytest.approx(found["sample_rate_hz"], rel=0.01)
+    assert bench.bus.now - began < 3.0
+    bench.source.change = lambda counts: counts
+    assert calibrate(bench, "--dry-run") == 0
+    (line,) = [one for one in capsys.readouterr().out.splitlines() if one.startswith("coverage")]
+    found_cycles = int(line.split("at least ")[1].split()[0])
+    assert found_cycles == pytest.approx(found["module_cycles"], rel=0.1)
+
+
+def test_a_lost_position_is_said_at_once_and_in_the_account(capsys: pytest.CaptureFixture[str]) -> None:
+    bench = Bench(motion=Motion((Ramp(0.2, 0.0), Ramp(2.0, 600.0)), (Ripple(10.0, 0.31),)))
+    bench.bus.run_until(2.5)
+    bench.source.change = lambda counts: (0, 0)
+    bench.bus.run_until(2.6)
+    bench.source.change = lambda counts: counts
+    bench.bus.run_until(2.7)
+    assert bench.value(0x2011, 1) & 4
+    said = io.StringIO()
+    assert calibrate(bench, "--dry-run", progress=Progress(stream=said)) == 0
+    lines = said.getvalue().splitlines()
+    assert lines[1].startswith("... the position of module 32 (20h) is lost")
+    assert lines[1].endswith(": canfb why 0x20 says why and what to do")
+    assert sum("is lost" in line for line in lines) == 1
+    assert "lost; a table does not bring it back (canfb why)" in capsys.readouterr().out
+    assert calibrate(bench, "--dry-run", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["module_lost"], found["module_cycles"]) == (True, None)
+
+
+def test_a_position_that_is_lost_while_samples_are_collected(capsys: pytest.CaptureFixture[str]) -> None:
+    bench = Bench(motion=Motion((Ramp(0.2, 0.0), Ramp(2.0, 600.0)), (Ripple(10.0, 0.31),)))
+    bench.bus.run_until(2.5)
+    bad = (bench.bus.now + 0.5, bench.bus.now + 0.6)
+    bench.source.change = lambda counts: (0, 0) if bad[0] < bench.bus.now < bad[1] else counts
+    said = io.StringIO()
+    assert calibrate(bench, "--dry-run", progress=Progress(stream=said)) == 0
+    lines = said.getvalue().splitlines()
+    assert lines[2].startswith("... the position of module 32 (20h) is lost")
+    assert "lost; a table does not bring it back" in capsys.readouterr().out
 
 
 def test_a_second_measurement_finds_the_first_one_good(capsys: pytest.CaptureFixture[str]) -> None:

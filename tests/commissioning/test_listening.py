@@ -70,6 +70,23 @@ def test_late_time_stamps_and_a_pause_do_not_bend_the_rate() -> None:
     assert recorder.result("here").rate_hz == pytest.approx(500.0, rel=0.002)
 
 
+def test_pauses_of_the_sync_are_in_the_mean_rate_and_in_what_was_skipped() -> None:
+    recorder = PdoRecorder(LAYOUT)
+    rng = np.random.default_rng(1)
+    # Stalls of 20 intervals after every 100 SYNCs, and the late SYNC close before the next one.
+    place = np.concatenate([120.0 * stall + np.arange(100.0) for stall in range(20)])
+    place[100::100] += 0.9
+    times = place * 0.001 + rng.uniform(0.0, 0.0001, len(place))
+    for time_s in times.tolist():
+        recorder.hear_sync(0x80, b"", time_s)
+    samples = recorder.result("here")
+    assert samples.rate_hz == pytest.approx(1000.0, rel=0.01)
+    assert samples.mean_rate_hz == pytest.approx(1000.0 * 100 / 120, rel=0.01)
+    assert samples.duration_s == pytest.approx(2.38, rel=0.01)
+    assert samples.skipped == pytest.approx(19 * 20, rel=0.05)
+    assert heard(*[None] * 500).result("here").skipped == 0
+
+
 def test_listening_takes_what_was_asked_for_and_says_nothing_on_the_bus() -> None:
     bench = Bench()
     parts: list[float] = []

@@ -286,7 +286,7 @@ def test_an_interruption_puts_back_what_was(canfb: Commands, file: Path) -> None
         send(can_id, data, remote)
 
     bench.master.network.send_message = interrupted  # type: ignore[method-assign]
-    _, err = canfb(bench, "table", "upload", NODE, file, "--activate", code=1)
+    _, err = canfb(bench, "table", "upload", NODE, file, "--activate", code=130)
     assert err == "canfb: interrupted; the node is as it was\n"
     assert in_force(bench) == OLD
 

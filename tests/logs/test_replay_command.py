@@ -169,13 +169,85 @@ def test_damaged_lines_are_left_out_and_counted(log: Path, capsys: pytest.Captur
     lines.insert(52, "(1700000000.060000) can1 080#\n")
     lines.insert(53, "(1700000000.060000) can0 123##100\n")
     log.write_text("".join(lines))
-    assert main(["replay", str(log)]) == 0
+    assert main(["replay", str(log), "--channel", "can0"]) == 0
     text = capsys.readouterr().out
     assert "4 damaged lines left out, the first is line 105" in text
     assert "1 error frames left out" in text
     assert "2 frames with 29-bit identifiers or CAN FD left out" in text
-    assert "not of can1 (--channel)" in text
+    assert text.splitlines()[0].split(None, 1)[1] == (
+        "1 frames of channel can1 left out: --channel takes those of can0 alone"
+    )
     assert "faults: 1 × missed" in text
+
+
+def by_sender(log: Path) -> Path:
+    """The same log with a channel name for each sender, as udp_multicast has them."""
+    names = {"080": "a", "190": "b", "000": "a"}
+    lines = log.read_text().splitlines()
+    words = [line.split(" ") for line in lines]
+    senders = [f"{time} {names.get(frame[:3], 'c')} {frame}" for time, _, frame, *_ in words]
+    log.write_text("\n".join(senders) + "\n")
+    return log
+
+
+def test_all_channels_are_taken_unless_one_is_chosen(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", str(log), "--json"]) == 0
+    one_name = figures(capsys)
+    assert one_name["left_out"] == {}
+    assert main(["replay", str(by_sender(log)), "--json"]) == 0
+    assert figures(capsys) == one_name | {"channels": ["a", "b", "c"]}
+    assert main(["replay", str(log)]) == 0
+    assert capsys.readouterr().out.splitlines()[0].split(None, 1)[1] == (
+        "channels a, b, c are taken as one bus; if they are several, --channel takes one"
+    )
+
+
+def test_what_is_left_out_is_said_first_and_no_page_is_green(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_log(tmp_path / "good.log", live(session(SAMPLES))[0])
+    page = tmp_path / "page.html"
+    command = ["replay", str(path), "--report", str(page)]
+    assert main(command) == 0
+    assert 'class="verdict"' in page.read_text()
+    by_sender(path)
+    path.write_text(path.read_text().replace(" b 190", " a 190"))
+    capsys.readouterr()
+    assert main([*command, "--channel", "a"]) == 0
+    text = capsys.readouterr().out
+    left_out = sum(" c " in line for line in path.read_text().splitlines())
+    assert left_out >= SAMPLES
+    assert text.splitlines()[0].split(None, 1)[1] == (
+        f"{left_out} frames of channel c left out: --channel takes those of a alone"
+    )
+    missing = f"faults: none in what was taken; {left_out} frames with CAN-IDs of this module were left out"
+    assert missing in text
+    assert missing in page.read_text()
+    assert 'class="verdict bad"' in page.read_text()
+    assert main([*command, "--channel", "a", "--json"]) == 0
+    found = figures(capsys)
+    assert (found["left_out"], found["channels"]) == ({"c": left_out}, ["a"])
+    assert found["modules"][0]["left_out"] == left_out
+
+
+def test_a_folder_says_what_a_log_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    (tmp_path / "logs").mkdir()
+    path = by_sender(write_log(tmp_path / "logs" / "bus.log", live(session(SAMPLES))[0]))
+    out = tmp_path / "out.parquet"
+    for channel in ([], ["--channel", "c"]):
+        assert main(["replay", str(path), "--json", *channel]) == 0
+        (alone,) = figures(capsys)["modules"]
+        folder = ["replay", str(path.parent), "--out", str(out), "--scheduler", "none", "--no-drift"]
+        assert main([*folder, *channel]) == 0
+        text = capsys.readouterr().out
+        (row,) = parquet.read_table(out).to_pylist()
+        assert (row["samples"], row["left_out"]) == (alone["samples"], alone["left_out"])
+        assert row["missed"] == alone["faults"]["missed"]["samples"]
+        said = f"left out  bus.log, module 32: {alone['left_out']} frames with its CAN-IDs (--channel)"
+        assert (said in text) == bool(channel)
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".log.gz"])

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 import canfb
 from canfb import objects as od
 from canfb.cia301.frame import Frame
-from canfb.monitoring.layout import SETTINGS, Number, Origin, layout_of
+from canfb.monitoring.layout import SETTINGS, Origin, layout_of
 from canfb.monitoring.sdo_reading import ANSWER_S, MOST_UNANSWERED, QUIET_S, REPEATED, SdoReading
 from canfb.objects import Multiplexer
+from canfb.view.pdo_map import Number
 
 NODE = 0x20
 

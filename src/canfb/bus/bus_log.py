@@ -16,11 +16,13 @@ from can.io.generic import MessageWriter
 
 from canfb.bus.bus_state import RETRY_S, FailureWatch
 from canfb.bus.log_suffixes import NEEDS_PACKAGE, check_writable
+from canfb.bus.python_can_bus import brings_own_frames_back
 from canfb.errors import CanfbError, ConfigError, reason
 
 log = logging.getLogger(__name__)
 
 LONGEST_WAIT_S = 0.1  # how late a signal or the end may be noticed
+UDP_MULTICAST = "udp_multicast"
 ROTATED = frozenset({".asc", ".blf", ".log"})  # python-can's SizedRotatingLogger
 
 
@@ -95,9 +97,13 @@ class BusLog:
         self._stopped = True
 
     def record(self, bus: can.BusABC, seconds: float | None = None) -> None:
-        """Write what comes for so many ``seconds``; None: until :meth:`stop`."""
+        """Write what comes for so many ``seconds``; None: until :meth:`stop`.
+
+        The frames of udp_multicast, in which each sender names the channel as it likes, get one name.
+        """
         if self._writer is None:
             raise RuntimeError("use BusLog as a context manager: with BusLog(path) as bus_log")
+        name = UDP_MULTICAST if brings_own_frames_back(bus) else None
         end = None if seconds is None else self._clock() + seconds
         while not self._stopped:
             left = LONGEST_WAIT_S if end is None else end - self._clock()
@@ -105,6 +111,8 @@ class BusLog:
                 return
             message = self._next(bus, min(left, LONGEST_WAIT_S))
             if message is not None:
+                if name is not None:
+                    message.channel = name
                 self.write(message)
 
     def _next(self, bus: can.BusABC, wait_s: float) -> can.Message | None:

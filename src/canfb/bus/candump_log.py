@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import re
 from binascii import unhexlify
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO
@@ -25,8 +26,7 @@ _new = tuple.__new__  # makes a named tuple in half the time that its own constr
 
 
 def candump_frames(path: Path, channel: str | None, counters: LogCounters) -> Iterator[list[Frame]]:
-    """Lists of the frames with 11-bit identifiers of one channel, None for that of the first; the rest is
-    counted.
+    """Lists of the frames with 11-bit identifiers of one channel, None for all; the rest is counted.
 
     OSError or EOFError for a file that cannot be read (on).
     """
@@ -36,9 +36,6 @@ def candump_frames(path: Path, channel: str | None, counters: LogCounters) -> It
         for block in _blocks(file):
             usual = USUAL.findall(block)
             count = block.count(b"\n")
-            if wanted is None:
-                wanted = _first_channel(block)
-                counters.channel = None if wanted is None else wanted.decode("utf-8", "replace")
             if len(usual) == count:
                 counters.frames += count
                 yield _frames(usual, wanted, counters)
@@ -55,15 +52,21 @@ def _frames(lines: Sequence[tuple[bytes, ...]], wanted: bytes | None, counters: 
         taken = [
             _new(frame, (ids[can_id], unhexlify(data), False, float(time_s)))
             for time_s, name, can_id, data in lines
-            if name == wanted
+            if wanted is None or name == wanted
         ]
+        names = {name for _, name, _, _ in lines}
+        for other in names if wanted is not None else ():
+            if other != wanted:
+                counters.leave_out(_text(other), Counter(ids[line[2]] for line in lines if line[1] == other))
     except KeyError:  # large and small letters in one identifier
         large = [(time_s, name, can_id.upper(), data) for time_s, name, can_id, data in lines]
         return _frames(large, wanted, counters)
-    if len(taken) < len(lines):
-        others = {name for _, name, _, _ in lines} - {wanted}
-        counters.other_channels |= {name.decode("utf-8", "replace") for name in others}
+    counters.channels.update(_text(name) for name in names if wanted in (None, name))
     return taken
+
+
+def _text(name: bytes) -> str:
+    return name.decode("utf-8", "replace")
 
 
 def _unzipped(path: Path, raw: IO[bytes]) -> IO[bytes]:
@@ -80,14 +83,6 @@ def _blocks(file: IO[bytes]) -> Iterator[bytes]:
             yield whole + end
     if rest:
         yield rest + b"\n"
-
-
-def _first_channel(block: bytes) -> bytes | None:
-    for line in block.splitlines():
-        found = ANY.match(line)
-        if found is not None:
-            return found[2]
-    return None
 
 
 def _one_by_one(block: bytes, before: int, wanted: bytes | None, counters: LogCounters) -> Iterator[Frame]:
@@ -115,12 +110,15 @@ def _frame(line: bytes, wanted: bytes | None, counters: LogCounters) -> Frame | 
     time_s, number = float(time_text), int(can_id, 16)
     content = b"" if remote else unhexlify(data[1:] if fd else data)  # CAN FD has its flags first
     counters.frames += 1
-    if name != wanted:
-        counters.other_channels.add(name.decode("utf-8", "replace"))
+    is_canopen = len(can_id) <= 3 and not fd
+    if wanted not in (None, name):
+        if is_canopen:
+            counters.leave_out(_text(name), Counter((number,)))
+    elif is_canopen:
+        counters.channels.add(_text(name))
+        return Frame(number, content, remote, time_s)
     elif len(can_id) > 3 and number & ERROR_FLAG:
         counters.error_frames += 1
-    elif len(can_id) > 3 or fd:
-        counters.not_canopen += 1
     else:
-        return Frame(number, content, remote, time_s)
+        counters.not_canopen += 1
     return None

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from canfb.configuration import Config
 from canfb.module.delivered import delivered_dictionary
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig
-from canfb.monitoring.layout import NodeLayout, Number, Origin, layout_of
+from canfb.monitoring.layout import NodeLayout, Origin, layout_of
 from canfb.objects import Multiplexer
+from canfb.view.pdo_map import Number
 
 
 def known_layouts(config: Config, nodes: Sequence[int] = ()) -> list[NodeLayout]:

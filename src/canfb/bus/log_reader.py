@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import chain
@@ -28,8 +29,9 @@ class LogError(CanfbError):
 
 @dataclass
 class BusLogFile:
-    """The frames of a log with 11-bit identifiers on one ``channel``, once; None: that of the first frame.
+    """The frames of a log with 11-bit identifiers on one ``channel``, once; None: on all of them.
 
+    All are taken for one bus: some adapters give every sender a channel name of its own.
     ``counters`` are complete when the frames have been read. What comes behind a damaged place is left out
     in a format that cannot be read on from there, and ``trouble`` says so in one line; the lines of a
     candump log are independent, and only the damaged ones are left out. ConfigError for an unknown
@@ -90,7 +92,7 @@ class BusLogFile:
     def _by_python_can(self) -> Iterator[Frame]:
         counters = self.counters
         reader: Any = BlfFrames(str(self.path)) if self.suffix == ".blf" else can.LogReader(str(self.path))
-        number = None  # of the wanted channel, where it is one
+        known: set[object] = set()  # channels whose frames are taken
         with contextlib.ExitStack() as closing:
             closing.callback(reader.stop)
             for message in reader:
@@ -99,26 +101,25 @@ class BusLogFile:
                     counters.bytes_read = _place(reader)
                 if type(message) is tuple:  # of BlfFrames
                     channel, frame = message
-                    if channel == number:
+                    if channel in known:
                         yield frame
-                    elif self._is_wanted(channel):
-                        number = channel
+                    elif self._is_taken(channel, frame.can_id):
+                        known.add(channel)
                         yield frame
                 elif message.is_error_frame:  # some have no channel
                     counters.error_frames += 1
-                elif self._is_wanted(message.channel):
-                    if message.is_extended_id or message.is_fd:
+                elif message.is_extended_id or message.is_fd:
+                    if self.channel in (None, str(message.channel)):
                         counters.not_canopen += 1
-                    else:
-                        yield _frame(message)
+                elif self._is_taken(message.channel, message.arbitration_id):
+                    yield _frame(message)
 
-    def _is_wanted(self, channel: object) -> bool:
-        counters, name = self.counters, str(channel)
-        if counters.channel is None:
-            counters.channel = name if self.channel is None else self.channel
-        if name == counters.channel:
+    def _is_taken(self, channel: object, can_id: int) -> bool:
+        name = str(channel)
+        if self.channel in (None, name):
+            self.counters.channels.add(name)
             return True
-        counters.other_channels.add(name)
+        self.counters.leave_out(name, Counter((can_id,)))
         return False
 
 

@@ -15,12 +15,12 @@ from canfb.bus.scope_loop import ScopeLoop
 from canfb.bus.shared_bus import Refusal, SharedBus
 from canfb.cia301.frame import Frame
 from canfb.errors import CanfbError
-from canfb.monitoring.layout import Number
 from canfb.monitoring.sdo_reading import ANSWER_S, SdoReading
 from canfb.objects import Multiplexer
 from canfb.scope.desk import Desk, ScopeTask, TaskResult, Upload
 from canfb.scope.send_rule import SendRule
 from canfb.scope.traces import BusTraces
+from canfb.view.pdo_map import Number
 
 log = logging.getLogger(__name__)
 

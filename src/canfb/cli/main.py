@@ -1,8 +1,9 @@
 # PYTHON_ARGCOMPLETE_OK: argcomplete looks for it here
 """The command line: ``canfb COMMAND``.
 
-Exit codes: 0 done, 1 the job failed, 2 wrong use or configuration. An error is one line
-on stderr; ``--debug`` shows the traceback before it, with the same exit code.
+Exit codes: 0 done, 1 the job failed, 2 wrong use or configuration, 130 interrupted (Ctrl-C; 128 + SIGINT, as
+shells have it) before it was done. An error is one line on stderr; ``--debug`` shows the traceback before
+it, with the same exit code.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from canfb.cli.parser import WRONG_USE, build_parser
 from canfb.errors import CanfbError, ConfigError
 
 FAILED = 1
+INTERRUPTED = 130
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -68,7 +70,7 @@ def _run(arguments: Sequence[str]) -> int:
         with printed_log():
             return int(options.action(options))
     except KeyboardInterrupt:
-        return FAILED
+        return INTERRUPTED
     except CanfbError as error:
         if options.debug:
             traceback.print_exc()

@@ -12,10 +12,13 @@ WIDTH = 30
 CLEAR = "\r\x1b[K"
 SOONEST_S = 2.0
 """A rest is estimated from what has taken at least so long."""
+LINE_EVERY_S = 5.0
+"""Without a terminal a step that takes longer says so often how far it is."""
 
 
 class Progress:
-    """One line a step; on a terminal also a bar with the remaining time. Says nothing if ``quiet``.
+    """One line a step; on a terminal a bar with the remaining time, else now and then a line with both.
+    Says nothing if ``quiet``.
 
     It never fails: a terminal that has gone must not end the work, nor what puts things right.
     """
@@ -27,7 +30,7 @@ class Progress:
         self._quiet = quiet
         self._bar = self._stream.isatty()
         self._now = now
-        self._began_s = now()
+        self._began_s = self._said_s = now()
         self._shown = ""
 
     def step(self, text: str) -> None:
@@ -35,15 +38,20 @@ class Progress:
         if self._quiet:
             return
         self.clear()
-        self._began_s = self._now()
+        self._began_s = self._said_s = self._now()
         self._print(f"... {text}\n")
 
     def part(self, part: float) -> None:
         """This part of the step is done, 0..1."""
-        if self._quiet or not self._bar:
+        if self._quiet:
             return
         part = min(max(part, 0.0), 1.0)
         percent = int(100.0 * part)
+        if not self._bar:
+            if part < 1.0 and self._now() - self._said_s >= LINE_EVERY_S:
+                self._said_s = self._now()
+                self._print(f"    {percent} %{self._rest(part)}\n")
+            return
         full = round(WIDTH * percent / 100)
         text = f"    [{'#' * full}{'.' * (WIDTH - full)}] {percent:3d} %{self._rest(part)}"
         if text != self._shown:

@@ -66,8 +66,11 @@ def _json(replayed: LogReplayed) -> str:
         "frames": log.counters.frames,
         "damaged_lines": log.counters.damaged_lines,
         "trouble": log.trouble,
+        "channels": sorted(log.counters.channels),
+        "left_out": {name: sum(one.values()) for name, one in sorted(log.counters.left_out.items())},
         "modules": [
-            as_json(one, drift) for one, drift in zip(replayed.replays, replayed.drifts, strict=True)
+            as_json(one, drift, replayed.left_out(one))
+            for one, drift in zip(replayed.replays, replayed.drifts, strict=True)
         ],
     }
     return json.dumps(figures, indent=2)
@@ -78,5 +81,5 @@ def _text(replayed: LogReplayed) -> str:
     for one, drift in zip(replayed.replays, replayed.drifts, strict=True):
         node_id, seconds = one.module.node.node_id, one.counters.last_s - one.counters.first_s
         lines.append(f"module {node_id} ({node_id:02X}h): {one.counters.frames} frames, {seconds:.3f} s")
-        lines += lines_of(one, drift)
+        lines += lines_of(one, drift, replayed.left_out(one))
     return "\n".join(lines)

@@ -29,6 +29,12 @@ def replay_folder(options: argparse.Namespace, settings: ReplaySettings, progres
     bad = [row for row in rows if row["error"] is not None]
     for row in bad:
         print(f"not done  {row['log']}, module {row['module']}: {row['error']}")
+    for row in rows:
+        if row.get("left_out"):
+            print(
+                f"left out  {row['log']}, module {row['module']}: {row['left_out']} frames with its CAN-IDs "
+                "(--channel)"
+            )
     samples = sum(row["samples"] or 0 for row in rows)
     print(f"{len(rows)} rows, {samples} samples; {len(bad)} not done")
     print(f"written  {out}")

@@ -40,7 +40,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         default=Begin.AUTO.value,
         help="NMT state of the module at the beginning; auto: as the first frames show",
     )
-    log.add_argument("--channel", metavar="NAME", help="of a log of several buses (that of the first frame)")
+    log.add_argument("--channel", metavar="NAME", help="of a log of several buses (default: all, as one bus)")
     out = parser.add_argument_group("results")
     out.add_argument("--out", type=Path, metavar="FILE", help="the samples: .csv, .npz, .parquet")
     out.add_argument("--frames", type=Path, metavar="FILE", help="what the module sends, as a bus log")

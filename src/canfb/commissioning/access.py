@@ -17,6 +17,8 @@ from canfb.errors import CanfbError
 
 Hear = Callable[[int, bytes, float], None]
 ABSENT = (AbortCode.NO_OBJECT, AbortCode.NO_SUBINDEX)
+REALS = frozenset({od.SUPERVISION_ACCELERATION, od.SUPERVISION_JERK})
+REAL32 = struct.Struct("<f")
 SETTLE_S = 0.05  # for frames of an aborted block transfer that are still in transit
 
 
@@ -80,6 +82,20 @@ class NodeAccess:
     def integer(self, index: int, subindex: int, layout: str) -> int:
         """:meth:`read` for integers."""
         return int(self.read(index, subindex, layout))
+
+    def read_known(self, place: od.Multiplexer) -> int | float | None:
+        """A number as :mod:`canfb.view` reads it: None where the node refuses to give it.
+
+        CommissioningError if it does not answer.
+        """
+        try:
+            data = self.read_bytes(*place)
+        except RefusedError:
+            return None
+        if place in REALS and len(data) == REAL32.size:
+            value: float = REAL32.unpack(data)[0]
+            return value
+        return int.from_bytes(data, "little")
 
     def write(self, index: int, subindex: int, layout: str, value: float) -> None:
         """Write a number."""

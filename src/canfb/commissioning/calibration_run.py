@@ -17,6 +17,7 @@ from canfb.commissioning.drift_check import check
 from canfb.commissioning.drift_summary import drift_json, drift_lines, module_drift_json, module_drift_lines
 from canfb.commissioning.guard import Guard
 from canfb.commissioning.lock_watch import LockWatch
+from canfb.commissioning.machine_watch import Look, Meanwhile, look_at, lost_words
 from canfb.commissioning.measurement import Measurement, Settings, measure
 from canfb.commissioning.procedure import Installation, install
 from canfb.commissioning.samples import TrackSamples
@@ -104,14 +105,16 @@ class CalibrationRun:
             interface_identity=session.interface_identity,
         )
         self._limits = session.limits
+        before = self._look(session, None)
         settings = choices.settings(session.limits)
         source = session.source(choices.samples_from, choices.recorder, choices.rate)
         if choices.samples_from == MODULE:
-            return self._by_module(session, source, settings, guard)
+            return self._by_module(session, source, settings, guard, before)
         self._steps.step(f"collecting samples for {choices.collect_s:g} s")
         watch = LockWatch(session.cycles_per_revolution, session.speed_rad_s)
         first = session.source(choices.samples_from, choices.recorder, choices.rate, watch)
         samples = first(choices.collect_s, choices.least_samples, self._steps.part)
+        self._look(session, before)
         if watch.found is not None:
             self._judged(samples, watch.raise_found)
         if choices.check:
@@ -121,7 +124,18 @@ class CalibrationRun:
             measured, done = self._install(session, measured, source, settings, guard)
         return self._report(measured, done)
 
-    def _by_module(self, session: Session, source: Source, settings: Settings, guard: Guard) -> Account:
+    def _look(self, session: Session, before: Look | None) -> Look | None:
+        """The module now; said at once if its position is lost, and kept beside the look ``before``."""
+        look = look_at(session.module)
+        if look is not None and look.is_lost and not (before is not None and before.is_lost):
+            self._steps.step(lost_words(session.module, look.status))
+        if look is not None and before is not None:
+            self._where = replace(self._where, meanwhile=Meanwhile(before, look))
+        return look
+
+    def _by_module(
+        self, session: Session, source: Source, settings: Settings, guard: Guard, before: Look | None
+    ) -> Account:
         """The module measures; what it hears is measured here as well, for the figures and the pictures."""
         self._steps.step("the module measures")
         if self._choices.check:
@@ -132,6 +146,7 @@ class CalibrationRun:
                 module_drift_lines(drift, session.active, self._where),
             )
         samples = own_calibration.let_measure(session.module, session.layout(), self._steps.part)
+        self._look(session, before)
         accepted = False
 
         def accept() -> Measurement:

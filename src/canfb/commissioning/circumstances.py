@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from canfb.commissioning.machine_watch import Meanwhile
+
 ARC_SECONDS = 360.0 * 3600.0
 PERCENT = 100.0
 
@@ -23,6 +25,7 @@ class Circumstances:
     encoder_interface      node id, None without a bus
     encoder                name or serial number of the encoder, as the user gave it
     cycles_per_revolution  None if not known
+    meanwhile              what the module said of itself before and after the samples; None if it did not
     """
 
     date: str
@@ -35,6 +38,7 @@ class Circumstances:
     command: str = ""
     identity: tuple[int, ...] | None = None
     interface_identity: tuple[int, ...] | None = None
+    meanwhile: Meanwhile | None = None
 
     def arc_seconds(self, cycles: float) -> float | None:
         """A part of the cycle as an angle of the shaft."""

@@ -16,6 +16,7 @@ from canfb.commissioning.commission_summary import (
     machine_facts,
     notes,
     outcome,
+    sum_words,
 )
 from canfb.commissioning.motion_seen import smooth_acceleration
 from canfb.commissioning.whole_file import write_whole
@@ -24,8 +25,8 @@ from canfb.report.lissajous import lissajous
 from canfb.report.page import comparison_table, facts_table, figure, gallery, page
 
 FOOTER = (
-    "Made by canfb commission. L is the residual limit in force, a the largest acceleration, in cycles and "
-    "sampling intervals. The limits hold for the motion that was seen, times the margin."
+    "Made by canfb commission. L is the residual limit in force, a the largest acceleration, j the largest "
+    "jerk, in cycles and sampling intervals. The limits hold for the motion that was seen, times the margin."
 )
 
 
@@ -44,7 +45,7 @@ def commission_html(done: Commissioned) -> str:
         + facts_table("The machine", machine_facts(done))
         + comparison_table(
             "Bad samples in a row that cannot falsify the cycle count unseen",
-            ("L + a at most, cycle", "before", "proposed"),
+            (f"{sum_words(done)}, cycle", "before", "proposed"),
             detection_rows(done),
         )
         + gallery("Pictures", _pictures(done))
@@ -77,7 +78,7 @@ def _pictures(done: Commissioned) -> list[str]:
             "Acceleration over time",
             "averaged as far as the noise demands, with the limit 2010:02",
             limit_pictures.acceleration_over_time(
-                to_rad * smooth_acceleration(machine.motion.residual, noise), interval_s, to_rad * largest
+                to_rad * smooth_acceleration(machine.motion.bend, noise), interval_s, to_rad * largest
             ),
         ),
         (

@@ -14,14 +14,16 @@ from canfb.commissioning.machine_seen import Observation
 from canfb.commissioning.machine_watch import in_words
 from canfb.commissioning.supervision_limits import (
     KINDS,
-    LIMIT_UNITS,
     SupervisionLimits,
     place_words,
 )
-from canfb.signal.limits import safe_deviation, samples_without_harm
+from canfb.signal.limits import ROUNDING, safe_deviation, samples_without_harm
+from canfb.signal.third_order import THIRD
+from canfb.view.limits_in_force import LIMIT_UNITS
 
 ROWS = 3  # of the table of detection, at least
 MOST_ROWS = 12
+SAFE_THIRD_ORDER = 0.25  # L + j at which one bad sample is without harm, and never two (docs/third-order.md)
 
 LEAST_JITTER_S = 1e-8
 
@@ -60,9 +62,33 @@ class Commissioned:
         """Of the machine, cycles per interval squared: 2010:02, or what was seen while that is not known."""
         return self.new.acceleration_cycles(self.machine.interval_s) or self.machine.motion.acceleration
 
+    @property
+    def is_third_order(self) -> bool:
+        """The module predicts by third order."""
+        return self.new.prediction_order == THIRD
+
+    @property
+    def largest_motion(self) -> float:
+        """What the machine leaves as a residual: its acceleration, by third order its jerk; cycles."""
+        if not self.is_third_order:
+            return self.largest_acceleration
+        return self.new.bounds(self.machine.interval_s).jerk or self.machine.motion.jerk
+
     def deviation(self, limits: SupervisionLimits) -> float:
-        """L + a of docs/legal-motion.md with these limits, cycles."""
-        return limits.residual_limit(self.machine.interval_s) + self.largest_acceleration
+        """L + a of docs/legal-motion.md with these limits, L + j of docs/third-order.md; cycles."""
+        return limits.residual_limit(self.machine.interval_s) + self.largest_motion
+
+    def safe(self, count: int) -> float:
+        """The largest deviation at which so many bad samples in a row are without harm, cycles."""
+        if self.is_third_order:
+            return SAFE_THIRD_ORDER if count == 1 else 0.0
+        return safe_deviation(count)
+
+    def without_harm(self, limits: SupervisionLimits) -> int:
+        """Bad samples in a row that are without harm with these limits."""
+        if self.is_third_order:
+            return int(self.deviation(limits) <= SAFE_THIRD_ORDER * (1.0 + ROUNDING))
+        return samples_without_harm(self.deviation(limits))
 
 
 def machine_facts(done: Commissioned) -> list[tuple[str, str]]:
@@ -145,6 +171,11 @@ def value_words(choice: Choice, value: float, interval_s: float, cycles_per_revo
             return "0, not known"
         cycles = value * cycles_per_revolution / (2.0 * math.pi) * interval_s**2
         return f"{value:.3g} rad/s² ({cycles:.2g} cycle)"
+    if choice.place == od.SUPERVISION_JERK:
+        if value == 0.0:
+            return "0, not known"
+        cycles = value * cycles_per_revolution / (2.0 * math.pi) * interval_s**3
+        return f"{value:.3g} rad/s³ ({cycles:.2g} cycle)"
     if choice.place == od.SUPERVISION_FROZEN and not value:
         return "0, off"
     return f"{value:.0f} {KINDS[choice.place].unit}"
@@ -152,27 +183,35 @@ def value_words(choice: Choice, value: float, interval_s: float, cycles_per_revo
 
 def detection_rows(done: Commissioned) -> list[tuple[str, str, str, str]]:
     """Bad samples in a row: at most so much L + a, whether it holds before and with the new limits."""
-    last = min(MOST_ROWS, max(ROWS, samples_without_harm(done.deviation(done.new)) + 1))
+    last = 2 if done.is_third_order else min(MOST_ROWS, max(ROWS, done.without_harm(done.new) + 1))
     words = {True: "detected", False: "not for sure"}
     return [
         (
             str(count),
-            f"{safe_deviation(count):.3g}",
-            words[done.deviation(done.before) <= safe_deviation(count)],
-            words[done.deviation(done.new) <= safe_deviation(count)],
+            f"{done.safe(count):.3g}",
+            words[done.deviation(done.before) <= done.safe(count)],
+            words[done.deviation(done.new) <= done.safe(count)],
         )
         for count in range(1, last + 1)
     ]
 
 
+def sum_words(done: Commissioned) -> str:
+    """What the bad samples are held against."""
+    return f"L + {'j' if done.is_third_order else 'a'} at most"
+
+
 def detection_words(done: Commissioned) -> str:
     """One sentence."""
-    before, new = (samples_without_harm(done.deviation(one)) for one in (done.before, done.new))
+    before, new = (done.without_harm(one) for one in (done.before, done.new))
+    bound = f"accelerations up to {done.largest_motion:.3g} cycle per interval²"
+    if done.is_third_order:
+        bound = f"jerks up to {done.largest_motion:.3g} cycle per interval³"
     return (
         f"Up to {new} bad samples in a row of any phase cannot falsify the cycle count unseen, {before} with "
         "the limits before; a single one is flagged if its phase is off by more than "
         f"{done.deviation(done.new):.3g} cycle, {min(0.5, done.deviation(done.before)):.3g} before "
-        f"(accelerations up to {done.largest_acceleration:.3g} cycle per interval²)"
+        f"({bound})"
     )
 
 
@@ -201,7 +240,7 @@ def as_lines(done: Commissioned) -> list[str]:
         lines.append(f"{row[0]:{first}}  {row[1]:{second}}  {row[2]}".rstrip())
         if choice is not None:
             lines.append(f"    {choice.why}")
-    lines += ["", f"{'bad samples':13}{'L + a at most':15}{'before':14}proposed"]
+    lines += ["", f"{'bad samples':13}{sum_words(done):15}{'before':14}proposed"]
     lines += [f"{row[0]:13}{row[1]:15}{row[2]:14}{row[3]}" for row in detection_rows(done)]
     return [*lines, "", detection_words(done), outcome(done)]
 
@@ -248,8 +287,8 @@ def as_figures(done: Commissioned) -> dict[str, Any]:
         "residual_limit_in_force_cycles": done.new.residual_limit(machine.interval_s),
         "deviation_cycles": done.deviation(done.new),
         "deviation_before_cycles": done.deviation(done.before),
-        "bad_samples_detected": samples_without_harm(done.deviation(done.new)),
-        "bad_samples_detected_before": samples_without_harm(done.deviation(done.before)),
+        "bad_samples_detected": done.without_harm(done.new),
+        "bad_samples_detected_before": done.without_harm(done.before),
         "written": done.written,
         "saved": done.saved_as is not None,
     }

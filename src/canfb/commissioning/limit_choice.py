@@ -9,10 +9,17 @@ from canfb import objects as od
 from canfb.commissioning.circumstances import PERCENT
 from canfb.commissioning.converter_noise import TracksSeen, repeats_of_frozen_input
 from canfb.commissioning.motion_seen import MotionSeen
-from canfb.commissioning.supervision_limits import KINDS, LIMIT_UNITS, SupervisionLimits, as_real32
+from canfb.commissioning.supervision_limits import KINDS, SupervisionLimits, as_real32
 from canfb.objects import Multiplexer
-from canfb.signal.limits import PHASE_ERROR_MARGIN_CYCLES, max_acceleration
+from canfb.signal.limits import (
+    JERK_MARGIN_CYCLES,
+    PHASE_ERROR_MARGIN_CYCLES,
+    max_acceleration,
+    max_jerk,
+)
+from canfb.signal.third_order import THIRD
 from canfb.signal.tracker import RESIDUAL_LIMIT
+from canfb.view.limits_in_force import LIMIT_UNITS
 
 LEAST_AMPLITUDE_SPREAD = 0.2  # temperature, supply and age of an encoder
 MOST_AMPLITUDE_SPREAD = 0.7
@@ -74,16 +81,15 @@ class Choice:
 def choose(
     seen: MachineSeen, limits: SupervisionLimits, margin: float, known_rad_s2: float = 0.0
 ) -> list[Choice]:
-    """All limits in the order of :data:`LIMITS`.
+    """All limits in the order of :data:`LIMITS`; that of the jerk with third-order prediction only.
 
     ``margin`` is the factor beyond what was seen, above 1. ``known_rad_s2`` is an acceleration that the
     machine is known to do, rad/s^2, 0.0 if there is none.
     """
-    residual, acceleration = _motion(seen, limits, margin, known_rad_s2)
+    motion = _third_order if limits.prediction_order == THIRD else _motion
     return [
         *_amplitude(seen.tracks, limits, margin),
-        residual,
-        acceleration,
+        *motion(seen, limits, margin, known_rad_s2),
         _frozen(seen, limits, margin),
         _coarse(seen, limits, margin),
         _periods(seen, limits),
@@ -150,6 +156,45 @@ def _motion(
     return (
         _choice(limits, places[0], limit, _residual_words(motion, needed, margin, known)),
         _choice(limits, places[1], value, words),
+    )
+
+
+def _third_order(
+    seen: MachineSeen, limits: SupervisionLimits, margin: float, known_rad_s2: float
+) -> tuple[Choice, Choice, Choice]:
+    """Residual limit and largest jerk, which belong together (docs/third-order.md), and the acceleration."""
+    motion, n = seen.motion, limits.cycles_per_revolution
+    places = (od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_ACCELERATION, od.SUPERVISION_JERK)
+    change = motion.fastest - motion.slowest
+    if change < SPEED_CHANGE_SEEN * motion.top_speed or motion.jerk == 0.0 or motion.acceleration == 0.0:
+        why = (
+            f"the speed changed by {PERCENT * change / motion.top_speed:.0f} % only, so the largest jerk was "
+            "not seen: let the machine start and stop meanwhile"
+        )
+        first, second, third = (_choice(limits, place, None, why) for place in places)
+        return first, second, third
+    noise = NOISE_SIGMAS * motion.residual_noise
+    needed = max(margin * max(motion.residual_peak, motion.jerk + noise), LEAST_RESIDUAL_LIMIT)
+    limit = min(math.ceil(needed * LIMIT_UNITS), int(RESIDUAL_LIMIT * LIMIT_UNITS))
+    # A smaller jerk would narrow the limit.
+    largest = max(margin * motion.jerk, limit / LIMIT_UNITS - JERK_MARGIN_CYCLES)
+    to_acceleration, to_jerk = seen.rad(1.0, 2, n), seen.rad(1.0, 3, n)
+    most = max_jerk(n, 1.0 / seen.interval_s)
+    jerk = as_real32(min(_rounded_up(largest * to_jerk), most))
+    words = f"{motion.jerk * to_jerk:.3g} rad/s³ seen, times {margin:g}"
+    if jerk >= most * (1.0 - 1e-6):
+        words += "; no more than the widest limit allows: increase the SYNC rate"
+    acceleration = max(margin * motion.acceleration * to_acceleration, known_rad_s2)
+    return (
+        _choice(limits, places[0], limit, _residual_words(motion, needed, margin, 0.0)),
+        _choice(
+            limits,
+            places[1],
+            as_real32(_rounded_up(acceleration)),
+            f"{motion.acceleration * to_acceleration:.3g} rad/s² seen"
+            + (f", {known_rad_s2:g} given" if acceleration == known_rad_s2 else f", times {margin:g}"),
+        ),
+        _choice(limits, places[2], jerk, words),
     )
 
 

@@ -67,7 +67,7 @@ def observe(
             f"of {len(samples)} samples many are flagged already ({in_words(flagged)}): find the cause first "
             "(docs/faults.md)"
         )
-    motion = motion_seen(followed)
+    motion = motion_seen(followed, limits.prediction_order)
     if motion.turned < LEAST_TURNED_CYCLES or motion.moving < LEAST_MOVING:
         raise CommissioningError(
             "the machine stands still: nothing can be said of its acceleration; let it do its normal duty "

@@ -9,14 +9,15 @@ from dataclasses import dataclass
 from canfb import objects as od
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
 from canfb.commissioning.lock_watch import Listening
-from canfb.objects import StatusBit
+from canfb.objects import PositionState, StatusBit, fault_words, position_state
 
+MISSED, LOST = "missed samples", "position lost"
 COUNTERS = {
-    "missed samples": od.COUNTER_MISSED,
+    MISSED: od.COUNTER_MISSED,
     "residual": od.COUNTER_RESIDUAL,
     "amplitude": od.COUNTER_AMPLITUDE,
     "coasting": od.COUNTER_COASTED,
-    "position lost": od.COUNTER_LOST,
+    LOST: od.COUNTER_LOST,
     "clipped": od.COUNTER_CLIPPED,
     "frozen": od.COUNTER_FROZEN,
     "coarse track": od.COUNTER_COARSE_DISAGREEMENTS,
@@ -26,6 +27,72 @@ U32 = 1 << 32
 READINGS_EVERY_S = 0.3
 SHORTEST_S = 1e-6  # a rest of rounding is nothing to wait for
 MORE_THAN_BEFORE = 3.0
+
+
+@dataclass(frozen=True)
+class Look:
+    """The module at one time: status word (2011:01), cycle count (2011:04), counters of 2012h."""
+
+    status: int
+    cycles: int
+    counters: Mapping[str, int]
+
+    @property
+    def is_lost(self) -> bool:
+        """The position is lost."""
+        return position_state(self.status) is PositionState.LOST
+
+
+@dataclass(frozen=True)
+class Meanwhile:
+    """The module before and after samples were collected."""
+
+    before: Look
+    after: Look
+
+    @property
+    def is_lost(self) -> bool:
+        """The position was lost before, or is so now."""
+        return self.before.is_lost or self.after.is_lost
+
+    @property
+    def counted(self) -> dict[str, int]:
+        """What it counted in between, of what it counted at all."""
+        return counted(self.before.counters, self.after.counters)
+
+    @property
+    def missed(self) -> int:
+        """Samples that it missed in between (2012:01)."""
+        return self.counted.get(MISSED, 0)
+
+    @property
+    def cycles(self) -> int | None:
+        """From its position before to that after; None where that is not known to have been valid."""
+        valid = self.before.status & self.after.status & StatusBit.VALID
+        if not valid or LOST in self.counted:
+            return None
+        return abs(self.after.cycles - self.before.cycles)
+
+
+def look_at(module: NodeAccess) -> Look | None:
+    """Status, cycle count and counters of the module; None if it does not say them."""
+    try:
+        return Look(
+            module.integer(*od.FEEDBACK_STATUS, "H"),
+            module.integer(*od.FEEDBACK_CYCLE_COUNT, "q"),
+            read_counters(module),
+        )
+    except CommissioningError:
+        return None
+
+
+def lost_words(module: NodeAccess, status: int) -> str:
+    """That its position is lost, with the cause that the status word has, and who knows more."""
+    causes = fault_words(status)
+    why = f" ({', '.join(causes)})" if causes else ""
+    return (
+        f"the position of {module.name} is lost{why}: canfb why {module.node_id:#04x} says why and what to do"
+    )
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,8 @@ import numpy as np
 from canfb.calibration.evaluate import peak, root_mean
 from canfb.commissioning.supervised_samples import SupervisedSamples
 from canfb.signal.phase import FloatArray
+from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
+from canfb.signal.third_order import SECOND as SECOND_ORDER
 
 HALVES = (1, 2, 4, 8, 16, 32, 64)  # of the windows of the parabolas, samples to each side
 MOVING_CYCLES = 0.02  # per interval: slower, the counts of neighbours hardly differ and noise hides
@@ -35,7 +37,10 @@ class MotionSeen:
     acceleration       the largest, cycles per interval squared, noise taken off
     jerk               the largest change of that in an interval, noise taken off
     noise              rms of the phase of one sample, cycles, at the speeds at which it is largest
-    residual           second difference at each sample from the third on, cycles; NaN where not known
+    residual           of the prediction, cycles; NaN where not known: the second difference at each sample
+                       from the third on, the third difference from the fourth on
+    bend               second difference at each sample from the third on, cycles; NaN where not known
+    order              of the prediction
     """
 
     slowest: float
@@ -46,6 +51,8 @@ class MotionSeen:
     jerk: float
     noise: float
     residual: FloatArray
+    bend: FloatArray
+    order: int = SECOND_ORDER
 
     @property
     def top_speed(self) -> float:
@@ -64,17 +71,21 @@ class MotionSeen:
 
     @property
     def residual_noise(self) -> float:
-        """Rms of the residual that the noise of three samples makes."""
-        return SECOND * self.noise
+        """Rms of the residual that the noise of three or four samples makes."""
+        return math.sqrt(RESIDUAL_WEIGHTS[self.order]) * self.noise
 
 
-def motion_seen(samples: SupervisedSamples) -> MotionSeen:
-    """The motion of these samples; at least one step between two valid ones."""
+def motion_seen(samples: SupervisedSamples, order: int = SECOND_ORDER) -> MotionSeen:
+    """The motion of these samples, as a prediction of ``order`` has it; at least one step between two valid
+    ones.
+    """
     speed, elapsed = samples.speed, samples.elapsed
     known = speed[np.isfinite(speed)]
     between = (elapsed[2:] + elapsed[1:-1]) / 2.0
     acceleration = np.diff(speed) / between
-    residual = np.diff(speed) * elapsed[2:]  # eq. 9 carries the last speed on
+    bend = residual = np.diff(speed) * elapsed[2:]  # eq. 9 carries the last speed on
+    if order != SECOND_ORDER:  # the parabola through three samples: Newton's form
+        residual = np.diff(acceleration) / 2.0 * elapsed[3:] * (elapsed[3:] + elapsed[2:-1])
     position = samples.position[samples.valid]
     moves = np.abs(speed) >= MOVING_CYCLES
     noise = _noise(acceleration, np.where(moves, np.abs(speed), np.nan)[1:])
@@ -89,6 +100,8 @@ def motion_seen(samples: SupervisedSamples) -> MotionSeen:
         jerk=_largest(np.diff(acceleration), noise, np.array([1.0, -3.0, 3.0, -1.0])),
         noise=noise,
         residual=residual,
+        bend=bend,
+        order=order,
     )
 
 

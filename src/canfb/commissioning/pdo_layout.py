@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
+from canfb.view.pdo_map import Pdo, valid_pdos
 
-PDOS = 4
 INTERFACE_TRACKS = (od.INTERFACE_SINE.mapped(16), od.INTERFACE_COSINE.mapped(16))
 PREDEFINED = (cob.TPDO1, cob.TPDO2, cob.TPDO3, cob.TPDO4)
 MODULE_TRACKS = (od.SAMPLE_SINE.mapped(16), od.SAMPLE_COSINE.mapped(16))
@@ -134,39 +134,27 @@ def _find(
     can_id, places, time_byte = found
     others = itertools.takewhile(_is_there, (_carrier(pdos, pair) for pair in earlier))
     pairs = tuple(PdoLayout(other[0], *other[1]) for other in others if other is not None)
-    times = [(other, byte) for other, entries in pdos if (byte := _time_place(entries)) is not None]
+    times = [(pdo.can_id, byte) for pdo in pdos if (byte := _time_place(pdo)) is not None]
     timed_by = None
     if earlier and time_byte is None and times:
         timed_by = PdoLayout(times[0][0], time_byte=times[0][1])
     return PdoLayout(can_id, *places, _sync_id(node), time_byte, None, pairs, timed_by)
 
 
-def _pdos(
-    node: NodeAccess, parameters: int, mapping: int, last: tuple[int, int] | None
-) -> Iterator[tuple[int, list[int]]]:
-    """COB-ID and mapping entries of the valid PDOs; up to the one with the objects ``last``."""
-    for number in range(PDOS):
-        try:
-            cob_id = node.integer(parameters + number, 1, "I")
-            count = node.integer(mapping + number, 0, "B")
-        except CommissioningError:
-            return  # the node has no more PDOs
-        if cob_id & (cob.NOT_VALID | cob.EXTENDED) or count > 64:
-            continue
-        entries = [node.integer(mapping + number, n, "I") for n in range(1, count + 1)]
-        yield cob_id & cob.CAN_ID, entries
-        if last is not None and _places(entries, last) is not None:
+def _pdos(node: NodeAccess, parameters: int, mapping: int, last: tuple[int, int] | None) -> Iterator[Pdo]:
+    """The valid PDOs; up to the one with the objects ``last``."""
+    for pdo in valid_pdos(node.read_known, parameters, mapping):
+        yield pdo
+        if last is not None and _places(pdo, last) is not None:
             return
 
 
-def _carrier(
-    pdos: Sequence[tuple[int, list[int]]], wanted: tuple[int, int]
-) -> tuple[int, tuple[int, int], int | None] | None:
+def _carrier(pdos: Sequence[Pdo], wanted: tuple[int, int]) -> tuple[int, tuple[int, int], int | None] | None:
     """COB-ID, bytes of both objects and of the sample time in the first PDO that has both objects."""
-    for can_id, entries in pdos:
-        places = _places(entries, wanted)
+    for pdo in pdos:
+        places = _places(pdo, wanted)
         if places is not None:
-            return can_id, places, _time_place(entries)
+            return pdo.can_id, places, _time_place(pdo)
     return None
 
 
@@ -181,24 +169,13 @@ def _sync_id(node: NodeAccess) -> int:
         return cob.SYNC
 
 
-def _places(entries: list[int], wanted: tuple[int, int]) -> tuple[int, int] | None:
-    """Bytes of both objects in a PDO with these mapping entries."""
-    at = _bytes(entries)
+def _places(pdo: Pdo, wanted: tuple[int, int]) -> tuple[int, int] | None:
+    """Bytes of both objects in this PDO."""
+    at = pdo.bytes_of()
     return (at[wanted[0]], at[wanted[1]]) if all(one in at for one in wanted) else None
 
 
-def _time_place(entries: list[int]) -> int | None:
-    """Byte of the sample time in a PDO with these mapping entries."""
-    at = _bytes(entries)
+def _time_place(pdo: Pdo) -> int | None:
+    """Byte of the sample time in this PDO."""
+    at = pdo.bytes_of()
     return next((at[one] for one in SAMPLE_TIMES if one in at), None)
-
-
-def _bytes(entries: list[int]) -> dict[int, int]:
-    """The byte at which each mapping entry begins, of those that begin at one."""
-    at: dict[int, int] = {}
-    bit = 0
-    for entry in entries:
-        if bit % 8 == 0:
-            at.setdefault(entry, bit // 8)
-        bit += entry & 0xFF
-    return at

@@ -13,12 +13,15 @@ from canfb.signal.phase import FloatArray
 from canfb.signal.sample_times import TICK_S, TICKS
 from canfb.sources.tracks_file import with_gaps
 
+# The rate between pauses is known to about half a percent where receive times jitter.
+LEAST_SKIPPED, SURE_PART = 2, 0.005
+
 
 @dataclass(frozen=True, eq=False)
 class TrackSamples:
     """Both tracks in ADC counts, one sample an interval, NaN where a sample was missed.
 
-    rate_hz   samples per second, None if not known
+    rate_hz   samples per second while they come without a pause, None if not known
     origin    where they come from, for people
     time_s    sample times by the clock of the encoder interface, seconds, rising; at a missed sample one
               between its neighbours. None: not known, the samples are equidistant
@@ -74,5 +77,21 @@ class TrackSamples:
 
     @property
     def duration_s(self) -> float | None:
-        """How long it took, None if the rate is not known."""
+        """How long it took, pauses included; None if neither times nor rate are known."""
+        times = self.heard_s if self.time_s is None else self.time_s
+        if times is not None and len(times) > 1 and times[-1] > times[0]:
+            return float(times[-1] - times[0]) * len(times) / (len(times) - 1)
         return len(self) / self.rate_hz if self.rate_hz else None
+
+    @property
+    def mean_rate_hz(self) -> float | None:
+        """Samples per second of the whole duration; ``rate_hz`` is that between pauses."""
+        return len(self) / self.duration_s if self.duration_s else None
+
+    @property
+    def skipped(self) -> int:
+        """Intervals in which not even a SYNC came, by the times; 0 where the times do not tell."""
+        if not self.rate_hz or not self.duration_s:
+            return 0
+        more = round(self.duration_s * self.rate_hz) - len(self)
+        return more if more > max(LEAST_SKIPPED, SURE_PART * len(self)) else 0

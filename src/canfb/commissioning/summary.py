@@ -9,6 +9,7 @@ from canfb.calibration.result import Calibration
 from canfb.commissioning.circumstances import Circumstances, percent, where_words
 from canfb.commissioning.measurement import Measurement
 from canfb.commissioning.procedure import Installation
+from canfb.commissioning.samples import TrackSamples
 from canfb.commissioning.table_file import conditioning_words
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
@@ -58,7 +59,6 @@ def comparison(measured: Measurement, done: Installation, where: Circumstances) 
 def facts(measured: Measurement, done: Installation, where: Circumstances) -> list[tuple[str, str]]:
     """What else there is to know of the measurement."""
     calibration, samples = measured.calibration, measured.samples
-    rate = f" at {samples.rate_hz:.6g} Hz" if samples.rate_hz else ""
     duration = f", {samples.duration_s:.3g} s" if samples.duration_s else ""
     listed = [
         ("table is good to", percent(calibration.uncertainty_peak, where)),
@@ -66,23 +66,55 @@ def facts(measured: Measurement, done: Installation, where: Circumstances) -> li
             "noise of a sample",
             f"{percent(calibration.noise_cycles, where)}, {calibration.noise_counts:.2f} counts",
         ),
-        ("samples", f"{len(samples)}{rate}{duration}; {samples.origin}"),
+        ("samples", f"{len(samples)}{rate_words(samples)}{duration}; {samples.origin}"),
         (
             "left out",
-            f"{samples.missed} missed, {calibration.samples_rejected} faulty or not in whole cycles",
+            f"{missed_words(samples, where)}, {calibration.samples_rejected} faulty or not in whole cycles",
         ),
         (
             "coverage",
-            f"{PERCENT * calibration.coverage:.0f} % of the cycle, {calibration.cycles_used:.0f} cycles"
+            f"{PERCENT * calibration.coverage:.0f} % of the cycle, {moved_words(calibration, where)}"
             f"{coverage_warning(measured)}",
         ),
         ("method", f"{calibration.method}, {len(calibration.table)} entries"),
     ]
     if done.fresh is not None:
         listed.append(("fresh samples", f"{len(done.fresh.error)} used, {done.fresh.faulty} left out"))
+    if where.meanwhile is not None and where.meanwhile.is_lost:
+        listed.append(("position of the module", "lost; a table does not bring it back (canfb why)"))
     if calibration.cramer_rao_ratio is not None:
         listed.append(("error of the table", bound_words(calibration)))
     return listed
+
+
+def rate_words(samples: TrackSamples) -> str:
+    """The rate of the samples, in the mean where they paused; "" if it is not known."""
+    usual, mean = samples.rate_hz, samples.mean_rate_hz
+    if not usual or not mean:
+        return ""
+    if samples.skipped:
+        return f" at {mean:.4g} Hz in the mean, {usual:.4g} Hz between pauses"
+    return f" at {usual:.6g} Hz"
+
+
+def missed_words(samples: TrackSamples, where: Circumstances) -> str:
+    """How many samples are missing, and how many the module says."""
+    skipped, meanwhile = samples.skipped, where.meanwhile
+    words = f"{samples.missed + skipped} missed"
+    if skipped:
+        words += f" ({samples.missed} SYNCs without a sample, about {skipped} intervals without a SYNC)"
+    if meanwhile is not None and (meanwhile.missed or skipped):
+        words += f", {meanwhile.missed} by the count of the module"
+    return words
+
+
+def moved_words(calibration: Calibration, where: Circumstances) -> str:
+    """How far the machine has moved; from even samples alone that is open by whole cycles per sample."""
+    by_module = None if where.meanwhile is None else where.meanwhile.cycles
+    cycles = max(calibration.cycles_used, by_module or 0)
+    per_turn = where.cycles_per_revolution
+    turns = f" ({cycles / per_turn:.3g} revolutions)" if per_turn else ""
+    return f"at least {cycles:.0f} cycles{turns}"
 
 
 def coverage_warning(measured: Measurement) -> str:
@@ -141,6 +173,11 @@ def as_json(measured: Measurement, done: Installation, where: Circumstances) -> 
         "samples_missed": samples.missed,
         "samples_rejected": calibration.samples_rejected,
         "sample_rate_hz": samples.rate_hz,
+        "mean_rate_hz": samples.mean_rate_hz,
+        "intervals_without_sync": samples.skipped,
+        "module_missed": None if where.meanwhile is None else where.meanwhile.missed,
+        "module_cycles": None if where.meanwhile is None else where.meanwhile.cycles,
+        "module_lost": None if where.meanwhile is None else where.meanwhile.is_lost,
         "coverage": calibration.coverage,
         "coverage_spike": None if spike is None else spike[0],
         "cycles_used": calibration.cycles_used,

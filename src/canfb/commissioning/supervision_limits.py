@@ -12,10 +12,15 @@ from canfb import objects as od
 from canfb.commissioning.access import CommissioningError, NodeAccess
 from canfb.objects import Multiplexer
 from canfb.signal.chain_config import ChainLimits
-from canfb.signal.limits import cycles_per_interval_squared, narrowed_residual_limit
 from canfb.signal.supervision import SampleLimits
+from canfb.view.limits_in_force import (
+    LIMIT_UNITS,
+    NOTHING_NARROWS,
+    LimitSettings,
+    MotionBounds,
+    limit_settings,
+)
 
-LIMIT_UNITS = 65536  # of a cycle in 2010:01, of a revolution in 2010:05
 AMPLITUDES = (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
 
 
@@ -33,6 +38,7 @@ LIMITS = (
     LimitObject(od.ENCODER_HIGHEST_AMPLITUDE, "H", "highest amplitude", "counts"),
     LimitObject(od.SUPERVISION_RESIDUAL_LIMIT, "H", "residual limit", "1/65536 cycle"),
     LimitObject(od.SUPERVISION_ACCELERATION, "f", "largest acceleration", "rad/s²"),
+    LimitObject(od.SUPERVISION_JERK, "f", "largest jerk", "rad/s³"),
     LimitObject(od.SUPERVISION_FROZEN, "B", "equal samples of a frozen input", "samples"),
     LimitObject(od.SUPERVISION_COARSE_LIMIT, "H", "coarse track limit", "1/65536 revolution"),
     LimitObject(od.SUPERVISION_PERIODS, "B", "periods without SYNC or sample", "periods"),
@@ -48,12 +54,16 @@ class SupervisionLimits:
     full_scale_counts       2001:02
     cycles_per_revolution   2001:01
     coast_samples           2010:03
+    motion                  order of the prediction, noise margin, samples per SYNC, sample times
+    noise_cycles            2011:0B, of the residual; None: not known
     """
 
     values: Mapping[Multiplexer, float]
     full_scale_counts: int
     cycles_per_revolution: int
     coast_samples: int
+    motion: LimitSettings = NOTHING_NARROWS
+    noise_cycles: float | None = None
 
     @classmethod
     def read(cls, module: NodeAccess) -> SupervisionLimits:
@@ -68,7 +78,28 @@ class SupervisionLimits:
             module.integer(*od.ENCODER_FULL_SCALE, "H"),
             module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I"),
             module.integer(*od.SUPERVISION_COAST, "B"),
+            limit_settings(module.read_known),
+            (module.read_known(od.FEEDBACK_NOISE) or 0) / LIMIT_UNITS or None,
         )
+
+    @property
+    def settings(self) -> LimitSettings:
+        """All that bounds the motion."""
+        return replace(
+            self.motion,
+            widest_cycles=self.values[od.SUPERVISION_RESIDUAL_LIMIT] / LIMIT_UNITS,
+            acceleration_rad_s2=self.values[od.SUPERVISION_ACCELERATION],
+            jerk_rad_s3=self.values.get(od.SUPERVISION_JERK, 0.0),
+        )
+
+    @property
+    def prediction_order(self) -> int:
+        """2010:07."""
+        return self.motion.prediction_order
+
+    def bounds(self, interval_s: float) -> MotionBounds:
+        """What bounds the motion at this interval from sample to sample."""
+        return self.settings.bounds(self.cycles_per_revolution, interval_s, self.noise_cycles)
 
     def changed(self, values: Mapping[Multiplexer, float]) -> SupervisionLimits:
         """With other values for some of the objects."""
@@ -76,26 +107,26 @@ class SupervisionLimits:
 
     def acceleration_cycles(self, interval_s: float) -> float:
         """2010:02 in cycles per interval squared; 0.0: not known."""
-        largest = self.values[od.SUPERVISION_ACCELERATION]
-        return cycles_per_interval_squared(largest, self.cycles_per_revolution, interval_s)
+        return self.bounds(interval_s).acceleration or 0.0
 
     def residual_limit(self, interval_s: float) -> float:
-        """The residual limit in force, cycles: 2010:01, narrowed by 2010:02."""
-        limit = self.values[od.SUPERVISION_RESIDUAL_LIMIT] / LIMIT_UNITS
-        largest = self.values[od.SUPERVISION_ACCELERATION]
-        return narrowed_residual_limit(limit, largest, self.cycles_per_revolution, interval_s)
+        """The residual limit in force, cycles: 2010:01, narrowed by 2010:02 or 2010:08 and 2010:09."""
+        return self.bounds(interval_s).residual
 
     def chain_limits(self, interval_s: float) -> ChainLimits:
-        """As the module puts them in force at this sampling interval."""
+        """As the module puts them in force, for a chain that gets all samples one by one.
+
+        ``interval_s`` is that from sample to sample.
+        """
         low, high = (self.values[place] for place in AMPLITUDES)
-        return ChainLimits(
+        return self.bounds(interval_s).chain_limits(
+            self.prediction_order,
+            self.settings.widest_cycles,
             sample=SampleLimits(self.full_scale_counts, low, high),
             cycles_per_revolution=self.cycles_per_revolution,
-            residual_limit=self.residual_limit(interval_s),
-            coast_samples=self.coast_samples,
+            coast_samples=min(self.coast_samples * self.motion.samples_per_sync, 255),
             frozen_samples=int(self.values[od.SUPERVISION_FROZEN]),
             coarse_limit_revolutions=self.values[od.SUPERVISION_COARSE_LIMIT] / LIMIT_UNITS,
-            acceleration=self.acceleration_cycles(interval_s) or None,
         )
 
 

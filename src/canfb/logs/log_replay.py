@@ -27,7 +27,7 @@ class ReplaySettings:
     correction   table and conditioning in place of what is saved
     state_dir    where `save` (1010h) has kept parameters of the module, read and never written
     begin        the NMT state at the beginning of the log
-    channel      of the log; None: that of its first frame
+    channel      of the log; None: all of them, as one bus
     drift        whether to measure how far the encoders have moved away from their tables: takes seconds
     """
 
@@ -57,6 +57,12 @@ class LogReplayed:
     log: BusLogFile
     replays: list[ModuleReplay]
     drifts: list[LogDrift | None]
+
+    def left_out(self, replay: ModuleReplay) -> int:
+        """Frames with CAN-IDs of this module, without those that all nodes hear, on channels not taken."""
+        mine = replay.own_can_ids
+        counted = self.log.counters.left_out.values()
+        return sum(number for one in counted for can_id, number in one.items() if can_id in mine)
 
 
 def replay_log(
@@ -103,8 +109,8 @@ def _feed(log: BusLogFile, replays: list[ModuleReplay], heard: Callable[[float],
         heard(log.part_read)
     if not fed:
         counters = log.counters
-        if log.channel is not None and counters.other_channels:
-            there = ", ".join(sorted(counters.other_channels))
+        if counters.left_out:
+            there = ", ".join(sorted(counters.left_out))
             raise LogError(f"{log.path}: there is no frame of channel {log.channel}; there are {there}")
         damaged = f"; {counters.damaged_lines} damaged lines" if counters.damaged_lines else ""
         raise LogError(f"{log.path}: there is no frame with an 11-bit identifier in it{damaged}")

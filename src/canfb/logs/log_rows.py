@@ -28,6 +28,7 @@ COLUMNS: dict[str, type] = {
     "frames": int,
     "damaged_lines": int,
     "trouble": str,
+    "left_out": int,
     "first_s": float,
     "last_s": float,
     "samples": int,
@@ -50,7 +51,8 @@ COLUMNS: dict[str, type] = {
     "fingerprint": str,
 }
 """The columns. A column named as a kind of fault counts intervals, ``..._times`` how often it began;
-``..._margin`` is the part of the limit that was left. ``error`` says why there is nothing else."""
+``..._margin`` is the part of the limit that was left. ``left_out``: frames of the module on other channels
+of the log than the chosen one. ``error`` says why there is nothing else."""
 
 Row = dict[str, Any]
 
@@ -69,14 +71,14 @@ def job_of(folder: Path, path: Path, settings: ReplaySettings) -> LogJob:
     """The job for a log. OSError if it has gone.
 
     Its fingerprint is of size and time of change of the file, the settings, what is saved in their
-    state_dir, and the version of canfb: another one, and the log is done again.
+    state_dir, the columns, and the version of canfb: another one, and the log is done again.
     """
     status = path.stat()
     saved = [
         (one.name, one.read_bytes())
         for one in sorted(settings.state_dir.glob("*.bin") if settings.state_dir else [])
     ]
-    parts = (version("canfb"), status.st_size, status.st_mtime_ns, _in_words(settings), saved)
+    parts = (version("canfb"), tuple(COLUMNS), status.st_size, status.st_mtime_ns, _in_words(settings), saved)
     digest = hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
     return LogJob(str(path.relative_to(folder)), path, status.st_size, digest)
 
@@ -117,7 +119,8 @@ def failed_rows(job: LogJob, settings: ReplaySettings, why: str) -> list[Row]:
 
 
 def _row(job: LogJob, replayed: LogReplayed, place: int) -> Row:
-    figures, counters = as_json(replayed.replays[place], replayed.drifts[place]), replayed.log.counters
+    replay, counters = replayed.replays[place], replayed.log.counters
+    figures = as_json(replay, replayed.drifts[place], replayed.left_out(replay))
     faults, margins, drift = figures["faults"], figures["margins"], figures["drift"] or {}
     pairs = figures["compared"].values()
     row: Row = {

@@ -35,9 +35,12 @@ def replay_html(replayed: LogReplayed, overview: Overview) -> str:
         f"module {node_id} ({node_id:02X}h) · {counters.frames} frames · "
         f"{counters.last_s - counters.first_s:.3f} s"
     )
-    good = not any(replay.faults.times.values()) and all(one.all_equal for one in replay.compared.values())
+    left_out, log = replayed.left_out(replay), replayed.log
+    whole = not (left_out or log.counters.damaged_lines or log.trouble)
+    faultless = not any(replay.faults.times.values())
+    good = whole and faultless and all(one.all_equal for one in replay.compared.values())
     facts = [*margin_facts(replay), *other_facts(replay, drift)]
-    facts += log_facts(replayed.log.counters, replayed.log.trouble)
+    facts += log_facts(log.counters, log.trouble)
     tables = facts_table("Margins", facts)
     compared = comparison_facts(replay)
     if compared:
@@ -49,7 +52,7 @@ def replay_html(replayed: LogReplayed, overview: Overview) -> str:
         if sum(replay.faults.times.values()) > MOST_FAULTS:
             rows.append(("", f"and {sum(replay.faults.times.values()) - MOST_FAULTS} more"))
         body += facts_table("Faults", rows)
-    return page(f"Replay of {replayed.log.path.name}", place, _said(replay), body, FOOTER, good)
+    return page(f"Replay of {log.path.name}", place, _said(replay, left_out), body, FOOTER, good)
 
 
 def write_page(path: Path, replayed: LogReplayed, overview: Overview) -> None:
@@ -60,8 +63,8 @@ def write_page(path: Path, replayed: LogReplayed, overview: Overview) -> None:
         raise CanfbError(f"--report {path}: cannot be written: {reason(error)}") from error
 
 
-def _said(replay: ModuleReplay) -> list[str]:
-    text = verdict(replay)
+def _said(replay: ModuleReplay, left_out: int) -> list[str]:
+    text = verdict(replay, left_out)
     said = [f"{text[:1].upper()}{text[1:]}."]
     compared = replay.compared.values()
     if compared:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from canfb import objects as od
@@ -15,17 +16,10 @@ from canfb.module.cia406.position import distinguishable_revolutions, single_tur
 from canfb.module.interval import IntervalEstimate
 from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, MOST_JERK_RAD_S3, ModuleConfig
 from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig, ChainLimits
-from canfb.signal.limits import (
-    cycles_per_interval_cubed,
-    cycles_per_interval_squared,
-    limit_narrowed_by_jerk,
-    narrowed_residual_limit,
-)
-from canfb.signal.residual_noise import RESIDUAL_WEIGHTS, ResidualNoise
-from canfb.signal.sample_times import TICK_S
+from canfb.signal.chain_config import ChainConfig
+from canfb.signal.residual_noise import ResidualNoise
 from canfb.signal.supervision import SampleLimits
-from canfb.signal.third_order import SECOND
+from canfb.view.limits_in_force import limit_settings
 
 SAME_NOISE = 0.02  # of it: no reason for new limits
 LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
@@ -127,7 +121,7 @@ class Limits:
     def __init__(self, dictionary: Dictionary, chain: SignalChain, interval: IntervalEstimate) -> None:
         self._chain = chain
         self._interval = interval
-        entry = dictionary.entry
+        self._dictionary, entry = dictionary, dictionary.entry
         self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         self._full_scale = entry(*od.ENCODER_FULL_SCALE)
         self._low, self._high = entry(*od.ENCODER_LOWEST_AMPLITUDE), entry(*od.ENCODER_HIGHEST_AMPLITUDE)
@@ -203,50 +197,30 @@ class Limits:
         if self._margin.value and not abs(usable - applied) <= SAME_NOISE * applied:
             self.apply()
 
-    def _noise_margin(self) -> float:
-        """2010:09 times the noise, cycles; infinite while one of them is not known."""
-        self._applied_noise = usable = self.noise.usable_cycles
-        return self._margin.value * usable if self._margin.value and usable == usable else math.inf
+    def _read(self, place: od.Multiplexer) -> Any:
+        """The value of an object; None if it does not exist."""
+        entry = self._dictionary.find(*place)
+        return None if entry is None else entry.value
 
     def apply(self) -> None:
         """Put the values of the dictionary in force."""
         self.noise.order = self.order
-        margin = self._noise_margin()
-        limit = speed_limit = self._residual.value / LIMIT_UNITS
         known_s, per_sync = self._interval.known_s, self._interval.samples_per_sync
-        interval_s, cycles = known_s / per_sync, self._cycles_per_revolution.value
-        phase_error = self._phase_error.value / LIMIT_UNITS
-        acceleration = jerk = None
-        if interval_s > 0.0 and self._acceleration.value > 0.0:
-            eq9_margin = margin if self.order == SECOND else math.inf
-            speed_limit = narrowed_residual_limit(
-                limit, self._acceleration.value, cycles, interval_s, eq9_margin, phase_error
-            )
-            acceleration = cycles_per_interval_squared(self._acceleration.value, cycles, interval_s)
-        if interval_s > 0.0 and self._jerk.value > 0.0:
-            limit = limit_narrowed_by_jerk(limit, self._jerk.value, cycles, interval_s, margin, phase_error)
-            jerk = cycles_per_interval_cubed(self._jerk.value, cycles, interval_s)
-        if self.order == SECOND:
-            limit = speed_limit
+        self._applied_noise = usable = self.noise.usable_cycles
+        settings = replace(limit_settings(self._read), samples_per_sync=per_sync, timed=self.timed)
+        noise_cycles = usable if usable == usable else None
+        bounds = settings.bounds(self._cycles_per_revolution.value, known_s / per_sync, noise_cycles)
         self._applied_s = known_s
         self.narrowed = self._acceleration.value > 0.0 or self._jerk.value > 0.0
-        self.in_force = ChainLimits(
+        self.in_force = bounds.chain_limits(
+            self.order,
+            settings.widest_cycles,
             sample=SampleLimits(self._full_scale.value, self._low.value, self._high.value),
-            cycles_per_revolution=cycles,
-            residual_limit=limit,
+            cycles_per_revolution=self._cycles_per_revolution.value,
             coast_samples=self._coast.value,
             frozen_samples=self._frozen.value,
             coarse_limit_revolutions=self._coarse.value / LIMIT_UNITS,
-            acceleration=acceleration,
-            prediction_order=self.order,
-            jerk=jerk,
-            start_limit=speed_limit,
             samples_per_sync=per_sync,
-            instant_error=TICK_S / 2.0 / interval_s if self.timed and interval_s > 0.0 else 0.0,
-            widest_limit=self._residual.value / LIMIT_UNITS,
-            phase_error=min(phase_error, margin / math.sqrt(RESIDUAL_WEIGHTS[self.order])),
-            bad_samples=self._bad.value,
-            doubt_acceleration=self._assumed.value / LIMIT_UNITS,
         )
         self._chain.set_limits(self.in_force)
         if self.on_applied is not None:

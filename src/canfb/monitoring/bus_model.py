@@ -7,12 +7,13 @@ from functools import partial
 
 from canfb.cia301 import cob
 from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame, frame_bits
-from canfb.monitoring.layout import NodeLayout, Number, PdoMap
+from canfb.monitoring.layout import NodeLayout, PdoMap
 from canfb.monitoring.meters import LoadMeter, SyncMeter
 from canfb.monitoring.module_model import ModuleModel
 from canfb.monitoring.node_model import NodeModel
 from canfb.monitoring.snapshot import BusSnapshot
 from canfb.objects import Multiplexer
+from canfb.view.pdo_map import Number
 
 NODES = range(1, 128)
 NMT_COMMAND = 0x000

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
 from canfb import objects as od
 from canfb.cia301 import cob
-from canfb.monitoring.limit_in_force import NOTHING_NARROWS, LimitSettings
 from canfb.objects import Multiplexer
-from canfb.signal.limits import PHASE_ERROR_CYCLES
+from canfb.view.limits_in_force import NOTHING_NARROWS, LimitSettings, limit_settings
+from canfb.view.pdo_map import PDOS, Number, Pdo, Read, valid_pdos
 
-Number = int | float
-Read = Callable[[Multiplexer], Number | None]
-"""Gives the value of an object, None where it is not known."""
-
-PDOS = 4
 MOST_MAPPED = 8
 EMCY_COB_ID = Multiplexer(0x1014)
-LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
 
 COUNTERS: dict[Multiplexer, str] = {
     od.COUNTER_MISSED: "missed",
@@ -69,6 +63,8 @@ SETTINGS: dict[Multiplexer, str] = {
     od.SUPERVISION_ORDER: "B",
     od.SUPERVISION_JERK: "f",
     od.SUPERVISION_NOISE_MARGIN: "B",
+    od.SUPERVISION_BAD_SAMPLES: "B",
+    od.SUPERVISION_DOUBT_ACCELERATION: "H",
     od.SUPERVISION_PHASE_ERROR: "H",
     od.CYCLE_PERIOD: "I",
     od.UNITS_PER_REVOLUTION: "I",
@@ -154,58 +150,23 @@ def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
         full_scale_counts=integer(od.ENCODER_FULL_SCALE, 2048),
         amplitude_low_counts=integer(od.ENCODER_LOWEST_AMPLITUDE, 0),
         amplitude_high_counts=integer(od.ENCODER_HIGHEST_AMPLITUDE, 0),
-        supervision=_supervision(read, integer),
-    )
-
-
-def _supervision(read: Read, integer: Callable[[Multiplexer, int], int]) -> LimitSettings:
-    mapped = [
-        [
-            int(read(Multiplexer(od.RPDO_MAPPING + n, sub + 1)) or 0)
-            for sub in range(min(int(count), MOST_MAPPED))
-        ]
-        for n in range(PDOS)
-        if (count := read(Multiplexer(od.RPDO_MAPPING + n, 0)))
-        and not integer(Multiplexer(od.RPDO + n, 1), cob.NOT_VALID) & cob.NOT_VALID
-    ]
-    return LimitSettings(
-        integer(od.SUPERVISION_RESIDUAL_LIMIT, LIMIT_UNITS // 2) / LIMIT_UNITS,
-        integer(od.SUPERVISION_ORDER, 2),
-        float(read(od.SUPERVISION_ACCELERATION) or 0.0),
-        float(read(od.SUPERVISION_JERK) or 0.0),
-        integer(od.SUPERVISION_NOISE_MARGIN, 0),
-        integer(od.SUPERVISION_PHASE_ERROR, round(PHASE_ERROR_CYCLES * LIMIT_UNITS)) / LIMIT_UNITS,
-        integer(od.CYCLE_PERIOD, 0) * 1e-6,
-        od.samples_per_sync(mapped),
-        any(od.SAMPLE_TIME.mapped(32) in one for one in mapped),
+        supervision=limit_settings(read),
     )
 
 
 def _pdos(read: Read, parameters: int, mapping: int, known: Mapping[Multiplexer, str]) -> tuple[PdoMap, ...]:
     """The PDOs that exist and carry something known."""
-    found = []
-    for number in range(PDOS):
-        cob_id, count = read(Multiplexer(parameters + number, 1)), read(Multiplexer(mapping + number, 0))
-        if cob_id is None or count is None or int(cob_id) & (cob.NOT_VALID | cob.EXTENDED):
-            continue
-        entries = [
-            read(Multiplexer(mapping + number, sub + 1)) for sub in range(min(int(count), MOST_MAPPED))
-        ]
-        pdo = _pdo_map(int(cob_id) & cob.CAN_ID, [int(one or 0) for one in entries], known)
-        if pdo.places:
-            found.append(pdo)
-    return tuple(found)
+    found = (_pdo_map(pdo, known) for pdo in valid_pdos(read, parameters, mapping))
+    return tuple(one for one in found if one.places)
 
 
-def _pdo_map(can_id: int, entries: list[int], known: Mapping[Multiplexer, str]) -> PdoMap:
+def _pdo_map(pdo: Pdo, known: Mapping[Multiplexer, str]) -> PdoMap:
     places = []
-    bit = 0
-    for entry in entries:
+    for entry, byte in pdo.bytes_of().items():
         place, bits = Multiplexer(entry >> 16, entry >> 8 & 0xFF), entry & 0xFF
         kind = known.get(place)
-        if kind is not None and bit % 8 == 0:
+        if kind is not None:
             packed = struct.Struct(f"<{kind}")
             if packed.size * 8 == bits:
-                places.append((place, bit // 8, packed))
-        bit += bits
-    return PdoMap(can_id, (bit + 7) // 8, tuple(places))
+                places.append((place, byte, packed))
+    return PdoMap(pdo.can_id, pdo.length_bytes, tuple(places))

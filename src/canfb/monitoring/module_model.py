@@ -8,10 +8,12 @@ from collections.abc import Mapping
 from itertools import pairwise
 
 from canfb import objects as od
-from canfb.monitoring.layout import COUNTERS, LIMIT_UNITS, NodeLayout, Number, PdoMap
+from canfb.monitoring.layout import COUNTERS, NodeLayout, PdoMap
 from canfb.monitoring.meters import PeakHistory
 from canfb.monitoring.snapshot import ModuleSnapshot
 from canfb.objects import Multiplexer, PositionState, StatusBit
+from canfb.view.limits_in_force import LIMIT_UNITS
+from canfb.view.pdo_map import Number
 
 HISTORY_BIN_S, HISTORY_BINS = 0.5, 120  # a minute
 PEAK_S = 1.0

@@ -9,8 +9,9 @@ from typing import NamedTuple
 from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
-from canfb.monitoring.layout import COUNTERS, SETTINGS, VALUES, Number
+from canfb.monitoring.layout import COUNTERS, SETTINGS, VALUES
 from canfb.objects import Multiplexer
+from canfb.view.pdo_map import Number
 
 UPLOAD, EXPEDITED, ABORT = 0x40, 0x43, 0x80
 ANSWER_S = 0.3

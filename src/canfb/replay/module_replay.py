@@ -26,6 +26,7 @@ from canfb.signal.correction import Correction
 
 POLL_S = 0.01  # from one look at the computations to the next, as the runner has it
 BATCH_FRAMES = 4096
+EVERYBODY = frozenset({0x000, 0x100, 0x7E4, 0x7E5})  # NMT, TIME, LSS
 RESET_ANSWER_S = 1.0  # a boot-up so long after that of the replay is its counterpart
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
@@ -96,6 +97,13 @@ class ModuleReplay:
         if not self.counters.recorded_own:
             return {}
         return {can_id: one.compared for can_id, one in sorted(self._own_frames.items())}
+
+    @property
+    def own_can_ids(self) -> frozenset[int]:
+        """CAN-IDs of what it sends and takes, without those for all nodes: NMT, SYNC, TIME and LSS."""
+        node = self.module.node
+        sync = self.module.dictionary.entry(*od.SYNC_COB_ID).value & cob.CAN_ID
+        return (node.own_can_ids | node.can_ids().any_state) - EVERYBODY - {sync}
 
     def fields(self, can_id: int) -> PdoFields | None:
         """By how much the PDOs with this CAN-ID differ; None if they do not."""

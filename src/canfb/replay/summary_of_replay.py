@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import Any
 
 from canfb.replay.drift_of_log import LogDrift
@@ -13,17 +14,22 @@ from canfb.replay.module_replay import ModuleReplay
 RPM = 60.0 / (2.0 * math.pi)
 WIDTH = 24
 SHOWN_FAULTS = 10
+SHOWN_CHANNELS = 6
 PERCENT = 100.0
 
 
-def as_json(replay: ModuleReplay, drift: LogDrift | None) -> dict[str, Any]:
-    """All figures; None for what is not known. Times are stamps of the log, seconds."""
+def as_json(replay: ModuleReplay, drift: LogDrift | None, left_out: int = 0) -> dict[str, Any]:
+    """All figures; None for what is not known. Times are stamps of the log, seconds.
+
+    ``left_out``: frames of this module on channels of the log that were not taken.
+    """
     counters, times, margins = replay.counters, replay.times, replay.margins
     table = replay.module.chain.correction
     return {
         "node_id": replay.module.node.node_id,
         "first_s": counters.first_s,
         "last_s": counters.last_s,
+        "left_out": left_out,
         "samples": replay.samples.rows - replay.faults.samples["missed"],
         "faults": {
             kind: {"times": replay.faults.times[kind], "samples": replay.faults.samples[kind]}
@@ -86,18 +92,23 @@ def _compared(replay: ModuleReplay, can_id: int) -> dict[str, Any]:
     return words
 
 
-def verdict(replay: ModuleReplay) -> str:
-    """One line: is it the position of the recorded module, and were there faults?"""
+def verdict(replay: ModuleReplay, left_out: int = 0) -> str:
+    """One line: is it the position of the recorded module, and were there faults?
+
+    ``left_out`` as for :func:`as_json`: then it is not known whether there were none.
+    """
+    missing = f"; {left_out} frames with CAN-IDs of this module were left out (--channel)" if left_out else ""
     samples = replay.samples.rows - replay.faults.samples["missed"]
     if not samples:
-        return "no sample came to the module: look at --encoder-interface, --begin and --channel"
+        return f"no sample came to the module: look at --encoder-interface, --begin and --channel{missing}"
     bad = [f"{times} × {kind}" for kind, times in replay.faults.times.items() if times]
-    return f"{samples} samples; faults: {', '.join(bad) if bad else 'none'}"
+    found = ", ".join(bad) if bad else "none in what was taken" if left_out else "none"
+    return f"{samples} samples; faults: {found}{missing}"
 
 
-def lines_of(replay: ModuleReplay, drift: LogDrift | None) -> list[str]:
-    """For the terminal."""
-    lines = [f"{'samples':{WIDTH}}{verdict(replay)}"]
+def lines_of(replay: ModuleReplay, drift: LogDrift | None, left_out: int = 0) -> list[str]:
+    """For the terminal; ``left_out`` as for :func:`as_json`."""
+    lines = [f"{'samples':{WIDTH}}{verdict(replay, left_out)}"]
     lines += [f"{name:{WIDTH}}{text}" for name, text in margin_facts(replay)]
     lines += [f"{name:{WIDTH}}{text}" for name, text in other_facts(replay, drift)]
     faults = replay.faults.in_order()
@@ -196,14 +207,35 @@ def comparison_facts(replay: ModuleReplay) -> list[tuple[str, str]]:
 
 
 def log_facts(counters: Any, trouble: str | None) -> list[tuple[str, str]]:
-    """What was left out of the log, for people."""
+    """What was left out of the log and why, for people; the channels first."""
+    rows = [("log", text) for text in channel_facts(counters)]
     facts = [
         (counters.damaged_lines, f"damaged lines left out, the first is line {counters.first_damaged_line}"),
         (counters.error_frames, "error frames left out"),
         (counters.not_canopen, "frames with 29-bit identifiers or CAN FD left out"),
     ]
-    rows = [("log", f"{number} {text}") for number, text in facts if number]
-    if counters.other_channels:
-        names = ", ".join(sorted(counters.other_channels))
-        rows.append(("log", f"frames of channel {counters.channel}; not of {names} (--channel)"))
+    rows += [("log", f"{number} {text}") for number, text in facts if number]
     return rows + ([("log", trouble)] if trouble else [])
+
+
+def channel_facts(counters: Any) -> list[str]:
+    """What was taken and left out by channels of the log; nothing where there is one, and it was taken."""
+    if counters.left_out:
+        number = sum(sum(one.values()) for one in counters.left_out.values())
+        return [
+            f"{number} frames of channel {_names(counters.left_out)} left out: "
+            f"--channel takes those of {_names(counters.channels)} alone"
+        ]
+    if len(counters.channels) > 1:
+        return [
+            f"channels {_names(counters.channels)} are taken as one bus; "
+            "if they are several, --channel takes one"
+        ]
+    return []
+
+
+def _names(channels: Collection[str]) -> str:
+    names = sorted(channels)
+    if len(names) > SHOWN_CHANNELS:
+        names[SHOWN_CHANNELS:] = [f"and {len(names) - SHOWN_CHANNELS} more"]
+    return ", ".join(names)

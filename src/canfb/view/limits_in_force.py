@@ -1,0 +1,170 @@
+"""The limits of the motion that a module has in force, by its objects (2010h) and the SYNC on the bus."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from canfb import objects as od
+from canfb.signal.chain_config import ChainLimits
+from canfb.signal.declared import DOUBT_ACCELERATION
+from canfb.signal.limits import (
+    PHASE_ERROR_CYCLES,
+    cycles_per_interval_cubed,
+    cycles_per_interval_squared,
+    limit_narrowed_by_jerk,
+    narrowed_residual_limit,
+)
+from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
+from canfb.signal.sample_times import TICK_S
+from canfb.signal.third_order import SECOND, THIRD
+from canfb.view.pdo_map import Read, valid_pdos
+
+LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
+
+
+class MotionBounds(NamedTuple):
+    """What the chain is given at one sampling interval; cycles and intervals from sample to sample.
+
+    residual       limit of the prediction in use
+    start          limit of the samples that eq. 9 predicts
+    acceleration, jerk   of the machine, None: not known
+    phase_error    largest error of a phase
+    instant_error  largest error of a sampling instant, intervals
+    bad_samples, doubt_acceleration   2010:0A, 2010:0B
+    """
+
+    residual: float
+    start: float
+    acceleration: float | None
+    jerk: float | None
+    phase_error: float
+    instant_error: float
+    bad_samples: int
+    doubt_acceleration: float
+
+    def chain_limits(self, order: int, widest: float, **others: Any) -> ChainLimits:
+        """All limits of a chain: these, its order, 2010:01 in cycles, and ``others``."""
+        return ChainLimits(
+            prediction_order=order,
+            widest_limit=widest,
+            residual_limit=self.residual,
+            start_limit=self.start,
+            acceleration=self.acceleration,
+            jerk=self.jerk,
+            phase_error=self.phase_error,
+            instant_error=self.instant_error,
+            bad_samples=self.bad_samples,
+            doubt_acceleration=self.doubt_acceleration,
+            **others,
+        )
+
+
+@dataclass(frozen=True)
+class LimitSettings:
+    """What the limit depends on; 0 for what is not set, or not known.
+
+    widest_cycles          2010:01
+    prediction_order       2010:07
+    acceleration_rad_s2, jerk_rad_s3   2010:02 and 2010:08
+    noise_margin           2010:09
+    bad_samples            2010:0A
+    doubt_acceleration     2010:0B, cycles per interval^2
+    phase_error_cycles     2010:0C
+    cycle_period_s         1006h
+    samples_per_sync       pairs that its RPDOs carry
+    timed                  they carry the sample time
+    """
+
+    widest_cycles: float = 0.5
+    prediction_order: int = 2
+    acceleration_rad_s2: float = 0.0
+    jerk_rad_s3: float = 0.0
+    noise_margin: int = 0
+    bad_samples: int = 0
+    doubt_acceleration: float = DOUBT_ACCELERATION
+    phase_error_cycles: float = PHASE_ERROR_CYCLES
+    cycle_period_s: float = 0.0
+    samples_per_sync: int = 1
+    timed: bool = False
+
+    def limit_cycles(
+        self,
+        cycles_per_revolution: int,
+        sync_hz: float | None,
+        noise_cycles: float | None = None,
+        velocity_rad_s: float | None = None,
+    ) -> float:
+        """The limit in force; 2010:01 where nothing narrows it, or the interval is not known.
+
+        ``sync_hz`` is as measured, None: as 1006h has it. ``noise_cycles`` is 2011:0B, None: not read; the
+        module takes the largest of its last blocks, so its limit may be a little wider.
+        """
+        sync_s = 1.0 / sync_hz if sync_hz else self.cycle_period_s
+        interval_s = sync_s / self.samples_per_sync
+        limit = self.bounds(cycles_per_revolution, interval_s, noise_cycles).residual
+        if not interval_s:
+            return limit
+        third = self.prediction_order == THIRD
+        if self.timed and velocity_rad_s:
+            cycles_per_s = abs(velocity_rad_s) * cycles_per_revolution / (2.0 * math.pi)
+            limit += (8.0 if third else 4.0) * cycles_per_s * (TICK_S / 2.0)  # all phases off by half a tick
+        return min(limit, self.widest_cycles)
+
+    def bounds(
+        self, cycles_per_revolution: int, interval_s: float, noise_cycles: float | None = None
+    ) -> MotionBounds:
+        """All that bounds the motion, at this interval from sample to sample; 0.0: the interval is not known.
+
+        ``noise_cycles`` as for :meth:`limit_cycles`.
+        """
+        n, widest, order = cycles_per_revolution, self.widest_cycles, self.prediction_order
+        margin = math.inf
+        if self.noise_margin and noise_cycles is not None:
+            margin = self.noise_margin * noise_cycles
+        declared = self.phase_error_cycles
+        phase_error = min(declared, margin / math.sqrt(RESIDUAL_WEIGHTS[order]))
+        doubt = self.bad_samples, self.doubt_acceleration
+        if not interval_s:
+            return MotionBounds(widest, widest, None, None, phase_error, 0.0, *doubt)
+        of_eq9 = margin if order == SECOND else math.inf
+        start = narrowed_residual_limit(widest, self.acceleration_rad_s2, n, interval_s, of_eq9, declared)
+        limit = start
+        if order == THIRD:
+            limit = limit_narrowed_by_jerk(widest, self.jerk_rad_s3, n, interval_s, margin, declared)
+        return MotionBounds(
+            limit,
+            start,
+            cycles_per_interval_squared(self.acceleration_rad_s2, n, interval_s) or None,
+            cycles_per_interval_cubed(self.jerk_rad_s3, n, interval_s) or None,
+            phase_error,
+            TICK_S / 2.0 / interval_s if self.timed else 0.0,
+            *doubt,
+        )
+
+
+def limit_settings(read: Read) -> LimitSettings:
+    """Those of the module whose objects ``read`` gives; defaults for what it does not."""
+    mapped = [pdo.entries for pdo in valid_pdos(read, od.RPDO, od.RPDO_MAPPING)]
+    residual, order = read(od.SUPERVISION_RESIDUAL_LIMIT), read(od.SUPERVISION_ORDER)
+    return LimitSettings(
+        widest_cycles=0.5 if residual is None else residual / LIMIT_UNITS,
+        prediction_order=THIRD if order == THIRD else SECOND,
+        acceleration_rad_s2=float(read(od.SUPERVISION_ACCELERATION) or 0.0),
+        jerk_rad_s3=float(read(od.SUPERVISION_JERK) or 0.0),
+        noise_margin=int(read(od.SUPERVISION_NOISE_MARGIN) or 0),
+        bad_samples=int(read(od.SUPERVISION_BAD_SAMPLES) or 0),
+        doubt_acceleration=_in_cycles(read(od.SUPERVISION_DOUBT_ACCELERATION), DOUBT_ACCELERATION),
+        phase_error_cycles=_in_cycles(read(od.SUPERVISION_PHASE_ERROR), PHASE_ERROR_CYCLES),
+        cycle_period_s=int(read(od.CYCLE_PERIOD) or 0) * 1e-6,
+        samples_per_sync=od.samples_per_sync(mapped),
+        timed=any(od.SAMPLE_TIME.mapped(32) in one for one in mapped),
+    )
+
+
+def _in_cycles(value: float | None, default: float) -> float:
+    return default if value is None else value / LIMIT_UNITS
+
+
+NOTHING_NARROWS = LimitSettings()
