@@ -14,6 +14,7 @@ from canfb.cia301.nmt import NmtCommand
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.event import Event, EventKind
 from canfb.module.event_watch import EventWatch
+from canfb.signal.feedback import Feedback
 
 NODE, INTERFACE = 0x20, 0x10
 PERIOD_S = 1e-3
@@ -22,7 +23,8 @@ PERIOD_S = 1e-3
 class Machine:
     """A module at 1 kHz whose samples a test may spoil."""
 
-    def __init__(self, *, detailed: bool = False, **fields: object) -> None:
+    def __init__(self, *, detailed: bool = False, stamped: bool = True, **fields: object) -> None:
+        self.stamped = stamped
         config = canfb.ModuleConfig(node_id=NODE, autostart=True, **fields)  # type: ignore[arg-type]
         self.module = canfb.FeedbackModule(config, MemoryStore())
         self.events: list[Event] = []
@@ -53,7 +55,7 @@ class Machine:
         self.now = end
 
     def give(self, can_id: int, data: bytes, at: float) -> None:
-        self.module.receive(Frame(can_id, data, timestamp=at), at)
+        self.module.receive(Frame(can_id, data, timestamp=at if self.stamped else None), at)
 
     def texts(self, kind: EventKind | None = None) -> list[str]:
         return [event.text for event in self.events if kind in (None, event.kind)]
@@ -90,7 +92,11 @@ def test_a_lost_position_names_every_cause_and_how_long_it_took() -> None:
     machine.events.clear()
     machine.run(1, jump=0.3)
     machine.run(10, sample=False)
-    assert machine.texts(EventKind.POSITION)[-1] == "position lost: sample missed, residual over its limit"
+    assert machine.texts(EventKind.POSITION)[-1] == (
+        "position lost: sample missed, residual over its limit; "
+        "more samples in a row were bad or missing than 2010:03 allows; see canfb why"
+    )
+    assert machine.events[-1].values["cause"] == "coasted"
 
 
 @pytest.mark.parametrize(
@@ -104,6 +110,46 @@ def test_the_check_that_failed_is_named(amplitude: float, words: str) -> None:
     machine.run(20, amplitude=amplitude)
     assert any(words in text for text in machine.texts(EventKind.POSITION))
     assert len(machine.events) <= 4, "20 bad samples are no 20 events"
+
+
+def test_a_residual_is_over_its_limit_only_if_it_is() -> None:
+    """A sample within the limit that contradicts those before it is told as that."""
+    machine = Machine()
+    machine.run(100)
+    watch = machine.module.events
+    faulty = last(machine)._replace(residual=0.271, status=od.StatusBit.RESIDUAL | od.StatusBit.COASTING)
+    assert watch._reasons(faulty, faulty.status) == [
+        "residual 0.271 cycle, within 0.333: contradicts the samples before"
+    ]
+    assert watch._reasons(faulty._replace(residual=0.4), faulty.status) == ["residual 0.400 over 0.333 cycle"]
+
+
+def last(machine: Machine) -> Feedback:
+    feedback = machine.module.feedback
+    assert feedback is not None
+    return feedback
+
+
+def test_a_position_that_time_keeps_from_being_valid_says_what_was_late() -> None:
+    machine = Machine(stamped=False)
+    machine.run(100)
+    machine.events.clear()
+    machine.now += 1.5 * PERIOD_S  # without a receive time this is a missed SYNC, or one that was heard late
+    machine.run(1)
+    (text,) = machine.texts(EventKind.POSITION)
+    assert text == "position coasting: SYNC 1.5 ms late, one may have been missed: the next SYNCs decide"
+
+
+def test_a_pause_says_what_confirms_the_position() -> None:
+    machine = Machine()
+    machine.run(100)
+    machine.give(0, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, NODE)), machine.now + 5e-4)
+    machine.give(0, bytes((NmtCommand.START, NODE)), machine.now + 6e-4)
+    machine.events.clear()
+    machine.run(1)
+    assert machine.texts(EventKind.POSITION) == [
+        "position coasting: 4 samples must confirm it after the pause"
+    ]
 
 
 def test_sync_is_lost_and_found_again() -> None:

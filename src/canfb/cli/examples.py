@@ -29,6 +29,9 @@ _EXAMPLES = {
   canfb simulate feedback.yaml --rate 100
   canfb simulate feedback.yaml --rate 500 --rpm 300 --module 0x20
   canfb simulate feedback.yaml --rate 500 --samples tracks.csv --columns b,a --mid-scale 8192""",
+    "canfb why": """
+  canfb why 0x20 -i socketcan -c can0
+  canfb why 0x20 --config feedback.yaml --json""",
     "canfb nmt": """
   canfb nmt start all -i socketcan -c vcan0
   canfb nmt start 0x10 0x20 --config feedback.yaml

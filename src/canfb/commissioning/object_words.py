@@ -19,6 +19,8 @@ _OF: dict[str, dict[Place, type[IntFlag | IntEnum]]] = {
     MODULE: {
         od.SAMPLE_FLAGS: od.SampleFlag,
         od.FEEDBACK_STATUS: od.StatusBit,
+        od.COUNTER_LOSS_CAUSE: od.LossCause,
+        od.COUNTER_LOSS_FAULTS: od.StatusBit,
         od.MEASUREMENT_COMMAND: od.MeasurementCommand,
         od.MEASUREMENT_STATE: od.MeasurementState,
         od.RECORDING_COMMAND: od.RecordingCommand,
@@ -56,6 +58,8 @@ def in_words(product: str, place: Place, value: object) -> str:
         return str(Reason.of_number(value).text) if value else ""
     if kind is None:
         return ""
+    if kind is od.LossCause:
+        return next((one.text for one in od.LossCause if one == value), "")
     if issubclass(kind, IntEnum):
         return next((_spoken(one.name) for one in kind if one == value), "")
     names = {one.value: _spoken(str(one.name)) for one in kind}

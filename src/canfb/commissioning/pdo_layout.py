@@ -202,3 +202,8 @@ def _bytes(entries: list[int]) -> dict[int, int]:
             at.setdefault(entry, bit // 8)
         bit += entry & 0xFF
     return at
+
+
+def mapped_objects(module: NodeAccess) -> set[int]:
+    """All mapping entries of the valid RPDOs of a module: index, sub-index and bits, as in 1600h."""
+    return {entry for _, entries in _pdos(module, od.RPDO, od.RPDO_MAPPING, None) for entry in entries}

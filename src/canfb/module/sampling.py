@@ -54,6 +54,7 @@ class Sampling:
         self._taps, self._publishing, self._prediction = taps, publishing, publishing.prediction
         self._paused_s = 0.0
         self._grid_learned_s = 0.0
+        publishing.events.unconfirmed = self._why_unconfirmed
         self._grid = NominalSync(
             GRID_SYNCS
         )  # by which an interface takes its samples, if several for each SYNC
@@ -133,6 +134,15 @@ class Sampling:
             self._usual.unconfirmed -= 1
         return feedback._replace(status=feedback.status & ~VALID | COASTING)
 
+    def _why_unconfirmed(self) -> str:
+        """What keeps a position without a fault from being valid, in words; "" where that is not known."""
+        if self._usual.unconfirmed:
+            return f"{CONFIRMING_SAMPLES} samples must confirm it after the pause"
+        if self.timeline.withheld:
+            frame, late_s = self.timeline.late
+            return f"{frame} {late_s * 1e3:.3g} ms late, one may have been missed: the next SYNCs decide"
+        return "a zero pulse contradicts it" if self._chain.reference.in_doubt else ""
+
     def _follow_interval(self) -> None:
         """Take the nominal interval along, by which sample times are judged."""
         seconds, same = self._interval.seconds, SAME_INTERVAL
@@ -201,6 +211,7 @@ class Sampling:
         interval_s = interval.settled_s or interval.seconds
         self._usual.unconfirmed = CONFIRMING_SAMPLES if chain.begun and not chain.lost else 0
         chain.resume((now - self._paused_s) / interval_s if interval_s else NEVER)
+        self._publishing.loss.resumed(chain.lost)
         interval.pause()
         self._prediction.pause(self._publishing.last)
         self._publishing.withhold()
