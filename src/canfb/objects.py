@@ -79,6 +79,16 @@ INTERFACE_FLAGS: Final = Multiplexer(0x2000, 2)
 INTERFACE_ZERO_PULSE_PLACE: Final = Multiplexer(0x2000, 3)
 
 
+INTERFACE_MACHINE: Final = Multiplexer(0x2060)
+
+
+class MachineCommand(IntEnum):
+    """What can be written to 2060h of a simulated encoder interface."""
+
+    STOP = 0
+    START = 1
+
+
 class SampleFlag(IntFlag):
     """Bits of 2000:06 of the module and 2000:02 of the encoder interface."""
 

@@ -37,6 +37,7 @@ COMMANDS = (
         "simulate the encoder interface, with a motion, a recording or a drive, on a bus",
     ),
     CommandEntry("why", "why_command", "why the position of a module is not valid, and what brings it back"),
+    CommandEntry("reset", "reset_command", "reset and start a module, at standstill only"),
     CommandEntry("nmt", "nmt_command", "start, stop or reset nodes"),
     CommandEntry("sdo", "sdo_command", "read or write one object of a node, by name or number"),
     CommandEntry(

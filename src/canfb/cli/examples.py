@@ -32,6 +32,9 @@ _EXAMPLES = {
     "canfb why": """
   canfb why 0x20 -i socketcan -c can0
   canfb why 0x20 --config feedback.yaml --json""",
+    "canfb reset": """
+  canfb reset 0x20 -i socketcan -c can0
+  canfb reset 0x20 --config feedback.yaml --force""",
     "canfb nmt": """
   canfb nmt start all -i socketcan -c vcan0
   canfb nmt start 0x10 0x20 --config feedback.yaml

@@ -14,7 +14,10 @@ WORDS = {
     "start": (NmtCommand.START, "to OPERATIONAL: PDOs are sent and received"),
     "stop": (NmtCommand.STOP, "to STOPPED: only NMT and error control remain"),
     "preop": (NmtCommand.ENTER_PRE_OPERATIONAL, "to PRE-OPERATIONAL: SDO, no PDO"),
-    "reset": (NmtCommand.RESET_NODE, "reset of the node, as by a power cycle"),
+    "reset": (
+        NmtCommand.RESET_NODE,
+        "reset of the node, as by a power cycle, whatever its machine does",
+    ),
     "reset-comm": (NmtCommand.RESET_COMMUNICATION, "reset of the communication parameters (1000h to 1FFFh)"),
 }
 ALL, EVERYBODY = "all", 0

@@ -25,7 +25,11 @@ _OF: dict[str, dict[Place, type[IntFlag | IntEnum]]] = {
         od.MEASUREMENT_STATE: od.MeasurementState,
         od.RECORDING_COMMAND: od.RecordingCommand,
     },
-    INTERFACE: {od.INTERFACE_FLAGS: od.SampleFlag, od.RECORDING_COMMAND: od.RecordingCommand},
+    INTERFACE: {
+        od.INTERFACE_FLAGS: od.SampleFlag,
+        od.INTERFACE_MACHINE: od.MachineCommand,
+        od.RECORDING_COMMAND: od.RecordingCommand,
+    },
 }
 
 _TO_DO: dict[int, str] = {
