@@ -25,6 +25,10 @@ _EXAMPLES = {
   canfb monitor 0x20 0x21 -i socketcan -c can0 -b 500000 --sdo
   canfb monitor --config feedback.yaml --per-revolution '5 mm'
   canfb monitor --log drive.asc --json""",
+    "canfb dump": """
+  canfb dump --config feedback.yaml
+  canfb dump 0x20 -i socketcan -c can0 --pdo --seconds 1
+  canfb dump 0x20 --log drive.asc --json""",
     "canfb simulate": """
   canfb simulate feedback.yaml --rate 100
   canfb simulate feedback.yaml --rate 500 --rpm 300 --module 0x20
