@@ -60,7 +60,7 @@ def test_a_configuration_names_modules_and_bus(tmp_path: Path, capsys: pytest.Ca
     path.write_text("bus: {interface: virtual, channel: dump}\nmodules: [{node_id: 32}]\n", encoding="utf-8")
     with can.Bus(interface="virtual", channel="dump") as other:
         other.send_periodic(can.Message(arbitration_id=0x190, data=bytes(4), is_extended_id=False), 0.005)
-        assert main(["dump", "--config", str(path), "--seconds", "0.3", "--listen"]) == 0
+        assert main(["dump", str(path), "--seconds", "0.3", "--listen"]) == 0
     assert "RPDO1 of 32: sine 0 ADC counts" in capsys.readouterr().out
 
 

@@ -32,6 +32,7 @@ COMMANDS = [
     "why",
     "reset",
     "dump",
+    "bus scan",
     "sdo read",
     "sdo write",
     "restore",

@@ -112,7 +112,7 @@ def test_sdo_says_what_explains_a_lost_position(canfb: Commands) -> None:
         "\nthe position is lost: canfb why 0x20 says why, and what brings it back\n"
     )
     assert canfb(bench, "sdo", "read", NODE, "2012:10")[0] == (
-        "2012:10 Counters: Cause of the last loss: 1 (more samples in a row were bad or missing than 2010:03 "
+        "2012:10 Counters: Last loss cause: 1 (more samples in a row were bad or missing than 2010:03 "
         "allows)\n"
     )
     assert canfb(bench, "sdo", "read", NODE, "2012:16")[0].endswith(": 64 (missed)\n")

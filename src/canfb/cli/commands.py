@@ -39,6 +39,7 @@ COMMANDS = (
     ),
     CommandEntry("why", "why_command", "why the position of a module is not valid, and what brings it back"),
     CommandEntry("reset", "reset_command", "reset and start a module, at standstill only"),
+    CommandEntry("bus", "bus_command", "who is on a bus"),
     CommandEntry("nmt", "nmt_command", "start, stop or reset nodes"),
     CommandEntry("sdo", "sdo_command", "read or write one object of a node, by name or number"),
     CommandEntry(

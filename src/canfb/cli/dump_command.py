@@ -13,9 +13,10 @@ from canfb.bus.known_modules import known_objects
 from canfb.bus.master import BusMaster
 from canfb.bus.opening import open_bus
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, node_number, refuse_idle
+from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, refuse_idle
 from canfb.cli.printing import say
 from canfb.cli.watch_options import positive
+from canfb.cli.yaml_argument import node_or_yaml, take_yaml
 from canfb.commissioning.access import NodeAccess
 from canfb.commissioning.frame_words import FrameWords, Read, read_by_sdo
 from canfb.commissioning.object_description import ObjectDescriptions
@@ -29,7 +30,12 @@ def register(commands: Commands) -> None:
     """Add the command."""
     parser = add_command(commands, "dump", "show frames, PDOs of modules and interfaces decoded", dump)
     parser.add_argument(
-        "nodes", metavar="NODE", nargs="*", default=[], type=node_number, help="modules, such as 32 or 0x20"
+        "nodes",
+        metavar="NODE",
+        nargs="*",
+        default=[],
+        type=node_or_yaml,
+        help="modules, such as 32 or 0x20; or CONFIG.yaml, as with --config",
     )
     parser.add_argument("--config", metavar="CONFIG.yaml", help="takes modules and bus from it")
     parser.add_argument("--log", metavar="FILE", type=Path, help="a log that python-can reads, not a bus")
@@ -44,6 +50,7 @@ def register(commands: Commands) -> None:
 
 def dump(options: argparse.Namespace) -> int:
     """Show frames until Ctrl-C, the end of the log, or --seconds."""
+    take_yaml(options)
     config = load_config(options.config) if options.config else Config()
     if options.log is not None:
         refuse_idle(options, ["listen"], "a log answers no SDO anyway")

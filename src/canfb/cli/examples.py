@@ -39,6 +39,9 @@ _EXAMPLES = {
     "canfb reset": """
   canfb reset 0x20 -i socketcan -c can0
   canfb reset 0x20 --config feedback.yaml --force""",
+    "canfb bus scan": """
+  canfb bus scan -i socketcan -c can0
+  canfb bus scan feedback.yaml --json""",
     "canfb nmt": """
   canfb nmt start all -i socketcan -c vcan0
   canfb nmt start 0x10 0x20 --config feedback.yaml

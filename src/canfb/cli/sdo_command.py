@@ -7,6 +7,7 @@ from pathlib import Path
 
 from canfb.cli import node_options
 from canfb.cli.options import Commands, add_command
+from canfb.cli.yaml_argument import is_yaml
 from canfb.commissioning.access import CommissioningError, Master, NodeAccess
 from canfb.commissioning.marked_yaml import read_bytes
 from canfb.commissioning.object_description import ObjectDescriptions
@@ -85,6 +86,8 @@ def read(options: argparse.Namespace) -> int:
 
 def write(options: argparse.Namespace) -> int:
     """Write an object, and print what it holds now."""
+    if options.file is not None and options.configuration is None and is_yaml(options.value or ""):
+        options.value, options.configuration = None, options.value
     if (options.value is None) == (options.file is None):
         raise ConfigError("a VALUE or --file FILE is required, one of them")
     value = options.value if options.file is None else read_bytes(options.file, CommissioningError)

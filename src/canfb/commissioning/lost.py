@@ -315,7 +315,7 @@ def _read_loss(module: NodeAccess) -> tuple[Loss | None, bool]:
     since_ms, bad, residual, limit, speed, faults = (
         module.integer(*place, "I")
         for place in (
-            od.COUNTER_LOSS_TIME,
+            od.COUNTER_LOSS_AGE,
             od.COUNTER_LOSS_BAD,
             od.COUNTER_LOSS_RESIDUAL,
             od.COUNTER_LOSS_LIMIT,

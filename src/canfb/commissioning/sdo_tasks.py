@@ -168,7 +168,8 @@ class SdoTasks:
 
     def _refused(self, doing: str, entry: ObjectDescription, error: RefusedError) -> CommissioningError:
         what = f"{doing} {entry.number} {entry.title}"
-        return CommissioningError(f"{self._node.name}: {what} is refused: {abort_words(error.code, entry)}")
+        said = abort_words(error.code, entry, self._described.product)
+        return CommissioningError(f"{self._node.name}: {what} is refused: {said}")
 
 
 _COUNTED = frozenset({0x1003, *range(0x1600, 0x1800), *range(0x1A00, 0x1C00)})

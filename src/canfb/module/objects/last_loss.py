@@ -52,7 +52,7 @@ class LastLoss:
         self._limits, self._now = limits, now
         for place, read in (
             (od.COUNTER_LOSS_CAUSE, lambda: int(self.cause)),
-            (od.COUNTER_LOSS_TIME, self._since_ms),
+            (od.COUNTER_LOSS_AGE, self._since_ms),
             (od.COUNTER_LOSS_BAD, lambda: self.bad_samples),
             (od.COUNTER_LOSS_RESIDUAL, lambda: self._residual),
             (od.COUNTER_LOSS_LIMIT, lambda: self._limit),
