@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench
 from node_commands import Commands, abort, between, place_of
 
 from canfb import objects as od
+from canfb.cli.main import build_parser
 from canfb.commissioning.lost import Loss, LostPosition, age_words, read_lost_position
 from canfb.objects import LossCause, StatusBit
 from folding import each
@@ -164,3 +167,17 @@ def test_each_cause_has_an_advice(cause: LossCause) -> None:
 
 def test_ages() -> None:
     assert [age_words(one) for one in (0.8, 90.0, 600.0, 10800.0)] == ["0.8 s", "90 s", "10 min", "3.0 h"]
+
+
+def test_the_page_shows_what_the_command_prints() -> None:
+    (shown,) = re.findall(r"```text\n(.*?)```", PAGE, re.S)
+    loss = Loss(LossCause.COASTED, 12.4, 4, 0.5, 1 / 3, 1.2, int(StatusBit.MISSED))
+    lost = replace(LOST, loss=loss, missed=4, unheard=3, acceleration_rad_s2=0.0, coast_samples=3)
+    assert "\n".join(lost.lines()).startswith(shown.rstrip())
+
+
+def test_the_commands_of_the_page_are_understood() -> None:
+    commands = re.findall(r"^canfb (.*)$", PAGE, re.M) + re.findall(r"`canfb (sdo [^`]*)`", PAGE)
+    assert len(commands) >= 3
+    for command in commands:
+        assert build_parser().parse_args(shlex.split(command)).command

@@ -138,7 +138,8 @@ class LostPosition:
         loss = self.loss
         if loss is None:
             if not self.keeps_cause:
-                return [f"not known: this module does not keep the cause; {self.losses} losses so far"]
+                losses = _times(self.losses, "loss", "losses")
+                return [f"not known: this module does not keep the cause; {losses} so far"]
             return ["none since the start"]
         told = [f"{age_words(loss.since_s)} ago: {loss.cause.text}"]
         if loss.bad_samples:
@@ -154,7 +155,7 @@ class LostPosition:
         told.append(f"residual then: {compared}; limit {loss.limit_cycles:.3f} cycle")
         told.append(f"speed then: {self._speed_words(loss.speed_cycles)}")
         told.append(
-            f"since the start: {self.losses} losses, {self.missed} missed samples, "
+            f"since the start: {_times(self.losses, 'loss', 'losses')}, {self.missed} missed samples, "
             f"{self.unheard} SYNCs not heard"
         )
         return told
@@ -333,6 +334,10 @@ def _read(module: NodeAccess, place: Multiplexer, layout: str) -> float:
         return module.read(*place, layout)
     except ObjectAbsentError:
         return 0
+
+
+def _times(count: int, one: str, several: str) -> str:
+    return f"{count} {one if count == 1 else several}"
 
 
 def _fault_words(faults: int) -> str:
