@@ -79,6 +79,16 @@ INTERFACE_FLAGS: Final = Multiplexer(0x2000, 2)
 INTERFACE_ZERO_PULSE_PLACE: Final = Multiplexer(0x2000, 3)
 
 
+INTERFACE_MACHINE: Final = Multiplexer(0x2060)
+
+
+class MachineCommand(IntEnum):
+    """What can be written to 2060h of a simulated encoder interface."""
+
+    STOP = 0
+    START = 1
+
+
 class SampleFlag(IntFlag):
     """Bits of 2000:06 of the module and 2000:02 of the encoder interface."""
 
@@ -207,6 +217,11 @@ class LossCause(IntEnum):
     CONFIGURATION = 10, "the configuration changed while the position was in doubt"
 
 
+def loss_cause(number: float | None) -> LossCause | None:
+    """The cause of this number, as 2012:10 or an EMCY 7300h has it; None for NONE and for unknown numbers."""
+    return next((one for one in LossCause if one and one == number), None)
+
+
 class EncoderEmergency(IntEnum):
     """Emergency error codes of the warnings 6505h, FF10h plus the number of the bit, and their meaning."""
 
@@ -244,6 +259,13 @@ COUNTER_SET_RIGHT: Final = Multiplexer(0x2012, 12)
 COUNTER_DUPLICATE_SYNCS: Final = Multiplexer(0x2012, 13)
 COUNTER_SYNCS_NOT_HEARD: Final = Multiplexer(0x2012, 14)
 COUNTER_SECOND_DISAGREEMENTS: Final = Multiplexer(0x2012, 15)
+COUNTER_LOSS_CAUSE: Final = Multiplexer(0x2012, 16)
+COUNTER_LOSS_AGE: Final = Multiplexer(0x2012, 17)
+COUNTER_LOSS_BAD: Final = Multiplexer(0x2012, 18)
+COUNTER_LOSS_RESIDUAL: Final = Multiplexer(0x2012, 19)
+COUNTER_LOSS_LIMIT: Final = Multiplexer(0x2012, 20)
+COUNTER_LOSS_SPEED: Final = Multiplexer(0x2012, 21)
+COUNTER_LOSS_FAULTS: Final = Multiplexer(0x2012, 22)
 
 PREDICTION_POSITION: Final = Multiplexer(0x2013, 1)
 PREDICTION_NOMINAL_SYNC: Final = Multiplexer(0x2013, 2)

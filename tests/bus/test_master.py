@@ -57,6 +57,14 @@ def test_it_hears_what_it_has_subscribed_to_and_nothing_else(peer: can.BusABC) -
     assert heard.empty()
 
 
+def test_a_remote_frame_asks_for_a_state(peer: can.BusABC) -> None:
+    with BusMaster(open_virtual()) as master:
+        master.request(0x720)
+        heard = peer.recv(5.0)
+    assert heard is not None
+    assert (heard.arbitration_id, heard.is_remote_frame, heard.is_extended_id) == (0x720, True, False)
+
+
 def test_sdo_bytes_in_and_out(peer: can.BusABC) -> None:
     """The answer lies ready: the request is expedited, and its answer too."""
     with BusMaster(open_virtual(), answer_within_s=5.0) as master:

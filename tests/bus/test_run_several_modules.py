@@ -148,7 +148,7 @@ def test_each_has_its_own_positions_and_its_own_faults(
         valid = [bool(status & StatusBit.VALID) for _, status in story.positions(node)]
         assert all(valid) is (node != BAD_ENCODER)
         codes = [text[:4] for text in story.emergencies(node)]
-        expected = {BAD_TABLE: ["1063"], BAD_ENCODER: ["0073"]}
+        expected = {BAD_TABLE: ["1063"], BAD_ENCODER: ["0073", "0073"]}
         assert codes == expected.get(node, [])
     assert len({tuple(story.positions(node)) for node in NODES}) == len(NODES)
     assert 0x180 + NEWCOMER not in story.sent, "it waits for LSS"

@@ -220,7 +220,10 @@ def test_a_module_that_goes_in_the_middle(canfb: Commands, file: Path) -> None:
 
     between(bench, silent)
     _, err = canfb(bench, "restore", file, code=1)
-    assert "no answer; is the node on the bus, and is the bit rate right?; what was before could not" in err
+    assert (
+        "no answer; is the node on the bus, and is the bit rate right? A STOPPED node answers no SDO" in err
+    )
+    assert "; what was before could not" in err
     assert "switch module 32 (20h) off and on, which brings back what is saved in it" in err
 
 

@@ -319,3 +319,18 @@ def test_every_abort_code_has_words(code: int) -> None:
         words: Any = abort_words(int(one), None)
         assert f"({int(one):08X}h)" in words
         assert "\n" not in words
+
+
+def test_a_preset_in_motion_says_what_it_needs(canfb: Commands) -> None:
+    bench = Bench(rpm=600.0)
+    bench.bus.run_until(0.5)
+    for preset in ("6003", "6009"):
+        _, err = canfb(bench, "sdo", "write", NODE, preset, "0", code=1)
+        assert "(08000022h); a preset needs a valid position at standstill: stop the machine" in err
+        assert "preop" not in err
+
+
+def test_a_node_of_others_keeps_the_general_advice() -> None:
+    entry = OF_MODULE.meant("6003")[0]
+    assert "canfb nmt preop" in abort_words(AbortCode.DEVICE_STATE, entry, "drive of somebody")
+    assert "at standstill" in abort_words(AbortCode.DEVICE_STATE, entry, MODULE)

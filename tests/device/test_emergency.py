@@ -170,3 +170,10 @@ def test_the_restricted_can_ids() -> None:
     ranges = [(0, 0x7F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF)]
     expected = {can_id for first, last in ranges for can_id in range(first, last + 1)}
     assert {can_id for can_id in range(0x800) if cob.is_restricted(can_id)} == expected
+
+
+def test_an_active_error_is_told_again_if_its_details_have_changed(bench: Bench) -> None:
+    for detail, again in ((b"\x01", False), (b"\x02", False), (b"\x03", True)):
+        bench.node.emergency(SENSOR, 0x20, detail, now=0.0, again=again)
+    bench.node.clear_emergency(SENSOR, 0.0)
+    assert [text[4:10] + text[10:12] for text in sent(bench)] == ["00732101", "00732103", "00000000"]

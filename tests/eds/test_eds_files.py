@@ -249,6 +249,9 @@ def test_the_counters_are_in_the_order_of_the_contract_and_ours_follow() -> None
         *("Position lost", "Recovered by coarse track", "Zero pulses", "Bad frames"),
         *("Clipped samples", "Frozen samples", "Coarse track disagreements", "Set right by zero pulse"),
         *("Duplicate SYNCs", "SYNCs not heard", "Second position disagreements"),
+        *("Last loss cause", "Last loss age", "Last loss bad samples"),
+        *("Last loss residual", "Last loss residual limit", "Last loss speed"),
+        "Last loss faults",
     ]
 
 

@@ -27,6 +27,7 @@ KNOWN: dict[tuple[str, str], str] = {
         (0, "6003"),
         (0, "6009"),
         (1, "2050sub1"),
+        (1, "2060"),
     )
 }
 """File and message of a checker that is wrong, and why it is; empty is best."""

@@ -196,3 +196,15 @@ def test_settings_that_cannot_be() -> None:
         DaskPool("local", 0)
     with pytest.raises(CanfbError, match="choose it by --module"):
         ReplaySettings((config(), config()), state_dir=Path())
+
+
+def test_without_dask_no_table_is_needed(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", str(folder), "--scheduler", "none", "--no-drift"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "0.log, module 32: 200 samples, no faults" in lines
+    assert any(line.startswith("monday/5.blf, module 32: 250 samples, amplitude ") for line in lines)
+    assert sum(line.startswith("not done  bad.log") for line in lines) == 1
+    assert not any(line.startswith("written") for line in lines)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["month"]

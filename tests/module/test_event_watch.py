@@ -14,6 +14,8 @@ from canfb.cia301.nmt import NmtCommand
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.event import Event, EventKind
 from canfb.module.event_watch import EventWatch
+from canfb.module.sampling import doubt_words
+from canfb.signal.feedback import Feedback
 
 NODE, INTERFACE = 0x20, 0x10
 PERIOD_S = 1e-3
@@ -22,7 +24,8 @@ PERIOD_S = 1e-3
 class Machine:
     """A module at 1 kHz whose samples a test may spoil."""
 
-    def __init__(self, *, detailed: bool = False, **fields: object) -> None:
+    def __init__(self, *, detailed: bool = False, stamped: bool = True, **fields: object) -> None:
+        self.stamped = stamped
         config = canfb.ModuleConfig(node_id=NODE, autostart=True, **fields)  # type: ignore[arg-type]
         self.module = canfb.FeedbackModule(config, MemoryStore())
         self.events: list[Event] = []
@@ -53,7 +56,7 @@ class Machine:
         self.now = end
 
     def give(self, can_id: int, data: bytes, at: float) -> None:
-        self.module.receive(Frame(can_id, data, timestamp=at), at)
+        self.module.receive(Frame(can_id, data, timestamp=at if self.stamped else None), at)
 
     def texts(self, kind: EventKind | None = None) -> list[str]:
         return [event.text for event in self.events if kind in (None, event.kind)]
@@ -90,7 +93,11 @@ def test_a_lost_position_names_every_cause_and_how_long_it_took() -> None:
     machine.events.clear()
     machine.run(1, jump=0.3)
     machine.run(10, sample=False)
-    assert machine.texts(EventKind.POSITION)[-1] == "position lost: sample missed, residual over its limit"
+    assert machine.texts(EventKind.POSITION)[-1] == (
+        "position lost: sample missed, residual over its limit; "
+        "more samples in a row were bad or missing than 2010:03 allows; see canfb why"
+    )
+    assert machine.events[-1].values["cause"] == "coasted"
 
 
 @pytest.mark.parametrize(
@@ -104,6 +111,46 @@ def test_the_check_that_failed_is_named(amplitude: float, words: str) -> None:
     machine.run(20, amplitude=amplitude)
     assert any(words in text for text in machine.texts(EventKind.POSITION))
     assert len(machine.events) <= 4, "20 bad samples are no 20 events"
+
+
+def test_a_residual_is_over_its_limit_only_if_it_is() -> None:
+    """A sample within the limit that contradicts those before it is told as that."""
+    machine = Machine()
+    machine.run(100)
+    watch = machine.module.events
+    faulty = last(machine)._replace(residual=0.271, status=od.StatusBit.RESIDUAL | od.StatusBit.COASTING)
+    assert watch._reasons(faulty, faulty.status) == [
+        "residual 0.271 cycle, within 0.333: contradicts the samples before"
+    ]
+    assert watch._reasons(faulty._replace(residual=0.4), faulty.status) == ["residual 0.400 over 0.333 cycle"]
+
+
+def last(machine: Machine) -> Feedback:
+    feedback = machine.module.feedback
+    assert feedback is not None
+    return feedback
+
+
+def test_a_position_that_time_keeps_from_being_valid_says_what_was_late() -> None:
+    machine = Machine(stamped=False)
+    machine.run(100)
+    machine.events.clear()
+    machine.now += 1.5 * PERIOD_S  # without a receive time this is a missed SYNC, or one that was heard late
+    machine.run(1)
+    (text,) = machine.texts(EventKind.POSITION)
+    assert text == "position coasting: SYNC 1.5 ms late, one may have been missed: the next SYNCs decide"
+
+
+def test_a_pause_says_what_confirms_the_position() -> None:
+    machine = Machine()
+    machine.run(100)
+    machine.give(0, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, NODE)), machine.now + 5e-4)
+    machine.give(0, bytes((NmtCommand.START, NODE)), machine.now + 6e-4)
+    machine.events.clear()
+    machine.run(1)
+    assert machine.texts(EventKind.POSITION) == [
+        "position coasting: 4 samples must confirm it after the pause"
+    ]
 
 
 def test_sync_is_lost_and_found_again() -> None:
@@ -166,3 +213,36 @@ def test_good_samples_ask_the_watch_nothing(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(EventWatch, "follow", lambda *given: calls.append(given))
     machine.run(1000)
     assert calls == []
+
+
+def test_a_sample_time_that_fits_nothing_is_told_with_its_figures() -> None:
+    module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=NODE, autostart=True, times=True), MemoryStore())
+    events: list[Event] = []
+    module.start(0.0)
+
+    def sample(k: int, off_s: float = 0.0) -> None:
+        at = 0.01 * k
+        angle = 2.0 * math.pi * 0.3 * k
+        ticks = round((at + off_s) * 1e7)
+        data = struct.pack("<hhI", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)), ticks)
+        module.receive(Frame(0x080, b"", timestamp=at), at)
+        module.receive(Frame(0x180 + INTERFACE, data, timestamp=at + 2e-4), at + 2e-4)
+
+    for k in range(1, 100):
+        sample(k)
+    module.events.on_event = events.append
+    sample(100, off_s=0.004)
+    (text,) = (event.text for event in events if event.kind is EventKind.POSITION)
+    assert text == (
+        "position coasting: sample time 14.000 ms after the last valid one, by its SYNC 10.000 ms"
+    )
+
+
+def test_a_doubted_time_is_compared_with_the_best_that_is_known() -> None:
+    before, now = (0xFFFFFFFF, 1.0, 2.0), (9_999, 1.02, 2.03)
+    assert doubt_words(before, now, 0.01).endswith("by its SYNC 30.000 ms")
+    assert doubt_words((*before[:2], None), now, 0.01).endswith("by its reception 20.000 ms")
+    assert doubt_words((0xFFFFFFFF, None, None), now, 0.01) == (
+        "sample time 1.000 ms after the last valid one, by the interval 10.000 ms"
+    )
+    assert doubt_words((0xFFFFFFFF, None, None), now, 0.0) == "sample time 1.000 ms after the last valid one"

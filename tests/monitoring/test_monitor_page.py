@@ -38,7 +38,7 @@ def test_the_page_is_that_of_the_program() -> None:
     network.run(0.0035)
     network.source.lost = False
     network.run(1.0)
-    (shown,) = re.findall(r"```text\n(.*?)```", PAGE, re.S)
+    shown = re.findall(r"```text\n(.*?)```", PAGE, re.S)[0]
     real = "\n".join(printed(network.model.snapshot(network.bus.now), (80, 24)))
     assert re.sub(r" +", " ", without_figures(shown)) == re.sub(r" +", " ", without_figures(real))
 

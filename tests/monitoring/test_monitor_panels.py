@@ -79,6 +79,7 @@ def test_a_good_module(good: BusSnapshot, size: tuple[int, int]) -> None:
 def test_a_lost_position_says_why_and_since_when(lost: BusSnapshot, size: tuple[int, int]) -> None:
     text = "\n".join(printed(lost, size))
     assert re.search(r"status +lost, sample missed", text)
+    assert re.search(r"why +canfb why 0x20: more samples in a row were ", text)
     assert re.search(r"faults +0\.0 s ago: missed [0-9]+.*lost 1", text)
     assert re.search(r"EMCY +7300h sensor: position not valid, 0\.0 s ago", text)
 
@@ -128,7 +129,11 @@ def test_plain_lines_say_the_same(good: BusSnapshot, lost: BusSnapshot) -> None:
         r"3\.000 node 32 \(20h\): OPERATIONAL \(by PDO\), valid, [0-9.]+ mm, 5\.3[0-9]+ mm/s, ", line
     )
     (line,) = plain_lines(lost, MachineUnits())
-    assert "lost, sample missed" in line
+    why = "canfb why 0x20: more samples in a row were bad or missing than 2010:03 allows"
+    assert f"lost, sample missed, {why}, " in line
+    ((_, module),) = lost.modules
+    assert module.lost_by == "more samples in a row were bad or missing than 2010:03 allows"
+    assert all(one.lost_by is None for _, one in good.modules)
     assert "EMCY 7300h sensor: position not valid" in line
 
 

@@ -9,16 +9,25 @@ from canfb.module.delivered import delivered_dictionary
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig
 from canfb.monitoring.layout import NodeLayout, Origin, layout_of
 from canfb.objects import Multiplexer
-from canfb.view.pdo_map import Number
+from canfb.view.pdo_map import Number, Read
 
 
 def known_layouts(config: Config, nodes: Sequence[int] = ()) -> list[NodeLayout]:
     """Of these nodes (1..127); without any, of all modules of the configuration that have a node-ID."""
+    return [_layout(module, origin) for module, origin in _known(config, nodes)]
+
+
+def known_objects(config: Config, nodes: Sequence[int] = ()) -> dict[int, Read]:
+    """What the objects of the same modules hold, by node-ID, unless somebody has changed them."""
+    return {module.node_id: _reader(module) for module, _ in _known(config, nodes)}
+
+
+def _known(config: Config, nodes: Sequence[int]) -> list[tuple[ModuleConfig, Origin]]:
     configured = {module.node_id: module for module in config.modules if module.node_id != UNCONFIGURED}
     return [
-        _layout(configured[node], Origin.CONFIGURATION)
+        (configured[node], Origin.CONFIGURATION)
         if node in configured
-        else _layout(_as_delivered(node), Origin.DEFAULT)
+        else (_as_delivered(node), Origin.DEFAULT)
         for node in dict.fromkeys(nodes or configured)
     ]
 
@@ -35,10 +44,14 @@ def _as_delivered(node_id: int) -> ModuleConfig:
 
 
 def _layout(config: ModuleConfig, origin: Origin) -> NodeLayout:
+    return layout_of(config.node_id, _reader(config), origin)
+
+
+def _reader(config: ModuleConfig) -> Read:
     dictionary = delivered_dictionary(config, samples_itself=config.source is not None)
 
     def read(place: Multiplexer) -> Number | None:
         entry = dictionary.find(*place)
         return None if entry is None else entry.value
 
-    return layout_of(config.node_id, read, origin)
+    return read

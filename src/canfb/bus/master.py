@@ -75,6 +75,13 @@ class BusMaster:
         except (can.CanError, OSError) as error:
             raise BusError(f"a frame could not be sent: {reason(error)}") from error
 
+    def request(self, can_id: int) -> None:
+        """Send a remote frame."""
+        try:
+            self._network.send_message(can_id, b"", remote=True)
+        except (can.CanError, OSError) as error:
+            raise BusError(f"a frame could not be sent: {reason(error)}") from error
+
     def produce_sync(self, rate_hz: float) -> None:
         """Send the SYNC at this rate until the end; the bus must have been opened to hear its own frames."""
         message = can.Message(arbitration_id=cob.SYNC, is_extended_id=False)

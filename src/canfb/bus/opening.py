@@ -21,6 +21,7 @@ FORCE_PYTHON_CAN = "python_can"
 # What the raw socket does, or what does not matter for it: the bit rate is set in the interface.
 _RAW_WORDS = frozenset({"interface", "channel", "bitrate", "receive_own_messages", FORCE_PYTHON_CAN})
 
+UNNAMED = '"None"'  # what python-can says of an interface that nobody has named
 _MISSING = re.compile(r"missing \d+ required [a-z -]+ arguments?: (.*)")
 
 
@@ -112,6 +113,11 @@ def describe(options: dict[str, Any]) -> str:
 def _advice(options: dict[str, Any], error: Exception) -> str:
     """The reason, and what to do about it where the text of python-can does not say so."""
     interface, text = options.get("interface"), reason(error)
+    if interface is None and UNNAMED in text:
+        return (
+            "no interface is named: -i socketcan -c can0, a configuration (--config feedback.yaml), or "
+            "CAN_INTERFACE and CAN_CHANNEL, or python-can's can.conf; see docs/usb-adapters.md"
+        )
     number = error.errno if isinstance(error, OSError) and interface == "socketcan" else None
     if number == errno.EAFNOSUPPORT:
         return f"this system has no SocketCAN ({text}); see docs/vcan.md"

@@ -85,7 +85,7 @@ class Watching:
         """
         began: float | None = None
         now, due = 0.0, self._interval_s
-        for message in _messages(path):
+        for message in messages_of(path):
             began = message.timestamp if began is None else began
             now = message.timestamp - began
             if self._stopped or (seconds is not None and now > seconds):
@@ -127,7 +127,7 @@ class Watching:
                 bus.send(can.Message(arbitration_id=request.can_id, data=request.data, is_extended_id=False))
 
 
-def _messages(path: Path) -> Iterable[can.Message]:
+def messages_of(path: Path) -> Iterable[can.Message]:
     """What is in a log. What its reader raises has no common root."""
     try:
         with can.LogReader(path) as reader:

@@ -30,12 +30,16 @@ COMMANDS = (
     ),
     CommandEntry("run", "run", "run the feedback modules of a configuration on a bus"),
     CommandEntry("monitor", "monitor", "watch modules live, on a bus or in a log"),
+    CommandEntry("dump", "dump_command", "show frames, PDOs of modules and interfaces decoded"),
     CommandEntry("scope", "scope", "watch and commission modules on a local web page"),
     CommandEntry(
         "simulate",
         "simulate",
         "simulate the encoder interface, with a motion, a recording or a drive, on a bus",
     ),
+    CommandEntry("why", "why_command", "why the position of a module is not valid, and what brings it back"),
+    CommandEntry("reset", "reset_command", "reset and start a module, at standstill only"),
+    CommandEntry("bus", "bus_command", "who is on a bus"),
     CommandEntry("nmt", "nmt_command", "start, stop or reset nodes"),
     CommandEntry("sdo", "sdo_command", "read or write one object of a node, by name or number"),
     CommandEntry(

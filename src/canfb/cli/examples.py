@@ -25,10 +25,23 @@ _EXAMPLES = {
   canfb monitor 0x20 0x21 -i socketcan -c can0 -b 500000 --sdo
   canfb monitor --config feedback.yaml --per-revolution '5 mm'
   canfb monitor --log drive.asc --json""",
+    "canfb dump": """
+  canfb dump --config feedback.yaml
+  canfb dump 0x20 -i socketcan -c can0 --pdo --seconds 1
+  canfb dump 0x20 --log drive.asc --json""",
     "canfb simulate": """
   canfb simulate feedback.yaml --rate 100
   canfb simulate feedback.yaml --rate 500 --rpm 300 --module 0x20
   canfb simulate feedback.yaml --rate 500 --samples tracks.csv --columns b,a --mid-scale 8192""",
+    "canfb why": """
+  canfb why 0x20 -i socketcan -c can0
+  canfb why 0x20 --config feedback.yaml --json""",
+    "canfb reset": """
+  canfb reset 0x20 -i socketcan -c can0
+  canfb reset 0x20 --config feedback.yaml --force""",
+    "canfb bus scan": """
+  canfb bus scan -i socketcan -c can0
+  canfb bus scan feedback.yaml --json""",
     "canfb nmt": """
   canfb nmt start all -i socketcan -c vcan0
   canfb nmt start 0x10 0x20 --config feedback.yaml

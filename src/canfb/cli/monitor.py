@@ -10,6 +10,7 @@ from canfb.bus.watching import Watching
 from canfb.cli.monitor_output import output
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, refuse_idle
 from canfb.cli.watch_options import add_machine_unit, add_watched, bit_rate_of, positive
+from canfb.cli.yaml_argument import take_yaml
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
 from canfb.monitoring.bus_model import BusModel
@@ -35,6 +36,7 @@ def register(commands: Commands) -> None:
 
 def monitor(options: argparse.Namespace) -> int:
     """Show what there is to see until Ctrl-C, the end of the log, or --seconds."""
+    take_yaml(options)
     config = load_config(options.config) if options.config else Config()
     words = bus_options(options, config.bus)
     if options.log is None:

@@ -13,6 +13,7 @@ from canfb.bus.opening import open_bus, open_sync_bus
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.options import add_bus_options, bus_options, node_number
 from canfb.cli.printing import report
+from canfb.cli.yaml_argument import yaml_file
 from canfb.commissioning.access import Master
 from canfb.commissioning.guard import Guard
 from canfb.configuration import load_config
@@ -29,6 +30,9 @@ def add_access_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="the result, for programs")
     parser.add_argument("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration")
     parser.add_argument(
+        "configuration", metavar="CONFIG.yaml", nargs="?", type=yaml_file, help="the same, without --config"
+    )
+    parser.add_argument(
         "--answer-within", type=float, default=1.0, metavar="S", help="time for an SDO answer (1)"
     )
     add_bus_options(parser)
@@ -39,7 +43,8 @@ def master_of(options: argparse.Namespace) -> Iterator[Master]:
     """A master on the bus of the options. ConfigError for wrong ones, BusError for a bus that fails."""
     if not 0.01 <= options.answer_within <= 60.0:
         raise ConfigError(f"--answer-within {options.answer_within:g}: must be 0.01 to 60")
-    configured = load_config(options.config).bus if options.config else {}
+    chosen = options.config or options.configuration
+    configured = load_config(chosen).bus if chosen else {}
     words = bus_options(options, configured)
     with BusMaster(open_bus(words), options.answer_within) as master:
         yield master

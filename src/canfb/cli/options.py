@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
+from canfb.cli.bus_help import shorten_bus_help
 from canfb.cli.examples import examples_of
 from canfb.errors import ConfigError
 
@@ -36,6 +37,7 @@ def add_bus_options(parser: argparse.ArgumentParser) -> None:
     import can.cli  # here: a command without a bus does not wait for python-can
 
     can.cli.add_bus_arguments(parser)
+    shorten_bus_help(parser)
 
 
 def whole_number(text: str) -> int:

@@ -10,16 +10,21 @@ from canfb.errors import ConfigError
 from canfb.logs.folder_replay import InThisProcess, Pool, check_table, do_work, work_of
 from canfb.logs.log_replay import ReplaySettings
 from canfb.logs.on_dask import LOCAL, DaskPool
+from canfb.replay.fault_list import KINDS
 
 NONE = "none"
 
 
 def replay_folder(options: argparse.Namespace, settings: ReplaySettings, progress: Progress) -> int:
-    """Do what is not done yet; 0 when the table is written: it says which logs could not be done, and why."""
-    out = check_table(options.out)
-    if options.scheduler == NONE and options.workers is not None:
+    """Do what is not done yet; 0 when it is: table and lines say which logs could not be done, and why.
+
+    In this process (``--scheduler none``) a table is not required: each log is a line then.
+    """
+    in_this_process = options.scheduler == NONE
+    out = None if in_this_process and options.out is None else check_table(options.out)
+    if in_this_process and options.workers is not None:
         raise ConfigError("--workers: there are none with --scheduler none")
-    dask = None if options.scheduler == NONE else DaskPool(options.scheduler or LOCAL, options.workers)
+    dask = None if in_this_process else DaskPool(options.scheduler or LOCAL, options.workers)
     work = work_of(options.log, settings, out)
     progress.step(f"{len(work.jobs)} logs to replay, {work.skipped} are done")
     with contextlib.ExitStack() as opened:
@@ -35,7 +40,13 @@ def replay_folder(options: argparse.Namespace, settings: ReplaySettings, progres
                 f"left out  {row['log']}, module {row['module']}: {row['left_out']} frames with its CAN-IDs "
                 "(--channel)"
             )
+    if out is None:
+        for row in rows:
+            if row["error"] is None:
+                faults = ", ".join(f"{kind} {row[kind]}" for kind in KINDS if row[kind]) or "no faults"
+                print(f"{row['log']}, module {row['module']}: {row['samples']} samples, {faults}")
     samples = sum(row["samples"] or 0 for row in rows)
     print(f"{len(rows)} rows, {samples} samples; {len(bad)} not done")
-    print(f"written  {out}")
+    if out is not None:
+        print(f"written  {out}")
     return 0

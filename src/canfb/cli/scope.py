@@ -19,6 +19,7 @@ from canfb.cli.options import (
 )
 from canfb.cli.printing import say
 from canfb.cli.watch_options import add_machine_unit, add_watched
+from canfb.cli.yaml_argument import take_yaml
 from canfb.configuration import Config, load_config
 from canfb.errors import CanfbError, ConfigError
 from canfb.scope.send_rule import send_rule
@@ -57,6 +58,7 @@ def scope(options: argparse.Namespace) -> int:
         if (error.name or "").partition(".")[0] not in LIBRARIES:
             raise
         raise CanfbError("the page needs Bokeh: pip install 'canfb[scope]'") from None
+    take_yaml(options)
     config = load_config(options.config) if options.config else Config()
     with contextlib.ExitStack() as held:
         words = bus_options(options, config.bus) if not options.demo else {}

@@ -7,10 +7,11 @@ from pathlib import Path
 
 from canfb.cli import node_options
 from canfb.cli.options import Commands, add_command
+from canfb.cli.yaml_argument import is_yaml
 from canfb.commissioning.access import CommissioningError, Master, NodeAccess
 from canfb.commissioning.marked_yaml import read_bytes
 from canfb.commissioning.object_description import ObjectDescriptions
-from canfb.commissioning.sdo_tasks import SdoTasks, described_by
+from canfb.commissioning.sdo_tasks import SdoTasks, described_by, is_lost
 from canfb.commissioning.whole_file import check_writable, write_whole
 from canfb.eds_files import eds_path
 from canfb.errors import ConfigError
@@ -18,6 +19,8 @@ from canfb.errors import ConfigError
 OURS = ("canfb-module", "encoder-interface", "drive")
 OBJECT = """the name in the EDS or its beginning, in any case ("residual limit", "supervision: residual"), \
 or index:sub as manuals have it, hexadecimal (2010:01)"""
+
+LOST = "the position is lost: canfb why {:#04x} says why, and what brings it back"
 
 
 def register(commands: Commands) -> None:
@@ -71,10 +74,11 @@ def read(options: argparse.Namespace) -> int:
         if len(readings) > 1:
             raise ConfigError(f"--out: {options.object!r} has several entries; give one of them, index:sub")
         write_whole(options.out, readings[0].data)
+    hint = [LOST.format(options.node)] if any(map(is_lost, readings)) else []
     return node_options.say_result(
         options,
         [reading.figures() for reading in readings],
-        [reading.line() for reading in readings]
+        [reading.line() for reading in readings] + hint
         if options.out is None
         else [f"{options.out}: {readings[0].entry.title}, {len(readings[0].data)} bytes"],
     )
@@ -82,6 +86,8 @@ def read(options: argparse.Namespace) -> int:
 
 def write(options: argparse.Namespace) -> int:
     """Write an object, and print what it holds now."""
+    if options.file is not None and options.configuration is None and is_yaml(options.value or ""):
+        options.value, options.configuration = None, options.value
     if (options.value is None) == (options.file is None):
         raise ConfigError("a VALUE or --file FILE is required, one of them")
     value = options.value if options.file is None else read_bytes(options.file, CommissioningError)

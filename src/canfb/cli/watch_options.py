@@ -7,14 +7,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from canfb.cli.options import node_number
+from canfb.cli.yaml_argument import node_or_yaml
 from canfb.monitoring.units import MachineUnits
 
 
 def add_watched(parser: argparse.ArgumentParser) -> None:
     """Nodes, a configuration, or a log."""
     parser.add_argument(
-        "nodes", metavar="NODE", nargs="*", default=[], type=node_number, help="node-IDs such as 32 or 0x20"
+        "nodes",
+        metavar="NODE",
+        nargs="*",
+        default=[],
+        type=node_or_yaml,
+        help="node-IDs such as 32 or 0x20; or CONFIG.yaml, as with --config",
     )
     parser.add_argument("--config", metavar="CONFIG.yaml", help="takes modules and bus from it")
     parser.add_argument("--log", metavar="FILE", type=Path, help="a log that python-can reads, not a bus")

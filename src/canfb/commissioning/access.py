@@ -180,7 +180,10 @@ class NodeAccess:
             self.master.wait(0.0)  # says so if it is the bus that has failed
             said = str(error).rstrip(".")
             if said == "No SDO response received":
-                said = "no answer; is the node on the bus, and is the bit rate right?"
+                said = (
+                    "no answer; is the node on the bus, and is the bit rate right? A STOPPED node answers no "
+                    f"SDO: canfb nmt preop {self.node_id:#04x} (canfb bus scan shows who is there)"
+                )
             raise CommissioningError(f"{what}: {said}") from None
         except (can.CanError, OSError) as error:
             raise CommissioningError(f"{what}: {' '.join(str(error).split())}") from error

@@ -19,11 +19,17 @@ _OF: dict[str, dict[Place, type[IntFlag | IntEnum]]] = {
     MODULE: {
         od.SAMPLE_FLAGS: od.SampleFlag,
         od.FEEDBACK_STATUS: od.StatusBit,
+        od.COUNTER_LOSS_CAUSE: od.LossCause,
+        od.COUNTER_LOSS_FAULTS: od.StatusBit,
         od.MEASUREMENT_COMMAND: od.MeasurementCommand,
         od.MEASUREMENT_STATE: od.MeasurementState,
         od.RECORDING_COMMAND: od.RecordingCommand,
     },
-    INTERFACE: {od.INTERFACE_FLAGS: od.SampleFlag, od.RECORDING_COMMAND: od.RecordingCommand},
+    INTERFACE: {
+        od.INTERFACE_FLAGS: od.SampleFlag,
+        od.INTERFACE_MACHINE: od.MachineCommand,
+        od.RECORDING_COMMAND: od.RecordingCommand,
+    },
 }
 
 _TO_DO: dict[int, str] = {
@@ -46,6 +52,20 @@ _TO_DO: dict[int, str] = {
     AbortCode.TIMEOUT: "the node was too slow; try again",
 }
 
+_NO_PRESET = "a preset needs a valid position at standstill: stop the machine (canfb why, if it is not valid)"
+_OF_PLACE: dict[str, dict[Place, str]] = {
+    MODULE: {
+        od.PRESET_VALUE: _NO_PRESET,
+        od.HIGH_PRECISION_PRESET: _NO_PRESET,
+        od.MEASUREMENT_COMMAND: "not in this state of the calibration: read 2030:02",
+    },
+    INTERFACE: {
+        od.INTERFACE_MACHINE: "only a simulated motion stops here: no drive, recording or real converter",
+        od.RECORDING_COMMAND: "what is sampled is a file: it has no samples between two SYNCs",
+    },
+}
+"""What to do where an object of ours is refused in this state of the node (08000022h)."""
+
 
 def in_words(product: str, place: Place, value: object) -> str:
     """An enumeration or bits in words; "" where there are none. Bits without a name are numbered."""
@@ -56,6 +76,8 @@ def in_words(product: str, place: Place, value: object) -> str:
         return str(Reason.of_number(value).text) if value else ""
     if kind is None:
         return ""
+    if kind is od.LossCause:
+        return next((one.text for one in od.LossCause if one == value), "")
     if issubclass(kind, IntEnum):
         return next((_spoken(one.name) for one in kind if one == value), "")
     names = {one.value: _spoken(str(one.name)) for one in kind}
@@ -77,10 +99,12 @@ def words_of(product: str, place: Place) -> Mapping[str, int]:
     return {_spoken(str(one.name)): int(one.value) for one in kind} if kind else {}
 
 
-def abort_words(code: int, entry: ObjectDescription | None) -> str:
-    """What an abort code means, and what to do."""
+def abort_words(code: int, entry: ObjectDescription | None, product: str = "") -> str:
+    """What an abort code means, and what to do; ``product`` is the name of it in the EDS."""
     meaning = next((one.text for one in AbortCode if one == code), "a code of the manufacturer")
     advice = _TO_DO.get(code, "")
+    if code == AbortCode.DEVICE_STATE and entry is not None:
+        advice = _OF_PLACE.get(product, {}).get(entry.place, advice)
     is_range = code in (AbortCode.VALUE_TOO_HIGH, AbortCode.VALUE_TOO_LOW, AbortCode.INVALID_VALUE)
     if is_range and entry is not None and (entry.low is not None or entry.high is not None):
         low, high = ("" if limit is None else f"{limit:g}" for limit in (entry.low, entry.high))

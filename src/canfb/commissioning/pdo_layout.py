@@ -179,3 +179,9 @@ def _time_place(pdo: Pdo) -> int | None:
     """Byte of the sample time in this PDO."""
     at = pdo.bytes_of()
     return next((at[one] for one in SAMPLE_TIMES if one in at), None)
+
+
+def mapped_objects(module: NodeAccess) -> set[int]:
+    """All mapping entries of the valid RPDOs of a module: index, sub-index and bits, as in 1600h."""
+    pdos = valid_pdos(module.read_known, od.RPDO, od.RPDO_MAPPING)
+    return {entry for pdo in pdos for entry in pdo.entries}

@@ -22,7 +22,7 @@ from canfb.commissioning.object_description import (
     place_text,
 )
 from canfb.commissioning.object_values import parse_value, short_real, type_name
-from canfb.commissioning.object_words import abort_words, from_words, in_words, words_of
+from canfb.commissioning.object_words import MODULE, abort_words, from_words, in_words, words_of
 from canfb.errors import ConfigError
 
 MOST_BYTES = 32
@@ -168,7 +168,8 @@ class SdoTasks:
 
     def _refused(self, doing: str, entry: ObjectDescription, error: RefusedError) -> CommissioningError:
         what = f"{doing} {entry.number} {entry.title}"
-        return CommissioningError(f"{self._node.name}: {what} is refused: {abort_words(error.code, entry)}")
+        said = abort_words(error.code, entry, self._described.product)
+        return CommissioningError(f"{self._node.name}: {what} is refused: {said}")
 
 
 _COUNTED = frozenset({0x1003, *range(0x1600, 0x1800), *range(0x1A00, 0x1C00)})
@@ -188,6 +189,12 @@ def described_by(node: NodeAccess, known: Iterable[Path], text: str) -> ObjectDe
         f"{node.name} is product {product} of vendor {vendor}, which is none of ours: give its EDS with "
         f"--eds FILE, so that {what} has a name and a type"
     )
+
+
+def is_lost(reading: Reading) -> bool:
+    """It is the status word of a module, and says that the position is lost."""
+    is_status = reading.product == MODULE and reading.entry.place == od.FEEDBACK_STATUS
+    return is_status and isinstance(reading.value, int) and bool(reading.value & od.StatusBit.LOST)
 
 
 def _product(path: Path) -> tuple[int, ...]:

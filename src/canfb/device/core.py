@@ -66,9 +66,16 @@ class ErrorReports(Protocol):
     """Where a service reports an error: EMCY, 1001h and 1003h. See `Emergency`."""
 
     def report(
-        self, code: int, register_bits: int, manufacturer: bytes, now: float, source: Hashable = None
+        self,
+        code: int,
+        register_bits: int,
+        manufacturer: bytes,
+        now: float,
+        source: Hashable = None,
+        *,
+        again: bool = False,
     ) -> None:
-        """An error of `source` appeared; nothing happens when it is active already."""
+        """An error of `source` appeared; nothing if it is active already, unless it is told `again`."""
 
     def clear(self, code: int, now: float, source: Hashable = None) -> None:
         """The error is gone; nothing happens when it was not active."""

@@ -74,13 +74,15 @@ class Emergency(Timed):
         manufacturer: bytes,
         now: float,
         source: Hashable = APPLICATION,
+        *,
+        again: bool = False,
     ) -> None:
-        """An error appeared: 1001h, 1003h and EMCY. Nothing happens when it is active already.
+        """An error appeared: 1001h, 1003h and EMCY. Nothing if it is active, unless it is told ``again``.
 
         `register_bits` are bits of 1001h (the generic bit is added), `manufacturer` up to 5 bytes.
         """
         key = (int(code), source)
-        if key in self._active:
+        if key in self._active and not again:
             return
         self._active[key] = int(register_bits)
         self._set_register()

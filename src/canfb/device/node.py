@@ -231,15 +231,18 @@ class Node(Hooks):
         register_bits: int,
         manufacturer: bytes = b"",
         now: float | None = None,
+        *,
+        again: bool = False,
     ) -> None:
         """Report an error (CiA 301, 7.2.7): EMCY, 1001h and 1003h. Nothing while it is active.
 
         `register_bits` are the bits of 1001h (0..255), the generic bit is added; `manufacturer` is
-        up to 5 bytes. `now` is the time of the running call when it is not given. ValueError for
-        values beyond these ranges.
+        up to 5 bytes. `now` is the time of the running call when it is not given. `again`: report it
+        although it is active, because `manufacturer` says something new. ValueError for values
+        beyond these ranges.
         """
         check_error(code, register_bits, manufacturer)
-        self._core.emergency.report(code, register_bits, manufacturer, self._time(now))
+        self._core.emergency.report(code, register_bits, manufacturer, self._time(now), again=again)
 
     def clear_emergency(self, code: int, now: float | None = None) -> None:
         """End an error: EMCY 0000h with what is left of 1001h. Nothing when it is not active."""

@@ -51,16 +51,18 @@ def check_table(out: Path | None) -> Path:
     return out
 
 
-def work_of(folder: Path, settings: ReplaySettings, out: Path) -> FolderWork:
+def work_of(folder: Path, settings: ReplaySettings, out: Path | None) -> FolderWork:
     """The logs below ``folder`` whose rows are not in the table ``out``, or in what an interrupted run has
-    left beside it. CanfbError for a folder without logs, and for a table that cannot be read.
+    left beside it; None: no table, all of them.
+
+    CanfbError for a folder without logs, and for a table that cannot be read.
     """
     paths = sorted(path for path in folder.rglob("*") if path.is_file() and is_log(path))
     if not paths:
         raise CanfbError(f"{folder}: there is no bus log in this folder")
     jobs = {job.name: job for job in (job_of(folder, path, settings) for path in paths)}
     done: dict[tuple[str, int], Row] = {}
-    for row in [*_table_rows(out), *_unfinished_rows(out)]:
+    for row in [] if out is None else [*_table_rows(out), *_unfinished_rows(out)]:
         job = jobs.get(row["log"])
         if job is not None and job.fingerprint == row["fingerprint"]:
             done[row["log"], row["module"]] = row
@@ -73,16 +75,19 @@ def work_of(folder: Path, settings: ReplaySettings, out: Path) -> FolderWork:
 def do_work(
     work: FolderWork,
     settings: ReplaySettings,
-    out: Path,
+    out: Path | None,
     pool: Pool,
     heard: Callable[[float], None] = lambda part: None,
 ) -> list[Row]:
-    """Do the logs, write the table, and give all its rows, by log and module.
+    """Do the logs, write the table, and give all its rows, by log and module; None: no table is written.
 
     Each log is noted beside the table as soon as it is done: a run that is interrupted loses only those
     that were in work. ``heard`` gets the part that is done, by bytes. CanfbError if a file fails.
     """
     rows = list(work.done)
+    if out is None:
+        rows += [row for _, found in pool.run(work.jobs, settings) for row in found]
+        return sorted(rows, key=lambda row: (row["log"], row["module"]))
     total, ready = sum(job.size for job in work.jobs) or 1, 0
     try:
         with _unfinished(out).open("a", encoding="utf-8") as notes:

@@ -12,6 +12,7 @@ from canfb.device.hooks import Groups
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.storage.image import ParameterGroup
 from canfb.module.event import Event, EventKind
+from canfb.module.objects.last_loss import LastLoss
 from canfb.module.parameters import Limits
 from canfb.module.timeline import Timeline
 from canfb.signal.correction import Correction
@@ -30,11 +31,13 @@ class EventWatch:
     whose status word is not :attr:`status`, and nothing else.
     """
 
-    def __init__(self, dictionary: Dictionary, limits: Limits) -> None:
+    def __init__(self, dictionary: Dictionary, limits: Limits, loss: LastLoss) -> None:
         self.on_event: Callable[[Event], None] | None = None
+        self.unconfirmed: Callable[[], str] = lambda: ""
+        """Why a position without a fault is not valid yet, in words; "" if it is not known."""
         self.detailed = False
         self.status = NEVER_SEEN
-        self._limits = limits
+        self._limits, self._loss = limits, loss
         self._low, self._high = (
             dictionary.entry(*one) for one in (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
         )
@@ -157,8 +160,11 @@ class EventWatch:
         else:
             if before in (None, od.PositionState.VALID):
                 self._not_valid_s = now
-            reasons = self._reasons(feedback, self._causes) or [_without_fault(state)]
-            text = f"position {state}: {', '.join(reasons)}"
+            reasons = self._reasons(feedback, self._causes)
+            if state is od.PositionState.LOST:
+                text = f"position lost: {'; '.join(self._loss_words(reasons))}"
+            else:
+                text = f"position {state}: {', '.join(reasons) or self._without_fault(state)}"
         residual = feedback.residual if feedback.residual == feedback.residual else None
         self._tell(
             EventKind.POSITION,
@@ -170,13 +176,27 @@ class EventWatch:
             residual_cycles=residual,
             residual_limit_cycles=self._limits.in_force.residual_limit,
             sample=feedback.samples,
+            cause=self._loss.cause.name.lower() if state is od.PositionState.LOST else None,
         )
+
+    def _loss_words(self, reasons: list[str]) -> list[str]:
+        """Faults, cause and advice of a loss."""
+        cause = self._loss.cause
+        return [*[", ".join(reasons)] * bool(reasons), cause.text, "see canfb why"]
+
+    def _without_fault(self, state: od.PositionState) -> str:
+        if state is od.PositionState.COASTING:
+            return self.unconfirmed() or "not confirmed yet"
+        return "no reference yet"
 
     def _reasons(self, feedback: Feedback, bits: int) -> list[str]:
         """In words; with figures where they are those of this sample."""
-        limit = self._limits.in_force.residual_limit
+        limit, residual = self._limits.in_force.residual_limit, feedback.residual
+        over = f"residual {residual:.3f} over {limit:.3f} cycle"
+        # In doubt, a sample whose residual is small may still contradict those before it.
+        fits_not = f"residual {residual:.3f} cycle, within {limit:.3f}: contradicts the samples before"
         figures = {
-            RESIDUAL: f"residual {feedback.residual:.3f} over {limit:.3f} cycle",
+            RESIDUAL: over if residual >= limit else fits_not,
             AMPLITUDE: f"{self._amplitude(feedback)} outside of {self._low.value} to {self._high.value}",
         }
         now = feedback.status
@@ -195,16 +215,6 @@ class EventWatch:
     ) -> None:
         if self.on_event is not None:
             self.on_event(Event(kind, now, text, values))
-
-
-def _without_fault(state: od.PositionState) -> str:
-    if state is od.PositionState.COASTING:
-        return "not confirmed yet"
-    return (
-        "the sampling intervals could not be counted"
-        if state is od.PositionState.LOST
-        else "no reference yet"
-    )
 
 
 def _time(seconds: float) -> str:

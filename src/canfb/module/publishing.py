@@ -15,6 +15,7 @@ from canfb.module.cia406.profile_warnings import Warnings
 from canfb.module.event_watch import EventWatch
 from canfb.module.interval import IntervalEstimate
 from canfb.module.latest import Latest
+from canfb.module.objects.last_loss import LastLoss
 from canfb.module.objects.prediction import Prediction
 from canfb.module.objects.publication import Publication
 from canfb.module.objects.sample_input import SampleInput
@@ -60,10 +61,11 @@ class Publishing:
         self.prediction = Prediction(
             dictionary, self.profile, prediction_chosen, lambda: chain.unit_s, interval
         )
-        self.objects = Publication(dictionary, interval, chain, parts, limits, self.latest)
+        self.loss = LastLoss(dictionary, limits, lambda: node.now)
+        self.objects = Publication(dictionary, interval, chain, parts, limits, self.latest, self.loss)
         self.alarm = PositionAlarm(node)
         self._chain = chain
-        self.events = EventWatch(dictionary, limits)
+        self.events = EventWatch(dictionary, limits, self.loss)
         self.event_tpdos: list[Callable[[float], None]] = []
 
     @property
@@ -102,7 +104,7 @@ class Publishing:
     def _alarm(self, status: int, now: float) -> None:
         second = self._chain.second
         if self.alarm.active or second is None or not second.is_waiting:
-            self.alarm.report(bool(status & VALID), status, now)
+            self.alarm.report(bool(status & VALID), status, now, self.loss)
 
     def count(self, between: Sequence[Feedback], now: float) -> None:
         """Samples that were taken before the one to publish, in the same interval of SYNC."""
@@ -120,7 +122,7 @@ class Publishing:
         self.objects.withhold()
         self.events.outdated(now)
         if self.last is not None and not self.alarm.active:
-            self.alarm.report(False, self.last.status & ~VALID, now)
+            self.alarm.report(False, self.last.status & ~VALID, now, self.loss)
 
     def extrapolate(self) -> None:
         """A SYNC, before its TPDOs are sampled."""

@@ -32,6 +32,25 @@ CLOSE = 2e-3  # of the interval: as far as the first lock may be from 1006h
 CONFIRMING_SAMPLES = 4  # after a pause in which the machine may have begun to move
 
 
+SampleInstant = tuple[int, float | None, float | None]
+"""Sample time in 100 ns; when the sample and its SYNC were received, seconds, None where not known."""
+
+
+def doubt_words(before: SampleInstant, now: SampleInstant, interval_s: float) -> str:
+    """By how much a sample time deviates from the receptions, or from the nominal interval, in words.
+
+    ``before`` is the last valid sample, ``interval_s`` the interval of SYNC, 0.0: not known.
+    """
+    by_time_s = ((now[0] - before[0] + TICKS // 2) % TICKS - TICKS // 2) * TICK_S
+    text = f"sample time {by_time_s * 1e3:.3f} ms after the last valid one"
+    for what, place in (("its SYNC", 2), ("its reception", 1)):
+        first, last = before[place], now[place]
+        if first is not None and last is not None:
+            apart_s = last - first
+            return f"{text}, by {what} {apart_s * 1e3:.3f} ms"
+    return f"{text}, by the interval {interval_s * 1e3:.3f} ms" if interval_s else text
+
+
 class Sampling:
     """Gives the chain what the pairing finds, and withholds what is not certain.
 
@@ -54,6 +73,9 @@ class Sampling:
         self._taps, self._publishing, self._prediction = taps, publishing, publishing.prediction
         self._paused_s = 0.0
         self._grid_learned_s = 0.0
+        self._timed: SampleInstant | None = None  # of the last valid sample with a time
+        self._doubted: SampleInstant | None = None  # of the present one, if it is not valid
+        publishing.events.unconfirmed = self._why_unconfirmed
         self._grid = NominalSync(
             GRID_SYNCS
         )  # by which an interface takes its samples, if several for each SYNC
@@ -97,8 +119,11 @@ class Sampling:
                     self._grid.sample(time_100ns)
                 if self._prediction.follows:
                     self._prediction.sampled(time_100ns)
+                self._timed, self._doubted = (time_100ns, received_s, synced_s), None
                 if self._usual.unconfirmed:
                     feedback = self._withheld(feedback)
+            else:
+                self._doubted = (time_100ns, received_s, synced_s)
         noise = self._limits.noise
         if self._chain.between:
             self._publishing.count(self._chain.between, now)
@@ -132,6 +157,19 @@ class Sampling:
         if self._usual.unconfirmed:
             self._usual.unconfirmed -= 1
         return feedback._replace(status=feedback.status & ~VALID | COASTING)
+
+    def _why_unconfirmed(self) -> str:
+        """What keeps a position without a fault from being valid, in words; "" where that is not known."""
+        if self._usual.unconfirmed:
+            return f"{CONFIRMING_SAMPLES} samples must confirm it after the pause"
+        if self.timeline.withheld:
+            frame, late_s = self.timeline.late
+            return f"{frame} {late_s * 1e3:.3g} ms late, one may have been missed: the next SYNCs decide"
+        if self._chain.reference.in_doubt:
+            return "a zero pulse contradicts it"
+        if self._timed is None or self._doubted is None:
+            return ""
+        return doubt_words(self._timed, self._doubted, self._interval.settled_s or self._interval.seconds)
 
     def _follow_interval(self) -> None:
         """Take the nominal interval along, by which sample times are judged."""
@@ -199,8 +237,10 @@ class Sampling:
         chain, interval = self._chain, self._interval
         self.pairing.begin()
         interval_s = interval.settled_s or interval.seconds
+        self._timed = self._doubted = None
         self._usual.unconfirmed = CONFIRMING_SAMPLES if chain.begun and not chain.lost else 0
         chain.resume((now - self._paused_s) / interval_s if interval_s else NEVER)
+        self._publishing.loss.resumed(chain.lost)
         interval.pause()
         self._prediction.pause(self._publishing.last)
         self._publishing.withhold()

@@ -79,6 +79,8 @@ class Timeline:
         """The next SYNC begins."""
         self.until = NEVER
         self.withheld = 0
+        self.late = ("", 0.0)
+        """What :attr:`withheld` the position: the frame, and by how much it was late, seconds."""
         self._grid_s: float | None = None  # when this SYNC was due, by the lock
         self._sync_s = 0.0  # when it was heard
         self._heard_s = 0.0  # when the last one was heard, duplicates too
@@ -253,6 +255,8 @@ class Timeline:
     def _late(self, time_s: float, counter: int | None, period: float, unheard: int, apart: float) -> Verdict:
         """Late, or some were missed, which is not known: the lock stays where it was."""
         self.withheld = CONFIRMING_SYNCS
+        if self._grid_s is not None:
+            self.late = ("SYNC", time_s - self._grid_s - (1 + unheard) * period)
         if apart > HALF:
             self._late_syncs += 1
         if self._late_syncs > PATIENCE_SYNCS:
@@ -338,6 +342,7 @@ class Timeline:
         """The ADC PDO answers a SYNC that was not heard, if it was not heard late itself."""
         if not proved:
             self.withheld, self._behind = CONFIRMING_SYNCS, True
+            self.late = ("sample", delay_s - self._response.usual_s)
             self._look_ahead()
             return LATE
         syncs = max(1, round((delay_s - self._response.usual_s) / period_s))

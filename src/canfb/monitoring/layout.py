@@ -44,6 +44,7 @@ VALUES: dict[Multiplexer, str] = {
     od.FEEDBACK_SAMPLES: "I",
     od.FEEDBACK_NOISE: "H",
     od.TABLE_ACTIVE_CRC: "I",
+    od.COUNTER_LOSS_CAUSE: "I",
     **dict.fromkeys(COUNTERS, "I"),
 }
 """The objects of a module that are looked at, and their types as struct has them."""

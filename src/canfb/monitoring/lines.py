@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from canfb.monitoring.snapshot import BusSnapshot, ModuleSnapshot, NodeSnapshot, SyncSnapshot
 from canfb.monitoring.units import MachineUnits
+from canfb.objects import PositionState
 
 STALE_S = 1.0
 
@@ -43,6 +44,13 @@ def position_words(module: ModuleSnapshot) -> str:
     if is_stale(module):
         return "no data" if module.age_s is None else f"no data for {age(module.age_s)}"
     return module.position_state or "no status"
+
+
+def lost_words(node: NodeSnapshot, module: ModuleSnapshot) -> str:
+    """Why the position is lost, and who knows what to do; empty unless it is lost."""
+    if is_stale(module) or module.position_state != PositionState.LOST:
+        return ""
+    return f"canfb why {node.node_id:#04x}: {module.lost_by or 'its cause was not heard'}"
 
 
 def is_stale(module: ModuleSnapshot) -> bool:
@@ -93,7 +101,8 @@ def plain_lines(snapshot: BusSnapshot, units: MachineUnits) -> list[str]:
 def _line(node: NodeSnapshot, module: ModuleSnapshot, units: MachineUnits) -> str:
     pieces = [state_words(node), position_words(module)]
     if not is_stale(module):
-        pieces += [*module.faults, units.position(module.position_revolutions)]
+        lost = lost_words(node, module)
+        pieces += [*module.faults, *[lost] * bool(lost), units.position(module.position_revolutions)]
         pieces += [units.velocity(module.velocity_rad_s), f"residual {residual_words(module)}"]
         pieces.append(f"amplitude {amplitude_words(module)}")
     if node.emergencies:

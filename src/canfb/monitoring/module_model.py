@@ -134,9 +134,15 @@ class ModuleModel:
             tracks_counts=list(self._tracks),
             tracks_heard=self._tracks_heard,
             seen=dict(self._seen),
+            lost_by=self._lost_by(),
             since_fault_s=_since(self._fault_s, now),
             counters=_counters(values),
         )
+
+    def _lost_by(self) -> str | None:
+        """The cause of the loss that is, in words."""
+        cause = od.loss_cause(self._values.get(od.COUNTER_LOSS_CAUSE))
+        return cause.text if cause is not None and self._state is PositionState.LOST else None
 
     def _velocity_rad_s(self, now: float) -> float | None:
         measured = self._values.get(od.FEEDBACK_VELOCITY)

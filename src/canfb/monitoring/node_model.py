@@ -7,13 +7,14 @@ from collections import deque
 from typing import NamedTuple
 
 from canfb import objects as od
-from canfb.cia301.codes import emergency_text
+from canfb.cia301.codes import EmergencyCode, emergency_text
 from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.monitoring.module_model import ModuleModel
 from canfb.monitoring.snapshot import EmergencySnapshot, NodeSnapshot
 
 EMERGENCIES = 8  # that are remembered
 EMERGENCY = struct.Struct("<HB5s")
+CAUSE_BYTE = 2  # of the five of EMCY 7300h: as 2012:10, 0 while it is not lost
 POSITION_PDO = struct.Struct("<IHH")
 ALIKE = 16  # PDOs in a row that look like those of a module
 LARGEST_RESIDUAL = 0x8000
@@ -77,6 +78,9 @@ class NodeModel:
         if len(data) == EMERGENCY.size:
             self._emergencies.append(_Emergency(now, *EMERGENCY.unpack(data)))
             self._emergency_count += 1
+            code, _, detail = EMERGENCY.unpack(data)
+            if self.module is not None and code == EmergencyCode.SENSOR and od.loss_cause(detail[CAUSE_BYTE]):
+                self.module.put(od.COUNTER_LOSS_CAUSE, detail[CAUSE_BYTE], now)
 
     def is_like_a_module(self, data: bytes) -> bool:
         """Whether its TPDO1 was that of a module ALIKE times: position, status word, residual."""

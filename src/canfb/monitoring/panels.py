@@ -123,6 +123,7 @@ class Page:
         words = ", ".join((lines.position_words(module), *([] if stale else module.faults)))
         marks = ["referenced"] * module.referenced + ["table active"] * module.table_active
         near, since = _near(module, module.residual_cycles), module.since_fault_s
+        lost = lines.lost_words(node, module)
         seen = {name: count for name, count in module.seen.items() if count}
         return [
             Text.assemble(_label("status"), (words, state), (f"  {' '.join(marks)}" if marks else "", FAINT)),
@@ -136,7 +137,7 @@ class Page:
                 _label("residual"),
                 (lines.residual_words(module), near or figures),
             ),
-            self._residual_bar(module, width - LABEL),
+            Text.assemble(_label("why"), (lost, BAD)) if lost else self._residual_bar(module, width - LABEL),
             self._residual_history(module, width - LABEL),
             Text.assemble(_label("amplitude"), (lines.amplitude_words(module), figures)),
             Text.assemble(

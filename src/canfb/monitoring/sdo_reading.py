@@ -25,6 +25,7 @@ REPEATED = (
     od.FEEDBACK_VELOCITY,
     od.FEEDBACK_NOISE,
     od.TABLE_ACTIVE_CRC,
+    od.COUNTER_LOSS_CAUSE,
     *COUNTERS,
 )
 """What is read again and again: what the default PDOs do not carry."""

@@ -70,6 +70,7 @@ class ModuleSnapshot:
     tracks_counts          the last pairs of the ADC PDO: sine, cosine
     tracks_heard           pairs since the beginning, so that what is new is known
     seen                   position PDOs with each fault, and losses, counted here
+    lost_by                why the position is lost, in words, of EMCY 7300h or 2012:10; None: it is not
     since_fault_s          since a position PDO was not valid
     counters               2012h, where it is read or mapped
     """
@@ -98,6 +99,7 @@ class ModuleSnapshot:
     tracks_counts: list[tuple[int, int]] = dataclasses.field(default_factory=list)
     tracks_heard: int = 0
     seen: dict[str, int] = dataclasses.field(default_factory=dict)
+    lost_by: str | None = None
     since_fault_s: float | None = None
     counters: dict[str, int] = dataclasses.field(default_factory=dict)
 

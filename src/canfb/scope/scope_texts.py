@@ -28,8 +28,10 @@ def state_line(node: NodeSnapshot, module: ModuleSnapshot) -> str:
     stale = lines.is_stale(module)
     kind = "bad" if stale else KINDS.get(module.position_state or "", "bad")
     faults = "" if stale or not module.faults else f": {', '.join(module.faults)}"
+    lost = lines.lost_words(node, module)
     return (
         f"<p class='state {kind}'>{escape(lines.position_words(module) + faults)}</p>"
+        f"{f'<p>{escape(lost)}</p>' if lost else ''}"
         f"<p class='node'>{escape(lines.name_of(node))}, {escape(lines.state_words(node))}</p>"
     )
 

@@ -20,6 +20,7 @@ from canfb.eds_files import eds_path
 from canfb.signal.sample import Sample
 from canfb.simulation.fast_recording import FastRecorder
 from canfb.simulation.hearing import TRUE_TIME, Hearing
+from canfb.simulation.machine_switch import MachineSwitch
 from canfb.simulation.sample_clock import SampleClock
 from canfb.simulation.several_samples import SeveralSamples
 from canfb.simulation.shaft_encoder import Machine
@@ -72,7 +73,7 @@ class EncoderInterface:
         self.node.on_sync = self._on_sync
         self.node.on_parameter_faults = self._on_parameter_faults
         self.node.on_reset = self._on_reset
-        for place in (od.RECORDING_COMMAND, od.RECORDING_RATE):  # of one recording, nothing to keep
+        for place in (od.RECORDING_COMMAND, od.RECORDING_RATE, od.INTERFACE_MACHINE):  # nothing to keep
             self.node.storage.entries.leave_out(*place)
         self.hearing: Hearing = TRUE_TIME
         self._now = 0.0
@@ -80,6 +81,9 @@ class EncoderInterface:
         self._clock = SampleClock() if clock is None else clock
         self.recorder = FastRecorder(self.dictionary, source, lambda: self.hearing.at(self._now))
         self.source = source
+        MachineSwitch(
+            self.dictionary.entry(*od.INTERFACE_MACHINE), source, lambda: self.hearing.at(self._now)
+        )
         self._machine = source if isinstance(source, Machine) else None
         self._several = SeveralSamples(source, samples_per_sync) if samples_per_sync > 1 else None
         self.ended = False

@@ -10,6 +10,7 @@ from canfb.simulation.demand import MotionDemand, of_motion, of_recording
 from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.fed_module import FedModule
 from canfb.simulation.hearing import SlowMotion
+from canfb.simulation.machine_switch import StoppableMotion
 from canfb.simulation.sample_recorder import SampleRecorder
 from canfb.simulation.scenario import SimulationConfig
 from canfb.simulation.shaft_encoder import ShaftEncoder
@@ -119,7 +120,8 @@ def source_of(simulation: SimulationConfig, module: FedModule, play: Play) -> So
         simulation.seed,
         simulation.aperture_jitter_s,
     )
-    return MotionSource(shaft, simulation.motion.motion(), interval_s)
+    motion = StoppableMotion(simulation.motion.motion(), simulation.motion.ramp_s)
+    return MotionSource(shaft, motion, interval_s)
 
 
 def _demand(simulation: SimulationConfig, module: FedModule, play: Play, source: Source) -> MotionDemand:

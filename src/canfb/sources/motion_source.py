@@ -83,6 +83,11 @@ class MotionSource:
         self._start_s: float | None = None
 
     @property
+    def motion(self) -> ShaftMotion:
+        """What moves the shaft."""
+        return self._motion
+
+    @property
     def position_cycles(self) -> float:
         """True position of the last sample, cycles."""
         return self._shaft.position_cycles

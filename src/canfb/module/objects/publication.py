@@ -9,6 +9,7 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.position import PHASE_UNITS
 from canfb.module.interval import IntervalEstimate
 from canfb.module.latest import Latest
+from canfb.module.objects.last_loss import LastLoss
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.parameters import Limits
 from canfb.signal.chain import SignalChain
@@ -62,6 +63,7 @@ class Publication:
         source: SampleInput,
         limits: Limits,
         latest: Latest,
+        loss: LastLoss,
     ) -> None:
         entry = dictionary.entry
         self._status, self._residual, self._samples = (
@@ -83,6 +85,7 @@ class Publication:
         self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         self._interval = interval
         self._latest = latest
+        self._loss = loss
         self.work = 0
         """Bit 10 of the status word."""
         self.reset()
@@ -91,6 +94,7 @@ class Publication:
         """After a reset: no feedback; counting of losses restarts."""
         self._last_raw = 0.0  # the last one before the present sample
         self._lost = False
+        self._loss.reset()
 
     def withhold(self) -> None:
         """What stands there is not valid any more, until the next sample."""
@@ -104,12 +108,12 @@ class Publication:
         self._residual.value = int(feedback.residual * SIXTEEN_BITS)
         self._samples.value = feedback.samples & U32
         if status & FAULTS or self._lost:
-            self._count(status)
+            self._count(feedback)
 
     def count(self, feedback: Feedback) -> None:
         """Count in 2012h what a sample that is not published shows: another one of its SYNC follows."""
         if feedback.status & FAULTS or self._lost:
-            self._count(feedback.status)
+            self._count(feedback)
 
     def calibrating(self, working: bool) -> None:
         """Bit 10 of the status word, at once: the module records or computes for 2030h."""
@@ -156,7 +160,9 @@ class Publication:
     def _jump(self) -> int:
         return max(-LARGEST_INTEGER32, min(self._last.jump_cycles, LARGEST_INTEGER32))
 
-    def _count(self, status: int) -> None:
+    def _count(self, feedback: Feedback) -> None:
+        status = feedback.status
+        self._loss.follow(feedback)
         for counter, bits in self._counted:
             if status & bits:
                 counter.value = (counter.value + 1) & U32

@@ -1,0 +1,89 @@
+"""``canfb dump [NODE...]``: the frames of a bus or of a log, a line each, PDOs of modules decoded."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from canfb.bus.dumping import Dumping, TimedFrame
+from canfb.bus.known_modules import known_objects
+from canfb.bus.master import BusMaster
+from canfb.bus.opening import open_bus
+from canfb.bus.runner import ending_on_signals
+from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, refuse_idle
+from canfb.cli.printing import say
+from canfb.cli.watch_options import positive
+from canfb.cli.yaml_argument import node_or_yaml, take_yaml
+from canfb.commissioning.access import NodeAccess
+from canfb.commissioning.frame_words import FrameWords, Read, read_by_sdo
+from canfb.commissioning.object_description import ObjectDescriptions
+from canfb.configuration import Config, load_config
+from canfb.eds_files import eds_path
+
+ANSWER_S = 0.2
+
+
+def register(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(commands, "dump", "show frames, PDOs of modules and interfaces decoded", dump)
+    parser.add_argument(
+        "nodes",
+        metavar="NODE",
+        nargs="*",
+        default=[],
+        type=node_or_yaml,
+        help="modules, such as 32 or 0x20; or CONFIG.yaml, as with --config",
+    )
+    parser.add_argument("--config", metavar="CONFIG.yaml", help="takes modules and bus from it")
+    parser.add_argument("--log", metavar="FILE", type=Path, help="a log that python-can reads, not a bus")
+    parser.add_argument("--pdo", action="store_true", help="the PDOs of these modules alone")
+    parser.add_argument(
+        "--listen", action="store_true", help="send nothing: mapping by configuration and EDS, not by SDO"
+    )
+    parser.add_argument("--seconds", metavar="S", type=positive, help="end after so long")
+    parser.add_argument("--json", action="store_true", help="print one JSON object a line, for programs")
+    add_bus_options(parser)
+
+
+def dump(options: argparse.Namespace) -> int:
+    """Show frames until Ctrl-C, the end of the log, or --seconds."""
+    take_yaml(options)
+    config = load_config(options.config) if options.config else Config()
+    if options.log is not None:
+        refuse_idle(options, ["listen"], "a log answers no SDO anyway")
+    modules = known_objects(config, options.nodes)
+    dumping = Dumping(options.seconds)
+    with ending_on_signals(dumping.stop):
+        if options.log is not None:
+            _show(options, modules, dumping.log(options.log))
+            return 0
+        words = bus_options(options, config.bus)
+        if not options.listen and modules:
+            modules |= _read_now(words, list(modules))
+        with open_bus(words) as bus:
+            _show(options, modules, dumping.bus(bus))
+    return 0
+
+
+def _read_now(words: dict[str, Any], nodes: list[int]) -> dict[int, Read]:
+    """What the modules that answer hold: their mapping is read at once, before frames are shown."""
+    found = {}
+    with BusMaster(open_bus(words), ANSWER_S) as master:
+        for node in nodes:
+            read = read_by_sdo(NodeAccess(master, node, "module"))
+            if read is not None:
+                found[node] = read
+    return found
+
+
+def _show(options: argparse.Namespace, modules: dict[int, Read], frames: Iterator[TimedFrame]) -> None:
+    described = ObjectDescriptions(eds_path("canfb-module"), 1)
+    decode = FrameWords(described, modules.items()).decode
+    for time_s, frame in frames:
+        decoded = decode(frame)
+        if options.pdo and not decoded.is_pdo:
+            continue
+        say(json.dumps(decoded.figures(time_s)) if options.json else decoded.line(time_s))

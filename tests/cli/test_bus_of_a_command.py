@@ -1,0 +1,137 @@
+"""Which bus a command opens: options, a configuration, the environment; and what it says without any."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import can
+import pytest
+
+from canfb.cli.bus_help import BUS_HELP
+from canfb.cli.main import main
+
+PAGE = (Path(__file__).parents[2] / "docs" / "usb-adapters.md").read_text(encoding="utf-8")
+CHANNEL = "canfb-bus-of"
+VARIABLES = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
+
+
+@pytest.fixture(autouse=True)
+def nothing_set(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> str:
+    path = tmp_path / "feedback.yaml"
+    path.write_text(f"bus: {{interface: virtual, channel: {CHANNEL}}}\nmodules: [{{node_id: 32}}]\n")
+    return str(path)
+
+
+def heard(*arguments: str) -> list[bytes]:
+    with can.Bus(interface="virtual", channel=CHANNEL) as bus:
+        assert main([*arguments]) == 0
+        found = []
+        while (message := bus.recv(0.0)) is not None:
+            found.append(bytes(message.data))
+        return found
+
+
+def test_without_any_bus_it_says_what_to_give(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["nmt", "start", "all"]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    for word in (
+        "-i socketcan -c can0",
+        "--config feedback.yaml",
+        "CAN_INTERFACE",
+        "CAN_CHANNEL",
+        "can.conf",
+    ):
+        assert word in line
+
+
+def test_the_environment_names_a_bus(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CAN_INTERFACE", "virtual")
+    monkeypatch.setenv("CAN_CHANNEL", CHANNEL)
+    assert heard("nmt", "start", "all") == [b"\x01\x00"]
+
+
+def test_so_does_the_file_of_python_can_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (shown,) = re.findall(r"```ini\n(.*?)```", PAGE, re.S)
+    assert all(f"`{name}`" in PAGE for name in can.util.CONFIG_FILES)
+    text = shown.replace("pcan", "virtual").replace("PCAN_USBBUS1", CHANNEL)
+    (tmp_path / "can.conf").write_text(text, encoding="utf-8")
+    assert heard("nmt", "start", "all") == [b"\x01\x00"]
+
+
+@pytest.mark.parametrize("option", [True, False])
+def test_nmt_takes_a_configuration_as_run_does(config: str, option: bool) -> None:
+    assert heard("nmt", "start", "0x10", *["--config"] * option, config) == [b"\x01\x10"]
+
+
+@pytest.mark.parametrize("arguments", [["start"], ["start", "a.yaml"], ["start", "1", "a.yaml", "b.yaml"]])
+def test_nmt_needs_a_node(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["nmt", *arguments]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["sdo", "read", "0x20", "2010:03"],
+        ["sdo", "write", "0x20", "2010:03", "4"],
+        ["table", "show", "0x20"],
+        ["why", "0x20"],
+        ["reset", "0x20"],
+    ],
+)
+def test_so_do_the_commands_of_a_node(
+    config: str, arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nobody answers on this bus, so that the bus was opened; and the message says what may be the matter."""
+    options = ["--answer-within", "0.02"]
+    if arguments[0] == "sdo":
+        options += ["--eds", str(Path(__file__).parents[2] / "eds" / "canfb-module.eds")]
+    assert main([*arguments, config, *options]) == 1
+    err = capsys.readouterr().err
+    assert "no answer; is the node on the bus" in err
+    assert "A STOPPED node answers no SDO: canfb nmt preop 0x20" in err
+
+
+def test_a_file_goes_with_a_configuration(
+    config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = tmp_path / "value.bin"
+    data.write_bytes(b"\x04")
+    eds = str(Path(__file__).parents[2] / "eds" / "canfb-module.eds")
+    words = ["sdo", "write", "0x20", "2010:03", config, "--file", str(data), "--eds", eds]
+    assert main([*words, "--answer-within", "0.02"]) == 1
+    assert "no answer" in capsys.readouterr().err
+
+
+def test_a_name_without_quotes_is_no_configuration(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sdo", "read", "0x20", "residual", "limit"]) == 2
+    assert "'limit' is no CONFIG.yaml; a name of several words needs quotes" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["nmt start", "sdo read", "monitor", "record", "run"])
+def test_a_help_has_no_list_of_interfaces(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*command.split(), "--help"]) == 0
+    text = capsys.readouterr().out
+    assert "canalystii" not in text
+    group = text.partition("bus arguments:")[2].partition("examples:")[0]
+    assert 0 < len(group.strip().splitlines()) <= 18
+    assert "CAN_INTERFACE" in group
+
+
+def test_every_option_of_python_can_has_a_text_of_ours() -> None:
+    """A version of python-can with another option shows its own text, until it has one here."""
+    import argparse
+
+    import can.cli
+
+    parser = argparse.ArgumentParser(add_help=False)
+    can.cli.add_bus_arguments(parser)
+    assert {action.dest for action in parser._actions} == set(BUS_HELP)

@@ -1,0 +1,71 @@
+"""`canfb dump`: a line for each frame, of a log or of a bus."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import can
+import pytest
+
+from canfb.cli.main import main
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    path = tmp_path / "drive.asc"
+    with can.Logger(str(path)) as writer:
+        for k in range(3):
+            for after, can_id, data in (
+                (0.0, 0x080, b""),
+                (0.001, 0x190, struct.pack("<hh", 100 * k, 1500)),
+                (0.002, 0x1A0, struct.pack("<IHH", k, 1, 0)),
+            ):
+                writer.on_message_received(
+                    can.Message(
+                        timestamp=1000.0 + 0.01 * k + after,
+                        arbitration_id=can_id,
+                        data=data,
+                        is_extended_id=False,
+                    )
+                )
+    return path
+
+
+def test_a_log_in_lines(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", "0x20", "--log", str(log)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 9
+    assert lines[0] == "(0.000000)  080  [0]                           SYNC"
+    assert lines[4].endswith("RPDO1 of 32: sine 100 ADC counts, cosine 1500 ADC counts")
+    assert lines[8].startswith("(0.022000)  1A0  [8]  02 00 00 00 01 00 00 00  TPDO1 of 32: position value 2")
+
+
+def test_a_log_for_programs(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", "0x20", "--log", str(log), "--json", "--pdo"]) == 0
+    figures = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [one["kind"] for one in figures] == ["rpdo", "tpdo"] * 3
+    assert figures[-1]["values"]["6004:00"] == 2
+    assert figures[-1]["time_s"] == pytest.approx(0.022)
+
+
+def test_seconds_end_a_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", "--log", str(log), "--seconds", "0.009"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 3
+
+
+def test_a_configuration_names_modules_and_bus(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "feedback.yaml"
+    path.write_text("bus: {interface: virtual, channel: dump}\nmodules: [{node_id: 32}]\n", encoding="utf-8")
+    with can.Bus(interface="virtual", channel="dump") as other:
+        other.send_periodic(can.Message(arbitration_id=0x190, data=bytes(4), is_extended_id=False), 0.005)
+        assert main(["dump", str(path), "--seconds", "0.3", "--listen"]) == 0
+    assert "RPDO1 of 32: sine 0 ADC counts" in capsys.readouterr().out
+
+
+def test_a_file_that_is_no_log_is_an_error_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["dump", "--log", str(tmp_path / "none.asc")]) == 1
+    assert capsys.readouterr().err.count("\n") == 1

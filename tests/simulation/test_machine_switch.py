@@ -1,0 +1,102 @@
+"""2060h of the simulated encoder interface: its machine stops and starts while it stays on the bus."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from canfb.bus.simulating import fed_module
+from canfb.cia301.frame import Frame
+from canfb.configuration import load_config
+from canfb.objects import MachineCommand
+from canfb.signal.sample import Sample
+from canfb.simulation.encoder_interface import EncoderInterface
+from canfb.simulation.machine_switch import StoppableMotion
+from canfb.simulation.motion import Motion, Ramp
+from canfb.simulation.set_up import Play, set_up
+
+NODE, RAMP_S = 0x10, 2.0
+CONFIG = """
+bus: {interface: virtual, channel: x}
+modules: [{node_id: 32}]
+simulation: {motion: {rpm: 60, standstill_s: 0.0, ramp_s: 2.0}}
+"""
+
+
+def write(value: int) -> Frame:
+    return Frame(0x600 + NODE, struct.pack("<BHBB3x", 0x2F, 0x2060, 0, value))
+
+
+def read(interface: EncoderInterface, now: float) -> int:
+    (answer,) = interface.receive(Frame(0x600 + NODE, struct.pack("<BHB4x", 0x40, 0x2060, 0)), now)
+    return answer.data[4]
+
+
+@pytest.fixture
+def interface(tmp_path: Path) -> EncoderInterface:
+    path = tmp_path / "feedback.yaml"
+    path.write_text(CONFIG, encoding="utf-8")
+    config = load_config(path)
+    network = set_up(config.simulation, fed_module(config.modules[0]), Play(autostart=True), print)
+    network.interface.start(0.0)
+    return network.interface
+
+
+def place(interface: EncoderInterface, now: float) -> float:
+    """The true position at a SYNC, revolutions."""
+    interface.receive(Frame(0x080, b""), now)
+    return interface.source.position_cycles / 2500  # type: ignore[attr-defined]
+
+
+def test_it_stops_with_its_ramp_and_goes_on_from_there(interface: EncoderInterface) -> None:
+    place(interface, 0.0)
+    before = place(interface, 10.0)
+    assert read(interface, 10.0) == MachineCommand.START
+    (answer,) = interface.receive(write(MachineCommand.STOP), 10.0)
+    assert answer.data[0] == 0x60
+    assert read(interface, 10.0) == MachineCommand.STOP
+    stopped = place(interface, 10.0 + RAMP_S)
+    assert stopped == pytest.approx(before + 0.5 * RAMP_S), "1 revolution per second, braked for two seconds"
+    assert place(interface, 60.0) == pytest.approx(stopped, abs=1e-9)
+    interface.receive(write(MachineCommand.START), 60.0)
+    assert place(interface, 60.0 + RAMP_S) == pytest.approx(stopped + 0.5 * RAMP_S)
+    assert place(interface, 70.0) == pytest.approx(stopped + 0.5 * RAMP_S + 8.0)
+
+
+def test_a_reset_of_the_interface_moves_nothing(interface: EncoderInterface) -> None:
+    place(interface, 0.0)
+    place(interface, 10.0)
+    interface.receive(write(MachineCommand.STOP), 10.0)
+    still = place(interface, 15.0)
+    interface.receive(Frame(0x000, b"\x81\x10"), 15.0)
+    assert read(interface, 15.1) == MachineCommand.STOP
+    assert place(interface, 20.0) == pytest.approx(still, abs=1e-9)
+
+
+def test_it_brakes_no_harder_than_its_own_ramp() -> None:
+    """In the middle of the ramp, too, and when it is told twice."""
+    motion = StoppableMotion(Motion((Ramp(2.0, 60.0),)), RAMP_S)
+    for running, at in ((False, 5.0), (True, 5.7), (False, 6.0), (True, 12.0), (True, 12.5)):
+        motion.run(running, at)
+    times = np.arange(0.0, 20.0, 1e-3)
+    places = motion.revolutions_at(times)
+    assert places.tolist() == [motion.revolutions(float(time)) for time in times]
+    speeds = np.diff(places) / 1e-3
+    assert np.abs(np.diff(speeds) / 1e-3).max() == pytest.approx(0.5, rel=0.01), "rev/s², as 60 rpm in 2 s"
+    assert speeds.min() == pytest.approx(0.0, abs=1e-9)
+    assert speeds[-1] == pytest.approx(1.0)
+
+
+def test_a_recording_cannot_be_stopped() -> None:
+    class Recording:
+        def next(self) -> Sample:
+            return Sample(1000, 0)
+
+    interface = EncoderInterface(NODE, Recording(), autostart=True)
+    interface.start(0.0)
+    assert read(interface, 0.0) == MachineCommand.START
+    (answer,) = interface.receive(write(MachineCommand.STOP), 0.0)
+    assert (answer.data[0], struct.unpack_from("<I", answer.data, 4)[0]) == (0x80, 0x08000022)
