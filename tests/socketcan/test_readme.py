@@ -52,7 +52,7 @@ def test_the_first_session_can_be_pasted(tmp_path: Path) -> None:
     assert len({bytes.fromhex(position) for position, _ in positions}) == 5, "the machine turns"
     assert "running node 32 (20h)" in done.stdout
     assert "encoder interface: node 16 (10h)" in done.stdout
-    assert "motion: 61 rpm: up to 25.6 cycles per sample" in done.stdout
+    assert "motion: 61 rpm: up to 25.5 cycles per sample" in done.stdout
     assert "start: all nodes" in done.stdout
     shown = re.search(r"^([0-9.]+) cycles$", done.stdout, re.M)
     assert shown is not None, said
