@@ -49,6 +49,7 @@ simulation:                                     # the machine of canfb simulate
 
 # realtime: {priority: 80, lock_memory: true, cpu: 3}
 """
+EXAMPLE_BUS = "{interface: socketcan, channel: vcan0}"  # in it
 
 
 def register(commands: Commands) -> None:
