@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import shlex
 import signal
 import sys
@@ -21,6 +22,7 @@ from canfb.cli.main import main
 from processes import Process
 
 PATIENCE_S = 120.0
+README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture
@@ -66,6 +68,8 @@ def test_another_terminal_reads_it_and_ctrl_c_leaves_nothing(
     assert (ready["node_id"], ready["encoder_interface"], ready["rate_hz"]) == (0x20, 0x10, 100.0)
     process.wait_for('"text": "position valid"')
     assert file.exists()
+    shown = re.findall(r"^  (canfb .*)$", README, re.M)
+    assert [re.sub(r"239\.255\.\S+", ready["channel"], line) for line in shown] == ready["commands"]
     monitor, read, calibrate = (shlex.split(line) for line in ready["commands"])
     assert main(read[1:]) == 0
     assert capsys.readouterr().out == "2011:01 Feedback: Status word: 1 (valid)\n"
