@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import struct
+from pathlib import Path
 
 import pytest
 
+from canfb.bus.trying import private_bus
 from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
 from canfb.objects import StatusBit
-from tools.faults.stalls import Judge, Run, TrueMotion, holds, parse, row, runs_of
+from tools.faults.stalls import Judge, Run, TrueMotion, holds, measured, parse, row, runs_of
 
 TRUTH = TrueMotion(parse_config(EXAMPLE))
 PERIOD_TICKS = 100_000  # at 100 Hz
@@ -67,6 +69,23 @@ def test_a_position_of_a_sample_that_had_one_already_is_wrong() -> None:
     position = struct.pack("<IHH", round(TRUTH.at(19.0)), VALID, 0)
     judge.take(0x1A0, position, 20.0)
     assert judge.wrong == 1
+
+
+def test_the_position_of_the_newest_sample_may_be_sent_again() -> None:
+    judge = Judge(TRUTH)
+    played(judge, range(2001))
+    judge.take(0x1A0, struct.pack("<IHH", round(TRUTH.at(20.0)), VALID, 0), 20.002)
+    assert judge.wrong == 0
+
+
+@pytest.mark.usefixtures("multicast_bus")
+def test_real_programs_are_stopped_and_never_valid_and_wrong(tmp_path: Path) -> None:
+    with private_bus() as words:
+        judge = measured(Run(100.0, 15, "both", 0, 1.0), words, tmp_path / "bus.log")
+    assert judge.samples > 0
+    assert judge.valid > 0
+    assert judge.wrong == 0
+    assert "190#" in (tmp_path / "bus.log").read_text()
 
 
 def test_how_long_the_position_was_away_counts_from_the_end_of_the_stall() -> None:

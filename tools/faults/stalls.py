@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import os
 import signal
 import socket
@@ -85,6 +86,7 @@ class Judge:
     _valid_at_s: float | None = None
     _last_ticks: int = 0
     _machine_s: float = 0.0
+    _newest: float = math.inf
     _open: list[float] = field(default_factory=list)
     _resumed_s: float | None = None
     _back_at_s: float | None = None
@@ -116,7 +118,8 @@ class Judge:
             self._machine_s += interval_s
         self._last_ticks = ticks
         self.samples += 1
-        self._open.append(self.truth.at(self._machine_s))
+        self._newest = self.truth.at(self._machine_s)
+        self._open.append(self._newest)
 
     def _position(self, units: int, status: int, at_s: float) -> None:
         if status & StatusBit.LOST:
@@ -132,14 +135,15 @@ class Judge:
             self._back_at_s = at_s
         # Positions come in the order of their samples; each belongs to one that has none yet.
         for place, true_units in enumerate(self._open):
-            if abs(self._difference(units, true_units)) < MOST_WRONG_CYCLES * self.truth.units_per_cycle:
+            if self._is_right(units, true_units):
                 del self._open[: place + 1]
                 return
-        self.wrong += 1
+        self.wrong += not self._is_right(units, self._newest)  # that of a sample may be sent again
 
-    def _difference(self, units: int, true_units: float) -> float:
+    def _is_right(self, units: int, true_units: float) -> bool:
         whole = self.truth.range
-        return (units - true_units + whole / 2) % whole - whole / 2
+        difference = (units - true_units + whole / 2) % whole - whole / 2
+        return abs(difference) < MOST_WRONG_CYCLES * self.truth.units_per_cycle
 
 
 @dataclass(frozen=True)
