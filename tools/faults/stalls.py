@@ -327,6 +327,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Play the runs and print a line for each; 1 if one of them does not hold."""
     options = parse(arguments)
     held = True
+    if options.logs is not None:
+        options.logs.mkdir(parents=True, exist_ok=True)
     if not options.json:
         print(HEAD, flush=True)
     for number, run in enumerate(runs_of(options)):
