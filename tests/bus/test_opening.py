@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import struct
 import sys
@@ -140,6 +141,18 @@ def test_what_python_can_says_becomes_advice(monkeypatch: pytest.MonkeyPatch, ca
     with pytest.raises(BusError) as caught:
         open_bus(words)
     assert str(caught.value) == f"cannot open the bus {describe(words)}: {advice}"
+
+
+def test_a_computer_without_a_route_for_multicast(monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(**options: object) -> None:
+        try:
+            raise OSError(errno.ENODEV, "No such device")
+        except OSError as error:
+            raise can.CanInitializationError("could not create or configure socket") from error
+
+    monkeypatch.setattr(can, "Bus", failing)
+    with pytest.raises(BusError, match=r"no route for multicast .*ip route add 224\.0\.0\.0/4 dev lo"):
+        open_bus({"interface": "udp_multicast", "channel": "239.74.163.3"})
 
 
 def test_a_bus_in_a_few_words() -> None:

@@ -164,6 +164,11 @@ def _advice(options: dict[str, Any], error: Exception) -> str:
         return f"this system has no SocketCAN ({text}); see docs/vcan.md"
     if number in (errno.ENODEV, errno.ENXIO):
         return f"{text}; `ip link` lists the interfaces, docs/vcan.md explains how to create one"
+    cause = error.__cause__ or error.__context__
+    if interface == MULTICAST and isinstance(cause, OSError) and cause.errno == errno.ENODEV:
+        return (
+            "this computer has no route for multicast (`ip route add 224.0.0.0/4 dev lo`); see docs/vcan.md"
+        )
     if isinstance(error, TypeError) and (missing := _MISSING.search(text)):
         return f"the bus also needs {missing[1]}; see python-can's page on {interface}"
     if not isinstance(interface, str) or interface not in can.VALID_INTERFACES:
