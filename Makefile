@@ -89,7 +89,7 @@ $(PY):
 
 $(INSTALLED): pyproject.toml | $(PY)
 	@echo "installing canfb into $(VENV)"
-	@$(PIP) --editable .
+	@$(PIP) --editable '.[monitor,scope]'
 	@touch $@
 
 $(INSTALLED_TEST): pyproject.toml | $(PY)

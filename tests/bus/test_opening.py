@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import struct
 import sys
+from pathlib import Path
 from typing import Any
 
 import can
@@ -13,6 +16,7 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 from canfb.bus.opening import (
     check_device_bus,
     describe,
+    group_port,
     open_bus,
     open_device_bus,
     reason,
@@ -139,6 +143,18 @@ def test_what_python_can_says_becomes_advice(monkeypatch: pytest.MonkeyPatch, ca
     assert str(caught.value) == f"cannot open the bus {describe(words)}: {advice}"
 
 
+def test_a_computer_without_a_route_for_multicast(monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(**options: object) -> None:
+        try:
+            raise OSError(errno.ENODEV, "No such device")
+        except OSError as error:
+            raise can.CanInitializationError("could not create or configure socket") from error
+
+    monkeypatch.setattr(can, "Bus", failing)
+    with pytest.raises(BusError, match=r"no route for multicast .*ip route add 224\.0\.0\.0/4 dev lo"):
+        open_bus({"interface": "udp_multicast", "channel": "239.74.163.3"})
+
+
 def test_a_bus_in_a_few_words() -> None:
     assert describe({"interface": "socketcan", "channel": "can0", "bitrate": 1}) == "socketcan can0"
     assert describe({"channel": "can0"}) == "can0"
@@ -160,6 +176,90 @@ def test_the_reason_in_one_line(error: Exception, text: str) -> None:
 
 def test_udp_multicast_brings_own_frames_back() -> None:
     assert brings_own_frames_back(UdpMulticastBus.__new__(UdpMulticastBus))
+
+
+# Other programs compute it from the documentation: 61440 + CRC-32 of the packed address modulo 4096.
+PORTS = {"239.74.163.3": 63732, "239.255.0.1": 64009, "ff15::1": 62416, "FF15:0::0:1": 62416}
+
+
+@pytest.mark.parametrize("group", PORTS)
+def test_a_multicast_group_has_a_port_of_its_own(group: str) -> None:
+    assert group_port(group) == PORTS[group]
+
+
+def test_the_page_has_the_port_of_its_example() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "vcan.md").read_text(encoding="utf-8")
+    group, port = "239.74.163.3", PORTS["239.74.163.3"]
+    assert f"| {group} | {port} |" in page
+    assert f'channel="{group}", port={port})' in page
+    assert "61440 + CRC-32 of its address (the 4 or 16 bytes) modulo 4096" in page
+
+
+def test_neighbouring_groups_have_different_ports() -> None:
+    assert len({group_port(f"239.74.163.{last}") for last in range(3, 256)}) == 253
+    assert all(61440 <= (group_port(f"239.1.{last}.9") or 0) < 65536 for last in range(256))
+
+
+@pytest.mark.parametrize(
+    "group",
+    [UdpMulticastBus.DEFAULT_GROUP_IPv4, UdpMulticastBus.DEFAULT_GROUP_IPv6, "127.0.0.1", "can0", None, 7],
+)
+def test_the_groups_of_python_can_and_what_is_no_group_keep_the_port_of_python_can(group: object) -> None:
+    assert group_port(group) is None
+
+
+GROUP = "239.74.163.3"
+PORT_CASES: list[tuple[dict[str, Any], int | None]] = [
+    ({"interface": "udp_multicast", "channel": GROUP}, PORTS[GROUP]),
+    ({"interface": "udp_multicast", "channel": GROUP, "port": 5000}, 5000),
+    ({"channel": GROUP}, PORTS[GROUP]),
+    ({"interface": "udp_multicast", "channel": "239.74.163.2"}, None),
+    ({"interface": "udp_multicast"}, None),
+    ({"interface": "virtual", "channel": GROUP}, None),
+]
+
+
+@pytest.mark.parametrize(("words", "port"), PORT_CASES, ids=str)
+def test_the_port_that_a_bus_is_opened_with(
+    monkeypatch: pytest.MonkeyPatch, opened: list[Any], words: dict[str, Any], port: int | None
+) -> None:
+    if "interface" not in words:
+        monkeypatch.setenv("CAN_INTERFACE", "udp_multicast")
+    open_bus(words)
+    assert opened[0].get("port") == port
+
+
+def test_a_port_in_a_file_of_python_can_takes_precedence(
+    monkeypatch: pytest.MonkeyPatch, opened: list[Any]
+) -> None:
+    monkeypatch.setattr(can.util, "load_file_config", lambda *arguments, **words: {"port": "6000"})
+    open_bus({"interface": "udp_multicast", "channel": GROUP})
+    assert "port" not in opened[0], "python-can reads it from there"
+
+
+def test_a_bus_says_the_port_that_its_group_has_by_default() -> None:
+    words = {"interface": "udp_multicast", "channel": GROUP}
+    assert describe(words) == f"udp_multicast {GROUP} port {PORTS[GROUP]}"
+    assert describe(words | {"port": 5000}) == f"udp_multicast {GROUP}"
+    assert describe(words | {"channel": "239.74.163.2"}) == "udp_multicast 239.74.163.2"
+
+
+def test_two_groups_are_two_buses(multicast_bus: can.BusABC) -> None:
+    """With python-can alone all three would hear the frame, on Linux."""
+    words = {"interface": "udp_multicast", "hop_limit": 0}
+    # Groups of this process: tests beside this one have others.
+    third, fourth = divmod(os.getpid() % 65000, 254)
+    groups = [f"239.255.{third % 250}.{fourth + 1}", f"239.255.{third % 250 + 1}.{fourth + 1}"]
+    with (
+        open_bus(words | {"channel": groups[0]}) as one,
+        open_bus(words | {"channel": groups[0]}) as same,
+        open_bus(words | {"channel": groups[1]}) as other,
+    ):
+        one.send(can.Message(arbitration_id=0x123, is_extended_id=False))
+        heard = same.recv(5.0)
+        assert heard is not None
+        assert heard.arbitration_id == 0x123
+        assert other.recv(0.0) is None
 
 
 def test_a_device_may_not_hear_itself() -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import can
-
 from canfb.bus.master import BusMaster
 from canfb.bus.opening import open_bus
+from canfb.bus.python_can_bus import PythonCanBus
 from canfb.bus.scope_demo import NODE, ScopeDemo
 from canfb.cia301 import cob
 
@@ -32,7 +31,7 @@ def test_two_do_not_hear_each_other() -> None:
 
 def test_nothing_is_left_open() -> None:
     with ScopeDemo() as demo:
-        inner = demo._bus
-    assert isinstance(inner, can.BusABC)
-    assert inner._is_shutdown
+        bus = demo._bus
+    assert isinstance(bus, PythonCanBus)
+    assert bus._bus._is_shutdown
     assert not demo._thread._thread.is_alive()

@@ -29,7 +29,16 @@ def test_the_example_is_itself_valid(
     assert said.err == ""
     config = canfb.load_config(path)
     assert config.bus["interface"] == "socketcan"
-    assert config.modules == [canfb.ModuleConfig(node_id=0x20, times=True, residual_limit=0.3333)]
+    assert config.modules == [
+        canfb.ModuleConfig(
+            node_id=0x20,
+            times=True,
+            residual_limit=0.3333,
+            max_acceleration_rad_s2=0.25,
+            coast_samples=10,
+            sync_timeout_periods=20,
+        )
+    ]
     assert config.simulation.motion.rpm == 61
 
 

@@ -74,8 +74,10 @@ def test_it_is_measured_proven_and_active_and_still_right_ten_seconds_later(
 
 
 def test_a_steady_speed_of_a_whole_number_of_cycles_per_sample_is_said_after_a_second(tmp_path: Path) -> None:
-    text = EXAMPLE.replace("rpm: 61, ripple_rpm: 0.5", "rpm: 60, ripple_rpm: 0")
-    assert text != EXAMPLE
+    text = EXAMPLE.replace("ramp_s: 30, rpm: 61, ripple_rpm: 0.3", "ramp_s: 3, rpm: 60, ripple_rpm: 0")
+    text = text.replace("max_acceleration_rad_s2: 0.25", "max_acceleration_rad_s2: 0")
+    assert "ramp_s: 3, rpm: 60, ripple_rpm: 0," in text
+    assert "rad_s2: 0\n" in text
     with pytest.raises(
         CalibrationError, match=r"a whole number of cycles per sample.* for example at 60\.917 rpm"
     ):

@@ -146,7 +146,7 @@ def test_calibration_then_drift(network: GuideNetwork) -> None:
 
 def test_homing_with_a_folder_for_what_is_saved(network: GuideNetwork) -> None:
     text = EXAMPLE.replace("# state_dir: /var/lib/canfb/x", "state_dir: state")
-    Path("still.yaml").write_text(text.replace(", ripple_rpm: 0.5, ripple_hz: 0.3", ""))
+    Path("still.yaml").write_text(text.replace(", ripple_rpm: 0.3, ripple_hz: 0.1", ""))
     play(network, "homing")
     assert network("canfb sdo read 0x20 6004").startswith("6004:00 Position value: 81920 ")
 

@@ -12,10 +12,7 @@ import canfb
 from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.module.module_config import ModuleConfig
-from canfb.module.objects.last_loss import derived_cause
 from canfb.objects import LossCause, StatusBit
-from canfb.signal.feedback import Feedback
-from folding import each
 
 LOSS = range(0x10, 0x17)
 EMCY = 0xA0
@@ -147,19 +144,3 @@ def give(module: canfb.FeedbackModule, can_id: int, data: bytes, at: float) -> N
 def counts(position_cycles: float) -> bytes:
     angle = 2.0 * math.pi * position_cycles
     return struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
-
-
-@each(
-    "status, bad, row, cause",
-    [
-        (StatusBit.COARSE, 0, 3, LossCause.REFERENCE),
-        (StatusBit.MISSED, 4, 4, LossCause.COASTED),
-        (StatusBit.MISSED, 3, 3, LossCause.AMBIGUOUS),
-        (StatusBit.RESIDUAL, 1, 8, LossCause.CONTRADICTED),
-        (0, 0, 35, LossCause.AMBIGUOUS),
-        (0, 0, 36, LossCause.UNDECIDED),
-    ],
-)
-def test_the_cause_by_what_the_sample_shows(status: int, bad: int, row: int, cause: LossCause) -> None:
-    feedback = Feedback(0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.5, StatusBit.LOST | status, 0.0, 0.0, 0, 1)
-    assert derived_cause(feedback, bad, row, 3) is cause

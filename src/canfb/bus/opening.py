@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import ipaddress
 import re
 import sys
+import zlib
 from collections.abc import Iterator
 from typing import Any
 
 import can
+from can.interfaces.udp_multicast import UdpMulticastBus
 
 from canfb.bus.frame_bus import FrameBus
 from canfb.bus.python_can_bus import PythonCanBus
@@ -22,6 +25,16 @@ FORCE_PYTHON_CAN = "python_can"
 _RAW_WORDS = frozenset({"interface", "channel", "bitrate", "receive_own_messages", FORCE_PYTHON_CAN})
 
 UNNAMED = '"None"'  # what python-can says of an interface that nobody has named
+MULTICAST = "udp_multicast"
+# python-can uses one port for all groups, and on Linux a socket of a port receives every group that any
+# program of the computer has joined: all groups would be one bus. The ports are above those that Linux gives
+# away by itself.
+_FIRST_GROUP_PORT, _GROUP_PORTS = 61440, 4096
+_GROUPS_OF_PYTHON_CAN = frozenset(
+    ipaddress.ip_address(group).packed
+    for group in (UdpMulticastBus.DEFAULT_GROUP_IPv4, UdpMulticastBus.DEFAULT_GROUP_IPv6)
+)
+
 _MISSING = re.compile(r"missing \d+ required [a-z -]+ arguments?: (.*)")
 
 
@@ -29,11 +42,42 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
     """A python-can bus from its own words (interface, channel, bitrate, ...).
 
     What is not given comes from python-can's environment variables and configuration
-    files. BusError when there is no such bus.
+    files. A multicast group has the port of :func:`group_port` unless one is given. BusError when there is no
+    such bus.
     """
     words = {key: value for key, value in options.items() if key != FORCE_PYTHON_CAN}
     with _told(options):
-        return can.Bus(**words)
+        return can.Bus(**(words | _port_of(words)))
+
+
+def group_port(group: object) -> int | None:
+    """The UDP port of a multicast group: 61440 + CRC-32 of its address (4 or 16 bytes) modulo 4096.
+
+    None for python-can's two default groups, which keep its port (43113), and for what is no address.
+    """
+    if not isinstance(group, str):
+        return None
+    try:
+        address = ipaddress.ip_address(group.partition("%")[0])
+    except ValueError:
+        return None
+    if not address.is_multicast or address.packed in _GROUPS_OF_PYTHON_CAN:
+        return None
+    return _FIRST_GROUP_PORT + zlib.crc32(address.packed) % _GROUP_PORTS
+
+
+def _port_of(words: dict[str, Any]) -> dict[str, int]:
+    """The port to add to python-can's words: that of the group, if neither they nor its files have one."""
+    if words.get("interface") not in (None, MULTICAST):
+        return {}
+    try:
+        full = can.util.load_config(config={key: value for key, value in words.items() if value is not None})
+    except Exception:  # python-can says it better, when it opens the bus
+        return {}
+    if full.get("interface") != MULTICAST or full.get("port") is not None:
+        return {}
+    port = group_port(full.get("channel"))
+    return {} if port is None else {"port": port}
 
 
 def open_device_bus(options: dict[str, Any]) -> FrameBus:
@@ -107,6 +151,9 @@ def check_device_bus(options: dict[str, Any]) -> None:
 def describe(options: dict[str, Any]) -> str:
     """The bus in a few words, for messages."""
     words = [str(options[key]) for key in ("interface", "channel") if options.get(key) is not None]
+    if options.get("interface") == MULTICAST and options.get("port") is None:
+        port = group_port(options.get("channel"))
+        words += [] if port is None else [f"port {port}"]
     return " ".join(words) or "of python-can's configuration"
 
 
@@ -123,6 +170,11 @@ def _advice(options: dict[str, Any], error: Exception) -> str:
         return f"this system has no SocketCAN ({text}); see docs/vcan.md"
     if number in (errno.ENODEV, errno.ENXIO):
         return f"{text}; `ip link` lists the interfaces, docs/vcan.md explains how to create one"
+    cause = error.__cause__ or error.__context__
+    if interface == MULTICAST and isinstance(cause, OSError) and cause.errno == errno.ENODEV:
+        return (
+            "this computer has no route for multicast (`ip route add 224.0.0.0/4 dev lo`); see docs/vcan.md"
+        )
     if isinstance(error, TypeError) and (missing := _MISSING.search(text)):
         return f"the bus also needs {missing[1]}; see python-can's page on {interface}"
     if not isinstance(interface, str) or interface not in can.VALID_INTERFACES:

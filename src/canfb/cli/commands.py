@@ -23,6 +23,7 @@ COMMANDS = (
     CommandEntry(
         "demo", "demo", "start, track, calibrate, upload, verify and survive faults on an in-process bus"
     ),
+    CommandEntry("try", "try_command", "a module, its encoder and its page on a private bus, in one command"),
     CommandEntry(
         "plan",
         "plan_command",

@@ -21,8 +21,13 @@ modules:                                        # one process serves several nod
     cycles_per_revolution: 2500
     adc_bits: 12
     times: true                                 # the ADC PDO carries the time of each sample
-    residual_limit: 0.3333                      # cycles; the paper's 1/3
-    coast_samples: 3                            # bad samples to bridge before the position is lost
+    # What the machine can do at most (2010:02); the motion below needs less. At 100 Hz it is 0.01 cycle per
+    # interval^2: after a gap of up to 9 intervals one trajectory fits the samples. 0: not known, and a gap
+    # may cost the position.
+    max_acceleration_rad_s2: 0.25
+    residual_limit: 0.3333                      # cycles; the paper's 1/3, narrowed by the acceleration
+    coast_samples: 10                           # bad or missed samples to bridge before the position is lost
+    sync_timeout_periods: 20                    # a desktop may stop a program for 0.1 s; a real-time bus: 2
     autostart: false                            # true: OPERATIONAL without a master
     # prediction_order: 3                       # a servo: the limit bounds its jerk, not its acceleration
     # max_jerk_rad_s3: 785000                   # and narrows it, if it is known (2010:08)
@@ -36,14 +41,15 @@ modules:                                        # one process serves several nod
     #   {sine_offset_counts: 0, cosine_offset_counts: 0, sine_gain: 1, cosine_gain: 1, phase_error_rad: 0}
 
 simulation:                                     # the machine of canfb simulate
-  encoder: {amplitude: 0.75, sine_offset: 0.03, cosine_amplitude: 0.97, noise_lsb: 0.5}
-  # At 100 Hz eq. 10 allows 8.4 rad/s^2; this motion needs 2.2. The speed ripple, present in every machine,
-  # gives canfb calibrate all phases of the cycle.
-  motion: {standstill_s: 0.5, ramp_s: 3, rpm: 61, ripple_rpm: 0.5, ripple_hz: 0.3}
+  encoder: {amplitude: 0.75, sine_offset: 0.01, cosine_amplitude: 0.99, noise_lsb: 0.5}
+  # 0.23 rad/s^2: less than max_acceleration_rad_s2. The speed ripple, present in every machine, gives
+  # canfb calibrate all phases of the cycle.
+  motion: {standstill_s: 0.5, ramp_s: 30, rpm: 61, ripple_rpm: 0.3, ripple_hz: 0.1}
   # drive: {node_id: 0x30}                      # a CiA 402 drive moves the machine instead of `motion`
 
 # realtime: {priority: 80, lock_memory: true, cpu: 3}
 """
+EXAMPLE_BUS = "{interface: socketcan, channel: vcan0}"  # in it
 
 
 def register(commands: Commands) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 _EXAMPLES = {
     "canfb": """
   canfb demo                                   a complete demonstration, without a bus
+  canfb try                                    a module to look at and to talk to, without hardware
   canfb config example > feedback.yaml         a configuration to start from
   canfb run feedback.yaml                      run its module on its bus
   canfb simulate feedback.yaml --rate 100      simulate encoder interface and machine, produce SYNC""",
@@ -12,6 +13,10 @@ _EXAMPLES = {
   canfb demo
   canfb demo --json
   canfb demo --out pictures""",
+    "canfb try": """
+  canfb try
+  canfb try --rate 500 --no-scope
+  canfb try --json --ready-file try.ready""",
     "canfb plan": """
   canfb plan feedback.yaml
   canfb plan feedback.yaml --rate 2000 --rpm 3000 --acceleration 500 --times

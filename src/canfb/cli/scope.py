@@ -43,6 +43,7 @@ def register(commands: Commands) -> None:
     add_machine_unit(parser)
     add_ready_file(parser)
     add_bus_options(parser)
+    parser.set_defaults(opened=lambda address: say(f"open {address}"))
 
 
 def scope(options: argparse.Namespace) -> int:
@@ -78,7 +79,7 @@ def scope(options: argparse.Namespace) -> int:
         readiness = held.enter_context(Readiness(options.ready_file))
         held.enter_context(ending_on_signals(server.stop))
         held.enter_context(parts.running(server))
-        say(f"open {server.gate.address}")
+        options.opened(server.gate.address)
         readiness.ready()
         server.run()
     return 0

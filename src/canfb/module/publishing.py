@@ -61,7 +61,7 @@ class Publishing:
         self.prediction = Prediction(
             dictionary, self.profile, prediction_chosen, lambda: chain.unit_s, interval
         )
-        self.loss = LastLoss(dictionary, limits, lambda: node.now)
+        self.loss = LastLoss(dictionary, limits, chain, lambda: node.now)
         self.objects = Publication(dictionary, interval, chain, parts, limits, self.latest, self.loss)
         self.alarm = PositionAlarm(node)
         self._chain = chain

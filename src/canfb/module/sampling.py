@@ -240,7 +240,6 @@ class Sampling:
         self._timed = self._doubted = None
         self._usual.unconfirmed = CONFIRMING_SAMPLES if chain.begun and not chain.lost else 0
         chain.resume((now - self._paused_s) / interval_s if interval_s else NEVER)
-        self._publishing.loss.resumed(chain.lost)
         interval.pause()
         self._prediction.pause(self._publishing.last)
         self._publishing.withhold()

@@ -12,33 +12,15 @@ from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.parameters import Limits
 from canfb.objects import LossCause
+from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
-from canfb.signal.supervision import AMPLITUDE, CLIPPED, COARSE, FROZEN, LOST, MISSED, RESIDUAL, VALID
+from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, MISSED, RESIDUAL, VALID
 
 U32 = 0xFFFFFFFF
 SIXTEEN_BITS = 65536.0
 BAD = MISSED | AMPLITUDE | CLIPPED | FROZEN | RESIDUAL
 FAULTS = sum(od.FAULT_WORDS)
 NEVER_SEEN = -1
-LONGEST_DOUBT = 32  # samples beyond 2010:03 in which the position must be found again
-
-
-def derived_cause(feedback: Feedback, bad_samples: int, row: int, coast_samples: int) -> LossCause:
-    """The cause, as far as the ``feedback`` in which the position was lost shows it.
-
-    ``row``: samples without a valid position that end with it; the last ``bad_samples`` of them were
-    missed or bad; ``coast_samples``: 2010:03. A chain that knows its cause makes this superfluous.
-    """
-    status = feedback.status
-    if status & COARSE:
-        return LossCause.REFERENCE
-    if feedback.sine != feedback.sine and not status & MISSED:  # neither a sample nor a missed one
-        return LossCause.TIME
-    if bad_samples > coast_samples:
-        return LossCause.COASTED
-    if row > coast_samples + LONGEST_DOUBT:
-        return LossCause.UNDECIDED
-    return LossCause.CONTRADICTED if status & RESIDUAL else LossCause.AMBIGUOUS
 
 
 class LastLoss:
@@ -48,8 +30,10 @@ class LastLoss:
     ``now()`` is in seconds.
     """
 
-    def __init__(self, dictionary: Dictionary, limits: Limits, now: Callable[[], float]) -> None:
-        self._limits, self._now = limits, now
+    def __init__(
+        self, dictionary: Dictionary, limits: Limits, chain: SignalChain, now: Callable[[], float]
+    ) -> None:
+        self._limits, self._chain, self._now = limits, chain, now
         for place, read in (
             (od.COUNTER_LOSS_CAUSE, lambda: int(self.cause)),
             (od.COUNTER_LOSS_AGE, self._since_ms),
@@ -73,14 +57,10 @@ class LastLoss:
         self._residual = self._limit = self._speed = 0
         self._before = NEVER_SEEN  # number of the last sample with a fault
         self._begin_row()
-        self._is_lost = self._paused = False
+        self._is_lost = False
 
     def _begin_row(self) -> None:
-        self._bad = self._row = self._row_faults = 0
-
-    def resumed(self, lost: bool) -> None:
-        """OPERATIONAL again; ``lost``: by what the machine may have done meanwhile."""
-        self._paused = lost and not self._is_lost
+        self._bad = self._row_faults = 0
 
     def follow(self, feedback: Feedback) -> None:
         """A sample with a fault, or without a valid position."""
@@ -90,10 +70,9 @@ class LastLoss:
         self._before = number
         if status & VALID:
             self._begin_row()
-            self._is_lost = self._paused = False
+            self._is_lost = False
             return
         self._bad = self._bad + 1 if status & BAD else 0
-        self._row += 1
         self._row_faults |= status & FAULTS
         if status & LOST and not self._is_lost:
             self._keep(feedback)
@@ -101,8 +80,7 @@ class LastLoss:
 
     def _keep(self, feedback: Feedback) -> None:
         limits = self._limits.in_force
-        derived = derived_cause(feedback, self._bad, self._row, limits.coast_samples)
-        self.cause = LossCause.PAUSE if self._paused else derived
+        self.cause = self._chain.loss_cause
         self.bad_samples, self.faults = self._bad, self._row_faults
         self._lost_s = self._now()
         self._residual = min(round(feedback.residual * SIXTEEN_BITS), U32)

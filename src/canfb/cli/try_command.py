@@ -1,0 +1,115 @@
+"""``canfb try``: module, encoder interface, SYNC, NMT and the page on a private bus, in one command."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from canfb.bus.event_log import EventLog
+from canfb.bus.module_lines import summary_of
+from canfb.bus.opening import describe, group_port
+from canfb.bus.readiness import Readiness
+from canfb.bus.runner import ending_on_signals
+from canfb.bus.trying import START_ALL, NetworkOnBus, end_main, private_bus
+from canfb.cli.log_printing import printed_as_json
+from canfb.cli.options import Commands, add_command, add_ready_file
+from canfb.cli.parser import build_parser
+from canfb.cli.printing import say
+from canfb.configuration import load_config
+from canfb.errors import ConfigError
+
+ANY_PORT = 0
+LIBRARIES = ("bokeh", "tornado", "jinja2")  # of the page
+LEAST_HZ, MOST_HZ = 50.0, 1000.0  # below, the machine of the example accelerates too much from SYNC to SYNC
+NO_PAGE = "no page: it needs Bokeh, pip install 'canfb[scope]'"
+
+
+def register(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands, "try", "a module, its encoder and its page on a private bus, in one command", try_it
+    )
+    parser.add_argument(
+        "--rate", type=float, default=100.0, metavar="HZ", help="of the SYNC, 50 to 1000 (100)"
+    )
+    parser.add_argument("--no-scope", action="store_true", help="without the page")
+    parser.add_argument("--port", metavar="N", type=int, default=ANY_PORT, help="of the page (any free one)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object a line, for programs")
+    add_ready_file(parser)
+
+
+def try_it(options: argparse.Namespace) -> int:
+    """Run the network until Ctrl-C, SIGTERM or SIGHUP; nothing of it is left."""
+    from canfb.cli.config_file import EXAMPLE, EXAMPLE_BUS  # here: for this, no other command is imported
+
+    if not LEAST_HZ <= options.rate <= MOST_HZ:
+        raise ConfigError(f"--rate {options.rate:g}: must be {LEAST_HZ:g} to {MOST_HZ:g} Hz")
+    if not 0 <= options.port <= 65535:
+        raise ConfigError(f"--port {options.port}: must be 0 to 65535")
+    with contextlib.ExitStack() as held:
+        if options.json:
+            held.enter_context(printed_as_json())
+        words = held.enter_context(private_bus())
+        folder = held.enter_context(tempfile.TemporaryDirectory(prefix="canfb-try-"))
+        path = Path(folder, "feedback.yaml")
+        path.write_text(EXAMPLE.replace(EXAMPLE_BUS, json.dumps(words)), encoding="utf-8")
+        network = NetworkOnBus(load_config(path), options.rate, first=[START_ALL], events=EventLog())
+        with network:
+            _serve(options, network, path)
+    summary = summary_of(network.module)
+    say(json.dumps({"event": "end", "text": summary}) if options.json else summary)
+    return 0
+
+
+def _serve(options: argparse.Namespace, network: NetworkOnBus, path: Path) -> None:
+    """Say what there is; then the page, or nothing more, until a signal."""
+    page = not options.no_scope
+    if page and not all(find_spec(name) for name in LIBRARIES):
+        page = False
+        if not options.json:
+            say(NO_PAGE)
+    if not page:
+        with Readiness(options.ready_file) as readiness, ending_on_signals(network.stop):
+            _tell(options, network, None)
+            readiness.ready()
+            network.wait()
+        return
+    from canfb.cli.scope import scope  # here: for this, no other command is imported
+
+    network.on_end = end_main
+    words = ["scope", "--config", str(path), "--write", "--port", str(options.port)]
+    if options.ready_file is not None:
+        words += ["--ready-file", options.ready_file]
+    page_options = build_parser("scope").parse_args(words)
+    page_options.opened = lambda address: _tell(options, network, address)
+    scope(page_options)
+
+
+def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | None) -> None:
+    """The address of the page, the bus, and what to type next."""
+    (module,) = network.config.modules
+    group = str(network.words["channel"])
+    bus = f"-i {network.words['interface']} -c {group}"
+    following = [
+        f"canfb monitor 0x{module.node_id:02X} --sdo {bus}",
+        f'canfb sdo read 0x{module.node_id:02X} "status word" {bus}',
+        f"canfb calibrate --module 0x{module.node_id:02X} --out measured {bus}",
+    ]
+    if options.json:
+        said: dict[str, Any] = {"event": "ready", "page": address, "interface": network.words["interface"]}
+        said |= {"channel": group, "port": group_port(group), "rate_hz": options.rate}
+        said |= {"node_id": module.node_id, "encoder_interface": module.encoder_interface}
+        say(json.dumps(said | {"commands": following}))
+        return
+    nodes = f"node {module.node_id} ({module.node_id:02X}h), its encoder interface and SYNC"
+    say(f"running {nodes} at {options.rate:g} Hz on {describe(network.words)}; end with Ctrl-C")
+    if address is not None:
+        say(f"open {address}")
+    say("next, in another terminal:")
+    for line in following:
+        say(f"  {line}")

@@ -1,0 +1,114 @@
+"""``canfb try``: what it prints, what another terminal can do with it, and that nothing of it is left."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import shlex
+import signal
+import sys
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import pytest
+
+from canfb.bus.trying import NetworkOnBus
+from canfb.cli.config_file import EXAMPLE, EXAMPLE_BUS
+from canfb.cli.main import main
+from processes import Process
+
+PATIENCE_S = 120.0
+README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where a program puts its temporary files."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    return tmp_path
+
+
+@pytest.fixture
+def trying(own_folder: Path, multicast_bus: can.BusABC) -> Iterator[list[Process]]:
+    """Processes that are ended after the test."""
+    started: list[Process] = []
+    yield started
+    for process in started:
+        process.stop()
+
+
+def begun(trying: list[Process], *options: str) -> Process:
+    trying.append(Process((sys.executable, "-m", "canfb", "try", *options), PATIENCE_S))
+    return trying[-1]
+
+
+def test_its_bus_replaces_that_of_the_example() -> None:
+    assert EXAMPLE.count(EXAMPLE_BUS) == 1
+
+
+@pytest.mark.parametrize("options", ["--rate 20", "--rate 2000", "--rate nan", "--port 70000"])
+def test_wrong_use(options: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["try", *options.split()]) == 2
+    error = capsys.readouterr().err
+    assert options.split()[0] in error
+    assert error.count("\n") == 1
+
+
+def test_another_terminal_reads_it_and_ctrl_c_leaves_nothing(
+    trying: list[Process], own_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = own_folder / "try.ready"
+    process = begun(trying, "--no-scope", "--json", "--ready-file", str(file))
+    ready = json.loads(process.wait_for('"event": "ready"'))
+    assert ready["page"] is None
+    assert (ready["node_id"], ready["encoder_interface"], ready["rate_hz"]) == (0x20, 0x10, 100.0)
+    process.wait_for('"text": "position valid"')
+    assert file.exists()
+    shown = re.findall(r"^  (canfb .*)$", README, re.M)
+    assert [re.sub(r"239\.255\.\S+", ready["channel"], line) for line in shown] == ready["commands"]
+    monitor, read, calibrate = (shlex.split(line) for line in ready["commands"])
+    assert main(read[1:]) == 0
+    assert capsys.readouterr().out == "2011:01 Feedback: Status word: 1 (valid)\n"
+    assert (monitor[1], calibrate[1]) == ("monitor", "calibrate")
+    bus = ["-i", ready["interface"], "-c", ready["channel"]]
+    assert monitor[-4:] == calibrate[-4:] == bus
+    process.send(signal.SIGINT)
+    assert process.wait() == 0
+    assert "missed 0, residual 0, amplitude 0, coasted 0, lost 0" in json.loads(process.lines[-1])["text"]
+    assert all(json.loads(line) for line in process.lines)
+    assert list(own_folder.iterdir()) == []
+
+
+def test_its_page_is_served(trying: list[Process], own_folder: Path) -> None:
+    process = begun(trying)
+    process.wait_for(
+        r"^running node 32 \(20h\), .* at 100 Hz on udp_multicast 239\.255\..*; end with Ctrl-C$"
+    )
+    address = process.wait_for("^open http://127.0.0.1:").split()[1]
+    process.wait_for("^next, in another terminal:")
+    process.wait_for("^  canfb monitor 0x20 --sdo -i udp_multicast -c 239.255")
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+    with contextlib.suppress(urllib.error.HTTPError):  # it answers; whom it lets in is tested elsewhere
+        opener.open(address, timeout=PATIENCE_S).close()
+    process.send(signal.SIGTERM)
+    assert process.wait() == 0
+    assert list(own_folder.iterdir()) == []
+
+
+def test_without_bokeh_there_is_no_page(
+    own_folder: Path,
+    multicast_bus: can.BusABC,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("canfb.cli.try_command.find_spec", lambda name: None)
+    monkeypatch.setattr(NetworkOnBus, "wait", lambda network: None)
+    assert main(["try"]) == 0
+    out = capsys.readouterr().out
+    assert "no page: it needs Bokeh, pip install 'canfb[scope]'" in out
+    assert "open http" not in out
+    assert "canfb monitor 0x20" in out
