@@ -46,6 +46,7 @@ ROOMS = {
     "sources": Room(380, 220, 5, "samples from elsewhere"),
     "calibration": Room(720, 220, 5, "a recording in, a table out", "mathematics"),
     "device": Room(20, 300, 6, "the CiA 301 slave: frames and times in", "canopen"),
+    "timing": Room(345, 150, 6, "what times prove", "mathematics"),
     "signal": Room(520, 420, 6, "mathematics of a sample: counts in, position out", "mathematics"),
 }
 GROUND = ("cia301", "objects", "checks", "errors", "eds_files")
@@ -74,6 +75,7 @@ ARROWS = [
     ("module", "sources"),
     ("module", "calibration"),
     ("module", "device"),
+    ("module", "timing"),
     ("report", "calibration"),
     ("monitoring", "signal"),
     ("sources", "signal"),
