@@ -123,7 +123,7 @@ class Result:
     @property
     def same(self) -> float:
         """Without sample times the usual jitter is not part of the error of an instant."""
-        return SAME if self.unit_s else SAME + self.judge.clock.jitter
+        return SAME if self.unit_s else SAME + 2.0 * self.judge.clock.jitter
 
     def sync(self, verdict: object, n: int) -> None:
         self.verdicts[n] = verdict

@@ -9,14 +9,12 @@ from hypothesis import strategies as st
 
 from canfb.timing.interface_clock import (
     ANOTHER,
-    LEAST_OFF_GRID,
-    OFF_GRID,
     RECEPTION_S,
     REFUSED,
     TICKS,
     InterfaceClock,
-    NominalGrid,
 )
+from canfb.timing.sync_clock import JITTER, LEAST_JITTER
 
 PERIOD_S = 1e-3
 PERIOD_TICKS = 10_000
@@ -39,9 +37,12 @@ class Interface:
         synced_s = None
         if self.received:
             synced_s = self.number * PERIOD_S + float(self._rng.uniform(0.0, self._noise_s))
-        right = self.clock.is_right(tick, self.clock.took_s(tick), PERIOD_S, synced_s, False)
+        if self.clock.usual(tick, synced_s):
+            return True
+        took_s = self.clock.took_s(tick)
+        right = self.clock.is_right(took_s, PERIOD_S, synced_s, False)
         if right:
-            self.clock.take(tick, synced_s)
+            self.clock.take(tick, took_s, synced_s)
         return right
 
 
@@ -58,20 +59,20 @@ def test_the_same_error_is_refused_again_and_again(received: bool, before: int) 
     off_ticks = 1500 if received else 4700
     assert all(interface.next() for _ in range(before))
     for pause in (1, 30, 600):
-        limits = interface.clock.reception.limit, interface.clock.off_grid.limit
+        limits = interface.clock.limit_s, interface.clock.grid.jitter
         assert not interface.next(off_ticks)
-        assert (interface.clock.reception.limit, interface.clock.off_grid.limit) == limits
+        assert (interface.clock.limit_s, interface.clock.grid.jitter) == limits
         assert all(interface.next() for _ in range(pause))
 
 
 def test_the_sharper_witness_decides_and_limits_shrink_with_what_is_measured() -> None:
     grid = Interface(received=False)
-    assert grid.clock.off_grid.limit == OFF_GRID
+    assert grid.clock.grid.jitter == JITTER
     assert all(grid.next() for _ in range(600))
-    assert grid.clock.off_grid.limit == LEAST_OFF_GRID
-    assert not grid.next(300)
+    assert grid.clock.grid.jitter == LEAST_JITTER
+    assert not grid.next(400)
     noisy = Interface(noise_s=80e-6)
-    assert noisy.clock.reception.limit == RECEPTION_S
+    assert noisy.clock.limit_s == RECEPTION_S
     assert all(noisy.next() for _ in range(600))
     assert not noisy.next(900)
 
@@ -98,16 +99,4 @@ def test_times_that_fit_nothing_begin_again_with_what_is_declared() -> None:
     clock = interface.clock
     results = [clock.refuse(int(rng.integers(TICKS)), float(n), PERIOD_S) for n in range(1, REFUSED + 1)]
     assert results == [False] * (REFUSED - 1) + [True]
-    assert clock.off_grid.limit == OFF_GRID
-
-
-def test_the_grid_takes_the_jitter_out() -> None:
-    rng = np.random.default_rng(8)
-    grid = NominalGrid()
-    leads = []
-    for n in range(2000):
-        jitter = float(rng.normal(0.0, 500.0))
-        grid.take(round(n * PERIOD_TICKS * (1.0 + 1e-4) + jitter) % TICKS)
-        leads.append(grid.lead_ticks + jitter)
-    assert grid.period_ticks == pytest.approx(PERIOD_TICKS * (1.0 + 1e-4), abs=2.0)
-    assert np.std(leads[400:]) < 0.15 * 500.0
+    assert clock.grid.jitter == JITTER

@@ -226,9 +226,8 @@ def test_the_same_wrong_time_is_refused_each_time_and_forgotten_with_a_reset() -
         judge = result.judge
         judge.forget()
         fresh = Judge()
-        for one, other in ((judge.interface.reception, fresh.interface.reception),
-                           (judge.interface.off_grid, fresh.interface.off_grid)):  # fmt: skip
-            assert one.limit == other.limit
+        assert judge.interface.limit_s == fresh.interface.limit_s == RECEPTION_S
+        assert judge.interface.grid.jitter == JITTER
         assert judge.clock.jitter == JITTER
 
 

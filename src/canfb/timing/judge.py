@@ -99,7 +99,7 @@ class Judge(SyncJudge):
             if len(taken) >= DELAYS_TOGETHER:
                 delay.learn(self.clock.period_s)
             self._since, self._usual = 0, False
-            self._answered = self._calm = self.sampled = True
+            self._answered = self.sampled = True
             return USUAL
         return self._another(time_s, proved) if self._answered else self._first(time_s, proved)
 
@@ -166,7 +166,7 @@ class Judge(SyncJudge):
         return error
 
     def _came(self) -> None:
-        self._answered = self._calm = self.sampled = True
+        self._answered = self.sampled = True
         self._usual, self._more = False, 0.0
         if self._high_s == -inf:
             self._look_ahead()
@@ -174,11 +174,17 @@ class Judge(SyncJudge):
     def drop(self) -> None:
         """The last sample was not taken after all: parts of it are missing."""
         self._since = min(self._since + max(1, self._since_before), MOST_INTERVALS)
-        self._answered = self._calm = self._usual = False
+        self._answered = self._usual = False
 
     def stamped(self, time_100ns: int, time_s: float, proved: bool) -> Passed | Refusal:
         """A sample with its time (2000:05), 0 .. 2^32 - 1, was received at ``time_s``."""
         interface, since = self.interface, self._since
+        if self._usual and not (self._untimed or self._set_left):
+            took_s = interface.usual(time_100ns, self.synced_s if self._proved else None)
+            if took_s:
+                self._since, self._usual = 0, False
+                self._answered = self.sampled = True
+                return tuple.__new__(Passed, (took_s / interface.unit_s, 0.0, True))  # not by its constructor
         if interface.last is None:
             interface.begin(time_100ns, self.synced_s if self._proved else None)
             return self._at_its_sync(0.0)
@@ -191,8 +197,8 @@ class Judge(SyncJudge):
         if elapsed - self._untimed >= CLOSEST and elapsed <= self._most(time_s) + OFF_GRID:
             synced_s = self._synced_s(took_s, time_s)
             after_gap = self._gap or self.is_open
-            if interface.is_right(time_100ns, took_s, period_s, synced_s, after_gap):
-                interface.take(time_100ns, synced_s)
+            if interface.is_right(took_s, period_s, synced_s, after_gap):
+                interface.take(time_100ns, took_s, synced_s)
                 passed, self._untimed = (took_s - self._untimed * period_s) / unit_s, 0
                 if whole > counted and (time_s - self.synced_s) > (whole - counted) * period_s:
                     self._advance(whole - counted)
@@ -201,19 +207,21 @@ class Judge(SyncJudge):
                 self._error_now()
                 self._came()
                 if not self._set_left:
-                    return tuple.__new__(Passed, (passed, 0.0, True))  # without its slow constructor
+                    return Passed(passed)
                 self._set_left -= 1
                 return Passed(passed, self._set_error)
         was_set = interface.refuse(time_100ns, float(max(1, counted)), period_s)
         off = abs(elapsed - counted)
         error = max(self.clock.jitter, off if off < ABSURD else 0.0)
+        if self._set_left:
+            error += self._set_error
         if was_set:
             self._untimed, self._set_left, self._set_error = 0, MEMORY, error
         if not since or self.extra_came or (-OLDEST <= elapsed < CLOSEST and not was_set):
             return Refusal.EARLIER
         if not was_set:
             self._untimed += since
-        return self._at_its_sync(max(error, self._set_error if self._set_left else 0.0))
+        return self._at_its_sync(error)
 
     def _at_its_sync(self, error: float) -> Passed:
         """The sample time says nothing: the sample was taken at its SYNC, within the jitter."""

@@ -47,7 +47,7 @@ LEAST_PERIOD_S = 50e-6
 AGREEMENT = 0.2
 
 TOGETHER = 8  # SYNCs that are learned from at a time
-MEMORY = 16  # groups of them
+MEMORY = 32  # groups of them
 FIRST_INTERVALS = 5  # proved; all but one agree
 FIRST_CALLS, MOST_CALLS = 9, 33  # straight enough at once, or as they are
 STRAIGHT = 0.1  # period: calls no further above their line come from a host that is not late

@@ -142,7 +142,6 @@ class SyncJudge:
         self._next_counter: int | None = None
         self._since = 0  # periods from the last sample to the last SYNC
         self._answered, self._before_open = True, False
-        self._calm = False  # the last SYNC was answered
         self._usual = False  # the last SYNC was usual, and is not answered yet
         self._gap = False  # SYNCs were missing, and none was on its grid since
         self._streak: list[float] = []
@@ -177,7 +176,7 @@ class SyncJudge:
         error = time_s - clock.due_s
         if (
             self._low_s < error < self._high_s
-            and self._calm
+            and self._answered
             and counter == self._next_counter
             and proved == self._proved
         ):
@@ -186,14 +185,14 @@ class SyncJudge:
             if counter is not None:
                 self._counter, self._next_counter = counter, 1 if counter == self.overflow else counter + 1
             self.until = time_s + self._patience_s
-            self._calm = self._answered = False
+            self._answered = False
             self._usual, self._since = True, 1
             errors = clock.errors
             errors.append(error)
             if len(errors) >= TOGETHER:
                 self._follow(time_s, proved)
             return ON_TIME
-        if self._calm and not self._streak:
+        if self._answered and not self._streak:
             self._received_s = self.synced_s
         verdict = self._judged(time_s, proved, counter)
         self._look_ahead()
@@ -268,7 +267,7 @@ class SyncJudge:
         self.synced_s = self._received_s = sync.time_s
         self._count_from(sync.counter)
         self._proved, self.begun = sync.proved, True
-        self._answered = self._usual = self._calm = self.extra_came = False
+        self._answered = self._usual = self.extra_came = False
         self.until = sync.time_s + self._patience_s
         if not (missed or doubt or lost) and confirmed is None:
             return ON_TIME
@@ -404,6 +403,7 @@ class SyncJudge:
         passed = max(1, min(int((now - self.synced_s) / period + 1e-6) - 1, MOST_INTERVALS))
         missed = passed + (not self._answered)
         self._advance(passed)
-        self._answered, self._calm, self._before_open = True, False, True
+        self._answered = self._before_open = True
+        self._high_s = -inf  # the next one is looked at
         self.until = self.synced_s + 2.0 * period
         return missed if self.sampled else 0
