@@ -21,8 +21,10 @@ def learned(spread: float = 0.01) -> AnswerDelay:
     return delay
 
 
-def answers(delay: AnswerDelay, periods: float, before_open: bool = False) -> tuple[int, ...]:
-    return delay.answers(periods * PERIOD_S, periods * PERIOD_S, PERIOD_S, before_open)
+def answers(
+    delay: AnswerDelay, periods: float, before_open: bool = False, proved: bool = True
+) -> tuple[int, ...]:
+    return delay.answers(periods * PERIOD_S, periods * PERIOD_S, PERIOD_S, before_open, proved)
 
 
 @pytest.mark.parametrize(
@@ -43,9 +45,13 @@ def test_what_a_delay_proves(periods: float, before_open: bool, offsets: tuple[i
     assert answers(learned(), periods, before_open) == offsets
 
 
+def test_a_late_host_may_have_the_answer_to_any_sync_since() -> None:
+    assert answers(learned(), 3.2, proved=False) == (0, 1, 2, 3)
+
+
 def test_a_late_call_of_the_sync_does_not_make_the_answer_too_early() -> None:
     delay = learned()
-    assert delay.answers(0.05 * PERIOD_S, 0.2 * PERIOD_S, PERIOD_S, False) == (0,)
+    assert delay.answers(0.05 * PERIOD_S, 0.2 * PERIOD_S, PERIOD_S, False, False) == (0,)
 
 
 def test_an_interface_that_has_become_faster_is_learned_again() -> None:

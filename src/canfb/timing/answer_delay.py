@@ -35,6 +35,7 @@ TOGETHER = 8  # delays that are learned at a time
 LEARNED = 16  # delays; fewer say nothing
 WINDOW = 128  # delays: the shortest is that of one or two of these
 REFUSED = 8  # in a row that come sooner than any: the interface has become faster
+MOST_NEWEST = 1 << 10  # SYNCs; more are as good as lost
 ANSWERS_LAST = (0,)
 ANSWERS_EARLIER = (-1,)
 
@@ -88,12 +89,12 @@ class AnswerDelay:
             self.high_s = usual + max(SPARE * period_s, SPREADS * self._spread_s)
 
     def answers(
-        self, delay_s: float, longest_s: float, period_s: float, before_open: bool
+        self, delay_s: float, longest_s: float, period_s: float, before_open: bool, proved: bool
     ) -> tuple[int, ...]:
         """Which SYNCs the first PDO since the last one may answer: 0 that one, -1 the one before, 1 the next.
 
         ``delay_s`` after it, by no means more than ``longest_s``; ``before_open``: the SYNC before has no
-        answer yet.
+        answer yet. ``proved``: it did not wait for the host, which may be late by any time.
         """
         self.learn(period_s)
         passed = delay_s / period_s
@@ -110,5 +111,5 @@ class AnswerDelay:
         later = delay_s - self.usual_s
         if passed < LATEST or later < SPARE * period_s:
             return (-1, 0) if before_open else ANSWERS_LAST
-        newest = max(1, round(later / period_s))
-        return tuple(range(max(0, newest - MOST_LATE), newest + 1))
+        newest = max(1, min(round(later / period_s), MOST_NEWEST))
+        return tuple(range(max(0, newest - MOST_LATE) if proved else 0, newest + 1))

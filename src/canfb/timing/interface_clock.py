@@ -63,7 +63,7 @@ class InterfaceClock:
     """
 
     __slots__ = ("_before", "_counted", "_in_row", "_mean_s", "_off", "_refused", "at_s", "grid", "heard",
-                 "high_s", "last", "limit_s", "low_s", "synced_s", "unit_s")  # fmt: skip
+                 "high_s", "last", "limit_s", "longest_s", "low_s", "synced_s", "unit_s")  # fmt: skip
 
     def __init__(self) -> None:
         self.unit_s = 0.0
@@ -101,6 +101,7 @@ class InterfaceClock:
         grid = self.grid
         self.high_s = grid.jitter * grid.period_s if not self._off else 0.0
         self.low_s = -self.high_s
+        self.longest_s = (1.0 + OFF_GRID) * grid.period_s
 
     def choose_unit(self, time_100ns: int, period_s: float, periods: int) -> None:
         """By the period of SYNC; 0.0, not known: by the first time, so many periods after ``last``."""
@@ -132,7 +133,7 @@ class InterfaceClock:
             return 0.0
         took_s = ((time_100ns - last) & MASK) * TICK_S
         error = self.at_s + took_s - grid.due_s
-        if not self.low_s < error < self.high_s:
+        if not (self.low_s < error < self.high_s and took_s < self.longest_s):
             return 0.0
         before_s = self.synced_s
         if synced_s is not None and before_s is not None:

@@ -83,7 +83,6 @@ class Judge(SyncJudge):
     def pause(self) -> None:
         """The next SYNC begins, and the next sample; what is known of periods and delays stays."""
         self.interface.pause()
-        self._slack = 0  # periods that the last sample may have been later
         self._untimed = 0  # periods from the last sample time that was right to the last sample
         self._since_before = 0
         self._set_left, self._set_error = 0, 0.0  # samples since the clock of the interface was set
@@ -112,7 +111,7 @@ class Judge(SyncJudge):
             if not proved:
                 # A SYNC that was heard late may have come when it was due; not before that, or hardly.
                 longest_s += max(0.0, self.synced_s - clock.due_s + (1.0 + self._early) * period)
-            offsets = self.delay.answers(delay_s, longest_s, period, self._before_open)
+            offsets = self.delay.answers(delay_s, longest_s, period, self._before_open, proved)
             if offsets == (0,):
                 self.delay.taken.append(delay_s)
         return Refusal.EARLIER if offsets == (-1,) else self._sampled(offsets)
@@ -149,7 +148,8 @@ class Judge(SyncJudge):
             if not self._offered and len(options) == 1:
                 options = self._set
             self._offered = True
-        self._slack = offsets[-1] - offsets[0]
+        self._slack = min(offsets[-1] - offsets[0], MOST_OPTIONS)
+        self._lowest = options[0] if self._slack and not self.is_open and offsets[0] == 0 else None
         self._since_before, self._since = since, max(0, -offsets[-1])
         error = self._error_now()
         self._came()
@@ -194,7 +194,8 @@ class Judge(SyncJudge):
         took_s = interface.took_s(time_100ns)
         elapsed = took_s / period_s
         counted, whole = since + self._untimed, round(elapsed)
-        if elapsed - self._untimed >= CLOSEST and elapsed <= self._most(time_s) + OFF_GRID:
+        least = CLOSEST if self._proved or since > 1 else 1.0 - OFF_GRID  # an answer that is late
+        if elapsed - self._untimed >= least and elapsed <= self._most(time_s) + OFF_GRID:
             synced_s = self._synced_s(took_s, time_s)
             after_gap = self._gap or self.is_open
             if interface.is_right(took_s, period_s, synced_s, after_gap):

@@ -49,6 +49,8 @@ AGREEMENT = 0.2
 TOGETHER = 8  # SYNCs that are learned from at a time
 MEMORY = 32  # groups of them
 FIRST_INTERVALS = 5  # proved; all but one agree
+TWICE = 0.4  # of the median, below the jitter of two SYNCs of which none is missing
+MORE_INTERVALS = 12  # none of them a gap, where SYNC jitters more than that
 FIRST_CALLS, MOST_CALLS = 9, 33  # straight enough at once, or as they are
 STRAIGHT = 0.1  # period: calls no further above their line come from a host that is not late
 SAME_PERIOD = 0.03  # of the period: 1006h is that of the bus
@@ -162,16 +164,20 @@ def is_regular(times_s: list[float]) -> bool:
 
 def _measured(times_s: list[float]) -> tuple[float, float]:
     """Period and last time by proved times, (0.0, 0.0) if they do not agree; forgets the oldest."""
-    del times_s[: -FIRST_INTERVALS - 1]
+    del times_s[: -MORE_INTERVALS - 1]
     apart = [b - a for a, b in pairwise(times_s)]
     if len(apart) < FIRST_INTERVALS:
         return 0.0, 0.0
     middle = median(apart)
-    agreeing = [one for one in apart if abs(one - middle) <= AGREEMENT * middle]
-    if len(agreeing) < FIRST_INTERVALS - 1:
-        return 0.0, 0.0
-    # Their mean: the deviations of SYNCs that follow each other cancel.
-    return sum(agreeing) / len(agreeing), times_s[-1]
+    last = apart[-FIRST_INTERVALS:]
+    agreeing = [one for one in last if abs(one - middle) <= AGREEMENT * middle]
+    if len(agreeing) >= FIRST_INTERVALS - 1:
+        # Their mean: the deviations of SYNCs that follow each other cancel.
+        return sum(agreeing) / len(agreeing), times_s[-1]
+    agreeing = [one for one in apart if abs(one - middle) <= TWICE * middle]
+    if len(apart) == len(agreeing) == MORE_INTERVALS:
+        return sum(agreeing) / len(agreeing), times_s[-1]
+    return 0.0, 0.0
 
 
 def _below(times_s: list[float]) -> tuple[float, float]:

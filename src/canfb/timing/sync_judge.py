@@ -146,6 +146,8 @@ class SyncJudge:
         self._gap = False  # SYNCs were missing, and none was on its grid since
         self._streak: list[float] = []
         self._uneven = False  # extra SYNCs came, and this one is late: it may be another rate
+        self._slack = 0  # periods that the last sample may have been later
+        self._lowest: float | None = None  # of its intervals, if it was not
         self._error, self._error_left = 0.0, 0
         self._more = 0.0  # periods that time allows beyond those that were counted
         self._close()
@@ -165,7 +167,8 @@ class SyncJudge:
         self._early = min(EARLIEST, max(LEAST_EARLY, clock.jitter))
         self._patience_s = self.periods * (period or UNSETTLED_S)
         self._low_s, self._high_s = inf, -inf
-        if period and not (self.is_open or self._streak or self._error_left or self._gap):
+        busy = self.is_open or self._streak or self._error_left or self._gap or self._slack
+        if period and not busy:
             self._low_s, self._high_s = -self._early * period, HALF * period
             if self._proved:  # the time says both sides
                 self._low_s, self._high_s = -clock.jitter * period, clock.jitter * period
@@ -260,6 +263,8 @@ class SyncJudge:
         if clock.period_s and self.begun:
             clock.due_s += (1 + lost) * clock.period_s
         self._since = min(self._since + 1 + lost, MOST_INTERVALS)
+        if not lost and not sync.behind:  # what came before this SYNC answers none after the one before
+            self._slack, confirmed, self._lowest = 0, confirmed or self._lowest, None
         self._more = max(0.0, sync.off)
         self._uneven = False
         self._gap = lost > 0 or (self._gap and abs(sync.off) > clock.jitter)
