@@ -213,7 +213,8 @@ class Judge(SyncJudge):
                 return Passed(passed, self._set_error)
         was_set = interface.refuse(time_100ns, float(max(1, counted)), period_s)
         off = abs(elapsed - counted)
-        error = max(self.clock.jitter, off if off < ABSURD else 0.0)
+        # The jitter of two SYNCs; or the time is right, and its SYNC was late.
+        error = max(2.0 * self.clock.jitter, off if off < ABSURD else 0.0)
         if self._set_left:
             error += self._set_error
         if was_set:
@@ -245,7 +246,7 @@ class Judge(SyncJudge):
     def _most(self, time_s: float) -> float:
         """Intervals that may have passed since the last sample time, by count and time."""
         period = self.clock.period_s
+        most = self._since + self._untimed + self._more + self._slack
         if not period or not isfinite(time_s):
-            return float(MOST_INTERVALS)
-        later = (time_s - self.synced_s) / period
-        return self._since + self._untimed + self._more + self._slack + max(0.0, later // 1.0)
+            return max(1.0, most)
+        return most + max(0.0, (time_s - self.synced_s) / period // 1.0)

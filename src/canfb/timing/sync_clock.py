@@ -55,6 +55,7 @@ FIRST_CALLS, MOST_CALLS = 9, 33  # straight enough at once, or as they are
 STRAIGHT = 0.1  # period: calls no further above their line come from a host that is not late
 SAME_PERIOD = 0.03  # of the period: 1006h is that of the bus
 DEVIATIONS = 8.0  # mean absolute deviations
+RISING = 0.25  # of what all calls of a group were late: a host that is late does that as well
 SPREADS = 8  # groups, over which the deviation is a mean
 
 
@@ -135,6 +136,9 @@ class SyncClock:
         size = len(errors)
         mean = sum(errors) / size
         off = mean if proved else min(errors)
+        beyond = off - STRAIGHT * period
+        if not proved and beyond > 0.0:
+            off -= (1.0 - RISING) * beyond
         spread = sum([abs(error - mean) for error in errors]) / size / period
         errors.clear()
         self._groups = n = min(self._groups + 1, MEMORY)

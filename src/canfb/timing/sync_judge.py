@@ -265,7 +265,7 @@ class SyncJudge:
         self._since = min(self._since + 1 + lost, MOST_INTERVALS)
         if not lost and not sync.behind:  # what came before this SYNC answers none after the one before
             self._slack, confirmed, self._lowest = 0, confirmed or self._lowest, None
-        self._more = max(0.0, sync.off)
+        self._more = max(0.0, sync.off) + (self._more if self.extra_came else 0.0)
         self._uneven = False
         self._gap = lost > 0 or (self._gap and abs(sync.off) > clock.jitter)
         self._sync_before_s = -inf if lost else self.synced_s
@@ -315,6 +315,7 @@ class SyncJudge:
         if self._goes_on(sync.time_s):
             return self._set_again(sync)
         self._received_s, self.extra_came = sync.time_s, True
+        self._more += 1.0  # if it was none that was sent twice
         return EXTRA
 
     def _contradicted(self, sync: _Sync) -> SyncVerdict:
