@@ -23,13 +23,15 @@ ALLOWED: dict[str, set[str]] = {
     "cia301": {"checks"},
     "objects": set(),
     "signal": {"checks", "objects", "errors"},
+    # What times prove, and no more: it knows no frame, and nothing of what a sample holds.
+    "timing": {"checks", "objects", "errors"},
     "calibration": {"signal", "objects", "errors"},
     "device": WORDS - {"objects"},
     "eds_files": {"errors"},
     # A source gives samples, the word of signal, and all else comes to it as an argument (Surroundings):
     # the simulated machine, and the threads and clocks of bus. So module, simulation and bus build on it.
     "sources": {"signal"} | WORDS,
-    "module": {"signal", "calibration", "device", "sources", "eds_files", "view"} | WORDS,
+    "module": {"signal", "timing", "calibration", "device", "sources", "eds_files", "view"} | WORDS,
     "simulation": {"signal", "device", "sources", "eds_files"} | WORDS,
     # Time is an argument here as well: frames of a log in, what the module made of them out.
     "replay": {"signal", "calibration", "device", "module"} | WORDS,

@@ -47,6 +47,7 @@ ROOMS = {
     "view": Room(540, 160, 5, "what a module is"),
     "calibration": Room(720, 220, 5, "a recording in, a table out", "mathematics"),
     "device": Room(20, 300, 6, "the CiA 301 slave: frames and times in", "canopen"),
+    "timing": Room(345, 150, 6, "what times prove", "mathematics"),
     "signal": Room(520, 420, 6, "mathematics of a sample: counts in, position out", "mathematics"),
 }
 GROUND = ("cia301", "objects", "checks", "errors", "eds_files")
@@ -77,6 +78,7 @@ ARROWS = [
     ("module", "calibration"),
     ("module", "device"),
     ("module", "view"),
+    ("module", "timing"),
     ("report", "calibration"),
     ("monitoring", "view"),
     ("view", "signal"),

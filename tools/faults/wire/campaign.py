@@ -106,6 +106,10 @@ def misses(tallies: dict[Key, Tally]) -> list[str]:
             found += [f"    {example}" for example in tally.examples]
         if CLASSES[number].name.startswith("healthy") and tally.outcomes["kept"] != tally.episodes:
             found.append(f"{name}: {tally.outcomes['lost']} lost, {tally.outcomes['flagged']} flagged")
+        if CLASSES[number].survives and tally.outcomes["lost"]:
+            found.append(f"{name}: {tally.outcomes['lost']} of {tally.episodes} lost, which need not be")
+        if tally.unanswered:
+            found.append(f"{name}: SYNCs without their PDO in {tally.unanswered} of {tally.episodes}")
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from tools.faults.wire import around, unheard, untimely
+from tools.faults.wire import around, clocks, unheard, untimely
 from tools.faults.wire.setups import Setup
 from tools.faults.wire.unheard import Change
 
@@ -40,13 +40,23 @@ def with_counter(setup: Setup) -> bool:
 
 @dataclass(frozen=True)
 class WireClass:
-    """A class of wire faults. ``torque``: part of the episodes with a torque pulse beside the fault."""
+    """A class of wire faults.
+
+    ``torque``: part of the episodes with a torque pulse beside the fault. ``survives``: what is declared
+    keeps the position, so that a loss is a goal missed.
+    """
 
     name: str
     change: Change
     torque: float = 0.5
     after: int = 70
     of: Callable[[Setup], bool] = always
+    survives: bool = False
+
+
+def aimed(name: str, change: Change, of: Callable[[Setup], bool], survives: bool = False) -> WireClass:
+    """A class that brings its own machine (:mod:`tools.faults.wire.clocks`)."""
+    return WireClass(name, change, torque=0.0, of=of, survives=survives)
 
 
 CLASSES: tuple[WireClass, ...] = (
@@ -108,4 +118,21 @@ CLASSES: tuple[WireClass, ...] = (
     WireClass("RPDO 255, TPDO 1", around.synchronous(255, 1, around.any_loss)),
     WireClass("RPDO 1, TPDO 1", around.synchronous(1, 1, around.any_loss)),
     WireClass("TPDO 1, predict", around.predicting),
+    aimed("stamp, bad again", clocks.bad_stamp_again, clocks.timed, survives=True),
+    aimed("stamp, bad again after reset", clocks.bad_stamp_after_reset, clocks.timed, survives=True),
+    aimed("stamp, bad at the start", clocks.bad_stamp_early, clocks.timed),
+    aimed("stamp, late once", clocks.late_stamp_once, clocks.timed, survives=True),
+    aimed("SYNC, producer shifts", clocks.producer_shifts, clocks.untimed_with_stamps),
+    aimed("SYNC, producer shifts, times", clocks.producer_shifts, clocks.timed_with_stamps, survives=True),
+    aimed("SYNC, another rate", clocks.producer_changes_rate, clocks.untimed_with_stamps),
+    aimed("SYNC, another rate, times", clocks.producer_changes_rate, clocks.timed),
+    aimed("SYNC faster, TPDO 1", clocks.faster_sync, clocks.without_counter),
+    aimed("lost, then NMT", clocks.lost_then_started, clocks.any_but_servo),
+    aimed("reset node in motion", clocks.reset_in_motion, clocks.any_but_servo),
+    aimed("NMT pause, short", clocks.short_pause, clocks.any_but_servo),
+    aimed("deaf, creeping", clocks.creeping_deaf, clocks.timed_without_counter),
+    aimed("PDO lost, 1, at the limit", clocks.one_lost_at_the_limit, clocks.timed),
+    aimed("1006h ten times, PDO lost", clocks.wrong_1006_and_lost, clocks.any_but_servo, survives=True),
+    aimed("stall, one burst", clocks.stall_in_one_burst, clocks.counter_alone, survives=True),
+    aimed("stall of all", clocks.everything_stalls, clocks.timed, survives=True),
 )  # fmt: skip

@@ -47,6 +47,7 @@ RESIDUAL_LIMIT = 1.0 / 3.0  # 2010:01 as delivered
 LIMIT_MARGIN = 0.06  # cycles/T^2: that of a narrowed limit, and the noise
 MEMORY = 8  # samples whose accelerations 2011:09 may hold
 ACCELERATION_ID = 0x380 + 32
+RESET_NODE = bytes([129])
 EMCY_WINDOW_S, EMCY_LIMIT = 0.1, 10
 
 
@@ -78,6 +79,7 @@ class Verdict:
     acceleration_wrong: int = 0
     emergencies: int = 0  # most within EMCY_WINDOW_S
     right_at_end: bool = False
+    unanswered: int = 0  # SYNCs on the bus that no synchronous TPDO followed
 
 
 class Judge:
@@ -88,6 +90,8 @@ class Judge:
         start = line.positions[0] if line.positions else 0.0
         self._base = start - start % 1.0  # the module begins at cycle count 0
         self._rebased = 0.0
+        resets = [at for at, what, data in plan.actions if what == "nmt" and data == RESET_NODE]
+        self._resets = sorted(resets)  # after each the module begins at cycle count 0 again
         syncs = [event for event in line.events if event.what == "sync"]
         self._sync_times, self._sync_slots = (
             [event.time for event in syncs],
@@ -119,7 +123,17 @@ class Judge:
                 verdict.emergencies, n + 1 - bisect_left(emergencies, at - EMCY_WINDOW_S)
             )
         self._conclude()
+        if plan.options.tpdo_type == 1 and not plan.actions:
+            verdict.unanswered = self._unanswered(sent)
         return verdict
+
+    def _unanswered(self, sent: list[Sent]) -> int:
+        """SYNCs without the TPDO of type 1, but for those that a repetition within the same slot makes."""
+        answered = {id(one.cause) for one in sent if one.frame.can_id == TPDO1_ID}
+        slots = {event.number for event in self._line.events if id(event) in answered}
+        last = max((one.now for one in sent), default=0.0)
+        due = {event.number for event in self._line.events if event.what == "sync" and event.time < last}
+        return len(due - slots)
 
     def _conclude(self) -> None:
         verdict, shown = self.verdict, self.shown
@@ -161,6 +175,10 @@ class Judge:
         position = units / UNITS_PER_CYCLE
         truth, error = self._nearest(one, position)
         valid = bool(status & VALID)
+        if valid and self._resets and one.now >= self._resets[0]:
+            del self._resets[0]
+            self._base -= round(error)
+            truth, error = self._nearest(one, position)
         if (
             valid
             and abs(error) > self._plan.tolerance

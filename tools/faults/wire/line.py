@@ -24,6 +24,7 @@ from tools.faults.wire.setups import (
     NODE,
     SYNC_ID,
     TIMES_ID,
+    Configuration,
     Options,
     Setup,
     sdo_read,
@@ -148,6 +149,10 @@ def lay(plan: Plan) -> Line:
         events.append(Event(at, len(events), "sdo", sdo_read(0x2011, 1), 0))
         events.append(Event(at, len(events), "sdo", sdo_read(0x6004, 0), 0))
     for at, what, data in plan.actions:
+        if what == "configure":
+            frames = Configuration(plan.setup, plan.options).frames
+            events += [Event(at, len(events) + n, "sdo", one, 0) for n, one in enumerate(frames)]
+            continue
         command = Frame(NMT_ID, data + bytes([NODE])) if what == "nmt" else None
         events.append(Event(at, len(events), what, command, 0))
     events.sort(key=lambda one: (one.time, one.order))

@@ -100,6 +100,20 @@ class Bench:
         return self.module
 
     def _configure(self, module: FeedbackModule, setup: Setup, options: Options) -> None:
+        """RuntimeError if the module refuses it."""
+        for request in Configuration(setup, options).frames:
+            self.now += 1e-4
+            frames = module.receive(request, self.now)
+            (reply,) = [frame.data for frame in frames if frame.can_id == SDO_TX]
+            if reply[0] != WRITE_REPLY:
+                raise RuntimeError(f"{request.data.hex()}: {reply.hex()}")
+
+
+class Configuration:
+    """The SDO downloads that put a set-up in force, as ``frames``."""
+
+    def __init__(self, setup: Setup, options: Options) -> None:
+        self.frames: list[Frame] = []
         write = self._write
         if setup.counter:
             write(0x1019, 0, "B", options.overflow)
@@ -150,15 +164,10 @@ class Bench:
         write(index, 1, "I", 0x40000000 | can_id if index >= 0x1800 else can_id)
 
     def _write(self, index: int, subindex: int, kind: str, value: float) -> None:
-        """An expedited SDO download; RuntimeError if the module refuses it."""
+        """An expedited SDO download."""
         data = struct.pack("<" + kind, value)
         head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, subindex)
-        assert self.module is not None
-        self.now += 1e-4
-        frames = self.module.receive(Frame(SDO_RX, head + data.ljust(4, b"\0")), self.now)
-        (reply,) = [frame.data for frame in frames if frame.can_id == SDO_TX]
-        if reply[0] != WRITE_REPLY:
-            raise RuntimeError(f"{index:04X}h:{subindex:02X} = {value}: {reply.hex()}")
+        self.frames.append(Frame(SDO_RX, head + data.ljust(4, b"\0")))
 
 
 def sdo_read(index: int, subindex: int) -> Frame:

@@ -21,6 +21,7 @@ HEAD = (
     "early",
     "accel.",
     "EMCY",
+    "PDOs",
 )
 EXAMPLES = 3
 
@@ -34,6 +35,7 @@ class Tally:
     early: int = 0
     acceleration: int = 0
     emergencies: int = 0
+    unanswered: int = 0
     examples: list[str] = field(default_factory=list)
 
     def add(self, episode: Episode, verdict: Verdict) -> None:
@@ -42,6 +44,7 @@ class Tally:
         self.early += verdict.early > 0
         self.acceleration += verdict.acceleration_wrong > 0
         self.emergencies += verdict.emergencies > EMCY_LIMIT
+        self.unanswered += verdict.unanswered > 0
         if verdict.outcome == "wrong" and len(self.examples) < EXAMPLES:
             first = verdict.first_wrong
             where = f"{first.error:+.1f} cycles at {first.now:.1f} T" if first else ""
@@ -54,10 +57,12 @@ class Tally:
         self.early += other.early
         self.acceleration += other.acceleration
         self.emergencies += other.emergencies
+        self.unanswered += other.unanswered
         self.examples = (self.examples + other.examples)[:EXAMPLES]
 
     def row(self, *names: str) -> tuple[str, ...]:
-        numbers = (self.episodes, *self.outcomes.values(), self.early, self.acceleration, self.emergencies)
+        own = (self.early, self.acceleration, self.emergencies, self.unanswered)
+        numbers = (self.episodes, *self.outcomes.values(), *own)
         return (*names, *map(str, numbers))
 
 

@@ -1,0 +1,115 @@
+"""When the answer to a SYNC comes: which SYNCs an ADC PDO may answer, by its delay.
+
+The PDO carries no mark of its SYNC. What its delay proves:
+
+- Nothing answers a SYNC before the interface has measured: a delay below SOONEST of the shortest one so far
+  belongs to an earlier SYNC.
+- The PDOs of one node keep their order. If the SYNC before has been answered, a late PDO is not its answer.
+- A frame waits for others, some 0.1 ms each, but not for periods. So within the usual delay, and where the
+  one before is answered within LATEST, the PDO answers the last SYNC. Outside it may answer the SYNC
+  before, while that has no answer; and, from the time on at which the next SYNC was due, one that was not
+  received.
+
+Where more than one is left, all of them are the result, and the phases decide. (A PDO that is late by one
+period exactly, while the next one is lost, is within the usual delay: docs/wire-faults.md, P3 and P7.)
+
+| bound | value | reason |
+|---|---|---|
+| SOONEST | 0.7 of the shortest delay | conversion and transmission of the same frame, with other stuffing |
+| SPREADS | 4 mean deviations | a frame before it on the bus; uniform: at most 2 |
+| SPARE | 0.1 period | the shortest width of "usual" |
+| LATEST | 0.9 period | beyond it the next SYNC is as near, by the jitter of both |
+| MOST_LATE | 2 periods | a queue of PDOs of higher priority: more is a node that does not send |
+"""
+
+from __future__ import annotations
+
+import math
+
+SOONEST = 0.7
+SPREADS = 4.0
+SPARE = 0.1
+LATEST = 0.9
+MOST_LATE = 2
+TOGETHER = 8  # delays that are learned at a time
+LEARNED = 16  # delays; fewer say nothing
+WINDOW = 128  # delays: the shortest is that of one or two of these
+REFUSED = 8  # in a row that come sooner than any: the interface has become faster
+MOST_NEWEST = 1 << 10  # SYNCs; more are as good as lost
+ANSWERS_LAST = (0,)
+ANSWERS_EARLIER = (-1,)
+
+
+class AnswerDelay:
+    """Follows the delay from SYNC to ADC PDO, seconds.
+
+    A delay from ``low_s`` to ``high_s`` is usual: put it into ``taken``, and call :meth:`learn` when there
+    are TOGETHER. ``usual_s`` is its mean.
+    """
+
+    __slots__ = ("_before_s", "_count", "_least_s", "_left", "_refused", "_spread_s",
+                 "high_s", "low_s", "taken", "usual_s")  # fmt: skip
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Learn from the next delays."""
+        self._count = self._refused = 0
+        self._left = WINDOW
+        self._least_s = self._before_s = math.inf
+        self._spread_s = self.usual_s = 0.0
+        self.taken: list[float] = []
+        self.low_s, self.high_s = math.inf, -math.inf
+
+    @property
+    def learned(self) -> bool:
+        """Enough delays are known."""
+        return self._count >= LEARNED
+
+    def learn(self, period_s: float) -> None:
+        """Follow the delays in ``taken``, and empty it."""
+        taken = self.taken
+        if not taken:
+            return
+        size = len(taken)
+        self._refused = 0
+        self._count = min(self._count + size, LEARNED)
+        gain = size / self._count
+        self.usual_s += (sum(taken) / size - self.usual_s) * gain
+        usual = self.usual_s
+        self._spread_s += (sum([abs(one - usual) for one in taken]) / size - self._spread_s) * gain
+        self._left -= size
+        if self._left <= 0:
+            self._left, self._before_s, self._least_s = WINDOW, self._least_s, math.inf
+        self._least_s = min(self._least_s, *taken)
+        taken.clear()
+        if self._count >= LEARNED:
+            self.low_s = SOONEST * min(self._least_s, self._before_s)
+            self.high_s = usual + max(SPARE * period_s, SPREADS * self._spread_s)
+
+    def answers(
+        self, delay_s: float, longest_s: float, period_s: float, before_open: bool, proved: bool
+    ) -> tuple[int, ...]:
+        """Which SYNCs the first PDO since the last one may answer: 0 that one, -1 the one before, 1 the next.
+
+        ``delay_s`` after it, by no means more than ``longest_s``; ``before_open``: the SYNC before has no
+        answer yet. ``proved``: it did not wait for the host, which may be late by any time.
+        """
+        self.learn(period_s)
+        passed = delay_s / period_s
+        if self.learned:
+            if longest_s < self.low_s:
+                self._refused += 1
+                if self._refused >= REFUSED:
+                    self.forget()
+                return ANSWERS_EARLIER
+            if self.low_s <= delay_s <= self.high_s:
+                return ANSWERS_LAST
+        elif passed < LATEST:
+            return ANSWERS_LAST
+        later = delay_s - self.usual_s
+        if passed < LATEST or later < SPARE * period_s:
+            return (-1, 0) if before_open else ANSWERS_LAST
+        newest = max(1, min(round(later / period_s), MOST_NEWEST))
+        return tuple(range(max(0, newest - MOST_LATE) if proved else 0, newest + 1))

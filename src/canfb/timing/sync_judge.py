@@ -1,0 +1,415 @@
+"""What a SYNC shows: how many periods have passed, whether others are missing, whether its instant is good.
+
+A SYNC falls into a zone, by its lag behind the time at which it was due and by its counter:
+
+| zone | what it means | nothing open | SYNCs may be missing |
+|---|---|---|---|
+| EARLY | sooner than a SYNC can come, shortly after one | extra | more came than can be: doubt |
+| ON | within the jitter; whole periods between are missed SYNCs | so many | all came: confirmed |
+| OFF | proved, and further off than the jitter | so many, off by that | the same |
+| BEHIND | not proved, and a period late or more | open | still open |
+| AGAINST | the counter says what time forbids | doubt | doubt |
+
+**Late, or missing.** Without receive times and counter a SYNC that is a period late may be the next one on
+a late host. The proof comes by itself: a host that was late takes all that waits in one go. If none was
+missing, the SYNCs that follow are there in that burst, until none is due any more: confirmed as they were
+counted. If the host waits again (PACED SYNCs, each more than half a period after the one before) and SYNCs
+are still behind, these are lost. A first one that is behind by whole periods leaves the place of the loss
+clear. Where it is not whole, or where the number changes, some came late and others are missing: doubt.
+
+**The instant.** An interface samples at the SYNC, or by a timer that follows it; which, it does not say. So
+a SYNC off its grid puts the instants of MEMORY samples in doubt by as much: the position is in doubt by the
+speed times that, and is flagged, or not, by arithmetic. The usual jitter is not part of it: it does not hit
+whole cycles again and again, and the residuals show it (docs/time.md).
+
+**Extra SYNCs** (sent twice, or of another producer) are none for sampling, but they are for CANopen: every
+SYNC on the bus triggers the synchronous PDOs. Only one that is repeated by its counter is none at all.
+RELOCK SYNCs in a row that are extra or off, and regular, are another rate or phase: the clock is set again.
+
+| bound | value | reason |
+|---|---|---|
+| LEAST_EARLY | 0.15 period | a SYNC waits for 135 us at 1 Mbit/s: those after it come sooner by that |
+| WHOLE | 0.85 period | a SYNC this long after another is no repetition: the same jitter |
+| PACED | 2 SYNCs | a host is interrupted while it takes what waits, but not twice, a period apart |
+| MOST_OPTIONS | 4 | more intervals are more machines than phases tell apart |
+| MEMORY | 16 samples | those that the estimator remembers |
+| UNSETTLED_S | 0.5 s | taken for a period where none is known |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+from math import inf, isfinite
+from typing import NamedTuple
+
+from canfb.timing.sync_clock import EARLIEST, SAME_PERIOD, TOGETHER, SyncClock, is_regular
+
+LEAST_EARLY = 0.15
+WHOLE = 0.85
+HALF = 0.5
+PACED = 2
+RELOCK = 6
+MOST_OPTIONS = 4
+MEMORY = 16
+UNSETTLED_S = 0.5
+MOST_INTERVALS = 1 << 20  # more are as good as lost
+
+
+class SyncVerdict(NamedTuple):
+    """What a SYNC shows.
+
+    missed     samples that are missing for certain, and were not reported yet
+    extra      no sample is to be expected for it
+    repeated   the same SYNC twice, by its counter: nothing is to be done with it
+    lost       SYNCs before it that were not received
+    confirmed  the one of the last set of intervals that was true, None: not known
+    doubt      how many intervals have passed cannot be known
+    """
+
+    missed: int = 0
+    extra: bool = False
+    repeated: bool = False
+    lost: int = 0
+    confirmed: float | None = None
+    doubt: bool = False
+
+
+ON_TIME = SyncVerdict()
+EXTRA = SyncVerdict(extra=True)
+REPEATED = SyncVerdict(extra=True, repeated=True)
+
+
+class Zone(IntEnum):
+    """Where a SYNC falls."""
+
+    EARLY, ON, OFF, BEHIND, AGAINST = range(5)
+
+
+class _Sync(NamedTuple):
+    """One SYNC as it is judged, in periods."""
+
+    time_s: float
+    proved: bool
+    counter: int | None
+    apart: float  # from the last one that was received
+    lost: int  # before it, as counted
+    off: float  # from when it was due
+    behind: int  # more that may be missing
+
+
+class SyncJudge:
+    """Judges SYNCs by their times, seconds; ``proved`` says that the bus gave the time. Any numbers may come.
+
+    ``until`` is the time after which the position is not valid without another SYNC or sample, inf while
+    nothing is expected. ``synced_s`` is when the last SYNC was received.
+    """
+
+    def __init__(self) -> None:
+        self.clock = SyncClock()
+        self.overflow = 0
+        """1019h."""
+        self.periods = 2
+        """2010:06."""
+        self.on_followed: Callable[[float, bool], None] | None = None
+        """Called as (time_s, proved) with every TOGETHER-th usual SYNC."""
+        self._table: dict[tuple[Zone, bool], Callable[[_Sync], SyncVerdict]] = {
+            (Zone.EARLY, False): self._extra,
+            (Zone.EARLY, True): self._contradicted,
+            (Zone.ON, False): self._on_time,
+            (Zone.ON, True): self._all_came,
+            (Zone.OFF, False): self._off_grid,
+            (Zone.OFF, True): self._off_grid,
+            (Zone.BEHIND, False): self._late,
+            (Zone.BEHIND, True): self._still_late,
+            (Zone.AGAINST, False): self._contradicted,
+            (Zone.AGAINST, True): self._contradicted,
+        }
+        self.pause()
+
+    def pause(self) -> None:
+        """The next SYNC begins; the period is kept."""
+        self.clock.pause()
+        self.until = inf
+        self.begun = False
+        self.sampled = False
+        """A sample came since."""
+        self.extra_came = False
+        """Since the last SYNC: the interface may answer it."""
+        self.synced_s = self._sync_before_s = self._received_s = 0.0
+        self._proved = False
+        self._counter: int | None = None
+        self._next_counter: int | None = None
+        self._since = 0  # periods from the last sample to the last SYNC
+        self._answered, self._before_open = True, False
+        self._usual = False  # the last SYNC was usual, and is not answered yet
+        self._gap = False  # SYNCs were missing, and none was on its grid since
+        self._streak: list[float] = []
+        self._uneven = False  # extra SYNCs came, and this one is late: it may be another rate
+        self._slack = 0  # periods that the last sample may have been later
+        self._lowest: float | None = None  # of its intervals, if it was not
+        self._error, self._error_left = 0.0, 0
+        self._more = 0.0  # periods that time allows beyond those that were counted
+        self._close()
+        self._look_ahead()
+
+    def _close(self) -> None:
+        """No SYNC may be missing."""
+        self.is_open = False
+        """SYNCs may be missing: what follows shows it."""
+        self._debt = self._paced = 0
+        self._set: tuple[float, ...] = ()  # intervals of the first sample that was late
+        self._offered = self._unclear = False
+
+    def _look_ahead(self) -> None:
+        """Which of the next SYNCs need no judgement."""
+        clock, period = self.clock, self.clock.period_s
+        self._early = min(EARLIEST, max(LEAST_EARLY, clock.jitter))
+        self._patience_s = self.periods * (period or UNSETTLED_S)
+        self._low_s, self._high_s = inf, -inf
+        busy = self.is_open or self._streak or self._error_left or self._gap or self._slack
+        if period and not busy:
+            self._low_s, self._high_s = -self._early * period, HALF * period
+            if self._proved:  # the time says both sides
+                self._low_s, self._high_s = -clock.jitter * period, clock.jitter * period
+
+    def sync(self, time_s: float, proved: bool, counter: int | None) -> SyncVerdict:
+        """A SYNC at ``time_s`` with its ``counter``, None without one."""
+        clock = self.clock
+        error = time_s - clock.due_s
+        if (
+            self._low_s < error < self._high_s
+            and self._answered
+            and counter == self._next_counter
+            and proved == self._proved
+        ):
+            clock.due_s += clock.period_s
+            self._sync_before_s, self.synced_s = self.synced_s, time_s
+            if counter is not None:
+                self._counter, self._next_counter = counter, 1 if counter == self.overflow else counter + 1
+            self.until = time_s + self._patience_s
+            self._answered = False
+            self._usual, self._since = True, 1
+            errors = clock.errors
+            errors.append(error)
+            if len(errors) >= TOGETHER:
+                self._follow(time_s, proved)
+            return ON_TIME
+        if self._answered and not self._streak:
+            self._received_s = self.synced_s
+        verdict = self._judged(time_s, proved, counter)
+        self._look_ahead()
+        return verdict
+
+    def _follow(self, time_s: float, proved: bool) -> None:
+        self.clock.learn(proved)
+        self._look_ahead()
+        if self.on_followed is not None:
+            self.on_followed(time_s, proved)
+
+    def _judged(self, time_s: float, proved: bool, counter: int | None) -> SyncVerdict:
+        if not isfinite(time_s):
+            return EXTRA
+        if not self.begun:
+            self.clock.begin(time_s)
+            return self._take(_Sync(time_s, proved, counter, 1.0, 0, 0.0, 0))
+        turn, counted = 1, 0
+        if counter is not None and self._counter is not None and self.overflow >= 2:
+            turn, counted = self.overflow, (counter - self._counter - 1) % self.overflow
+        if not self.clock.period_s:
+            rough = self.clock.rough_s
+            if turn > 1 and counted == turn - 1 and not time_s - self.synced_s > HALF * rough > 0.0:
+                return REPEATED
+            verdict = self._take(_Sync(time_s, proved, counter, 1.0, counted, 0.0, 0))
+            self.clock.start(time_s, proved)
+            return verdict
+        zone, sync = self._place(time_s, proved, counter, turn, counted)
+        if zone is Zone.EARLY and turn > 1:
+            self._received_s = time_s
+            return REPEATED
+        return self._table[zone, self.is_open](sync)
+
+    def _place(
+        self, time_s: float, proved: bool, counter: int | None, turn: int, counted: int
+    ) -> tuple[Zone, _Sync]:
+        """The zone of a SYNC, and the SYNCs before it that were not received."""
+        clock, period = self.clock, self.clock.period_s
+        lag = min((time_s - clock.due_s) / period, float(MOST_INTERVALS))
+        apart = (time_s - self._received_s) / period
+        early = lag <= -self._early and apart < WHOLE
+        if early and counted == turn - 1:
+            return Zone.EARLY, _Sync(time_s, proved, counter, apart, 0, lag, 0)
+        if proved:
+            turns = round((lag - counted) / turn)
+        else:
+            turns = -1 if counted == turn - 1 > 0 and lag < counted - HALF else 0
+        lost = counted + turns * turn
+        off = lag - lost
+        behind = 0 if proved else max(0, int((off + self._early) // turn) * turn)
+        sync = _Sync(time_s, proved, counter, apart, max(0, lost), off, behind)
+        if lost < 0:
+            return Zone.EARLY if early and turn == 1 else Zone.AGAINST, sync
+        if off < -HALF or (proved and off > HALF):
+            return Zone.AGAINST, sync
+        if behind:
+            return Zone.BEHIND, sync
+        return Zone.OFF if proved and abs(off) > clock.jitter else Zone.ON, sync
+
+    def _take(self, sync: _Sync, doubt: bool = False, confirmed: float | None = None) -> SyncVerdict:
+        """Count this SYNC, and those before it that were not received."""
+        clock, lost = self.clock, sync.lost
+        missed = lost + (not self._answered) if self.sampled else 0
+        self._before_open = self.sampled and (not self._answered or lost > 0)
+        if clock.period_s and self.begun:
+            clock.due_s += (1 + lost) * clock.period_s
+        self._since = min(self._since + 1 + lost, MOST_INTERVALS)
+        if not lost and not sync.behind:  # what came before this SYNC answers none after the one before
+            self._slack, confirmed, self._lowest = 0, confirmed or self._lowest, None
+        self._more = max(0.0, sync.off) + (self._more if self.extra_came else 0.0)
+        self._uneven = False
+        self._gap = lost > 0 or (self._gap and abs(sync.off) > clock.jitter)
+        self._sync_before_s = -inf if lost else self.synced_s
+        self.synced_s = self._received_s = sync.time_s
+        self._count_from(sync.counter)
+        self._proved, self.begun = sync.proved, True
+        self._answered = self._usual = self.extra_came = False
+        self.until = sync.time_s + self._patience_s
+        if not (missed or doubt or lost) and confirmed is None:
+            return ON_TIME
+        return SyncVerdict(missed=missed, lost=lost, confirmed=confirmed, doubt=doubt)
+
+    def _count_from(self, counter: int | None) -> None:
+        self._counter = counter
+        self._next_counter = counter if counter is None else 1 if counter == self.overflow else counter + 1
+
+    def _on_time(self, sync: _Sync) -> SyncVerdict:
+        clock = self.clock
+        if self._streak:
+            if abs(sync.apart - 1 - sync.lost) <= clock.jitter and abs(sync.off) <= self._early:
+                self._streak.clear()
+            elif self._goes_on(sync.time_s):
+                return self._set_again(sync)
+        verdict = self._take(sync)
+        self._uneven = bool(self._streak) and sync.off > self._early
+        if not self._streak and (sync.proved or sync.off < 1.0):
+            clock.errors.append(sync.off * clock.period_s)
+            if len(clock.errors) >= TOGETHER:
+                self._follow(sync.time_s, sync.proved)
+        return verdict
+
+    def _all_came(self, sync: _Sync) -> SyncVerdict:
+        """No SYNC is due that was not received: all were late."""
+        confirmed = self._set[0] if self._offered else None
+        self._close()
+        return self._take(sync, confirmed=confirmed)
+
+    def _off_grid(self, sync: _Sync) -> SyncVerdict:
+        self._err(abs(sync.off))
+        confirmed = self._set[0] if self._offered else None
+        self._close()
+        if self._goes_on(sync.time_s):
+            return self._set_again(sync, doubt=False)
+        return self._take(sync, confirmed=confirmed)
+
+    def _extra(self, sync: _Sync) -> SyncVerdict:
+        if self._goes_on(sync.time_s):
+            return self._set_again(sync)
+        self._received_s, self.extra_came = sync.time_s, True
+        self._more += 1.0  # if it was none that was sent twice
+        return EXTRA
+
+    def _contradicted(self, sync: _Sync) -> SyncVerdict:
+        self._close()
+        if self._goes_on(sync.time_s):
+            return self._set_again(sync)
+        verdict = self._take(sync, doubt=True)
+        self.clock.due_s = sync.time_s + self.clock.period_s
+        return verdict
+
+    def _late(self, sync: _Sync) -> SyncVerdict:
+        if self._goes_on(sync.time_s):
+            return self._set_again(sync)
+        turn = self.overflow if sync.counter is not None and self.overflow >= 2 else 1
+        verdict = self._take(sync)
+        self.is_open, self._debt = True, sync.behind
+        first, most = float(self._since), sync.behind // turn
+        uneven = max(sync.off - sync.behind, abs(sync.apart - 1 - sync.lost - sync.behind))
+        self._unclear = most + 1 > MOST_OPTIONS or uneven > self._early
+        self._set = tuple(first + n * turn for n in range(min(most + 1, MOST_OPTIONS)))
+        return verdict
+
+    def _still_late(self, sync: _Sync) -> SyncVerdict:
+        if self._goes_on(sync.time_s):
+            self._close()
+            return self._set_again(sync)
+        self._unclear |= sync.behind != self._debt
+        self._debt = sync.behind
+        self._paced += sync.apart > HALF
+        if self._paced < PACED:
+            return self._take(sync)
+        more, unclear = sync.behind, self._unclear
+        confirmed = self._set[0] + more if self._offered and not unclear else None
+        doubt = unclear if self.sampled else False
+        self._close()
+        if confirmed is None and not doubt:  # no sample has come yet: these are missed like any others
+            return self._take(sync._replace(lost=sync.lost + more))
+        verdict = self._take(sync, doubt=doubt, confirmed=confirmed)
+        self.clock.due_s += more * self.clock.period_s
+        return verdict._replace(lost=verdict.lost + more)
+
+    def _err(self, error: float) -> None:
+        """The instants of the next samples may be off by so much, intervals."""
+        self._error, self._error_left = max(self._error, error), MEMORY
+
+    def _goes_on(self, time_s: float) -> bool:
+        """SYNCs that are not where they were due, again and again, and regular."""
+        streak = self._streak
+        streak.append(time_s)
+        if len(streak) < RELOCK:
+            return False
+        if is_regular(streak):
+            return True
+        del streak[0]
+        return False
+
+    def _set_again(self, sync: _Sync, doubt: bool = True) -> SyncVerdict:
+        """Another rate or phase."""
+        before_s = self.clock.period_s
+        verdict = self._take(sync._replace(lost=0))
+        self.clock.set_again(self._streak)
+        self._streak.clear()
+        changed = abs(self.clock.period_s - before_s) > SAME_PERIOD * before_s
+        if not (doubt or changed):
+            return verdict
+        self._err(HALF)
+        return verdict._replace(doubt=True)
+
+    def _advance(self, intervals: int) -> None:
+        """So many SYNCs came since the last one, and were not received."""
+        clock = self.clock
+        self._since = min(self._since + intervals, MOST_INTERVALS)
+        self.synced_s += intervals * clock.period_s
+        clock.due_s += intervals * clock.period_s
+        self._sync_before_s = -inf
+        self._close()
+        if self._counter is not None and self.overflow > 1:
+            self._count_from((self._counter - 1 + intervals) % self.overflow + 1)
+        self.until = self.synced_s + self._patience_s
+        self._look_ahead()
+
+    def overdue(self, now: float) -> int:
+        """Samples that are missing by ``now``, without a SYNC or a sample; they count as missed from here on.
+
+        0 where the period is not known, or no sample has come yet: then only the deadline has passed.
+        """
+        period = self.clock.period_s
+        if not period or not self.begun or not isfinite(now):
+            self.until = inf
+            return 0
+        passed = max(1, min(int((now - self.synced_s) / period + 1e-6) - 1, MOST_INTERVALS))
+        missed = passed + (not self._answered)
+        self._advance(passed)
+        self._answered = self._before_open = True
+        self._high_s = -inf  # the next one is looked at
+        self.until = self.synced_s + 2.0 * period
+        return missed if self.sampled else 0

@@ -1,0 +1,117 @@
+"""The aimed classes of the wire campaign: phases alone do not show their faults; the judge counts them."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from canfb import Frame
+from tools.faults.wire import clocks
+from tools.faults.wire.classes import CLASSES
+from tools.faults.wire.host import Sent
+from tools.faults.wire.judge import VALID, Judge
+from tools.faults.wire.judged import judged, main
+from tools.faults.wire.line import Line, Plan, Slot, lay
+from tools.faults.wire.motion import Motion
+from tools.faults.wire.physics import stamp_tolerance
+from tools.faults.wire.play import Episode, plan_of, play_plan
+from tools.faults.wire.setups import SETUPS, TPDO1_ID, UNITS_PER_CYCLE, Options
+
+AIMED = ("stamp, bad again", "stamp, bad again after reset", "stamp, bad at the start")
+
+
+def plans(name: str, count: int = 12) -> list[Plan]:
+    number = [one.name for one in CLASSES].index(name)
+    places = [place for place, setup in enumerate(SETUPS) if CLASSES[number].of(setup)]
+    return [plan_of(Episode(number, places[seed % len(places)], seed)) for seed in range(count)]
+
+
+@pytest.mark.parametrize("name", AIMED)
+def test_an_aimed_time_is_off_by_whole_cycles_and_by_more_than_physics_excuses(name: str) -> None:
+    for plan in plans(name):
+        bad = [(n, slot.stamp_add) for n, slot in enumerate(plan.slots) if slot.stamp_add]
+        for number, ticks in bad:
+            periods = abs(ticks) * clocks.TICK_S / plan.options.interval_s
+            cycles = periods * abs(plan.motion.speed(number + 1.0))
+            assert cycles == pytest.approx(round(cycles), abs=0.02)
+            assert periods > stamp_tolerance(plan.setup, plan.options.interval_s)
+
+
+@pytest.mark.parametrize("name", ["SYNC, producer shifts", "SYNC, another rate"])
+def test_a_moved_sync_keeps_the_phases_of_a_steady_machine(name: str) -> None:
+    for plan in plans(name):
+        line = lay(plan)
+        numbers = line.sample_slots
+        apart = np.diff(line.positions)[[n > plan.fault for n in numbers[1:]]]
+        whole = apart - plan.motion.speed(float(plan.fault))
+        assert np.abs(whole - np.rint(whole)).max() < 0.01
+
+
+def test_after_a_reset_the_module_counts_from_where_it_starts_and_not_twice() -> None:
+    motion = Motion(start=0.25)
+    motion.push(-1.0, 1.0, 7.0)
+    plan = Plan(SETUPS[0], Options(), motion, np.random.default_rng(1), [Slot() for _ in range(60)], 40)
+    plan.actions.append((30.5, "nmt", bytes([129])))
+    line = lay(plan)
+    pdos = [one for one in line.events if one.what == "pdo"]
+    base = line.positions[0] - line.positions[0] % 1.0
+    again = line.positions[35] - line.positions[35] % 1.0
+
+    def sent(bases: dict[int, float]) -> list[Sent]:
+        frames = []
+        for one in pdos:
+            start = max((n for n in bases if n <= one.number), default=-1)
+            units = round((line.positions[one.number] - bases[start]) * UNITS_PER_CYCLE)
+            data = struct.pack("<IHH", units % (1 << 32), VALID, 0)
+            frames.append(Sent(one.time + 0.01, one, Frame(TPDO1_ID, data), one.number))
+        return frames
+
+    whole = sent({-1: base})
+    restarted = whole[:30] + sent({-1: again})[35:]
+    jumped = [*restarted[:-1], sent({-1: again - 7.0})[-1]]
+    assert Judge(plan, line).judge(restarted).wrong == 0
+    assert Judge(plan, line).judge(jumped).wrong == 1
+    assert Judge(replace(plan, actions=[]), line).judge(restarted).wrong > 0
+
+
+def test_a_sync_without_its_pdo_is_counted() -> None:
+    plan = replace(plans("SYNC faster, TPDO 1", 1)[0])
+    line = lay(plan)
+    syncs = [one for one in line.events if one.what == "sync"]
+    answers = [Sent(one.time, one, Frame(TPDO1_ID, bytes(8)), -1) for one in syncs]
+    assert unanswered(plan, line, answers) == 0
+    assert unanswered(plan, line, answers[:20] + answers[23:]) == 3
+
+
+def unanswered(plan: Plan, line: Line, sent: list[Sent]) -> int:
+    return Judge(plan, line).judge(sent).unanswered
+
+
+def test_a_reset_is_followed_by_the_configuration() -> None:
+    """A module that was not configured again would not take sample times."""
+    plan = plans("stamp, bad again after reset", 1)[0]
+    for slot in plan.slots:
+        slot.stamp_add = 0
+    verdict = play_plan(plan, fresh=True).verdict
+    assert verdict.wrong == 0
+    assert verdict.right_at_end
+
+
+@pytest.mark.parametrize(
+    "name", ["healthy", "PDO lost, 2", "stall, one burst", "SYNC, producer shifts, times"]
+)
+def test_the_judge_alone_gives_the_true_intervals(name: str) -> None:
+    number = [one.name for one in CLASSES].index(name)
+    for place, setup in enumerate(SETUPS):
+        if CLASSES[number].of(setup) and not setup.servo and (setup.counter or setup.stamps):
+            assert judged(Episode(number, place, 2)) == [], setup.name
+
+
+def test_the_judge_alone_is_compared_with_the_wire(capsys: pytest.CaptureFixture[str]) -> None:
+    """A PDO that is late by one period for good is in time for the next SYNC (P3)."""
+    assert main(["--episodes", "3", "--class", "PDOs late for good", "--setup", "counter/rx"]) == 1
+    assert "PDOs late for good:counter/rx" in capsys.readouterr().out
+    assert main(["--episodes", "2", "--class", "healthy", "--setup", "counter"]) == 0

@@ -1,0 +1,269 @@
+"""Where the evidence of several clocks disagrees: SYNC, receive times, sample times, counter, 1006h, host.
+
+The faults here are aimed: an error of a time is that which a cycle takes at the speed of the machine (v e is
+a whole number), so that the phases alone show nothing. Each needs a machine of its own (:func:`machine`).
+"""
+
+from __future__ import annotations
+
+import math
+
+from tools.faults.wire.line import Plan, Slot
+from tools.faults.wire.motion import Motion
+from tools.faults.wire.physics import stamp_tolerance
+from tools.faults.wire.setups import Setup
+
+REST, STEADY = 14, 40  # slots at rest, and at speed before the fault
+TICK_S = 1e-7
+PHASE_ERROR = 0.0125  # cycles, of an uncorrected encoder
+RESTARTED_T = 3.0  # a reset, its configuration and the start, T
+
+
+def untimed_with_stamps(setup: Setup) -> bool:
+    return setup.stamps and not setup.times
+
+
+def without_counter(setup: Setup) -> bool:
+    return not setup.counter and not setup.servo
+
+
+def timed(setup: Setup) -> bool:
+    return setup.times and not setup.servo
+
+
+def timed_with_stamps(setup: Setup) -> bool:
+    return timed(setup) and setup.stamps
+
+
+def timed_without_counter(setup: Setup) -> bool:
+    return timed(setup) and not setup.counter
+
+
+def counter_alone(setup: Setup) -> bool:
+    return setup.counter and not setup.times and not setup.stamps
+
+
+def any_but_servo(setup: Setup) -> bool:
+    return not setup.servo
+
+
+def machine(plan: Plan, speed: float, after: int, *, limit: float | None = 0.25, share: float = 0.7) -> None:
+    """A machine that goes from rest to ``speed`` cycles/T and stays there; the fault comes then."""
+    size = share * (limit or 0.25)
+    ramp = abs(speed) / size
+    plan.options.limit = limit
+    plan.motion = Motion(start=float(plan.rng.uniform(0.1, 0.9)))
+    plan.motion.push(REST, ramp, math.copysign(size, speed))
+    plan.fault = REST + int(ramp) + STEADY + int(plan.rng.integers(10))
+    plan.slots = [Slot() for _ in range(plan.fault + after)]
+    plan.accelerating = False
+
+
+def a_speed(plan: Plan, least: float, most: float) -> float:
+    return float(plan.rng.uniform(least, most)) * float(plan.rng.choice((-1.0, 1.0)))
+
+
+def off_by_cycles(plan: Plan, speed: float) -> int:
+    """An error of a sample time, ticks, in which the machine goes a whole number of cycles.
+
+    More than physics excuses (P4), less than a period; 0 if there is none.
+    """
+    interval_s = plan.options.interval_s
+    least = stamp_tolerance(plan.setup, interval_s) + 0.03
+    errors = [k / abs(speed) for k in range(1, 120) if least < k / abs(speed) < 0.9]
+    if not errors:
+        return 0
+    size = float(plan.rng.choice(errors)) * interval_s / TICK_S
+    return round(size) * int(plan.rng.choice((-1, 1)))
+
+
+def bad_stamp_again(plan: Plan) -> None:
+    """A wrong sample time, and the same error once more later."""
+    speed, later = a_speed(plan, 2.0, 20.0), int(plan.rng.choice((30, 600)))
+    machine(plan, speed, later + 40)
+    bad = off_by_cycles(plan, speed)
+    for at in (0, later):
+        plan.slots[plan.fault + at].stamp_add = bad
+
+
+def restart(plan: Plan, at: float) -> None:
+    """Reset node at this time, the configuration again, and OPERATIONAL."""
+    plan.actions.append((at, "nmt", bytes([129])))
+    plan.actions.append((at + 0.5, "configure", b""))
+    plan.actions.append((at + RESTARTED_T, "nmt", bytes([1])))
+
+
+def bad_stamp_after_reset(plan: Plan) -> None:
+    """A wrong sample time; the machine stops, reset node; the machine starts, and the same error."""
+    speed = a_speed(plan, 2.0, 12.0)
+    machine(plan, speed, 0)
+    size = 0.175
+    ramp = abs(speed) / size
+    down = plan.fault + 20
+    rest = down + int(ramp) + 10
+    up = rest + 30
+    second = up + int(ramp) + 30
+    plan.slots = [Slot() for _ in range(second + 30)]
+    plan.motion.push(down, ramp, math.copysign(size, -speed))
+    plan.motion.push(up, ramp, math.copysign(size, speed))
+    bad = off_by_cycles(plan, speed)
+    plan.slots[plan.fault].stamp_add = plan.slots[second].stamp_add = bad
+    restart(plan, float(rest))
+
+
+def bad_stamp_early(plan: Plan) -> None:
+    """A wrong sample time within the first 32 samples, while the machine accelerates."""
+    size = a_speed(plan, 0.12, 0.24)
+    machine(plan, 1e-6, 60)
+    begin = 6
+    plan.motion.push(begin, 1e6, size)
+    plan.options.limit = 0.25
+    least = stamp_tolerance(plan.setup, plan.options.interval_s) + 0.03
+    fits = [n for n in range(begin + 3, 31) if least < 1.0 / (abs(size) * (n + 1 - begin)) < 0.9]
+    plan.fault = int(plan.rng.choice(fits)) if fits else 30
+    speed = size * (plan.fault + 1 - begin)
+    error = 1.0 / abs(speed) * plan.options.interval_s / TICK_S
+    plan.slots[plan.fault].stamp_add = round(error) * int(plan.rng.choice((-1, 1)))
+    plan.slots = plan.slots[: plan.fault + 30]
+
+
+def _even(plan: Plan) -> None:
+    """The interface samples at SYNC, which does not jitter: the speed is not limited by it."""
+    plan.locked, plan.jitter_us, plan.busy = False, 0.0, 0.0
+
+
+def producer_shifts(plan: Plan) -> None:
+    """Another producer takes over: the same period, a phase in which the machine goes whole cycles."""
+    speed = a_speed(plan, 4.0, 40.0)
+    machine(plan, speed, 100)
+    _even(plan)
+    cycles = int(plan.rng.integers(1, max(2, int(0.45 * abs(speed)) + 1)))
+    shift = cycles / abs(speed) * (1 if plan.rng.integers(3) else -1)
+    plan.slots[plan.fault - 1].produced = plan.rng.integers(2) == 0 or shift > 0.0
+    for slot in plan.slots[plan.fault :]:
+        slot.late_us = shift / plan.us
+
+
+def producer_changes_rate(plan: Plan) -> None:
+    """Another period, so that the machine goes whole cycles more, or fewer, in each."""
+    speed = a_speed(plan, 4.0, 40.0)
+    machine(plan, speed, 100)
+    _even(plan)
+    rates = [k / abs(speed) for k in range(-40, 41) if k and -0.35 < k / abs(speed) < 0.45]
+    rate = float(plan.rng.choice(rates))
+    for n, slot in enumerate(plan.slots[plan.fault :], 1):
+        slot.late_us = n * rate / plan.us
+
+
+def faster_sync(plan: Plan) -> None:
+    """SYNC goes to another rate; each of them triggers the synchronous PDOs."""
+    plan.options.interval_s, plan.options.tpdo_type, plan.options.period = 25e-3, 1, False
+    machine(plan, a_speed(plan, 0.0, 1.0), 40)
+    _even(plan)
+    rate = float(plan.rng.choice((0.8, 0.6, 0.4)))
+    for n, slot in enumerate(plan.slots[plan.fault :], 1):
+        slot.late_us = n * (rate - 1.0) / plan.us
+
+
+def lost_then_started(plan: Plan) -> None:
+    """Lost in motion; the master then stops and starts the module, or resets it, while it turns."""
+    machine(plan, a_speed(plan, 3.0, 40.0), 140)
+    for slot in plan.slots[plan.fault : plan.fault + 30]:
+        slot.to_module, slot.pdo_lost = False, True
+    begin = plan.fault + 36.0 + float(plan.rng.uniform())
+    length = float(plan.rng.choice((0.3, 1.0, 8.0)))
+    plan.actions.append((begin, "nmt", bytes([int(plan.rng.choice((128, 2)))])))
+    plan.actions.append((begin + length, "nmt", bytes([1])))
+
+
+def reset_in_motion(plan: Plan) -> None:
+    """Reset node while the machine turns by more than half a cycle in each period."""
+    machine(plan, a_speed(plan, 3.0, 40.0), 90)
+    restart(plan, plan.fault + float(plan.rng.uniform()))
+
+
+def short_pause(plan: Plan) -> None:
+    """NMT stop shortly after a SYNC and start within a period, while a slow machine accelerates."""
+    limit, rest = float(plan.rng.choice((0.15, 0.25))), REST + STEADY
+    machine(plan, 1e-6, 0, limit=limit)
+    size = a_speed(plan, 0.5, 0.95) * limit
+    plan.motion.push(rest, 20.0, size)
+    plan.fault = rest + int(float(plan.rng.uniform(0.3, 0.7)) / abs(size))
+    plan.slots = [Slot() for _ in range(plan.fault + 70)]
+    begin = plan.fault + 1.0 + float(plan.rng.uniform(0.0, 0.5))
+    plan.actions.append((begin, "nmt", bytes([int(plan.rng.choice((128, 2)))])))
+    plan.actions.append((begin + float(10.0 ** plan.rng.uniform(-3.0, 0.0)), "nmt", bytes([1])))
+
+
+def creeping_deaf(plan: Plan) -> None:
+    """The queue of a stalled host overflows while the machine creeps: 5 to 80 periods are lost."""
+    limit = float(plan.rng.choice((0.05, 0.25)))
+    machine(plan, a_speed(plan, 0.01, 0.15), 190, limit=limit)
+    kept, lost = int(plan.rng.integers(0, 8)), int(plan.rng.integers(5, 81))
+    plan.stalls.append((plan.fault + 0.5, plan.fault + kept + lost + 0.6))
+    for slot in plan.slots[plan.fault + kept : plan.fault + kept + lost]:
+        slot.to_module, slot.pdo_lost = False, True
+
+
+def one_lost_at_the_limit(plan: Plan) -> None:
+    """One PDO lost at all of the acceleration that 2010:02 allows, SYNC jitter of 40 us."""
+    limit = float(plan.rng.uniform(0.16, 0.2))
+    machine(plan, 1e-6, 0, limit=limit)
+    plan.motion.push(REST, 1e6, limit * float(plan.rng.choice((-1.0, 1.0))))
+    plan.fault = REST + int(plan.rng.integers(30, 120))
+    plan.slots = [Slot() for _ in range(plan.fault + 50)]
+    plan.jitter_us, plan.gaussian = 40.0, False
+    plan.slots[plan.fault].pdo_lost = True
+
+
+def wrong_1006_and_lost(plan: Plan) -> None:
+    """1006h is ten times the period, and a PDO is lost."""
+    machine(plan, a_speed(plan, 0.5, 40.0), 90)
+    plan.options.period, plan.options.period_factor = True, 10.0
+    if not plan.setup.times:
+        _even(plan)
+    plan.slots[plan.fault].pdo_lost = True
+
+
+def stall_in_one_burst(plan: Plan) -> None:
+    """The host stalls once; every frame is there afterwards, with its counter."""
+    plan.options.interval_s, plan.options.overflow = 1e-3, 240
+    machine(plan, a_speed(plan, 0.0, 40.0), 260)
+    plan.locked, plan.jitter_us = True, float(plan.rng.uniform(0.0, 50.0))
+    long = float(plan.rng.choice((20.0, 50.0, 100.0)))
+    begin = plan.fault + float(plan.rng.uniform())
+    plan.stalls.append((begin, begin + long))
+
+
+def everything_stalls(plan: Plan) -> None:
+    """Module, interface and SYNC producer are one computer, which stalls.
+
+    SYNCs due meanwhile are not sent but for the last one, late; the next one is in time, shortly after. The
+    stall is as long as one motion only is possible: floor((T + 1)^2 / 4) 2 A + 4 eps (T + 1) <= 1.
+    """
+    plan.options.interval_s = interval_s = float(plan.rng.choice((1e-2, 1e-2, 2e-3, 1e-3)))
+    limit = float(plan.rng.choice((0.02, 0.05, 0.1)))
+    most = max(n for n in range(1, 40) if _cycles_apart(n, limit) <= 1.0)
+    machine(plan, a_speed(plan, 0.0, 40.0), 90, limit=limit)
+    plan.jitter_us = float(plan.rng.uniform(0.0, 0.05)) * interval_s * 1e6
+    plan.gaussian, plan.busy = False, 0.0
+    long = float(plan.rng.uniform(1.0, most))
+    begin = plan.fault + 0.7 + float(plan.rng.uniform(0.0, 0.3))
+    end = begin + long
+    last = int(end - 1.0)  # slot n is due at n + 1
+    for slot in plan.slots[plan.fault : last]:
+        slot.produced = False
+    plan.slots[last].late_us = (end - (last + 1.0)) / plan.us
+    plan.stalls.append((begin, end))
+
+
+def _cycles_apart(stall: int, limit: float) -> float:
+    """How far two motions through the same phases can part in a stall of so many whole periods."""
+    return (stall + 1) ** 2 // 4 * 2.0 * limit + 4.0 * PHASE_ERROR * (stall + 1)
+
+
+def late_stamp_once(plan: Plan) -> None:
+    """One sample time late by 50 to 400 us, as a timer that was read late: it costs that sample alone."""
+    plan.options.interval_s = 1e-3
+    machine(plan, a_speed(plan, 5.0, 40.0), 60)
+    plan.slots[plan.fault].stamp_add = round(float(plan.rng.uniform(500.0, 4000.0)))
