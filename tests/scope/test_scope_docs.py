@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from canfb.bus import scope_server
 from canfb.cli.main import build_parser
 from canfb.monitoring.module_model import TRACKS
-from canfb.scope import desk, traces
+from canfb.scope import desk, gate, scope_page, traces
 
 PAGE = (Path(__file__).parents[2] / "docs" / "scope.md").read_text(encoding="utf-8")
 COMMANDS = re.findall(r"^canfb scope.*$", PAGE, re.M)
@@ -40,3 +41,8 @@ def test_the_limits_are_those_of_the_program() -> None:
     assert f"last {TRACKS} ADC PDOs" in PAGE
     assert f"last {traces.SAMPLES} samples" in PAGE
     assert traces.LONGEST_S == 120.0
+    assert f"code, {gate.CODE_LENGTH} letters | in the terminal only" in PAGE
+    assert f"{gate.MOST_WRONG} wrong codes end all writing" in PAGE
+    assert f"valid for {scope_server.TICKET_S} s | one websocket, once" in PAGE
+    assert f"at most {scope_page.LARGEST_FILE:,} bytes".replace(",", " ") in PAGE
+    assert f"token, {8 * gate.TOKEN_BYTES} bits" in PAGE

@@ -72,11 +72,12 @@ def scope(options: argparse.Namespace) -> int:
             refusal = refusal_of(send_rule(asks=asks, writes=options.write))
             bus = held.enter_context(SharedBus(open_bus(words), refusal))
         parts = ScopeParts(options, config, words, bus, layouts)
-        server = held.enter_context(ScopeServer(parts.fill, options.port))
+        server = held.enter_context(ScopeServer(parts.fill, options.port, parts.page))
         readiness = held.enter_context(Readiness(options.ready_file))
         held.enter_context(ending_on_signals(server.stop))
         held.enter_context(parts.running(server))
-        say(f"open {server.gate.address}")
+        for line in parts.greeting(server):
+            say(line)
         readiness.ready()
         server.run()
     return 0

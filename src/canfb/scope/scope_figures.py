@@ -20,6 +20,7 @@ BLUE, ORANGE, RED, GREY = "#3b82f6", "#d97706", "#e5484d", "#8b949e"  # seen on 
 INK, FAINT, GRID = ("#1d2b33", "#e6edf3"), ("#5c6b74", "#9aa7b1"), ("#e3e8eb", "#30363d")  # light, dark
 SQUARE, MARGINS, HEIGHT = 240, (90, 55), 230
 HEADROOM = 1.15
+PICTURES = ("lissajous", "deviation", "residual", "position", "velocity", "measured")
 MARGIN, LEAST_SPAN = 0.06, 1e-3
 LEAST_LIMIT = 0.02
 
@@ -77,10 +78,7 @@ class ScopeFigures:
     @property
     def roots(self) -> dict[str, Any]:
         """The pictures by name."""
-        return {
-            name: getattr(self, name)
-            for name in ("lissajous", "deviation", "residual", "position", "velocity", "measured")
-        }
+        return {name: getattr(self, name) for name in PICTURES}
 
     def dress(self, *, dark: bool) -> None:
         """Lines and texts for a dark or a light page; a theme of Bokeh does not change what is drawn."""
