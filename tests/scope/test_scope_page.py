@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -159,6 +160,21 @@ def test_the_html_has_a_place_for_each_root_and_no_secret(asks: bool, writes: bo
     assert html.count('id="root-') == len(names)
     assert page.desk.code.code not in html
     assert html == page_html(OpenPage(asks=asks, writes=writes).desk)  # for everybody, at each start
+
+
+def test_limits_that_were_not_read_are_marked_and_dotted() -> None:
+    page = OpenPage(writes=False)
+    figures = page.page._figures
+    assert "of assumed 0.333 cycle" in page.text("figures")
+    assert "assumed 410 to 2560" in page.text("figures")
+    assert (figures._dashes.glyph.line_dash, figures._circles.glyph.line_dash) == ([2, 4], "dotted")
+    traces = page.page._traces
+    module = traces.modules[NODE]
+    assert module.module is not None
+    module.module = replace(module.module, assumed=[], layout="module")
+    page.page.update()
+    assert "assumed" not in page.text("figures")
+    assert (figures._dashes.glyph.line_dash, figures._circles.glyph.line_dash) == ([6], "dashed")
 
 
 def test_a_file_name_is_text() -> None:

@@ -72,6 +72,7 @@ class ModuleSnapshot:
     seen                   position PDOs with each fault, and losses, counted here
     since_fault_s          since a position PDO was not valid
     counters               2012h, where it is read or mapped
+    assumed                names of values above that depend on settings which were not read
     """
 
     layout: str
@@ -100,6 +101,7 @@ class ModuleSnapshot:
     seen: dict[str, int] = dataclasses.field(default_factory=dict)
     since_fault_s: float | None = None
     counters: dict[str, int] = dataclasses.field(default_factory=dict)
+    assumed: list[str] = dataclasses.field(default_factory=list)
 
 
 @dataclass(frozen=True)
