@@ -45,4 +45,8 @@ def test_the_limits_are_those_of_the_program() -> None:
     assert f"{gate.MOST_WRONG} wrong codes end all writing" in PAGE
     assert f"valid for {scope_server.TICKET_S} s | one websocket, once" in PAGE
     assert f"at most {scope_page.LARGEST_FILE:,} bytes".replace(",", " ") in PAGE
+    assert f"{scope_server.MOST_PAGES} pages can be open at once" in PAGE
+    assert f"more than {scope_page.LARGEST_MESSAGE:,} bytes, or".replace(",", " ", 1) in PAGE
+    assert f"heads of at most {scope_server.LARGEST_HEAD >> 10} KiB" in PAGE
+    assert f"after {2 * scope_server.PING_S:.0f} s without an answer" in PAGE
     assert f"token, {8 * gate.TOKEN_BYTES} bits" in PAGE

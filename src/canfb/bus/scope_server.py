@@ -10,6 +10,7 @@ import asyncio
 import logging
 import secrets
 import socket
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -38,9 +39,26 @@ TICKET_S = 60  # in which it must be used
 PING_S = 20.0  # a browser that does not answer is gone
 IDLE_S = 60.0  # of a connection that is no websocket
 GONE_S = 15.0
+LONGEST_LINE = 300
+UNSENT = "coroutine 'WSHandler.send_message' was never awaited"  # Bokeh's, to a page that has gone
+NOISY = ("bokeh.server.views.ws", "bokeh.server.protocol_handler")
 UPDATE_MS = 500
 Fill = Callable[[Document], Callable[[], None]]
 """Fills the document of a page; gives what brings it up to date."""
+
+
+class _OneLine(logging.Filter):
+    """Bokeh logs a message that it cannot read as a whole, with a traceback: a peer could fill a terminal."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """The beginning and the end of it."""
+        text = " ".join(record.getMessage().split())
+        record.msg = text if len(text) <= LONGEST_LINE else f"{text[:100]} ... {text[100 - LONGEST_LINE :]}"
+        record.args, record.exc_info = (), None
+        return True
+
+
+SHORT = _OneLine()
 
 
 class ScopeServer:
@@ -65,6 +83,9 @@ class ScopeServer:
         self._asyncio = asyncio.new_event_loop()
         asyncio.set_event_loop(self._asyncio)
         self.loop = ScopeLoop(self._asyncio)
+        for name in NOISY:
+            logging.getLogger(name).addFilter(SHORT)
+        warnings.filterwarnings("ignore", UNSENT, RuntimeWarning)
         application = Application(FunctionHandler(self._open))
         web = _GatedTornado(
             self.gate,
