@@ -39,6 +39,7 @@ class Chromium:
                 program, "--headless=new", "--remote-debugging-port=0", f"--user-data-dir={folder}",
                 "--no-first-run", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
                 "--disable-background-networking", "--disable-component-update", "--disable-sync",
+                "--disable-quic",
                 "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE localhost",
                 "about:blank",
             ],
@@ -136,6 +137,19 @@ class Chromium:
             expression=f"(() => {{ {DEEP} return all.find(one => one.type === 'file') }})()",
         )
         self.call("DOM.setFileInputFiles", files=[str(path)], objectId=found["result"]["objectId"])
+
+    def type_in(self, label: str, text: str) -> None:
+        """Type into the field with this label, and leave it."""
+        found = (
+            f"all.find(one => one.tagName === 'INPUT' && one.checkVisibility() && "
+            f"one.getRootNode().textContent.includes({json.dumps(label)}))"
+        )
+        self.wait_for(
+            lambda: self.look(f"(() => {{ {DEEP} const one = {found}; one?.focus(); return !!one }})()"),
+            label,
+        )
+        self.call("Input.insertText", text=text)
+        self.look(f"(() => {{ {DEEP} {found}.blur() }})()")
 
     def go(self, address: str) -> None:
         """Open an address; wait until it is loaded."""

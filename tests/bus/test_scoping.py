@@ -51,7 +51,7 @@ def ended(other: can.BusABC, task: ScopeTask, act: Act, traces: BusTraces | None
         desk = Desk(worker.begin, tasks.TASKS)
         loop: Any = AtOnce()
         worker.loop, worker.desk = loop, desk
-        desk.begin(task, 0x20)
+        desk.begin(task, 0x20, code=desk.code.code)
         worker.end()
     return desk
 

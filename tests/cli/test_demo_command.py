@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -17,6 +19,9 @@ from canfb.demo.story import Story
 from html_page import Page
 
 PICTURES = ["tracks.svg", "error-over-phase.svg", "residual-over-time.svg", "servo-move.svg"]
+
+
+EPOCH = "1700000000"
 
 
 class Run(NamedTuple):
@@ -36,6 +41,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
         text=True,
         timeout=300,
         check=False,
+        env={**os.environ, "SOURCE_DATE_EPOCH": EPOCH},
     )
     return Run(done.returncode, json.loads(done.stdout), done.stderr, folder)
 
@@ -49,13 +55,32 @@ def test_all_checks_held(run: Run) -> None:
     assert run.figures["faults_flagged_in_the_same_sample"] == run.figures["faults_provoked"] == 4
 
 
-def test_it_tells_the_same_each_time(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["demo", "--json"]) == 0
+def test_it_tells_the_same_each_time(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The figures, and the files byte for byte."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", EPOCH)
+    assert main(["demo", "--json", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr()
     assert said.err == ""
-    again = json.loads(said.out)
-    assert again.pop("figures") == []
-    assert again == {key: value for key, value in run.figures.items() if key not in ("figures", "report")}
+    places = ("figures", "report")
+    again = {key: value for key, value in json.loads(said.out).items() if key not in places}
+    assert again == {key: value for key, value in run.figures.items() if key not in places}
+    for path in tmp_path.iterdir():
+        assert path.read_bytes() == (run.folder / path.name).read_bytes(), path.name
+    assert f"canfb {version('canfb')}, 2023-11-14 22:13:20+00:00" in (tmp_path / "report.html").read_text(
+        "utf-8"
+    )
+
+
+@pytest.mark.usefixtures("no_work")
+def test_a_wrong_date_is_found_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for wrong in ("today", "", "9" * 30):
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", wrong)
+        assert main(["demo", "--out", str(tmp_path)]) == 2
+        assert "seconds since 1970 are required" in capsys.readouterr().err
 
 
 def test_four_pictures_and_a_page_are_written(run: Run) -> None:

@@ -82,13 +82,16 @@ def test_a_story_that_did_not_hold_is_shown_as_one(monkeypatch: pytest.MonkeyPat
     pages = [
         Page(
             demo_page.demo_page(
-                told, *(plot(told) for plot in (residual, error_before, error_after, residual, servo))
+                told,
+                "canfb 1.2.3, 2026-11-22 <b>",
+                (residual(told), error_before(told), error_after(told), residual(told), servo(told)),
             )
         )
         for told in (good, bad)
     ]
     assert "All checks passed." in pages[0].text
     assert ("class", "verdict bad") not in pages[0].attributes
+    assert all("canfb 1.2.3, 2026-11-22 <b>" in page.text for page in pages)
     assert "Failed: it <floats>." in pages[1].text
     assert ("class", "verdict bad") in pages[1].attributes
     assert [page.tags.count("figure") for page in pages] == [5, 5]
@@ -97,4 +100,4 @@ def test_a_story_that_did_not_hold_is_shown_as_one(monkeypatch: pytest.MonkeyPat
 def test_there_is_no_page_of_a_story_that_has_not_been_told() -> None:
     told = story()
     with pytest.raises(ValueError, match="has not run"):
-        demo_page.demo_page(told, *(residual(told),) * 5)
+        demo_page.demo_page(told, "", (residual(told),) * 5)

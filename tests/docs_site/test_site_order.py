@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 
 from tools.site.made import MADE
 from tools.site.markdown import words_of
-from tools.site.nav import NAV, Section, SiteError, faults_of, pages_of, read_nav
+from tools.site.nav import NAV, Group, Section, SiteError, faults_of, pages_of, read_nav
 from tools.site.pages import adapted, dead_links, section_page, write_source
 
 ROOT = Path(__file__).parents[2]
@@ -38,15 +39,15 @@ def test_no_page_is_too_long() -> None:
 
 
 def test_a_page_that_is_missing_in_the_order_is_named() -> None:
-    section = Section("One", "one", "", ("docs/a.md",))
+    section = Section.plain("One", "one", "", ("docs/a.md",))
     faults = faults_of([section], ["docs/a.md", "docs/new.md"], [], Path("nowhere"))
     assert f"docs/new.md is not in {NAV}: add it to the pages of a section" in faults
 
 
 def test_a_page_that_is_there_twice_or_not_at_all_is_named(tmp_path: Path) -> None:
     sections = [
-        Section("One", "one", "", ("docs/a.md",)),
-        Section("Two", "two", "", ("docs/a.md", "made.md")),
+        Section.plain("One", "one", "", ("docs/a.md",)),
+        Section.plain("Two", "two", "", ("docs/a.md", "made.md")),
     ]
     assert faults_of(sections, [], ["made.md"], tmp_path) == [
         f"{NAV}: docs/a.md is there twice",
@@ -68,7 +69,9 @@ def test_nothing_is_written_where_a_page_is_missing(tmp_path: Path) -> None:
 def test_an_order_of_another_form_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "docs").mkdir()
     (tmp_path / NAV).write_text(text, encoding="utf-8")
-    with pytest.raises(SiteError, match=r"docs/nav\.yaml: a list of section, file, about, pages is required"):
+    with pytest.raises(
+        SiteError, match=r"docs/nav\.yaml: a list of section, file, about, pages or groups is required"
+    ):
         read_nav(tmp_path)
 
 
@@ -89,8 +92,32 @@ def test_a_link_to_a_file_outside_of_the_site_becomes_its_name() -> None:
 
 def test_a_section_lists_its_pages_with_what_they_say() -> None:
     page = section_page(
-        Section("How-to", "how-to", "Tasks.", ("docs/a.md",)),
+        Section.plain("How-to", "how-to", "Tasks.", ("docs/a.md",)),
         {"docs/a.md": "# Do it\n\nIn [one](b.md) step. More.\n"},
     )
     assert "- [Do it](docs/a.md): In one step.\n" in page
     assert page.endswith("```{toctree}\n:hidden:\n\ndocs/a\n```\n")
+
+
+def test_a_group_has_a_title_on_the_page_of_its_section() -> None:
+    groups = (Group("Wire", "Cables.", ("docs/a.md",)), Group("Start", "Go.", ("docs/b.md",)))
+    section = Section("How-to", "how-to", "Tasks.", groups)
+    page = section_page(section, {"docs/a.md": "# A\n\nOne.\n", "docs/b.md": "# B\n\nTwo.\n"})
+    assert section.pages == ("docs/a.md", "docs/b.md")
+    wire, start = page.index("## Wire\n\nCables."), page.index("## Start\n\nGo.")
+    assert wire < page.index("[A](docs/a.md): One.") < start < page.index("[B](docs/b.md): Two.")
+
+
+def test_the_readme_has_the_same_groups() -> None:
+    (how_to,) = (one for one in read_nav(ROOT) if one.file == "how-to")
+    more = (ROOT / "README.md").read_text(encoding="utf-8").partition("## More\n")[2]
+    lines = {
+        title: re.findall(r"\]\(([^)]+)\)", links)
+        for title, links in re.findall(r"- \*\*(\w+)\*\*: (.*?)(?=\n- |\n\n)", more, re.S)
+    }
+    groups = {group.title: group.pages for group in how_to.groups}
+    assert [*groups] == ["Wire", "Start", "Measure", "Diagnose", "Operate"]
+    assert [title for title in lines if title in groups] == [*groups]
+    for title, pages in groups.items():
+        assert lines[title], title
+        assert set(lines[title]) <= set(pages), title

@@ -17,7 +17,7 @@ from canfb.bus.known_modules import assumed_layout, known_layouts
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.layout import Origin, layout_of
+from canfb.monitoring.layout import NEEDED, SETTINGS, Origin, layout_of
 from canfb.monitoring.snapshot import NodeSnapshot
 from monitored_network import INTERFACE, NODE, RPM, MonitoredNetwork
 
@@ -166,6 +166,35 @@ def test_a_mapping_of_the_module_is_followed() -> None:
     assert shown.amplitude_counts == dictionary.entry(*od.FEEDBACK_AMPLITUDE).current()
     assert shown.velocity_rad_s == pytest.approx(dictionary.entry(*od.FEEDBACK_VELOCITY).current(), rel=1e-6)
     assert shown.layout == "module"
+    assert shown.assumed == []
+
+
+@pytest.mark.parametrize("missing", [None, *(place for places in NEEDED.values() for place in places)])
+def test_what_could_not_be_read_is_assumed(missing: od.Multiplexer | None) -> None:
+    dictionary = MonitoredNetwork().modules[0].dictionary
+
+    def read(place: od.Multiplexer) -> Any:
+        return None if place == missing else dictionary.entry(*place).value
+
+    def complete(place: od.Multiplexer) -> Any:
+        return read(place) if dictionary.find(*place) is not None else None
+
+    layout = layout_of(NODE, complete, Origin.MODULE)
+    assert layout.assumed == {name for name, places in NEEDED.items() if missing in places}
+    for origin in (Origin.DEFAULT, Origin.CONFIGURATION, Origin.ASSUMED):
+        assert layout_of(NODE, complete, origin).assumed == set(NEEDED)
+
+
+def test_a_limit_by_noise_that_was_not_read_is_assumed() -> None:
+    network = MonitoredNetwork()
+    network.modules[0].dictionary.entry(*od.SUPERVISION_NOISE_MARGIN).download(b"\x06")
+    dictionary = network.modules[0].dictionary
+    read = {place: dictionary.entry(*place).value for place in SETTINGS if dictionary.find(*place)}
+    network.model.learn(layout_of(NODE, read.get, Origin.MODULE))
+    network.run(0.2)
+    assert network.module().assumed == ["residual_limit_cycles"]
+    network.model.put(NODE, od.FEEDBACK_NOISE, 100, network.bus.now)
+    assert network.module().assumed == []
 
 
 def test_the_snapshot_is_json(turning: MonitoredNetwork) -> None:

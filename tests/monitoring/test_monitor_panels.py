@@ -15,6 +15,7 @@ from canfb.bus.known_modules import assumed_layout
 from canfb.cia301.frame import Frame
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.drawing import bar, dots, history
+from canfb.monitoring.layout import NEEDED
 from canfb.monitoring.lines import plain_lines
 from canfb.monitoring.panels import Page
 from canfb.monitoring.snapshot import BusSnapshot
@@ -67,7 +68,7 @@ def test_a_good_module(good: BusSnapshot, size: tuple[int, int]) -> None:
     speed = re.search(r"velocity +([0-9.]+) rpm", text)
     assert speed
     assert float(speed[1]) == pytest.approx(63.7, rel=2e-3)
-    assert f"{module.residual_cycles:.3f} of 0.333 cycle" in text
+    assert f"{module.residual_cycles:.3f} of assumed 0.333 cycle" in text
     assert re.search(r"SYNC +1000 Hz, jitter", text)
     assert "1000 kbit/s" in text
     assert re.search(r"EMCY +none", text)
@@ -126,7 +127,9 @@ def test_a_plain_page_is_ascii_but_for_the_units(lost: BusSnapshot) -> None:
 def test_plain_lines_say_the_same(good: BusSnapshot, lost: BusSnapshot) -> None:
     (line,) = plain_lines(good, MachineUnits(5.0, "mm"))
     assert re.match(
-        r"3\.000 node 32 \(20h\): OPERATIONAL \(by PDO\), valid, [0-9.]+ mm, 5\.3[0-9]+ mm/s, ", line
+        r"3\.000 node 32 \(20h\): OPERATIONAL \(by PDO\), valid, [0-9.]+ mm \(scale assumed\), "
+        r"5\.3[0-9]+ mm/s \(scale assumed\), ",
+        line,
     )
     (line,) = plain_lines(lost, MachineUnits())
     why = "canfb why 0x20: more samples in a row were bad or missing than 2010:03 allows"
@@ -135,6 +138,26 @@ def test_plain_lines_say_the_same(good: BusSnapshot, lost: BusSnapshot) -> None:
     assert module.lost_by == "more samples in a row were bad or missing than 2010:03 allows"
     assert all(one.lost_by is None for _, one in good.modules)
     assert "EMCY 7300h sensor: position not valid" in line
+
+
+def test_what_was_read_is_not_marked(good: BusSnapshot) -> None:
+    """In each output; what was not is, by the name that the JSON has."""
+    ((node, module),) = good.modules
+    for assumed in ([], *([name] for name in NEEDED)):
+        shown = dataclasses.replace(module, layout="module", assumed=assumed)
+        snapshot = dataclasses.replace(good, nodes=[dataclasses.replace(node, module=shown)])
+        text, (line,) = "\n".join(printed(snapshot, (132, 43))), plain_lines(snapshot, MachineUnits())
+        marks = assumed not in ([], ["full_scale_counts"])
+        assert text.count("assumed") == line.count("assumed") == marks
+        assert snapshot.to_json()["nodes"][0]["module"]["assumed"] == assumed
+
+
+def test_many_modules_have_one_note() -> None:
+    nodes = tuple(range(32, 40))
+    network = MonitoredNetwork(nodes, known=nodes)
+    network.run(0.2)
+    text = "\n".join(printed(network.model.snapshot(network.bus.now), (80, 24)))
+    assert text.count("assumed where they were not read") == 1
 
 
 @given(

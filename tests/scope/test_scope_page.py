@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 from bokeh.document import Document
 from bokeh.events import ButtonClick
 from bokeh.models import Button, Div
@@ -13,7 +15,7 @@ from bokeh.models import Button, Div
 from canfb.monitoring.units import MachineUnits
 from canfb.scope import desk as tasks
 from canfb.scope.desk import Desk, MeasuredCurves, Stage, TaskResult, allowed_tasks
-from canfb.scope.scope_page import ScopePage
+from canfb.scope.scope_page import LARGEST_FILE, LARGEST_MESSAGE, ScopePage, page_html, root_names
 from canfb.scope.traces import BusTraces
 from monitored_network import NODE, MonitoredNetwork
 
@@ -42,6 +44,9 @@ class OpenPage:
         """As the browser reports it: these properties of a FileInput are for the browser alone."""
         self.page._choose_file("value", "", base64.b64encode(data).decode())
         self.page._choose_file("filename", "", name)
+
+    def type(self, code: str) -> None:
+        self.page._field.value = code
 
     def text_of_question(self) -> str:
         return str(self.page._texts["question"].text)
@@ -84,6 +89,7 @@ def test_a_task_begins_after_its_answer() -> None:
     page.page._confirmed()  # an answer to nothing
     assert page.begun == []
     page.press("Save")
+    page.type(str(page.desk.code))
     page.press("Yes")
     assert page.begun == [(tasks.SAVE, NODE, None)]
     assert all(one.disabled for one in page.all(Button) if one.label in [task.label for task in tasks.TASKS])
@@ -97,9 +103,78 @@ def test_the_answer_is_for_what_was_asked() -> None:
     assert f"Stage one.bin in module {NODE}" in page.text_of_question()
     page.choose("other.bin", b"other")
     page.page._choose("value", str(NODE), str(OTHER))
+    page.type(page.desk.code.code.lower())
     page.press("Yes")
     ((task, node, upload),) = page.begun
     assert (task, node, upload.name, upload.data) == (tasks.UPLOAD, NODE, "one.bin", b"one")
+
+
+def test_the_code_is_asked_for_once_in_a_page_and_never_shown() -> None:
+    page = OpenPage()
+    page.press("Save")
+    assert page.page._field.visible
+    for wrong in ("", "ABCD-EFGH"):
+        page.type(wrong)
+        page.press("Yes")
+        assert "code that canfb scope has printed" in page.text_of_question()
+        assert page.page._field.value == ""
+    assert page.begun == []
+    page.type(page.desk.code.code)
+    page.press("Yes")
+    assert len(page.begun) == 1
+    assert page.page._field.value == ""
+    page.desk.end(TaskResult(True, []))
+    page.press("Activate")
+    assert not page.page._field.visible
+    page.press("Yes")
+    assert len(page.begun) == 2
+    assert page.desk.code.code not in str(page.document.to_json())
+
+
+def test_what_reads_asks_for_no_code() -> None:
+    page = OpenPage()
+    page.press("Measure only")
+    assert not page.page._field.visible
+    page.press("Yes")
+    assert page.begun == [(tasks.MEASURE, NODE, None)]
+
+
+def test_a_file_that_is_no_table_is_not_taken() -> None:
+    page = OpenPage()
+    page.choose("large.bin", bytes(LARGEST_FILE + 1))
+    page.press("Upload table")
+    assert "this is no table file" in page.text_of_question()
+    assert not page.page._yes.visible
+    page.choose("small.bin", bytes(LARGEST_FILE))
+    page.press("Upload table")
+    assert "Stage small.bin" in page.text_of_question()
+    assert 4 * LARGEST_FILE / 3 + 50_000 < LARGEST_MESSAGE  # in base64, in the words of Bokeh
+
+
+@pytest.mark.parametrize(("asks", "writes"), [(False, False), (True, False), (True, True)])
+def test_the_html_has_a_place_for_each_root_and_no_secret(asks: bool, writes: bool) -> None:
+    page = OpenPage(asks=asks, writes=writes)
+    html, names = page_html(page.desk), root_names(page.desk)
+    assert [one.name for one in page.document.roots] == names
+    assert all(html.count(f'id="root-{name}"') == 1 for name in names)
+    assert html.count('id="root-') == len(names)
+    assert page.desk.code.code not in html
+    assert html == page_html(OpenPage(asks=asks, writes=writes).desk)  # for everybody, at each start
+
+
+def test_limits_that_were_not_read_are_marked_and_dotted() -> None:
+    page = OpenPage(writes=False)
+    figures = page.page._figures
+    assert "of assumed 0.333 cycle" in page.text("figures")
+    assert "assumed 410 to 2560" in page.text("figures")
+    assert (figures._dashes.glyph.line_dash, figures._circles.glyph.line_dash) == ([2, 4], "dotted")
+    traces = page.page._traces
+    module = traces.modules[NODE]
+    assert module.module is not None
+    module.module = replace(module.module, assumed=[], layout="module")
+    page.page.update()
+    assert "assumed" not in page.text("figures")
+    assert (figures._dashes.glyph.line_dash, figures._circles.glyph.line_dash) == ([6], "dashed")
 
 
 def test_a_file_name_is_text() -> None:

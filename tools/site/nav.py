@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -16,13 +17,32 @@ class SiteError(Exception):
 
 
 @dataclass(frozen=True)
+class Group:
+    """Pages of a section that belong together, below a title; without one if the section has no groups."""
+
+    title: str
+    about: str
+    pages: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Section:
     """A part of the site: its title, its own page without ending, a sentence, its pages in order."""
 
     title: str
     file: str
     about: str
-    pages: tuple[str, ...]
+    groups: tuple[Group, ...]
+
+    @classmethod
+    def plain(cls, title: str, file: str, about: str, pages: Iterable[str]) -> Section:
+        """Without groups."""
+        return cls(title, file, about, (Group("", "", tuple(pages)),))
+
+    @property
+    def pages(self) -> tuple[str, ...]:
+        """Of all groups."""
+        return tuple(page for group in self.groups for page in group.pages)
 
 
 def read_nav(root: Path) -> list[Section]:
@@ -30,11 +50,21 @@ def read_nav(root: Path) -> list[Section]:
     try:
         parts = yaml.safe_load((root / NAV).read_text(encoding="utf-8"))
         return [
-            Section(str(one["section"]), str(one["file"]), str(one["about"]), tuple(map(str, one["pages"])))
+            Section(str(one["section"]), str(one["file"]), str(one["about"]), tuple(_groups(one)))
             for one in parts
         ]
     except (OSError, yaml.YAMLError, KeyError, TypeError) as error:
-        raise SiteError(f"{NAV}: a list of section, file, about, pages is required: {error}") from None
+        raise SiteError(
+            f"{NAV}: a list of section, file, about, pages or groups is required: {error}"
+        ) from None
+
+
+def _groups(section: dict[str, Any]) -> Iterator[Group]:
+    if "groups" not in section:
+        yield Group("", "", tuple(map(str, section["pages"])))
+        return
+    for one in section["groups"]:
+        yield Group(str(one["group"]), str(one["about"]), tuple(map(str, one["pages"])))
 
 
 def pages_of(root: Path) -> Iterator[str]:

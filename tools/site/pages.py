@@ -99,16 +99,22 @@ def _without_code(text: str) -> str:
 
 
 def section_page(section: Section, pages: Mapping[str, str]) -> str:
-    """The page of a section: a line for each of its pages."""
+    """The page of a section: a line for each of its pages, below the titles of its groups."""
     lines = [f"# {section.title}", "", section.about, ""]
-    for page in section.pages:
-        text = pages[page]
-        if page.endswith(".rst"):
-            title, says = text.splitlines()[0], text.splitlines()[3]
-        else:
-            title, says = title_of(text), first_sentence(text)
-        lines.append(f"- [{title}]({page})" + (f": {says}" if says else ""))
+    for group in section.groups:
+        if group.title:
+            lines += ["", f"## {group.title}", "", group.about, ""]
+        lines += [_line(page, pages[page]) for page in group.pages]
     return "\n".join([*lines, "", *_toctree(section.pages)])
+
+
+def _line(page: str, text: str) -> str:
+    """Title and first sentence of a page."""
+    if page.endswith(".rst"):
+        title, says = text.splitlines()[0], text.splitlines()[3]
+    else:
+        title, says = title_of(text), first_sentence(text)
+    return f"- [{title}]({page})" + (f": {says}" if says else "")
 
 
 def index_page(sections: Iterable[Section]) -> str:

@@ -1,4 +1,8 @@
-"""The web server of ``canfb scope``: Bokeh's, behind a gate that sees every request first."""
+"""The web server of ``canfb scope``: Bokeh's, behind a gate that sees every request first.
+
+Bokeh's own page would carry the token of a session to whoever gets the page; so it is not served. The page is
+the same for everybody, and its script asks for a ticket (scope/gate.py), with which Bokeh makes the session.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ import asyncio
 import logging
 import secrets
 import socket
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -14,36 +19,58 @@ from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
+from bokeh.util.token import generate_jwt_token, generate_session_id
 from tornado.httpserver import HTTPServer
-from tornado.httputil import HTTPHeaders, HTTPServerRequest, parse_cookie
+from tornado.httputil import HTTPHeaders, HTTPServerRequest
 from tornado.ioloop import IOLoop
 from tornado.web import OutputTransform, RequestHandler
 
 from canfb.bus.scope_loop import ScopeLoop
 from canfb.errors import CanfbError
-from canfb.scope.gate import HEADERS, LOOPBACK, Gate, GateVerdict, Request
-from canfb.scope.scope_page import SCRIPT, STYLE, page_file
+from canfb.scope.gate import LOOPBACK, SOCKET, Gate, GateVerdict, Request, headers_of
+from canfb.scope.scope_page import BOKEH_SCRIPTS, LARGEST_MESSAGE, SCRIPT, STYLE, page_file
 
 log = logging.getLogger(__name__)
 
-COOKIE = "{name}={token}; HttpOnly; SameSite=Strict; Path=/"
 FILES = {SCRIPT: "text/javascript", STYLE: "text/css"}
-LARGEST_MESSAGE = 20_000_000  # bytes: a table file has a hundredth of it; a larger one ends the connection
+LARGEST_HEAD = 1 << 14  # bytes, of a request
+MOST_PAGES = 16  # that are open
+TICKET_S = 60  # in which it must be used
+PING_S = 20.0  # a browser that does not answer is gone
+IDLE_S = 60.0  # of a connection that is no websocket
 GONE_S = 15.0
+LONGEST_LINE = 300
+UNSENT = "coroutine 'WSHandler.send_message' was never awaited"  # Bokeh's, to a page that has gone
+NOISY = ("bokeh.server.views.ws", "bokeh.server.protocol_handler")
 UPDATE_MS = 500
 Fill = Callable[[Document], Callable[[], None]]
 """Fills the document of a page; gives what brings it up to date."""
+
+
+class _OneLine(logging.Filter):
+    """Bokeh logs a message that it cannot read as a whole, with a traceback: a peer could fill a terminal."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """The beginning and the end of it."""
+        text = " ".join(record.getMessage().split())
+        record.msg = text if len(text) <= LONGEST_LINE else f"{text[:100]} ... {text[100 - LONGEST_LINE :]}"
+        record.args, record.exc_info = (), None
+        return True
+
+
+SHORT = _OneLine()
 
 
 class ScopeServer:
     """Serves pages on loopback, at a port (0: any that is free), until :meth:`stop`.
 
     CanfbError, on entering, where it cannot be bound. ``fill`` is called for each page that is opened; it,
-    and what updates it, run in the thread of :meth:`run`.
+    and what updates it, run in the thread of :meth:`run`. ``page`` is the HTML that everybody gets, with
+    ``{nonce}`` where that of its styles belongs.
     """
 
-    def __init__(self, fill: Fill, port: int) -> None:
-        self._fill, self._port = fill, port
+    def __init__(self, fill: Fill, port: int, page: str) -> None:
+        self._fill, self._port, self._page = fill, port, page
 
     def __enter__(self) -> ScopeServer:
         try:
@@ -51,18 +78,26 @@ class ScopeServer:
         except OSError as error:
             raise CanfbError(f"cannot listen at {LOOPBACK}, port {self._port}: {error.strerror}") from None
         bound.setblocking(False)
-        self.gate = Gate(bound.getsockname()[1])
+        files = ("/", *(f"/{name}" for name in (*FILES, *BOKEH_SCRIPTS)))
+        self.gate = Gate(bound.getsockname()[1], files)
         self._asyncio = asyncio.new_event_loop()
         asyncio.set_event_loop(self._asyncio)
         self.loop = ScopeLoop(self._asyncio)
+        for name in NOISY:
+            logging.getLogger(name).addFilter(SHORT)
+        warnings.filterwarnings("ignore", UNSENT, RuntimeWarning)
         application = Application(FunctionHandler(self._open))
         web = _GatedTornado(
             self.gate,
-            {"/": application},
-            extra_patterns=[(f"/({name})", _File, {"kind": kind}) for name, kind in FILES.items()],
+            {SOCKET.rpartition("/")[0]: application},
+            extra_patterns=[
+                ("/", _Page, {"page": self._page}),
+                *((f"/({name})", _File, {"kind": kind}) for name, kind in FILES.items()),
+            ],
             extra_websocket_origins=self.gate.hosts,
             secret_key=secrets.token_bytes(),
             sign_sessions=True,
+            session_token_expiration=TICKET_S,
             use_index=False,
             include_headers=[],
             include_cookies=[],
@@ -70,10 +105,12 @@ class ScopeServer:
             check_unused_sessions_milliseconds=5000,
             unused_session_lifetime_milliseconds=round(1000 * GONE_S),
             websocket_max_message_size_bytes=LARGEST_MESSAGE,
+            websocket_ping_interval=PING_S,
+            websocket_ping_timeout=PING_S,
         )
         web.add_transform(_Headers)
         web.settings["log_function"] = _note
-        http = HTTPServer(web, max_body_size=0, max_header_size=1 << 16)
+        http = HTTPServer(web, max_body_size=0, max_header_size=LARGEST_HEAD, idle_connection_timeout=IDLE_S)
         http.add_sockets([bound])
         self._server = BaseServer(IOLoop.current(), web, http)
         return self
@@ -101,6 +138,8 @@ class ScopeServer:
         self.loop.soon(self._asyncio.stop)
 
     def _open(self, document: Document) -> None:
+        document.config.reconnect_session = False  # a ticket opens one websocket; the page asks for a reload
+        document.config.notify_connection_status = False  # the page says it in words of its own
         document.add_periodic_callback(self._fill(document), UPDATE_MS)
 
 
@@ -113,29 +152,31 @@ class _GatedTornado(BokehTornado):
 
     def find_handler(self, request: HTTPServerRequest, **kwargs: Any) -> Any:
         """Of each request, that of a websocket too."""
-        verdict, why = self._gate.judge(_seen(request))
-        if verdict is GateVerdict.SERVED:
+        seen = {name.lower(): value for name, value in request.headers.get_all()}
+        verdict, why = self._gate.judge(Request(request.method or "", request.path, seen))
+        if verdict in (GateVerdict.TICKET, GateVerdict.CONNECTED) and len(self._clients) >= MOST_PAGES:
+            verdict, why = GateVerdict.REFUSED, f"{MOST_PAGES} pages are open: close one, and reload this one"
+        if verdict is GateVerdict.TICKET:
+            return self.get_handler_delegate(request, _Ticket, {"ticket": self._ticket})
+        if verdict is not GateVerdict.REFUSED:
             return super().find_handler(request, **kwargs)
-        if verdict is GateVerdict.LET_IN:
-            cookie = COOKIE.format(name=self._gate.cookie, token=self._gate.token)
-            return self.get_handler_delegate(request, _LetIn, {"cookie": cookie})
         log.debug("refused %s: %s", request.remote_ip, why)
         return self.get_handler_delegate(request, _Refused, {"why": why})
+
+    def _ticket(self) -> str:
+        """For one session of Bokeh."""
+        ticket: str = generate_jwt_token(
+            generate_session_id(self.secret_key, signed=True),
+            secret_key=self.secret_key,
+            signed=True,
+            expiration=TICKET_S,
+        )
+        return self._gate.issue(ticket)
 
 
 def _note(handler: RequestHandler) -> None:
     """Tornado would print a line for each request that is refused: another site could fill a terminal."""
     log.debug("%s %s: %s", handler.request.method, handler.request.path, handler.get_status())
-
-
-def _seen(request: HTTPServerRequest) -> Request:
-    headers = {name.lower(): value for name, value in request.headers.get_all()}
-    cookies = parse_cookie(
-        headers.get("cookie", "")
-    )  # not http.cookies, which gives up at odd ones of others
-    token = request.query_arguments.get("token")
-    found = None if token is None else token[-1].decode("utf-8", "replace")
-    return Request(request.method or "", headers, cookies, found)
 
 
 class _Answer(RequestHandler):
@@ -153,17 +194,14 @@ class _Answer(RequestHandler):
         """Nothing is done for anybody."""
 
 
-class _LetIn(_Answer):
-    def initialize(self, cookie: str) -> None:
-        self._cookie = cookie
+class _Ticket(_Answer):
+    def initialize(self, ticket: Callable[[], str]) -> None:
+        self._ticket = ticket
 
     def answer(self) -> None:
-        """The cookie, and the address without the token."""
-        self.set_header("Set-Cookie", self._cookie)
-        self.redirect("/", status=303)
-
-    def prepare(self) -> None:
-        self.answer()
+        """As text."""
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.write(self._ticket())
 
 
 class _Refused(_Answer):
@@ -175,6 +213,19 @@ class _Refused(_Answer):
         self.set_status(403)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.write(f"403: {self._why}\n")
+
+
+class _Page(RequestHandler):
+    def initialize(self, page: str) -> None:
+        self._page = page
+
+    def get(self) -> None:
+        """The page, with a nonce of its own for its styles."""
+        nonce = secrets.token_urlsafe()
+        self.set_header("Content-Type", "text/html; charset=utf-8")
+        for name, value in headers_of(nonce).items():
+            self.set_header(name, value)
+        self.write(self._page.replace("{nonce}", nonce))
 
 
 class _File(RequestHandler):
@@ -193,8 +244,8 @@ class _Headers(OutputTransform):
     def transform_first_chunk(
         self, status_code: int, headers: HTTPHeaders, chunk: bytes, finishing: bool
     ) -> tuple[int, HTTPHeaders, bytes]:
-        for name, value in HEADERS.items():
-            headers[name] = value
+        for name, value in headers_of().items():
+            headers.setdefault(name, value)
         headers["Cache-Control"] = "no-store"
-        del headers["Server"]
+        headers.pop("Server", None)
         return status_code, headers, chunk

@@ -2,12 +2,29 @@
 
 from __future__ import annotations
 
-from datetime import datetime
+import os
+from datetime import UTC, datetime
+
+from canfb.errors import ConfigError
 
 
 def date_and_time() -> str:
     """Now, as reports have it (ISO 8601): yyyy-mm-dd hh:mm:ss and the offset to UTC."""
     return datetime.now().astimezone().isoformat(" ", "seconds")
+
+
+def page_date() -> str:
+    """Of a page that can be made again, byte for byte: SOURCE_DATE_EPOCH (seconds since 1970, UTC), else now.
+
+    ConfigError where that is no number of seconds.
+    """
+    said = os.environ.get("SOURCE_DATE_EPOCH")
+    if said is None:
+        return date_and_time()
+    try:
+        return datetime.fromtimestamp(int(said), UTC).isoformat(" ", "seconds")
+    except (ValueError, OverflowError, OSError):
+        raise ConfigError(f"SOURCE_DATE_EPOCH {said!r}: seconds since 1970 are required") from None
 
 
 def file_date_and_time() -> tuple[str, str]:

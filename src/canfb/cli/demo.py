@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
+from canfb.bus.wall_clock import page_date
 from canfb.cli.options import Commands, add_command
 from canfb.demo.account import account
 from canfb.demo.demo_network import DemoNetwork
@@ -30,10 +32,14 @@ def demo(options: argparse.Namespace) -> int:
     """Run the demo; 0 if everything held, else 1."""
     if options.out:
         prepare(options.out)
+    date = page_date() if options.out else ""
     network = DemoNetwork()
     show = None if options.json or not sys.stderr.isatty() else _progress
     story = tell(network, show) if show else tell(network)
-    pictures, page = write_files(network, story, options.out) if options.out else ([], None)
+    pictures: list[Path] = []
+    page: Path | None = None
+    if options.out:
+        pictures, page = write_files(network, story, options.out, version("canfb"), date)
     if options.json:
         figures = as_json(story) | {"figures": [str(path) for path in pictures]}
         print(json.dumps(figures | ({"report": str(page)} if page else {}), indent=2))

@@ -43,7 +43,7 @@ def register(commands: Commands) -> None:
     add_machine_unit(parser)
     add_ready_file(parser)
     add_bus_options(parser)
-    parser.set_defaults(opened=lambda address: say(f"open {address}"))
+    parser.set_defaults(opened=announce_page)
 
 
 def scope(options: argparse.Namespace) -> int:
@@ -75,11 +75,11 @@ def scope(options: argparse.Namespace) -> int:
             refusal = refusal_of(send_rule(asks=asks, writes=options.write))
             bus = held.enter_context(SharedBus(open_bus(words), refusal))
         parts = ScopeParts(options, config, words, bus, layouts)
-        server = held.enter_context(ScopeServer(parts.fill, options.port))
+        server = held.enter_context(ScopeServer(parts.fill, options.port, parts.page))
         readiness = held.enter_context(Readiness(options.ready_file))
         held.enter_context(ending_on_signals(server.stop))
         held.enter_context(parts.running(server))
-        options.opened(server.gate.address)
+        options.opened(server.gate.address, parts.code)
         readiness.ready()
         server.run()
     return 0
@@ -95,3 +95,10 @@ def _check(options: argparse.Namespace) -> None:
         refuse_idle(options, ["config", "nodes"], "--demo has a module of its own")
     if not 0 <= options.port <= 65535:
         raise ConfigError(f"--port {options.port}: must be 0 to 65535")
+
+
+def announce_page(address: str, code: str | None) -> None:
+    """Say the address of the page, and the code of the tasks that write."""
+    say(f"open {address}")
+    if code is not None:
+        say(f"to change a module, type this code on the page: {code}")

@@ -23,7 +23,7 @@ from canfb.monitoring.layout import NodeLayout
 from canfb.monitoring.snapshot import BusSnapshot
 from canfb.scope import desk as tasks
 from canfb.scope.desk import Desk, MeasuredCurves, ScopeTask, TaskResult, Upload, allowed_tasks
-from canfb.scope.scope_page import ScopePage
+from canfb.scope.scope_page import ScopePage, page_html
 from canfb.scope.traces import BusTraces
 
 RATE_HZ = 5.0
@@ -53,6 +53,16 @@ class ScopeParts:
         model = BusModel(layouts, assumed_layout, bit_rate_of(words), only_known=bool(options.nodes))
         self._watching = Watching(model, self._show, RATE_HZ, readings)
         self._soon: Callable[..., None] = lambda call, *arguments: None
+
+    @property
+    def page(self) -> str:
+        """The HTML of the page, for everybody."""
+        return page_html(self._desk)
+
+    @property
+    def code(self) -> str | None:
+        """Of the tasks that write, for the terminal alone; None: the page changes nothing."""
+        return str(self._desk.code) if self._desk.writes else None
 
     def fill(self, document: Any) -> Callable[[], None]:
         """A page is opened."""

@@ -68,11 +68,9 @@ def try_it(options: argparse.Namespace) -> int:
 
 def _serve(options: argparse.Namespace, network: NetworkOnBus, path: Path) -> None:
     """Say what there is; then the page, or nothing more, until a signal."""
-    page = not options.no_scope
-    if page and not all(find_spec(name) for name in LIBRARIES):
-        page = False
-        if not options.json:
-            say(NO_PAGE)
+    page = not options.no_scope and all(find_spec(name) for name in LIBRARIES)
+    if not (page or options.no_scope or options.json):
+        say(NO_PAGE)
     if not page:
         with Readiness(options.ready_file) as readiness, ending_on_signals(network.stop):
             _tell(options, network, None)
@@ -86,12 +84,14 @@ def _serve(options: argparse.Namespace, network: NetworkOnBus, path: Path) -> No
     if options.ready_file is not None:
         words += ["--ready-file", options.ready_file]
     page_options = build_parser("scope").parse_args(words)
-    page_options.opened = lambda address: _tell(options, network, address)
+    page_options.opened = lambda address, code: _tell(options, network, address, code)
     scope(page_options)
 
 
-def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | None) -> None:
-    """The address of the page, the bus, and what to type next."""
+def _tell(
+    options: argparse.Namespace, network: NetworkOnBus, address: str | None, code: str | None = None
+) -> None:
+    """The address of the page and the code to change the module with it, the bus, and what to type next."""
     (module,) = network.config.modules
     group = str(network.words["channel"])
     bus = f"-i {network.words['interface']} -c {group}"
@@ -101,7 +101,12 @@ def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | Non
         f"canfb calibrate --module 0x{module.node_id:02X} --out measured {bus}",
     ]
     if options.json:
-        said: dict[str, Any] = {"event": "ready", "page": address, "interface": network.words["interface"]}
+        said: dict[str, Any] = {
+            "event": "ready",
+            "page": address,
+            "code": code,
+            "interface": network.words["interface"],
+        }
         said |= {"channel": group, "port": group_port(group), "rate_hz": options.rate}
         said |= {"node_id": module.node_id, "encoder_interface": module.encoder_interface}
         say(json.dumps(said | {"commands": following}))
@@ -109,7 +114,7 @@ def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | Non
     nodes = f"node {module.node_id} ({module.node_id:02X}h), its encoder interface and SYNC"
     say(f"running {nodes} at {options.rate:g} Hz on {describe(network.words)}; end with Ctrl-C")
     if address is not None:
-        say(f"open {address}")
+        announce_page(address, code)
     say("next, in another terminal:")
     for line in following:
         say(f"  {line}")

@@ -29,8 +29,13 @@ def prepare(folder: Path) -> None:
         raise CanfbError(f"cannot write figures to {folder}: {error.strerror}") from None
 
 
-def write_files(network: DemoNetwork, story: Story, folder: Path) -> tuple[list[Path], Path]:
-    """Write the pictures and the page into ``folder``; their paths. CanfbError as :func:`prepare`."""
+def write_files(
+    network: DemoNetwork, story: Story, folder: Path, version: str, date: str
+) -> tuple[list[Path], Path]:
+    """Write the pictures and the page into ``folder``; their paths. CanfbError as :func:`prepare`.
+
+    ``version`` of canfb and ``date`` are for the page: the same arguments give the same bytes.
+    """
     prepare(folder)
     seen, before, after, faults = (
         tracks(network, story),
@@ -44,7 +49,7 @@ def write_files(network: DemoNetwork, story: Story, folder: Path) -> tuple[list[
         "error-over-phase.svg": svg_file([(BEFORE, before), (AFTER, after)]),
         "residual-over-time.svg": svg_file([(RESIDUAL, faults)]),
         "servo-move.svg": svg_file([(SERVO, moved)]),
-        REPORT: demo_page(story, seen, before, after, faults, moved),
+        REPORT: demo_page(story, f"canfb {version}, {date}", (seen, before, after, faults, moved)),
     }
     try:
         for name, text in files.items():
@@ -55,8 +60,13 @@ def write_files(network: DemoNetwork, story: Story, folder: Path) -> tuple[list[
     return pictures, report
 
 
-def demo_page(story: Story, seen: Plot, before: Plot, after: Plot, faults: Plot, moved: Plot) -> str:
-    """The page: what the account says, with the pictures. ValueError if the demo has not run yet."""
+def demo_page(story: Story, made: str, pictures: tuple[Plot, Plot, Plot, Plot, Plot]) -> str:
+    """The page: what the account says, with the pictures. ValueError if the demo has not run yet.
+
+    made        by which version, and when
+    pictures    tracks, error before and after the table, residual, the move of the servo
+    """
+    seen, before, after, faults, moved = pictures
     sizes = story.error_before, story.error_after
     rows = [
         (name, *(f"{100 * size(error):.4f}" for error in sizes))
@@ -69,7 +79,7 @@ def demo_page(story: Story, seen: Plot, before: Plot, after: Plot, faults: Plot,
     finer = peak(story.error_before) / peak(story.error_after)
     return page(
         "canfb demo",
-        TITLE.partition(": ")[2],
+        f"{TITLE.partition(': ')[2]}; {made}",
         _said(story),
         beside(tables, figure(TRACKS, "the last samples; ideal tracks are a circle", seen.svg()))
         + gallery(

@@ -81,8 +81,25 @@ SETTINGS: dict[Multiplexer, str] = {
 """What is read of a module to know the rest."""
 
 
+NEEDED: dict[str, tuple[Multiplexer, ...]] = {
+    "position_revolutions": (od.UNITS_PER_REVOLUTION,),
+    "velocity_rad_s": (od.UNITS_PER_REVOLUTION, od.TOTAL_RANGE),
+    "residual_limit_cycles": (
+        od.ENCODER_CYCLES_PER_REVOLUTION,
+        od.SUPERVISION_RESIDUAL_LIMIT,
+        od.SUPERVISION_ACCELERATION,
+        od.SUPERVISION_ORDER,
+        od.SUPERVISION_JERK,
+        od.SUPERVISION_NOISE_MARGIN,
+    ),
+    "amplitude_limits_counts": (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE),
+    "full_scale_counts": (od.ENCODER_FULL_SCALE,),
+}
+"""Values of a snapshot that depend on settings of the module: assumed unless all of these were read."""
+
+
 class Origin(StrEnum):
-    """How a layout is known."""
+    """How a layout is known. Of a configuration, too, it is an assumption: saved values take precedence."""
 
     DEFAULT = "EDS"
     CONFIGURATION = "configuration"
@@ -114,6 +131,7 @@ class NodeLayout:
     cycles_per_revolution, units_per_revolution, total_range  2001:01, 6001h, 6002h
     full_scale_counts, amplitude_low_counts, amplitude_high_counts   2001:02..04
     supervision         what the residual limit in force depends on
+    assumed             which of :data:`NEEDED` were not read from the module
     """
 
     node_id: int
@@ -129,6 +147,7 @@ class NodeLayout:
     amplitude_low_counts: int = 0
     amplitude_high_counts: int = 0
     supervision: LimitSettings = NOTHING_NARROWS
+    assumed: frozenset[str] = frozenset(NEEDED)
 
 
 def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
@@ -152,6 +171,11 @@ def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
         amplitude_low_counts=integer(od.ENCODER_LOWEST_AMPLITUDE, 0),
         amplitude_high_counts=integer(od.ENCODER_HIGHEST_AMPLITUDE, 0),
         supervision=limit_settings(read),
+        assumed=frozenset(
+            name
+            for name, places in NEEDED.items()
+            if origin is not Origin.MODULE or any(read(place) is None for place in places)
+        ),
     )
 
 

@@ -7,6 +7,7 @@ from canfb.monitoring.units import MachineUnits
 from canfb.objects import PositionState
 
 STALE_S = 1.0
+ASSUMED = "assumed"
 
 
 def sync_words(sync: SyncSnapshot) -> str:
@@ -64,16 +65,44 @@ def residual_words(module: ModuleSnapshot) -> str:
         return "-"
     noise = module.residual_noise_cycles
     said = "" if noise is None else f", noise {noise:.4f}"
-    return f"{module.residual_cycles:.3f} of {module.residual_limit_cycles:.3f} cycle{said}"
+    limit = f"{mark(module, 'residual_limit_cycles')}{module.residual_limit_cycles:.3f}"
+    return f"{module.residual_cycles:.3f} of {limit} cycle{said}"
 
 
 def amplitude_words(module: ModuleSnapshot) -> str:
-    """Amplitude, its limits."""
+    """Amplitude."""
     if module.amplitude_counts is None:
         return "-"
+    return f"{module.amplitude_counts:.0f} counts{' (raw)' if module.amplitude_is_raw else ''}"
+
+
+def amplitude_limits_words(module: ModuleSnapshot) -> str:
+    """Its limits; empty where there are none."""
     low, high = module.amplitude_limits_counts
-    limits = f", limits {low} to {high}" if high else ""
-    return f"{module.amplitude_counts:.0f} counts{' (raw)' if module.amplitude_is_raw else ''}{limits}"
+    return f"{mark(module, 'amplitude_limits_counts')}{low} to {high}" if high else ""
+
+
+def amplitude_line(module: ModuleSnapshot) -> str:
+    """Amplitude and its limits."""
+    limits = amplitude_limits_words(module) if module.amplitude_counts is not None else ""
+    return f"{amplitude_words(module)}{', limits ' if limits else ''}{limits}"
+
+
+def mark(module: ModuleSnapshot, name: str) -> str:
+    """What stands before a value of the snapshot: "assumed " if a setting behind it was not read."""
+    return f"{ASSUMED} " if name in module.assumed else ""
+
+
+def scale_note(module: ModuleSnapshot, name: str) -> str:
+    """What stands behind a position or velocity in units of the machine, a space before it."""
+    value = module.position_revolutions if name == "position_revolutions" else module.velocity_rad_s
+    return f" (scale {ASSUMED})" if name in module.assumed and value is not None else ""
+
+
+def mapping_words(module: ModuleSnapshot) -> str:
+    """How the PDO mapping is known."""
+    known = module.layout in ("module", ASSUMED)
+    return module.layout if known else f"{module.layout}, {ASSUMED}"
 
 
 def counter_words(counters: dict[str, int]) -> str:
@@ -102,9 +131,11 @@ def _line(node: NodeSnapshot, module: ModuleSnapshot, units: MachineUnits) -> st
     pieces = [state_words(node), position_words(module)]
     if not is_stale(module):
         lost = lost_words(node, module)
-        pieces += [*module.faults, *[lost] * bool(lost), units.position(module.position_revolutions)]
-        pieces += [units.velocity(module.velocity_rad_s), f"residual {residual_words(module)}"]
-        pieces.append(f"amplitude {amplitude_words(module)}")
+        scale = [scale_note(module, name) for name in ("position_revolutions", "velocity_rad_s")]
+        pieces += [*module.faults, *[lost] * bool(lost)]
+        pieces.append(f"{units.position(module.position_revolutions)}{scale[0]}")
+        pieces += [f"{units.velocity(module.velocity_rad_s)}{scale[1]}", f"residual {residual_words(module)}"]
+        pieces.append(f"amplitude {amplitude_line(module)}")
     if node.emergencies:
         last = node.emergencies[0]
         pieces.append(f"EMCY {last.code:04X}h {last.text}, {age(last.age_s)} ago")

@@ -105,6 +105,11 @@ class ModuleModel:
         amplitude = values.get(od.FEEDBACK_AMPLITUDE)
         crc32 = values.get(od.TABLE_ACTIVE_CRC)
         velocity = self._velocity_rad_s(now)
+        assumed = set(layout.assumed)
+        if self._measured_velocity(now) is not None:
+            assumed.discard("velocity_rad_s")
+        if layout.supervision.noise_margin and od.FEEDBACK_NOISE not in values:
+            assumed.add("residual_limit_cycles")
         noise = values.get(od.FEEDBACK_NOISE, 0) / LIMIT_UNITS or None
         raw = amplitude is None and bool(self._tracks)
         return ModuleSnapshot(
@@ -137,6 +142,7 @@ class ModuleModel:
             lost_by=self._lost_by(),
             since_fault_s=_since(self._fault_s, now),
             counters=_counters(values),
+            assumed=sorted(assumed),
         )
 
     def _lost_by(self) -> str | None:
@@ -144,10 +150,15 @@ class ModuleModel:
         cause = od.loss_cause(self._values.get(od.COUNTER_LOSS_CAUSE))
         return cause.text if cause is not None and self._state is PositionState.LOST else None
 
-    def _velocity_rad_s(self, now: float) -> float | None:
+    def _measured_velocity(self, now: float) -> float | None:
+        """2011:07, while it is fresh."""
         measured = self._values.get(od.FEEDBACK_VELOCITY)
-        if measured is not None and now - self._times[od.FEEDBACK_VELOCITY] <= FRESH_S:
-            return float(measured)
+        fresh = measured is not None and now - self._times[od.FEEDBACK_VELOCITY] <= FRESH_S
+        return float(measured) if measured is not None and fresh else None
+
+    def _velocity_rad_s(self, now: float) -> float | None:
+        if (measured := self._measured_velocity(now)) is not None:
+            return measured
         if len(self._positions) < 2 or not self.layout.units_per_revolution:
             return None
         (first_s, _), (last_s, _) = self._positions[0], self._positions[-1]

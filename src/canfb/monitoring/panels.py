@@ -16,8 +16,10 @@ from canfb.monitoring.snapshot import BusSnapshot, ModuleSnapshot, NodeSnapshot
 from canfb.monitoring.units import MachineUnits
 
 PANEL_LINES, HIGHEST_PANEL = 11, 18  # of a module, with its frame
-LEAST_FIGURES, LEAST_TRACKS = 54, 12  # characters
+LEAST_FIGURES, LEAST_TRACKS = 56, 12  # characters
 LABEL = 10
+LEAST_TABLE = 4  # lines: below, there is no room for notes
+NOT_READ = "scales and limits are assumed where they were not read: --sdo reads them"
 BAR = 60  # characters, of the residual: 30 s of it
 NEAR = 0.8  # of the residual limit: shown in yellow
 GOOD, DOUBTFUL, BAD, FAINT = "green", "yellow", "bold red", "dim"
@@ -55,6 +57,9 @@ class Page:
             rows = min(HIGHEST_PANEL, left // len(modules))
             parts += [self._panel(node, module, width, rows) for node, module in modules]
         else:
+            if any(module.assumed for _, module in modules) and left > LEAST_TABLE:
+                parts.append(Text(NOT_READ, FAINT))
+                left -= 1
             shown = modules[: max(1, left - 2)]
             parts.append(self._table(shown, width))
             left -= 2 + len(shown)
@@ -109,7 +114,7 @@ class Page:
             table,
             title=f"{lines.name_of(node)}  {lines.state_words(node)}",
             title_align="left",
-            subtitle=f"PDO mapping: {module.layout}",
+            subtitle=f"PDO mapping: {lines.mapping_words(module)}",
             subtitle_align="right",
             border_style=style,
             box=box.ASCII if self._plain else box.ROUNDED,
@@ -131,15 +136,20 @@ class Page:
                 _label("position"),
                 (units.position(module.position_revolutions), f"bold {figures}".strip()),
                 (f"  {module.position_units} units" if module.position_units is not None else "", FAINT),
+                (lines.scale_note(module, "position_revolutions"), FAINT),
             ),
-            Text.assemble(_label("velocity"), (units.velocity(module.velocity_rad_s), figures)),
+            Text.assemble(
+                _label("velocity"),
+                (units.velocity(module.velocity_rad_s), figures),
+                (lines.scale_note(module, "velocity_rad_s"), FAINT),
+            ),
             Text.assemble(
                 _label("residual"),
                 (lines.residual_words(module), near or figures),
             ),
             Text.assemble(_label("why"), (lost, BAD)) if lost else self._residual_bar(module, width - LABEL),
             self._residual_history(module, width - LABEL),
-            Text.assemble(_label("amplitude"), (lines.amplitude_words(module), figures)),
+            Text.assemble(_label("amplitude"), (lines.amplitude_line(module), figures)),
             Text.assemble(
                 _label("2012h" if module.counters else "faults"),
                 ("" if since is None else f"{lines.age(since)} ago: ", FAINT),

@@ -73,6 +73,7 @@ class ModuleSnapshot:
     lost_by                why the position is lost, in words, of EMCY 7300h or 2012:10; None: it is not
     since_fault_s          since a position PDO was not valid
     counters               2012h, where it is read or mapped
+    assumed                names of values above that depend on settings which were not read
     """
 
     layout: str
@@ -102,6 +103,7 @@ class ModuleSnapshot:
     lost_by: str | None = None
     since_fault_s: float | None = None
     counters: dict[str, int] = dataclasses.field(default_factory=dict)
+    assumed: list[str] = dataclasses.field(default_factory=list)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from canfb.errors import CanfbError
+from canfb.scope.gate import WriteCode
 from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray
 
@@ -119,17 +120,28 @@ Begin = Callable[[ScopeTask, int, Upload | None], None]
 
 
 class Desk:
-    """One task at a time, for all pages that are open. ``run`` does it, elsewhere, and reports back here."""
+    """One task at a time, for all pages that are open. ``run`` does it, elsewhere, and reports back here.
+
+    ``code`` confirms what writes: no task that does begins without it.
+    """
 
     def __init__(self, run: Begin, allowed: tuple[ScopeTask, ...]) -> None:
         self.allowed = allowed
+        self.code = WriteCode()
         self.state = DeskState()
         self._run = run
 
-    def begin(self, task: ScopeTask, node: int, upload: Upload | None = None) -> None:
-        """Begin it. ScopeRefusal where it is not allowed, another one runs, or its file is missing."""
+    @property
+    def writes(self) -> bool:
+        """Whether some of the tasks write: they need the code."""
+        return any(task.writes for task in self.allowed)
+
+    def begin(self, task: ScopeTask, node: int, upload: Upload | None = None, code: str = "") -> None:
+        """Begin it. ScopeRefusal: it is not allowed, another one runs, its code or file is missing."""
         if task not in self.allowed:
             raise ScopeRefusal(f"{task.label}: this page is read-only; start canfb scope with --write")
+        if task.writes and (refusal := self.code.refusal(code)):
+            raise ScopeRefusal(f"{task.label}: {refusal}")
         if self.state.stage is Stage.RUNNING:
             raise ScopeRefusal(f"{task.label}: wait for the end of {self.state.title}")
         if task.takes_file and upload is None:

@@ -20,6 +20,8 @@ BLUE, ORANGE, RED, GREY = "#3b82f6", "#d97706", "#e5484d", "#8b949e"  # seen on 
 INK, FAINT, GRID = ("#1d2b33", "#e6edf3"), ("#5c6b74", "#9aa7b1"), ("#e3e8eb", "#30363d")  # light, dark
 SQUARE, MARGINS, HEIGHT = 240, (90, 55), 230
 HEADROOM = 1.15
+READ, ASSUMED = "dashed", "dotted"  # lines of limits that were read from the module, or not
+PICTURES = ("lissajous", "deviation", "residual", "position", "velocity", "measured")
 MARGIN, LEAST_SPAN = 0.06, 1e-3
 LEAST_LIMIT = 0.02
 
@@ -60,7 +62,7 @@ class ScopeFigures:
         self._draw()
 
     def _draw(self) -> None:
-        self.lissajous.multi_line("x", "y", source=self._limits, color=GREY, line_dash="dashed")
+        self._circles = self.lissajous.multi_line("x", "y", source=self._limits, color=GREY, line_dash=READ)
         self.lissajous.scatter("cosine", "sine", source=self._tracks, size=3, color=BLUE)
         self.deviation.scatter("phase", "deviation", source=self._samples, size=2, color=GREY, alpha=0.5)
         self.deviation.line("phase", "before", source=self._means, color=ORANGE, line_width=2)
@@ -68,8 +70,8 @@ class ScopeFigures:
         self.measured.line("phase", "before", source=self._measured, color=ORANGE, line_width=2)
         self.measured.line("phase", "after", source=self._measured, color=BLUE, line_width=2)
         self.residual.vbar("time", top="peak", width=0.45, source=self._peaks, color=BLUE)
-        self.residual.line(
-            "time", "limit", source=self._limit, color=RED, line_width=2, line_dash="dashed", name="limit"
+        self._dashes = self.residual.line(
+            "time", "limit", source=self._limit, color=RED, line_width=2, line_dash=READ, name="limit"
         )
         self.position.line("time", "position", source=self._moments, color=BLUE, line_width=2)
         self.velocity.line("time", "velocity", source=self._moments, color=BLUE, line_width=2)
@@ -77,10 +79,7 @@ class ScopeFigures:
     @property
     def roots(self) -> dict[str, Any]:
         """The pictures by name."""
-        return {
-            name: getattr(self, name)
-            for name in ("lissajous", "deviation", "residual", "position", "velocity", "measured")
-        }
+        return {name: getattr(self, name) for name in PICTURES}
 
     def dress(self, *, dark: bool) -> None:
         """Lines and texts for a dark or a light page; a theme of Bokeh does not change what is drawn."""
@@ -141,8 +140,16 @@ class ScopeFigures:
             "x": [radius * np.cos(angle) for radius in circles],
             "y": [radius * np.sin(angle) for radius in circles],
         }
-        if len(self._limits.data["x"]) != len(circles):
+        drawn = [float(x[0]) for x in self._limits.data["x"]]
+        if drawn != [float(radius) for radius in circles]:
             self._limits.data = limits
+        self._mark(self._circles, "amplitude_limits_counts", module)
+
+    def _mark(self, drawn: Any, name: str, module: ModuleSnapshot) -> None:
+        """A limit that was not read is dotted."""
+        if drawn.tags != [dash := ASSUMED if name in module.assumed else READ]:
+            drawn.tags = [dash]
+            drawn.glyph.line_dash = dash
 
     def _show_residual(self, module: ModuleSnapshot) -> None:
         highest = max((one for one in module.residual_history_cycles if one is not None), default=0.0)
@@ -151,6 +158,7 @@ class ScopeFigures:
         peaks = [math.nan] * (HISTORY_BINS - len(peaks)) + peaks
         times = (np.arange(len(peaks)) - len(peaks) + 0.5) * bin_s
         self._peaks.data = {"time": times, "peak": np.array(peaks, np.float64)}
+        self._mark(self._dashes, "residual_limit_cycles", module)
         limit = module.residual_limit_cycles or 0.5
         ends = (float(-len(peaks) * bin_s), 0.0)
         drawn = {"time": list(ends), "limit": [limit, limit]}

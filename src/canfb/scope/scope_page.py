@@ -4,31 +4,58 @@ from __future__ import annotations
 
 import base64
 import binascii
-import json
 from functools import partial
 from importlib.resources import files
 from typing import Any, NamedTuple
 
 from bokeh.document import Document
-from bokeh.models import Button, Column, Div, FileInput, InlineStyleSheet, Row, Select, Toggle
+from bokeh.models import Button, Column, Div, FileInput, InlineStyleSheet, Row, Select, TextInput, Toggle
 from jinja2 import Environment
 
 from canfb.errors import CanfbError
 from canfb.monitoring.units import MachineUnits
 from canfb.scope import scope_texts as texts
 from canfb.scope.desk import CALIBRATE, MEASURE, READ, Desk, DeskState, ScopeTask, Stage, Upload
-from canfb.scope.scope_figures import ScopeFigures
+from canfb.scope.gate import OPEN_ADDRESS
+from canfb.scope.scope_figures import PICTURES, ScopeFigures
 from canfb.scope.traces import BusTraces
 
 TITLE = "canfb scope"
 HERE = files("canfb.scope")
 SCRIPT, STYLE = "scope.js", "scope.css"
+BOKEH_SCRIPTS = ("static/js/bokeh.min.js", "static/js/bokeh-widgets.min.js")
 FILES = ".yaml,.yml,.bin"
+LARGEST_FILE = 300_000  # bytes: a table of 4096 entries has 60 000 in YAML
+LARGEST_MESSAGE = 500_000  # bytes, of the browser: a file in base64; a larger one ends the connection
+TEXTS = ("head", "bus", "figures", "counters", "emergencies", "note")
+TASK_TEXTS = ("desk", "outcome")
 
 
 def page_file(name: str) -> str:
     """A file of the page, of those beside this one."""
     return HERE.joinpath(name).read_text(encoding="utf-8")
+
+
+def root_names(desk: Desk) -> list[str]:
+    """Names of the parts of the page, in the order of the roots of its document."""
+    tasks = (*TASK_TEXTS, "tasks", "measured") if desk.allowed else ()
+    return [*TEXTS, *(one for one in PICTURES if one != "measured"), "dark", "select", *tasks]
+
+
+def page_html(desk: Desk) -> str:
+    """The page as everybody gets it, before a document fills it: no secret, no value. ``{nonce}`` is open."""
+    page = Environment(autoescape=True).from_string(page_file("scope.html"))
+    return page.render(
+        title=TITLE,
+        roots=root_names(desk),
+        script=SCRIPT,
+        style=STYLE,
+        bokeh=BOKEH_SCRIPTS,
+        tasks=bool(desk.allowed),
+        largest_file=LARGEST_FILE,
+        largest_message=LARGEST_MESSAGE,
+        open_address=OPEN_ADDRESS,
+    )
 
 
 class _Asked(NamedTuple):
@@ -53,10 +80,9 @@ class ScopePage:
         self._asked: _Asked | None = None
         style = InlineStyleSheet(css=page_file("parts.css"))
         self._style = InlineStyleSheet(css=page_file("controls.css"))
-        names = ("head", "bus", "figures", "counters", "emergencies", "note", "desk", "outcome", "question")
         self._texts = {
             name: Div(text="", margin=0, disable_math=True, sizing_mode="stretch_width", stylesheets=[style])
-            for name in names
+            for name in (*TEXTS, *TASK_TEXTS, "question")
         }
         self._figures = ScopeFigures(units)
         self._select = Select(options=[], visible=False, stylesheets=[self._style])
@@ -72,6 +98,13 @@ class ScopePage:
             label="Yes", button_type="danger", visible=False, name="yes", stylesheets=[self._style]
         )
         self._no = Button(label="No", visible=False, name="no", stylesheets=[self._style])
+        self._field = TextInput(
+            title="code of the terminal in which canfb scope runs",
+            name="code",
+            visible=False,
+            stylesheets=[self._style],
+        )
+        self._code = ""  # once it was right; a page has one websocket, and nobody else has this one
         self._yes.on_click(self._confirmed)
         self._no.on_click(partial(self._ask, None, ""))
         self._fill()
@@ -85,27 +118,15 @@ class ScopePage:
     def _fill(self) -> None:
         dark = Toggle(name="dark", label="dark", visible=False)
         dark.on_change("active", lambda name, old, new: self._dress(bool(new)))
-        roots = {**self._texts, **self._figures.roots, "dark": dark, "select": self._select}
-        del roots["question"]
-        if not self._desk.allowed:
-            del roots["desk"], roots["outcome"], roots["measured"]
-        else:
-            row = Row(*self._buttons.values(), sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})
-            asking = Row(self._yes, self._no)
-            roots["tasks"] = Column(
-                row, self._file, self._texts["question"], asking, sizing_mode="stretch_width"
-            )
-        for name, model in roots.items():
-            model.name = name
-            self._document.add_root(model)
+        row = Row(*self._buttons.values(), sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})
+        asking = Row(self._yes, self._no)
+        parts = (row, self._file, self._texts["question"], self._field, asking)
+        tasks = Column(*parts, sizing_mode="stretch_width")
+        roots = {**self._texts, **self._figures.roots, "dark": dark, "select": self._select, "tasks": tasks}
+        for name in root_names(self._desk):
+            roots[name].name = name
+            self._document.add_root(roots[name])
         self._document.title = TITLE
-        self._document.template = Environment(autoescape=True).from_string(page_file("scope.html"))
-        self._document.template_variables.update(
-            json=lambda item: json.dumps(item.to_json()),
-            script=SCRIPT,
-            style=STYLE,
-            tasks=bool(self._desk.allowed),
-        )
         self._dress(False)
         self.update()
 
@@ -161,14 +182,15 @@ class ScopePage:
 
     def _pressed(self, task: ScopeTask) -> None:
         upload = self._upload() if task.takes_file else None
-        if self._node is None:
+        if upload is not None and len(upload.data) > LARGEST_FILE:
+            self._ask(None, f"{upload.name} has more than {LARGEST_FILE} bytes: this is no table file")
+        elif self._node is None:
             self._ask(None, "no module is heard yet")
         elif task.takes_file and upload is None:
             self._ask(None, "choose a table file first: what canfb calibrate or canfb table download wrote")
         elif task.question:
             asked = _Asked(task, self._node, upload)
-            node, file = f"module {asked.node} ({asked.node:02X}h)", upload.name if upload else ""
-            self._ask(asked, task.question.format(node=node, file=file))
+            self._ask(asked, self._question(asked))
         else:
             self._begin(_Asked(task, self._node, upload))
 
@@ -176,16 +198,28 @@ class ScopePage:
         self._asked = asked
         self._say("question", texts.question_text(question))
         self._yes.visible = self._no.visible = asked is not None
+        self._field.visible = asked is not None and asked.task.writes and not self._code
 
     def _confirmed(self) -> None:
-        asked = self._asked
+        asked, said = self._asked, self._field.value
+        self._field.value = ""
+        if asked is None:
+            return
+        if asked.task.writes and not self._code:
+            if refusal := self._desk.code.refusal(said):
+                self._ask(asked, f"{refusal}. {self._question(asked)}")
+                return
+            self._code = said
         self._ask(None, "")
-        if asked is not None:
-            self._begin(asked)
+        self._begin(asked)
+
+    def _question(self, asked: _Asked) -> str:
+        node, file = f"module {asked.node} ({asked.node:02X}h)", asked.upload.name if asked.upload else ""
+        return asked.task.question.format(node=node, file=file)
 
     def _begin(self, asked: _Asked) -> None:
         try:
-            self._desk.begin(asked.task, asked.node, asked.upload)
+            self._desk.begin(asked.task, asked.node, asked.upload, self._code)
         except CanfbError as error:
             self._ask(None, str(error))
         self.update()

@@ -38,18 +38,19 @@ def state_line(node: NodeSnapshot, module: ModuleSnapshot) -> str:
 
 def figures_table(module: ModuleSnapshot, units: MachineUnits) -> str:
     """The values of the moment."""
-    amplitude, _, limits = lines.amplitude_words(module).partition(", limits ")
+    position = units.position(module.position_revolutions) + lines.scale_note(module, "position_revolutions")
+    velocity = units.velocity(module.velocity_rad_s) + lines.scale_note(module, "velocity_rad_s")
     return _table(
         [
-            ("position", units.position(module.position_revolutions)),
+            ("position", position),
             ("position value, 6004h", "-" if module.position_units is None else str(module.position_units)),
-            ("velocity", units.velocity(module.velocity_rad_s)),
+            ("velocity", velocity),
             ("residual", lines.residual_words(module)),
-            ("amplitude", amplitude),
-            ("its limits", limits or "-"),
+            ("amplitude", lines.amplitude_words(module)),
+            ("its limits", lines.amplitude_limits_words(module) or "-"),
             ("table", "active" if module.table_active else "none active"),
             ("zero pulse", "referenced" if module.referenced else "not referenced"),
-            ("PDO mapping", f"of the {module.layout}" if module.layout != "assumed" else "assumed"),
+            ("PDO mapping", lines.mapping_words(module)),
         ]
     )
 

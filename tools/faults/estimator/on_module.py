@@ -31,6 +31,7 @@ from tools.faults.wire.setups import (
     UNITS_PER_CYCLE,
     Bench,
     Options,
+    sdo_write,
 )
 
 INTERVAL_S = 1e-3
@@ -55,7 +56,12 @@ class _Line(Bench):
     def power_on(self) -> None:
         self._number = 0
         module = self.begin(COUNTER, Options(period=True))
-        self._map(0x1400, 0x1600, ADC_ID, MAPPED, 255)
+        self._write(0x1400, 1, "I", 0x80000000 | ADC_ID)
+        self._write(0x1600, 0, "B", 0)
+        for number, entry in enumerate(MAPPED, 1):
+            self._write(0x1600, number, "I", entry)
+        self._write(0x1600, 0, "B", len(MAPPED))
+        self._write(0x1400, 1, "I", ADC_ID)
         self._write(0x2010, 3, "B", COAST_SAMPLES)
         self.now += 0.01
         module.receive(Frame(NMT_ID, bytes([1, NODE])), self.now)
@@ -76,6 +82,11 @@ class _Line(Bench):
             self._write(0x2010, 8, "f", declared.jerk * per_cycle / INTERVAL_S**3)
             self._write(0x2010, 7, "B", 3)
         self.now = now
+
+    def _write(self, index: int, subindex: int, kind: str, value: float) -> None:
+        assert self.module is not None
+        self.now += 1e-4
+        self.module.receive(sdo_write(index, subindex, kind, value), self.now)
 
     def sync(self) -> list[tuple[float, int]]:
         self._number += 1

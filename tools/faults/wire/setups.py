@@ -154,6 +154,7 @@ class Configuration:
         self._map(0x1402, 0x1602, TIMES_ID, (0x20000520,), options.rpdo_type)
 
     def _map(self, index: int, mapping: int, can_id: int, objects: tuple[int, ...], kind: int) -> None:
+        """A PDO with these objects, not valid while it is mapped."""
         write = self._write
         write(index, 1, "I", 0xC0000000 | can_id)
         write(mapping, 0, "B", 0)
@@ -164,10 +165,14 @@ class Configuration:
         write(index, 1, "I", 0x40000000 | can_id if index >= 0x1800 else can_id)
 
     def _write(self, index: int, subindex: int, kind: str, value: float) -> None:
-        """An expedited SDO download."""
-        data = struct.pack("<" + kind, value)
-        head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, subindex)
-        self.frames.append(Frame(SDO_RX, head + data.ljust(4, b"\0")))
+        self.frames.append(sdo_write(index, subindex, kind, value))
+
+
+def sdo_write(index: int, subindex: int, kind: str, value: float) -> Frame:
+    """The request of an expedited SDO download."""
+    data = struct.pack("<" + kind, value)
+    head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, subindex)
+    return Frame(SDO_RX, head + data.ljust(4, b"\0"))
 
 
 def sdo_read(index: int, subindex: int) -> Frame:
