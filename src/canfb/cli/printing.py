@@ -37,3 +37,10 @@ def reader_may_go(stream: TextIO) -> Iterator[None]:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
         os.close(nowhere)
+
+
+def announce_page(address: str, code: str | None) -> None:
+    """Say the address of the page, and the code of the tasks that write."""
+    say(f"open {address}")
+    if code is not None:
+        say(f"to change a module, type this code on the page: {code}")

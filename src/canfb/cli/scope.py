@@ -17,7 +17,7 @@ from canfb.cli.options import (
     bus_options,
     refuse_idle,
 )
-from canfb.cli.printing import say
+from canfb.cli.printing import announce_page
 from canfb.cli.watch_options import add_machine_unit, add_watched
 from canfb.cli.yaml_argument import take_yaml
 from canfb.configuration import Config, load_config
@@ -95,10 +95,3 @@ def _check(options: argparse.Namespace) -> None:
         refuse_idle(options, ["config", "nodes"], "--demo has a module of its own")
     if not 0 <= options.port <= 65535:
         raise ConfigError(f"--port {options.port}: must be 0 to 65535")
-
-
-def announce_page(address: str, code: str | None) -> None:
-    """Say the address of the page, and the code of the tasks that write."""
-    say(f"open {address}")
-    if code is not None:
-        say(f"to change a module, type this code on the page: {code}")

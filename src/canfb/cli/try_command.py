@@ -19,7 +19,7 @@ from canfb.bus.trying import START_ALL, NetworkOnBus, end_main, private_bus
 from canfb.cli.log_printing import printed_as_json
 from canfb.cli.options import Commands, add_command, add_ready_file
 from canfb.cli.parser import build_parser
-from canfb.cli.printing import say
+from canfb.cli.printing import announce_page, say
 from canfb.configuration import load_config
 from canfb.errors import ConfigError
 
