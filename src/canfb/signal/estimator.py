@@ -28,7 +28,7 @@ from canfb.objects import LossCause
 from canfb.signal.blocks import Scratch
 from canfb.signal.declared import Declared
 from canfb.signal.doubt import SPOTS_KEPT, Candidate, Doubt, Entry, Verdict
-from canfb.signal.motion import Spot
+from canfb.signal.motion import SHORT_INTERVAL, Spot
 from canfb.signal.phase import FloatArray
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.third_order import SECOND, ThirdOrderTracker, tracker_of
@@ -38,6 +38,7 @@ from canfb.signal.tracking import predicts_by_parabola, steady_run
 HOLE_INTERVALS = 1.5  # since the sample before: one was missed
 STEADY_SAMPLES = 16  # show whether the machine stands still
 START_SAMPLES = 8  # uneven times contradict a wrong speed at a start by sample 5 in 95 %
+HALF_CYCLE = 0.5
 REMEMBERED_SAMPLES = 24  # r + 2 (m + r - 1): to go back behind m bad samples, m = 8 at order 3
 
 
@@ -48,8 +49,12 @@ class Estimator:
     """
 
     __slots__ = (
+        "_by_line",
         "_coasted",
         "_doubt",
+        "_error",
+        "_instant_error",
+        "_largest",
         "_past",
         "_past_places",
         "_virtual",
@@ -81,6 +86,10 @@ class Estimator:
         self.declared = declared
         tracker = self.tracker
         tracker.residual_limit = declared.residual_limit
+        usual = declared.usual
+        self._by_line = declared.order == SECOND
+        self._largest = usual.bounds[0].largest
+        self._error, self._instant_error = usual.phase_error, usual.instant_error
         if isinstance(tracker, ThirdOrderTracker):
             tracker.start_limit = declared.start_limit
             tracker.acceleration_limit = declared.largest_second_difference
@@ -239,11 +248,31 @@ class Estimator:
 
         Only where nothing is in doubt. NOT_USUAL, and nothing changed, where :meth:`good` has to decide.
         """
-        counted = self._counted(phase, (elapsed,))
-        if counted is None:
+        tracker = self.tracker
+        radius = self._usual_radius(elapsed)
+        if radius < HALF_CYCLE:
+            counted = tracker.look(phase, elapsed)
+            if not counted.residual < radius:
+                return NOT_USUAL
+            tracker.accept(counted, elapsed)
+            return counted.residual
+        other = self._counted(phase, (elapsed,))
+        if other is None:
             return NOT_USUAL
-        self.tracker.accept(counted, elapsed)
-        return counted.residual
+        tracker.accept(other, elapsed)
+        return other.residual
+
+    def _usual_radius(self, elapsed: float) -> float:
+        """Half the window of a sample in turn, cycles, in closed form; 1 where others narrow it.
+
+        It is that of the last two samples, eq. 9, the only one unless their interval was short. Narrower
+        than a cycle it holds one count at most.
+        """
+        last = self.tracker.elapsed
+        if not self._by_line or last < SHORT_INTERVAL or elapsed >= HOLE_INTERVALS or len(self.places) < 2:
+            return 1.0
+        error = self._error + self._instant_error * abs(self.tracker.step_cycles)
+        return self._largest * elapsed * (elapsed + last) / 2.0 + error * (2.0 + 2.0 * elapsed / last)
 
     def _counted(self, phase: float, options: tuple[float, ...]) -> Track | None:
         """The position of a sample in turn, if it is the only one that the machine can be at."""
@@ -255,6 +284,10 @@ class Estimator:
                 return None  # the prediction has refused it already
             track = self.tracker.look(phase)
             return track._replace(ok=True) if track.residual < self.declared.first_limit else None
+        radius = self._usual_radius(elapsed)
+        if radius < HALF_CYCLE:
+            track = self.tracker.look(phase, elapsed)
+            return track._replace(ok=True) if track.residual < radius else None
         spots = self._spots()
         counts = self.declared.usual.window(spots, spots[-1].time + elapsed).counts(phase)
         if len(counts) != 1:
