@@ -249,3 +249,25 @@ def test_phases_of_arrays_of_any_shape() -> None:
     got = phase_in_cycle(sines, cosines)
     assert got.tolist() == [[phase_in_cycle(s, c) for c in cosines.tolist()] for s in (1.0, -3.0)]
     assert phase_in_cycle(np.array(1.0), np.array(1.0)) == 0.125
+
+
+def test_what_is_declared_of_the_machine_decides_a_gap_as_in_a_stream() -> None:
+    position = moving(3.0, 0.004, 400)
+    sines, cosines = tracks_at(position)
+    sines[200:204] = cosines[200:204] = 0.0  # with 0.1 cycle per interval^2 four in a row leave two motions
+    unknown = process(sines, cosines, speed_cycles=3.0, coast_samples=8)
+    known = process(sines, cosines, speed_cycles=3.0, coast_samples=8, max_acceleration_cycles=0.005)
+    assert not unknown.ok[250:].any()
+    assert known.ok[250:].all()
+    assert np.abs(known.cycles + known.phase - position)[known.ok].max() < 0.05
+    config = ChainConfig(coast_samples=8, max_acceleration_cycles=0.005)
+    (streamed,) = process_stream([(sines, cosines)], config, speed_cycles=3.0)
+    assert (streamed.valid == known.ok).all()
+    assert (streamed.cycles == known.cycles).all()
+
+
+def test_an_option_that_it_does_not_have_is_named() -> None:
+    with pytest.raises(TypeError, match="no option 'coast'; it takes max_acceleration_cycles"):
+        process([1.0, 2.0], [1.0, 2.0], coast=1)
+    with pytest.raises(ValueError, match="phase_error_cycles"):
+        process([100.0, 200.0], [100.0, 200.0], phase_error_cycles=0.0)

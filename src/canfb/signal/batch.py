@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.blocks import BLOCK_SAMPLES, Scratch, blocks
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable, check_table
-from canfb.signal.declared import Declared
 from canfb.signal.estimator import Estimator
 from canfb.signal.phase import FloatArray, raw_phase_block, wrap_block
 from canfb.signal.supervision import VALID
@@ -20,6 +21,14 @@ from canfb.signal.tracks import check_counts, pair_of_tracks
 
 # After a fault the next one may be near, and what lies behind it is computed in vain.
 FIRST_RUN = 64
+DECLARED = (
+    "max_acceleration_cycles",
+    "max_jerk_cycles",
+    "phase_error_cycles",
+    "bad_samples",
+    "doubt_acceleration_cycles",
+    "coast_samples",
+)
 
 
 def process(
@@ -30,6 +39,7 @@ def process(
     conditioning: Conditioning | None = None,
     speed_cycles: float = 0.0,
     prediction_order: int = 2,
+    **declared: Any,
 ) -> TrackResult:
     """Tracks to positions: conditioning, Table 1, correction table, eq. 9 and eq. 12.
 
@@ -37,6 +47,8 @@ def process(
     and ``conditioning`` None are the identity. ``speed_cycles`` is the speed at the first
     sample, cycles per sample, with an error of less than half a cycle; default: standstill.
     ``prediction_order`` 3 predicts with constant acceleration; ``residual_limit`` then limits the jerk.
+    ``declared``: any of max_acceleration_cycles, max_jerk_cycles, phase_error_cycles, bad_samples,
+    doubt_acceleration_cycles and coast_samples, as in :class:`canfb.ChainConfig`.
 
     The result is bit for bit that of :class:`canfb.SignalChain` one sample after the other,
     without limits on amplitude and converter, which depend on the individual encoder
@@ -60,7 +72,11 @@ def process(
     may_be_offset = conditioning is not None
     sines, cosines = pair_of_tracks(sine, cosine, may_be_offset=may_be_offset)
     check_counts(sines, cosines, may_be_offset=may_be_offset)
-    follower = _Follower(residual_limit, speed_cycles, prediction_order)
+    unknown = declared.keys() - DECLARED
+    if unknown:
+        raise TypeError(f"process() has no option {min(unknown)!r}; it takes {', '.join(DECLARED)}")
+    config = ChainConfig(residual_limit=residual_limit, prediction_order=prediction_order, **declared)
+    follower = _Follower(config, speed_cycles)
     result = TrackResult.empty(len(sines))
     for part, scratch in blocks(len(sines)):
         s, c, phase = sines[part], cosines[part], result.phase[part]
@@ -84,8 +100,8 @@ def _gaps(phase: FloatArray) -> list[int]:
 class _Follower:
     """Eq. 9 over block after block, as far as nothing is in doubt; :class:`Estimator` for the rest."""
 
-    def __init__(self, residual_limit: float, speed_cycles: float, order: int) -> None:
-        self._estimator = Estimator(Declared(order=order, residual_limit=residual_limit))
+    def __init__(self, config: ChainConfig, speed_cycles: float) -> None:
+        self._estimator = Estimator(config.chain_limits.declared)
         self._tracker = self._estimator.tracker
         self._estimator.restart(0, speed_cycles)
         self._run_samples = BLOCK_SAMPLES
