@@ -82,6 +82,7 @@ def test_sdo_09_too_few_bytes(tester: Tester) -> None:
 
 def test_sdo_10_above_the_maximum(tester: Tester) -> None:
     tester.refuse("2F 03 10 00 FF", "06090030", "06090031", G)
+    tester.refuse("2F 03 10 00 01", "06090030")  # CiA 301, 7.5.2.4: this code, and no maximum in the EDS
 
 
 def test_sdo_11_below_the_minimum(tester: Tester) -> None:

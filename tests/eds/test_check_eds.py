@@ -125,6 +125,7 @@ MUTATIONS = [
     ("6004", "AccessType=r is unknown", put("6004", "AccessType", "r")),
     ("6004", "ParameterName is missing", put("6004", "ParameterName", "")),
     ("6004", "PDOMapping is missing", drop("6004", "PDOMapping")),
+    ("1021", "PDOMapping is not for a DOMAIN", put("1021", "PDOMapping", "0")),
     ("6004", "entry unit", put("6004", "Unit", "1/8192 cycle")),
     ("2000sub1", "gives no PDO direction", put("2000sub1", "AccessType", "rw")),
     ("6000", "is for PDO mapping", put("6000", "AccessType", "rww")),

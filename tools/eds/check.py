@@ -262,7 +262,10 @@ def check_entries(eds: Eds) -> Iterator[Finding]:
 
 def _check_direction(eds: Eds, entry: Entry) -> Iterator[Finding]:
     section = entry.section
-    if section.number("PDOMapping") not in (0, 1):
+    if entry.data_type == DOMAIN_TYPE:
+        if section.text("PDOMapping") is not None:  # npm canopen refuses an EDS in which a DOMAIN has it
+            yield Finding(section.name, "PDOMapping is not for a DOMAIN")
+    elif section.number("PDOMapping") not in (0, 1):
         yield Finding(section.name, "PDOMapping is missing or not 0 or 1")
     if not entry.mappable:
         if entry.access in ("rww", "rwr"):

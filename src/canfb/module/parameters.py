@@ -199,8 +199,7 @@ class Limits:
 
     def _read(self, place: od.Multiplexer) -> Any:
         """The value of an object; None if it does not exist."""
-        entry = self._dictionary.find(*place)
-        return None if entry is None else entry.value
+        return self._dictionary.entry(*place).value if place in self._dictionary else None
 
     def apply(self) -> None:
         """Put the values of the dictionary in force."""
