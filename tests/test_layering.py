@@ -12,7 +12,7 @@ from folding import each
 
 PACKAGE = Path(canfb.__file__).parent
 FILES = sorted(PACKAGE.rglob("*.py"))
-LONGEST_FILE = 450
+LONGEST_FILE = 500
 
 # What every part that speaks CANopen may use.
 WORDS = {"checks", "cia301", "errors", "objects"}
