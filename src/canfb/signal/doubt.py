@@ -3,7 +3,8 @@
 The idea is that of integer ambiguity resolution (GNSS), with bounds in place of probabilities. A
 :class:`Candidate` is one sequence of cycle counts. Each sample gives it one successor for each count in its
 window (:mod:`canfb.signal.bounded_motion`), and none where there is no count. What is left is every motion
-within the declared bounds; where all that are left agree, the position is right as long as the declaration holds.
+within the declared bounds; where all that are left agree, the position is right as long as the declaration
+holds.
 
 - **Missing.** Over missing samples the junction decides. One count left: valid, at the first sample behind
   the hole.
