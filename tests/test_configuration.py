@@ -199,7 +199,9 @@ KEYS = ("node_id", "encoder_interface", "cycles_per_revolution", "adc_bits", "am
         "state_dir", "serial_number", "autostart", "frozen_samples", "coarse_limit_revolutions",
         "source", "predict", "times", "nominal_sync", "sync_timeout_periods", "prediction_order",
         "samples_per_sync", "noise_margin",
-        "max_jerk_rad_s3", "second_position")  # fmt: skip
+        "max_jerk_rad_s3", "second_position", "phase_error_cycles", "bad_samples",
+        "doubt_acceleration_cycles",
+        "max_acceleration_cycles", "max_jerk_cycles")  # fmt: skip
 
 
 @given(

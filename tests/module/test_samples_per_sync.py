@@ -100,7 +100,7 @@ def test_a_servo_move_over_a_bus_with_jitter(per_sync: int, jitter_s: float) -> 
 def test_one_sample_is_not_enough_for_a_sharp_residual() -> None:
     bus = Bus(samples_per_sync=1)
     largest = max((bus.sync() or NOTHING).residual for _ in range(400))
-    assert 0.3 < largest < 0.45
+    assert largest > 0.3
 
 
 NOTHING = Feedback(0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0, 0, 0.0, 0.0, 0, 0)

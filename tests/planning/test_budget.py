@@ -19,7 +19,7 @@ from canfb.planning.detection import SAMPLE_BOUNDS
 from canfb.planning.jerk_budget import budget_of
 from canfb.planning.phase_errors import PEAK, RAW_PHASE_ERROR_CYCLES
 from canfb.planning.plan import Limited, Plan
-from canfb.signal.limits import PHASE_ERROR_MARGIN_CYCLES, narrowed_residual_limit, samples_without_harm
+from canfb.signal.limits import narrowed_residual_limit, samples_without_harm
 from canfb.simulation.demand import of_motion
 from canfb.simulation.scenario import MotionConfig
 
@@ -131,7 +131,9 @@ def test_the_limits_fall_and_rise_as_they_must(
 
 def test_the_known_acceleration_narrows_as_in_the_module_and_its_margin_is_1() -> None:
     one = known(planned(), 25.0)
-    assert one.limit_cycles == narrowed_residual_limit(LIMIT, 25.0, 2500, 1e-3)
+    assert one.limit_cycles == narrowed_residual_limit(
+        LIMIT, 25.0, 2500, 1e-3, phase_error_cycles=819 / 65536
+    )
     assert one.asked_rad_s2 == 25.0
     assert one.margin == 1.0
     assert known(planned(acceleration_rad_s2=5.0), 25.0).asked_rad_s2 == 5.0
@@ -140,8 +142,8 @@ def test_the_known_acceleration_narrows_as_in_the_module_and_its_margin_is_1() -
 
 def test_an_uncorrected_phase_takes_what_the_module_allows_it_and_noise_is_within() -> None:
     one = budget(acceleration_rad_s2=0.0)
-    assert one.needed_cycles == PHASE_ERROR_MARGIN_CYCLES
-    assert budget(noise_counts=5.0).needed_cycles > PHASE_ERROR_MARGIN_CYCLES
+    assert one.needed_cycles == 4 * 819 / 65536
+    assert budget(noise_counts=5.0).needed_cycles > 4 * 819 / 65536
     assert budget(table=True).needed_cycles < 0.006
     assert budget(phase_error_cycles=0.02).needed_cycles == pytest.approx(
         0.08 + PEAK * math.sqrt(6.0) * one.phase_errors.noise_cycles

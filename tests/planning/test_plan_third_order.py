@@ -161,7 +161,9 @@ def test_the_known_jerk_narrows_as_in_the_module_and_its_margin_is_1() -> None:
     plan = planned(**ORDER_3)
     module = plan.situation.modules[0].with_values({(0x2010, 8): 25_000.0})
     one = JerkBudget(plan.situation, module)
-    assert one.limit_cycles == limit_narrowed_by_jerk(LIMIT, 25_000.0, 2500, 1e-3)
+    assert one.limit_cycles == limit_narrowed_by_jerk(
+        LIMIT, 25_000.0, 2500, 1e-3, phase_error_cycles=819 / 65536
+    )
     assert one.asked_rad_s3 == 25_000.0
     assert one.margin == 1.0
 

@@ -88,7 +88,7 @@ class ResidualBudget:
     @property
     def has_noise_margin(self) -> bool:
         """The margin of the limit in force is that of the measured noise."""
-        return self.is_narrowed and self.noise_margin_cycles < self.weights.margin_cycles
+        return self.is_narrowed and self.noise_margin_cycles < self._declared_cycles(self.weights)
 
     @property
     def known_phase_error_cycles(self) -> float:
@@ -274,7 +274,11 @@ class ResidualBudget:
         """All but the motion, not below what the module itself allows for an uncorrected phase."""
         uncorrected = self.situation.errors.phase_cycles is None and not self.module.has_table
         rest = self.phase_cycles(weights) + instants_cycles
-        return max(rest, (weights or self.weights).margin_cycles) if uncorrected else rest
+        return max(rest, self._declared_cycles(weights or self.weights)) if uncorrected else rest
+
+    def _declared_cycles(self, weights: Weights) -> float:
+        """What the module allows for errors of the phases: each of the size of 2010:0C."""
+        return weights.errors * self.module.declared_phase_error_cycles
 
     @property
     def left_in_force_cycles(self) -> float:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from canfb.signal.bounded_motion import scale
 from canfb.signal.limits import PHASE_ERROR_CYCLES, ROUNDING, safe_deviation, samples_without_harm
-from canfb.signal.motion import scale
 
 SAMPLE_BOUNDS = {n: safe_deviation(n) for n in (1, 2, 3)}
 """Largest L + a for so many samples in a row."""

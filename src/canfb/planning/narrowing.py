@@ -20,7 +20,7 @@ from canfb.planning.changes import (
     third_order,
 )
 from canfb.planning.detection import WELL, WELL_THIRD_ORDER
-from canfb.planning.phase_errors import SECOND_DIFFERENCE, THIRD_DIFFERENCE
+from canfb.planning.phase_errors import SECOND_DIFFERENCE, THIRD_DIFFERENCE, Weights
 from canfb.planning.plan import Plan
 from canfb.planning.planned_module import PlannedModule
 from canfb.signal.tracker import RESIDUAL_LIMIT
@@ -38,7 +38,7 @@ class _Known(NamedTuple):
     asked: Callable[[ResidualBudget], float | None]
     known: Callable[[PlannedModule], float]
     knowing: Callable[[PlannedModule, float], PlannedModule]
-    margin_cycles: float
+    weights: Weights
     well: float
 
 
@@ -47,7 +47,7 @@ ACCELERATION = _Known(
     lambda budget: budget.asked_rad_s2,
     lambda module: module.known_acceleration_rad_s2,
     knowing,
-    SECOND_DIFFERENCE.margin_cycles,
+    SECOND_DIFFERENCE,
     WELL,
 )
 JERK = _Known(
@@ -55,7 +55,7 @@ JERK = _Known(
     lambda budget: budget.asked_rad_s3,
     lambda module: module.known_jerk_rad_s3,
     knowing_jerk,
-    THIRD_DIFFERENCE.margin_cycles,
+    THIRD_DIFFERENCE,
     WELL_THIRD_ORDER,
 )
 
@@ -120,7 +120,8 @@ def _faster(plan: Plan, kind: _Known) -> Proposals:
     """The rate at which motion + margin + motion is sharp: the limit follows the rate."""
     if not all(kind.known(module) for module in plan.situation.modules):
         return
-    least = (kind.well - kind.margin_cycles) / 2.0 * LEAVES
+    declared = max(module.declared_phase_error_cycles for module in plan.situation.modules)
+    least = (kind.well - kind.weights.errors * declared) / 2.0 * LEAVES
     widest = max(plan.budgets, key=lambda budget: budget.motion_part.cycles)
     taken = widest.motion_part.cycles
     if taken > least:

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.situation import EncoderErrors
-from canfb.signal.limits import JERK_MARGIN_CYCLES, PHASE_ERROR_MARGIN_CYCLES
 from canfb.signal.third_order import SECOND, THIRD
 
 RAW_PHASE_ERROR_CYCLES = 0.0113  # of Table 1, without a correction table
@@ -24,17 +23,15 @@ class Weights(NamedTuple):
     order            of the prediction
     errors           sum of the sizes of the weights
     variance         sum of their squares
-    margin_cycles    what the module keeps for the errors of an uncorrected encoder
     """
 
     order: int
     errors: float
     variance: float
-    margin_cycles: float
 
 
-SECOND_DIFFERENCE = Weights(SECOND, 4.0, 6.0, PHASE_ERROR_MARGIN_CYCLES)  # 1, 2, 1
-THIRD_DIFFERENCE = Weights(THIRD, 8.0, 20.0, JERK_MARGIN_CYCLES)  # 1, 3, 3, 1
+SECOND_DIFFERENCE = Weights(SECOND, 4.0, 6.0)  # 1, 2, 1
+THIRD_DIFFERENCE = Weights(THIRD, 8.0, 20.0)  # 1, 3, 3, 1
 
 
 @dataclass(frozen=True)

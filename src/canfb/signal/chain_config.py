@@ -110,8 +110,8 @@ class ChainConfig:
     conditioning            offset, gain and phase error of the tracks (2002h)
     max_acceleration_cycles  largest acceleration of the machine, 0..1000 cycles per interval^2; 0: not known
     max_jerk_cycles         largest jerk, 0..1000 cycles per interval^3, for prediction_order 3; 0: not known
-    phase_error_cycles      largest phase error of a good sample, above 0, at most 1/16 cycle (2010:0C): of
-                            encoder, conditioning and table
+    phase_error_cycles      largest phase error of a good sample, above 0, at most 0.0625 cycles (2010:0C):
+                            of encoder, conditioning and table
     bad_samples             0..8 neighbouring samples that may be bad unnoticed (2010:0A); 0: as many as
                             cannot do harm
     doubt_acceleration_cycles  assumed while in doubt if max_acceleration is not known, 0..0.5 cycles per

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
+from canfb.signal.bounded_motion import Bound, BoundedMotion
 from canfb.signal.limits import PHASE_ERROR_CYCLES, samples_without_harm
-from canfb.signal.motion import Bound, Motion
 from canfb.signal.third_order import SECOND, THIRD
 from canfb.signal.tracker import RESIDUAL_LIMIT
 
@@ -78,16 +78,16 @@ class Declared:
         return max(1, min(harmless, MOST_BY_DEFAULT[self.order]))
 
     @cached_property
-    def usual(self) -> Motion:
+    def usual(self) -> BoundedMotion:
         """Of a sample in turn: one interval on, its window is the residual limit."""
         return self._motion(assumed=math.inf, usual=True)
 
     @cached_property
-    def in_doubt(self) -> Motion:
+    def in_doubt(self) -> BoundedMotion:
         """Of all samples in doubt."""
         return self._motion(assumed=self.doubt_acceleration or math.inf, usual=False)
 
-    def _motion(self, *, assumed: float, usual: bool) -> Motion:
+    def _motion(self, *, assumed: float, usual: bool) -> BoundedMotion:
         known = self.acceleration if self.order == SECOND else self.jerk
         errors = 2.0**self.order * self.phase_error
         largest = max(0.0, self.residual_limit - errors) if known is None else min(known, self.residual_limit)
@@ -100,4 +100,4 @@ class Declared:
         if self.order == THIRD and self.acceleration is not None:
             bounds.append(Bound(SECOND, self.acceleration))
         at_start = Bound(SECOND, max(0.0, self.start_limit - 4.0 * self.phase_error))
-        return Motion(tuple(bounds), at_start, error, self.instant_error)
+        return BoundedMotion(tuple(bounds), at_start, error, self.instant_error)

@@ -2,8 +2,9 @@
 
 The idea is that of integer ambiguity resolution (GNSS), with bounds in place of probabilities. A
 :class:`Candidate` is one sequence of cycle counts. Each sample gives it one successor for each count in its
-window (:mod:`canfb.signal.motion`), and none where there is no count. What is left is every motion within
-the declared bounds; where all that are left agree, the position is right as long as the declaration holds.
+window (:mod:`canfb.signal.bounded_motion`), and none where there is no count. What is left is every motion
+within the declared bounds; where all that are left agree, the position is right as long as the declaration
+holds.
 
 - **Missing.** Over missing samples the junction decides. One count left: valid, at the first sample behind
   the hole.
@@ -36,7 +37,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from canfb.objects import LossCause
-from canfb.signal.motion import MOST_JOINED, SHORT_INTERVAL, Motion, Spot, Window
+from canfb.signal.bounded_motion import MOST_JOINED, SHORT_INTERVAL, BoundedMotion, Spot, Window
 
 FALSE_ACCEPTANCE = 1e-5  # probability per decision that random phases pass for a machine
 MOST_CANDIDATES = 256
@@ -100,7 +101,7 @@ class Candidate(NamedTuple):
             residuals=NO_RESIDUALS,
         )
 
-    def window(self, time: float, motion: Motion) -> tuple[Window, bool]:
+    def window(self, time: float, motion: BoundedMotion) -> tuple[Window, bool]:
         """Where its next sample can be; and whether the hole before its run decides that."""
         run = self.run_spots
         before = self.spots[: len(self.spots) - len(run)]
@@ -112,7 +113,7 @@ class Candidate(NamedTuple):
         return window, False
 
     def successors(
-        self, phase: float, options: Sequence[float], number: int, motion: Motion
+        self, phase: float, options: Sequence[float], number: int, motion: BoundedMotion
     ) -> Iterable[Candidate]:
         """With a sample after one of the elapsed times ``options``: one for each count in its window."""
         for elapsed in options:
@@ -191,7 +192,7 @@ def merged(candidates: Iterable[Candidate], order: int) -> list[Candidate] | Non
     return list(unique.values())
 
 
-class Entry(NamedTuple):
+class LogEntry(NamedTuple):
     """One sample or its absence: the phase of a good one, its elapsed times, the candidates before it."""
 
     phase: float | None
@@ -199,7 +200,7 @@ class Entry(NamedTuple):
     before: Sequence[Candidate]
 
 
-class Verdict(NamedTuple):
+class Decision(NamedTuple):
     """What the candidates say: the one that is right, and whether nothing is in doubt any more."""
 
     candidate: Candidate | None = None
@@ -207,7 +208,7 @@ class Verdict(NamedTuple):
     lost: LossCause | None = None
 
 
-UNDECIDED = Verdict()
+UNDECIDED = Decision()
 
 
 class Doubt:
@@ -218,7 +219,7 @@ class Doubt:
     """
 
     def __init__(
-        self, motion: Motion, bad_samples: int, log: Sequence[Entry], start: list[Candidate]
+        self, motion: BoundedMotion, bad_samples: int, log: Sequence[LogEntry], start: list[Candidate]
     ) -> None:
         self.motion = motion
         self.bad_samples = bad_samples
@@ -236,7 +237,7 @@ class Doubt:
         self._enter(None, options)
         self._follow(self._advance(self.candidates, len(self.log) - 1))
 
-    def take(self, phase: float, options: tuple[float, ...], refused: bool = False) -> Verdict:
+    def take(self, phase: float, options: tuple[float, ...], refused: bool = False) -> Decision:
         """A good sample, after one of the elapsed times ``options``.
 
         ``refused``: its residual was over the limit of usual samples, and so it contradicts.
@@ -245,12 +246,12 @@ class Doubt:
         self._enter(phase, options)
         number = len(self.log) - 1
         if not self._follow([] if refused else self._advance(self.candidates, number)):
-            return Verdict(lost=LossCause.UNDECIDED)
+            return Decision(lost=LossCause.UNDECIDED)
         if not self.candidates:
             self._only_missing = False
             self._contradicted = self._first_misfit(number)
             if not self._go_back(self._contradicted):
-                return Verdict(lost=LossCause.UNDECIDED)
+                return Decision(lost=LossCause.UNDECIDED)
         return self._decide()
 
     def confirm(self, back: int, elapsed: float) -> bool:
@@ -265,11 +266,11 @@ class Doubt:
             self.log[later] = entry._replace(before=_confirmed(entry.before, number, elapsed))
         return bool(self.candidates)
 
-    def declare(self, motion: Motion, bad_samples: int) -> None:
+    def declare(self, motion: BoundedMotion, bad_samples: int) -> None:
         """Take other bounds, between two samples."""
         self.motion, self.bad_samples = motion, bad_samples
 
-    def without_times_taken(self) -> list[Entry]:
+    def without_times_taken(self) -> list[LogEntry]:
         """The log, its candidates without the numbers of its entries."""
         return [
             entry._replace(before=tuple(one._replace(took=()) for one in entry.before)) for entry in self.log
@@ -279,7 +280,7 @@ class Doubt:
         """Intervals are counted in another unit: all are ``factor`` times as many of it."""
         self.candidates = [one.rescaled(factor) for one in self.candidates]
         self.log = [
-            Entry(
+            LogEntry(
                 phase,
                 tuple(one * factor for one in options),
                 tuple(one.rescaled(factor) for one in before),
@@ -288,7 +289,7 @@ class Doubt:
         ]
 
     def _enter(self, phase: float | None, options: tuple[float, ...]) -> None:
-        self.log.append(Entry(phase, options, tuple(self.candidates)))
+        self.log.append(LogEntry(phase, options, tuple(self.candidates)))
 
     def _follow(self, found: Iterable[Candidate]) -> bool:
         """Go on with these; False if they are too many."""
@@ -324,23 +325,23 @@ class Doubt:
             found += some or ()
         return self._follow(found)
 
-    def _decide(self) -> Verdict:
+    def _decide(self) -> Decision:
         order = self.motion.order
         candidates = self.candidates
         if not candidates:
-            return Verdict(lost=LossCause.CONTRADICTED)
+            return Decision(lost=LossCause.CONTRADICTED)
         one = candidates[0]
         counts = {other.last.cycles for other in candidates}
         settled = all(other.is_settled(order) for other in candidates)
         if self._only_missing and len(counts) == 1:
-            return Verdict(one, settled=settled and len(candidates) == 1)
+            return Decision(one, settled=settled and len(candidates) == 1)
         if len(candidates) == 1:
             if settled and not self._only_missing and self._is_proven(one):
-                return Verdict(lost=LossCause.JUMP) if self._is_jump(one) else Verdict(one, settled=True)
+                return Decision(lost=LossCause.JUMP) if self._is_jump(one) else Decision(one, settled=True)
         elif settled and self._is_inseparable():
-            return Verdict(lost=LossCause.AMBIGUOUS)
+            return Decision(lost=LossCause.AMBIGUOUS)
         if self._followed > MOST_INTERVALS:
-            return Verdict(lost=LossCause.UNDECIDED)
+            return Decision(lost=LossCause.UNDECIDED)
         return UNDECIDED
 
     def _is_proven(self, one: Candidate) -> bool:

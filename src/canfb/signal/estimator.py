@@ -26,9 +26,9 @@ import numpy.typing as npt
 
 from canfb.objects import LossCause
 from canfb.signal.blocks import Scratch
+from canfb.signal.bounded_motion import SHORT_INTERVAL, Spot
 from canfb.signal.declared import Declared
-from canfb.signal.doubt import SPOTS_KEPT, Candidate, Doubt, Entry, Verdict
-from canfb.signal.motion import SHORT_INTERVAL, Spot
+from canfb.signal.doubt import SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
 from canfb.signal.phase import FloatArray
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.third_order import SECOND, ThirdOrderTracker, tracker_of
@@ -344,7 +344,7 @@ class Estimator:
             return followed._replace(cycles=nearest), COASTING | bits
         return predicted._replace(residual=followed.residual), COASTING | bits
 
-    def _adopt(self, verdict: Verdict) -> Track:
+    def _adopt(self, verdict: Decision) -> Track:
         candidate = verdict.candidate
         assert candidate is not None
         spots = candidate.run_spots if verdict.settled else candidate.spots
@@ -397,24 +397,24 @@ class Estimator:
             self._doubt = Doubt(self.declared.in_doubt, self.declared.bad_samples, log, [start])
         return self._doubt
 
-    def _log(self) -> list[Entry]:
+    def _log(self) -> list[LogEntry]:
         """The last samples as entries: 2 (m + r - 1) of them, those in a doubt before with its candidates."""
         needed = 2 * (self.declared.bad_samples + self.order - 1)
         places = list(self.places)
-        past: list[Entry] = []
+        past: list[LogEntry] = []
         first = self.order  # the first place that has what predicts it before it
         if self._past is not None:
             first = self._past_places if len(places) < REMEMBERED_SAMPLES else first
             past = self._past.without_times_taken()
         time = 0.0
-        entries: list[Entry] = []
+        entries: list[LogEntry] = []
         spots: list[Spot] = []
         for number, (cycles, phase, elapsed) in enumerate(places):
             time += elapsed
             if number >= first:
                 before = tuple(spots[-SPOTS_KEPT:])
                 candidate = Candidate(time - elapsed, before, max(self.order, len(before)))
-                entries.append(Entry(phase, (elapsed,), (candidate,)))
+                entries.append(LogEntry(phase, (elapsed,), (candidate,)))
             error = self.declared.start_error if places[number] is self._virtual else 0.0
             spots.append(Spot(time, cycles, phase, error))
         if len(places) == REMEMBERED_SAMPLES:

@@ -89,7 +89,7 @@ class Bound(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Motion:
+class BoundedMotion:
     """Bounds of a machine, and the errors with which samples show it.
 
     ``bounds``: one or two :class:`Bound`, that of the prediction first; ``at_start`` is that of second order
