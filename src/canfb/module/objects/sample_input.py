@@ -175,6 +175,7 @@ class SampleInput:
                 pulse,
                 self._time.value if self.timed else None,
                 tuple([(sine.value, cosine.value) for sine, cosine in earlier]) if earlier else (),
+                (),
             ),
         )
 
