@@ -11,7 +11,7 @@ the declared bounds; where all that are left agree, the position is right as lon
   followed; for all of them the sample is behind a hole. Valid as soon as all counts agree, whatever the
   time was.
 - **Contradicted.** No candidate can take sample K. Up to m neighbouring samples may be bad unnoticed, and
-  their residuals are over the limit r - 1 samples after the last of them at the latest: from each sample K
+  their residuals are over the limit r samples after the last of them at the latest: from each sample K
   - (m + r - 1) .. K on, m samples are left out, and the search starts again there.
 - **Flagged.** One bad sample is known, so the ones beside it are less certain, too.
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from canfb import CorrectionTable, SignalChain, phase_in_cycle
 from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.declared import DOUBT_ACCELERATION
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder, demo_encoder
 
@@ -98,6 +99,8 @@ class Setting:
             frozen_samples=self.frozen_samples,
             prediction_order=self.order,
             conditioning=self.conditioning,
+            # It is not known, but what is assumed while in doubt has to hold for the machine.
+            doubt_acceleration_cycles=max(DOUBT_ACCELERATION, min(self.acceleration, 0.5)),
         )
 
     def phases(self, sine: Counts, cosine: Counts) -> tuple[FloatArray, FloatArray]:
