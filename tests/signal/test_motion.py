@@ -143,7 +143,7 @@ def test_a_junction_ends_where_enumeration_does(order: int, missed: int, bound: 
     assert window.base + window.low == pytest.approx(firsts[0] / Q)
     assert window.base + window.high == pytest.approx(firsts[-1] / Q)
     for first in (firsts[0], firsts[len(firsts) // 3], firsts[len(firsts) // 2]):
-        run = (Spot(hole, *_count(first)),)
+        run: tuple[Spot, ...] = (Spot(hole, *_count(first)),)
         futures = {one[-order - 1 :] for one in every if one[-1] == first}
         ends = sorted({end for one in futures for end in _next(one[-order:], order, bound)})
         window = motion.beyond(before, run, hole + 1.0)
