@@ -152,6 +152,24 @@ def test_a_flagged_sample_needs_proof_beyond_a_missing_one() -> None:
     assert bits == [COASTING] * valid + [VALID] * (12 - valid)
 
 
+def test_samples_that_were_counted_are_in_doubt_beside_a_flagged_one() -> None:
+    """2010:02 is not known: two bad samples pass 1/3, not the 0.2 assumed in doubt. Then one is flagged.
+
+    0.17 cycle per interval^2 throughout; the count through the bad samples was valid and one cycle off.
+    """
+    estimator = Estimator(Declared(bad=3, doubt_acceleration=0.2))
+    estimator.restart(0, 0.2)
+    truth = [0.3 + 0.2 * n + 0.085 * n * (n - 1) for n in range(40)]
+    for position in truth[:20]:
+        assert estimator.good(position % 1.0, 1.0)[1] == VALID
+    for n, off in ((20, 0.1344), (21, 0.4317)):
+        estimator.good((truth[n] + off) % 1.0, 1.0)
+    estimator.bad(1.0)
+    for position in truth[23:]:
+        track, bits = estimator.good(position % 1.0, 1.0)
+        assert bits != VALID or abs(track.cycles + track.phase - position) < 0.5
+
+
 # Losses.
 
 

@@ -236,6 +236,15 @@ class Doubt:
         self._enter(None, options)
         self._follow(self._advance(self.candidates, len(self.log) - 1))
 
+    def suspect(self) -> None:
+        """Samples were counted by a wider bound than that in doubt: one that does not fit contradicts."""
+        number = self._first_misfit(len(self.log))
+        if number < len(self.log):
+            self._only_missing = False
+            self._contradicted = number
+            if not self._go_back(number):
+                self.candidates = []
+
     def take(self, phase: float, options: tuple[float, ...], refused: bool = False) -> Verdict:
         """A good sample, after one of the elapsed times ``options``.
 

@@ -302,7 +302,7 @@ class Estimator:
 
     def _decide(self, phase: float, options: tuple[float, ...], bits: int) -> tuple[Track, int]:
         """A sample in doubt; ``bits`` are those of one that brings it in doubt."""
-        verdict = self._doubted().take(phase, options, bool(bits))
+        verdict = self._doubted(bool(bits)).take(phase, options, bool(bits))
         if verdict.lost is not None:
             self.lose(verdict.lost)
             return self._count_on(phase, options[0], LOST | bits)
@@ -364,7 +364,7 @@ class Estimator:
             spots.append(Spot(-self.places[0][2], cycles, phase, self.declared.start_error))
         return tuple(reversed(spots))
 
-    def _doubted(self) -> Doubt:
+    def _doubted(self, refused: bool = False) -> Doubt:
         """The doubt that is, or that begins with this sample."""
         if self._doubt is None:
             self._at_start = self._start_is_assumed
@@ -372,6 +372,8 @@ class Estimator:
             spots = self._spots()
             start = Candidate(0.0, spots, max(self.order, len(spots)))
             self._doubt = Doubt(self.declared.in_doubt, self.declared.bad_samples, log, [start])
+            if self.declared.assumes and not refused:  # a refused sample contradicts, and goes back itself
+                self._doubt.suspect()
         return self._doubt
 
     def _log(self) -> list[Entry]:
