@@ -90,7 +90,7 @@ def test_a_position_a_cycle_off_is_silent() -> None:
 
 
 def test_the_wrong_one_of_two_legal_motions_was_guessed() -> None:
-    """0.2 and one missed sample: the speed may have changed by a whole cycle (docs/missed-samples.md)."""
+    """0.2 and one missed sample: the speed may have changed by a whole cycle (docs/legal-motion.md)."""
     episode = _episode("missing 1", FAST)
     k = np.arange(len(episode.truth))
     # With 0.19 - 1/3 in three intervals it is another legal motion.
@@ -199,3 +199,15 @@ def test_a_chunk_on_the_module_is_judged_like_one_on_the_chain() -> None:
         == (module.episodes, module.kept, module.silent)
         == (5, 5, 0)
     )
+
+
+def test_a_machine_that_does_more_than_declared_is_drawn_so_and_played_as_declared() -> None:
+    """Half more than 0.05: residuals are over the limit before the fault in some; the draws stay the same."""
+    cell = Cell("missing 3", Declared(0.05, 0.002))
+    usual, more = Chunk(cell, 24, 0, 40), Chunk(cell, 24, 0, 40, exceed=1.5)
+    bounds = {episode.declared.acceleration for episode in episodes_of(more)}
+    assert list(bounds) == [pytest.approx(0.075)]
+    kept, exceeding = run_chunk(usual)[1], run_chunk(more)[1]
+    assert (kept.early, kept.silent, kept.kept) == (0, 0, 40)
+    assert exceeding.early > 0
+    assert campaign.main(["--exceed", "1.5", "--episodes", "2", "--kind", "one bad", "--processes", "1"]) == 0

@@ -23,7 +23,7 @@ from canfb.view.limits_in_force import LIMIT_UNITS
 
 ROWS = 3  # of the table of detection, at least
 MOST_ROWS = 12
-SAFE_THIRD_ORDER = 0.25  # L + j at which one bad sample is without harm, and never two (docs/third-order.md)
+SAFE_THIRD_ORDER = 0.25  # L + j at which one bad sample is without harm, and never two (docs/legal-motion.md)
 
 LEAST_JITTER_S = 1e-8
 
@@ -75,7 +75,7 @@ class Commissioned:
         return self.new.bounds(self.machine.interval_s).jerk or self.machine.motion.jerk
 
     def deviation(self, limits: SupervisionLimits) -> float:
-        """L + a of docs/legal-motion.md with these limits, L + j of docs/third-order.md; cycles."""
+        """L + a of docs/legal-motion.md with these limits, L + j of docs/legal-motion.md; cycles."""
         return limits.residual_limit(self.machine.interval_s) + self.largest_motion
 
     def safe(self, count: int) -> float:

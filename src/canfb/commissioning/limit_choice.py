@@ -162,7 +162,7 @@ def _motion(
 def _third_order(
     seen: MachineSeen, limits: SupervisionLimits, margin: float, known_rad_s2: float
 ) -> tuple[Choice, Choice, Choice]:
-    """Residual limit and largest jerk, which belong together (docs/third-order.md), and the acceleration."""
+    """Residual limit and largest jerk, which belong together (docs/legal-motion.md), and the acceleration."""
     motion, n = seen.motion, limits.cycles_per_revolution
     places = (od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_ACCELERATION, od.SUPERVISION_JERK)
     change = motion.fastest - motion.slowest

@@ -242,7 +242,7 @@ class LostPosition:
         )
 
     def longest_gap(self) -> int | None:
-        """Missed samples over which 2010:02 leaves one motion (docs/missed-samples.md); None: not known."""
+        """Missed samples over which 2010:02 leaves one motion (docs/legal-motion.md); None: not known."""
         if not (self.acceleration_rad_s2 and self.sample_hz):
             return None
         largest = cycles_per_interval_squared(

@@ -27,7 +27,7 @@ class Remedy:
     situation: Situation
 
 
-NOISE_MARGIN = 6  # docs/sharp-limit.md
+NOISE_MARGIN = 6  # docs/faults.md
 
 Proposals = Iterator[tuple[str, Situation]]
 

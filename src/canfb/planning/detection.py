@@ -1,8 +1,8 @@
 """Which errors of the count cannot pass unseen, by the residual limit L and what the motion uses of it.
 
-Eq. 9: the bounds of docs/legal-motion.md ("Effect of a glitch") and docs/missed-samples.md, with the
+Eq. 9: the bounds of docs/legal-motion.md ("Effect of a glitch", "Missed samples"), with the
 acceleration a in cycles per interval squared: n samples in a row are without harm while (n + 2) (L + a) <= 1
-and floor((n + 2)^2 / 4) (L + a) <= 1. Third-order prediction: those of docs/third-order.md, with the jerk.
+and floor((n + 2)^2 / 4) (L + a) <= 1. Third-order prediction: those of docs/legal-motion.md, with the jerk.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from canfb.signal.limits import PHASE_ERROR_CYCLES, ROUNDING, safe_deviation, sa
 SAMPLE_BOUNDS = {n: safe_deviation(n) for n in (1, 2, 3)}
 """Largest L + a for so many samples in a row."""
 WELL = 1.0 / 6.0  # docs/faults.md: keep the limit below 1/6
-WELL_THIRD_ORDER = 0.25  # docs/third-order.md: a single bad sample is without harm
+WELL_THIRD_ORDER = 0.25  # docs/legal-motion.md: a single bad sample is without harm
 
 
 @dataclass(frozen=True)

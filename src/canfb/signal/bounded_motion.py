@@ -165,6 +165,13 @@ def weights(times: tuple[float, ...], time: float) -> tuple[float, ...]:
     if len(times) == 2:
         ratio = (time - times[1]) / (times[1] - times[0])
         return -ratio, 1.0 + ratio
+    if len(times) == 3:  # the product below, at a third of its time
+        a, b, c = times
+        return (
+            (time - b) / (a - b) * ((time - c) / (a - c)),
+            (time - a) / (b - a) * ((time - c) / (b - c)),
+            (time - a) / (c - a) * ((time - b) / (c - b)),
+        )
     return tuple(
         math.prod((time - other) / (one - other) for j, other in enumerate(times) if j != i)
         for i, one in enumerate(times)

@@ -68,6 +68,11 @@ class Declared:
         """Of samples one interval apart: the acceleration, and the errors of three phases; inf: any."""
         return math.inf if self.acceleration is None else self.acceleration + 4.0 * self.phase_error
 
+    @property
+    def assumes(self) -> bool:
+        """In doubt an acceleration is assumed: the residual limit of usual samples is wider."""
+        return self.order == SECOND and self.acceleration is None and self.doubt_acceleration > 0.0
+
     @cached_property
     def bad_samples(self) -> int:
         """m of the estimator: as declared, or as many as cannot do harm at twice the bound; at least 1."""

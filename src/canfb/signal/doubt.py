@@ -12,7 +12,7 @@ holds.
   followed; for all of them the sample is behind a hole. Valid as soon as all counts agree, whatever the
   time was.
 - **Contradicted.** No candidate can take sample K. Up to m neighbouring samples may be bad unnoticed, and
-  their residuals are over the limit r - 1 samples after the last of them at the latest: from each sample K
+  their residuals are over the limit r samples after the last of them at the latest: from each sample K
   - (m + r - 1) .. K on, m samples are left out, and the search starts again there.
 - **Flagged.** One bad sample is known, so the ones beside it are less certain, too.
 
@@ -236,6 +236,15 @@ class Doubt:
         self._only_missing &= not flagged
         self._enter(None, options)
         self._follow(self._advance(self.candidates, len(self.log) - 1))
+
+    def suspect(self) -> None:
+        """Samples were counted by a wider bound than that in doubt: one that does not fit contradicts."""
+        number = self._first_misfit(len(self.log))
+        if number < len(self.log):
+            self._only_missing = False
+            self._contradicted = number
+            if not self._go_back(number):
+                self.candidates = []
 
     def take(self, phase: float, options: tuple[float, ...], refused: bool = False) -> Decision:
         """A good sample, after one of the elapsed times ``options``.

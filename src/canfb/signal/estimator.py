@@ -41,6 +41,8 @@ START_SAMPLES = 8  # uneven times contradict a wrong speed at a start by sample 
 HALF_CYCLE = 0.5
 REMEMBERED_SAMPLES = 24  # r + 2 (m + r - 1): to go back behind m bad samples, m = 8 at order 3
 
+Place = tuple[int, float, float]  # cycle count, phase, intervals since the one before
+
 
 class Estimator:
     """Feeds a :class:`Tracker` with good samples, and decides what it is fed after any other.
@@ -49,6 +51,7 @@ class Estimator:
     """
 
     __slots__ = (
+        "_at_start",
         "_by_line",
         "_coasted",
         "_doubt",
@@ -72,7 +75,7 @@ class Estimator:
         """Called when the position is lost."""
         self.loss_cause = LossCause.NONE
         """Of the last loss."""
-        self.places: deque[tuple[int, float, float]] = deque(maxlen=REMEMBERED_SAMPLES)
+        self.places: deque[Place] = deque(maxlen=REMEMBERED_SAMPLES)
         self.restart()
         self.declare(declared)
 
@@ -105,15 +108,14 @@ class Estimator:
         """
         self.tracker.restart(cycles, speed_cycles)
         self.lost = False
-        self._virtual: tuple[int, float, float] | None = (
-            None  # the sample before the first: the speed assumed
-        )
+        self._virtual: Place | None = None  # the sample before the first: the speed assumed
         self._forget()
 
     def _forget(self) -> None:
         self._doubt: Doubt | None = None
         self._past: Doubt | None = None  # the last one, while a contradiction can go back into it
         self._past_places = 0
+        self._at_start = False  # the doubt began while the start was assumed
         self._coasted = 0.0  # intervals since the last good sample
         self.places.clear()
 
@@ -150,9 +152,7 @@ class Estimator:
             if step_cycles and isinstance(self.tracker, ThirdOrderTracker):
                 self.tracker.predict_by(self.tracker.order)  # another speed may have had another acceleration
         else:
-            places = [(count + cycles, phase, elapsed) for count, phase, elapsed in self.places]
-            self.places.clear()
-            self.places.extend(places)
+            self._change_places(lambda place: (place[0] + cycles, place[1], place[2]))
             self._past = None
 
     def confirm_count(self) -> None:
@@ -184,12 +184,17 @@ class Estimator:
     def rescale(self, factor: float) -> None:
         """Sampling intervals are counted in another unit: all of them are this many times longer."""
         self.tracker.rescale(factor)
-        places = [(cycles, phase, elapsed * factor) for cycles, phase, elapsed in self.places]
-        self.places.clear()
-        self.places.extend(places)
+        self._change_places(lambda place: (place[0], place[1], place[2] * factor))
         for doubt in (self._doubt, self._past):
             if doubt is not None:
                 doubt.rescale(factor)
+
+    def _change_places(self, change: Callable[[Place], Place]) -> None:
+        virtual = None if self._virtual is None else change(self._virtual)
+        places = [virtual if place is self._virtual else change(place) for place in self.places]
+        self._virtual = virtual
+        self.places.clear()
+        self.places.extend(place for place in places if place is not None)
 
     # One sample.
 
@@ -330,7 +335,7 @@ class Estimator:
 
     def _decide(self, phase: float, options: tuple[float, ...], bits: int) -> tuple[Track, int]:
         """A sample in doubt; ``bits`` are those of one that brings it in doubt."""
-        verdict = self._doubted().take(phase, options, bool(bits))
+        verdict = self._doubted(bool(bits)).take(phase, options, bool(bits))
         if verdict.lost is not None:
             self.lose(verdict.lost)
             return self._count_on(phase, options[0], LOST | bits)
@@ -352,7 +357,11 @@ class Estimator:
         times = [spot.time for spot in spots]
         elapsed = [1.0, *(b - a for a, b in itertools.pairwise(times))]
         self._follow_spots(spots, elapsed)
+        if verdict.settled and not self._at_start:  # else the places would count as the first ones
+            self._virtual = None
+        at_start = self._at_start
         self._forget()
+        self._at_start = at_start
         self.places.extend((spot.cycles, spot.phase, e) for spot, e in zip(spots, elapsed, strict=True))
         self._doubt, self._past = (None, doubt) if verdict.settled else (doubt, past)
         self._past_places = len(self.places)
@@ -385,16 +394,19 @@ class Estimator:
             time -= elapsed
         if len(spots) == 1 and self._virtual is not None:
             cycles, phase, _ = self._virtual
-            spots.append(Spot(-1.0, cycles, phase, self.declared.start_error))
+            spots.append(Spot(-self.places[0][2], cycles, phase, self.declared.start_error))
         return tuple(reversed(spots))
 
-    def _doubted(self) -> Doubt:
+    def _doubted(self, refused: bool = False) -> Doubt:
         """The doubt that is, or that begins with this sample."""
         if self._doubt is None:
+            self._at_start = self._start_is_assumed
             log = self._log()
             spots = self._spots()
             start = Candidate(0.0, spots, max(self.order, len(spots)))
             self._doubt = Doubt(self.declared.in_doubt, self.declared.bad_samples, log, [start])
+            if self.declared.assumes and not refused:  # a refused sample contradicts, and goes back itself
+                self._doubt.suspect()
         return self._doubt
 
     def _log(self) -> list[LogEntry]:

@@ -120,7 +120,7 @@ def safe_deviation(samples: int) -> float:
     """Largest L + a, cycles, at which this many samples in a row cannot falsify the count unseen.
 
     L is the residual limit, a the size of the true acceleration in cycles per interval squared
-    (docs/legal-motion.md, "Effect of a glitch"; docs/missed-samples.md). ``samples`` is 1 or more.
+    (docs/legal-motion.md, "Effect of a glitch", "Missed samples"). ``samples`` is 1 or more.
     """
     changes = samples + 2
     return min(1.0 / changes, 1.0 / (changes * changes // 4))

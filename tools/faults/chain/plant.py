@@ -13,7 +13,9 @@ import numpy.typing as npt
 from canfb import CorrectionTable, SignalChain, phase_in_cycle
 from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.declared import DOUBT_ACCELERATION
 from canfb.signal.sample import Sample
+from canfb.signal.third_order import THIRD
 from canfb.simulation.encoder import Encoder, demo_encoder
 
 FloatArray = npt.NDArray[np.float64]
@@ -24,6 +26,7 @@ TABLE_ENTRIES = 1024
 TOP_CYCLES = 125.0  # per sample: 3000 rpm, 2500 cycles per revolution, 1 kHz
 RAMP_CYCLES = 0.25  # per interval squared: to get to the speed, before the narrow limits are set
 SETTLED_SAMPLES = 20
+LONGEST_GLITCH = 3  # of the classes with a number in their name
 
 # Cycles per sample: standstill, creeping, and locked at whole, half and third cycles per sample.
 LOCKED = (
@@ -98,6 +101,9 @@ class Setting:
             frozen_samples=self.frozen_samples,
             prediction_order=self.order,
             conditioning=self.conditioning,
+            bad_samples=0 if self.order == THIRD else LONGEST_GLITCH,
+            # It is not known, but what is assumed while in doubt has to hold for the machine.
+            doubt_acceleration_cycles=max(DOUBT_ACCELERATION, min(self.acceleration, 0.5)),
         )
 
     def phases(self, sine: Counts, cosine: Counts) -> tuple[FloatArray, FloatArray]:
@@ -111,7 +117,7 @@ HARD = Setting("accelerating", 1.0 / 3.0, None, 0, False, 0.2)
 COMMISSIONED = Setting("commissioned", 0.06, (0.8, 1.2), 16, True, 0.01)
 # 7850 rad/s^2 and 785 000 rad/s^3, 0..3000 rpm in 50 ms, at 2 kHz and 2500 cycles.
 SERVO = Setting("servo", 0.14, (0.8, 1.2), 16, True, 0.78, 0.04)
-SETTINGS = (DEFAULT, HARD, COMMISSIONED)  # of the tables of docs/fault-campaign.md
+SETTINGS = (DEFAULT, HARD, COMMISSIONED)  # of the tables of docs/faults.md
 ALL_SETTINGS = (*SETTINGS, SERVO)
 
 

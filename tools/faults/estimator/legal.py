@@ -42,10 +42,11 @@ def difference_rows(nodes: Array, order: int) -> Array:
     return rows
 
 
-def least_bound(instants: Array, samples: Array, phase_error: float, order: int) -> float:
+def least_bound(instants: Array, samples: Array, phase_error: float | Array, order: int) -> float:
     """The least bound B of a motion within ``phase_error`` of these positions, cycles per interval^order.
 
-    ``instants``, intervals, increase; shapes (n,). 0.0 for ``order`` samples or fewer.
+    ``instants``, intervals, increase; shapes (n,), of ``phase_error`` too if samples
+    differ in it. 0.0 for ``order`` samples or fewer.
     """
     nodes, places = nodes_of(instants)
     rows = difference_rows(nodes, order)
