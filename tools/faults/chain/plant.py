@@ -117,7 +117,7 @@ HARD = Setting("accelerating", 1.0 / 3.0, None, 0, False, 0.2)
 COMMISSIONED = Setting("commissioned", 0.06, (0.8, 1.2), 16, True, 0.01)
 # 7850 rad/s^2 and 785 000 rad/s^3, 0..3000 rpm in 50 ms, at 2 kHz and 2500 cycles.
 SERVO = Setting("servo", 0.14, (0.8, 1.2), 16, True, 0.78, 0.04)
-SETTINGS = (DEFAULT, HARD, COMMISSIONED)  # of the tables of docs/faults.md
+SETTINGS = (DEFAULT, HARD, COMMISSIONED)  # of the tables of docs/fault-campaign.md
 ALL_SETTINGS = (*SETTINGS, SERVO)
 
 

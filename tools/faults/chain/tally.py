@@ -16,7 +16,7 @@ COLUMNS = (
     "wrong valid samples, legal + after a report", "silent wrong samples", "longest run",
     "cycle lost, legal motion", "cycle lost", "called lost",
 )  # fmt: skip
-IN_SHORT = ("soon", "detected", "lost")  # %, see docs/faults.md
+IN_SHORT = ("soon", "detected", "lost")  # %, see docs/fault-campaign.md
 
 
 @dataclass
