@@ -9,6 +9,7 @@ import pytest
 from canfb.objects import LossCause
 from canfb.signal.declared import Declared
 from canfb.signal.estimator import Estimator, successor
+from canfb.signal.speeds import steady_speed
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 
 SLOW = Declared(residual_limit=0.06, widest_limit=1.0 / 3.0, acceleration=0.01)
@@ -240,7 +241,7 @@ def test_a_count_that_was_found_leaves_the_speed_and_the_places() -> None:
     samples = len(estimator.places)
     estimator.found(100, 0)
     assert len(estimator.places) == samples
-    assert estimator.steady_speed() == pytest.approx(0.2)
+    assert steady_speed(estimator.places) == pytest.approx(0.2)
     assert estimator.good(phases(0.2, 1, 12)[0], 1.0)[0].cycles == 100 + 2
 
 

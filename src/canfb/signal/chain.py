@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from canfb.objects import LossCause
+from canfb.signal import speeds
 from canfb.signal.blocks import Scratch
 from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
 from canfb.signal.correction import Correction, CorrectionTable, check_table
@@ -191,7 +192,7 @@ class SignalChain(UsualStep):
 
     def _could_move(self, intervals: float, least_cycles: float) -> bool:
         """At the last speeds the machine leaves its cycle within this many intervals."""
-        speed = self._estimator.steady_speed()
+        speed = speeds.steady_speed(self._estimator.places)
         fast = abs(self._tracker.step_cycles) >= FASTEST_STANDSTILL_CYCLES
         passed = intervals * self._per_sync
         return fast or (abs(speed) >= least_cycles and abs(speed) * passed > LARGEST_SLIP_CYCLES)
@@ -201,7 +202,7 @@ class SignalChain(UsualStep):
 
         None where that makes no difference: each phase is then less than half a cycle from the last.
         """
-        speed = max(abs(self._tracker.step_cycles), abs(self._estimator.steady_speed()))
+        speed = max(abs(self._tracker.step_cycles), abs(speeds.steady_speed(self._estimator.places)))
         most = speed * intervals * self._per_sync
         if self._estimator.lost or not self._tracker.started or most < LARGEST_SLIP_CYCLES:
             return None
@@ -399,8 +400,8 @@ class SignalChain(UsualStep):
             if equal is None:
                 self._frozen.moved()
             else:
-                speeds = self._estimator.least_speeds(cycles[start:stop], phase[start:stop])
-                stop = start + self._frozen.take_run(equal, speeds)
+                least = self._estimator.least_speeds(cycles[start:stop], phase[start:stop])
+                stop = start + self._frozen.take_run(equal, least)
         if stop == start:
             self._tracker.restore(state)
             return 0
@@ -455,7 +456,7 @@ class SignalChain(UsualStep):
         if self._was_valid or not bits & VALID:
             acceleration = speed - self._speed
         else:  # the speed of a sample that was not valid may be wrong by whole cycles
-            acceleration = self._estimator.acceleration()
+            acceleration = speeds.acceleration(self._estimator.places)
         self._speed, self._was_valid = speed, bits & VALID
         status = bits | self._base_status
         if self._referenced and not bits & LOST:

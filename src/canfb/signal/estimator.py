@@ -25,23 +25,22 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.objects import LossCause
+from canfb.signal import speeds
 from canfb.signal.blocks import Scratch
 from canfb.signal.bounded_motion import SHORT_INTERVAL, Spot
 from canfb.signal.declared import Declared
 from canfb.signal.doubt import SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
 from canfb.signal.phase import FloatArray
+from canfb.signal.speeds import Place
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.third_order import SECOND, ThirdOrderTracker, tracker_of
 from canfb.signal.tracker import NOT_USUAL, Track, TrackResult
 from canfb.signal.tracking import predicts_by_parabola, steady_run
 
 HOLE_INTERVALS = 1.5  # since the sample before: one was missed
-STEADY_SAMPLES = 16  # show whether the machine stands still
 START_SAMPLES = 8  # uneven times contradict a wrong speed at a start by sample 5 in 95 %
 HALF_CYCLE = 0.5
 REMEMBERED_SAMPLES = 24  # r + 2 (m + r - 1): to go back behind m bad samples, m = 8 at order 3
-
-Place = tuple[int, float, float]  # cycle count, phase, intervals since the one before
 
 
 class Estimator:
@@ -71,7 +70,7 @@ class Estimator:
 
     def __init__(self, declared: Declared) -> None:
         self.tracker = tracker_of(declared.order, declared.residual_limit)
-        self.on_lost: Callable[[], None] = _nothing
+        self.on_lost: Callable[[], None] = lambda: None
         """Called when the position is lost."""
         self.loss_cause = LossCause.NONE
         """Of the last loss."""
@@ -474,47 +473,15 @@ class Estimator:
 
     # Speeds.
 
-    def acceleration(self) -> float:
-        """Between the last three places, cycles per interval squared; 0 with fewer."""
-        if len(self.places) < 3:
-            return 0.0
-        (c0, p0, _), (c1, p1, e1), (c2, p2, e2) = (self.places[n] for n in (-3, -2, -1))
-        before, after = ((c1 - c0) + (p1 - p0)) / e1, ((c2 - c1) + (p2 - p1)) / e2
-        return 2.0 * (after - before) / (e1 + e2)
-
-    def steady_speed(self) -> float:
-        """Mean speed over the remembered places, cycles per interval; 0 with fewer than two."""
-        if len(self.places) < 2:
-            return 0.0
-        places = list(self.places)[-STEADY_SAMPLES:]
-        (cycles, phase, _), (last_cycles, last_phase, _) = places[0], places[-1]
-        return ((last_cycles - cycles) + (last_phase - phase)) / sum(place[2] for place in places[1:])
-
     def least_speed(self) -> float:
-        """The smallest speed of the last samples, cycles per interval: any of them may have been bad."""
-        places = list(self.places)[-self._window_samples - 1 :]
-        steps = [((new[0] - old[0]) + (new[1] - old[1])) / new[2] for old, new in itertools.pairwise(places)]
-        return min(steps, key=abs, default=0.0)
-
-    @property
-    def _window_samples(self) -> int:
-        return self.declared.bad_samples + 1
+        """As :func:`canfb.signal.speeds.least_speed`: any of the last m + 1 steps may have been bad."""
+        return speeds.least_speed(self.places, self.declared.bad_samples + 1)
 
     def least_speeds(self, cycles: npt.NDArray[np.int64], phase: FloatArray) -> FloatArray:
         """The size of :meth:`least_speed` before each of these samples, which follow the last one."""
         if self.lost or not self.places:
             return np.zeros(len(cycles))
-        window = self._window_samples
-        known = list(self.places)[-window - 1 :]
-        steps: FloatArray = np.diff(np.concatenate([[place[0] for place in known], cycles[:-1]])) + np.diff(
-            np.concatenate([[place[1] for place in known], phase[:-1]])
-        )
-        steps[: len(known) - 1] /= [place[2] for place in known[1:]]
-        padded = np.concatenate([np.full(window, np.inf), np.abs(steps)])[len(known) - 1 :]
-        least = padded[: len(cycles)]
-        for later in range(1, window):
-            least = np.minimum(least, padded[later : later + len(cycles)])
-        return np.where(np.isfinite(least), least, 0.0)
+        return speeds.least_speeds(self.places, cycles, phase, self.declared.bad_samples + 1)
 
 
 def successor(old: Estimator, declared: Declared) -> Estimator:
@@ -524,13 +491,9 @@ def successor(old: Estimator, declared: Declared) -> Estimator:
     limit: phases show accelerations up to whole cycles per interval squared only.
     """
     new = Estimator(declared)
-    acceleration, in_doubt = old.acceleration(), old.in_doubt
     new.take_over(old)
-    too_fast = declared.order == SECOND and abs(acceleration) >= declared.residual_limit
-    if not new.lost and (in_doubt or too_fast):
+    bend = abs(speeds.acceleration(old.places))
+    too_fast = declared.order == SECOND and bend >= declared.residual_limit
+    if not new.lost and (old.in_doubt or too_fast):
         new.lose(LossCause.CONFIGURATION)
     return new
-
-
-def _nothing() -> None:
-    pass

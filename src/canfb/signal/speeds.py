@@ -1,0 +1,59 @@
+"""Speeds and acceleration of a machine by its last samples, cycles and intervals."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.signal.phase import FloatArray
+
+STEADY_SAMPLES = 16  # show whether the machine stands still
+
+Place = tuple[int, float, float]  # cycle count, phase, intervals since the one before
+
+
+def acceleration(places: Sequence[Place]) -> float:
+    """Between the last three places, cycles per interval squared; 0 with fewer."""
+    if len(places) < 3:
+        return 0.0
+    (c0, p0, _), (c1, p1, e1), (c2, p2, e2) = (places[n] for n in (-3, -2, -1))
+    before, after = ((c1 - c0) + (p1 - p0)) / e1, ((c2 - c1) + (p2 - p1)) / e2
+    return 2.0 * (after - before) / (e1 + e2)
+
+
+def steady_speed(places: Sequence[Place]) -> float:
+    """Mean speed over the last places, 16 at most, cycles per interval; 0 with fewer than two."""
+    if len(places) < 2:
+        return 0.0
+    recent = list(places)[-STEADY_SAMPLES:]
+    (cycles, phase, _), (last_cycles, last_phase, _) = recent[0], recent[-1]
+    return ((last_cycles - cycles) + (last_phase - phase)) / sum(place[2] for place in recent[1:])
+
+
+def least_speed(places: Sequence[Place], steps: int) -> float:
+    """The smallest speed of so many last steps, cycles per interval; 0 without one."""
+    recent = list(places)[-steps - 1 :]
+    speeds = [((new[0] - old[0]) + (new[1] - old[1])) / new[2] for old, new in itertools.pairwise(recent)]
+    return min(speeds, key=abs, default=0.0)
+
+
+def least_speeds(
+    places: Sequence[Place], cycles: npt.NDArray[np.int64], phase: FloatArray, steps: int
+) -> FloatArray:
+    """The size of :func:`least_speed` before each of these samples, which follow ``places``, one at least.
+
+    ``cycles`` and ``phase`` have shape (n,), and so has the result; the samples are one interval apart.
+    """
+    known = list(places)[-steps - 1 :]
+    counts = np.concatenate([[place[0] for place in known], cycles[:-1]])
+    phases = np.concatenate([[place[1] for place in known], phase[:-1]])
+    speeds: FloatArray = np.diff(counts) + np.diff(phases)
+    speeds[: len(known) - 1] /= [place[2] for place in known[1:]]
+    padded = np.concatenate([np.full(steps, np.inf), np.abs(speeds)])[len(known) - 1 :]
+    least = padded[: len(cycles)]
+    for later in range(1, steps):
+        least = np.minimum(least, padded[later : later + len(cycles)])
+    return np.where(np.isfinite(least), least, 0.0)
