@@ -392,8 +392,8 @@ class Estimator:
                 break
             time -= elapsed
         if len(spots) == 1 and self._virtual is not None:
-            cycles, phase, _ = self._virtual
-            spots.append(Spot(-self.places[0][2], cycles, phase, self.declared.start_error))
+            cycles, phase, elapsed = self._virtual
+            spots.append(Spot(-elapsed, cycles, phase, self.declared.start_error))
         return tuple(reversed(spots))
 
     def _doubted(self, refused: bool = False) -> Doubt:
