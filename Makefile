@@ -15,17 +15,22 @@ export OPENBLAS_NUM_THREADS ?= 1
 INSTALLED := $(VENV)/.installed
 INSTALLED_TEST := $(VENV)/.installed-test
 LOWEST := .venv-lowest
-MUTATED ?= $(addprefix src/canfb/signal/,supervision.py frozen.py \
+MUTATED ?= $(addprefix src/canfb/signal/,supervision.py frozen.py bounded_motion.py doubt.py estimator.py \
 	recovery/coarse.py recovery/zero_pulse.py recovery/reference.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types unit socketcan package site lowest pythons mutate bench format clean
+.PHONY: help demo check test lint types unit socketcan package site lowest pythons mutate bench format clean
 
 help: ## Show the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: $(INSTALLED) ## Run the whole story on an in-process bus; pictures in build/demo/report.html
 	$(VENV)/bin/canfb demo --out $(DEMO_OUT)
+
+# For use while writing: what needs no long run. Fewer examples of each property than `make test` takes.
+check: lint $(INSTALLED_TEST) ## Check style and types, and run the tests of the mathematics, in about a minute
+	$(PY) -m mypy
+	CI=true $(PYTEST) -q -n $(WORKERS) tests/signal tests/test_layering.py tests/test_exports.py
 
 # Each part has its own verdict, whatever becomes of the others; make fails if one of them does. The tests on
 # a real SocketCAN wait more than they compute, so the others run beside them.
