@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import pytest
+from module_bench import Bench
 
 from canfb import objects as od
 from canfb.cia301.frame import Frame
@@ -33,7 +34,7 @@ class Cycle(NamedTuple):
 class Desktop:
     """The module of the example, and a machine that accelerates from standstill."""
 
-    def __init__(self) -> None:
+    def __init__(self, started: bool = True) -> None:
         (config,) = parse_config(EXAMPLE).modules
         self.module = FeedbackModule(config)
         self.cycles_per_revolution = config.cycles_per_revolution
@@ -42,7 +43,8 @@ class Desktop:
         self.wrong = self.answers = 0
         self.origin = 0.0
         self.module.start(0.0)
-        self.module.receive(Frame(0, b"\x01\x00"), 1.0)
+        if started:
+            self.module.receive(Frame(0, b"\x01\x00"), 1.0)
 
     def cycles_at(self, at_s: float) -> float:
         turned = 0.5 * ACCELERATION_RAD_S2 * (at_s - self.began_s) ** 2
@@ -65,10 +67,10 @@ class Desktop:
             )
             frames.append((sampled_s + 1e-3 * one.sent_ms, Frame(0x190, data), sampled_s))
         before = len(self.statuses)
-        for at_s, frame, sampled_s in sorted(frames, key=lambda entry: entry[0]):
+        for at_s, frame, sample_s in sorted(frames, key=lambda entry: entry[0]):
             while (due := self.module.deadline()) is not None and due < at_s:
                 self.judge(self.module.tick(due), None)
-            self.judge(self.module.receive(frame._replace(timestamp=at_s), at_s), sampled_s)
+            self.judge(self.module.receive(frame._replace(timestamp=at_s), at_s), sample_s)
         return self.statuses[before:]
 
     def judge(self, frames: Sequence[Frame], sampled_s: float | None) -> None:
@@ -146,3 +148,70 @@ def test_crowded_samples_are_not_missed() -> None:
     statuses = desktop.play([Cycle(19.4), Cycle(0.6), *EVEN])
     assert all(status & VALID for status in statuses)
     assert desktop.counter(od.COUNTER_MISSED) == missed
+
+
+@pytest.mark.parametrize("rate", [0.8, 0.6, 0.4, 0.2])
+def test_synchronous_pdos_follow_every_sync_of_a_faster_master(rate: float) -> None:
+    """Whatever the sampling makes of them."""
+    bench = Bench()
+    bench.sdo[0x1800][2].raw = 1
+    bench.start()
+    for _ in range(40):
+        bench.sync()
+        bench.counts(1500, 0)
+    bench.interval_s *= rate
+    for _ in range(20):
+        sent = bench.sync()
+        assert [frame.can_id for frame in sent].count(0x1A0) == 1
+        bench.counts(1500, 0)
+
+
+@pytest.mark.parametrize("counted", [True, False])
+def test_no_pdo_follows_a_sync_that_is_the_one_before_again(counted: bool) -> None:
+    """The same counter again, or no time for a frame between; each is counted."""
+    bench = Bench()
+    bench.sdo[0x1800][2].raw = 1
+    if counted:
+        bench.sdo[0x1019].raw = 20
+    bench.start()
+    for number in range(40):
+        bench.bus.run_until(bench.bus.now + bench.interval_s)
+        sync = Frame(0x80, bytes([number % 20 + 1]) if counted else b"", timestamp=bench.bus.now)
+        assert any(frame.can_id == 0x1A0 for frame in bench.sent(sync))
+        assert not any(frame.can_id == 0x1A0 for frame in bench.sent(sync)) or number < 8
+        bench.counts(1500, 0)
+    assert bench.sdo[0x2012][13].raw >= 30
+
+
+def test_the_period_is_known_from_pre_operational_on() -> None:
+    desktop = Desktop(started=False)
+    for _ in range(8):
+        desktop.synced_s += 0.01
+        desktop.module.receive(Frame(0x80, b"", timestamp=desktop.synced_s), desktop.synced_s)
+    assert desktop.module.interval_s == pytest.approx(0.01, rel=0.01)
+
+
+def test_a_period_learned_while_syncs_were_missing_is_corrected() -> None:
+    desktop = Desktop()
+    desktop.play([Cycle(20.0)] * 40)
+    desktop.play([Cycle(11.0)] * 40)
+    assert desktop.module.interval_s == pytest.approx(0.011, rel=0.02)
+
+
+@pytest.mark.parametrize("stall", [20, 50, 100])
+def test_a_burst_without_receive_times_does_not_change_the_period(stall: int) -> None:
+    """The counter says that no SYNC is missing; when they were heard says nothing."""
+    bench = Bench()
+    bench.sdo[0x1019].raw = 240
+    bench.start()
+    due_s = now = bench.bus.now
+    adc = Frame(0x190, struct.pack("<hh", 1500, 0))
+    for number in range(200 + stall):
+        due_s += bench.interval_s
+        if number == 60:
+            now = due_s + stall * bench.interval_s
+        now = max(now, due_s)  # the host was away, and takes all frames before it looks at a deadline
+        bench.module.receive(Frame(0x80, bytes([number % 240 + 1])), now)
+        bench.module.receive(adc, now)
+        assert bench.module.interval_s == pytest.approx(bench.interval_s, rel=1e-3) or number < 40
+    assert bench.sdo[0x2012][14].raw == 0

@@ -119,7 +119,7 @@ class SampleTimes:
             whole = max(1, round(intervals)) if agrees and abs(intervals - counted) > 0.5 else counted
             uneven_s = (intervals - whole) * unit
             odd = self._judge(uneven_s, ticks, synced_s, SLIP_CYCLES * unit, abs(speed_cycles))
-            if odd and self._is_explained(error_s, odd, SLIP_CYCLES * unit, abs(speed_cycles)):
+            if odd == RESTARTED and self._is_explained(error_s, SLIP_CYCLES * unit, abs(speed_cycles)):
                 odd = 0.0
             if odd != SUSPECT:
                 self._accept(time_100ns, received_s, synced_s)
@@ -140,14 +140,14 @@ class SampleTimes:
             error_s = min(error_s, abs(by_time_s - (synced_s - self._synced_s)))
         return error_s
 
-    def _is_explained(self, error_s: float, odd: float, slip: float, speed_cycles: float) -> bool:
-        """An uneven time is right if one of the receptions was uneven by as much.
+    def _is_explained(self, error_s: float, slip: float, speed_cycles: float) -> bool:
+        """Two times in a row contradict the even pace equally, but one of the receptions was as uneven.
 
-        By one time, as far as it could cost the count; by two in a row that contradict the even ones
-        equally, within what is usual: the master or the interface was late, no clock was set.
+        As far as it could cost the count, or within what is usual: the master or the interface was late,
+        and no clock was set.
         """
         usual_s = min(self._jitter.limit_s, self._heard.limit_s)
-        return error_s * speed_cycles <= slip or (odd == RESTARTED and error_s <= usual_s)
+        return error_s * speed_cycles <= slip or error_s <= usual_s
 
     def _apart_s(self, received_s: float | None) -> float | None:
         """Seconds between the receptions of the last sample that was taken and of this one."""
