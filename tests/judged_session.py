@@ -6,9 +6,8 @@ from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
 from tools.faults.stalls import BACK_S, HOLDS_MS, Judge, TrueMotion
 
-# False until the residual limit takes uneven intervals into account: today a SYNC that is late by a part of
-# its period can cost the position, with every sample right. Set it to True then; nothing else changes.
-UNEVEN_INTERVALS_HOLD = False
+# A stall of less than HOLDS_MS, as the sample times show it, must not cost the position.
+UNEVEN_INTERVALS_HOLD = True
 
 
 def new_judge() -> Judge:

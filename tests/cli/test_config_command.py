@@ -35,7 +35,7 @@ def test_the_example_is_itself_valid(
             times=True,
             residual_limit=0.3333,
             max_acceleration_rad_s2=0.25,
-            coast_samples=10,
+            coast_samples=30,
             sync_timeout_periods=20,
         )
     ]

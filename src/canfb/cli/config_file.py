@@ -26,7 +26,7 @@ modules:                                        # one process serves several nod
     # may cost the position.
     max_acceleration_rad_s2: 0.25
     residual_limit: 0.3333                      # cycles; the paper's 1/3, narrowed by the acceleration
-    coast_samples: 10                           # bad or missed samples to bridge before the position is lost
+    coast_samples: 30                           # bad or missed samples to bridge before the position is lost
     sync_timeout_periods: 20                    # a desktop may stop a program for 0.1 s; a real-time bus: 2
     autostart: false                            # true: OPERATIONAL without a master
     # prediction_order: 3                       # a servo: the limit bounds its jerk, not its acceleration

@@ -144,7 +144,7 @@ class FeedbackModule:
     def _listen_to_node(self) -> None:
         node, pairing = self.node, self._sampling.pairing
         self._choose_rpdo_hook()
-        node.accepts_sync = pairing.accepts_sync
+        node.accepts_sync, node.on_idle_sync = pairing.accepts_sync, pairing.on_idle_sync
         self._choose_sync_hooks()
         node.on_state = self._on_state
         node.on_reset = self._on_reset
@@ -291,8 +291,11 @@ class FeedbackModule:
                 entries.leave_out(entry.index, entry.subindex)
 
     def _on_sync_predicting(self, counter: int | None, now: float) -> None:
-        self._sampling.pairing.on_sync(counter, now)
-        self._publishing.extrapolate()
+        pairing = self._sampling.pairing
+        extra = pairing.extra  # no sample belongs to it, and so none is extrapolated to it
+        pairing.on_sync(counter, now)
+        if not extra:
+            self._publishing.extrapolate()
 
     def _choose_sync_hooks(self) -> None:
         """With or without prediction (2013h). The sample of a source belongs to this very SYNC."""

@@ -78,6 +78,8 @@ class Pairing:
         self._tracks_came = False  # since the last SYNC, with the rest of the sample or without
         self._synced = False  # a SYNC came since OPERATIONAL
         self._extra_syncs = False  # a duplicate came since the last SYNC: the interface may answer it
+        self.extra = False
+        """The last SYNC counts as none, but PDOs follow it."""
         self._sync_s: float | None = None  # when the SYNC before was received, if that is known
         self._stale = False  # what synchronous RPDOs hold is of an unknown interval
         self._unheard = 0  # SYNCs before this one
@@ -127,7 +129,11 @@ class Pairing:
                 self.count_bad_frame()
 
     def accepts_sync(self, counter: int | None, now: float) -> bool:
-        """Before anything is done with a SYNC: is it a new one, and were others missed?"""
+        """Before anything is done with a SYNC: is it on the bus for the first time, and were others missed?
+
+        PDOs follow every SYNC of a master. One that comes too early for the sampling is not counted, and
+        changes nothing else.
+        """
         moment, parts = self._moment, self._input
         received, proved = moment.received, moment.proved
         verdict = self.timeline.sync(received, proved, counter)
@@ -137,7 +143,8 @@ class Pairing:
         if verdict.duplicate:
             _count(self._duplicate_syncs)
             self._extra_syncs = True
-            return False
+            self.extra = not (parts.is_synchronous or self.timeline.is_repeated(proved, counter))
+            return self.extra
         self._sync_s = received if proved else None
         if parts.is_synchronous and parts.is_ambiguous and not parts.timed:
             self.count_bad_frame()
@@ -154,14 +161,17 @@ class Pairing:
         return True
 
     def on_sync(self, counter: int | None, now: float) -> None:
-        """A SYNC that was accepted: the interval before it is over."""
+        """A SYNC that was accepted: the interval before it is over, unless it is an extra one."""
+        if self.extra:
+            self.extra = False
+            return
         if self.on_interval is not None:
             self.on_interval(not (self._unheard or self.timeline.withheld or self._extra_syncs))
         if self._source is not None:
             self._sample_source(self._source, counter, now)
         else:
             parts = self._input
-            if not parts.timed:
+            if not (parts.timed and self._interval.settled_s):
                 self._measure()
             if parts.arrived and parts.give_up():
                 self.count_bad_frame()
@@ -175,9 +185,14 @@ class Pairing:
             self._extra_syncs = self._stale = False
         self._tracks_came, self._synced = False, True
 
+    def on_idle_sync(self) -> None:
+        """A SYNC in PRE-OPERATIONAL: the first samples are judged by a period that is known."""
+        if self._moment.proved:
+            self._interval.event(self._moment.received)
+
     def _measure(self) -> None:
         """A SYNC measures the interval, unless it may be late, or others were not heard."""
-        if self.timeline.withheld:
+        if self.timeline.withheld or (not self._moment.proved and self.timeline.is_behind):
             self._interval.pause()
         else:
             self._interval.event(self._moment.received, self._moment.proved)
@@ -218,6 +233,8 @@ class Pairing:
                 self.count_bad_frame()
                 self._tracks_came = False
             return not verdict.duplicate
+        if self._extra_syncs and self.timed:
+            return True  # the answer to an extra SYNC: its time says what it is
         self.count_bad_frame()
         explained = self._extra_syncs or (verdict.duplicate and self._findings.repeats(*self._input.tracks))
         if not explained:

@@ -99,7 +99,10 @@ class Sampling:
         self._take(parts.sample(), None, None, now)
 
     def _take(self, sample: Sample, received_s: float | None, synced_s: float | None, now: float) -> bool:
-        """A sample through the chain, and out; False if it is an earlier one, and nothing happened."""
+        """A sample through the chain, and out; False if it is an earlier one, and nothing happened.
+
+        Nothing happens either with one that is too near to the last, but it did come.
+        """
         if self._limits.narrowed:
             self._limits.follow()
         time_100ns = sample.time_100ns
@@ -112,7 +115,7 @@ class Sampling:
             last = self._publishing.last
             feedback = self._chain.step(sample, received_s, synced_s)
             if last is not None and feedback.samples == last.samples:
-                return False
+                return self._chain.crowded
             if feedback.status & VALID:
                 self.pairing.valid(sample)
                 if sample.earlier:

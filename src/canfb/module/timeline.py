@@ -34,6 +34,7 @@ FASTER_SYNCS = 8  # regular SYNCs that all come too early are another rate
 RATE_AGREEMENT = 0.25
 SHORT = 0.6  # period: SYNCs that are regular and nearer together than that
 WHOLE = 0.85  # period: a SYNC this long after the one before is no duplicate of it
+FRAME_S = 47e-6  # of a SYNC at 1 Mbit/s: no other one begins sooner
 UNSETTLED_S = 0.5  # taken for a period where none is known
 
 
@@ -111,6 +112,12 @@ class Timeline:
     def synced_s(self) -> float:
         """When the last SYNC was heard, seconds."""
         return self._sync_s
+
+    @property
+    def is_behind(self) -> bool:
+        """The last SYNC was heard long after it was due: its time says nothing about the period."""
+        grid = self._grid_s
+        return grid is not None and self._sync_s - grid > PULLING * (self._period_s or NEVER)
 
     def sync(self, time_s: float, proved: bool, counter: int | None) -> Verdict:
         """A SYNC at ``time_s`` with its ``counter`` (None without 1019h)."""
@@ -251,6 +258,12 @@ class Timeline:
         self._interval.reset()
         self._take(time_s, time_s, counter)
         return DOUBT
+
+    def is_repeated(self, proved: bool, counter: int | None) -> bool:
+        """The duplicate that has just come is the SYNC before once more, and not another one."""
+        if counter is not None:
+            return counter == self._counter
+        return proved and self._apart_s < FRAME_S
 
     def _late(self, time_s: float, counter: int | None, period: float, unheard: int, apart: float) -> Verdict:
         """Late, or some were missed, which is not known: the lock stays where it was."""

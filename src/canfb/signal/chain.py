@@ -18,7 +18,7 @@ from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.reference import Pulse, Reference, pulse_between
 from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
-from canfb.signal.sample_times import REPEATED, SUSPECT, SampleTimes
+from canfb.signal.sample_times import CROWDED, REPEATED, SUSPECT, SampleTimes
 from canfb.signal.subsamples import in_order
 from canfb.signal.supervision import (
     FROZEN,
@@ -66,6 +66,8 @@ class SignalChain(UsualStep):
         self.measures_intervals = True
         """Sample times say how long an interval was; False: they only tell new samples from doubled ones."""
         limits = config.chain_limits
+        self.crowded = False
+        """The last sample came, but so soon after the one before that nothing was made of it."""
         self._make_reference(limits)
         self.set_limits(limits)
         self.activate(Correction(table, config.conditioning))
@@ -245,8 +247,9 @@ class SignalChain(UsualStep):
         if time_100ns is not None:
             speed = self._tracker.step_cycles * self._per_sync
             passed = self._times.elapsed(time_100ns, elapsed + self._waited, received_s, synced_s, speed)
+            self.crowded = passed == CROWDED
             if passed <= 0.0:
-                if passed == REPEATED and self._last is not None:
+                if passed in (REPEATED, CROWDED) and self._last is not None:
                     return self._last
                 bad = unplaced = True
                 if passed != SUSPECT:

@@ -26,7 +26,7 @@ SPARE_S, SPARE_PART = 0.5e-3, 0.3  # seconds and intervals: a bus and a host del
 # with the residual limit of 1/3 it is less than half a cycle.
 SLIP_CYCLES = 0.15
 LARGEST_LEARNED = 0.5  # interval: what is beyond is a wrong time, and no jitter
-REPEATED, SUSPECT, RESTARTED = -1.0, -2.0, -3.0
+REPEATED, SUSPECT, RESTARTED, CROWDED = -1.0, -2.0, -3.0, -4.0
 
 
 class SampleTimes:
@@ -91,7 +91,8 @@ class SampleTimes:
         ``speed_cycles`` is that of the machine, cycles per interval: a time that is off by more than
         usual is a bad one only where this would cost the cycle count. REPEATED: it is that of the last
         sample or of one before. SUSPECT: it fits nothing, the next time must show whether it or the
-        clock is wrong; the sample is not to be used. RESTARTED: the clock was, and how long the
+        clock is wrong; the sample is not to be used. CROWDED: a new sample, so near to the last one that it
+        would give a poor speed. RESTARTED: the clock was, and how long the
         interval was cannot be known.
         """
         last = self._last
@@ -108,22 +109,45 @@ class SampleTimes:
             self._first_s = unit = ticks * TICK_S / counted
         intervals = ticks * TICK_S / unit
         apart = self._apart_s(received_s)
-        error_s = math.inf if apart is None else abs(ticks * TICK_S - apart)
+        error_s = self._error_s(ticks * TICK_S, received_s, synced_s)
         # The receptions say how long it was even where SYNCs came too near together to count well.
         least = CLOSEST if counted < 1.5 or error_s < CLOSE * unit else counted - SPARE_BEFORE
         agrees = error_s <= SPARE_S + SPARE_PART * unit
         nominal = abs(intervals - counted) <= NOMINAL  # also where a simulation is slower than true time
         in_turn = least <= intervals <= counted + SPARE_AFTER and (agrees or nominal or apart is None)
         if in_turn or (agrees and intervals > counted):  # or there were SYNCs that were not received
-            whole = round(intervals) if agrees and intervals > counted + 0.5 else counted
+            whole = max(1, round(intervals)) if agrees and abs(intervals - counted) > 0.5 else counted
             uneven_s = (intervals - whole) * unit
             odd = self._judge(uneven_s, ticks, synced_s, SLIP_CYCLES * unit, abs(speed_cycles))
+            if odd == RESTARTED and self._is_explained(error_s, SLIP_CYCLES * unit, abs(speed_cycles)):
+                odd = 0.0
             if odd != SUSPECT:
                 self._accept(time_100ns, received_s, synced_s)
             return odd or intervals
+        if agrees and 0.0 < intervals < CLOSEST:
+            return CROWDED
         if -OLDEST <= intervals < least:
             return self._repeated(time_100ns, counted, unit, received_s)
         return self._doubted(time_100ns, counted, unit, received_s)
+
+    def _error_s(self, by_time_s: float, received_s: float | None, synced_s: float | None) -> float:
+        """By how much the time contradicts the receptions; a late one of either does not make it wrong."""
+        apart = self._apart_s(received_s)
+        if apart is None:
+            return math.inf
+        error_s = abs(by_time_s - apart)
+        if synced_s is not None and self._synced_s is not None:
+            error_s = min(error_s, abs(by_time_s - (synced_s - self._synced_s)))
+        return error_s
+
+    def _is_explained(self, error_s: float, slip: float, speed_cycles: float) -> bool:
+        """Two times in a row contradict the even pace equally, but one of the receptions was as uneven.
+
+        As far as it could cost the count, or within what is usual: the master or the interface was late,
+        and no clock was set.
+        """
+        usual_s = min(self._jitter.limit_s, self._heard.limit_s)
+        return error_s * speed_cycles <= slip or error_s <= usual_s
 
     def _apart_s(self, received_s: float | None) -> float | None:
         """Seconds between the receptions of the last sample that was taken and of this one."""

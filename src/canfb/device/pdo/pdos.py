@@ -56,7 +56,11 @@ class Pdos:
         """A SYNC, with its counter if it has one: in OPERATIONAL, and if the program accepts it."""
         hooks = self._hooks
         accepts = hooks.accepts_sync
-        if not self._operational or (accepts is not None and not accepts(counter, now)):
+        if not self._operational:
+            if hooks.on_idle_sync is not None:
+                hooks.on_idle_sync()
+            return
+        if accepts is not None and not accepts(counter, now):
             return
         for rpdo in self._sync_rpdos:
             rpdo.synchronise(now)

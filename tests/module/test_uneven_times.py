@@ -1,0 +1,217 @@
+"""A session on a desktop: master, interface and module are late now and then; sample times know when."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import pytest
+from module_bench import Bench
+
+from canfb import objects as od
+from canfb.cia301.frame import Frame
+from canfb.cli.config_file import EXAMPLE
+from canfb.configuration import parse_config
+from canfb.module.feedback_module import FeedbackModule
+from canfb.signal.supervision import LOST, VALID
+
+SPARE_CYCLES = 0.1
+ACCELERATION_RAD_S2 = 0.2
+
+
+class Cycle(NamedTuple):
+    """One SYNC: since the one before, ms; from it to its sample, and from there to the PDO, ms."""
+
+    apart_ms: float
+    sampled_ms: float = 0.1
+    sent_ms: float = 0.2
+    heard: bool = True
+    """The module hears this SYNC."""
+
+
+class Desktop:
+    """The module of the example, and a machine that accelerates from standstill."""
+
+    def __init__(self, started: bool = True) -> None:
+        (config,) = parse_config(EXAMPLE).modules
+        self.module = FeedbackModule(config)
+        self.cycles_per_revolution = config.cycles_per_revolution
+        self.synced_s = self.began_s = 1.5
+        self.statuses: list[int] = []
+        self.wrong = self.answers = 0
+        self.origin = 0.0
+        self.module.start(0.0)
+        if started:
+            self.module.receive(Frame(0, b"\x01\x00"), 1.0)
+
+    def cycles_at(self, at_s: float) -> float:
+        turned = 0.5 * ACCELERATION_RAD_S2 * (at_s - self.began_s) ** 2
+        return turned * self.cycles_per_revolution / math.tau
+
+    def play(self, cycles: Iterable[Cycle]) -> list[int]:
+        """The status words of the PDOs after each sample."""
+        frames: list[tuple[float, Frame, float | None]] = []
+        for one in cycles:
+            self.synced_s += 1e-3 * one.apart_ms
+            if one.heard:
+                frames.append((self.synced_s, Frame(0x80, b""), None))
+            sampled_s = self.synced_s + 1e-3 * one.sampled_ms
+            angle = math.tau * self.cycles_at(sampled_s)
+            data = struct.pack(
+                "<hhI",
+                round(1500 * math.sin(angle)),
+                round(1500 * math.cos(angle)),
+                round(sampled_s * 1e7) % 2**32,
+            )
+            frames.append((sampled_s + 1e-3 * one.sent_ms, Frame(0x190, data), sampled_s))
+        before = len(self.statuses)
+        for at_s, frame, sample_s in sorted(frames, key=lambda entry: entry[0]):
+            while (due := self.module.deadline()) is not None and due < at_s:
+                self.judge(self.module.tick(due), None)
+            self.judge(self.module.receive(frame._replace(timestamp=at_s), at_s), sample_s)
+        return self.statuses[before:]
+
+    def judge(self, frames: Sequence[Frame], sampled_s: float | None) -> None:
+        for frame in frames:
+            if frame.can_id != 0x1A0:
+                continue
+            (status,) = struct.unpack_from("<H", frame.data, 4)
+            self.statuses.append(status)
+            feedback = self.module.feedback
+            if status & VALID and sampled_s is not None and feedback is not None:
+                position = feedback.cycles + feedback.phase
+                if not self.answers:
+                    self.origin = round(position - self.cycles_at(sampled_s))
+                self.answers += 1
+                self.wrong += abs(position - self.cycles_at(sampled_s) - self.origin) > SPARE_CYCLES
+
+    def counter(self, place: tuple[int, int]) -> int:
+        return int(self.module.dictionary.entry(*place).value)
+
+
+EVEN = [Cycle(10.0)] * 60
+AS_RECORDED = {
+    # The interface was late with a sample, and the SYNC after it early: 11.7, 5.6, 10.1 ms.
+    "late sample": [Cycle(11.3, 0.6), Cycle(7.5, 4.5), Cycle(10.0, 0.1), Cycle(10.0, 0.1)],
+    # The PDO was late, and one SYNC was not heard.
+    "late PDO, SYNC unheard": [Cycle(10.0, 0.1, 6.3), Cycle(19.0, 0.3, 0.2), Cycle(10.3)],
+    "crowded samples": [Cycle(9.9, 2.2), Cycle(14.4, 0.8), Cycle(6.7, 9.2), Cycle(9.7, 0.1), Cycle(9.2)],
+    "stall of 20 ms": [Cycle(30.75), Cycle(0.96), Cycle(8.39)],
+    "stall, burst": [Cycle(41.0), Cycle(0.3), Cycle(0.3), Cycle(8.4)],
+    "stall of 60 ms": [Cycle(60.6, 0.9), Cycle(6.0)],
+    "early SYNCs": [Cycle(18.0), Cycle(1.8), Cycle(10.2), Cycle(16.0), Cycle(7.9, 4.0), Cycle(7.9)],
+}
+STARTS = {
+    "uneven": [14.3, 6.2, 6.7, 13.4, 11.7, 5.6, 9.4, 12.2, 9.5, 9.6, 8.7],
+    "short first": [4.8, 10.8, 10.0, 9.9],
+    "very short first": [0.6, 9.9, 0.3, 6.4, 10.3, 29.7, 1.7, 6.1, 8.0],
+    "long first": [29.7, 1.7, 6.1, 8.0, 12.1, 14.5, 1.4],
+    "producer that leaves out": [47.1, 9.9, 20.4, 9.8, 30.2, 10.1],
+}
+
+
+def turning(begin_s: float) -> Desktop:
+    """A module that has followed its machine from standstill to its speed after so many seconds."""
+    desktop = Desktop()
+    desktop.play([Cycle(10.0)] * (10 + round(begin_s / 0.01)))
+    return desktop
+
+
+@pytest.mark.parametrize("begin_s", [0.0, 2.0, 10.0, 28.0], ids=lambda one: f"{one:g}s")
+@pytest.mark.parametrize("name", AS_RECORDED)
+def test_what_sample_times_determine_is_not_lost(name: str, begin_s: float) -> None:
+    """At standstill, and at up to 22 cycles for each interval: only one that is late is ever in doubt."""
+    desktop = turning(begin_s)
+    for _ in range(3):
+        statuses = desktop.play([*AS_RECORDED[name], *EVEN])
+        assert not any(status & LOST for status in statuses), statuses
+        assert all(status & VALID for status in statuses[-30:])
+    assert desktop.wrong == 0
+    assert desktop.answers > 100
+
+
+@pytest.mark.parametrize("name", STARTS)
+def test_an_uneven_start_at_standstill_holds(name: str) -> None:
+    desktop = Desktop()
+    statuses = desktop.play([Cycle(one) for one in STARTS[name]] + EVEN)
+    assert not any(status & LOST for status in statuses), statuses
+    assert all(status & VALID for status in statuses[-40:]), statuses
+    assert desktop.wrong == 0
+
+
+def test_crowded_samples_are_not_missed() -> None:
+    """The answers to two SYNCs that are nearly one: the second one is left out, and nothing is missed."""
+    desktop = turning(1.0)
+    missed = desktop.counter(od.COUNTER_MISSED)
+    statuses = desktop.play([Cycle(19.4), Cycle(0.6), *EVEN])
+    assert all(status & VALID for status in statuses)
+    assert desktop.counter(od.COUNTER_MISSED) == missed
+
+
+@pytest.mark.parametrize("rate", [0.8, 0.6, 0.4, 0.2])
+def test_synchronous_pdos_follow_every_sync_of_a_faster_master(rate: float) -> None:
+    """Whatever the sampling makes of them."""
+    bench = Bench()
+    bench.sdo[0x1800][2].raw = 1
+    bench.start()
+    for _ in range(40):
+        bench.sync()
+        bench.counts(1500, 0)
+    bench.interval_s *= rate
+    for _ in range(20):
+        sent = bench.sync()
+        assert [frame.can_id for frame in sent].count(0x1A0) == 1
+        bench.counts(1500, 0)
+
+
+@pytest.mark.parametrize("counted", [True, False])
+def test_no_pdo_follows_a_sync_that_is_the_one_before_again(counted: bool) -> None:
+    """The same counter again, or no time for a frame between; each is counted."""
+    bench = Bench()
+    bench.sdo[0x1800][2].raw = 1
+    if counted:
+        bench.sdo[0x1019].raw = 20
+    bench.start()
+    for number in range(40):
+        bench.bus.run_until(bench.bus.now + bench.interval_s)
+        sync = Frame(0x80, bytes([number % 20 + 1]) if counted else b"", timestamp=bench.bus.now)
+        assert any(frame.can_id == 0x1A0 for frame in bench.sent(sync))
+        assert not any(frame.can_id == 0x1A0 for frame in bench.sent(sync)) or number < 8
+        bench.counts(1500, 0)
+    assert bench.sdo[0x2012][13].raw >= 30
+
+
+def test_the_period_is_known_from_pre_operational_on() -> None:
+    desktop = Desktop(started=False)
+    for _ in range(8):
+        desktop.synced_s += 0.01
+        desktop.module.receive(Frame(0x80, b"", timestamp=desktop.synced_s), desktop.synced_s)
+    assert desktop.module.interval_s == pytest.approx(0.01, rel=0.01)
+
+
+def test_a_period_learned_while_syncs_were_missing_is_corrected() -> None:
+    desktop = Desktop()
+    desktop.play([Cycle(20.0)] * 40)
+    desktop.play([Cycle(11.0)] * 40)
+    assert desktop.module.interval_s == pytest.approx(0.011, rel=0.02)
+
+
+@pytest.mark.parametrize("stall", [20, 50, 100])
+def test_a_burst_without_receive_times_does_not_change_the_period(stall: int) -> None:
+    """The counter says that no SYNC is missing; when they were heard says nothing."""
+    bench = Bench()
+    bench.sdo[0x1019].raw = 240
+    bench.start()
+    due_s = now = bench.bus.now
+    adc = Frame(0x190, struct.pack("<hh", 1500, 0))
+    for number in range(200 + stall):
+        due_s += bench.interval_s
+        if number == 60:
+            now = due_s + stall * bench.interval_s
+        now = max(now, due_s)  # the host was away, and takes all frames before it looks at a deadline
+        bench.module.receive(Frame(0x80, bytes([number % 240 + 1])), now)
+        bench.module.receive(adc, now)
+        assert bench.module.interval_s == pytest.approx(bench.interval_s, rel=1e-3) or number < 40
+    assert bench.sdo[0x2012][14].raw == 0
