@@ -257,4 +257,4 @@ class Sampling:
         self._interval.reset()
         self._grid.forget()
         self._grid_learned_s = 0.0
-        self._chain.interval_s = 0.0
+        self._chain.forget_times()

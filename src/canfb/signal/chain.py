@@ -97,6 +97,11 @@ class SignalChain(UsualStep):
         """The interval in which speeds of timed samples are given, seconds; 0.0 before it is known."""
         return self._times.unit_s / self._per_sync
 
+    def forget_times(self) -> None:
+        """Another interface may send the sample times from now on, by another clock and at another rate."""
+        self._times.reset()
+        self.interval_s = 0.0
+
     @property
     def loss_cause(self) -> LossCause:
         """Why the position was lost the last time."""
@@ -171,6 +176,7 @@ class SignalChain(UsualStep):
         self._reference.restart()
         self._restart_second()
         self._pause()
+        self._times.reset()
         self._speed = float(speed_cycles)
 
     def resume(self, intervals: float = 0.0) -> None:
