@@ -9,7 +9,7 @@ from canfb.signal.blocks import Scratch
 from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
 from canfb.signal.correction import Correction, CorrectionTable, check_table
 from canfb.signal.declared import Declared
-from canfb.signal.estimator import HOLE_INTERVALS, Estimator, successor
+from canfb.signal.estimator import HOLE_INTERVALS, STANDSTILL_CYCLES, Estimator, successor
 from canfb.signal.feedback import Feedback
 from canfb.signal.frozen import FrozenInput, repeats
 from canfb.signal.phase import AnyArray, raw_phase
@@ -33,7 +33,6 @@ from canfb.signal.tracker import Track, TrackResult
 from canfb.signal.tracking import continues, write_places_before
 from canfb.signal.usual_step import UsualStep
 
-STANDSTILL_CYCLES = 0.001  # per interval, on average: what noise and a servo at rest may show
 FASTEST_STANDSTILL_CYCLES = 0.5  # per interval; from there on eq. 9 cannot start again from standstill
 LARGEST_SLIP_CYCLES = 0.15
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
@@ -61,6 +60,8 @@ class SignalChain(UsualStep):
         """Of the last interval: what the samples before the newest gave, oldest first."""
         self._was_valid = 0  # the sample before
         self._times = SampleTimes()
+        self._waits = False  # for a standstill, at which it can start
+        self._turned = 0.0  # the speed at a reset, cycles per interval, where the position started again
         self._waited = 0.0  # intervals without a sample since the last one with a sample time
         self.measures_intervals = True
         """Sample times say how long an interval was; False: they only tell new samples from doubled ones."""
@@ -177,22 +178,60 @@ class SignalChain(UsualStep):
         self._restart_second()
         self._pause()
         self._times.reset()
+        self._waits, self._turned = False, 0.0
         self._speed = float(speed_cycles)
+
+    def reset(self) -> None:
+        """:meth:`restart` at cycle count 0, as the module is reset: the machine may be turning.
+
+        The next :meth:`resume` holds that against it: it does not start on a machine that may still turn.
+        """
+        estimator = self._estimator
+        if estimator.lost:
+            waits, turned = not estimator.stands_still, 0.0
+        elif self._tracker.started:
+            step, steady = self._tracker.step_cycles, estimator.steady_speed()
+            moved = abs(step) >= FASTEST_STANDSTILL_CYCLES or abs(steady) >= STANDSTILL_CYCLES
+            waits, turned = False, max(abs(step), abs(steady)) if moved else 0.0
+        else:  # no sample since the last reset
+            waits, turned = self._waits, self._turned
+        self.restart()
+        self._waits, self._turned = waits, turned
 
     def resume(self, intervals: float = 0.0) -> None:
         """Go on after a pause in which the machine stood still: less than half a cycle from here.
 
         ``intervals`` is how long the pause was, in intervals of SYNC. If the machine was moving and
         at that speed could have left the cycle meanwhile, the position is lost. One that was lost
-        before the pause starts again, at cycle count 0.
+        before the pause starts again, at cycle count 0: at once if the machine stood when it was lost
+        and its phases did since, or if they did for STILL_SAMPLES; else once they have. Likewise after
+        :meth:`reset` while it turned, unless by the declared acceleration it has stayed below half a
+        cycle per interval.
         """
-        was_lost, moved = self._estimator.lost, self._could_move(intervals, STANDSTILL_CYCLES)
-        self._reference.restart(keep=not was_lost and not moved)
-        self._restart_second(not was_lost and not moved, not was_lost)
+        was_lost = self._estimator.lost
+        if was_lost or self._waits or self._turned:
+            self._start_again(intervals)
+            return
+        moved = self._could_move(intervals, STANDSTILL_CYCLES)
+        self._reference.restart(keep=not moved)
+        self._restart_second(not moved, True)
         self._estimator.resume()
         self._pause()
-        if moved and not was_lost:
+        if moved:
             self._estimator.lose(LossCause.PAUSE)
+            self._reference.slipped()
+
+    def _start_again(self, intervals: float) -> None:
+        """From cycle count 0, now or at the next standstill."""
+        estimator, declared = self._estimator, self._estimator.declared
+        acceleration = declared.doubt_acceleration if declared.acceleration is None else declared.acceleration
+        fastest = self._turned + acceleration * intervals * self._per_sync
+        waits = not estimator.stands_still if estimator.lost else self._waits
+        waits |= self._turned > 0.0 and fastest >= FASTEST_STANDSTILL_CYCLES
+        self.restart()
+        if waits:
+            self._waits = True
+            estimator.lose(LossCause.PAUSE)
             self._reference.slipped()
 
     def _could_move(self, intervals: float, least_cycles: float) -> bool:
@@ -272,6 +311,11 @@ class SignalChain(UsualStep):
             return feedback
         return self._take_all(sample, elapsed, bad, unplaced, next_one, options)
 
+    def _may_start(self) -> bool:
+        """The machine stands, or an absolute value has found the position."""
+        self._waits = self._estimator.lost
+        return self._waits and self._estimator.stands_still
+
     def _take_all(
         self,
         sample: Sample,
@@ -346,6 +390,8 @@ class SignalChain(UsualStep):
             self._sine, self._cosine = sine, cosine
             if self._frozen.repeats:
                 self._frozen.moved()
+        if self._waits and self._may_start():
+            self.restart()
         measured = not (faults or bad) and raw == raw
         if measured:
             table = self._table
@@ -381,7 +427,12 @@ class SignalChain(UsualStep):
 
         And nothing of the last samples is in doubt. A lost position is not: eq. 9 runs on with it.
         """
-        doubts = self._estimator.in_doubt or self._supervision.after_fault or self._reference.in_doubt
+        doubts = (
+            self._waits
+            or self._estimator.in_doubt
+            or self._supervision.after_fault
+            or self._reference.in_doubt
+        )
         return not doubts and continues(self._tracker, tracked, at)
 
     def follow_run(

@@ -7,7 +7,7 @@ motions within what is declared are left?
     counted --- missing, flagged, contradicted, or an interval of unknown length ---> in doubt
     in doubt --- one motion is left ---> counted
     in doubt --- none is left, or several that no sample can separate, or it takes too long ---> lost
-    lost --- a start, or an absolute value ---> counted
+    lost --- a start at standstill, or an absolute value ---> counted
 
 While samples were only missing, the position may be valid in doubt: all motions that are left agree on it.
 While it is lost, eq. 9 runs on: its speed is then wrong by whole cycles per interval, which absolute values
@@ -36,8 +36,13 @@ from canfb.signal.tracker import NOT_USUAL, Track, TrackResult
 from canfb.signal.tracking import predicts_by_parabola, steady_run
 
 HOLE_INTERVALS = 1.5  # since the sample before: one was missed
+STANDSTILL_CYCLES = 0.001  # per interval, on average: what noise and a servo at rest may show
 STEADY_SAMPLES = 16  # show whether the machine stands still
 START_SAMPLES = 8  # uneven times contradict a wrong speed at a start by sample 5 in 95 %
+# A machine that turns at whole cycles per interval shows phases that stand still, too. Of a drive with a
+# clock of its own, 100 ppm from that of SYNC, they move by 0.02 cycle in so many samples; at any other speed
+# they stay so near with a chance of 1.6e-4.
+STILL_SAMPLES, STILL_CYCLES = 256, 0.02
 REMEMBERED_SAMPLES = 24  # r + 2 (m + r - 1): to go back behind m bad samples, m = 8 at order 3
 
 
@@ -52,6 +57,8 @@ class Estimator:
         "_doubt",
         "_past",
         "_past_places",
+        "_still",
+        "_still_phase",
         "_virtual",
         "declared",
         "loss_cause",
@@ -96,6 +103,7 @@ class Estimator:
         """
         self.tracker.restart(cycles, speed_cycles)
         self.lost = False
+        self._still, self._still_phase = 0, math.nan  # samples near that phase in a row, while lost
         self._virtual: tuple[int, float, float] | None = (
             None  # the sample before the first: the speed assumed
         )
@@ -127,6 +135,10 @@ class Estimator:
 
     def lose(self, cause: LossCause) -> None:
         """Call the position lost. Eq. 9 counts from here on."""
+        if not self.lost:
+            stood = len(self.places) >= STEADY_SAMPLES and abs(self.steady_speed()) < STANDSTILL_CYCLES
+            self._still = STILL_SAMPLES if stood else 0
+            self._still_phase = self.places[-1][1] if stood else math.nan
         self.lost = True
         self.loss_cause = cause
         self._forget()
@@ -291,6 +303,11 @@ class Estimator:
 
     def _count_on(self, phase: float, elapsed: float, bits: int = LOST) -> tuple[Track, int]:
         """A sample of a position that is lost."""
+        apart = (phase - self._still_phase + 0.5) % 1.0 - 0.5
+        if abs(apart) <= STILL_CYCLES and self._still:
+            self._still += 1
+        else:
+            self._still, self._still_phase = 1, phase
         track = self.tracker.look(phase, elapsed)
         self.tracker.accept(track, elapsed)
         return track, bits if track.ok else bits | RESIDUAL
@@ -444,6 +461,11 @@ class Estimator:
         places = list(self.places)[-STEADY_SAMPLES:]
         (cycles, phase, _), (last_cycles, last_phase, _) = places[0], places[-1]
         return ((last_cycles - cycles) + (last_phase - phase)) / sum(place[2] for place in places[1:])
+
+    @property
+    def stands_still(self) -> bool:
+        """While the position is lost: the machine stood before, or its phases have for long enough."""
+        return self._still >= STILL_SAMPLES
 
     def least_speed(self) -> float:
         """The smallest speed of the last samples, cycles per interval: any of them may have been bad."""

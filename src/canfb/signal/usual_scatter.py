@@ -5,10 +5,10 @@ from __future__ import annotations
 WINDOW_SAMPLES = 1024
 LEARNED_SAMPLES = 32
 BEYOND = 2.0  # times the largest of the last samples: more than 6 standard deviations of Gaussian jitter
-# From standstill a machine has at most 32 L cycles per interval when 32 samples have come. Another cycle
-# count needs an error of a time that costs 1 - L there: (1 - L) / 32 L intervals, L = 1/3. Below it no error
-# of a time does harm before the usual ones are known.
-START_PART = 1.0 / 16.0
+# From standstill a machine has at most 32 A cycles per interval when 32 samples have come. Another cycle
+# count within the limit L needs an error of a time that costs 1 - L - A there: (1 - L - A) / 32 A intervals,
+# L = 1/3, A = L / 2. Below it no error of a time does harm before the usual ones are known.
+START_PART = 3.0 / 32.0
 # Intervals: two samples, each nearly half an interval from where it was due, are apart by this much too
 # little or too much. Jitter is not larger, as the count of SYNCs would not hold either.
 MOST_PART = 0.75
@@ -20,7 +20,7 @@ class UsualScatter:
     """Follows the largest deviation of the last 1024 to 2048 samples.
 
     ``limit_s`` is twice that, seconds; :meth:`limit_of` is what holds for intervals of some length: at most
-    three quarters of it, and until 32 samples have come at least a sixteenth. What is beyond the limit is not
+    three quarters of it, and until 32 samples have come at least 3/32. What is beyond the limit is not
     learned, unless it is the third within a window.
     """
 
