@@ -497,8 +497,12 @@ class SignalChain(UsualStep):
         return self._feedback(math.nan, math.nan, 0.0, math.nan, track, bits | MISSED, 0)
 
     def _restarted(self, sample: Sample) -> Feedback:
-        """The clock of the interface was restarted: the length of this interval is unknown."""
-        lost = self.uncertain(1.0)
+        """The clock of the interface was restarted, or none of the SYNCs since the last sample was heard.
+
+        Its length is unknown: a machine that creeps may have gone on as long as the times say.
+        """
+        creeps = abs(self._estimator.steady_speed()) >= STANDSTILL_CYCLES
+        lost = self.uncertain(max(1.0, self._times.passed) if creeps else 1.0)
         self._waited = 0.0
         return self.step(sample._replace(time_100ns=None)) if lost is None else lost
 

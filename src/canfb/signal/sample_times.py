@@ -49,10 +49,13 @@ class SampleTimes:
         "_suspected",
         "_synced_s",
         "interval_s",
+        "passed",
     )
 
     def __init__(self) -> None:
         self.interval_s = 0.0
+        self.passed = 1.0
+        """Intervals since the last sample that was taken, by a time that is RESTARTED, if it is right."""
         self.reset()
 
     def reset(self) -> None:
@@ -120,12 +123,14 @@ class SampleTimes:
         if in_turn or (agrees and intervals > counted):  # or there were SYNCs that were not received
             whole = round(intervals) if agrees and intervals > counted + 0.5 else counted
             uneven_s = (intervals - whole) * unit
+            self.passed = intervals
             odd = self._judge(uneven_s, ticks, synced_s, SLIP_CYCLES * unit, abs(speed_cycles))
             if odd != SUSPECT:
                 self._accept(time_100ns, received_s, synced_s)
             return odd or intervals
         if -OLDEST <= intervals < least:
             return self._repeated(time_100ns, counted, unit, received_s)
+        self.passed = intervals
         return self._doubted(time_100ns, counted, unit, received_s)
 
     def _apart_s(self, received_s: float | None) -> float | None:
