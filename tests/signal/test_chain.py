@@ -388,3 +388,27 @@ def test_intervals_that_nobody_counted_lose_a_machine_that_moves(
         assert got.status & StatusBit.LOST
         assert not got.valid
         assert chain.uncertain(intervals) is None  # lost once
+
+
+@pytest.mark.parametrize("declared", [0.0, 0.2])
+@pytest.mark.parametrize(("acceleration", "speed"), [(0.12, 0.36), (-0.15, -0.3), (0.2, 0.4)])
+def test_a_short_pause_while_a_slow_machine_accelerates(
+    acceleration: float, speed: float, declared: float
+) -> None:
+    """It is half a cycle away, or as fast, at the next sample: eq. 9 would start a cycle off."""
+    chain = SignalChain(ChainConfig(max_acceleration_cycles=declared))
+    position = now = 0.0
+    for _ in range(20):
+        chain.step(sample_at(position))
+    while abs(now) < abs(speed) - 1e-9:
+        now += acceleration
+        position += now
+        assert chain.step(sample_at(position)).valid
+    chain.resume(1.0)
+    now += acceleration
+    position += now
+    for _ in range(20):
+        now += acceleration
+        position += now
+        got = chain.step(sample_at(position))
+        assert not got.valid or abs(got.cycles + got.phase - position) < 0.1

@@ -235,11 +235,22 @@ class SignalChain(UsualStep):
             self._reference.slipped()
 
     def _could_move(self, intervals: float, least_cycles: float) -> bool:
-        """At the last speeds the machine leaves its cycle within this many intervals."""
+        """At the last speeds the machine leaves its cycle within this many intervals.
+
+        Or it is half a cycle away, or faster than half a cycle per interval, at the sample after them:
+        eq. 9 starts again from standstill. It may accelerate as it did, and as it is declared.
+        """
         speed = self._estimator.steady_speed()
-        fast = abs(self._tracker.step_cycles) >= FASTEST_STANDSTILL_CYCLES
+        step = abs(self._tracker.step_cycles)
         passed = intervals * self._per_sync
-        return fast or (abs(speed) >= least_cycles and abs(speed) * passed > LARGEST_SLIP_CYCLES)
+        if step >= FASTEST_STANDSTILL_CYCLES:
+            return True
+        if abs(speed) < least_cycles:
+            return False
+        acceleration = max(abs(self._estimator.acceleration()), self._estimator.declared.acceleration or 0.0)
+        until = passed + 1.0
+        away = max(step, abs(speed)) * until + acceleration * until * max(1.0, until / 2.0)
+        return abs(speed) * passed > LARGEST_SLIP_CYCLES or away >= FASTEST_STANDSTILL_CYCLES
 
     def uncertain(self, intervals: float) -> Feedback | None:
         """Up to this many intervals of SYNC may have passed uncounted: lost, except at standstill.
