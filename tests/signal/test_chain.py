@@ -14,9 +14,9 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
-from canfb.signal.estimator import STILL_SAMPLES
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
+from canfb.signal.still_phase import STILL_SAMPLES
 
 AMPLITUDE = 1500.0
 

@@ -9,15 +9,17 @@ from canfb.signal.blocks import Scratch
 from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
 from canfb.signal.correction import Correction, CorrectionTable, check_table
 from canfb.signal.declared import Declared
-from canfb.signal.estimator import HOLE_INTERVALS, STANDSTILL_CYCLES, Estimator, successor
+from canfb.signal.estimator import HOLE_INTERVALS, Estimator, successor
 from canfb.signal.feedback import Feedback
 from canfb.signal.frozen import FrozenInput, repeats
+from canfb.signal.pauses import LARGEST_SLIP_CYCLES, Pauses
 from canfb.signal.phase import AnyArray, raw_phase
 from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.reference import Pulse, Reference, pulse_between
 from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import REPEATED, SUSPECT, SampleTimes
+from canfb.signal.still_phase import STANDSTILL_CYCLES
 from canfb.signal.subsamples import in_order
 from canfb.signal.supervision import (
     FROZEN,
@@ -31,14 +33,11 @@ from canfb.signal.supervision import (
 )
 from canfb.signal.tracker import Track, TrackResult
 from canfb.signal.tracking import continues, write_places_before
-from canfb.signal.usual_step import UsualStep
 
-FASTEST_STANDSTILL_CYCLES = 0.5  # per interval; from there on eq. 9 cannot start again from standstill
-LARGEST_SLIP_CYCLES = 0.15
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
 
-class SignalChain(UsualStep):
+class SignalChain(Pauses):
     """One encoder, sample by sample.
 
     A sample that fails a check is flagged in its own :class:`Feedback` and never moves the
@@ -60,8 +59,6 @@ class SignalChain(UsualStep):
         """Of the last interval: what the samples before the newest gave, oldest first."""
         self._was_valid = 0  # the sample before
         self._times = SampleTimes()
-        self._waits = False  # for a standstill, at which it can start
-        self._turned = 0.0  # the speed at a reset, cycles per interval, where the position started again
         self._waited = 0.0  # intervals without a sample since the last one with a sample time
         self.measures_intervals = True
         """Sample times say how long an interval was; False: they only tell new samples from doubled ones."""
@@ -181,77 +178,6 @@ class SignalChain(UsualStep):
         self._waits, self._turned = False, 0.0
         self._speed = float(speed_cycles)
 
-    def reset(self) -> None:
-        """:meth:`restart` at cycle count 0, as the module is reset: the machine may be turning.
-
-        The next :meth:`resume` holds that against it: it does not start on a machine that may still turn.
-        """
-        estimator = self._estimator
-        if estimator.lost:
-            waits, turned = not estimator.stands_still, 0.0
-        elif self._tracker.started:
-            step, steady = self._tracker.step_cycles, estimator.steady_speed()
-            moved = abs(step) >= FASTEST_STANDSTILL_CYCLES or abs(steady) >= STANDSTILL_CYCLES
-            waits, turned = False, max(abs(step), abs(steady)) if moved else 0.0
-        else:  # no sample since the last reset
-            waits, turned = self._waits, self._turned
-        self.restart()
-        self._waits, self._turned = waits, turned
-
-    def resume(self, intervals: float = 0.0) -> None:
-        """Go on after a pause in which the machine stood still: less than half a cycle from here.
-
-        ``intervals`` is how long the pause was, in intervals of SYNC. If the machine was moving and
-        at that speed could have left the cycle meanwhile, the position is lost. One that was lost
-        before the pause starts again, at cycle count 0: at once if the machine stood when it was lost
-        and its phases did since, or if they did for STILL_SAMPLES; else once they have. Likewise after
-        :meth:`reset` while it turned, unless by the declared acceleration it has stayed below half a
-        cycle per interval.
-        """
-        was_lost = self._estimator.lost
-        if was_lost or self._waits or self._turned:
-            self._start_again(intervals)
-            return
-        moved = self._could_move(intervals, STANDSTILL_CYCLES)
-        self._reference.restart(keep=not moved)
-        self._restart_second(not moved, True)
-        self._estimator.resume()
-        self._pause()
-        if moved:
-            self._estimator.lose(LossCause.PAUSE)
-            self._reference.slipped()
-
-    def _start_again(self, intervals: float) -> None:
-        """From cycle count 0, now or at the next standstill."""
-        estimator, declared = self._estimator, self._estimator.declared
-        acceleration = declared.doubt_acceleration if declared.acceleration is None else declared.acceleration
-        fastest = self._turned + acceleration * intervals * self._per_sync
-        waits = not estimator.stands_still if estimator.lost else self._waits
-        waits |= self._turned > 0.0 and fastest >= FASTEST_STANDSTILL_CYCLES
-        self.restart()
-        if waits:
-            self._waits = True
-            estimator.lose(LossCause.PAUSE)
-            self._reference.slipped()
-
-    def _could_move(self, intervals: float, least_cycles: float) -> bool:
-        """At the last speeds the machine leaves its cycle within this many intervals.
-
-        Or it is half a cycle away, or faster than half a cycle per interval, at the sample after them:
-        eq. 9 starts again from standstill. It may accelerate as it did, and as it is declared.
-        """
-        speed = self._estimator.steady_speed()
-        step = abs(self._tracker.step_cycles)
-        passed = intervals * self._per_sync
-        if step >= FASTEST_STANDSTILL_CYCLES:
-            return True
-        if abs(speed) < least_cycles:
-            return False
-        acceleration = max(abs(self._estimator.acceleration()), self._estimator.declared.acceleration or 0.0)
-        until = passed + 1.0
-        away = max(step, abs(speed)) * until + acceleration * until * max(1.0, until / 2.0)
-        return abs(speed) * passed > LARGEST_SLIP_CYCLES or away >= FASTEST_STANDSTILL_CYCLES
-
     def uncertain(self, intervals: float) -> Feedback | None:
         """Up to this many intervals of SYNC may have passed uncounted: lost, except at standstill.
 
@@ -321,11 +247,6 @@ class SignalChain(UsualStep):
             self._look_again(feedback)
             return feedback
         return self._take_all(sample, elapsed, bad, unplaced, next_one, options)
-
-    def _may_start(self) -> bool:
-        """The machine stands, or an absolute value has found the position."""
-        self._waits = self._estimator.lost
-        return self._waits and self._estimator.stands_still
 
     def _take_all(
         self,

@@ -30,19 +30,15 @@ from canfb.signal.declared import Declared
 from canfb.signal.doubt import SPOTS_KEPT, Candidate, Doubt, Entry, Verdict
 from canfb.signal.motion import Spot
 from canfb.signal.phase import FloatArray
+from canfb.signal.still_phase import STANDSTILL_CYCLES, STILL_SAMPLES, StillPhase
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.third_order import SECOND, ThirdOrderTracker, tracker_of
 from canfb.signal.tracker import NOT_USUAL, Track, TrackResult
 from canfb.signal.tracking import predicts_by_parabola, steady_run
 
 HOLE_INTERVALS = 1.5  # since the sample before: one was missed
-STANDSTILL_CYCLES = 0.001  # per interval, on average: what noise and a servo at rest may show
 STEADY_SAMPLES = 16  # show whether the machine stands still
 START_SAMPLES = 8  # uneven times contradict a wrong speed at a start by sample 5 in 95 %
-# A machine that turns at whole cycles per interval shows phases that stand still, too. Of a drive with a
-# clock of its own, 100 ppm from that of SYNC, they move by 0.02 cycle in so many samples; at any other speed
-# they stay so near with a chance of 1.6e-4.
-STILL_SAMPLES, STILL_CYCLES = 256, 0.02
 REMEMBERED_SAMPLES = 24  # r + 2 (m + r - 1): to go back behind m bad samples, m = 8 at order 3
 
 
@@ -58,7 +54,6 @@ class Estimator:
         "_past",
         "_past_places",
         "_still",
-        "_still_phase",
         "_virtual",
         "declared",
         "loss_cause",
@@ -103,10 +98,8 @@ class Estimator:
         """
         self.tracker.restart(cycles, speed_cycles)
         self.lost = False
-        self._still, self._still_phase = 0, math.nan  # samples near that phase in a row, while lost
-        self._virtual: tuple[int, float, float] | None = (
-            None  # the sample before the first: the speed assumed
-        )
+        self._still = StillPhase()  # while lost
+        self._virtual: tuple[int, float, float] | None = None  # before the first sample: the speed assumed
         self._forget()
 
     def _forget(self) -> None:
@@ -128,17 +121,16 @@ class Estimator:
         """Go on at standstill from the last position, or from cycle count 0 if it was lost."""
         if self.lost or self._doubt or not self.places:
             self.restart()
-            return
-        self.tracker.halt()
-        self._forget()
-        self._begin_places()
+        else:
+            self.tracker.halt()
+            self._forget()
+            self._begin_places()
 
     def lose(self, cause: LossCause) -> None:
         """Call the position lost. Eq. 9 counts from here on."""
         if not self.lost:
             stood = len(self.places) >= STEADY_SAMPLES and abs(self.steady_speed()) < STANDSTILL_CYCLES
-            self._still = STILL_SAMPLES if stood else 0
-            self._still_phase = self.places[-1][1] if stood else math.nan
+            self._still = StillPhase(self.places[-1][1] if stood else None)
         self.lost = True
         self.loss_cause = cause
         self._forget()
@@ -276,8 +268,7 @@ class Estimator:
     def bad(self, elapsed: float | tuple[float, ...], missed: bool = False) -> tuple[Track, int]:
         """A sample that failed its checks, or none at all (``missed``): predicted position, status bits."""
         options = elapsed if isinstance(elapsed, tuple) else (elapsed,)
-        elapsed = options[0]
-        predicted = self.tracker.predict(elapsed)
+        predicted = self.tracker.predict(elapsed := options[0])
         if not self.tracker.started:  # no position yet: nothing to coast on, nothing to lose
             return predicted, LOST if self.lost else 0
         self.tracker.skip(elapsed)
@@ -303,11 +294,7 @@ class Estimator:
 
     def _count_on(self, phase: float, elapsed: float, bits: int = LOST) -> tuple[Track, int]:
         """A sample of a position that is lost."""
-        apart = (phase - self._still_phase + 0.5) % 1.0 - 0.5
-        if abs(apart) <= STILL_CYCLES and self._still:
-            self._still += 1
-        else:
-            self._still, self._still_phase = 1, phase
+        self._still.take(phase)
         track = self.tracker.look(phase, elapsed)
         self.tracker.accept(track, elapsed)
         return track, bits if track.ok else bits | RESIDUAL
@@ -464,8 +451,8 @@ class Estimator:
 
     @property
     def stands_still(self) -> bool:
-        """While the position is lost: the machine stood before, or its phases have for long enough."""
-        return self._still >= STILL_SAMPLES
+        """While lost: the machine stood before, or its phases have for long enough."""
+        return self._still.samples >= STILL_SAMPLES
 
     def least_speed(self) -> float:
         """The smallest speed of the last samples, cycles per interval: any of them may have been bad."""
