@@ -68,7 +68,9 @@ def test_a_whole_cycle_for_each_sample_is_seen_while_it_is_counted(canfb: Comman
 
 def test_force_looks_at_nothing(canfb: Commands) -> None:
     bench = running(Motion((), (), 0.6))
-    out, _ = canfb(bench, "reset", NODE, "--force")
+    _, err = canfb(bench, "reset", NODE, "--force", code=1)
+    assert "reset and started, but its position is lost" in err, "it turned, and may still turn"
+    out, _ = canfb(running(STILL), "reset", NODE, "--force")
     assert "machine not looked at" in out
 
 

@@ -13,6 +13,7 @@ from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import LossCause, StatusBit
+from canfb.signal.still_phase import STILL_SAMPLES
 
 LOSS = range(0x10, 0x17)
 EMCY = 0xA0
@@ -120,6 +121,9 @@ def test_a_loss_survives_the_restart_that_ends_it(bench: Bench) -> None:
         bench.at(0.125 * n)
     for _ in range(6):
         bench.sync()
+    bench.at(2.3)
+    for _ in range(STILL_SAMPLES):
+        bench.at(0.3)
     bench.remote.nmt.state = "PRE-OPERATIONAL"
     bench.start()
     assert bench.at(0.3)[1] & StatusBit.VALID

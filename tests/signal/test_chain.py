@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canfb.objects import StatusBit
+from canfb.objects import LossCause, StatusBit
 from canfb.signal.batch import process
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
@@ -16,6 +16,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
+from canfb.signal.still_phase import STILL_SAMPLES
 
 AMPLITUDE = 1500.0
 
@@ -239,9 +240,16 @@ def test_after_a_pause_at_standstill_the_count_goes_on_from_the_nearest_cycle() 
     for _ in range(5):
         chain.miss()
     assert chain.lost
+    stand(chain, 0.5)
     chain.resume()
     assert not chain.lost
     assert chain.step(sample_at(0.5)).cycles == 0
+
+
+def stand(chain: SignalChain, position: float) -> None:
+    """As long as it takes until a position that is lost can start at standstill."""
+    for _ in range(STILL_SAMPLES):
+        chain.step(sample_at(position))
 
 
 def stopped(chain: SignalChain, position: float, speed: float) -> float:
@@ -286,9 +294,81 @@ def test_a_machine_that_turns_at_a_pause_loses_its_position(
     assert got.valid is not lost
     if not lost:
         assert got.cycles == math.floor(position)
-    chain.resume(intervals)  # at a standstill: the machine was found there
+    if lost:
+        chain.resume(intervals)
+        assert chain.lost, "it may still turn"
+    stand(chain, position)
     chain.resume(intervals)
     assert not chain.lost
+
+
+def turning(speed: float, config: ChainConfig | None = None) -> tuple[SignalChain, float]:
+    """A valid chain at this speed, above 0, and its position."""
+    chain, position, now = SignalChain(config or ChainConfig()), 0.0, 0.0
+    for _ in range(round(speed / 0.1) + 20):
+        now = min(speed, now + 0.1)
+        position += now
+        assert chain.step(sample_at(position)).valid
+    return chain, position
+
+
+@pytest.mark.parametrize("intervals", [0.0, 1.0, 1e6])
+@pytest.mark.parametrize("speed", [0.6, 3.3, 8.0])
+def test_a_position_lost_in_motion_stays_lost_over_pauses(speed: float, intervals: float) -> None:
+    chain, position = turning(speed)
+    for _ in range(10):
+        chain.miss()
+        position += speed
+    for _ in range(3):
+        chain.resume(intervals)
+        for _ in range(50):
+            position += speed
+            assert chain.step(sample_at(position)).status & StatusBit.LOST or speed % 1.0 == 0.0
+        assert chain.lost
+        assert chain.loss_cause is LossCause.PAUSE
+
+
+@pytest.mark.parametrize("intervals", [3.0, 1e6])
+@pytest.mark.parametrize("speed", [0.6, 3.3])
+def test_after_a_reset_in_motion_it_starts_at_the_next_standstill(speed: float, intervals: float) -> None:
+    chain, position = turning(speed)
+    for _ in range(2):  # a reset before the next start changes nothing
+        chain.reset()
+    chain.resume(intervals)
+    while speed > 0.0:
+        position += speed
+        assert chain.step(sample_at(position)).status & StatusBit.LOST
+        speed -= 0.1
+    got = [chain.step(sample_at(position)) for _ in range(2 * STILL_SAMPLES)]
+    valid = [feedback.valid for feedback in got]
+    assert STILL_SAMPLES - 2 <= valid.index(True) <= STILL_SAMPLES
+    assert all(valid[valid.index(True) :])
+    assert got[-1].cycles == 0
+
+
+@pytest.mark.parametrize(
+    ("speed", "intervals", "lost"),
+    [(0.0, 1e6, False), (0.0005, 1e6, False), (0.1, 3.0, False), (0.1, 5.0, True), (0.4, 0.0, False)],
+)
+def test_a_reset_at_a_speed_from_which_it_can_start(speed: float, intervals: float, lost: bool) -> None:
+    """It must have stayed below half a cycle per interval, by the declared acceleration of 0.1."""
+    chain, position = turning(speed, ChainConfig(max_acceleration_cycles=0.1))
+    chain.reset()
+    chain.resume(intervals)
+    assert chain.lost is lost
+    assert chain.step(sample_at(position)).valid is not lost
+
+
+def test_standstill_is_no_slow_motion() -> None:
+    """0.001 cycle per interval goes by 0.02 within 256 samples, noise of that size does not."""
+    for speed, noise, lost in ((0.001, 0.0, True), (0.0, 0.009, False)):
+        chain, position = turning(3.0)
+        chain.lose()
+        for n in range(2 * STILL_SAMPLES):
+            position += speed
+            chain.step(sample_at(position + noise * (-1) ** n))
+        chain.resume(1.0)
+        assert chain.lost is lost
 
 
 @pytest.mark.parametrize(
@@ -308,3 +388,27 @@ def test_intervals_that_nobody_counted_lose_a_machine_that_moves(
         assert got.status & StatusBit.LOST
         assert not got.valid
         assert chain.uncertain(intervals) is None  # lost once
+
+
+@pytest.mark.parametrize("declared", [0.0, 0.2])
+@pytest.mark.parametrize(("acceleration", "speed"), [(0.12, 0.36), (-0.15, -0.3), (0.2, 0.4)])
+def test_a_short_pause_while_a_slow_machine_accelerates(
+    acceleration: float, speed: float, declared: float
+) -> None:
+    """It is half a cycle away, or as fast, at the next sample: eq. 9 would start a cycle off."""
+    chain = SignalChain(ChainConfig(max_acceleration_cycles=declared))
+    position = now = 0.0
+    for _ in range(20):
+        chain.step(sample_at(position))
+    while abs(now) < abs(speed) - 1e-9:
+        now += acceleration
+        position += now
+        assert chain.step(sample_at(position)).valid
+    chain.resume(1.0)
+    now += acceleration
+    position += now
+    for _ in range(20):
+        now += acceleration
+        position += now
+        got = chain.step(sample_at(position))
+        assert not got.valid or abs(got.cycles + got.phase - position) < 0.1

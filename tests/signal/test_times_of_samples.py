@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainConfig
+from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Sample
 from canfb.signal.sample_times import (
     CLOSEST,
     EARLIER_TIMES,
@@ -211,3 +217,20 @@ def test_the_interval_of_the_module_takes_the_place_of_the_first_one() -> None:
     assert times.unit_s == 2e-3
     times.interval_s = 0.0
     assert times.unit_s == 0.0
+
+
+@pytest.mark.parametrize(("speed", "unheard", "lost"), [(0.1, 36, True), (0.01, 36, True), (0.0, 36, False)])
+def test_periods_that_only_the_times_show_count_for_a_machine_that_creeps(
+    speed: float, unheard: int, lost: bool
+) -> None:
+    chain = SignalChain(ChainConfig())
+    chain.interval_s = 1e-3
+
+    def step(at: int) -> Feedback:
+        angle = 2.0 * math.pi * speed * at
+        return chain.step(Sample(1500 * math.sin(angle), 1500 * math.cos(angle), time_100ns=at * 10_000))
+
+    assert all(step(at).valid for at in range(40))
+    after = [step(40 + unheard + at) for at in range(20)]
+    assert chain.lost is lost
+    assert all(not one.valid or abs(one.cycles + one.phase) < 0.01 for one in after)

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.signal.sample_times import RESTARTED, SUSPECT, TICKS, SampleTimes
-from canfb.signal.usual_scatter import BEYOND, LEARNED_SAMPLES, WINDOW_SAMPLES, UsualScatter
+from canfb.signal.usual_scatter import (
+    BEYOND,
+    LEARNED_SAMPLES,
+    MOST_PART,
+    START_PART,
+    WINDOW_SAMPLES,
+    UsualScatter,
+)
 
 PERIOD_TICKS = 10_000
 PERIOD_S = 1e-3
@@ -22,22 +27,51 @@ def test_the_limit_is_that_of_the_last_samples(deviations: list[float]) -> None:
     usual = UsualScatter()
     for count, deviation in enumerate(deviations, 1):
         usual.learn(deviation)
-        if count < LEARNED_SAMPLES:
-            assert usual.limit_s == math.inf
-        else:
-            assert BEYOND * max(deviations[:count][-WINDOW_SAMPLES:]) <= usual.limit_s
-            assert usual.limit_s <= BEYOND * max(deviations[:count][-2 * WINDOW_SAMPLES :])
+        least = START_PART * PERIOD_S if count < LEARNED_SAMPLES else 0.0
+        limit = usual.limit_of(PERIOD_S)
+        most = MOST_PART * PERIOD_S
+        assert min(most, max(least, BEYOND * max(deviations[:count][-WINDOW_SAMPLES:]))) <= limit
+        assert limit <= min(most, max(least, BEYOND * max(deviations[:count][-2 * WINDOW_SAMPLES :])))
+
+
+def test_what_was_refused_is_learned_at_the_third_time_only() -> None:
+    usual = UsualScatter()
+    for _ in range(LEARNED_SAMPLES):
+        usual.learn(1e-6)
+    usual.refuse(1e-4)
+    usual.refuse(2e-4)
+    assert usual.limit_of(PERIOD_S) == 2e-6
+    usual.refuse(1.5e-4)
+    assert usual.limit_of(PERIOD_S) == 4e-4
+
+
+def test_what_was_refused_long_ago_is_forgotten() -> None:
+    usual = UsualScatter()
+    for _ in range(4):
+        usual.refuse(1e-4)
+        for _ in range(WINDOW_SAMPLES):
+            usual.learn(1e-6)
+    assert usual.limit_of(PERIOD_S) == 2e-6
+
+
+def test_before_anything_is_learned_no_error_can_cost_another_cycle() -> None:
+    """From standstill, at half the limit, with the error that the limit of the start passes."""
+    limit, acceleration = 1.0 / 3.0, 1.0 / 6.0
+    fastest = LEARNED_SAMPLES * acceleration
+    assert START_PART * fastest <= 1.0 - limit - acceleration
 
 
 class Clock:
     """Sample times with jitter, after 100 samples that were good; SYNC receptions if they are known."""
 
-    def __init__(self, jitter_s: float, heard_s: float | None = None, seed: int = 1) -> None:
+    def __init__(
+        self, jitter_s: float, heard_s: float | None = None, seed: int = 1, learned: int = 100
+    ) -> None:
         self.times, self.rng = SampleTimes(), np.random.default_rng(seed)
         self.times.interval_s = PERIOD_S
         self.jitter_s, self.heard_s, self.at, self.counted = jitter_s, heard_s, 0, 0.0
-        for _ in range(100):
-            assert self.next() > 0.0
+        for n in range(learned):
+            assert self.next(speed=FAST if n > LEARNED_SAMPLES else 0.0) > 0.0
 
     def next(self, off_s: float = 0.0, speed: float = FAST) -> float:
         """What is made of the next time, which is wrong by so much."""
@@ -76,6 +110,38 @@ def test_a_clock_that_was_set_is_restarted() -> None:
     assert clock.next(300e-6) == SUSPECT
     assert clock.next(300e-6) == RESTARTED
     assert all(clock.next(300e-6) > 0.0 for _ in range(100))
+
+
+@pytest.mark.parametrize("heard_s", [None, 5e-6])
+@pytest.mark.parametrize("later", [2, 30, 600])
+def test_the_same_wrong_time_again_is_refused_again(heard_s: float | None, later: int) -> None:
+    clock = Clock(20e-6, heard_s)
+    assert clock.next(150e-6) == SUSPECT
+    assert all(clock.next() > 0.0 for _ in range(later))
+    assert clock.next(150e-6) == SUSPECT
+
+
+@pytest.mark.parametrize("heard_s", [None, 5e-6])
+@pytest.mark.parametrize("after", range(1, 32))
+def test_a_wrong_time_at_the_start_is_refused_too(heard_s: float | None, after: int) -> None:
+    """A cycle costs more than 3/32 of an interval at the speed that it can have by then."""
+    clock = Clock(5e-6, heard_s, learned=after)
+    assert clock.next(PERIOD_S / 8.0, speed=8.0) == SUSPECT
+    assert clock.next() > 0.0
+
+
+def test_a_start_with_more_jitter_than_the_bound_learns_it_at_rest() -> None:
+    clock = Clock(150e-6, learned=0)
+    assert all(clock.next(speed=0.0) > 0.0 for _ in range(32))
+    assert all(clock.next() > 0.0 for _ in range(200))
+
+
+def test_a_reset_forgets_what_is_usual() -> None:
+    clock = Clock(100e-6)
+    assert clock.next(150e-6) > 0.0
+    clock.times.reset()
+    assert clock.next(speed=0.0) > 0.0
+    assert clock.next(150e-6) == SUSPECT
 
 
 def test_jitter_that_begins_is_learned() -> None:

@@ -21,7 +21,7 @@ EVERY_S = 0.005
 LEAST_SAMPLES = 10  # of those in which it is watched
 LARGEST_SPREAD_CYCLES = 0.02  # of the phase at standstill: noise, and a drive that holds its position
 BOOT_UP_S = 5.0
-VALID_S = 2.0
+VALID_S = 5.0  # a position that was lost is valid again after 256 samples at standstill
 UNITS = 65536.0
 
 
@@ -138,6 +138,6 @@ def _wait_for_valid(module: NodeAccess) -> int:
     end = master.now() + VALID_S
     while True:
         status = module.integer(*od.FEEDBACK_STATUS, "H")
-        if status & (StatusBit.VALID | StatusBit.LOST) or master.now() >= end:
+        if status & StatusBit.VALID or master.now() >= end:
             return status
         master.wait(EVERY_S)

@@ -363,7 +363,7 @@ class FeedbackModule:
         self._sampling.forget_interval()
         if communication_only:
             return
-        self.chain.restart()
+        self.chain.reset()
         self._publishing.reset()
         self._choose_sync_hooks()
         self._limits.reset()

@@ -242,7 +242,8 @@ class Sampling:
         interval_s = interval.settled_s or interval.seconds
         self._timed = self._doubted = None
         self._usual.unconfirmed = CONFIRMING_SAMPLES if chain.begun and not chain.lost else 0
-        chain.resume((now - self._paused_s) / interval_s if interval_s else NEVER)
+        # Since the last SYNC, whose sample may not have come any more.
+        chain.resume((now - self._paused_s) / interval_s + 1.0 if interval_s else NEVER)
         interval.pause()
         self._prediction.pause(self._publishing.last)
         self._publishing.withhold()
@@ -260,4 +261,4 @@ class Sampling:
         self._interval.reset()
         self._grid.forget()
         self._grid_learned_s = 0.0
-        self._chain.interval_s = 0.0
+        self._chain.forget_times()

@@ -260,6 +260,7 @@ class ModuleReplay:
             self._tick(now)
             self.counters.restarts += 1
             self._command(NmtCommand.RESET_NODE, now)
+            self.module.chain.restart()  # power-on: it knows nothing of the machine
 
     def _pairs(self, can_id: int) -> OwnFrames:
         found = self._own_frames.get(can_id)

@@ -13,12 +13,14 @@ from canfb.signal.declared import Declared
 from canfb.signal.estimator import HOLE_INTERVALS, Estimator, successor
 from canfb.signal.feedback import Feedback
 from canfb.signal.frozen import FrozenInput, repeats
+from canfb.signal.pauses import LARGEST_SLIP_CYCLES, Pauses
 from canfb.signal.phase import AnyArray, raw_phase
 from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.reference import Pulse, Reference, pulse_between
 from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import CROWDED, REPEATED, SUSPECT, SampleTimes
+from canfb.signal.still_phase import STANDSTILL_CYCLES
 from canfb.signal.subsamples import in_order
 from canfb.signal.supervision import (
     FROZEN,
@@ -32,15 +34,11 @@ from canfb.signal.supervision import (
 )
 from canfb.signal.tracker import Track, TrackResult
 from canfb.signal.tracking import continues, write_places_before
-from canfb.signal.usual_step import UsualStep
 
-STANDSTILL_CYCLES = 0.001  # per interval, on average: what noise and a servo at rest may show
-FASTEST_STANDSTILL_CYCLES = 0.5  # per interval; from there on eq. 9 cannot start again from standstill
-LARGEST_SLIP_CYCLES = 0.15
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
 
-class SignalChain(UsualStep):
+class SignalChain(Pauses):
     """One encoder, sample by sample.
 
     A sample that fails a check is flagged in its own :class:`Feedback` and never moves the
@@ -99,6 +97,11 @@ class SignalChain(UsualStep):
     def unit_s(self) -> float:
         """The interval in which speeds of timed samples are given, seconds; 0.0 before it is known."""
         return self._times.unit_s / self._per_sync
+
+    def forget_times(self) -> None:
+        """Another interface may send the sample times from now on, by another clock and at another rate."""
+        self._times.reset()
+        self.interval_s = 0.0
 
     @property
     def loss_cause(self) -> LossCause:
@@ -174,30 +177,9 @@ class SignalChain(UsualStep):
         self._reference.restart()
         self._restart_second()
         self._pause()
+        self._times.reset()
+        self._waits, self._turned = False, 0.0
         self._speed = float(speed_cycles)
-
-    def resume(self, intervals: float = 0.0) -> None:
-        """Go on after a pause in which the machine stood still: less than half a cycle from here.
-
-        ``intervals`` is how long the pause was, in intervals of SYNC. If the machine was moving and
-        at that speed could have left the cycle meanwhile, the position is lost. One that was lost
-        before the pause starts again, at cycle count 0.
-        """
-        was_lost, moved = self._estimator.lost, self._could_move(intervals, STANDSTILL_CYCLES)
-        self._reference.restart(keep=not was_lost and not moved)
-        self._restart_second(not was_lost and not moved, not was_lost)
-        self._estimator.resume()
-        self._pause()
-        if moved and not was_lost:
-            self._estimator.lose(LossCause.PAUSE)
-            self._reference.slipped()
-
-    def _could_move(self, intervals: float, least_cycles: float) -> bool:
-        """At the last speeds the machine leaves its cycle within this many intervals."""
-        speed = speeds.steady_speed(self._estimator.places)
-        fast = abs(self._tracker.step_cycles) >= FASTEST_STANDSTILL_CYCLES
-        passed = intervals * self._per_sync
-        return fast or (abs(speed) >= least_cycles and abs(speed) * passed > LARGEST_SLIP_CYCLES)
 
     def uncertain(self, intervals: float) -> Feedback | None:
         """Up to this many intervals of SYNC may have passed uncounted: lost, except at standstill.
@@ -338,12 +320,14 @@ class SignalChain(UsualStep):
         else:
             faults = supervision.faults(sine, cosine, amplitude)
         if sine == self._sine and cosine == self._cosine:
-            if self._frozen.repeated(0.0 if self._frozen.repeats else self._estimator.least_speed()):
+            if self._frozen.repeated(0.0 if self._frozen.repeats else self._least_speed()):
                 faults |= FROZEN
         else:
             self._sine, self._cosine = sine, cosine
             if self._frozen.repeats:
                 self._frozen.moved()
+        if self._waits and self._may_start():
+            self.restart()
         measured = not (faults or bad) and raw == raw
         if measured:
             table = self._table
@@ -369,6 +353,14 @@ class SignalChain(UsualStep):
             bits |= MISSED
         return self._feedback(s, c, amplitude, raw, track, bits | faults, jump)
 
+    @property
+    def _doubtful(self) -> int:
+        """Last steps of which any may have been bad."""
+        return self._estimator.declared.bad_samples + 1
+
+    def _least_speed(self) -> float:
+        return speeds.least_speed(self._estimator.places, self._doubtful)
+
     def write_places_before(self, tracked: TrackResult, at: int) -> None:
         """Write what the prediction needs into ``tracked``, three places before ``at``."""
         if self._tracker.is_steady:
@@ -379,7 +371,12 @@ class SignalChain(UsualStep):
 
         And nothing of the last samples is in doubt. A lost position is not: eq. 9 runs on with it.
         """
-        doubts = self._estimator.in_doubt or self._supervision.after_fault or self._reference.in_doubt
+        doubts = (
+            self._waits
+            or self._estimator.in_doubt
+            or self._supervision.after_fault
+            or self._reference.in_doubt
+        )
         return not doubts and continues(self._tracker, tracked, at)
 
     def follow_run(
@@ -403,7 +400,12 @@ class SignalChain(UsualStep):
             if equal is None:
                 self._frozen.moved()
             else:
-                least = self._estimator.least_speeds(cycles[start:stop], phase[start:stop])
+                least = speeds.least_speeds(
+                    () if self.lost else self._estimator.places,
+                    cycles[start:stop],
+                    phase[start:stop],
+                    self._doubtful,
+                )
                 stop = start + self._frozen.take_run(equal, least)
         if stop == start:
             self._tracker.restore(state)
@@ -444,8 +446,12 @@ class SignalChain(UsualStep):
         return self._feedback(math.nan, math.nan, 0.0, math.nan, track, bits | MISSED, 0)
 
     def _restarted(self, sample: Sample) -> Feedback:
-        """The clock of the interface was restarted: the length of this interval is unknown."""
-        lost = self.uncertain(1.0)
+        """The clock of the interface was restarted, or none of the SYNCs since the last sample was heard.
+
+        Its length is unknown: a machine that creeps may have gone on as long as the times say.
+        """
+        creeps = abs(speeds.steady_speed(self._estimator.places)) >= STANDSTILL_CYCLES
+        lost = self.uncertain(max(1.0, self._times.passed) if creeps else 1.0)
         self._waited = 0.0
         return self.step(sample._replace(time_100ns=None)) if lost is None else lost
 

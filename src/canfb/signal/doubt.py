@@ -41,6 +41,7 @@ from canfb.signal.bounded_motion import MOST_JOINED, SHORT_INTERVAL, BoundedMoti
 
 FALSE_ACCEPTANCE = 1e-5  # probability per decision that random phases pass for a machine
 MOST_CANDIDATES = 256
+MOST_ROWS = 2  # of bad samples within one doubt; a third contradiction shows that nothing can be built on
 MOST_INTERVALS = 32.0  # of doubt with samples: many times what decides (at most some ten samples)
 HOLE_INTERVALS = 1.5  # from here on samples are missing between two
 SAME_TIME = 1e-9  # intervals: rounding
@@ -229,6 +230,7 @@ class Doubt:
         self._first_spots = start[0].spots
         self._only_missing = True
         self._contradicted: int | None = None  # number of the last entry that no candidate could take
+        self._rows = 0  # contradictions
         self._followed = 0.0  # intervals with samples
 
     def skip(self, options: tuple[float, ...], flagged: bool) -> None:
@@ -259,6 +261,9 @@ class Doubt:
         if not self.candidates:
             self._only_missing = False
             self._contradicted = self._first_misfit(number)
+            self._rows += 1
+            if self._rows > MOST_ROWS:
+                return Decision(lost=LossCause.CONTRADICTED)
             if not self._go_back(self._contradicted):
                 return Decision(lost=LossCause.UNDECIDED)
         return self._decide()

@@ -7,7 +7,7 @@ motions within what is declared are left?
     counted --- missing, flagged, contradicted, or an interval of unknown length ---> in doubt
     in doubt --- one motion is left ---> counted
     in doubt --- none is left, or several that no sample can separate, or it takes too long ---> lost
-    lost --- a start, or an absolute value ---> counted
+    lost --- a start at standstill, or an absolute value ---> counted
 
 While samples were only missing, the position may be valid in doubt: all motions that are left agree on it.
 While it is lost, eq. 9 runs on: its speed is then wrong by whole cycles per interval, which absolute values
@@ -21,17 +21,14 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 
-import numpy as np
-import numpy.typing as npt
-
 from canfb.objects import LossCause
 from canfb.signal import speeds
 from canfb.signal.blocks import Scratch
 from canfb.signal.bounded_motion import SHORT_INTERVAL, Spot
 from canfb.signal.declared import Declared
 from canfb.signal.doubt import SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
-from canfb.signal.phase import FloatArray
 from canfb.signal.speeds import Place
+from canfb.signal.still_phase import STILL_SAMPLES, StillPhase
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.third_order import SECOND, ThirdOrderTracker, tracker_of
 from canfb.signal.tracker import NOT_USUAL, Track, TrackResult
@@ -59,6 +56,7 @@ class Estimator:
         "_largest",
         "_past",
         "_past_places",
+        "_still",
         "_virtual",
         "declared",
         "loss_cause",
@@ -107,7 +105,8 @@ class Estimator:
         """
         self.tracker.restart(cycles, speed_cycles)
         self.lost = False
-        self._virtual: Place | None = None  # the sample before the first: the speed assumed
+        self._still = StillPhase()  # while lost
+        self._virtual: Place | None = None  # before the first sample: the speed assumed
         self._forget()
 
     def _forget(self) -> None:
@@ -130,13 +129,16 @@ class Estimator:
         """Go on at standstill from the last position, or from cycle count 0 if it was lost."""
         if self.lost or self._doubt or not self.places:
             self.restart()
-            return
-        self.tracker.halt()
-        self._forget()
-        self._begin_places()
+        else:
+            self.tracker.halt()
+            self._forget()
+            self._begin_places()
 
     def lose(self, cause: LossCause) -> None:
         """Call the position lost. Eq. 9 counts from here on."""
+        if not self.lost:
+            stood = speeds.stood_still(self.places)
+            self._still = StillPhase(self.places[-1][1] if stood else None)
         self.lost = True
         self.loss_cause = cause
         self._forget()
@@ -301,8 +303,7 @@ class Estimator:
     def bad(self, elapsed: float | tuple[float, ...], missed: bool = False) -> tuple[Track, int]:
         """A sample that failed its checks, or none at all (``missed``): predicted position, status bits."""
         options = elapsed if isinstance(elapsed, tuple) else (elapsed,)
-        elapsed = options[0]
-        predicted = self.tracker.predict(elapsed)
+        predicted = self.tracker.predict(elapsed := options[0])
         if not self.tracker.started:  # no position yet: nothing to coast on, nothing to lose
             return predicted, LOST if self.lost else 0
         self.tracker.skip(elapsed)
@@ -328,6 +329,7 @@ class Estimator:
 
     def _count_on(self, phase: float, elapsed: float, bits: int = LOST) -> tuple[Track, int]:
         """A sample of a position that is lost."""
+        self._still.take(phase)
         track = self.tracker.look(phase, elapsed)
         self.tracker.accept(track, elapsed)
         return track, bits if track.ok else bits | RESIDUAL
@@ -473,15 +475,10 @@ class Estimator:
 
     # Speeds.
 
-    def least_speed(self) -> float:
-        """As :func:`canfb.signal.speeds.least_speed`: any of the last m + 1 steps may have been bad."""
-        return speeds.least_speed(self.places, self.declared.bad_samples + 1)
-
-    def least_speeds(self, cycles: npt.NDArray[np.int64], phase: FloatArray) -> FloatArray:
-        """The size of :meth:`least_speed` before each of these samples, which follow the last one."""
-        if self.lost or not self.places:
-            return np.zeros(len(cycles))
-        return speeds.least_speeds(self.places, cycles, phase, self.declared.bad_samples + 1)
+    @property
+    def stands_still(self) -> bool:
+        """While lost: the machine stood before, or its phases have for long enough."""
+        return self._still.samples >= STILL_SAMPLES
 
 
 def successor(old: Estimator, declared: Declared) -> Estimator:

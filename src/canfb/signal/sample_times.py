@@ -25,7 +25,6 @@ SPARE_S, SPARE_PART = 0.5e-3, 0.3  # seconds and intervals: a bus and a host del
 # A time may be wrong by no more than this, in cycles at the speed of the machine, without a second opinion:
 # with the residual limit of 1/3 it is less than half a cycle.
 SLIP_CYCLES = 0.15
-LARGEST_LEARNED = 0.5  # interval: what is beyond is a wrong time, and no jitter
 REPEATED, SUSPECT, RESTARTED, CROWDED = -1.0, -2.0, -3.0, -4.0
 
 
@@ -50,10 +49,17 @@ class SampleTimes:
         "_suspected",
         "_synced_s",
         "interval_s",
+        "passed",
     )
 
     def __init__(self) -> None:
         self.interval_s = 0.0
+        self.passed = 1.0
+        """Intervals since the last sample that was taken, by a time that is RESTARTED, if it is right."""
+        self.reset()
+
+    def reset(self) -> None:
+        """:meth:`forget`, and what is usual: it may be another interface, or another bus."""
         self._jitter = UsualScatter()  # of the sample times
         self._heard = UsualScatter()  # of the sample times against the receptions of SYNC
         self.forget()
@@ -118,6 +124,7 @@ class SampleTimes:
         if in_turn or (agrees and intervals > counted):  # or there were SYNCs that were not received
             whole = max(1, round(intervals)) if agrees and abs(intervals - counted) > 0.5 else counted
             uneven_s = (intervals - whole) * unit
+            self.passed = intervals
             odd = self._judge(uneven_s, ticks, synced_s, SLIP_CYCLES * unit, abs(speed_cycles))
             if odd == RESTARTED and self._is_explained(error_s, SLIP_CYCLES * unit, abs(speed_cycles)):
                 odd = 0.0
@@ -128,6 +135,7 @@ class SampleTimes:
             return CROWDED
         if -OLDEST <= intervals < least:
             return self._repeated(time_100ns, counted, unit, received_s)
+        self.passed = intervals
         return self._doubted(time_100ns, counted, unit, received_s)
 
     def _error_s(self, by_time_s: float, received_s: float | None, synced_s: float | None) -> float:
@@ -160,33 +168,26 @@ class SampleTimes:
 
         By its distance from the last one, ``uneven_s`` from a whole number of intervals, or by the
         receptions of both SYNCs, whichever is the sharper witness. A second one that is off by as much
-        as the one before: the clock was set.
+        as the one before: the clock was set. Nothing is learned from what is off.
         """
         jitter, heard, before = self._jitter, self._heard, self._odd_s
-        off_s, limit_s, witness = uneven_s, jitter.limit_s, jitter
+        unit = self.interval_s or self._first_s
+        off_s, limit_s, witness = uneven_s, jitter.limit_of(unit), jitter
+        error_s = None
         if synced_s is not None and self._synced_s is not None:
             error_s = ticks * TICK_S - (synced_s - self._synced_s)
-            if heard.limit_s <= limit_s:
-                off_s, limit_s, witness = error_s, heard.limit_s, heard
-            else:
-                self._learn(heard, error_s)
-        if not abs(off_s) > limit_s or abs(off_s) * speed_cycles <= slip:
-            if before is not None:  # it was alone
-                self._learn(witness, before)
-            self._learn(jitter, uneven_s)
-            if witness is heard:
-                self._learn(heard, off_s)
+            if (heard_s := heard.limit_of(unit)) <= limit_s:
+                off_s, limit_s, witness = error_s, heard_s, heard
+        if not abs(off_s) > limit_s:
+            jitter.learn(abs(uneven_s))
+            if error_s is not None:
+                heard.learn(abs(error_s))
+            return 0.0
+        witness.refuse(abs(off_s))
+        if abs(off_s) * speed_cycles <= slip:
             return 0.0
         self._odd_s = off_s
-        if before is None:
-            return SUSPECT
-        if abs(off_s - before) <= limit_s:
-            return RESTARTED
-        self._learn(witness, max(off_s, before, key=abs))
-        return SUSPECT
-
-    def _learn(self, usual: UsualScatter, off_s: float) -> None:
-        usual.learn(min(abs(off_s), LARGEST_LEARNED * self.unit_s))
+        return RESTARTED if before is not None and abs(off_s - before) <= limit_s else SUSPECT
 
     def _accept(self, time_100ns: int, received_s: float | None, synced_s: float | None = None) -> None:
         self._last, self._received_s, self._suspect = time_100ns, received_s, None

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.phase import FloatArray
+from canfb.signal.still_phase import STANDSTILL_CYCLES
 
 STEADY_SAMPLES = 16  # show whether the machine stands still
 
@@ -33,6 +34,11 @@ def steady_speed(places: Sequence[Place]) -> float:
     return ((last_cycles - cycles) + (last_phase - phase)) / sum(place[2] for place in recent[1:])
 
 
+def stood_still(places: Sequence[Place]) -> bool:
+    """The last 16 places are known, and on average the machine did not move."""
+    return len(places) >= STEADY_SAMPLES and abs(steady_speed(places)) < STANDSTILL_CYCLES
+
+
 def least_speed(places: Sequence[Place], steps: int) -> float:
     """The smallest speed of so many last steps, cycles per interval; 0 without one."""
     recent = list(places)[-steps - 1 :]
@@ -43,10 +49,12 @@ def least_speed(places: Sequence[Place], steps: int) -> float:
 def least_speeds(
     places: Sequence[Place], cycles: npt.NDArray[np.int64], phase: FloatArray, steps: int
 ) -> FloatArray:
-    """The size of :func:`least_speed` before each of these samples, which follow ``places``, one at least.
+    """The size of :func:`least_speed` before each of these samples, which follow ``places``; 0 without any.
 
     ``cycles`` and ``phase`` have shape (n,), and so has the result; the samples are one interval apart.
     """
+    if not places:
+        return np.zeros(len(cycles))
     known = list(places)[-steps - 1 :]
     counts = np.concatenate([[place[0] for place in known], cycles[:-1]])
     phases = np.concatenate([[place[1] for place in known], phase[:-1]])

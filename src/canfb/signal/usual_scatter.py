@@ -2,30 +2,47 @@
 
 from __future__ import annotations
 
-import math
-
 WINDOW_SAMPLES = 1024
 LEARNED_SAMPLES = 32
 BEYOND = 2.0  # times the largest of the last samples: more than 6 standard deviations of Gaussian jitter
+# From standstill a machine has at most 32 A cycles per interval when 32 samples have come. Another cycle
+# count within the limit L needs an error of a time that costs 1 - L - A there: (1 - L - A) / 32 A intervals,
+# L = 1/3, A = L / 2. Below it no error of a time does harm before the usual ones are known.
+START_PART = 3.0 / 32.0
+# Intervals: two samples, each nearly half an interval from where it was due, are apart by this much too
+# little or too much. Jitter is not larger, as the count of SYNCs would not hold either.
+MOST_PART = 0.75
+# A deviation that was refused is usual if it is one of so many in a window: wrong times are rarer.
+BEGUN = 3
 
 
 class UsualScatter:
     """Follows the largest deviation of the last 1024 to 2048 samples.
 
-    ``limit_s`` is twice that, seconds; infinite until 32 samples have come. One that is beyond it
-    is learned like the others: what goes on is usual from the second sample on.
+    ``limit_s`` is twice that, seconds; :meth:`limit_of` is what holds for intervals of some length: at most
+    three quarters of it, and until 32 samples have come at least 3/32. What is beyond the limit is not
+    learned, unless it is the third within a window.
     """
 
-    __slots__ = ("_before_s", "_largest_s", "_left", "_unlearned", "limit_s")
+    __slots__ = ("_before_s", "_largest_s", "_left", "_refused", "_refused_s", "learned", "limit_s")
 
     def __init__(self) -> None:
-        self.limit_s = math.inf
+        self.limit_s = 0.0
+        self.learned = 0
+        """Samples that count towards the first limit, up to 32."""
         self._largest_s = self._before_s = 0.0
         self._left = WINDOW_SAMPLES
-        self._unlearned = LEARNED_SAMPLES
+        self._refused, self._refused_s = 0, 0.0  # since the last window, and the largest of them
+
+    def limit_of(self, interval_s: float) -> float:
+        """The limit in force for intervals of this length, seconds."""
+        limit_s = self.limit_s
+        if self.learned < LEARNED_SAMPLES:
+            limit_s = max(limit_s, START_PART * interval_s)
+        return min(limit_s, MOST_PART * interval_s)
 
     def learn(self, deviation_s: float) -> None:
-        """Another sample deviates by so much, seconds, at least 0."""
+        """Another sample deviates by so much, seconds, at least 0, and was right."""
         if deviation_s > self._largest_s:
             self._largest_s = deviation_s
             self._find_limit()
@@ -33,11 +50,17 @@ class UsualScatter:
         if not self._left:
             self._before_s, self._largest_s = self._largest_s, 0.0
             self._left = WINDOW_SAMPLES
+            self._refused, self._refused_s = 0, 0.0
             self._find_limit()
-        if self._unlearned:
-            self._unlearned -= 1
-            self._find_limit()
+        if self.learned < LEARNED_SAMPLES:
+            self.learned += 1
+
+    def refuse(self, deviation_s: float) -> None:
+        """Another one was beyond the limit: a wrong time, or jitter that begins."""
+        self._refused += 1
+        self._refused_s = max(self._refused_s, deviation_s)
+        if self._refused >= BEGUN:
+            self.learn(self._refused_s)
 
     def _find_limit(self) -> None:
-        if not self._unlearned:
-            self.limit_s = BEYOND * max(self._largest_s, self._before_s)
+        self.limit_s = BEYOND * max(self._largest_s, self._before_s)

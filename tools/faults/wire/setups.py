@@ -96,6 +96,7 @@ class Bench:
         else:
             self.now = float(int(self.now) + 2)
             self.module.receive(Frame(NMT_ID, bytes([129, NODE])), self.now)
+            self.module.chain.restart()  # a new module knows nothing of the machine of the last episode
         self._configure(self.module, setup, options)
         return self.module
 

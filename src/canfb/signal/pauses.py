@@ -1,0 +1,106 @@
+"""Pauses and resets: what was known before is held against the standstill that a start assumes."""
+
+from __future__ import annotations
+
+from canfb.objects import LossCause
+from canfb.signal import speeds
+from canfb.signal.still_phase import STANDSTILL_CYCLES, STILL_CYCLES
+from canfb.signal.usual_step import UsualStep
+
+FASTEST_STANDSTILL_CYCLES = 0.5  # per interval; from there on eq. 9 cannot start again from standstill
+LARGEST_SLIP_CYCLES = 0.15
+
+
+class Pauses(UsualStep):
+    """How a chain goes on after a time in which nobody counted."""
+
+    _per_sync: int
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._waits = False  # for a standstill, at which it can start
+        self._turned = 0.0  # the speed at a reset, cycles per interval, where the position started again
+
+    def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
+        """:meth:`SignalChain.restart`."""
+        raise NotImplementedError
+
+    def _pause(self) -> None:
+        raise NotImplementedError
+
+    def reset(self) -> None:
+        """:meth:`restart` at cycle count 0, as the module is reset: the machine may be turning.
+
+        The next :meth:`resume` holds that against it: it does not start on a machine that may still turn.
+        """
+        estimator = self._estimator
+        if estimator.lost:
+            waits, turned = not estimator.stands_still, 0.0
+        elif self._tracker.started:
+            step = abs(self._tracker.step_cycles)
+            waits, turned = False, step if step > STILL_CYCLES else 0.0
+        else:  # no sample since the last reset
+            waits, turned = self._waits, self._turned
+        self.restart()
+        self._waits, self._turned = waits, turned
+
+    def resume(self, intervals: float = 0.0) -> None:
+        """Go on after a pause in which the machine stood still: less than half a cycle from here.
+
+        ``intervals`` is how long the pause was, in intervals of SYNC. If the machine was moving and
+        at that speed could have left the cycle meanwhile, the position is lost. One that was lost
+        before the pause starts again, at cycle count 0: at once if the machine stood when it was lost
+        and its phases did since, or if they did for STILL_SAMPLES; else once they have. Likewise after
+        :meth:`reset` while it turned, unless by the declared acceleration it has stayed below half a
+        cycle per interval.
+        """
+        was_lost = self._estimator.lost
+        if was_lost or self._waits or self._turned:
+            self._start_again(intervals)
+            return
+        moved = self._could_move(intervals, STANDSTILL_CYCLES)
+        self._reference.restart(keep=not moved)
+        self._restart_second(not moved, True)
+        self._estimator.resume()
+        self._pause()
+        if moved:
+            self._estimator.lose(LossCause.PAUSE)
+            self._reference.slipped()
+
+    def _start_again(self, intervals: float) -> None:
+        """From cycle count 0, now or at the next standstill."""
+        estimator, declared = self._estimator, self._estimator.declared
+        acceleration = declared.doubt_acceleration if declared.acceleration is None else declared.acceleration
+        fastest = self._turned + acceleration * intervals * self._per_sync
+        waits = not estimator.stands_still if estimator.lost else self._waits
+        waits |= self._turned > 0.0 and fastest >= FASTEST_STANDSTILL_CYCLES
+        self.restart()
+        if waits:
+            self._waits = True
+            estimator.lose(LossCause.PAUSE)
+            self._reference.slipped()
+
+    def _could_move(self, intervals: float, least_cycles: float) -> bool:
+        """At the last speeds the machine leaves its cycle within this many intervals.
+
+        Or it is half a cycle away, or faster than half a cycle per interval, at the sample after them:
+        eq. 9 starts again from standstill. It may accelerate as it did, and as it is declared.
+        """
+        speed = speeds.steady_speed(self._estimator.places)
+        step = abs(self._tracker.step_cycles)
+        passed = intervals * self._per_sync
+        if step >= FASTEST_STANDSTILL_CYCLES:
+            return True
+        if abs(speed) < least_cycles:
+            return False
+        acceleration = max(
+            abs(speeds.acceleration(self._estimator.places)), self._estimator.declared.acceleration or 0.0
+        )
+        until = passed + 1.0
+        away = max(step, abs(speed)) * until + acceleration * until * max(1.0, until / 2.0)
+        return abs(speed) * passed > LARGEST_SLIP_CYCLES or away >= FASTEST_STANDSTILL_CYCLES
+
+    def _may_start(self) -> bool:
+        """The machine stands, or an absolute value has found the position."""
+        self._waits = self._estimator.lost
+        return self._waits and self._estimator.stands_still
