@@ -191,13 +191,6 @@ def test_the_period_is_known_from_pre_operational_on() -> None:
     assert desktop.module.interval_s == pytest.approx(0.01, rel=0.01)
 
 
-def test_a_period_learned_while_syncs_were_missing_is_corrected() -> None:
-    desktop = Desktop()
-    desktop.play([Cycle(20.0)] * 40)
-    desktop.play([Cycle(11.0)] * 40)
-    assert desktop.module.interval_s == pytest.approx(0.011, rel=0.02)
-
-
 @pytest.mark.parametrize("stall", [20, 50, 100])
 def test_a_burst_without_receive_times_does_not_change_the_period(stall: int) -> None:
     """The counter says that no SYNC is missing; when they were heard says nothing."""

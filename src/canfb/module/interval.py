@@ -12,14 +12,12 @@ SMOOTHING = 1.0 / 32.0
 LARGEST_STEP = 0.4  # of the period: what one interval says at most
 KNOWN_INTERVALS = 32
 SHORTEST, LONGEST = 0.6, 1.5  # of the period: what lies outside is a gap, a duplicate or another rate
-BURST = 0.25  # of the period: what is nearer together was late, or is doubled
 USUAL_LONGEST = 1.0 + LARGEST_STEP  # of the period
 FIRST_INTERVALS = 5  # their median is the first estimate
 AGREEMENT = 0.2  # of the median
 LEAST_HEARD = 4  # to confirm 1006h
 HEARD_INTERVALS = 32  # where only the time is known at which a SYNC was processed
 HEARD_STEP = 8  # of these, from one look at all of them to the next
-FASTER_INTERVALS = 8  # this many more short ones than usual ones, that agree, are another rate
 SLOWER_INTERVALS = 8  # this many long ones that agree are another rate, not gaps
 
 
@@ -40,7 +38,6 @@ class IntervalEstimate:
         "_long",
         "_period_us",
         "_recent",
-        "_short",
         "samples_per_sync",
         "settled_s",
     )
@@ -61,7 +58,6 @@ class IntervalEstimate:
         """Keep the estimate over a pause; the next event starts a new interval."""
         self._last_s: float | None = None
         self._long: list[float] = []
-        self._short: list[float] = []
         self._heard: deque[float] = deque(maxlen=HEARD_INTERVALS + 1)
         self._heard_left = 0  # events until these are looked at again
 
@@ -125,19 +121,16 @@ class IntervalEstimate:
         period = self.settled_s
         # The usual one, as _approach would take it.
         usual = SHORTEST * period < interval_s < USUAL_LONGEST * period
-        if usual and self._intervals >= KNOWN_INTERVALS and not (self._long or self._short):
+        if usual and self._intervals >= KNOWN_INTERVALS and not self._long:
             self.settled_s = self._estimate_s = period + (interval_s - period) * SMOOTHING
         elif not period:
             self._settle(interval_s)
         elif interval_s < SHORTEST * period:
-            if interval_s > BURST * period:
-                self._may_be_faster(interval_s)
+            return  # a burst or a duplicate; another rate shows itself in Timeline
         elif interval_s < LONGEST * period:
             self._approach(interval_s)
             if self._long:
                 self._long.clear()
-            if self._short:
-                self._short.pop()
         else:
             self._may_be_slower(interval_s)
 
@@ -164,18 +157,6 @@ class IntervalEstimate:
             # Their mean: the deviations of SYNCs that follow each other cancel.
             self.settled_s = self._estimate_s = _mean(recent, middle)
             self._intervals = FIRST_INTERVALS
-
-    def _may_be_faster(self, interval_s: float) -> None:
-        """Late ones before, or extra ones; or the period was learned while SYNCs were missing."""
-        short = self._short
-        short.append(interval_s)
-        if len(short) < FASTER_INTERVALS:
-            return
-        middle = statistics.median(short)
-        if _agree(short, middle) >= FASTER_INTERVALS - 2:
-            self.settled_s = self._estimate_s = _mean(short, middle)
-            self._intervals = len(short)
-        short.clear()
 
     def _may_be_slower(self, interval_s: float) -> None:
         long = self._long

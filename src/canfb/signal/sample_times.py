@@ -122,7 +122,7 @@ class SampleTimes:
         nominal = abs(intervals - counted) <= NOMINAL  # also where a simulation is slower than true time
         in_turn = least <= intervals <= counted + SPARE_AFTER and (agrees or nominal or apart is None)
         if in_turn or (agrees and intervals > counted):  # or there were SYNCs that were not received
-            whole = max(1, round(intervals)) if agrees and abs(intervals - counted) > 0.5 else counted
+            whole = round(intervals) if agrees and intervals > counted + 0.5 else counted
             uneven_s = (intervals - whole) * unit
             self.passed = intervals
             odd = self._judge(uneven_s, ticks, synced_s, SLIP_CYCLES * unit, abs(speed_cycles))
