@@ -15,7 +15,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 INSTALLED := $(VENV)/.installed
 INSTALLED_TEST := $(VENV)/.installed-test
 LOWEST := .venv-lowest
-MUTATED ?= $(addprefix src/canfb/signal/,supervision.py frozen.py bounded_motion.py doubt.py estimator.py \
+MUTATED ?= $(addprefix src/canfb/signal/,supervision.py frozen.py \
 	recovery/coarse.py recovery/zero_pulse.py recovery/reference.py)
 
 .DEFAULT_GOAL := help
