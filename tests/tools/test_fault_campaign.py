@@ -18,9 +18,8 @@ from tools.faults.chain.judge import Episode, first_illegal, follow, judge, play
 from tools.faults.chain.plant import COMMISSIONED, DEFAULT, ENCODER, HARD, SERVO, SETTINGS, Setting, Turning
 from tools.faults.chain.tally import Tally
 
-
-# Faults beyond what is declared: a phase error of 0.4 cycle where 0.0125 are declared; nine bad samples in a row where
-# three are; three beside a flagged one at 0.2 cycle per interval^2, where two motions fit them.
+# Faults beyond what is declared: a phase error of 0.4 cycle where 0.0125 are declared; nine bad samples in a
+# row where three are; three beside a flagged one at 0.2 cycle per interval^2, where two motions fit them.
 BEYOND = {
     ("default", "phase drift"),
     ("default", "random counts"),
