@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from canfb.bus.scope_demo import ScopeDemo
-from canfb.cli import scope
+from canfb.cli import printing, scope
 from canfb.cli.main import build_parser
 
 LINES_S = 120.0
@@ -71,7 +71,7 @@ class Running:
         monkeypatch.setattr(scope_server, "ScopeServer", Server)
         monkeypatch.setattr(scope_parts, "ScopeParts", Parts)
         monkeypatch.setattr(scope_demo, "ScopeDemo", Network)
-        monkeypatch.setattr(scope, "say", self.said.append)
+        monkeypatch.setattr(printing, "say", self.said.append)
         monkeypatch.setattr(scope, "ending_on_signals", lambda stop: contextlib.nullcontext())
         self._thread.start()
         try:

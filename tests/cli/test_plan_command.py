@@ -13,6 +13,8 @@ from folding import each
 
 MODULES = "modules: [{node_id: 32, times: true}]\n"
 
+MARGIN_2, MARGIN_3 = (weights * 819 / 65536 for weights in (4, 8))  # 2010:0C by default
+
 
 def figures(capsys: pytest.CaptureFixture[str], *words: str, code: int = 0) -> dict[str, Any]:
     assert main(["plan", *words, "--json"]) == code
@@ -68,7 +70,9 @@ def test_a_configuration_and_options_before_it(tmp_path: Path, capsys: pytest.Ca
     assert module["sync_jitter_s"] == pytest.approx(13e-6 + 135e-6)
     assert module["speed"]["stated_rpm"] == pytest.approx(30.0)
     assert module["acceleration"]["stated_rad_s2"] == 40.0, "the machine may do it"
-    assert module["residual_limit_cycles"] == pytest.approx(0.05 + 40 * 2500 / 6.2832 / 500**2, abs=1e-5)
+    assert module["residual_limit_cycles"] == pytest.approx(
+        4 * 819 / 65536 + 40 * 2500 / 6.2832 / 500**2, abs=1e-5
+    )
     words = ("--rate", "1000", "-b", "1000000", "--acceleration", "3", "--rpm", "5", "--extra", "0")
     other = figures(capsys, written(tmp_path, text), *words, "--jitter", "0", "--cycles", "1000")
     assert other["bus"]["sync_hz"] == 1000.0
@@ -84,7 +88,9 @@ def test_the_order_and_the_jerk_of_a_configuration(
     assert module["prediction_order"] == 3
     assert module["jerk"]["stated_rad_s3"] == 25_000.0, "the machine may do it"
     assert module["jerk"]["margin"] == 1.0
-    assert module["residual_limit_cycles"] == pytest.approx(0.1 + 25_000 * 2500 / 6.2832 / 1000**3, abs=1e-5)
+    assert module["residual_limit_cycles"] == pytest.approx(
+        8 * 819 / 65536 + 25_000 * 2500 / 6.2832 / 1000**3, abs=1e-5
+    )
     assert module["acceleration"]["largest_rad_s2"] is None
     words = ("--prediction-order", "2", "--jerk", "30000", "--acceleration", "100")
     (other,) = figures(capsys, written(tmp_path, text), *words)["modules"]

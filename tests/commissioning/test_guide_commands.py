@@ -29,6 +29,10 @@ PARSED_ONLY = {
         "uploads 100 000 samples; test_fast_recording_on_a_bus.py does so"
     ),
 }
+PARSED_ONLY |= {
+    "canfb try": "runs until Ctrl-C; tests/cli/test_try_command.py does so",
+    "canfb bus scan": "on the bus that the line before it names",
+}
 # Not run at all, by the first word.
 OF_OTHERS = {
     "needs CAN hardware or root": {"sudo", "ip", "candump", "dmesg"},
@@ -41,6 +45,7 @@ OF_OTHERS = {
             "@canfb",
             "i(k)",
             "SYNC",
+            "export",
         ),
         "dtoverlay=mcp251xfd,spi0-0,oscillator=40000000,interrupt=25",
     },
@@ -156,7 +161,7 @@ def test_the_simulated_machines_of_the_page(network: GuideNetwork) -> None:
     slow, drive = re.findall(r"```yaml\n(modules:.*?|bus:.*?)```", text, re.DOTALL)[:2]
     Path("slow.yaml").write_text(slow.replace("modules:", "bus: {interface: virtual}\nmodules:"))
     Path("drive.yaml").write_text(drive)
-    simulate, example, record, run, with_drive = filter(runs, lines_of("simulation"))
+    simulate, *_, example, record, run, with_drive = filter(runs, lines_of("simulation"))
     network("canfb run slow.yaml")
     assert "motion: 13 rpm" in network(simulate)
     network("canfb nmt start 0x20")

@@ -68,7 +68,8 @@ def play(rows: int) -> list[list[tuple[int, int]]]:
     module = ModuleConfig(
         node_id=NODE_ID, encoder_interface=INTERFACE_ID, adc_bits=14, conditioning=CONDITIONING
     )
-    bus.attach(FeedbackModule(module))
+    feedback = FeedbackModule(module)
+    bus.attach(feedback)
     bus.attach(EncoderInterface(INTERFACE_ID, RecordingSource(RECORDING, LAYOUT)))
     for node in (NODE_ID, INTERFACE_ID):
         bus.send(Frame(0, bytes([1, node])))
@@ -84,8 +85,7 @@ def play(rows: int) -> list[list[tuple[int, int]]]:
                 count += 1
             elif status & StatusBit.LOST:
                 played.append([])
-                for command in (0x80, 1):
-                    bus.send(Frame(0, bytes([command, NODE_ID])))
+                feedback.chain.restart()  # it turns on: NMT alone would leave it lost
     return [part for part in played if part]
 
 

@@ -35,12 +35,14 @@ from processes import Process
 QUARTERS = ((0, 1500), (1500, 0), (0, -1500), (-1500, 0))
 QUARTER_UNITS = 2048
 PERIODS = 12
+STANDING = 20  # a machine that moves at a reset is lost
 LATE_PART, MEMORY = 0.25, 4  # of a period; SYNCs
 
 
 def sample(number: int, period_s: float) -> can.Message:
-    """The ADC PDO of a machine that turns a quarter of a cycle in each period."""
-    return frame(ADC_COB_ID, struct.pack("<hhI", *QUARTERS[number % 4], round(number * period_s * 1e7)))
+    """The ADC PDO of a machine that turns a quarter of a cycle in each period, and then stands."""
+    place = min(number, PERIODS - 1) % 4
+    return frame(ADC_COB_ID, struct.pack("<hhI", *QUARTERS[place], round(number * period_s * 1e7)))
 
 
 CASES = [(255, 254, 0, 0), (255, 254, 1, 0), (255, 1, 0, 1), (255, 1, 1, 0), (1, 1, 0, 1), (1, 1, 2, 0)]
@@ -73,7 +75,7 @@ def check(
         0,
         time.monotonic(),
     )  # a SYNC that a busy machine sends late takes the valid bit for a while
-    for number in range(PERIODS):
+    for number in range(PERIODS + STANDING):
         timer.wait()
         bus.send(SYNC)
         before_s, sent_s = sent_s, time.monotonic()
@@ -83,7 +85,7 @@ def check(
         bus.send(sample(number, timer.period_s))
         if not at_sync:  # before there is another SYNC
             data = next_frame(bus, pace, POSITION_COB_ID)
-        if number >= 4:
+        if 4 <= number < PERIODS:
             position, status, _ = position_fields(data)
             assert position == (number - behind) * QUARTER_UNITS, case
             assert bool(status & StatusBit.EXTRAPOLATED) == bool(predict and at_sync), case
