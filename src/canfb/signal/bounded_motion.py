@@ -108,8 +108,8 @@ class BoundedMotion:
         return self.bounds[0].order
 
     def in_force(self, spots: int) -> tuple[Bound, ...]:
-        """The bounds that so many samples can be held against."""
-        return tuple(bound for bound in self.bounds if bound.order <= spots) or (self.at_start,)
+        """The bounds that so many samples can be held against; ``at_start`` while they are too few."""
+        return self.bounds if spots >= self.order else (self.at_start,)
 
     def error(self, spots: tuple[Spot, ...]) -> float:
         """The largest error of a phase at the speed of the last two samples, cycles."""
