@@ -28,7 +28,7 @@ modules:
 - {{node_id: 32, encoder_interface: 16, times: true}}
 simulation:
   pace: sync  # this computer may be busy with other tests
-  motion: {{standstill_s: 0, ramp_s: 1.5, rpm: 60}}  # 0.04 cycle per interval^2, below what is assumed in doubt
+  motion: {{standstill_s: 0, ramp_s: 1.5, rpm: 60}}  # 0.04 cycle per interval^2, less than 2010:0B
 """
 
 
