@@ -21,9 +21,10 @@ def say(text: str) -> None:
 
 
 def print_line(text: str, stream: TextIO) -> None:
-    """Print at once."""
+    """Print at once, and in one piece: another thread may print beside it."""
     with reader_may_go(stream):
-        print(text, file=stream, flush=True)
+        stream.write(f"{text}\n")
+        stream.flush()
 
 
 @contextlib.contextmanager
