@@ -73,8 +73,8 @@ def _serve(options: argparse.Namespace, network: NetworkOnBus, path: Path) -> No
         say(NO_PAGE)
     if not page:
         with Readiness(options.ready_file) as readiness, ending_on_signals(network.stop):
-            _tell(options, network, None)
             readiness.ready()
+            _tell(options, network, None)
             network.wait()
         return
     from canfb.cli.scope import scope  # here: for this, no other command is imported
