@@ -10,7 +10,8 @@ from canfb.signal.blocks import Scratch
 from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
 from canfb.signal.correction import Correction, CorrectionTable, check_table
 from canfb.signal.declared import Declared
-from canfb.signal.estimator import HOLE_INTERVALS, Estimator, successor
+from canfb.signal.doubt import HOLE_INTERVALS
+from canfb.signal.estimator import Estimator, successor
 from canfb.signal.feedback import Feedback
 from canfb.signal.frozen import FrozenInput, repeats
 from canfb.signal.pauses import LARGEST_SLIP_CYCLES, Pauses

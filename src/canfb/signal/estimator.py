@@ -26,7 +26,7 @@ from canfb.signal import speeds
 from canfb.signal.blocks import Scratch
 from canfb.signal.bounded_motion import SHORT_INTERVAL, Spot
 from canfb.signal.declared import Declared
-from canfb.signal.doubt import SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
+from canfb.signal.doubt import HOLE_INTERVALS, SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
 from canfb.signal.speeds import Place
 from canfb.signal.still_phase import STILL_SAMPLES, StillPhase
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
@@ -34,7 +34,6 @@ from canfb.signal.third_order import SECOND, ThirdOrderTracker, tracker_of
 from canfb.signal.tracker import NOT_USUAL, Track, TrackResult
 from canfb.signal.tracking import predicts_by_parabola, steady_run
 
-HOLE_INTERVALS = 1.5  # since the sample before: one was missed
 START_SAMPLES = 8  # uneven times contradict a wrong speed at a start by sample 5 in 95 %
 HALF_CYCLE = 0.5
 REMEMBERED_SAMPLES = 24  # r + 2 (m + r - 1): to go back behind m bad samples, m = 8 at order 3
