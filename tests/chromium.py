@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import shutil
@@ -23,7 +24,13 @@ const walk = (node) => { const found = []; const go = (one) => { found.push(one)
   go(node); return found; };
 const all = walk(document.documentElement);
 """
+# What the browser answers when a page is left while an expression is evaluated in it.
+LEFT = ("navigated or closed", "context was destroyed", "Cannot find context")
 SEEN_BUTTONS = "all.filter(one => one.tagName === 'BUTTON' && one.checkVisibility())"
+
+
+class PageLeft(Exception):
+    """The page was left while a command was carried out in it."""
 
 
 class Chromium:
@@ -93,13 +100,20 @@ class Chromium:
             assert text is not None, "the browser has gone"
             answer = json.loads(text)
             if answer.get("id") == number:
+                if any(words in str(answer.get("error", "")) for words in LEFT):
+                    raise PageLeft(answer["error"])
                 assert "error" not in answer, (method, answer["error"])
                 return answer["result"]
             self.events.append(answer)
 
     def look(self, expression: str) -> Any:
-        """The value of a JavaScript expression, or of a promise."""
-        done = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        """The value of a JavaScript expression, or of a promise; in the next page, if this one is left."""
+        done: dict[str, Any] = {}
+        while not done:
+            with contextlib.suppress(PageLeft):
+                done = self.call(
+                    "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+                )
         assert "exceptionDetails" not in done, done["exceptionDetails"]
         return done["result"].get("value")
 

@@ -234,3 +234,24 @@ def test_periods_that_only_the_times_show_count_for_a_machine_that_creeps(
     after = [step(40 + unheard + at) for at in range(20)]
     assert chain.lost is lost
     assert all(not one.valid or abs(one.cycles + one.phase) < 0.01 for one in after)
+
+
+@pytest.mark.parametrize("late_s", [0.0005, 0.0145, 0.4])
+def test_an_exact_time_is_right_however_late_its_sync_was_received(late_s: float) -> None:
+    """From the first samples on, fast as the machine may be: a host that is late does not make it wrong."""
+    times = begun()
+    times.elapsed(0, 1.0, 0.0, 0.0)
+    received_s = 0.0
+    for number in range(1, 5):
+        received_s += 1e-3 + (late_s if number == 3 else 0.0)
+        assert times.elapsed(number * PERIOD_TICKS, 1.0, received_s, received_s, 125.0) == 1.0
+
+
+def test_a_time_off_the_grid_needs_a_sync_that_was_as_late() -> None:
+    for syncs_late_s in (0.0, 0.2e-3):
+        times = begun()
+        times.elapsed(0, 1.0, 0.0, 0.0)
+        times.elapsed(PERIOD_TICKS, 1.0, 1e-3, 1e-3, 125.0)
+        synced_s = 2e-3 + syncs_late_s
+        elapsed = times.elapsed(2 * PERIOD_TICKS + 2000, 1.0, synced_s, synced_s, 125.0)
+        assert elapsed == (pytest.approx(1.2) if syncs_late_s else SUSPECT)

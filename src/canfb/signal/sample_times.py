@@ -176,7 +176,9 @@ class SampleTimes:
         error_s = None
         if synced_s is not None and self._synced_s is not None:
             error_s = ticks * TICK_S - (synced_s - self._synced_s)
-            if (heard_s := heard.limit_of(unit)) <= limit_s:
+            heard_s = heard.limit_of(unit)
+            # Equally sharp, as at the start: right if one of them agrees; the SYNC or the host may be late.
+            if heard_s < limit_s or (heard_s == limit_s and abs(error_s) < abs(off_s)):
                 off_s, limit_s, witness = error_s, heard_s, heard
         if not abs(off_s) > limit_s:
             jitter.learn(abs(uneven_s))
