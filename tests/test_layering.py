@@ -52,7 +52,7 @@ ALLOWED: dict[str, set[str]] = {
              "eds_files"} | WORDS,
     # What a module and a bus allow is arithmetic over both: of the module, of the wire and of the simulated
     # motion, none of which may know the others. It needs no bus, so it is not in one that has.
-    "planning": {"signal", "device", "module", "simulation", "configuration", "eds_files"} | WORDS,
+    "planning": {"signal", "device", "module", "simulation", "configuration", "eds_files", "view"} | WORDS,
     "cli": {"signal", "calibration", "device", "sources", "module", "simulation", "configuration",
             "eds_files", "bus", "demo", "commissioning", "report", "monitoring", "replay", "logs",
             "planning", "scope"} | WORDS,

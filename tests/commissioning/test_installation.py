@@ -90,6 +90,10 @@ def test_the_new_set_is_in_force_proven_and_saved(
     assert 0.5 < done.fresh.rms / measured.calibration.residual_rms < 1.3
     again = prepared(NO_CORRECTION, store=store)
     assert read_active(again.access) == measured.found, "after the power was off"
+    assert done.phase_error_cycles is not None
+    assert done.phase_error_cycles == pytest.approx(max(0.005, 2.0 * done.fresh.peak), abs=1 / 65536)
+    for one in (bench, again):
+        assert one.access.integer(*PHASE_ERROR, "H") == round(done.phase_error_cycles * 65536)
 
 
 def test_without_a_store_it_is_active_and_said_to_be_not_saved(
@@ -112,7 +116,8 @@ def test_not_to_save_is_not_to_save(
     assert done.save_note.startswith("not saved, as requested")
 
 
-WRITES = [(0x2002, n) for n in range(1, 6)] + [(0x2020, 1), (0x2020, 3), (0x1010, 4)]
+PHASE_ERROR = (0x2010, 12)
+WRITES = [(0x2002, n) for n in range(1, 6)] + [(0x2020, 1), (0x2020, 3), PHASE_ERROR, (0x1010, 4)]
 
 
 @pytest.mark.parametrize("target", WRITES, ids=lambda one: f"{one[0]:04X}:{one[1]:02X}")
@@ -149,9 +154,10 @@ def test_a_refused_write_leaves_the_old_set(
     assert len(refused) == 2
     assert read_active(bench.access) == known
     assert bench.module.chain.correction.table == known.table
+    assert bench.access.integer(*PHASE_ERROR, "H") == 819
 
 
-LAST_REQUEST = 60  # of an installation
+LAST_REQUEST = 62  # of an installation
 
 
 def lying(bench: Bench, index: int, subindex: int, times: int) -> None:
@@ -196,6 +202,7 @@ def test_a_lost_request_ends_in_the_new_set_or_in_the_old_one(
     fault.spoil = lambda count, frame: None
     assert said.endswith(AS_BEFORE)
     assert read_active(bench.access) == wanted
+    assert (bench.access.integer(*PHASE_ERROR, "H") == 819) == (wanted is old)
 
 
 def test_the_lost_requests_reach_to_the_end(

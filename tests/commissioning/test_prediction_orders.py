@@ -118,5 +118,5 @@ def test_a_noise_margin_narrows_the_limit_that_is_judged() -> None:
     narrow = replace(wide, motion=replace(wide.motion, noise_margin=6), noise_cycles=0.0005)
     interval_s = 1.0 / RATE_HZ
     acceleration = wide.acceleration_cycles(interval_s)
-    assert wide.residual_limit(interval_s) == pytest.approx(acceleration + 0.05)
+    assert wide.residual_limit(interval_s) == pytest.approx(acceleration + 4.0 * 819 / 65536)
     assert narrow.residual_limit(interval_s) == pytest.approx(acceleration + 6 * 0.0005)

@@ -15,6 +15,7 @@ from canfb.planning.detection import JerkDetection
 from canfb.planning.jerk_budget import JerkBudget
 from canfb.planning.plan import Limited, Plan
 from canfb.planning.remedies import remedies_of
+from canfb.signal.declared import Declared
 from canfb.signal.limits import limit_narrowed_by_jerk
 
 HELD, FLAGGED = 0.95, 1.05
@@ -183,14 +184,16 @@ def test_limits_that_a_plan_has_by_its_order() -> None:
 
 
 def test_detection_is_that_of_the_page_on_third_order() -> None:
-    """One missed sample is certain for L <= 1/6 at half the limit; below j = 0.069 if the jerk is known."""
-    half = JerkDetection(1 / 6, 1 / 12, 1 / 6, None, 0.0)
-    assert (half.bad_samples, half.missed_samples) == (1, 1)
-    assert JerkDetection(1 / 6, 1 / 12 + 0.001, 1 / 6, None, 0.0).missed_samples == 0
+    """One missed sample is certain below j = 0.069 with the phase error of an encoder without a table."""
     for jerk, missed in ((0.068, 1), (0.07, 0), (0.0, 2), (0.011, 1)):
-        found = JerkDetection(jerk + 0.1, jerk, jerk + 0.1, jerk, 0.0125)
+        declared = Declared(order=3, residual_limit=jerk + 0.1, jerk=jerk)
+        found = JerkDetection(jerk + 0.1, jerk, declared)
         assert found.missed_samples == missed, jerk
-    assert JerkDetection(0.14, 0.12, 0.14, None, 0.0).bad_samples == 0
+        assert found.is_declared
+        assert not JerkDetection(jerk + 0.1, jerk + 0.01, declared).is_declared
+        assert found.kept_with(phase_error=0.001) >= missed
+    assert JerkDetection(0.14, 0.12, Declared(order=3, residual_limit=0.14)).bad_samples == 0
+    assert JerkDetection(1 / 6, 1 / 12, Declared(order=3, residual_limit=1 / 6)).bad_samples == 1
 
 
 @given(st.floats(0.01, 0.5), st.floats(1.0, 1e6), st.floats(0.0, 40.0), st.floats(1.0, 1500.0))

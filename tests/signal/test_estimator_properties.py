@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +17,12 @@ from motion_oracles import ends_through
 import canfb
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
+from canfb.signal.declared import Declared as EstimatorDeclared
+from canfb.signal.estimator import Estimator
+from canfb.signal.limits import kept_samples
 from canfb.signal.sample import Sample
 from canfb.signal.stream import process_stream
+from canfb.signal.supervision import LOST, VALID
 from tools.faults.estimator.declared import Declared, config_of, limits_of, make_chain
 from tools.faults.estimator.episodes import Episode, chain_for, draw, has_sets, play
 from tools.faults.estimator.judge import judge
@@ -300,3 +305,45 @@ def test_a_lost_position_says_so() -> None:
         published = play(episode)
         assert not published.valid[episode.fault :].any()
         assert published.status[-1] & StatusBit.LOST
+
+
+@pytest.mark.parametrize("flagged", [False, True])
+@pytest.mark.parametrize(
+    ("order", "bound", "phase_error"),
+    [(2, 0.01, 0.0125), (2, 0.05, 0.0125), (2, 0.1, 0.0125), (2, 0.1, 0.002), (2, 0.16, 0.001),
+     (3, 0.01, 0.002), (3, 0.05, 0.002)],
+)  # fmt: skip
+def test_as_many_samples_in_a_row_are_bridged_as_is_said(
+    order: int, bound: float, phase_error: float, flagged: bool
+) -> None:
+    """The largest motions and errors, in every pattern of their signs at random."""
+    motion: dict[str, Any] = {"acceleration": bound} if order == 2 else {"jerk": bound}
+    limit = bound + 2**order * phase_error
+    declared = EstimatorDeclared(
+        order=order, residual_limit=limit, phase_error=phase_error, coast_samples=40, **motion
+    )
+    kept = declared.kept_samples()
+    assert kept == kept_samples(order, bound, bound, phase_error)
+    assert 1 <= kept < 40
+    generator = np.random.default_rng(11)
+    for _ in range(40):
+        x = generator.choice([-0.999, 0.999], 80 + kept) * bound
+        x = np.repeat(x[::7], 7)[: len(x)] if generator.random() < 0.5 else x
+        x[:6] = 0.0  # from standstill
+        for _ in range(order):
+            x = np.cumsum(x)
+        x += 0.5
+        shown = x + generator.choice([-0.999, 0.999], len(x)) * phase_error
+        estimator = Estimator(declared)
+        for position in shown[:40]:
+            assert estimator.good(position % 1.0, 1.0)[1] == VALID
+        for _ in range(kept):
+            estimator.bad(1.0, missed=not flagged)
+        bits = []
+        for number in range(40 + kept, len(x)):
+            track, status = estimator.good(shown[number] % 1.0, 1.0)
+            bits.append(status)
+            if status & VALID:
+                assert abs(track.cycles + track.phase - x[number]) < 0.5 + 0.001
+        assert bits[-1] == VALID
+        assert not any(status & LOST for status in bits)

@@ -12,6 +12,7 @@ from canfb.commissioning.commission_summary import (
     Commissioned,
     detection_rows,
     detection_words,
+    kept_words,
     limit_rows,
     machine_facts,
     notes,
@@ -39,7 +40,12 @@ def write_page(folder: Path, done: Commissioned) -> Path:
 
 def commission_html(done: Commissioned) -> str:
     """The page. It refers to nothing outside of itself and runs no script."""
-    said = [f"{detection_words(done)}.", f"{outcome(done)[:1].upper()}{outcome(done)[1:]}.", *notes(done)]
+    said = [
+        f"{detection_words(done)}.",
+        f"{kept_words(done)}.",
+        f"{outcome(done)[:1].upper()}{outcome(done)[1:]}.",
+        *notes(done),
+    ]
     body = (
         comparison_table("Limits", ("before", "proposed", "why"), limit_rows(done), listed=True)
         + facts_table("The machine", machine_facts(done))

@@ -162,7 +162,7 @@ def limit_rows(done: Commissioned) -> list[tuple[str, str, str, str]]:
 
 def value_words(choice: Choice, value: float, interval_s: float, cycles_per_revolution: int) -> str:
     """A value with its unit, as people read it."""
-    if choice.place == od.SUPERVISION_RESIDUAL_LIMIT:
+    if choice.place in (od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_PHASE_ERROR):
         return f"{value:.0f} ({value / LIMIT_UNITS:.3g} cycle)"
     if choice.place == od.SUPERVISION_COARSE_LIMIT:
         return f"{value:.0f} ({360.0 * value / LIMIT_UNITS:.3g}°)"
@@ -215,6 +215,17 @@ def detection_words(done: Commissioned) -> str:
     )
 
 
+def kept_words(done: Commissioned) -> str:
+    """One sentence on missed samples."""
+    interval_s, motion = done.machine.interval_s, done.largest_motion
+    before, new = (one.kept_samples(interval_s, motion) for one in (done.before, done.new))
+    return (
+        f"After up to {new} missed or flagged samples in a row the position is certain, {before} with the "
+        f"limits before (2010:03 bridges {done.new.coast_samples}). A machine that exceeds the acceleration, "
+        "the jerk or the phase error declared here can leave a position valid and wrong after a fault"
+    )
+
+
 def outcome(done: Commissioned) -> str:
     """One line: what is in the module now."""
     if done.written:
@@ -242,7 +253,7 @@ def as_lines(done: Commissioned) -> list[str]:
             lines.append(f"    {choice.why}")
     lines += ["", f"{'bad samples':13}{sum_words(done):15}{'before':14}proposed"]
     lines += [f"{row[0]:13}{row[1]:15}{row[2]:14}{row[3]}" for row in detection_rows(done)]
-    return [*lines, "", detection_words(done), outcome(done)]
+    return [*lines, "", detection_words(done), kept_words(done), outcome(done)]
 
 
 def as_figures(done: Commissioned) -> dict[str, Any]:
@@ -289,6 +300,8 @@ def as_figures(done: Commissioned) -> dict[str, Any]:
         "deviation_before_cycles": done.deviation(done.before),
         "bad_samples_detected": done.without_harm(done.new),
         "bad_samples_detected_before": done.without_harm(done.before),
+        "missed_samples_kept": done.new.kept_samples(machine.interval_s, done.largest_motion),
+        "missed_samples_kept_before": done.before.kept_samples(machine.interval_s, done.largest_motion),
         "written": done.written,
         "saved": done.saved_as is not None,
     }

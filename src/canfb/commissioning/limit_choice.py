@@ -12,8 +12,8 @@ from canfb.commissioning.motion_seen import MotionSeen
 from canfb.commissioning.supervision_limits import KINDS, SupervisionLimits, as_real32
 from canfb.objects import Multiplexer
 from canfb.signal.limits import (
-    JERK_MARGIN_CYCLES,
-    PHASE_ERROR_MARGIN_CYCLES,
+    CALIBRATED_PHASE_ERROR_CYCLES,
+    MOST_PHASE_ERROR_CYCLES,
     max_acceleration,
     max_jerk,
 )
@@ -27,6 +27,7 @@ NOISE_SIGMAS = 6.0  # beyond that a sample in 10^9
 LEAST_RESIDUAL_LIMIT = 0.02  # four times a phase error of 0.005: a table of which temperature has taken half
 SPEED_CHANGE_SEEN = 0.5  # of the top speed: less, and a start or a stop was not seen
 STEADY_LIMIT = 1.0 / 6.0  # beyond it, a single missed sample may lose the position
+LEAST_TURNED_CYCLES = 8.0  # with fewer, the same few places of the cycle can come again and again
 LEAST_COARSE_LIMIT = 1.0 / 256.0
 MOST_COARSE_LIMIT = 0.25
 USUAL_PERIODS, MOST_PERIODS = 2, 10
@@ -87,9 +88,11 @@ def choose(
     machine is known to do, rad/s^2, 0.0 if there is none.
     """
     motion = _third_order if limits.prediction_order == THIRD else _motion
+    error = _phase_error(seen, limits, margin)
     return [
         *_amplitude(seen.tracks, limits, margin),
-        *motion(seen, limits, margin, known_rad_s2),
+        *motion(seen, limits.changed({error.place: error.value}), margin, known_rad_s2),
+        error,
         _frozen(seen, limits, margin),
         _coarse(seen, limits, margin),
         _periods(seen, limits),
@@ -141,7 +144,8 @@ def _motion(
     needed = max(needed, known + margin * noise, LEAST_RESIDUAL_LIMIT)
     limit = math.ceil(min(needed, RESIDUAL_LIMIT) * LIMIT_UNITS)
     limit = min(limit, int(RESIDUAL_LIMIT * LIMIT_UNITS))
-    largest = max(largest, limit / LIMIT_UNITS - PHASE_ERROR_MARGIN_CYCLES)  # else it would narrow the limit
+    # A smaller acceleration would narrow the limit.
+    largest = max(largest, limit / LIMIT_UNITS - 4.0 * limits.settings.phase_error_cycles)
     most = max_acceleration(n, 1.0 / interval_s)
     value = as_real32(min(_rounded_up(largest * to_rad), most))
     words = f"{motion.acceleration * to_rad:.3g} rad/s² seen"
@@ -177,7 +181,7 @@ def _third_order(
     needed = max(margin * max(motion.residual_peak, motion.jerk + noise), LEAST_RESIDUAL_LIMIT)
     limit = min(math.ceil(needed * LIMIT_UNITS), int(RESIDUAL_LIMIT * LIMIT_UNITS))
     # A smaller jerk would narrow the limit.
-    largest = max(margin * motion.jerk, limit / LIMIT_UNITS - JERK_MARGIN_CYCLES)
+    largest = max(margin * motion.jerk, limit / LIMIT_UNITS - 8.0 * limits.settings.phase_error_cycles)
     to_acceleration, to_jerk = seen.rad(1.0, 2, n), seen.rad(1.0, 3, n)
     most = max_jerk(n, 1.0 / seen.interval_s)
     jerk = as_real32(min(_rounded_up(largest * to_jerk), most))
@@ -196,6 +200,25 @@ def _third_order(
         ),
         _choice(limits, places[2], jerk, words),
     )
+
+
+def _phase_error(seen: MachineSeen, limits: SupervisionLimits, margin: float) -> Choice:
+    """What the phases are off by, as the machine shows it at its own speeds."""
+    place, motion = od.SUPERVISION_PHASE_ERROR, seen.motion
+    if motion.turned < LEAST_TURNED_CYCLES:
+        why = f"the machine moved by {motion.turned:.2g} cycles only, so the phases did not show their errors"
+        return _choice(limits, place, None, why)
+    largest = max(margin * motion.phase_error, CALIBRATED_PHASE_ERROR_CYCLES)
+    why = f"up to {motion.phase_error:.2g} cycle seen, times {margin:g}"
+    if largest == CALIBRATED_PHASE_ERROR_CYCLES:
+        why = (
+            f"up to {motion.phase_error:.2g} cycle seen: {largest:g}, so that the encoder may drift from its "
+            "table"
+        )
+    if largest > MOST_PHASE_ERROR_CYCLES:
+        largest = MOST_PHASE_ERROR_CYCLES
+        why += ", which is more than can be declared: calibrate the encoder"
+    return _choice(limits, place, math.ceil(largest * LIMIT_UNITS), why)
 
 
 def _residual_words(motion: MotionSeen, needed: float, margin: float, known: float) -> str:

@@ -15,7 +15,8 @@ from canfb import objects as od
 from canfb.commissioning.access import NodeAccess, ObjectAbsentError
 from canfb.commissioning.pdo_layout import mapped_objects
 from canfb.objects import LossCause, Multiplexer, PositionState, StatusBit
-from canfb.signal.limits import cycles_per_interval_squared
+from canfb.signal.limits import cycles_per_interval_squared, kept_samples
+from canfb.signal.third_order import SECOND
 
 CYCLE_UNITS = 65536.0  # of a cycle, in 2012:13..15
 RATE_S = 0.25  # over which the rate of the samples is measured
@@ -248,8 +249,7 @@ class LostPosition:
         largest = cycles_per_interval_squared(
             self.acceleration_rad_s2, self.cycles_per_revolution, 1.0 / self.sample_hz
         )
-        fits = (n for n in range(MOST_MISSED, 0, -1) if (n + 2) ** 2 // 4 * 2.0 * largest <= 1.0)
-        return next((n for n in fits if (n + 2) * 2.0 * largest <= 1.0), 0)
+        return kept_samples(SECOND, largest, largest, phase_error_cycles=0.0, most=MOST_MISSED)
 
     def _motion(self, loss: Loss) -> Iterator[str]:
         if self.acceleration_rad_s2 and loss.limit_cycles < self.residual_limit_cycles:

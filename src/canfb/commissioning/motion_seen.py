@@ -70,6 +70,16 @@ class MotionSeen:
         return root_mean(self.residual[np.isfinite(self.residual)])
 
     @property
+    def phase_error(self) -> float:
+        """The largest error of one phase that the second differences show beyond the motion, cycles.
+
+        They weigh three phases with 1, 2, 1; at most all are off at the same time.
+        """
+        off = self.bend - smooth_acceleration(self.bend, self.noise)
+        off = off[np.isfinite(off)]
+        return peak(off) / 4.0 if len(off) else 0.0
+
+    @property
     def residual_noise(self) -> float:
         """Rms of the residual that the noise of three or four samples makes."""
         return math.sqrt(RESIDUAL_WEIGHTS[self.order]) * self.noise

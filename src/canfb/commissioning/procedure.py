@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from canfb import objects as od
 from canfb.calibration.deviation import Deviation, best_deviation
-from canfb.commissioning.access import CommissioningError, NodeAccess
+from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
 from canfb.commissioning.active import put_back, put_in_force, save
 from canfb.commissioning.guard import Guard
 from canfb.commissioning.measurement import Measurement, Settings, block_of
 from canfb.commissioning.samples import TrackSamples
 from canfb.errors import CanfbError
 from canfb.signal.correction import Correction
+from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES, MOST_PHASE_ERROR_CYCLES
+from canfb.view.limits_in_force import LIMIT_UNITS
 
+SPARE_PHASE_ERROR = 2.0  # times the largest error of the fresh samples: not every place of the cycle was met
 # Fresh samples may come at another speed; a table that is wrong is worse than this by far.
 WORSE = 1.5
 
@@ -27,12 +32,14 @@ class Installation:
     active     the new set is active
     saved_as   object that saved it, None: not saved
     save_note  why it is not saved, in plain words
+    phase_error_cycles   written to 2010:0C, None: not written
     """
 
     fresh: Deviation | None = None
     active: bool = False
     saved_as: str | None = None
     save_note: str = ""
+    phase_error_cycles: float | None = None
 
 
 def install(
@@ -54,6 +61,7 @@ def install(
     restored (and saved again, where saving had begun) before the error is raised; its text says so.
     """
     done, before = Installation(), measured.before
+    declared: int | None = None  # 2010:0C before, once it is written
     saving = False
     try:
         step("activating the table")
@@ -64,6 +72,10 @@ def install(
         done.active = True
         step("verifying on fresh samples")
         done.fresh = verify(collect(), measured, settings)
+        before_error = phase_error(module)
+        if before_error is not None:
+            declared = before_error
+            done.phase_error_cycles = declare_phase_error(module, done.fresh)
         if keep:
             step("saving")
             saving = True
@@ -74,7 +86,7 @@ def install(
         with guard.held():
             with contextlib.suppress(OSError):  # a terminal that has gone
                 step("restoring the old table")
-            undone, said = _undo(module, before, saving)
+            undone, said = _undo(module, before, declared, saving)
         if isinstance(error, CanfbError) or not undone:
             raise CommissioningError(f"{str(error) or 'interrupted'}; {said}") from error
         with contextlib.suppress(OSError):
@@ -107,9 +119,27 @@ def _save(module: NodeAccess, done: Installation) -> None:
         )
 
 
-def _undo(module: NodeAccess, before: Correction, saving: bool) -> tuple[bool, str]:
-    """Restore the old set; whether that worked, and a line about it."""
+def phase_error(module: NodeAccess) -> int | None:
+    """2010:0C as it is, 1/65536 cycle; None for a module without it."""
     try:
+        return module.integer(*od.SUPERVISION_PHASE_ERROR, "H")
+    except ObjectAbsentError:
+        return None
+
+
+def declare_phase_error(module: NodeAccess, fresh: Deviation) -> float:
+    """Write what the fresh samples show to 2010:0C; the error that stands there then, cycles."""
+    largest = min(max(SPARE_PHASE_ERROR * fresh.peak, CALIBRATED_PHASE_ERROR_CYCLES), MOST_PHASE_ERROR_CYCLES)
+    units = math.ceil(largest * LIMIT_UNITS)
+    module.write(*od.SUPERVISION_PHASE_ERROR, "H", units)
+    return units / LIMIT_UNITS
+
+
+def _undo(module: NodeAccess, before: Correction, declared: int | None, saving: bool) -> tuple[bool, str]:
+    """Restore the old set, and 2010:0C where it was written; whether that worked, and a line about it."""
+    try:
+        if declared is not None:
+            module.write(*od.SUPERVISION_PHASE_ERROR, "H", declared)
         put_back(module, before)
         if saving:
             save(module)

@@ -80,6 +80,10 @@ def facts(measured: Measurement, done: Installation, where: Circumstances) -> li
     ]
     if done.fresh is not None:
         listed.append(("fresh samples", f"{len(done.fresh.error)} used, {done.fresh.faulty} left out"))
+    if done.phase_error_cycles is not None:
+        listed.append(
+            ("phase error, 2010:0C", f"{done.phase_error_cycles:.3g} cycle, at the speed of this motion")
+        )
     if where.meanwhile is not None and where.meanwhile.is_lost:
         listed.append(("position of the module", "lost; a table does not bring it back (canfb why)"))
     if calibration.cramer_rao_ratio is not None:
@@ -194,6 +198,7 @@ def as_json(measured: Measurement, done: Installation, where: Circumstances) -> 
         "noise_counts": calibration.noise_counts,
         "fresh_rms_cycles": None if fresh is None else fresh.rms,
         "fresh_peak_cycles": None if fresh is None else fresh.peak,
+        "phase_error_cycles": done.phase_error_cycles,
         "active": done.active,
         "saved": done.saved_as is not None,
     }

@@ -39,6 +39,7 @@ LIMITS = (
     LimitObject(od.SUPERVISION_RESIDUAL_LIMIT, "H", "residual limit", "1/65536 cycle"),
     LimitObject(od.SUPERVISION_ACCELERATION, "f", "largest acceleration", "rad/s²"),
     LimitObject(od.SUPERVISION_JERK, "f", "largest jerk", "rad/s³"),
+    LimitObject(od.SUPERVISION_PHASE_ERROR, "H", "phase error", "1/65536 cycle"),
     LimitObject(od.SUPERVISION_FROZEN, "B", "equal samples of a frozen input", "samples"),
     LimitObject(od.SUPERVISION_COARSE_LIMIT, "H", "coarse track limit", "1/65536 revolution"),
     LimitObject(od.SUPERVISION_PERIODS, "B", "periods without SYNC or sample", "periods"),
@@ -90,6 +91,7 @@ class SupervisionLimits:
             widest_cycles=self.values[od.SUPERVISION_RESIDUAL_LIMIT] / LIMIT_UNITS,
             acceleration_rad_s2=self.values[od.SUPERVISION_ACCELERATION],
             jerk_rad_s3=self.values.get(od.SUPERVISION_JERK, 0.0),
+            phase_error_cycles=self.values[od.SUPERVISION_PHASE_ERROR] / LIMIT_UNITS,
         )
 
     @property
@@ -100,6 +102,15 @@ class SupervisionLimits:
     def bounds(self, interval_s: float) -> MotionBounds:
         """What bounds the motion at this interval from sample to sample."""
         return self.settings.bounds(self.cycles_per_revolution, interval_s, self.noise_cycles)
+
+    def kept_samples(self, interval_s: float, motion_cycles: float) -> int:
+        """Missed or flagged samples in a row after which the position is certain, at most 2010:03.
+
+        ``motion_cycles`` is the largest acceleration, by third order the largest jerk, of the machine.
+        """
+        coast = self.coast_samples * self.motion.samples_per_sync
+        order, widest = self.prediction_order, self.settings.widest_cycles
+        return self.bounds(interval_s).declared(order, widest, coast).kept_samples(motion_cycles)
 
     def changed(self, values: Mapping[Multiplexer, float]) -> SupervisionLimits:
         """With other values for some of the objects."""
@@ -140,6 +151,9 @@ def write_limits(module: NodeAccess, wanted: Mapping[Multiplexer, float]) -> Non
     if low in wanted and high in wanted and wanted[low] >= module.integer(*high, "H"):
         places.remove(low)
         places.insert(places.index(high) + 1, low)
+    error = od.SUPERVISION_PHASE_ERROR
+    if error in wanted and wanted[error] > module.integer(*error, "H"):  # it widens what the others narrow
+        places.sort(key=lambda place: place != error)
     for place in places:
         layout = KINDS[place].layout
         module.write(*place, layout, wanted[place] if layout == "f" else int(wanted[place]))

@@ -21,12 +21,14 @@ from functools import cached_property
 from canfb.planning.phase_errors import PEAK, SECOND_DIFFERENCE, PhaseErrors, Weights
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.situation import Situation
+from canfb.signal.declared import Declared
 from canfb.signal.limits import (
     cycles_per_interval_squared,
     max_acceleration,
     max_speed,
 )
 from canfb.signal.sample_times import TICK_S
+from canfb.view.limits_in_force import MotionBounds
 
 HALF_TICK_S = TICK_S / 2.0  # a sample time is rounded down
 ROUNDING, ROUNDING_CYCLES = 1e-6, 1e-9  # of sums: a limit that is narrowed to the motion holds
@@ -68,7 +70,19 @@ class ResidualBudget:
     @cached_property
     def slow_limit_cycles(self) -> float:
         """The residual limit of a machine that turns slowly."""
-        return self.module.residual_limit_cycles(self.interval_s, self.noise_margin_cycles)
+        return self.bounds.residual
+
+    @cached_property
+    def bounds(self) -> MotionBounds:
+        """What the module has in force."""
+        return self.module.bounds(self.interval_s, self.measured_noise_cycles)
+
+    @cached_property
+    def declared(self) -> Declared:
+        """What its estimator is told."""
+        module = self.module
+        order = module.settings.prediction_order
+        return self.bounds.declared(order, module.widest_limit_cycles, module.coast_samples)
 
     @property
     def is_narrowed(self) -> bool:
@@ -93,10 +107,7 @@ class ResidualBudget:
     @property
     def known_phase_error_cycles(self) -> float:
         """The error of a phase that the module reckons with after missed samples."""
-        return min(
-            self.module.declared_phase_error_cycles,
-            self.noise_margin_cycles / math.sqrt(self.weights.variance),
-        )
+        return self.bounds.phase_error
 
     @property
     def asked_rad_s2(self) -> float | None:

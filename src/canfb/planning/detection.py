@@ -1,16 +1,18 @@
 """Which errors of the count cannot pass unseen, by the residual limit L and what the motion uses of it.
 
-Eq. 9: the bounds of docs/legal-motion.md ("Effect of a glitch", "Missed samples"), with the
-acceleration a in cycles per interval squared: n samples in a row are without harm while (n + 2) (L + a) <= 1
-and floor((n + 2)^2 / 4) (L + a) <= 1. Third-order prediction: those of docs/legal-motion.md, with the jerk.
+Eq. 9: the bounds of docs/legal-motion.md ("Effect of a glitch"), with the acceleration a in cycles per
+interval squared: n samples in a row are without harm while (n + 2) (L + a) <= 1 and
+floor((n + 2)^2 / 4) (L + a) <= 1. Third-order prediction: those of the same page, with the jerk. What is
+kept after missed or flagged samples follows from what is declared ("Missed samples").
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
-from canfb.signal.bounded_motion import scale
-from canfb.signal.limits import PHASE_ERROR_CYCLES, ROUNDING, safe_deviation, samples_without_harm
+from canfb.signal.declared import Declared
+from canfb.signal.limits import ROUNDING, safe_deviation, samples_without_harm
 
 SAMPLE_BOUNDS = {n: safe_deviation(n) for n in (1, 2, 3)}
 """Largest L + a for so many samples in a row."""
@@ -24,13 +26,12 @@ class CountDetection:
 
     limit_cycles       the residual limit, L
     motion_cycles      what the motion uses of it: the largest acceleration, cycles per interval squared
-    accepted_cycles    largest acceleration of a trajectory that is accepted over missed samples:
-                       2010:02, or L while that is not known
+    declared           what is declared of machine and encoder: the motions that are followed in doubt
     """
 
     limit_cycles: float
     motion_cycles: float
-    accepted_cycles: float
+    declared: Declared
 
     well = WELL
 
@@ -41,8 +42,17 @@ class CountDetection:
 
     @property
     def missed_samples(self) -> int:
-        """Missed samples in a row after which exactly one trajectory is left, for every motion."""
-        return samples_without_harm(self.accepted_cycles + self.motion_cycles)
+        """Missed or flagged samples in a row after which exactly one motion is left."""
+        return self.declared.kept_samples(self.motion_cycles)
+
+    def kept_with(self, **declared: Any) -> int:
+        """:attr:`missed_samples` if this were declared instead, by the names of :class:`Declared`."""
+        return replace(self.declared, **declared).kept_samples(self.motion_cycles)
+
+    @property
+    def is_declared(self) -> bool:
+        """The motion is within what is declared, or assumed in doubt."""
+        return self.motion_cycles <= self.declared.followed + ROUNDING
 
     @property
     def unseen_jump_cycles(self) -> float:
@@ -62,16 +72,7 @@ class CountDetection:
 
 @dataclass(frozen=True)
 class JerkDetection(CountDetection):
-    """The same with third-order prediction: the motion is the jerk, cycles per interval cubed.
-
-    known_jerk      2010:08, cycles per interval cubed; None: not known
-    phase_cycles    largest error of a phase
-    known_error     what the module takes for it
-    """
-
-    known_jerk: float | None
-    phase_cycles: float
-    known_error: float = PHASE_ERROR_CYCLES
+    """The same with third-order prediction: the motion is the jerk, cycles per interval cubed."""
 
     well = WELL_THIRD_ORDER
 
@@ -84,17 +85,3 @@ class JerkDetection(CountDetection):
     def unseen_jump_cycles(self) -> float:
         """The sample after a jump counts twice: a third difference is 1, -2, 1 times the jump."""
         return self.limit_cycles / 2.0 if self.limit_cycles <= 1.0 / 3.0 else self.limit_cycles
-
-    @property
-    def missed_samples(self) -> int:
-        """Those after which no other cycle is as near to the parabola as the module accepts, 0..3."""
-        return next((n for n in (3, 2, 1) if self._is_certain(n)), 0)
-
-    def _is_certain(self, missed: int) -> bool:
-        jerks = scale((-2.0, -1.0, 0.0), missed + 1.0)
-        weights = 2.0 * (missed + 2.0) ** 2
-        accepted = self.limit_cycles * max(jerks, weights / 8.0)
-        if self.known_jerk is not None:
-            accepted = min(accepted, self.known_jerk * jerks + self.known_error * weights)
-        off = self.motion_cycles * jerks + self.phase_cycles * weights
-        return accepted + off <= 1.0 + ROUNDING

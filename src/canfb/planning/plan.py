@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 
 from canfb.planning.budget import ResidualBudget, over
 from canfb.planning.detection import CountDetection, JerkDetection
 from canfb.planning.jerk_budget import budget_of
-from canfb.planning.phase_errors import THIRD_DIFFERENCE
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.situation import Situation
-from canfb.signal.limits import cycles_per_interval_cubed, cycles_per_interval_squared
 
 
 class Limited(StrEnum):
@@ -73,15 +71,11 @@ class Plan:
     def detection(self, budget: ResidualBudget, limit_cycles: float | None = None) -> CountDetection:
         """What follows from a residual limit, that in force if none is given."""
         limit = budget.limit_cycles if limit_cycles is None else limit_cycles
-        cycles, motion = budget.module.cycles_per_revolution, budget.motion_part.cycles
-        if budget.module.is_third_order:
-            jerk = budget.module.known_jerk_rad_s3
-            known_jerk = cycles_per_interval_cubed(jerk, cycles, budget.interval_s) if jerk else None
-            error = budget.phase_cycles() / THIRD_DIFFERENCE.errors
-            return JerkDetection(limit, motion, limit, known_jerk, error, budget.known_phase_error_cycles)
-        known = budget.module.known_acceleration_rad_s2
-        accepted = cycles_per_interval_squared(known, cycles, budget.interval_s) if known else limit
-        return CountDetection(limit, motion, accepted)
+        kind = JerkDetection if budget.module.is_third_order else CountDetection
+        declared = budget.declared
+        if limit != budget.limit_cycles:
+            declared = replace(declared, residual_limit=limit)
+        return kind(limit, budget.motion_part.cycles, declared)
 
     def _margins(self) -> Iterator[Margin]:
         load, motion = self.situation.bus.load, self.situation.motion

@@ -110,6 +110,13 @@ def _detection(found: CountDetection) -> dict[str, Any]:
         "limit_and_motion_cycles": found.limit_cycles + found.motion_cycles,
         "bad_samples": found.bad_samples,
         "missed_samples": found.missed_samples,
+        "declared": {
+            "cycles_per_interval_to_the_order": found.declared.followed,
+            "phase_error_cycles": found.declared.phase_error,
+            "bad_samples": found.declared.bad_samples,
+            "coast_samples": found.declared.coast_samples,
+            "holds": found.is_declared,
+        },
         "half_cycle": found.half_cycle,
         "unseen_jump_cycles": found.unseen_jump_cycles,
         "sharp": found.is_sharp,

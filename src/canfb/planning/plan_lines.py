@@ -12,9 +12,11 @@ from canfb.planning.detection import CountDetection
 from canfb.planning.plan import Plan
 from canfb.planning.situation import Situation
 from canfb.planning.traffic import Message
+from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES
 
 RPM = 60.0 / (2.0 * math.pi)
 EXCEEDED = "   <- exceeded"
+MOST_COASTED = 255
 
 
 def plan_lines(plan: Plan, remedies: list[Remedy]) -> list[str]:
@@ -159,10 +161,45 @@ def _detection_lines(found: CountDetection, budget: ResidualBudget) -> list[str]
         f"  detection (docs/faults.md): L + {motion} = {found.limit_cycles + found.motion_cycles:.3f} cycle, "
         + (f"at most {well}: sharp" if found.is_sharp else f"above {well}: weak"),
         f"    bad samples in a row that cannot change the count unseen: {found.bad_samples}",
-        f"    missed samples in a row after which the position is certain: {found.missed_samples}",
+        *_kept_lines(found, budget),
         f"    a jump of half a cycle is seen {half}; one below {found.unseen_jump_cycles:.3f} cycle may pass",
         f"    amplitude limits {_amplitude(budget)}; frozen input: {frozen}",
     ]
+
+
+def _kept_lines(found: CountDetection, budget: ResidualBudget) -> list[str]:
+    """What is bridged for certain with what is declared, and what other declarations would bridge."""
+    declared, third = found.declared, budget.module.is_third_order
+    known = declared.jerk if third else declared.acceleration
+    power, place = ("³", "2010:08") if third else ("²", "2010:02")
+    if known is not None:
+        followed = f"{place} {declared.followed:.3g} cycle per interval{power}"
+    else:
+        source = "by the residual limit" if third or not declared.assumes else "2010:0B"
+        followed = f"{place} not set, {declared.followed:.3g} cycle per interval{power} assumed, {source}"
+    kept = found.missed_samples
+    lines = [
+        "    missed or flagged samples in a row after which the position is certain: "
+        f"{kept}, at most {budget.module.coast_samples} (2010:03)",
+        f"      declared: {followed}; phase error {declared.phase_error:.3g} cycle (2010:0C); "
+        f"up to {declared.bad_samples} bad unnoticed (2010:0A)",
+    ]
+    if not found.is_declared:
+        lines.append(
+            f"      the motion is larger: after a gap a position can be valid and wrong; set {place}"
+        )
+    motion = "jerk" if third else "acceleration"
+    choices: dict[str, dict[str, float]] = {
+        f"{place} for the motion of this plan": {motion: found.motion_cycles} if known is None else {},
+        f"a phase error of {CALIBRATED_PHASE_ERROR_CYCLES:g}, as after canfb calibrate": {
+            "phase_error": min(declared.phase_error, CALIBRATED_PHASE_ERROR_CYCLES)
+        },
+        "a larger 2010:03": {"coast_samples": MOST_COASTED},
+    }
+    for words, change in choices.items():
+        if change and found.motion_cycles and (other := found.kept_with(**change)) != kept:
+            lines.append(f"      {other} with {words}")
+    return lines
 
 
 def _amplitude(budget: ResidualBudget) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -10,11 +9,10 @@ from typing import Any
 
 from canfb import objects as od
 from canfb.device.od.dcf import Place
-from canfb.module.parameters import LIMIT_UNITS
 from canfb.planning import adc_pdos
 from canfb.planning.traffic import Values
-from canfb.signal.limits import limit_narrowed_by_jerk, narrowed_residual_limit
 from canfb.signal.third_order import THIRD
+from canfb.view.limits_in_force import LimitSettings, MotionBounds, limit_settings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,48 +54,46 @@ class PlannedModule:
     @property
     def widest_limit_cycles(self) -> float:
         """2010:01, the residual limit without narrowing."""
-        return float(self.values[od.SUPERVISION_RESIDUAL_LIMIT]) / LIMIT_UNITS
+        return self.settings.widest_cycles
 
     @property
     def known_acceleration_rad_s2(self) -> float:
         """2010:02, 0.0: not known."""
-        return float(self.values[od.SUPERVISION_ACCELERATION])
+        return self.settings.acceleration_rad_s2
 
     @property
     def known_jerk_rad_s3(self) -> float:
         """2010:08, 0.0: not known."""
-        return float(self.values[od.SUPERVISION_JERK])
+        return self.settings.jerk_rad_s3
 
     @property
     def is_third_order(self) -> bool:
         """2010:07: the prediction has constant acceleration."""
-        return int(self.values[od.SUPERVISION_ORDER]) == THIRD
+        return self.settings.prediction_order == THIRD
 
     @property
     def noise_margin(self) -> int:
         """2010:09, 0: the fixed margin."""
-        return int(self.values[od.SUPERVISION_NOISE_MARGIN])
+        return self.settings.noise_margin
 
-    def residual_limit_cycles(self, interval_s: float, margin_cycles: float = math.inf) -> float:
-        """The residual limit in force at this sampling interval; ``margin_cycles`` is that of 2010:09."""
-        narrowed, known = (
-            (limit_narrowed_by_jerk, self.known_jerk_rad_s3)
-            if self.is_third_order
-            else (narrowed_residual_limit, self.known_acceleration_rad_s2)
-        )
-        return narrowed(
-            self.widest_limit_cycles,
-            known,
-            self.cycles_per_revolution,
-            interval_s,
-            margin_cycles,
-            self.declared_phase_error_cycles,
-        )
+    @cached_property
+    def settings(self) -> LimitSettings:
+        """All that bounds the motion."""
+        return limit_settings(self.values.get)
+
+    def bounds(self, interval_s: float, noise_cycles: float) -> MotionBounds:
+        """What is in force at this interval from sample to sample, with this rms noise of the residual."""
+        return self.settings.bounds(self.cycles_per_revolution, interval_s, noise_cycles)
+
+    @property
+    def coast_samples(self) -> int:
+        """2010:03, in intervals from sample to sample."""
+        return int(self.values[od.SUPERVISION_COAST]) * self.samples_per_sync
 
     @property
     def declared_phase_error_cycles(self) -> float:
         """2010:0C."""
-        return int(self.values[od.SUPERVISION_PHASE_ERROR]) / LIMIT_UNITS
+        return self.settings.phase_error_cycles
 
     @cached_property
     def times(self) -> bool:

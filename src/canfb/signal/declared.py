@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from canfb.signal.bounded_motion import Bound, BoundedMotion
-from canfb.signal.limits import PHASE_ERROR_CYCLES, samples_without_harm
+from canfb.signal.limits import MOST_IN_A_ROW, PHASE_ERROR_CYCLES, kept_samples, samples_without_harm
 from canfb.signal.third_order import SECOND, THIRD
 from canfb.signal.tracker import RESIDUAL_LIMIT
 
@@ -81,6 +81,21 @@ class Declared:
         bound = self.in_doubt.bounds[0]
         harmless = samples_without_harm(2.0 * bound.largest)
         return max(1, min(harmless, MOST_BY_DEFAULT[self.order]))
+
+    @property
+    def followed(self) -> float:
+        """Largest acceleration or jerk of the motions followed in doubt, cycles per interval^order."""
+        return self.in_doubt.bounds[0].largest
+
+    def kept_samples(self, motion: float | None = None) -> int:
+        """Missed or flagged samples in a row after which the position is certain, 0..255.
+
+        ``motion`` is the largest acceleration or jerk of the machine, None: :attr:`followed`. More than
+        :attr:`coast_samples` are lost in any case.
+        """
+        largest = self.followed if motion is None else min(motion, self.followed)
+        most = min(self.coast_samples, MOST_IN_A_ROW)
+        return kept_samples(self.order, self.followed, largest, self.phase_error, most)
 
     @cached_property
     def usual(self) -> BoundedMotion:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from canfb.signal.third_order import check_order
+from canfb.signal.third_order import SECOND, check_order
 from canfb.signal.tracker import check_residual_limit
 
 
@@ -58,8 +58,9 @@ def max_speed(
 # third-order prediction four with 1, 3, 3, 1: with a margin of four or eight times this error a narrowed
 # limit holds before the reference measurement as well.
 PHASE_ERROR_CYCLES = 0.0125
-PHASE_ERROR_MARGIN_CYCLES = 0.05
-JERK_MARGIN_CYCLES = 0.1
+MOST_PHASE_ERROR_CYCLES = 0.0625  # of 2010:0C: a sixteenth of a cycle, more is no encoder
+# The least that is written after a measurement: temperature and age take half of what a table has removed.
+CALIBRATED_PHASE_ERROR_CYCLES = 0.005
 
 
 def narrowed_residual_limit(
@@ -132,3 +133,34 @@ def samples_without_harm(cycles: float) -> int:
     while count < MOST_IN_A_ROW and cycles <= safe_deviation(count + 1) * (1.0 + ROUNDING):
         count += 1
     return count
+
+
+def kept_samples(
+    order: int,
+    accepted_cycles: float,
+    motion_cycles: float,
+    phase_error_cycles: float,
+    most: int = MOST_IN_A_ROW,
+) -> int:
+    """Missed samples in a row, 0..``most``, after which one motion is left, whatever the phases are.
+
+    ``accepted_cycles`` is the largest acceleration (``order`` 2) or jerk (3) of a motion that the estimator
+    follows, ``motion_cycles`` that of the machine, cycles per interval^order; errors of phases are at most
+    ``phase_error_cycles`` (docs/legal-motion.md, "Missed samples", "Third order"). The same holds for
+    samples that are flagged.
+    """
+    total = accepted_cycles + motion_cycles
+    count = 0
+    while count < most and _between_motions(order, count + 1, total, phase_error_cycles) <= 1.0 + ROUNDING:
+        count += 1
+    return count
+
+
+def _between_motions(order: int, missed: int, total_cycles: float, phase_error_cycles: float) -> float:
+    """How far two motions can be apart behind the gap, cycles; one is left if it is less than a cycle."""
+    changes = missed + 2
+    if order == SECOND:
+        return max(changes, changes * changes // 4) * total_cycles + 4.0 * phase_error_cycles * changes
+    intervals = missed + 1
+    third = intervals * (intervals + 1) * (intervals + 2) / 6.0  # of a jerk over so many intervals
+    return third * total_cycles + 4.0 * (intervals + 1) ** 2 * phase_error_cycles

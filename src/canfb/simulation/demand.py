@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.limits import PHASE_ERROR_MARGIN_CYCLES, max_acceleration, max_jerk
+from canfb.signal.limits import max_acceleration, max_jerk
 from canfb.signal.phase import FloatArray, phase_in_cycle
 from canfb.signal.third_order import THIRD
 from canfb.simulation.cia402.motor import MotorConfig
@@ -44,7 +44,7 @@ class MotionDemand:
     acceleration_rad_s2: float
     start_cycles: float = 0.0
     advice: str = ""
-    errors_cycles: float = PHASE_ERROR_MARGIN_CYCLES
+    errors_cycles: float = 0.0
     jerk_rad_s3: float = 0.0
     per_sync: int = 1
 
@@ -162,6 +162,7 @@ def of_motion(motion: MotionConfig, module: ChainConfig, rate_hz: float) -> Moti
         top * cycles,
         2.0 * math.pi / 60.0 * (abs(motion.rpm) * steepest + ripple),
         start_cycles=abs(motion.rpm) * cycles if in_motion else 0.0,
+        errors_cycles=4.0 * module.phase_error_cycles,
         advice="a longer ramp_s" if motion.rpm else "less ripple",
         jerk_rad_s3=2.0 * math.pi / 60.0 * (abs(motion.rpm) * steepest * rate_hz + bend),
     )
@@ -171,7 +172,10 @@ def of_drive(motor: MotorConfig, module: ChainConfig, rate_hz: float, revolution
     """A motor, which may accelerate, or brake, with all its torque; ``revolutions_s`` is its speed."""
     able = (motor.rated_torque_nm + motor.coulomb_friction_nm) / motor.inertia_kg_m2
     speed = revolutions_s * module.cycles_per_revolution / rate_hz
-    demand = MotionDemand("drive", module, rate_hz, speed, able, jerk_rad_s3=able * rate_hz)
+    errors = 4.0 * module.phase_error_cycles
+    demand = MotionDemand(
+        "drive", module, rate_hz, speed, able, errors_cycles=errors, jerk_rad_s3=able * rate_hz
+    )
     # A step of the torque asks as much of third-order prediction as of eq. 9, but for the margins.
     followed = demand.left_rad_s3 / rate_hz if demand.module.prediction_order == THIRD else demand.left_rad_s2
     followed *= motor.inertia_kg_m2  # torque, Nm
@@ -202,9 +206,7 @@ def of_recording(
     acceleration = 2.0 * math.pi * largest * rate_hz**2 / module.cycles_per_revolution
     what = f"recording {name}, with the errors of its tracks"
     jerk = 2.0 * math.pi * float(np.abs(third).max(initial=0.0)) * rate_hz**3 / module.cycles_per_revolution
-    return MotionDemand(
-        what, module, rate_hz, float(speed.max()), acceleration, errors_cycles=0.0, jerk_rad_s3=jerk
-    )
+    return MotionDemand(what, module, rate_hz, float(speed.max()), acceleration, jerk_rad_s3=jerk)
 
 
 def rounded_up(rate_hz: float) -> str:
