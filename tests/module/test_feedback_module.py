@@ -13,6 +13,7 @@ from canfb.cia301.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
+from canfb.signal.speed_set import START_SAMPLES
 from canfb.signal.still_phase import STILL_SAMPLES
 
 
@@ -417,7 +418,7 @@ def test_samples_with_their_times_bear_jitter_and_repetition(bench: Bench) -> No
         bench.counts(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
         time = struct.pack("<I", (ticks + n * 10_000 + late) % 2**32)
         _, status, _ = bench.position(bench.sent(Frame(0x290, time)))
-        assert status == StatusBit.VALID, n
+        assert status == StatusBit.VALID or 0 < n < START_SAMPLES, n
         assert bench.sent(Frame(0x190, bytes(4))) + bench.sent(Frame(0x290, time)) == []
     assert bench.sdo[0x2012][8].raw == 400
     assert bench.sdo[0x2011][9].raw == pytest.approx(0.0, abs=400.0)

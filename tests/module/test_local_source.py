@@ -16,6 +16,7 @@ from canfb.cia301.nmt import NmtState
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
+from canfb.signal.speed_set import START_SAMPLES
 from canfb.signal.supervision import COASTING, MISSED, VALID
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp
@@ -282,7 +283,7 @@ def test_sample_times_bridge_a_sync_that_came_late() -> None:
     local.start()
     for n, time in enumerate(times):
         units, status, residual = local.position(local.sync(time - local.now))
-        assert status & VALID
+        assert status & VALID or 0 < n < START_SAMPLES
         if n > 2:
             assert units / UNITS_PER_CYCLE == pytest.approx(speed * time, abs=0.01)
         if n > 4:  # the interval is known by now

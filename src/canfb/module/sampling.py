@@ -168,6 +168,8 @@ class Sampling:
         if self.timeline.withheld:
             frame, late_s = self.timeline.late
             return f"{frame} {late_s * 1e3:.3g} ms late, one may have been missed: the next SYNCs decide"
+        if self._chain.searches:
+            return "it turned at the start, or not: the sample times are about to tell"
         if self._chain.reference.in_doubt:
             return "a zero pulse contradicts it"
         if self._timed is None or self._doubted is None:

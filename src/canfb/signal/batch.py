@@ -13,6 +13,7 @@ from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable, check_table
 from canfb.signal.estimator import Estimator
+from canfb.signal.estimator_runs import follow_run, take_run
 from canfb.signal.phase import FloatArray, raw_phase_block, wrap_block
 from canfb.signal.supervision import VALID
 from canfb.signal.tracker import RESIDUAL_LIMIT, TrackResult
@@ -126,9 +127,9 @@ class _Follower:
     def _run(self, result: TrackResult, start: int, stop: int, scratch: Scratch) -> int:
         """Samples start..stop on arrays, up to the first that leaves the position in doubt, and that one."""
         state = self._tracker.snapshot()
-        end = self._estimator.follow_run(result, slice(start, stop), scratch)
+        end = follow_run(self._estimator, result, slice(start, stop), scratch)
         if end > start:
-            self._estimator.take_run(state, result, start, end)
+            take_run(self._estimator, state, result, start, end)
         else:
             self._tracker.restore(state)
         if self._estimator.lost:

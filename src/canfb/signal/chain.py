@@ -11,7 +11,8 @@ from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
 from canfb.signal.correction import Correction, CorrectionTable, check_table
 from canfb.signal.declared import Declared
 from canfb.signal.doubt import HOLE_INTERVALS
-from canfb.signal.estimator import Estimator, successor
+from canfb.signal.estimator import Estimator
+from canfb.signal.estimator_runs import follow_run, successor, take_run
 from canfb.signal.feedback import Feedback
 from canfb.signal.frozen import FrozenInput, repeats
 from canfb.signal.pauses import LARGEST_SLIP_CYCLES, Pauses
@@ -113,6 +114,11 @@ class SignalChain(Pauses):
     def lost(self) -> bool:
         """True from the moment the position is lost until :meth:`restart`."""
         return self._estimator.lost
+
+    @property
+    def searches(self) -> bool:
+        """Uneven sample times may still tell at what speed the machine turns."""
+        return self._estimator.searches
 
     def set_limits(self, limits: ChainLimits) -> None:
         """Take new limits, between two samples. Another encoder resets coarse track and zero pulse."""
@@ -375,6 +381,7 @@ class SignalChain(Pauses):
         doubts = (
             self._waits
             or self._estimator.in_doubt
+            or self.searches
             or self._supervision.after_fault
             or self._reference.in_doubt
         )
@@ -394,7 +401,7 @@ class SignalChain(Pauses):
         start: int = run.start
         cycles, phase = tracked.cycles, tracked.phase
         state = self._tracker.snapshot()
-        stop = self._estimator.follow_run(tracked, run, scratch)
+        stop = follow_run(self._estimator, tracked, run, scratch)
         if stop > start:
             before = self._sine, self._cosine
             equal = repeats(sine[: stop - start], cosine[: stop - start], before, scratch.bit)
@@ -412,7 +419,7 @@ class SignalChain(Pauses):
             self._tracker.restore(state)
             return 0
         last = Track(int(cycles[stop - 1]), float(phase[stop - 1]), float(tracked.residual[stop - 1]), True)
-        self._estimator.take_run(state, tracked, start, stop)
+        take_run(self._estimator, state, tracked, start, stop)
         self._sine, self._cosine = float(sine[stop - start - 1]), float(cosine[stop - start - 1])
         self._before, self._last = last, None
         self._speed = self._tracker.step_cycles

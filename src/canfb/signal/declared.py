@@ -97,6 +97,12 @@ class Declared:
         most = min(self.coast_samples, MOST_IN_A_ROW)
         return kept_samples(self.order, self.followed, largest, self.phase_error, most)
 
+    @property
+    def second_order(self) -> Bound | None:
+        """The bound of second order of usual samples; None: third order, and any acceleration is possible."""
+        bounds = self.usual.bounds
+        return next((bound for bound in bounds if bound.order == SECOND), None)
+
     @cached_property
     def usual(self) -> BoundedMotion:
         """Of a sample in turn: one interval on, its window is the residual limit."""

@@ -23,18 +23,16 @@ from collections.abc import Callable, Sequence
 
 from canfb.objects import LossCause
 from canfb.signal import speeds
-from canfb.signal.blocks import Scratch
 from canfb.signal.bounded_motion import SHORT_INTERVAL, Spot
 from canfb.signal.declared import Declared
 from canfb.signal.doubt import HOLE_INTERVALS, SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
+from canfb.signal.speed_set import START_SAMPLES, SpeedVerdict, Starts
 from canfb.signal.speeds import Place
 from canfb.signal.still_phase import STILL_SAMPLES, StillPhase
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.third_order import SECOND, ThirdOrderTracker, tracker_of
-from canfb.signal.tracker import NOT_USUAL, Track, TrackResult
-from canfb.signal.tracking import predicts_by_parabola, steady_run
+from canfb.signal.tracker import NOT_USUAL, Track
 
-START_SAMPLES = 8  # uneven times contradict a wrong speed at a start by sample 5 in 95 %
 HALF_CYCLE = 0.5
 REMEMBERED_SAMPLES = 24  # r + 2 (m + r - 1): to go back behind m bad samples, m = 8 at order 3
 
@@ -52,15 +50,18 @@ class Estimator:
         "_doubt",
         "_error",
         "_instant_error",
+        "_known",
         "_largest",
         "_past",
         "_past_places",
+        "_speeds",
         "_still",
         "_virtual",
         "declared",
         "loss_cause",
         "lost",
         "on_lost",
+        "on_speed",
         "places",
         "tracker",
     )
@@ -69,6 +70,8 @@ class Estimator:
         self.tracker = tracker_of(declared.order, declared.residual_limit)
         self.on_lost: Callable[[], None] = lambda: None
         """Called when the position is lost."""
+        self.on_speed: Callable[[], None] = lambda: None
+        """Called when the speed of a lost position is known."""
         self.loss_cause = LossCause.NONE
         """Of the last loss."""
         self.places: deque[Place] = deque(maxlen=REMEMBERED_SAMPLES)
@@ -100,12 +103,15 @@ class Estimator:
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
         """Start with this cycle count and speed; the position is not lost any more.
 
-        ``speed_cycles`` in cycles per interval, as in :meth:`Tracker.restart`.
+        ``speed_cycles`` in cycles per interval, as in :meth:`Tracker.restart`. Standstill is what is assumed
+        where nothing is known: uneven times are held against it. Any other speed is known.
         """
         self.tracker.restart(cycles, speed_cycles)
+        self._known = speed_cycles != 0.0
         self.lost = False
         self._still = StillPhase()  # while lost
         self._virtual: Place | None = None  # before the first sample: the speed assumed
+        self._speeds = Starts()
         self._forget()
 
     def _forget(self) -> None:
@@ -118,7 +124,8 @@ class Estimator:
 
     def take_over(self, old: Estimator) -> None:
         """Go on where ``old`` is, which predicts by another order; what is in doubt stays behind."""
-        self.on_lost, self.lost, self.loss_cause = old.on_lost, old.lost, old.loss_cause
+        self.on_lost, self.on_speed = old.on_lost, old.on_speed
+        self.lost, self.loss_cause = old.lost, old.loss_cause
         self.tracker.take_over(old.tracker)
         self.places.extend(old.places)
         self._virtual = old._virtual
@@ -138,6 +145,8 @@ class Estimator:
         if not self.lost:
             stood = speeds.stood_still(self.places)
             self._still = StillPhase(self.places[-1][1] if stood else None)
+        if cause is not LossCause.START:
+            self._speeds = Starts(None if self.tracker.started else self.tracker.cycles)
         self.lost = True
         self.loss_cause = cause
         self._forget()
@@ -184,6 +193,7 @@ class Estimator:
     def rescale(self, factor: float) -> None:
         """Sampling intervals are counted in another unit: all of them are this many times longer."""
         self.tracker.rescale(factor)
+        self._speeds.stop()
         self._change_places(lambda place: (place[0], place[1], place[2] * factor))
         for doubt in (self._doubt, self._past):
             if doubt is not None:
@@ -199,6 +209,11 @@ class Estimator:
     # One sample.
 
     @property
+    def searches(self) -> bool:
+        """True while uneven times may still tell at what speed the machine turns."""
+        return self._speeds.active is not None
+
+    @property
     def in_doubt(self) -> bool:
         """True while the next samples must decide where the position is; not when it is lost."""
         return self._doubt is not None
@@ -208,12 +223,39 @@ class Estimator:
 
         ``elapsed`` intervals after the one before; several if it is not known which of them.
         """
-        if elapsed == 1.0 and not (self._doubt or self.lost):
+        if elapsed == 1.0 and not (self._doubt or self.lost or self._speeds.active):
             followed = self.tracker.follow(phase)
             if followed is not None:
                 self.places.append((followed[0], phase, 1.0))
                 return followed, VALID
         options = elapsed if isinstance(elapsed, tuple) else (elapsed,)
+        if self._speeds.begin(self.declared, options, self.lost, self._start_places()) is None:
+            return self._taken(phase, options)
+        return self._by_speed(phase, options)
+
+    def _by_speed(self, phase: float, options: tuple[float, ...]) -> tuple[Track, int]:
+        """The same, held against every speed at which the machine can have started, or turns while lost."""
+        track, bits = self._taken(phase, options)
+        elapsed, count = options[0], None if self._doubt else self.tracker.cycles
+        verdict = self._speeds.take(phase, elapsed, self.lost, count)
+        if verdict is SpeedVerdict.FALSE_START:
+            self.lose(LossCause.START)
+            return self._count_on(phase, elapsed, LOST | RESIDUAL)
+        if verdict is SpeedVerdict.OPEN and bits & VALID:
+            return track, bits & ~VALID | COASTING
+        if verdict is not SpeedVerdict.FOUND:
+            return track, bits
+        found, origin = self._speeds.last_two, self._speeds.origin
+        last = track.cycles if origin is None else origin + found.last[0]
+        before = Track(last + found.before[0] - found.last[0], found.before[1], 0.0, True)
+        self.tracker.set_places(before, Track(last, phase, 0.0, True), found.elapsed)
+        if origin is None:
+            self.on_speed()
+            return self.tracker.places[1], bits
+        self.confirm_count()
+        return self.tracker.places[1], VALID
+
+    def _taken(self, phase: float, options: tuple[float, ...]) -> tuple[Track, int]:
         tracker = self.tracker
         if self.lost:
             return self._count_on(phase, options[0])
@@ -239,9 +281,18 @@ class Estimator:
                 return self._count_on(phase, options[0], LOST | bits)
         return self._decide(phase, options, bits)
 
+    def _start_places(self) -> list[Place]:
+        """The samples since a start, while its speed is assumed; none later."""
+        places = self.places
+        if self._virtual is None or self._known or self._doubt or len(places) > START_SAMPLES or not places:
+            return []
+        return list(places)[places[0] is self._virtual :]
+
     @property
     def _start_is_assumed(self) -> bool:
         """The samples since the start do not show yet that its speed was right."""
+        if self.searches:  # they are being held against it
+            return True
         samples = len(self.places) - (self.places[0] is self._virtual)
         if self._virtual is None or samples > START_SAMPLES:
             return False
@@ -254,6 +305,8 @@ class Estimator:
         Only where nothing is in doubt. NOT_USUAL, and nothing changed, where :meth:`good` has to decide.
         """
         tracker = self.tracker
+        if len(self.places) <= START_SAMPLES and self._start_places():
+            return NOT_USUAL
         radius = self._usual_radius(elapsed)
         if radius < HALF_CYCLE:
             counted = tracker.look(phase, elapsed)
@@ -302,6 +355,7 @@ class Estimator:
     def bad(self, elapsed: float | tuple[float, ...], missed: bool = False) -> tuple[Track, int]:
         """A sample that failed its checks, or none at all (``missed``): predicted position, status bits."""
         options = elapsed if isinstance(elapsed, tuple) else (elapsed,)
+        self._speeds.skip(options)
         predicted = self.tracker.predict(elapsed := options[0])
         if not self.tracker.started:  # no position yet: nothing to coast on, nothing to lose
             return predicted, LOST if self.lost else 0
@@ -433,63 +487,9 @@ class Estimator:
             past = []
         return [*past, *entries][-needed:]
 
-    # Runs on arrays.
-
-    def follow_run(self, tracked: TrackResult, run: slice, scratch: Scratch) -> int:
-        """Follow a run of phases, ``tracked.phase[run]``, one interval apart, with eq. 9 on arrays.
-
-        Only where the tracker is steady and nothing is in doubt. What the prediction stands on is in
-        ``tracked`` before the run. Fills the rest of ``tracked[run]``. The result is the place of the first
-        sample that :meth:`good` must take, or the end of the run. Call :meth:`take_run` with what is taken.
-        """
-        steady_run(self.tracker, tracked, run.start, run.stop, scratch)
-        if self.lost or tracked.ok[run].all():
-            return int(run.stop)
-        return int(run.start + tracked.ok[run].argmin())
-
-    def take_run(self, state: tuple[float | int, ...], tracked: TrackResult, start: int, stop: int) -> None:
-        """Go on after the samples start..stop of a run that :meth:`follow_run` began; none are possible.
-
-        ``state`` is the tracker's snapshot before the run.
-        """
-        tracker = self.tracker
-        by_parabola = predicts_by_parabola(tracker)
-        if stop - start < 1 + by_parabola:
-            tracker.restore(state)
-            for phase in tracked.phase[start:stop].tolist():
-                tracker.advance(phase)
-        else:
-            counts = tracked.cycles[stop - 2 - by_parabola : stop].tolist()
-            *before, phase_before, phase = tracked.phase[stop - 2 - by_parabola : stop].tolist()
-            step = counts[-1] - counts[-2]
-            if isinstance(tracker, ThirdOrderTracker) and by_parabola:
-                bend = step - (counts[-2] - counts[-3])
-                tracker.set_full_state(before[0], phase_before, phase, counts[-1], step, bend)
-            else:
-                tracker.set_state(phase_before, phase, counts[-1], step)
-        if stop > start and not self.lost:
-            new = slice(max(start, stop - REMEMBERED_SAMPLES), stop)
-            counts, phases = tracked.cycles[new].tolist(), tracked.phase[new].tolist()
-            self.places.extend((count, phase, 1.0) for count, phase in zip(counts, phases, strict=True))
-
     # Speeds.
 
     @property
     def stands_still(self) -> bool:
         """While lost: the machine stood before, or its phases have for long enough."""
         return self._still.samples >= STILL_SAMPLES
-
-
-def successor(old: Estimator, declared: Declared) -> Estimator:
-    """An estimator of another order that goes on where ``old`` is.
-
-    The position is lost if it was in doubt, or if eq. 9 is to follow an acceleration that is not below its
-    limit: phases show accelerations up to whole cycles per interval squared only.
-    """
-    new = Estimator(declared)
-    new.take_over(old)
-    bend = abs(speeds.acceleration(old.places))
-    too_fast = declared.order == SECOND and bend >= declared.residual_limit
-    if not new.lost and (old.in_doubt or too_fast):
-        new.lose(LossCause.CONFIGURATION)
-    return new

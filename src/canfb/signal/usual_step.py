@@ -72,10 +72,11 @@ class UsualStep(SecondListener):
 
     def _look_again(self, feedback: Feedback) -> None:
         """After ``feedback``: may the next sample be a usual one?"""
-        in_doubt = self._estimator.in_doubt or self._reference.in_doubt or self._second is not None
+        estimator = self._estimator
+        in_doubt = estimator.in_doubt or self._reference.in_doubt or self._second is not None
         self._stands = self._frozen.stands
         faulty = self._supervision.after_fault or (self._frozen.repeats and not self._stands)
-        if feedback.status & VALID and not (in_doubt or faulty):
+        if feedback.status & VALID and not (in_doubt or faulty or estimator.searches):
             self._nothing_in_doubt = True
             self._places, self._bounds = self._estimator.places, self._supervision.bounds
             self._status = VALID | self._base_status | self._referenced

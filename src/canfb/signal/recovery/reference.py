@@ -54,6 +54,7 @@ class Reference:
         """Join them to another recovery, which goes on where the one before was."""
         self._estimator = recovery
         recovery.on_lost = self.position_lost
+        recovery.on_speed = self.speed_known
 
     @property
     def recovery(self) -> Estimator:
@@ -114,6 +115,10 @@ class Reference:
         self.zero.forget_doubts()
         self._begin_search()
 
+    def speed_known(self) -> None:
+        """A lost position is counted at the speed of the machine: a zero pulse may set the count."""
+        self._speed_known = True
+
     def missed(self) -> None:
         """A sample did not come."""
         self._agreeing = 0
@@ -124,7 +129,7 @@ class Reference:
         self._begin_search()
 
     def _begin_search(self) -> None:
-        self._range_known = self._range_from_zero = False
+        self._range_known = self._range_from_zero = self._speed_known = False
         self._agreeing = 0
         self._disagreeing = 0
         self._first_pulse: Pulse | None = None
@@ -208,7 +213,7 @@ class Reference:
             return self._pulse_of_valid(cycles, phase, track, bits, angle)
         if not self._estimator.lost:
             return bits, 0
-        if not self._range_known:
+        if not (self._range_known or self._speed_known):
             self._range_from_pulses(time, cycles, phase)
             return bits, 0
         jump = -self.zero.error_cycles(cycles, phase)

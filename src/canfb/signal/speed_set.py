@@ -1,0 +1,238 @@
+"""The speeds that a machine can have at a start, or while it is lost: uneven sample times tell them apart.
+
+Phases one interval apart cannot show whole cycles per interval: the truth is y + c + s t with y as it is
+counted and whole numbers c and s. At uneven instants s t is no whole number any more, and the second
+difference of a wrong s is off by s times that of the instants. So each s is followed by itself, one cycle
+count for each sample, the nearest to eq. 9, and goes where its residual leaves the window of the declared
+motion (:mod:`canfb.signal.bounded_motion`),
+
+    B e (e + f) / 2 + (eps + tau |v|) (2 + 2 e / f),
+
+e and f the last two elapsed times. The neighbours s +- 1 decide: with instants that deviate by sigma
+(intervals), q = sqrt(6) sigma / (B + 4 (eps + tau v)). From q = 1.5 on one speed is left after 5 to 8
+samples, at 0.4 after 12 to 40, at 0.1 never (docs/legal-motion.md). The true speed never goes while what is
+declared holds.
+
+A bad sample can remove the truth, and leave a speed by chance. So the last one left counts when random
+phases would leave any with a probability of at most 1e-5, and when it has lasted for as many more samples as
+a row of bad ones may have.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.signal.declared import Declared
+from canfb.signal.phase import FloatArray
+from canfb.signal.speeds import Place
+
+# 1Vpp encoders give at most 500 kHz; up to twice that their time stamps of 100 ns cost 0.05 cycle.
+MOST_TIME_CYCLES = 0.05
+MOST_SPEED = 10_000  # cycles per interval, to bound the memory: 1 MHz at 100 Hz
+USUAL_SPEED = 2_000  # where the resolution of the times is not known
+FALSE_ACCEPTANCE = 1e-5
+MOST_SAMPLES = 512  # at q = 0.25 a speed is known after 200 to 400
+START_SAMPLES = 8  # at q >= 1 uneven times contradict a wrong speed at a start by sample 5 in 95 %
+KNOWN_SAMPLES = 32  # from then on their rms is known; before, the largest difference stands for it
+LEAST_SAMPLES = 5  # of uneven times, before these count as even after all
+EVEN = 2e-4  # of the interval: drift of two crystals
+HALF_CYCLE = 0.5
+# q: below the first nothing is told within MOST_WAITING samples; first samples below the second show that it
+# is below the first.
+TELLING, SILENT = 0.4, 0.1
+MOST_WAITING = 64  # samples after a start: at q = 0.4 a wrong speed has gone after 12 to 40
+
+
+class Found(NamedTuple):
+    """The last two samples by the one speed left: counts from the first sample on, phases, intervals."""
+
+    before: tuple[int, float]
+    last: tuple[int, float]
+    elapsed: float
+
+
+NOTHING_FOUND = Found((0, 0.0), (0, 0.0), 1.0)
+
+
+class SpeedSet:
+    """Follows all speeds up to ``most`` cycles per interval from the next sample on.
+
+    ``largest`` is the acceleration B, cycles per interval^2, ``phase_error`` eps, cycles, ``instant_error``
+    tau, intervals; ``patience``, samples that the last speed has to last.
+    """
+
+    def __init__(self, largest: float, phase_error: float, instant_error: float, patience: int) -> None:
+        self._largest, self._error, self._instant_error = largest, phase_error, instant_error
+        self._patience = patience
+        most = USUAL_SPEED if not instant_error else int(min(MOST_SPEED, MOST_TIME_CYCLES / instant_error))
+        self._most = most
+        self._last = self._before = np.zeros(1, np.int64)  # cycle counts of the speeds that are left
+        self._phase = self._phase_before = 0.0
+        self._elapsed = 0.0
+        self._gap = 0.0
+        self._chance = 2.0 * most + 1.0  # speeds that random phases would leave
+        self._alone = 0  # samples
+        self._largest_off = self._squares = 0.0
+        self.samples = 0
+        """Since the start."""
+        self.telling = False
+        """The times are uneven enough to tell speeds apart."""
+        self.silent = False
+        """They are so even that they never will."""
+
+    @property
+    def left(self) -> int:
+        """Speeds that are left; 0 after a false sample."""
+        return len(self._last)
+
+    def skip(self, elapsed: float) -> None:
+        """No usable phase after so many intervals."""
+        self._gap += elapsed
+
+    def feed(self, phase: float, elapsed: float) -> bool:
+        """A sample, ``elapsed`` intervals after the last entry; False: this cannot be decided any more."""
+        elapsed += self._gap
+        self._gap = 0.0
+        self.samples += 1
+        if self.samples == 1:
+            self._phase = phase
+            return True
+        if self.samples == 2:
+            self._before, self._last = (
+                self._last.repeat(2 * self._most + 1),
+                np.arange(-self._most, self._most + 1),
+            )
+        elif not self._remove(phase, elapsed):
+            return False
+        self._look_at_times(elapsed)
+        self._phase_before, self._phase = self._phase, phase
+        self._elapsed = elapsed
+        self._alone = self._alone + 1 if self.left == 1 else 0
+        return bool(self.left) and self.samples <= MOST_SAMPLES
+
+    def _remove(self, phase: float, elapsed: float) -> bool:
+        ratio = elapsed / self._elapsed
+        step = (self._last - self._before) + (self._phase - self._phase_before)
+        ahead = step * ratio + (self._phase - phase)  # whole for the right speed, from its last count
+        counts = np.rint(ahead)
+        radius = self._radius(elapsed, np.abs(step) / self._elapsed)
+        if radius.max() >= HALF_CYCLE:
+            return False
+        kept = np.abs(ahead - counts) <= radius
+        self._chance *= 2.0 * float(radius[kept].max(initial=0.0))
+        self._before, self._last = self._last[kept], (self._last + counts.astype(np.int64))[kept]
+        return True
+
+    def _radius(self, elapsed: float, speed: FloatArray | float) -> npt.NDArray[np.float64]:
+        weights = 2.0 + 2.0 * elapsed / self._elapsed
+        motion = self._largest * elapsed * (elapsed + self._elapsed) / 2.0
+        return np.asarray(motion + weights * (self._error + self._instant_error * speed))
+
+    def _look_at_times(self, elapsed: float) -> None:
+        if self.samples == 2:
+            return
+        off = abs(elapsed - self._elapsed)  # second difference of the instants: its rms is sqrt(6) sigma
+        self._largest_off, self._squares = max(self._largest_off, off), self._squares + off * off
+        known = self.samples >= KNOWN_SAMPLES
+        least = self._largest + 4.0 * self._error
+        q = (math.sqrt(self._squares / (self.samples - 2)) if known else self._largest_off) / least
+        self.telling, self.silent = q >= TELLING, q < SILENT
+
+    @property
+    def found(self) -> Found | None:
+        """The speed, as soon as it is the only one and no chance."""
+        if self._alone <= self._patience or self._chance > FALSE_ACCEPTANCE:
+            return None
+        before = (int(self._before[0]), self._phase_before)
+        return Found(before, (int(self._last[0]), self._phase), self._elapsed)
+
+    def has(self, count: int) -> bool:
+        """One of the speeds that are left has this cycle count now."""
+        return bool((self._last == count).any())
+
+
+class SpeedVerdict(Enum):
+    """What the speeds that are left say of a sample."""
+
+    UNKNOWN = "nothing: the times are even, or all has been said"
+    OPEN = "the times are about to tell the speed"
+    FALSE_START = "the machine did not start at the speed that was assumed"
+    FOUND = "the speed of a position that was lost"
+
+
+class Starts:
+    """When the speeds are followed: from a start on whose times are uneven, and while the position is lost.
+
+    ``origin`` is the cycle count of the first sample, None where the count is not known.
+    """
+
+    def __init__(self, origin: int | None = None) -> None:
+        self.origin = origin
+        self.active: SpeedSet | None = None
+        self.last_two: Found = NOTHING_FOUND
+        self._tried = False
+
+    def stop(self) -> None:
+        """Whatever comes, these speeds are not followed any more."""
+        self.active, self._tried = None, True
+
+    def skip(self, options: tuple[float, ...]) -> None:
+        """No usable phase after so many intervals."""
+        if self.active is not None:
+            self.active.skip(options[0])
+
+    def begin(
+        self, declared: Declared, options: tuple[float, ...], lost: bool, places: Sequence[Place]
+    ) -> SpeedSet | None:
+        """Those to hold the next sample against; ``places`` are the samples of a start that is assumed."""
+        if self.active is not None or self._tried:
+            return self.active
+        if self.origin is None and abs(options[0] - 1.0) <= EVEN + 4.0 * declared.instant_error:
+            return None
+        bound = declared.second_order
+        if bound is None or len(options) > 1 or not (lost or places):
+            return None
+        self.active = speeds = SpeedSet(
+            bound.largest, declared.phase_error, declared.instant_error, declared.bad_samples + bound.order
+        )
+        if places:
+            self.origin = places[0][0]
+        for _, phase, elapsed in places:
+            speeds.feed(phase, elapsed)
+        return speeds
+
+    def take(self, phase: float, elapsed: float, lost: bool, count: int | None) -> SpeedVerdict:
+        """A sample; ``count`` is that of the speed assumed, None where it is in doubt."""
+        speeds = self.active
+        if speeds is None or not speeds.feed(phase, elapsed):
+            self.active = self.origin = None  # what is counted from here on lacks the way up to here
+            self._tried |= speeds is None or bool(speeds.left)
+            return SpeedVerdict.UNKNOWN
+        if lost:
+            return self._of_lost(speeds)
+        if count is None:
+            return SpeedVerdict.OPEN
+        if self.origin is not None and not speeds.has(count - self.origin):
+            return SpeedVerdict.FALSE_START
+        even = speeds.samples >= LEAST_SAMPLES and speeds.silent
+        most = MOST_WAITING if speeds.telling else START_SAMPLES
+        if speeds.left == 1 or even or speeds.samples > most:
+            self.stop()
+            return SpeedVerdict.UNKNOWN
+        return SpeedVerdict.OPEN
+
+    def _of_lost(self, speeds: SpeedSet) -> SpeedVerdict:
+        found = speeds.found
+        if found is not None:
+            self.last_two = found
+            self.stop()
+            return SpeedVerdict.FOUND
+        if speeds.samples > START_SAMPLES and not speeds.telling:
+            self.active, self.origin = None, None
+        return SpeedVerdict.UNKNOWN

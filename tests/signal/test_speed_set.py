@@ -1,0 +1,158 @@
+"""A start in motion, and the speed of a lost position, by uneven sample times alone.
+
+The machine accelerates and errs as much as is declared, at random.
+"""
+
+from __future__ import annotations
+
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from canfb.objects import LossCause
+from canfb.signal.declared import Declared
+from canfb.signal.estimator import Estimator
+from canfb.signal.speed_set import SpeedSet
+from canfb.signal.supervision import COASTING, LOST, VALID
+
+TAU = 5e-5  # 50 ns of 1 ms
+
+
+def declared(acceleration: float, phase_error: float = 0.0125) -> Declared:
+    return Declared(
+        residual_limit=acceleration + 4.0 * phase_error,
+        widest_limit=1.0 / 3.0,
+        acceleration=acceleration,
+        phase_error=phase_error,
+        instant_error=TAU,
+        coast_samples=8,
+    )
+
+
+def motion(
+    machine: Declared, speed: float, jitter: float, samples: int, generator: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Elapsed times of samples, intervals, and the positions that they show, cycles."""
+    times = np.arange(samples) + generator.uniform(-jitter, jitter, samples)
+    fine = np.linspace(times[0], times[-1], 40 * samples)
+    bends = machine.acceleration * np.repeat(generator.choice([-1.0, 1.0], 4 * samples), 10)
+    way = np.cumsum(np.cumsum(bends) * (fine[1] - fine[0]) ** 2)
+    x = np.interp(times, fine, way) * 0.999 + speed * times + generator.uniform(0.0, 1.0)
+    shown = x + generator.uniform(-0.9, 0.9, samples) * machine.phase_error
+    measured = np.round(times / (2.0 * TAU)) * 2.0 * TAU
+    return np.diff(measured, prepend=measured[0] - 1.0), shown
+
+
+def offsets(
+    estimator: Estimator, elapsed: np.ndarray, shown: np.ndarray
+) -> tuple[list[int], list[int | None]]:
+    """Status bits, and cycles between what is shown and what is counted, where it is valid."""
+    bits: list[int] = []
+    off: list[int | None] = []
+    for one, position in zip(elapsed, shown, strict=True):
+        track, status = estimator.good(position % 1.0, one)
+        bits.append(status)
+        off.append(round(track.cycles + track.phase - position) if status & VALID else None)
+    return bits, off
+
+
+def started_at(shown: np.ndarray) -> int:
+    return -int(np.floor(shown[0]))
+
+
+@pytest.mark.parametrize(("acceleration", "jitter"), [(0.01, 0.1), (0.05, 0.1), (0.01, 0.03), (0.05, 0.05)])
+def test_a_start_in_motion_is_never_valid_and_wrong_and_is_resolved(
+    acceleration: float, jitter: float
+) -> None:
+    machine = declared(acceleration)
+    generator = np.random.default_rng(3)
+    samples = []
+    for _ in range(60):
+        speed = float(generator.uniform(-125.0, 125.0))
+        if generator.random() < 0.5:
+            speed = round(speed)  # phases as at standstill
+        elapsed, shown = motion(machine, speed, jitter, 80, generator)
+        _, off = offsets(Estimator(machine), elapsed, shown)
+        wrong = [n for n, one in enumerate(off) if one is not None and one != started_at(shown)]
+        assert not wrong, (speed, wrong)
+        later = [n for n, one in enumerate(off) if one is not None and n > 1]
+        samples.append(later[0] if later else 80)
+    assert np.median(samples) <= (22 if jitter == 0.1 else 60)
+    if jitter == 0.1:
+        assert max(samples) < 40
+
+
+@pytest.mark.parametrize("jitter", [0.1, 0.02, 0.003, 0.0])
+def test_a_start_at_standstill_waits_until_the_times_have_told(jitter: float) -> None:
+    machine = declared(0.01)
+    generator = np.random.default_rng(4)
+    for _ in range(30):
+        elapsed, shown = motion(machine, 0.0, jitter, 120, generator)
+        bits, off = offsets(Estimator(machine), elapsed, shown)
+        assert set(bits[100:]) == {VALID}
+        assert {one for one in off if one is not None} == {started_at(shown)}
+        if not jitter:
+            assert set(bits) == {VALID}, "the times tell nothing"
+        elif abs(elapsed[1] - 1.0) > 1e-3:
+            assert bits[1] == COASTING
+
+
+def test_a_bad_sample_in_a_start_in_motion_makes_no_wrong_position_valid() -> None:
+    """The count from the first sample on is not known then; the speed is."""
+    machine = declared(0.01)
+    generator = np.random.default_rng(5)
+    for _ in range(80):
+        speed = float(generator.uniform(-125.0, 125.0))
+        elapsed, shown = motion(machine, speed, 0.1, 60, generator)
+        bad = int(generator.integers(1, 12))
+        given = shown.copy()
+        given[bad] += generator.uniform(0.1, 0.9)
+        estimator = Estimator(machine)
+        _, off = offsets(estimator, elapsed, given)
+        off[bad] = None  # in that sample itself the phase is what it is
+        assert {one for one in off[2:] if one is not None} <= {started_at(shown)}
+        assert estimator.lost
+        assert abs(estimator.tracker.step_cycles - speed) < 0.7
+
+
+def test_a_lost_position_gets_its_speed_and_no_count() -> None:
+    machine = declared(0.01)
+    generator = np.random.default_rng(6)
+    for speed in (3.0, -41.0, 99.5):
+        estimator = Estimator(machine)
+        elapsed, shown = motion(machine, speed, 0.1, 60, generator)
+        estimator.restart(0, 0.0)
+        estimator.good(shown[0] % 1.0, 1.0)
+        estimator.lose(LossCause.COASTED)
+        known = Mock()
+        estimator.on_speed = known
+        bits, _ = offsets(estimator, elapsed[1:], shown[1:])
+        assert all(one & LOST for one in bits)
+        known.assert_called_once_with()
+        assert abs(estimator.tracker.step_cycles - speed) < 0.5
+
+
+def test_times_that_are_even_follow_nothing() -> None:
+    estimator = Estimator(declared(0.01))
+    for _ in range(20):
+        assert estimator.good(0.3, 1.0)[1] == VALID
+        assert not estimator.searches
+
+
+def test_a_position_lost_before_its_first_sample_starts_again_at_its_speed() -> None:
+    machine = declared(0.01)
+    elapsed, shown = motion(machine, 17.0, 0.1, 60, np.random.default_rng(7))
+    estimator = Estimator(machine)
+    estimator.lose(LossCause.PAUSE)
+    bits, off = offsets(estimator, elapsed, shown)
+    assert bits[0] & LOST
+    assert bits[-1] == VALID
+    assert {one for one in off if one is not None} == {started_at(shown)}
+
+
+def test_a_window_of_half_a_cycle_decides_nothing() -> None:
+    speeds = SpeedSet(0.4, 0.05, 0.0, 3)
+    assert speeds.feed(0.1, 1.0)
+    assert speeds.feed(0.2, 1.1)
+    assert not speeds.feed(0.4, 0.9)
