@@ -13,6 +13,7 @@ from canfb.bus.bus_state import ERROR_BUS_OFF, ERROR_RESTARTED, LASTING_S, RETRY
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
+from canfb.errors import reason
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 
@@ -22,6 +23,7 @@ WARNING = message(0x004, bytes(8), is_error_frame=True)
 DOWN = can.CanOperationError("Error receiving: Network is down", errno.ENETDOWN)
 FULL = can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
 OFF_LINE = "the CAN controller is bus-off"
+DOWN_LINE = f"the bus fails: {reason(DOWN)}"
 ON_LINE = "the CAN controller is on the bus again"
 
 
@@ -131,8 +133,7 @@ def test_an_interface_that_is_down_fails_but_once_to_the_reader() -> None:
     (_, off_s), (_, back_s) = scene.device.told
     assert off_s == 1.0
     assert 4.0 + SETTLED_S <= back_s <= 4.5 + SETTLED_S + 0.11
-    assert {"the bus fails", "a frame could not be sent"} <= {line.partition(":")[0] for line in scene.lines}
-    assert OFF_LINE not in scene.lines
+    assert scene.lines == [DOWN_LINE, "the bus works again"], "an outage is one line"
 
 
 @pytest.mark.parametrize("code", [errno.ENETDOWN, errno.ENODEV, errno.ENXIO])
@@ -196,3 +197,34 @@ def test_the_module_stops_and_says_that_the_bus_is_back() -> None:
     sent = [(sent.arbitration_id, bytes(sent.data).hex()) for _, sent in scene.bus.sent]
     assert (0x0A0, "4081110000000000") in sent
     assert (0x0A0, "0000000000000000") in sent
+
+
+BOOT_UP = Frame(0x720, b"\0")
+
+
+@pytest.mark.parametrize("error", [DOWN, FULL])
+def test_a_boot_up_that_failed_is_sent_before_all_else_when_the_bus_is_there(error: Exception) -> None:
+    """Once; its device was not on the bus before, so nothing has been lost for it."""
+    scene = Scene()
+    scene.bus.refuse = lambda at: error if at < 3.0 else None
+    starting = Watching(scene.clock, boot=(BOOT_UP, Frame(0x721, b"\x05")))
+    scene.others = [starting, FakeDevice(scene.clock, period_s=0.7)]
+    scene.run(8.0)
+    sent = [(at, one.arbitration_id) for at, one in scene.bus.sent]
+    assert sent[0] == (pytest.approx(3.0, abs=RETRY_S + 0.1), 0x720)
+    assert [can_id for _, can_id in sent].count(0x720) == 1
+    assert 0x721 not in [can_id for _, can_id in sent], "a heartbeat that is late helps nobody"
+    assert starting.told == []
+    assert scene.words == (["off", "back"] if error is DOWN else [])
+
+
+def test_a_module_that_starts_without_a_bus_starts_as_usual_when_it_is_there() -> None:
+    """Nobody would start a module with autostart again."""
+    scene = Scene()
+    scene.bus.refuse = lambda at: DOWN if at < 3.0 else None
+    module = FeedbackModule(ModuleConfig(node_id=32, autostart=True))
+    scene.others = [module]
+    scene.run(8.0)
+    assert scene.bus.sent_ids()[0] == 0x720
+    assert module.state is NmtState.OPERATIONAL
+    assert scene.lines == [DOWN_LINE, "the bus works again"]

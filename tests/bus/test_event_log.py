@@ -115,7 +115,7 @@ def test_run_prints_json_for_programs(
     path = tmp_path / "one.yaml"
     path.write_text("bus: {interface: virtual, channel: json}\nmodules: [{node_id: 32, autostart: true}]\n")
     run = Hosting.run
-    monkeypatch.setattr(Hosting, "run", lambda hosting, ready: run(hosting, hosting.stop))
+    monkeypatch.setattr(Hosting, "run", lambda hosting, *_: run(hosting, hosting.stop))
     assert main(["run", str(path), "--json"]) == 0
     out, err = capsys.readouterr()
     objects = [json.loads(line) for line in out.splitlines()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 from collections.abc import Iterator
@@ -72,6 +73,31 @@ def test_systemd_gets_ready_and_stopping(tmp_path: Path, manager: socket.socket)
         readiness.ready()
         assert manager.recv(100) == b"READY=1"
     assert manager.recv(100) == b"STOPPING=1"
+
+
+def test_the_watchdog_of_systemd_hears_four_times_as_often_as_it_must(
+    tmp_path: Path, manager: socket.socket
+) -> None:
+    environment = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "10000000"}
+    readiness = Readiness(environment=environment | {"WATCHDOG_PID": str(os.getpid())})
+    heard = 0
+    for hundredth in range(3000):
+        readiness.alive(0.01 * hundredth)
+        with contextlib.suppress(BlockingIOError):
+            assert manager.recv(100) == b"WATCHDOG=1"
+            heard += 1
+    assert heard == 12, "in 30 s"
+
+
+@pytest.mark.parametrize(
+    "watched",
+    [{}, {"WATCHDOG_USEC": "1", "WATCHDOG_PID": "1"}, {"WATCHDOG_USEC": "soon"}, {"WATCHDOG_USEC": "0"}],
+)
+def test_nobody_watches(tmp_path: Path, manager: socket.socket, watched: dict[str, str]) -> None:
+    readiness = Readiness(environment={"NOTIFY_SOCKET": str(tmp_path / "notify")} | watched)
+    readiness.alive(1.0)
+    with pytest.raises(BlockingIOError):
+        manager.recv(100)
 
 
 def test_an_abstract_socket_of_systemd() -> None:

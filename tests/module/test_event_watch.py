@@ -58,8 +58,43 @@ class Machine:
     def give(self, can_id: int, data: bytes, at: float) -> None:
         self.module.receive(Frame(can_id, data, timestamp=at if self.stamped else None), at)
 
+    def write(self, index: int, subindex: int, value: int, size: int) -> None:
+        """SDO, expedited."""
+        head = struct.pack("<BHB", 0x23 | (4 - size) << 2, index, subindex)
+        self.give(0x600 + NODE, head + value.to_bytes(4, "little"), self.now)
+
     def texts(self, kind: EventKind | None = None) -> list[str]:
         return [event.text for event in self.events if kind in (None, event.kind)]
+
+
+def test_another_state_has_its_reason_unless_it_was_commanded() -> None:
+    machine = Machine()
+    machine.write(0x1016, 1, 5 << 16 | 100, 4)
+    machine.give(0x705, b"\x05", machine.now)
+    machine.silence(0.2)
+    start = struct.pack("<BB", NmtCommand.START, NODE)
+    machine.give(0x000, start, machine.now)
+    machine.module.bus_off(machine.now)
+    machine.give(0x000, start, machine.now)
+    machine.write(0x100C, 0, 100, 2)
+    machine.write(0x100D, 0, 2, 1)
+    machine.module.receive(Frame(0x700 + NODE, b"", rtr=True), machine.now)
+    machine.silence(0.5)
+    machine.give(0x000, start, machine.now)
+    machine.give(0x000, struct.pack("<BB", NmtCommand.ENTER_PRE_OPERATIONAL, NODE), machine.now)
+    assert [text for text in machine.texts(EventKind.NMT) if "boot-up" not in text] == [
+        "OPERATIONAL",
+        "PRE-OPERATIONAL: no heartbeat of node 5",
+        "OPERATIONAL",
+        "PRE-OPERATIONAL: the bus is gone",
+        "OPERATIONAL",
+        "PRE-OPERATIONAL: the guarding master is silent",
+        "OPERATIONAL",
+        "PRE-OPERATIONAL",
+    ]
+    reasons = [event.values["reason"] for event in machine.events if event.kind is EventKind.NMT]
+    assert reasons[2] == "no heartbeat of node 5"
+    assert reasons[-1] is None
 
 
 def test_a_start_is_told_in_its_order() -> None:

@@ -15,6 +15,9 @@ SETTLED_S = 1.0  # without a failure, before a bus is said to work again
 ERROR_BUS_OFF = 0x040
 ERROR_RESTARTED = 0x100
 
+BUS_FAILS, BUS_WORKS = "the bus fails", "the bus works again"
+_OFF, _ON = "the CAN controller is bus-off", "the CAN controller is on the bus again"
+
 INTERFACE_DOWN = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO})
 
 
@@ -25,13 +28,15 @@ class FailureWatch:
         self._report = report
         self._trouble = trouble
         self._recovered = recovered
+        self._reported = False
         self.failed_s: float | None = None
         """When it last failed; None once its end is reported: :meth:`worked` need not be called then."""
 
-    def failed(self, error: Exception, now: float) -> bool:
-        """Note a failure; True if the one before was only just now."""
+    def failed(self, error: Exception, now: float, *, known: bool = False) -> bool:
+        """Note a failure; True if the one before was only just now. ``known``: reported already."""
         before, self.failed_s = self.failed_s, now
-        if before is None:
+        if not (self._reported or known):
+            self._reported = True
             self._report(f"{self._trouble}: {reason(error)}")
         return before is not None and now - before < RETRY_S
 
@@ -39,7 +44,9 @@ class FailureWatch:
         """Note that it worked."""
         if self.failed_s is not None and now - self.failed_s >= SETTLED_S:
             self.failed_s = None
-            self._report(self._recovered)
+            if self._reported:
+                self._reported = False
+                self._report(self._recovered)
 
 
 class BusState:
@@ -48,8 +55,9 @@ class BusState:
     Gone: an error frame of SocketCAN says bus-off, a failure says that the interface is down, or
     reading fails for LASTING_S. A full queue and a single bad datagram are neither. There again:
     nothing of the kind for SETTLED_S after a first sign of life. That is a frame, an error frame
-    that says "restarted", and, unless the controller was bus-off, a frame that could be sent: a
-    driver takes some into its queue while it is bus-off.
+    that says "restarted" (a :class:`.RawCanBus` makes one when its interface is up again), and, unless
+    the controller was bus-off, a frame that could be sent: a driver takes some into its queue while it
+    is bus-off.
     """
 
     def __init__(self, report: Callable[[str], None]) -> None:
@@ -59,16 +67,14 @@ class BusState:
         """Whether `reading_worked` and `sending_worked` want to be called."""
         self._told = True
         self._bus_off = False
-        self._reported = False
+        self._recovered = ""  # what is to be reported at the end of what was reported
         self._alive_s: float | None = None
         self._failing_since_s: float | None = None
 
     def error_frame(self, error_class: int, now: float) -> None:
         """An error frame of SocketCAN; `error_class` is its CAN-ID."""
         if error_class & ERROR_BUS_OFF:
-            if not self._reported:
-                self._reported = True
-                self._report("the CAN controller is bus-off")
+            self._say(_OFF, _ON)
             self._bus_off = True
             self._lose()
         elif error_class & ERROR_RESTARTED:
@@ -79,7 +85,9 @@ class BusState:
         self.troubled = True
         if self._failing_since_s is None:
             self._failing_since_s = now
-        if _is_down(error) or now - self._failing_since_s >= LASTING_S:
+        if is_down(error):
+            self._went_down(error)
+        elif now - self._failing_since_s >= LASTING_S:
             self._bus_off = False
             self._lose()
 
@@ -92,9 +100,8 @@ class BusState:
 
     def sending_failed(self, error: Exception, now: float) -> None:
         """A frame could not be sent."""
-        if _is_down(error):
-            self._bus_off = False
-            self._lose()
+        if is_down(error):
+            self._went_down(error)
 
     def sending_worked(self, now: float) -> None:
         """A frame could be sent, or was taken into a queue."""
@@ -114,10 +121,20 @@ class BusState:
             return False
         self.gone = self.troubled = self._bus_off = False
         self._alive_s = None
-        if self._reported:
-            self._reported = False
-            self._report("the CAN controller is on the bus again")
+        if self._recovered:
+            self._report(self._recovered)
+            self._recovered = ""
         return True
+
+    def _went_down(self, error: Exception) -> None:
+        self._say(f"{BUS_FAILS}: {reason(error)}", BUS_WORKS)
+        self._bus_off = False
+        self._lose()
+
+    def _say(self, trouble: str, recovered: str) -> None:
+        if not self._recovered:
+            self._recovered = recovered
+            self._report(trouble)
 
     def _lose(self) -> None:
         if not self.gone or self._alive_s is not None:
@@ -130,6 +147,7 @@ class BusState:
             self._alive_s = now
 
 
-def _is_down(error: Exception) -> bool:
+def is_down(error: Exception) -> bool:
+    """Whether a failure says that the interface is down, or gone."""
     code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
     return code in INTERFACE_DOWN

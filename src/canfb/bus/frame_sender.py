@@ -12,10 +12,13 @@ import can
 from canfb.bus.bus_state import BusState, FailureWatch
 from canfb.bus.dispatch import Port
 from canfb.bus.frame_bus import FrameBus
+from canfb.cia301.cob import ERROR_CONTROL
 from canfb.cia301.frame import Frame
 
+NODE_ID = 0x7F
 RETRY_S = 0.0005  # a frame takes 0.05 to 0.13 ms at 1 Mbit/s
 LONGEST_QUEUE = 256  # frames
+BOOT_UP = b"\0"  # of ERROR_CONTROL: no NMT state of a heartbeat is 0
 LONGEST_DELAY_S = 0.1  # a position that is older helps nobody
 
 
@@ -24,7 +27,8 @@ class FrameSender:
 
     A bus that takes no frame now keeps it and those that follow in a queue. A frame that has waited for
     LONGEST_DELAY_S, or finds LONGEST_QUEUE others, is a failure like one that the bus refuses:
-    reported once, and counted in ``failures``.
+    reported once, and counted in ``failures``. A boot-up that failed is sent as soon as the bus takes it,
+    before any other frame: a master that waits for it would never find the device.
     """
 
     def __init__(
@@ -38,10 +42,14 @@ class FrameSender:
         self.failures = 0
         self.waiting: deque[tuple[Port, Frame, float]] = deque()
         """Frames that the bus did not take yet, and since when."""
+        self.owed: dict[int, tuple[Port, Frame]] = {}
+        """Boot-ups that failed, by their CAN-ID: for :meth:`retry_owed`."""
 
     def send(self, port: Port, frame: Frame) -> None:
         """Send a frame of the device at ``port``, or put it behind those that wait."""
         can_id, data, remote, _ = frame
+        if self.owed:
+            self.retry_owed()
         try:
             gone = not self.waiting and self._bus_send(can_id, data, remote)
         except (can.CanError, OSError) as error:
@@ -73,6 +81,18 @@ class FrameSender:
             self.waiting.popleft()
             self._left(port, frame)
 
+    def retry_owed(self) -> None:
+        """Send the boot-ups that failed, if the bus takes them now."""
+        for can_id, (port, frame) in list(self.owed.items()):
+            try:
+                gone = not self.waiting and self._bus_send(can_id, frame.data, frame.rtr)
+            except (can.CanError, OSError):
+                return
+            if not gone:
+                return
+            del self.owed[can_id]
+            self._left(port, frame)
+
     def _put_off(self, port: Port, frame: Frame, now: float) -> None:
         if len(self.waiting) < LONGEST_QUEUE:
             self.waiting.append((port, frame, now))
@@ -92,7 +112,9 @@ class FrameSender:
         self.failures += 1
         now = self._clock()
         self._bus_state.sending_failed(error, now)
-        self._watch.failed(error, now)
+        self._watch.failed(error, now, known=self._bus_state.gone)
+        if frame.data == BOOT_UP and frame.can_id & ~NODE_ID == ERROR_CONTROL:
+            self.owed[frame.can_id] = (port, frame)
         if frame.can_id in port.inhibited:  # it counts from here: it may have left after all
             port.device_sent(frame.can_id, now)
 

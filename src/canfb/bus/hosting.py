@@ -45,6 +45,7 @@ class Hosting(OnBus):
         self.config = config
         self.modules: list[FeedbackModule] = []
         self._events = EventLog(verbose)
+        self._alive: Callable[[float], None] = lambda now: None
         self._looked_s = 0.0
 
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
@@ -59,15 +60,23 @@ class Hosting(OnBus):
     def _meanwhile(self, now: float) -> None:
         self._looked_s = now
         self._events.tick(now)
+        self._alive(now)
         super()._meanwhile(now)
 
-    def run(self, ready: Callable[[], None] = lambda: None) -> None:
+    def run(
+        self,
+        ready: Callable[[], None] = lambda: None,
+        alive: Callable[[float], None] = lambda now: None,
+    ) -> None:
         """Serve the modules until :meth:`stop`. ``ready`` is called when they are on the bus.
+
+        ``alive`` is called again and again with the time, seconds (monotonic), as long as they are served.
 
         A program error in one of them ends it for all, with CanfbError.
         """
         if self._runner is None:
             raise RuntimeError("use Hosting as a context manager: with Hosting(config) as hosting")
+        self._alive = alive
         named = [(module, name_of(module)) for module in self.modules]
         nodes = ", ".join(name for _, name in named)
         saved = [line for module, name in named for line in what_is_saved(module, name)]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
+import os
 import select
 import socket
 import struct
@@ -11,7 +13,8 @@ from collections.abc import Iterable
 from types import TracebackType
 from typing import Any, Self
 
-from canfb.bus.frame_bus import EXTENDED, REMOTE, Received
+from canfb.bus.bus_state import ERROR_RESTARTED, INTERFACE_DOWN
+from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE, Received
 from canfb.bus.frame_reader import FrameReader
 
 _FRAME = struct.Struct("=IB3x8s")  # struct can_frame (linux/can.h)
@@ -20,6 +23,9 @@ _STANDARD_ID = 0x7FF
 _EXACT = EXTENDED | REMOTE | _STANDARD_ID  # the kernel looks these up, and does not try them in turn
 RESOLUTION_S = 0.001  # of poll
 MOST_FILTERS = 512  # CAN_RAW_FILTER_MAX
+_IFREQ = struct.Struct("16sh22x")  # struct ifreq (linux/if.h) with its flags
+_SIOCGIFFLAGS = 0x8913
+_IFF_UP = 1
 _ANY_STANDARD = _FILTER.pack(0, EXTENDED)
 _ALL_ERRORS = 0x1FFF_FFFF
 _CAN_RAW_ERR_FILTER = 2  # python names it on Linux only
@@ -29,10 +35,15 @@ class RawCanBus:
     """A :class:`.FrameBus` on a SocketCAN interface. Own frames do not come back.
 
     Sending never waits: a full queue of the interface or of the socket is a frame that is to be sent again.
+    An interface that is down or gone is an error of each :meth:`receive` until it is up, where ``channel`` is
+    known. One that was removed and made again, as by an adapter that was unplugged, is opened by its name:
+    it has another index. An error frame "restarted" is then the first that is received.
     """
 
-    def __init__(self, raw: socket.socket) -> None:
+    def __init__(self, raw: socket.socket, channel: str = "") -> None:
         """``raw`` is a raw CAN socket, bound, or another datagram socket that carries struct can_frame."""
+        self._channel = channel
+        self._down = False
         raw.setblocking(False)
         self._socket = raw
         self._send = raw.send
@@ -43,7 +54,8 @@ class RawCanBus:
         poll.register(raw, select.POLLIN)
         self._poll = poll.poll
         self._full: list[socket.socket] = []  # the socket, while its own queue is full
-        self._filters = b""
+        self._filters = b""  # those that the kernel has
+        self._chosen = _ANY_STANDARD
         if self._is_can:
             raw.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ALL_ERRORS)
 
@@ -52,18 +64,24 @@ class RawCanBus:
         """Open the interface; OSError for one that there is not, or that this system cannot have."""
         with contextlib.ExitStack() as opened:
             raw = opened.enter_context(socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW))
-            bus = cls(raw)  # times and error frames, before the first frame
+            bus = cls(raw, channel)  # times and error frames, before the first frame
             raw.bind((channel,))
             opened.pop_all()
         return bus
 
     def receive(self, wait_s: float) -> list[Received] | None:
         """See :class:`.FrameBus`."""
+        if self._down:
+            return self._came_up()
         if self._full or 0.0 < wait_s < RESOLUTION_S:
             ready: list[Any] = select.select(self._sources, self._full, [], wait_s)[0]
         else:
             ready = self._poll(int(wait_s * 1000.0))  # less work than select, and milliseconds only
-        return self._read() if ready else None
+        try:
+            return self._read() if ready else None
+        except OSError as error:
+            self._note(error)
+            raise
 
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
         """See :class:`.FrameBus`."""
@@ -74,6 +92,7 @@ class RawCanBus:
             return False
         except OSError as error:
             if error.errno != errno.ENOBUFS:
+                self._note(error)
                 raise
             return False  # that of the interface: nobody says when it has room
         if self._full:
@@ -89,10 +108,28 @@ class RawCanBus:
             wanted = [*sorted(can_ids), *(can_id | REMOTE for can_id in sorted(remote_can_ids))]
             if len(wanted) <= MOST_FILTERS:
                 filters = b"".join(_FILTER.pack(can_id, _EXACT) for can_id in wanted)
+        self._chosen = filters
         if filters != self._filters:
             with contextlib.suppress(OSError):  # the interface is gone, which reading says
                 self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
                 self._filters = filters
+
+    def _note(self, error: OSError) -> None:
+        self._down = bool(self._channel) and error.errno in INTERFACE_DOWN
+
+    def _came_up(self) -> list[Received]:
+        """A frame that says "restarted" once the interface is up; OSError until then."""
+        raw = self._socket
+        if raw.getsockname()[0] != self._channel:  # unbound by the kernel when the interface went
+            raw.bind((self._channel,))
+            raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, self._chosen)
+            self._filters = self._chosen
+        raw.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)  # what is over is not to be read
+        request = _IFREQ.pack(self._channel.encode(), 0)
+        if not _IFREQ.unpack(fcntl.ioctl(raw, _SIOCGIFFLAGS, request))[1] & _IFF_UP:
+            raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
+        self._down = False
+        return [(ERROR | ERROR_RESTARTED, b"", 0.0)]
 
     def __enter__(self) -> Self:
         return self

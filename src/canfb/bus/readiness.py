@@ -1,8 +1,9 @@
-"""Telling those who wait that a program is on its bus: a file, and systemd's notification (sd_notify)."""
+"""Telling others that a program is on its bus, and goes on: a file, systemd's notification (sd_notify)."""
 
 from __future__ import annotations
 
 import logging
+import math
 import os
 import re
 import socket
@@ -15,7 +16,8 @@ from canfb.errors import CanfbError, ConfigError
 log = logging.getLogger(__name__)
 
 OURS = re.compile(rb"[0-9]{1,10}\n")
-READY, STOPPING = b"READY=1", b"STOPPING=1"
+READY, STOPPING, WATCHDOG = b"READY=1", b"STOPPING=1", b"WATCHDOG=1"
+WATCHDOG_PART = 0.25  # of the time that systemd waits: so often it hears that the program goes on
 
 
 class Readiness:
@@ -24,7 +26,8 @@ class Readiness:
     ``path`` is a file that is there while the program is on its bus, and holds the process id; None for
     no file. One that a killed program has left is removed at the start. Where systemd has started the
     program (``NOTIFY_SOCKET``, sd_notify(3)), it gets READY=1 and, at the end, STOPPING=1. ``report``
-    gets one line if that fails. ConfigError at the start if the file cannot be, or is not such a file.
+    gets one line if that fails. With ``WATCHDOG_USEC``, too, :meth:`alive` sends WATCHDOG=1.
+    ConfigError at the start if the file cannot be, or is not such a file.
     """
 
     def __init__(
@@ -36,6 +39,8 @@ class Readiness:
         self._path = None if path is None else Path(path)
         self._report = report
         self._socket = environment.get("NOTIFY_SOCKET", "")
+        self._watched_s = _watchdog_s(environment) if self._socket else 0.0
+        self._alive_s = -math.inf  # when to say so again
 
     def __enter__(self) -> Readiness:
         if self._path is not None:
@@ -61,6 +66,12 @@ class Readiness:
                 raise CanfbError(f"--ready-file {self._path}: {error.strerror}") from error
         self._notify(READY)
 
+    def alive(self, now: float) -> None:
+        """The program goes on; call it from its loop, with the time (seconds, monotonic)."""
+        if self._watched_s and now >= self._alive_s:
+            self._alive_s = now + WATCHDOG_PART * self._watched_s
+            self._notify(WATCHDOG)
+
     def _notify(self, state: bytes) -> None:
         if not self._socket:
             return
@@ -72,6 +83,15 @@ class Readiness:
                 notifying.send(state)
         except OSError as error:
             self._report(f"NOTIFY_SOCKET {self._socket}: {error.strerror or error}")
+
+
+def _watchdog_s(environment: Mapping[str, str]) -> float:
+    """How long systemd waits for WATCHDOG=1, seconds; 0 if it does not, or not for this process."""
+    try:
+        watched = int(environment.get("WATCHDOG_PID", os.getpid())) == os.getpid()
+        return 1e-6 * int(environment.get("WATCHDOG_USEC", 0)) if watched else 0.0
+    except ValueError:
+        return 0.0
 
 
 def _clear(path: Path) -> None:

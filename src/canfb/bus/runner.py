@@ -14,8 +14,8 @@ from types import FrameType
 
 import can
 
+from canfb.bus.bus_state import BUS_FAILS, BUS_WORKS, BusState, FailureWatch, is_down
 from canfb.bus.bus_state import RETRY_S as BUS_RETRY_S
-from canfb.bus.bus_state import BusState, FailureWatch
 from canfb.bus.computing import Computation
 from canfb.bus.dispatch import Dispatch, Port
 from canfb.bus.frame_bus import ERROR, EXTENDED, FrameBus, Received
@@ -100,9 +100,11 @@ class Runner:
         self._asked_s = self._now = clock()  # when frames were asked for; the last look at the clock
         self._compute_s = -NEVER  # when to look for computations next
         self._stopped = False
-        self._receiving = FailureWatch(report, "the bus fails", "the bus works again")
+        self._receiving = FailureWatch(report, BUS_FAILS, BUS_WORKS)
         self._bus_state = BusState(report)
         self._sender = FrameSender(bus, clock, self._bus_state, report)
+        self._owed_s = -NEVER  # when to try boot-ups that failed again
+        self._off: set[Port] = set()  # whose devices know that the bus is gone
         self._computations = [
             (port, Computation(port.device, report))
             for port in self._dispatch.ports
@@ -141,6 +143,9 @@ class Runner:
                         self._take_overdue(frames)
                 if self._bus_state.gone:
                     self._tell_bus_state()
+                if self._sender.owed and self._now >= self._owed_s:
+                    self._owed_s = self._now + BUS_RETRY_S
+                    self._sender.retry_owed()
                 if self._asked_s >= self._compute_s:
                     self._compute()
         finally:
@@ -207,7 +212,7 @@ class Runner:
         self._bus_failures += 1
         self._now = now = self._clock()
         self._bus_state.reading_failed(error, now)
-        if self._receiving.failed(error, now):
+        if self._receiving.failed(error, now, known=is_down(error)):
             self._sleep(BUS_RETRY_S)
 
     def _take_overdue(self, frames: list[Received]) -> None:
@@ -291,15 +296,21 @@ class Runner:
                 self._spread(port, self._asked(port, port.device.tick, now))
 
     def _tell_bus_state(self) -> None:
-        """Notify the devices when the bus has gone, and when it is back."""
+        """Notify the devices when the bus has gone, and when it is back.
+
+        A device whose boot-up has not left yet was not on the bus, and starts as usual when it is there.
+        """
         self._now = now = self._clock()
         lost, returned = self._bus_state.lost(), self._bus_state.returned(now)
+        starting = {port for port, _ in self._sender.owed.values()}
         for port in self._dispatch.ports:
             device = port.device
             if isinstance(device, BusWatching):
-                if lost:
+                if lost and port not in starting:
+                    self._off.add(port)
                     self._spread(port, self._asked(port, device.bus_off, now))
-                if returned:
+                if returned and port in self._off:
+                    self._off.remove(port)
                     self._spread(port, self._asked(port, device.bus_back, now))
         self._dispatch.hear_all(self._bus_state.gone)  # any frame is a sign of life
 

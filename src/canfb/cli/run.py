@@ -39,5 +39,5 @@ def run(options: argparse.Namespace) -> int:
         hosting,
         ending_on_signals(hosting.stop),
     ):
-        hosting.run(readiness.ready)
+        hosting.run(readiness.ready, readiness.alive)
     return 0

@@ -34,8 +34,8 @@ class Reactions(ABC):
         """The NMT master resets the node, or its communication only."""
 
     @abstractmethod
-    def communication_error(self, now: float) -> None:
-        """A heartbeat or the guarding master is lost."""
+    def communication_error(self, why: str, now: float) -> None:
+        """A heartbeat or the guarding master is lost; `why` in words."""
 
     @abstractmethod
     def heartbeat_changed(self) -> None:

@@ -70,7 +70,7 @@ class NodeGuarding(Timed):
         self.deadline = NEVER
         self._guarded = False  # the next remote frame starts the life time again
         self._emergency.report(EmergencyCode.HEARTBEAT, ErrorRegister.COMMUNICATION, b"", now, _SOURCE)
-        self._core.reactions.communication_error(now)
+        self._core.reactions.communication_error("the guarding master is silent", now)
 
     def _start(self, now: float) -> None:
         life_time = self.life_time_s

@@ -100,7 +100,7 @@ class HeartbeatMonitor:
             now,
             self._source,
         )
-        self._lost(now)
+        self._lost(f"no heartbeat of node {self.node_id}", now)
 
     @property
     def _source(self) -> tuple[int, int]:

@@ -37,6 +37,8 @@ class LifeCycle(Reactions):
     ) -> None:
         self.core = core = Core(dictionary, node_id, hooks, self, sdo_timeout_s=sdo_timeout_s)
         self._hooks = hooks
+        self.reason = ""
+        """Why the NMT state changes in the running call, in words; "" for a command or a start."""
         self.storage = Storage(core, store)
         self.startup = Startup(dictionary.find(0x1F80), autostart=autostart)
         self.silence = Silence(core)
@@ -130,11 +132,13 @@ class LifeCycle(Reactions):
         self.storage.restore(communication_only=communication_only)
         self._begin(communication_only, now)
 
-    def communication_error(self, now: float) -> None:
-        """The NMT state that 1029h:01 names."""
+    def communication_error(self, why: str, now: float) -> None:
+        """The NMT state that 1029h:01 names; `why` is the reason of the change."""
         if self._hooks.on_communication_error is not None:
             self._hooks.on_communication_error(now)
+        self.reason = why
         self.enter(self.services.error_behaviour.reaction(self.core.state), now)
+        self.reason = ""
 
     def heartbeat_changed(self) -> None:
         """A heartbeat takes the place of guarding."""

@@ -94,6 +94,11 @@ class Node(Hooks):
         return self._core.state
 
     @property
+    def state_reason(self) -> str:
+        """In the hook `on_state`: why the state changes, in words; "" if it was commanded, or a start."""
+        return self._life.reason
+
+    @property
     def own_can_ids(self) -> frozenset[int]:
         """The CAN-IDs that only this node may send now; empty while it has no node-ID.
 
@@ -253,12 +258,11 @@ class Node(Hooks):
 
         A lost heartbeat and a silent guarding master come here by themselves. EMCY is another matter.
         """
-        self.moment.now = now
-        self._life.communication_error(now)
+        self._communication_error("a communication error", now)
 
     def bus_off(self, now: float) -> list[Frame]:
         """The bus is gone: the CAN controller is bus-off, or its interface is down. See 1029h:01."""
-        self.communication_error(now)
+        self._communication_error("the bus is gone", now)
         return self._sent()
 
     def bus_back(self, now: float) -> list[Frame]:
@@ -272,6 +276,10 @@ class Node(Hooks):
             emergency.report(code, ErrorRegister.COMMUNICATION, b"", now, _BUS)
             emergency.clear(code, now, _BUS)
         return self._sent()
+
+    def _communication_error(self, why: str, now: float) -> None:
+        self.moment.now = now
+        self._life.communication_error(why, now)
 
     def _time(self, now: float | None) -> float:
         if now is not None:

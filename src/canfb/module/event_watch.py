@@ -56,13 +56,17 @@ class EventWatch:
         self._causes = 0
         self._not_valid_s = 0.0
 
-    def nmt(self, old: NmtState, new: NmtState, now: float) -> None:
-        """A change of the NMT state. The next SYNC and the next sample are the first."""
+    def nmt(self, old: NmtState, new: NmtState, now: float, why: str = "") -> None:
+        """A change of the NMT state, and ``why`` if it was not commanded.
+
+        The next SYNC and the next sample are the first.
+        """
         self._rate_hz = 0.0
         self.reset()
         boot_up = "boot-up, " if old is NmtState.INITIALISING else ""
         name = new.name.replace("_", "-")
-        self._tell(EventKind.NMT, now, f"{boot_up}{name}", state=name, boot_up=bool(boot_up))
+        text = f"{boot_up}{name}{': ' if why else ''}{why}"
+        self._tell(EventKind.NMT, now, text, state=name, boot_up=bool(boot_up), reason=why or None)
 
     def synced(self, interval_s: float, now: float) -> None:
         """SYNCs come as expected, at this interval; not called with each of them."""

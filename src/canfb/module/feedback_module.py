@@ -338,7 +338,7 @@ class FeedbackModule:
             self.on_source(text)
 
     def _on_state(self, old: NmtState, new: NmtState, now: float) -> None:
-        self.events.nmt(old, new, now)
+        self.events.nmt(old, new, now, self.node.state_reason)
         if new is NmtState.OPERATIONAL:
             self._sampling.resume(now)
         elif old is NmtState.OPERATIONAL:
