@@ -313,3 +313,15 @@ def test_a_time_that_turns_out_wrong_loses_the_position() -> None:
     estimator.confirm(2.0, 3)
     assert estimator.lost
     assert estimator.loss_cause == LossCause.TIME
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003])
+def test_an_input_that_stands_after_a_motion_is_not_valid(noise: float) -> None:
+    """An open track shows one phase, with noise; the same of a machine that stood before is valid."""
+    for speed, bits in ((0.3, 0), (0.0, VALID)):
+        estimator = started(speed=speed)
+        last = phases(speed, 12)[-1]
+        stood = 0.8 if speed else last
+        estimator.bad(1.0)
+        given = [stood + noise * (-1) ** n for n in range(20)]
+        assert take(estimator, given)[-1] & VALID == bits

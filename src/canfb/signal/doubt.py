@@ -21,7 +21,8 @@ of it are settled, and three tests are passed, which can take validity away and 
 
 - random phases would leave a candidate with a probability of at most 1e-5. A window of width w takes a
   random phase with probability w, and M residuals within w by themselves with M w^(M-1);
-- the same phase again and again, where it was another before, is an input that stands still, not a motion;
+- about the same phase again and again, where it was another before, is an input that stands still, not a
+  motion;
 - the run does not extend backwards up to the sample that contradicted. If it does, all samples fit the
   motion before or the motion after: a jump (tracks exchanged, a cable moved), and no glitch.
 
@@ -175,6 +176,11 @@ def _noted(residuals: tuple[int, float, float], window: Window, position: float)
     number, least, most = residuals
     residual = position - window.base - (window.low + window.high) / 2.0
     return number + 1, min(least, residual), max(most, residual)
+
+
+def _apart(phase: float, other: float) -> float:
+    """The distance of two phases, 0..0.5 cycle."""
+    return abs((phase - other + 0.5) % 1.0 - 0.5)
 
 
 def _is_close(run: tuple[Spot, ...]) -> bool:
@@ -362,12 +368,12 @@ class Doubt:
         """Random phases, or a frozen input, would not look like this."""
         if one.probability > FALSE_ACCEPTANCE:
             return False
-        phases = {spot.phase for spot in one.run_spots}
-        if len(phases) > 1:
+        band = 2.0 * self.motion.phase_error  # in which the phases of a machine that stands are
+        phase = one.last.phase
+        if any(_apart(spot.phase, phase) > band for spot in one.run_spots):
             return True
-        return (
-            sum(spot.phase in phases for spot in self._first_spots) >= self.motion.order
-        )  # it stood still before
+        stood = sum(_apart(spot.phase, phase) <= band for spot in self._first_spots)
+        return stood >= self.motion.order
 
     def _is_inseparable(self) -> bool:
         """No later phase tells them apart."""
