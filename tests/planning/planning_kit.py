@@ -23,6 +23,7 @@ from canfb.planning.stated import Stated, situation_of
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.sample import Sample
+from canfb.signal.speed_set import MOST_WAITING
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.encoder_interface import EncoderInterface
@@ -101,11 +102,17 @@ class Outcome:
     errors_cycles: list[float]
     residuals: list[float]
     frames: Counter[int]
+    timed: bool = False
+
+    @property
+    def always_valid(self) -> bool:
+        """From the first sample on; with sample times, once they have told whether it stood at the start."""
+        return all(self.valid[MOST_WAITING if self.timed else 0 :])
 
     @property
     def holds(self) -> bool:
         """All valid, and the count is right."""
-        return all(self.valid) and max(map(abs, self.errors_cycles)) < 0.2
+        return self.always_valid and max(map(abs, self.errors_cycles)) < 0.2
 
 
 def play(
@@ -133,7 +140,7 @@ def play(
         bus.attach(device)
     if table:
         store(module, exact_table())
-    outcome = Outcome([], [], [], Counter())
+    outcome = Outcome([], [], [], Counter(), config.times)
 
     def listen(frame: Frame, now: float) -> None:
         outcome.frames[frame.can_id] += 1

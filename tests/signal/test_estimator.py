@@ -10,7 +10,6 @@ from canfb.objects import LossCause
 from canfb.signal.declared import Declared
 from canfb.signal.estimator import Estimator
 from canfb.signal.estimator_runs import successor
-from canfb.signal.speed_set import LEAST_SAMPLES
 from canfb.signal.speeds import steady_speed
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 
@@ -74,7 +73,7 @@ def test_a_start_has_no_second_chance_until_its_speed_has_shown() -> None:
     estimator = Estimator(SLOW)
     assert estimator.good(0.3, 1.0)[1] == VALID
     for n in range(1, 5):  # these times may tell
-        assert estimator.good(0.3, 0.9)[1] == (COASTING if n < LEAST_SAMPLES - 1 else VALID)
+        assert estimator.good(0.3, 0.9)[1] == (COASTING if n == 1 else VALID)
     assert estimator.good(0.8, 1.1)[1] == LOST | RESIDUAL
     assert estimator.loss_cause == LossCause.START
 
@@ -82,7 +81,7 @@ def test_a_start_has_no_second_chance_until_its_speed_has_shown() -> None:
 def test_a_glitch_after_the_start_is_no_wrong_start() -> None:
     estimator = Estimator(SLOW)
     for n in range(9):
-        assert estimator.good(0.3, 0.9)[1] == (COASTING if 0 < n < LEAST_SAMPLES - 1 else VALID)
+        assert estimator.good(0.3, 0.9)[1] == (COASTING if n == 1 else VALID)
     assert estimator.good(0.8, 1.1)[1] == COASTING | RESIDUAL
     assert estimator.in_doubt
 
@@ -91,7 +90,7 @@ def test_a_glitch_soon_after_a_doubt_is_no_wrong_start() -> None:
     """Missed, valid again, and a contradiction three samples later, with uneven times throughout."""
     estimator = Estimator(SLOW)
     for n in range(12):
-        assert estimator.good(0.3, 0.9)[1] == (COASTING if 0 < n < LEAST_SAMPLES - 1 else VALID)
+        assert estimator.good(0.3, 0.9)[1] == (COASTING if n == 1 else VALID)
     estimator.bad(1.0, missed=True)
     assert take(estimator, [0.3] * 5, 0.9) == [VALID] * 5
     assert not estimator.in_doubt

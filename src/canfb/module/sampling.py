@@ -169,7 +169,7 @@ class Sampling:
             frame, late_s = self.timeline.late
             return f"{frame} {late_s * 1e3:.3g} ms late, one may have been missed: the next SYNCs decide"
         if self._chain.searches:
-            return "it turned at the start, or not: the sample times are about to tell"
+            return "the sample times do not confirm yet that the machine stood at the start"
         if self._chain.reference.in_doubt:
             return "a zero pulse contradicts it"
         if self._timed is None or self._doubted is None:

@@ -135,12 +135,12 @@ class SpeedSet:
         return np.asarray(motion + weights * (self._error + self._instant_error * speed))
 
     def _look_at_times(self, elapsed: float) -> None:
+        least = self._largest + 4.0 * self._error
         if self.samples == 2:
             return
         off = abs(elapsed - self._elapsed)  # second difference of the instants: its rms is sqrt(6) sigma
         self._largest_off, self._squares = max(self._largest_off, off), self._squares + off * off
         known = self.samples >= KNOWN_SAMPLES
-        least = self._largest + 4.0 * self._error
         q = (math.sqrt(self._squares / (self.samples - 2)) if known else self._largest_off) / least
         self.telling, self.silent = q >= TELLING, q < SILENT
 
@@ -177,6 +177,7 @@ class Starts:
         self.active: SpeedSet | None = None
         self.last_two: Found = NOTHING_FOUND
         self._tried = False
+        self._is_declared = False
 
     def stop(self) -> None:
         """Whatever comes, these speeds are not followed any more."""
@@ -201,6 +202,7 @@ class Starts:
         self.active = speeds = SpeedSet(
             bound.largest, declared.phase_error, declared.instant_error, declared.bad_samples + bound.order
         )
+        self._is_declared = declared.acceleration is not None
         if places:
             self.origin = places[0][0]
         for _, phase, elapsed in places:
@@ -225,7 +227,9 @@ class Starts:
         if speeds.left == 1 or even or speeds.samples > most:
             self.stop()
             return SpeedVerdict.UNKNOWN
-        return SpeedVerdict.OPEN
+        # Of two samples only the nominal interval says that they are uneven, and it may not be known yet.
+        quiet = speeds.silent or (speeds.samples == 2 and not self._is_declared)
+        return SpeedVerdict.UNKNOWN if quiet else SpeedVerdict.OPEN
 
     def _of_lost(self, speeds: SpeedSet) -> SpeedVerdict:
         found = speeds.found
