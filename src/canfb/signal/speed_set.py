@@ -227,9 +227,9 @@ class Starts:
         if speeds.left == 1 or even or speeds.samples > most:
             self.stop()
             return SpeedVerdict.UNKNOWN
-        # Of two samples only the nominal interval says that they are uneven, and it may not be known yet.
-        quiet = speeds.silent or (speeds.samples == 2 and not self._is_declared)
-        return SpeedVerdict.UNKNOWN if quiet else SpeedVerdict.OPEN
+        # Without a declared acceleration q is small, and a healthy start would wait for nothing.
+        waits = self._is_declared and not speeds.silent
+        return SpeedVerdict.OPEN if waits else SpeedVerdict.UNKNOWN
 
     def _of_lost(self, speeds: SpeedSet) -> SpeedVerdict:
         found = speeds.found
