@@ -108,9 +108,7 @@ class SupervisionLimits:
 
         ``motion_cycles`` is the largest acceleration, by third order the largest jerk, of the machine.
         """
-        coast = self.coast_samples * self.motion.samples_per_sync
-        order, widest = self.prediction_order, self.settings.widest_cycles
-        return self.bounds(interval_s).declared(order, widest, coast).kept_samples(motion_cycles)
+        return self.chain_limits(interval_s).declared.kept_samples(motion_cycles)
 
     def changed(self, values: Mapping[Multiplexer, float]) -> SupervisionLimits:
         """With other values for some of the objects."""

@@ -28,6 +28,7 @@ from canfb.signal.limits import (
     max_speed,
 )
 from canfb.signal.sample_times import TICK_S
+from canfb.signal.supervision import SampleLimits
 from canfb.view.limits_in_force import MotionBounds
 
 HALF_TICK_S = TICK_S / 2.0  # a sample time is rounded down
@@ -81,8 +82,16 @@ class ResidualBudget:
     def declared(self) -> Declared:
         """What its estimator is told."""
         module = self.module
-        order = module.settings.prediction_order
-        return self.bounds.declared(order, module.widest_limit_cycles, module.coast_samples)
+        settings = module.settings
+        return self.bounds.chain_limits(
+            settings.prediction_order,
+            settings.widest_cycles,
+            sample=SampleLimits(module.full_scale_counts, *module.amplitude_limits_counts),
+            cycles_per_revolution=module.cycles_per_revolution,
+            coast_samples=module.coast_samples,
+            frozen_samples=module.frozen_samples,
+            coarse_limit_revolutions=0.0,  # of no account here
+        ).declared
 
     @property
     def is_narrowed(self) -> bool:

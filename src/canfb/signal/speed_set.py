@@ -29,6 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.declared import Declared
+from canfb.signal.doubt import FALSE_ACCEPTANCE
 from canfb.signal.phase import FloatArray
 from canfb.signal.speeds import Place
 
@@ -36,7 +37,6 @@ from canfb.signal.speeds import Place
 MOST_TIME_CYCLES = 0.05
 MOST_SPEED = 10_000  # cycles per interval, to bound the memory: 1 MHz at 100 Hz
 USUAL_SPEED = 2_000  # where the resolution of the times is not known
-FALSE_ACCEPTANCE = 1e-5
 MOST_SAMPLES = 512  # at q = 0.25 a speed is known after 200 to 400
 START_SAMPLES = 8  # at q >= 1 uneven times contradict a wrong speed at a start by sample 5 in 95 %
 KNOWN_SAMPLES = 32  # from then on their rms is known; before, the largest difference stands for it

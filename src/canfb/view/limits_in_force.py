@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from canfb import objects as od
 from canfb.signal.chain_config import ChainLimits
-from canfb.signal.declared import DOUBT_ACCELERATION, Declared
+from canfb.signal.declared import DOUBT_ACCELERATION
 from canfb.signal.limits import (
     PHASE_ERROR_CYCLES,
     cycles_per_interval_cubed,
@@ -58,22 +58,6 @@ class MotionBounds(NamedTuple):
             bad_samples=self.bad_samples,
             doubt_acceleration=self.doubt_acceleration,
             **others,
-        )
-
-    def declared(self, order: int, widest: float, coast_samples: int) -> Declared:
-        """The same for the estimator; ``coast_samples`` in intervals from sample to sample."""
-        return Declared(
-            order=order,
-            residual_limit=self.residual,
-            given_start_limit=self.start,
-            widest_limit=widest,
-            acceleration=self.acceleration,
-            jerk=self.jerk,
-            phase_error=self.phase_error,
-            instant_error=self.instant_error,
-            bad=self.bad_samples,
-            doubt_acceleration=self.doubt_acceleration,
-            coast_samples=coast_samples,
         )
 
 
