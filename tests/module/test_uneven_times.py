@@ -8,6 +8,8 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from module_bench import Bench
 
 from canfb import objects as od
@@ -139,6 +141,27 @@ def test_an_uneven_start_at_standstill_holds(name: str) -> None:
     assert not any(status & LOST for status in statuses), statuses
     assert all(status & VALID for status in statuses[-40:]), statuses
     assert desktop.wrong == 0
+
+
+@pytest.mark.parametrize("acceleration", [0.0, 1e-3])
+@settings(max_examples=60)
+@given(late=st.lists(st.floats(0.0, 0.7), min_size=12, max_size=12))
+def test_even_samples_hold_a_start_whose_syncs_are_heard_unevenly(
+    acceleration: float, late: list[float]
+) -> None:
+    """The sample times are those of a busy host's own count: what it hears late makes them no less even."""
+    bench = Bench(times=True)
+    bench.sdo[0x2010][2].raw = acceleration
+    bench.sdo[0x2010][6].raw = 200
+    bench.start()
+    now = bench.bus.now
+    for number, part in enumerate(late):
+        now = max(now + 1e-5, bench.bus.now + 1e-5, (number + 1 + part) * bench.interval_s)
+        bench.bus.run_until(now)
+        bench.sent(Frame(0x80, b"", timestamp=now))
+        data = struct.pack("<hhI", 700, 1200, number * 10_000)
+        _, status, _ = bench.position(bench.sent(Frame(0x190, data, timestamp=now)))
+        assert status & VALID, number
 
 
 def test_crowded_samples_are_not_missed() -> None:

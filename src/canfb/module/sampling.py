@@ -177,8 +177,12 @@ class Sampling:
         return doubt_words(self._timed, self._doubted, self._interval.settled_s or self._interval.seconds)
 
     def _follow_interval(self) -> None:
-        """Take the nominal interval along, by which sample times are judged."""
-        seconds, same = self._interval.seconds, SAME_INTERVAL
+        """Take the nominal interval along, by which sample times are judged.
+
+        Only once it is known: at a start on a busy host the first SYNCs are heard at uneven times, and the
+        times of even samples would become uneven by them. Until then the first sample time is the unit.
+        """
+        seconds, same = self._interval.known_s, SAME_INTERVAL
         if self._interval.samples_per_sync > 1:
             grid_s = self._grid_s()
             # Of the earlier samples it is not known when they were taken: at standstill it does not matter.
