@@ -227,37 +227,50 @@ class SignalChain(Pauses):
         With several samples in an interval (``samples_per_sync`` of :class:`ChainLimits`) all of them are
         taken, in their order; the result is that of the newest, :attr:`between` has the others.
         """
-        sine, cosine, elapsed, bad, coarse, _, pulse, time_100ns, _, options = sample
-        if elapsed == 1.0 and not options and not bad and coarse is pulse is time_100ns is None:
-            feedback = self.usual(sine, cosine)
+        time_100ns, elapsed = sample.time_100ns, sample.elapsed
+        if time_100ns is None:
+            return self.after(sample, elapsed, sample.options)
+        speed = self._tracker.step_cycles * self._per_sync
+        passed = self._times.elapsed(time_100ns, elapsed + self._waited, received_s, synced_s, speed)
+        self.crowded = passed == CROWDED
+        if passed <= 0.0:
+            if passed in (REPEATED, CROWDED) and self._last is not None:
+                return self._last
+            if passed != SUSPECT:
+                return self._restarted(sample)
+            self._waited += elapsed
+            return self.after(sample, elapsed, placed=False)
+        next_one = elapsed + self._waited < HOLE_INTERVALS
+        if self.measures_intervals:
+            elapsed = passed - self._waited  # what was waited for is counted already
+        self._waited = 0.0
+        return self.after(sample, elapsed, next_one=next_one)
+
+    def after(
+        self,
+        sample: Sample,
+        elapsed: float,
+        options: tuple[float, ...] = (),
+        *,
+        placed: bool = True,
+        next_one: bool = False,
+    ) -> Feedback:
+        """:meth:`step` where it is known when the sample was taken, whatever its own time says.
+
+        ``elapsed`` intervals of SYNC after the one before, or any of the ``options``; ``placed``: False if
+        that is not known, which makes it a bad sample; ``next_one``: by the count of SYNCs none was missed.
+        """
+        sine, cosine, _, invalid, coarse, _, pulse, _, _, _ = sample
+        bad = invalid or not placed
+        if not (bad or options) and coarse is pulse is None and (elapsed == 1.0 or sample.time_100ns is not None):
+            feedback = self.usual(sine, cosine, elapsed)
             if feedback is not None:
                 return feedback
-        next_one = unplaced = False
-        if time_100ns is not None:
-            speed = self._tracker.step_cycles * self._per_sync
-            passed = self._times.elapsed(time_100ns, elapsed + self._waited, received_s, synced_s, speed)
-            self.crowded = passed == CROWDED
-            if passed <= 0.0:
-                if passed in (REPEATED, CROWDED) and self._last is not None:
-                    return self._last
-                bad = unplaced = True
-                if passed != SUSPECT:
-                    return self._restarted(sample)
-                self._waited += elapsed
-            else:
-                next_one = elapsed + self._waited < HOLE_INTERVALS
-                if self.measures_intervals:
-                    elapsed = passed - self._waited  # what was waited for is counted already
-                self._waited = 0.0
-                if not bad and coarse is pulse is None:
-                    feedback = self.usual(sine, cosine, elapsed)
-                    if feedback is not None:
-                        return feedback
         if self._per_sync == 1:
-            feedback = self._take(sample, elapsed, bad, unplaced, next_one, options=options)
+            feedback = self._take(sample, elapsed, bad, not placed, next_one, options=options)
             self._look_again(feedback)
             return feedback
-        return self._take_all(sample, elapsed, bad, unplaced, next_one, options)
+        return self._take_all(sample, elapsed, bad, not placed, next_one, options)
 
     def _take_all(
         self,
