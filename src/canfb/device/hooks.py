@@ -22,7 +22,7 @@ class Hooks:
     the day, while 1012h says that it is consumed.
     accepts_sync(counter, now): whether a SYNC in OPERATIONAL counts as one, before anything is done
     with it; False drops it.
-    on_idle_sync(): a SYNC in PRE-OPERATIONAL.
+    on_idle_sync(counter): a SYNC in PRE-OPERATIONAL.
     on_sync(counter, now): a SYNC in OPERATIONAL, after synchronous RPDOs were taken over, before
     synchronous TPDOs are sampled; `counter` is None without 1019h.
     on_synchronised(): the synchronous TPDOs of a SYNC are sampled.
@@ -47,7 +47,7 @@ class Hooks:
     def __init__(self) -> None:
         self.on_time: Callable[[int, int, float], None] | None = None
         self.accepts_sync: Callable[[int | None, float], bool] | None = None
-        self.on_idle_sync: Callable[[], None] | None = None
+        self.on_idle_sync: Callable[[int | None], None] | None = None
         self.on_sync: Callable[[int | None, float], None] | None = None
         self.on_synchronised: Callable[[], None] | None = None
         self.on_state: Callable[[NmtState, NmtState, float], None] | None = None

@@ -13,7 +13,7 @@ from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.pdo_room import mapping_values
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.position import distinguishable_revolutions, single_turn_resolution
-from canfb.module.interval import IntervalEstimate
+from canfb.module.interval import SamplingInterval
 from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, MOST_JERK_RAD_S3, ModuleConfig
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
@@ -118,7 +118,7 @@ def apply_defaults(dictionary: Dictionary, defaults: dict[tuple[int, int], Any])
 class Limits:
     """Objects 2001:02..04 and 2010h: written by SDO, in force from the next sample on."""
 
-    def __init__(self, dictionary: Dictionary, chain: SignalChain, interval: IntervalEstimate) -> None:
+    def __init__(self, dictionary: Dictionary, chain: SignalChain, interval: SamplingInterval) -> None:
         self._chain = chain
         self._interval = interval
         self._dictionary, entry = dictionary, dictionary.entry

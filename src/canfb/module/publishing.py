@@ -13,7 +13,7 @@ from canfb.module.cia406.position_alarm import PositionAlarm
 from canfb.module.cia406.profile import EncoderProfile
 from canfb.module.cia406.profile_warnings import Warnings
 from canfb.module.event_watch import EventWatch
-from canfb.module.interval import IntervalEstimate
+from canfb.module.interval import SamplingInterval
 from canfb.module.latest import Latest
 from canfb.module.objects.last_loss import LastLoss
 from canfb.module.objects.prediction import Prediction
@@ -40,7 +40,7 @@ class Publishing:
         self,
         dictionary: Dictionary,
         node: Node,
-        interval: IntervalEstimate,
+        interval: SamplingInterval,
         limits: Limits,
         chain: SignalChain,
         parts: SampleInput,

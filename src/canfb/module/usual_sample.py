@@ -16,7 +16,6 @@ from canfb.module.objects.publication import FAULTS, SIXTEEN_BITS, U32, Publicat
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.module.tap import Taps
-from canfb.module.timeline import Timeline
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import VALID
@@ -35,7 +34,6 @@ class UsualSample:
         dictionary: Dictionary,
         chain: SignalChain,
         limits: Limits,
-        timeline: Timeline,
         taps: Taps,
         publishing: Publishing,
         unusual: Callable[[float], None],
@@ -48,7 +46,7 @@ class UsualSample:
             entry(*one) for one in (od.FEEDBACK_STATUS, od.FEEDBACK_RESIDUAL, od.FEEDBACK_SAMPLES)
         )
         self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
-        self._chain, self._limits, self._timeline, self._taps = chain, limits, timeline, taps
+        self._chain, self._limits, self._taps = chain, limits, taps
         self._publishing = publishing
         self._latest: Latest = publishing.latest
         self._objects: Publication = publishing.objects
@@ -63,7 +61,7 @@ class UsualSample:
     def take(self, now: float) -> None:
         """The sample that has come, ``now`` in seconds."""
         limits = self._limits
-        if self.unconfirmed or self._timeline.withheld or self._taps.open or self._flags.value:
+        if self.unconfirmed or self._taps.open or self._flags.value:
             self._unusual(now)
             return
         if limits.narrowed:

@@ -15,7 +15,7 @@ from canfb.signal.estimator import Estimator
 from canfb.signal.estimator_runs import follow_run, successor, take_run
 from canfb.signal.feedback import Feedback
 from canfb.signal.frozen import FrozenInput, repeats
-from canfb.signal.pauses import LARGEST_SLIP_CYCLES, Pauses
+from canfb.signal.pauses import Pauses
 from canfb.signal.phase import AnyArray, raw_phase
 from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.reference import Pulse, Reference, pulse_between
@@ -92,8 +92,11 @@ class SignalChain(Pauses):
         """Positions and speeds stay as they are; intervals in progress are counted in the new unit."""
         old, self._times.interval_s = self._times.unit_s, interval_s
         if old > 0.0 and interval_s > 0.0:
-            self._waited *= old / interval_s
-            self._estimator.rescale(old / interval_s)
+            self._rescale(old / interval_s)
+
+    def _rescale(self, factor: float) -> None:
+        self._waited *= factor
+        self._estimator.rescale(factor)
 
     @property
     def unit_s(self) -> float:
@@ -188,17 +191,6 @@ class SignalChain(Pauses):
         self._waits, self._turned = False, 0.0
         self._speed = float(speed_cycles)
 
-    def uncertain(self, intervals: float) -> Feedback | None:
-        """Up to this many intervals of SYNC may have passed uncounted: lost, except at standstill.
-
-        None where that makes no difference: each phase is then less than half a cycle from the last.
-        """
-        speed = max(abs(self._tracker.step_cycles), abs(speeds.steady_speed(self._estimator.places)))
-        most = speed * intervals * self._per_sync
-        if self._estimator.lost or not self._tracker.started or most < LARGEST_SLIP_CYCLES:
-            return None
-        return self.lose()
-
     def lose(self) -> Feedback:
         """The position is lost from now on: no cycles were counted."""
         self._estimator.lose(LossCause.TIME)
@@ -230,8 +222,10 @@ class SignalChain(Pauses):
         time_100ns, elapsed = sample.time_100ns, sample.elapsed
         if time_100ns is None:
             return self.after(sample, elapsed, sample.options)
-        speed = self._tracker.step_cycles * self._per_sync
+        speed, unit_s = self._tracker.step_cycles * self._per_sync, self._times.unit_s
         passed = self._times.elapsed(time_100ns, elapsed + self._waited, received_s, synced_s, speed)
+        if self._times.unit_s != unit_s > 0.0:
+            self._rescale(unit_s / self._times.unit_s)
         self.crowded = passed == CROWDED
         if passed <= 0.0:
             if passed in (REPEATED, CROWDED) and self._last is not None:
@@ -262,7 +256,8 @@ class SignalChain(Pauses):
         """
         sine, cosine, _, invalid, coarse, _, pulse, _, _, _ = sample
         bad = invalid or not placed
-        if not (bad or options) and coarse is pulse is None and (elapsed == 1.0 or sample.time_100ns is not None):
+        timed = sample.time_100ns is not None
+        if not (bad or options) and coarse is pulse is None and (elapsed == 1.0 or timed):
             feedback = self.usual(sine, cosine, elapsed)
             if feedback is not None:
                 return feedback

@@ -193,7 +193,7 @@ class Estimator:
     def rescale(self, factor: float) -> None:
         """Sampling intervals are counted in another unit: all of them are this many times longer."""
         self.tracker.rescale(factor)
-        self._speeds.stop()
+        self._speeds.rescale(factor)
         self._change_places(lambda place: (place[0], place[1], place[2] * factor))
         for doubt in (self._doubt, self._past):
             if doubt is not None:
@@ -337,7 +337,7 @@ class Estimator:
         elapsed = options[0]
         if len(options) > 1 or elapsed >= HOLE_INTERVALS:
             return None
-        if elapsed == 1.0 and self.tracker.is_steady and not self.declared.instant_error:
+        if elapsed == 1.0 and self.tracker.is_steady and not (self.declared.instant_error or self.searches):
             if len(self.places) > 1:
                 return None  # the prediction has refused it already
             track = self.tracker.look(phase)

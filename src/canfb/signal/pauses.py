@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from canfb.objects import LossCause
 from canfb.signal import speeds
+from canfb.signal.feedback import Feedback
 from canfb.signal.still_phase import STANDSTILL_CYCLES, STILL_CYCLES
 from canfb.signal.usual_step import UsualStep
 
@@ -27,6 +28,24 @@ class Pauses(UsualStep):
 
     def _pause(self) -> None:
         raise NotImplementedError
+
+    def lose(self) -> Feedback:
+        """:meth:`SignalChain.lose`."""
+        raise NotImplementedError
+
+    def uncertain(self, intervals: float) -> Feedback | None:
+        """Up to this many intervals of SYNC may have passed uncounted: lost, except at standstill.
+
+        None where that makes no difference: each phase is then less than half a cycle from the last.
+        """
+        return self.lose() if self.slips(intervals) else None
+
+    def slips(self, intervals: float) -> bool:
+        """In so many intervals of SYNC the machine goes so far that its phase could mislead."""
+        if self._estimator.lost or not self._tracker.started:
+            return False
+        speed = max(abs(self._tracker.step_cycles), abs(speeds.steady_speed(self._estimator.places)))
+        return speed * intervals * self._per_sync >= LARGEST_SLIP_CYCLES
 
     def reset(self) -> None:
         """:meth:`restart` at cycle count 0, as the module is reset: the machine may be turning.

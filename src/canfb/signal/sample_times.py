@@ -9,6 +9,7 @@ held against the number of intervals that were counted.
 from __future__ import annotations
 
 import math
+from statistics import median
 
 from canfb.signal.usual_scatter import UsualScatter
 
@@ -25,6 +26,8 @@ SPARE_S, SPARE_PART = 0.5e-3, 0.3  # seconds and intervals: a bus and a host del
 # A time may be wrong by no more than this, in cycles at the speed of the machine, without a second opinion:
 # with the residual limit of 1/3 it is less than half a cycle.
 SLIP_CYCLES = 0.15
+MOST_PACES = 9  # their median bears four that are late
+SAME_PACE = 0.02  # of the interval
 REPEATED, SUSPECT, RESTARTED, CROWDED = -1.0, -2.0, -3.0, -4.0
 
 
@@ -44,6 +47,7 @@ class SampleTimes:
         "_jitter",
         "_last",
         "_odd_s",
+        "_paces_s",
         "_received_s",
         "_suspect",
         "_suspected",
@@ -75,12 +79,19 @@ class SampleTimes:
         self._earlier: int | None = None  # the last time that was REPEATED
         self._earlier_counted = 0.0  # intervals counted up to it
         self._earlier_times = 0  # this many continued the count
-        self._first_s = 0.0
+        self._first_s = 0.0  # the interval, while nobody says how long it is: the median of
+        self._paces_s: list[float] = []
 
     @property
     def unit_s(self) -> float:
         """The interval in which elapsed times are given, seconds; 0.0 before it is known."""
         return self.interval_s or self._first_s
+
+    def _follow_pace(self) -> None:
+        if self._paces_s:
+            pace_s = median(self._paces_s)
+            if abs(pace_s - self._first_s) > SAME_PACE * pace_s:
+                self._first_s = pace_s
 
     def elapsed(
         self,
@@ -108,11 +119,13 @@ class SampleTimes:
         ticks = (time_100ns - last) % TICKS
         if ticks >= HALF_TICKS:
             ticks -= TICKS
-        unit = self.interval_s or self._first_s
-        if not unit:
+        if not self.unit_s:
             if not 0 < ticks < HALF_TICKS:
                 return REPEATED
-            self._first_s = unit = ticks * TICK_S / counted
+            self._first_s = ticks * TICK_S / counted
+        if not self.interval_s:
+            self._follow_pace()
+        unit = self.unit_s
         intervals = ticks * TICK_S / unit
         apart = self._apart_s(received_s)
         error_s = self._error_s(ticks * TICK_S, received_s, synced_s)
@@ -130,6 +143,8 @@ class SampleTimes:
                 odd = 0.0
             if odd != SUSPECT:
                 self._accept(time_100ns, received_s, synced_s)
+            if not (odd or self.interval_s):
+                self._paces_s = [*self._paces_s[1 - MOST_PACES :], ticks * TICK_S / counted]
             return odd or intervals
         if agrees and 0.0 < intervals < CLOSEST:
             return CROWDED
@@ -171,7 +186,7 @@ class SampleTimes:
         as the one before: the clock was set. Nothing is learned from what is off.
         """
         jitter, heard, before = self._jitter, self._heard, self._odd_s
-        unit = self.interval_s or self._first_s
+        unit = self.unit_s
         off_s, limit_s, witness = uneven_s, jitter.limit_of(unit), jitter
         error_s = None
         if synced_s is not None and self._synced_s is not None:

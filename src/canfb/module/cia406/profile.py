@@ -18,7 +18,7 @@ from canfb.module.cia406.position import (
 )
 from canfb.module.cia406.speed import MotionObjects
 from canfb.module.cia406.work_area import WorkArea
-from canfb.module.interval import IntervalEstimate
+from canfb.module.interval import SamplingInterval
 from canfb.module.latest import Latest
 from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import VALID
@@ -35,7 +35,7 @@ class EncoderProfile:
     those of :class:`canfb.module.cia406.profile_warnings.Warnings`.
     """
 
-    def __init__(self, dictionary: Dictionary, interval: IntervalEstimate, latest: Latest) -> None:
+    def __init__(self, dictionary: Dictionary, interval: SamplingInterval, latest: Latest) -> None:
         entry = dictionary.entry
         self._operating = entry(*od.OPERATING_PARAMETERS)
         self._units_per_rev, self._range = entry(*od.UNITS_PER_REVOLUTION), entry(*od.TOTAL_RANGE)

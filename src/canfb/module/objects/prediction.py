@@ -8,7 +8,7 @@ from collections.abc import Callable
 from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.profile import EncoderProfile
-from canfb.module.interval import IntervalEstimate
+from canfb.module.interval import SamplingInterval
 from canfb.signal.feedback import Feedback
 from canfb.signal.nominal_sync import NominalSync
 from canfb.signal.sample_times import TICK_S
@@ -53,7 +53,7 @@ class Prediction:
         profile: EncoderProfile,
         chosen: Callable[[], None],
         interval_s: Callable[[], float],
-        interval: IntervalEstimate,
+        interval: SamplingInterval,
     ) -> None:
         entry = dictionary.entry
         self._kind, self._nominal = entry(*od.PREDICTION_POSITION), entry(*od.PREDICTION_NOMINAL_SYNC)

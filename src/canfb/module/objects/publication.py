@@ -7,7 +7,7 @@ import math
 from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.position import PHASE_UNITS
-from canfb.module.interval import IntervalEstimate
+from canfb.module.interval import SamplingInterval
 from canfb.module.latest import Latest
 from canfb.module.objects.last_loss import LastLoss
 from canfb.module.objects.sample_input import SampleInput
@@ -58,7 +58,7 @@ class Publication:
     def __init__(
         self,
         dictionary: Dictionary,
-        interval: IntervalEstimate,
+        interval: SamplingInterval,
         chain: SignalChain,
         source: SampleInput,
         limits: Limits,
