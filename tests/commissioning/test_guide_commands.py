@@ -161,7 +161,7 @@ def test_the_simulated_machines_of_the_page(network: GuideNetwork) -> None:
     slow, drive = re.findall(r"```yaml\n(modules:.*?|bus:.*?)```", text, re.DOTALL)[:2]
     Path("slow.yaml").write_text(slow.replace("modules:", "bus: {interface: virtual}\nmodules:"))
     Path("drive.yaml").write_text(drive)
-    simulate, *_, example, record, run, with_drive = filter(runs, lines_of("simulation"))
+    simulate, *_, example, record, played, measured, run, with_drive = filter(runs, lines_of("simulation"))
     network("canfb run slow.yaml")
     assert "motion: 13 rpm" in network(simulate)
     network("canfb nmt start 0x20")
@@ -172,6 +172,9 @@ def test_the_simulated_machines_of_the_page(network: GuideNetwork) -> None:
     network(record)
     assert len(Path("tracks.csv").read_text().splitlines()) > 12_000
     network.end_of_all()
+    network(played)
+    network.end_of_all()
+    assert "Accepted." in network(measured)
     network(run)
     assert "drive" in network(with_drive)
     network("canfb nmt start all")
