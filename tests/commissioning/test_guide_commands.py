@@ -17,7 +17,7 @@ from canfb.cli.main import build_parser
 ROOT = Path(__file__).parents[2]
 GUIDES = (
     *("first-hour", "first-encoder", "wiring", "usb-adapters", "raspberry-pi", "sync-rate"),
-    *("realtime", "homing", "method", "calibration", "drift", "canopen", "simulation"),
+    *("realtime", "homing", "calibration", "drift", "canopen", "simulation"),
 )
 # Parsed, not run.
 PARSED_ONLY = {
@@ -43,7 +43,6 @@ OF_OTHERS = {
             "dtparam=spi=on",
             "dtoverlay=mcp2515-can0,oscillator=16000000,interrupt=25",
             "@canfb",
-            "i(k)",
             "SYNC",
             "export",
         ),
@@ -129,7 +128,7 @@ def play(network: GuideNetwork, *pages: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "page", ["first-hour", "wiring", "usb-adapters", "raspberry-pi", "sync-rate", "realtime", "method"]
+    "page", ["first-hour", "wiring", "usb-adapters", "raspberry-pi", "sync-rate", "realtime"]
 )
 def test_a_page_from_its_first_to_its_last_command(network: GuideNetwork, page: str) -> None:
     play(network, page)
