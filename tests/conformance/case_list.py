@@ -17,7 +17,7 @@ GROUPS = {
     "Other": 10,
     "State": 4,
     "Trans": 4,
-    "Beyond": 20,
+    "Beyond": 24,
 }
 TITLES = {
     "EDS": "EDS file",
