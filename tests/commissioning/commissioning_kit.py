@@ -117,6 +117,9 @@ class EmbeddedMaster:
     def send(self, can_id: int, data: bytes) -> None:
         self.bus.send(Frame(can_id, data))
 
+    def request(self, can_id: int) -> None:
+        self.bus.send(Frame(can_id, b"", True))
+
     def now(self) -> float:
         return self.bus.now
 
