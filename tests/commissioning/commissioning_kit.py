@@ -15,7 +15,7 @@ from canfb.cia301.frame import Frame
 from canfb.commissioning.access import NodeAccess
 from canfb.commissioning.samples import TrackSamples
 from canfb.demo.embedded_network import EmbeddedNetwork
-from canfb.device.storage.storage import Store
+from canfb.device.storage.writing import Store
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
