@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from canfb.bus.background_store import ThreadedStore
 from canfb.bus.captured_source import CapturedSource
 from canfb.bus.event_log import EventLog
 from canfb.bus.module_lines import name_of, speeds_of, summary_of, title_of, what_is_saved
@@ -111,7 +112,8 @@ def make_module(
     """
     store = None
     if config.state_dir is not None:
-        store = resources.enter_context(StateFiles(config.state_dir))
+        files = resources.enter_context(StateFiles(config.state_dir))
+        store = resources.enter_context(ThreadedStore(files))
     bit_rate = bus_words.get("bitrate")
     bit_rates = [bit_rate // 1000] if isinstance(bit_rate, int) else []
     config, source = open_source(config, simulation or SimulationConfig(), resources)

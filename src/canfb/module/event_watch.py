@@ -154,6 +154,13 @@ class EventWatch:
                 text = f"parameters {what}: {', '.join(names)}"
                 self._tell(EventKind.SAVED, now, text, groups=names, dropped=groups is forgotten)
 
+    def save_failed(self, groups: Groups, reason: str, now: float) -> None:
+        """Parameters could not be saved, or their defaults not loaded: the store has what it had."""
+        names = [group.name.lower() for group in groups if group is not ParameterGroup.OPERATING_TIME]
+        if names:
+            text = f"parameters not saved ({reason}): {', '.join(names)}"
+            self._tell(EventKind.SAVE_FAILED, now, text, groups=names, reason=reason)
+
     def _changed(self, state: od.PositionState, feedback: Feedback, now: float) -> None:
         """Another state of the position; a reason is all that went wrong since it was valid."""
         before, self._state = self._state, state

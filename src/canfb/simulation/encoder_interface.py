@@ -15,7 +15,7 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.mapping import Direction
 from canfb.device.pdo.pdo import COMMUNICATION, numbers
 from canfb.device.storage.image import ParameterGroup
-from canfb.device.storage.storage import Store
+from canfb.device.storage.writing import Store
 from canfb.eds_files import eds_path
 from canfb.signal.sample import Sample
 from canfb.simulation.fast_recording import FastRecorder
