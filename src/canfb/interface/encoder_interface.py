@@ -99,6 +99,9 @@ class EncoderInterface:
         self._several = SeveralSamples(source, samples_per_sync) if samples_per_sync > 1 else None
         self._watch = SourceWatch(self._ask, self._tell_of_source)
         self.samples = 0
+        """Samples sent."""
+        self.missed = 0
+        """SYNCs in OPERATIONAL for which the source had none, before its end."""
         self._silent = False
         entry = self.dictionary.entry
         self._sine, self._cosine = entry(*od.INTERFACE_SINE), entry(*od.INTERFACE_COSINE)
@@ -172,6 +175,7 @@ class EncoderInterface:
             self.node.clear_emergency(EmergencyCode.HARDWARE, now)
         if sample is None:
             self._silent = True
+            self.missed += not self.ended
             return
         self.samples += 1
         self._keep(sample)
