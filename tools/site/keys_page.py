@@ -40,9 +40,9 @@ SECTIONS: tuple[tuple[str, type, str], ...] = (
 )
 INTRODUCTION = """# Configuration keys
 
-The YAML of `canfb run`, `canfb interface`, `canfb simulate` and the commands that take `--config`. Every key is a field
-of a class of canfb; this page is made from those classes. `canfb config example` prints a file to start from,
-`canfb config check` names file, line and key of a mistake. A key without default is required.
+The YAML of `canfb run`, `canfb interface`, `canfb simulate` and the commands with `--config`. Every key is a
+field of a class of canfb; this page is made from those classes. `canfb config example` prints a file to start
+from, `canfb config check` names file, line and key of a mistake. A key without default is required.
 """
 BUS = """
 ## bus
