@@ -16,6 +16,7 @@ from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage.image import Identity, ParameterGroup, Record, decode_image, encode_image
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.module.second_position_config import SecondPositionConfig
@@ -23,7 +24,6 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder_interface import EncoderInterface
 
 MANUFACTURER = ParameterGroup.MANUFACTURER
 IDENTITY = Identity(0, 1, 1)

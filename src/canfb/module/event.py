@@ -1,4 +1,4 @@
-"""Events of a module: what a log of it says."""
+"""Events of a node: what a log of it says."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ DETAILS = frozenset({EventKind.FAULT, EventKind.EMCY})
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that has happened in a module.
+    """Something that has happened in a node.
 
     kind    what it was
     time_s  when, seconds on the clock of `now`
