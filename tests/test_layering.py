@@ -32,10 +32,12 @@ ALLOWED: dict[str, set[str]] = {
     # the simulated machine, and the threads and clocks of bus. So module, simulation and bus build on it.
     "sources": {"signal"} | WORDS,
     "module": {"signal", "timing", "calibration", "device", "sources", "eds_files", "view"} | WORDS,
-    "simulation": {"signal", "device", "sources", "eds_files"} | WORDS,
+    # The encoder interface as a node, whatever its source: a converter, a recording, a simulated machine.
+    "interface": {"signal", "device", "sources", "eds_files"} | WORDS,
+    "simulation": {"signal", "device", "sources", "interface", "eds_files"} | WORDS,
     # Time is an argument here as well: frames of a log in, what the module made of them out.
-    "replay": {"signal", "calibration", "device", "module"} | WORDS,
-    "configuration": {"signal", "sources", "module", "simulation", "checks", "errors"},
+    "replay": {"signal", "calibration", "device", "module", "view"} | WORDS,
+    "configuration": {"signal", "sources", "module", "interface", "simulation", "checks", "errors"},
     # Pictures need what is measured, and nothing of how: so the demo and every tool on top may use them.
     "report": {"signal", "calibration"},
     # What a module is, from its objects; whoever reads them. The limits in force are arithmetic of signal.
@@ -45,17 +47,17 @@ ALLOWED: dict[str, set[str]] = {
     "monitoring": {"signal", "view"} | WORDS - {"checks"},
     # What a page shows and lets do; the server, with its clock and sockets, is in bus.
     "scope": {"signal", "calibration", "monitoring"} | WORDS - {"checks"},
-    "bus": {"signal", "sources", "module", "device", "simulation", "configuration", "monitoring",
+    "bus": {"signal", "sources", "module", "device", "interface", "simulation", "configuration", "monitoring",
             "scope", "view"} | WORDS,
     "logs": {"signal", "device", "module", "report", "bus", "replay"} | WORDS,
-    "demo": {"signal", "calibration", "report", "device", "sources", "module", "simulation", "configuration",
-             "eds_files"} | WORDS,
+    "demo": {"signal", "calibration", "report", "device", "sources", "module", "interface", "simulation",
+             "configuration", "eds_files"} | WORDS,
     # What a module and a bus allow is arithmetic over both: of the module, of the wire and of the simulated
     # motion, none of which may know the others. It needs no bus, so it is not in one that has.
     "planning": {"signal", "device", "module", "simulation", "configuration", "eds_files", "view"} | WORDS,
     "cli": {"signal", "calibration", "device", "sources", "module", "simulation", "configuration",
             "eds_files", "bus", "demo", "commissioning", "report", "monitoring", "replay", "logs",
-            "planning", "scope"} | WORDS,
+            "planning", "scope", "view"} | WORDS,
     # StateFiles of bus, when it is asked for.
     "__init__": {"signal", "calibration", "module", "configuration", "eds_files", "bus"} | WORDS,
     "__main__": {"cli"},
@@ -76,6 +78,7 @@ FOREIGN: dict[str, set[str]] = {
     "calibration": {"numpy"},
     "device": {"canopen"},
     "sources": {"numpy", "iio"},
+    "interface": {"numpy"},
     "simulation": {"numpy"},
     "replay": {"numpy"},
     "configuration": {"yaml"},

@@ -30,6 +30,11 @@ COMMANDS = (
         "what bit rate, SYNC rate, speed and acceleration allow, before there is a machine",
     ),
     CommandEntry("run", "run", "run the feedback modules of a configuration on a bus"),
+    CommandEntry(
+        "interface",
+        "interface_command",
+        "run the encoder interface of a configuration, with an ADC, on a bus",
+    ),
     CommandEntry("monitor", "monitor", "watch modules live, on a bus or in a log"),
     CommandEntry("dump", "dump_command", "show frames, PDOs of modules and interfaces decoded"),
     CommandEntry("scope", "scope", "watch and commission modules on a local web page"),

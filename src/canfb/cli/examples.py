@@ -25,6 +25,8 @@ _EXAMPLES = {
   canfb run feedback.yaml
   canfb run feedback.yaml -i socketcan -c can0
   canfb run feedback.yaml -i udp_multicast -c 239.74.163.2""",
+    "canfb interface": """
+  canfb interface interface.yaml -i socketcan -c can0""",
     "canfb monitor": """
   canfb monitor -i socketcan -c can0
   canfb monitor 0x20 0x21 -i socketcan -c can0 -b 500000 --sdo

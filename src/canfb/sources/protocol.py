@@ -20,6 +20,14 @@ class Source(Protocol):
 
 
 @runtime_checkable
+class Machine(Protocol):
+    """A source that turns whether it is sampled or not."""
+
+    def sample_at(self, now: float) -> Sample | None:
+        """The sample at the true time ``now`` of the node, seconds; None for one that is lost."""
+
+
+@runtime_checkable
 class Converter(Protocol):
     """A source that knows its converter."""
 
