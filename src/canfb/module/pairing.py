@@ -36,6 +36,7 @@ class Findings(NamedTuple):
     miss(samples, now)            this many samples are missing
     confirm(elapsed)              the one of the last set of intervals that was true
     lose_count(intervals, now)    this many intervals may or may not have passed
+    slips(intervals)              whether the machine leaves its position in so many intervals
     withhold()                    what stands in the dictionary is not valid any more
     repeats(sine, cosine)         whether these are the counts of the last sample
     """
@@ -46,6 +47,7 @@ class Findings(NamedTuple):
     miss: Callable[[int, float], None]
     confirm: Callable[[float], None]
     lose_count: Callable[[float, float], None]
+    slips: Callable[[float], bool]
     withhold: Callable[[], None]
     repeats: Callable[[float, float], bool]
 
@@ -137,6 +139,8 @@ class Pairing:
         if verdict.extra:
             _count(self._duplicate_syncs)
             self.extra = not (parts.is_synchronous or verdict.repeated)
+            if self.extra and self._findings.slips(self.judge.extra_after):
+                self._findings.withhold()  # the position is that of the SYNC before
             return self.extra
         if parts.is_synchronous and parts.is_ambiguous and not parts.timed:
             self.count_bad_frame()
@@ -268,7 +272,8 @@ class Pairing:
         received_s = synced_s = None
         if moment.proved and not (self._input.is_synchronous or self._source is not None):
             received_s = moment.received
-            synced_s = judge.synced_s if self._synced and judge.proved else None
+            if self._synced and judge.proved and not judge.extra_came:  # else which SYNC it answers is open
+                synced_s = judge.synced_s
         if not self._synced and self._source is None:
             judge.sync(moment.received, moment.proved, None)  # each sample is its own
         came = self._findings.take_timed(sample, received_s, synced_s, now)

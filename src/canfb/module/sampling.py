@@ -98,6 +98,7 @@ class Sampling:
             self._miss,
             self._confirm,
             self._lose_count,
+            chain.slips,
             publishing.withhold,
             chain.repeats,
         )

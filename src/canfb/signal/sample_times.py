@@ -183,7 +183,7 @@ class SampleTimes:
 
         By its distance from the last one, ``uneven_s`` from a whole number of intervals, or by the
         receptions of both SYNCs, whichever is the sharper witness. A second one that is off by as much
-        as the one before: the clock was set. Nothing is learned from what is off.
+        as the one before: the clock was set.
         """
         jitter, heard, before = self._jitter, self._heard, self._odd_s
         unit = self.unit_s

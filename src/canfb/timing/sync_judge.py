@@ -136,6 +136,8 @@ class SyncJudge:
         """A sample came since."""
         self.extra_came = False
         """Since the last SYNC: the interface may answer it."""
+        self.extra_after = 0.0
+        """Periods from the last SYNC to the extra one."""
         self.synced_s = self._received_s = 0.0
         self._proved = False
         self._counter: int | None = None
@@ -293,6 +295,8 @@ class SyncJudge:
                 return self._set_again(sync)
         verdict = self._take(sync)
         self._uneven = bool(self._streak) and sync.off > self._early
+        if self._streak and sync.proved:  # one that was expected, by chance: others before it were not
+            self._error = abs(sync.apart - 1 - sync.lost)
         if not self._streak and (sync.proved or sync.off < 1.0):
             clock.errors.append(sync.off * clock.period_s)
             if len(clock.errors) >= TOGETHER:
@@ -319,6 +323,7 @@ class SyncJudge:
             return self._set_again(sync)
         same = sync.proved and self._proved and sync.time_s - self._received_s < LEAST_PERIOD_S
         self._received_s, self.extra_came = sync.time_s, True
+        self.extra_after = (sync.time_s - self.synced_s) / self.clock.period_s
         return REPEATED if same else EXTRA
 
     def _contradicted(self, sync: _Sync) -> SyncVerdict:
