@@ -16,7 +16,7 @@ from canfb.cli.main import build_parser
 
 ROOT = Path(__file__).parents[2]
 GUIDES = (
-    *("first-hour", "first-encoder", "wiring", "usb-adapters", "raspberry-pi", "sync-rate"),
+    *("first-hour", "first-encoder", "wiring", "sync-rate"),
     *("realtime", "homing", "calibration", "drift", "canopen", "simulation"),
 )
 # Parsed, not run.
@@ -128,9 +128,7 @@ def play(network: GuideNetwork, *pages: str) -> None:
             network.wait(0.5)
 
 
-@pytest.mark.parametrize(
-    "page", ["first-hour", "wiring", "usb-adapters", "raspberry-pi", "sync-rate", "realtime"]
-)
+@pytest.mark.parametrize("page", ["first-hour", "wiring", "sync-rate", "realtime"])
 def test_a_page_from_its_first_to_its_last_command(network: GuideNetwork, page: str) -> None:
     play(network, page)
 
