@@ -77,6 +77,7 @@ FOREIGN: dict[str, set[str]] = {
     "device": {"canopen"},
     "sources": {"numpy", "iio"},
     "simulation": {"numpy"},
+    "planning": {"numpy"},
     "replay": {"numpy"},
     "configuration": {"yaml"},
     "report": {"numpy"},
