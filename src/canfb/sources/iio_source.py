@@ -160,6 +160,7 @@ class IioCapture:
         self._channels = [iio_device.ChannelValues(channel) for channel in channels]
         device.set_kernel_buffers_count(config.buffer_scans)
         self._buffer = iio.Buffer(device, 1)
+        self._taken_ns: int | None = None  # time of the last scan
 
     @property
     def adc_bits(self) -> int:
@@ -177,7 +178,10 @@ class IioCapture:
         self._trigger.attrs[iio_device.FIRE].value = "1"
 
     def refill(self) -> Sample | None:
-        """Wait for the next scan; None if there was none for two seconds. OSError when capturing ends."""
+        """Wait for the next scan; None if there was none for two seconds. OSError when capturing ends.
+
+        A scan that is not later than the one before, because its clock was set, is invalid.
+        """
         try:
             self._buffer.refill()
         except OSError as error:
@@ -186,8 +190,12 @@ class IioCapture:
             raise
         values = [channel.last(self._buffer) for channel in self._channels]
         counts = self._scaling.counts
-        time = values[2] // NS_PER_100NS & 0xFFFFFFFF if len(values) == 3 else None
-        return Sample(counts(values[0]), counts(values[1]), time_100ns=time)
+        if len(values) < 3:
+            return Sample(counts(values[0]), counts(values[1]))
+        before, self._taken_ns = self._taken_ns, values[2]
+        invalid = before is not None and values[2] <= before
+        time = values[2] // NS_PER_100NS & 0xFFFFFFFF
+        return Sample(counts(values[0]), counts(values[1]), invalid=invalid, time_100ns=time)
 
     def cancel(self) -> None:
         """Let :meth:`refill` end with an OSError, now and ever after."""
