@@ -36,7 +36,7 @@ ALLOWED: dict[str, set[str]] = {
     "interface": {"signal", "device", "sources", "eds_files"} | WORDS,
     "simulation": {"signal", "device", "sources", "interface", "eds_files"} | WORDS,
     # Time is an argument here as well: frames of a log in, what the module made of them out.
-    "replay": {"signal", "calibration", "device", "module"} | WORDS,
+    "replay": {"signal", "calibration", "device", "module", "view"} | WORDS,
     "configuration": {"signal", "sources", "module", "interface", "simulation", "checks", "errors"},
     # Pictures need what is measured, and nothing of how: so the demo and every tool on top may use them.
     "report": {"signal", "calibration"},
@@ -57,7 +57,7 @@ ALLOWED: dict[str, set[str]] = {
     "planning": {"signal", "device", "module", "simulation", "configuration", "eds_files", "view"} | WORDS,
     "cli": {"signal", "calibration", "device", "sources", "module", "simulation", "configuration",
             "eds_files", "bus", "demo", "commissioning", "report", "monitoring", "replay", "logs",
-            "planning", "scope"} | WORDS,
+            "planning", "scope", "view"} | WORDS,
     # StateFiles of bus, when it is asked for.
     "__init__": {"signal", "calibration", "module", "configuration", "eds_files", "bus"} | WORDS,
     "__main__": {"cli"},

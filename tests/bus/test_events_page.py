@@ -1,4 +1,4 @@
-"""docs/events.md: its lines are those of the program, and its table has every kind."""
+"""docs/service.md, events: its lines are those of the program, and its table has every kind."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from canfb.bus.throttle import BURST, LONGEST_WINDOW_S, WINDOW_S
 from canfb.module import event_watch, node_events
 from canfb.module.event import DETAILS, EventKind
 
-PAGE = (Path(__file__).parents[2] / "docs" / "events.md").read_text(encoding="utf-8")
+PAGE = (
+    (Path(__file__).parents[2] / "docs" / "service.md")
+    .read_text(encoding="utf-8")
+    .partition("\n## Events")[2]
+)
 WATCH = " ".join(
     (
         *(Path(str(one.__file__)).read_text(encoding="utf-8") for one in (event_watch, node_events)),

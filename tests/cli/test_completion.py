@@ -15,6 +15,7 @@ from canfb.cli import completion
 from canfb.cli.commands import COMMANDS
 from canfb.cli.completion import asked_words, can_interfaces
 from canfb.cli.main import main
+from tools.site.commands_page import INTRODUCTION
 
 CONFIG = "bus: {interface: virtual, channel: x}\nmodules: [{node_id: 33, encoder_interface: 17}]\n"
 BASH = shutil.which("bash")
@@ -117,9 +118,8 @@ def test_without_argcomplete_nothing_is_said(
 
 @pytest.mark.skipif(BASH is None, reason="no bash")
 def test_bash_completes_as_the_page_says(folder: Path) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "completion.md").read_text(encoding="utf-8")
     activation = 'eval "$(register-python-argcomplete canfb)"'
-    assert activation in page
+    assert activation in INTRODUCTION
     script = f"""
         {activation}
         COMP_LINE='canfb config ch' COMP_POINT=15 COMP_TYPE=9 COMP_WORDS=(canfb config ch) COMP_CWORD=2

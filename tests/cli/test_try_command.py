@@ -22,7 +22,7 @@ from canfb.cli.main import main
 from processes import Process
 
 PATIENCE_S = 120.0
-README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "first-hour.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def test_another_terminal_reads_it_and_ctrl_c_leaves_nothing(
     if not any('"text": "position valid"' in line for line in process.lines):
         process.wait_for('"text": "position valid"')
     assert file.exists()
-    shown = re.findall(r"^  (canfb .*)$", README, re.M)
+    shown = re.findall(r"^  (canfb .*)$", PAGE, re.M)
     assert [re.sub(r"239\.255\.\S+", ready["channel"], line) for line in shown] == ready["commands"]
     monitor, read, calibrate = (shlex.split(line) for line in ready["commands"])
     assert main(read[1:]) == 0

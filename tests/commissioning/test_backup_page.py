@@ -1,4 +1,4 @@
-"""docs/backup.md: its commands run, one after the other, and its file is one."""
+"""docs/tables.md, backup: its commands run, one after the other, and its file is one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "backup.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "tables.md").read_text(encoding="utf-8").partition("\n## Backup")[2]
 COMMANDS = [
     shlex.split(line)[1:]
     for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
@@ -66,7 +66,3 @@ def test_the_file_of_the_page_is_one(tmp_path: Path) -> None:
     backup = read_backup(path, ObjectDescriptions(eds_path("canfb-module"), 1))
     assert backup.values == {(0x2010, 1): 21845, (0x2010, 2): 12.5, (0x2010, 3): 9}
     assert backup.table == b""
-
-
-def test_the_page_is_linked() -> None:
-    assert "(docs/backup.md)" in (ROOT / "README.md").read_text(encoding="utf-8")

@@ -17,7 +17,7 @@ from canfb.cli.main import build_parser
 ROOT = Path(__file__).parents[2]
 GUIDES = (
     *("first-hour", "first-encoder", "wiring", "usb-adapters", "raspberry-pi", "sync-rate"),
-    *("realtime", "homing", "method", "calibration", "drift", "canopen", "simulation"),
+    *("realtime", "homing", "calibration", "drift", "canopen", "simulation"),
 )
 # Parsed, not run.
 PARSED_ONLY = {
@@ -43,7 +43,6 @@ OF_OTHERS = {
             "dtparam=spi=on",
             "dtoverlay=mcp2515-can0,oscillator=16000000,interrupt=25",
             "@canfb",
-            "i(k)",
             "SYNC",
             "export",
         ),
@@ -129,7 +128,7 @@ def play(network: GuideNetwork, *pages: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "page", ["first-hour", "wiring", "usb-adapters", "raspberry-pi", "sync-rate", "realtime", "method"]
+    "page", ["first-hour", "wiring", "usb-adapters", "raspberry-pi", "sync-rate", "realtime"]
 )
 def test_a_page_from_its_first_to_its_last_command(network: GuideNetwork, page: str) -> None:
     play(network, page)
@@ -161,7 +160,7 @@ def test_the_simulated_machines_of_the_page(network: GuideNetwork) -> None:
     slow, drive = re.findall(r"```yaml\n(modules:.*?|bus:.*?)```", text, re.DOTALL)[:2]
     Path("slow.yaml").write_text(slow.replace("modules:", "bus: {interface: virtual}\nmodules:"))
     Path("drive.yaml").write_text(drive)
-    simulate, *_, example, record, run, with_drive = filter(runs, lines_of("simulation"))
+    simulate, *_, example, record, played, measured, run, with_drive = filter(runs, lines_of("simulation"))
     network("canfb run slow.yaml")
     assert "motion: 13 rpm" in network(simulate)
     network("canfb nmt start 0x20")
@@ -172,6 +171,9 @@ def test_the_simulated_machines_of_the_page(network: GuideNetwork) -> None:
     network(record)
     assert len(Path("tracks.csv").read_text().splitlines()) > 12_000
     network.end_of_all()
+    network(played)
+    network.end_of_all()
+    assert "Accepted." in network(measured)
     network(run)
     assert "drive" in network(with_drive)
     network("canfb nmt start all")

@@ -18,7 +18,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "tables.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "tables.md").read_text(encoding="utf-8").partition("\n## Backup")[0]
 COMMANDS = [
     shlex.split(line)[1:]
     for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
@@ -45,9 +45,8 @@ def test_the_commands_of_the_page_run(
     assert [line[:17] for line in example.splitlines()[1:]] == labels
 
 
-def test_every_part_is_on_the_page_and_the_page_is_linked() -> None:
+def test_every_part_is_on_the_page() -> None:
     (commands,) = (one for one in build_parser()._actions if isinstance(one, argparse._SubParsersAction))
     parts = next(iter(commands.choices["table"]._subparsers._group_actions)).choices
     assert parts is not None
     assert [name for name in parts if f"`canfb table {name}" not in PAGE] == []
-    assert "(docs/tables.md)" in (ROOT / "README.md").read_text(encoding="utf-8")

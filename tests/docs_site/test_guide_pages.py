@@ -14,7 +14,7 @@ from canfb.simulation.wire import frame_bits
 DOCS = Path(__file__).parents[2] / "docs"
 GUIDES = [
     *("first-hour", "first-encoder", "wiring", "usb-adapters", "raspberry-pi"),
-    *("sync-rate", "realtime", "homing", "method"),
+    *("sync-rate", "realtime", "homing"),
 ]
 
 

@@ -1,4 +1,4 @@
-"""docs/storage.md and docs/lss.md: the examples run, on a module and a master as the pages have them."""
+"""docs/storage.md: the examples run, on a module and a master as the page has them."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
 
-DOCS = Path(__file__).parents[2] / "docs"
-STORAGE, LSS = ((DOCS / f"{name}.md").read_text(encoding="utf-8") for name in ("storage", "lss"))
+PAGE = Path(__file__).parents[2] / "docs" / "storage.md"
+STORAGE, _, LSS = PAGE.read_text(encoding="utf-8").partition("\n## LSS")
 
 
 def examples(page: str, language: str) -> list[str]:

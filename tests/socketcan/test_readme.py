@@ -1,4 +1,4 @@
-"""The first session of the README, pasted into a shell, and its master in Python."""
+"""The first session of the README, pasted into a shell, and the master in Python of docs/first-hour.md."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ def shell_blocks() -> list[str]:
 
 
 def python_block(word: str) -> str:
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.S)
+    page = (ROOT / "docs" / "first-hour.md").read_text()
+    blocks = re.findall(r"```python\n(.*?)```", page, flags=re.S)
     (found,) = [block for block in blocks if word in block]
     return found
 

@@ -15,7 +15,7 @@ from canfb.cli.parser import WRONG_USE
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "tools" / "systemd"
-PAGE = (ROOT / "docs" / "service.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "service.md").read_text(encoding="utf-8").partition("\n## Events")[0]
 UNIT = (FOLDER / "canfb@.service").read_text(encoding="utf-8")
 INTERFACE = (FOLDER / "canfb-interface@.service").read_text(encoding="utf-8")
 ANALYZE = shutil.which("systemd-analyze")

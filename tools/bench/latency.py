@@ -13,7 +13,7 @@ else: what machine and bus take. Realtime: SCHED_FIFO, mlockall and a processor 
 system permits. All combinations are measured, in turns.
 
 --in-process takes the time of the calls of the module alone, on the wall and of the processor.
-docs/latency-measured.md says how to read the figures.
+docs/latency.md says how to read the figures.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--nodes", default=",".join(KINDS), help=f"of {', '.join(KINDS)}")
     parser.add_argument("--realtime", default=",".join(REALTIME), help=f"of {', '.join(REALTIME)}")
     parser.add_argument("--in-process", action="store_true", help="without a bus")
-    parser.add_argument("--markdown", action="store_true", help="print the table of docs/latency-measured.md")
+    parser.add_argument("--markdown", action="store_true", help="as Markdown")
     options = parser.parse_args(arguments)
     if not 1 <= options.rounds <= options.cycles or not 0.1 <= options.rate <= 10_000:
         parser.error("--rounds must be at least 1, --cycles at least as many, --rate 0.1 to 10000 Hz")

@@ -13,6 +13,22 @@ INTRODUCTION = """# Commands
 
 Made from the parser of `canfb`; `canfb COMMAND --help` prints the same. Exit status: 0 done, 1 the job
 failed, 2 wrong use or configuration. An error is one line on standard error; `--debug` shows its traceback.
+
+## Completion in the shell
+
+With the extra `completion` (argcomplete) the TAB key completes commands, options, files, the node-IDs of the
+configuration on the line, and the CAN interfaces of this computer:
+
+```sh
+pip install 'canfb[completion]'
+eval "$(register-python-argcomplete canfb)"
+```
+
+The second line is for bash and zsh: put it into `~/.bashrc` or `~/.zshrc`. For fish:
+`register-python-argcomplete --shell fish canfb | source`. In an environment made by `make`, install with
+`.venv/bin/pip install -e '.[completion]'`, and activate the environment first.
+
+## canfb
 """
 
 

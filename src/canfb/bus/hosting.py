@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Protocol, TypeVar
 
+from canfb.bus.background_store import ThreadedStore
 from canfb.bus.captured_source import CapturedSource
 from canfb.bus.module_lines import Served, name_of, speeds_of, summary_of, title_of, what_is_saved
 from canfb.bus.opening import describe
@@ -72,9 +73,11 @@ def make_module(
     return module
 
 
-def open_store(state_dir: str | None, resources: contextlib.ExitStack) -> StateFiles | None:
+def open_store(state_dir: str | None, resources: contextlib.ExitStack) -> ThreadedStore | None:
     """The state_dir, held until `resources` are closed; None without one."""
-    return None if state_dir is None else resources.enter_context(StateFiles(state_dir))
+    if state_dir is None:
+        return None
+    return resources.enter_context(ThreadedStore(resources.enter_context(StateFiles(state_dir))))
 
 
 def bit_rates_of(bus_words: Mapping[str, Any]) -> list[int]:

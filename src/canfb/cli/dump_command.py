@@ -18,10 +18,11 @@ from canfb.cli.printing import say
 from canfb.cli.watch_options import positive
 from canfb.cli.yaml_argument import node_or_yaml, take_yaml
 from canfb.commissioning.access import NodeAccess
-from canfb.commissioning.frame_words import FrameWords, Read, read_by_sdo
+from canfb.commissioning.frame_words import FrameWords, read_by_sdo
 from canfb.commissioning.object_description import ObjectDescriptions
 from canfb.configuration import Config, load_config
 from canfb.eds_files import eds_path
+from canfb.view.pdo_map import Read
 
 ANSWER_S = 0.2
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -17,11 +17,9 @@ from canfb.commissioning.access import CommissioningError, NodeAccess
 from canfb.commissioning.object_description import ObjectDescription, ObjectDescriptions
 from canfb.commissioning.sdo_tasks import Reading
 from canfb.objects import Multiplexer
+from canfb.view.pdo_map import Number, Pdo, Read, valid_pdos
 
-Read = Callable[[Multiplexer], float | None]
-"""Gives the value of an object, None where it is not known."""
-PDOS = 4
-MOST_MAPPED = 8
+PARAMETERS = (("TPDO", od.TPDO, od.TPDO_MAPPING), ("RPDO", od.RPDO, od.RPDO_MAPPING))
 TIME, LSS_MASTER, LSS_SLAVE = 0x100, 0x7E5, 0x7E4
 EMERGENCY = struct.Struct("<HB5s")
 COMMANDS = {int(one): one.name.lower().replace("_", " ") for one in NmtCommand}
@@ -106,26 +104,21 @@ class FrameWords:
         self._described = described
         self._pdos: dict[int, _Pdo] = {}
         for node, read in modules:
-            for name, parameters, mapping in (
-                ("TPDO", od.TPDO, od.TPDO_MAPPING),
-                ("RPDO", od.RPDO, od.RPDO_MAPPING),
-            ):
-                for number in range(PDOS):
-                    self._learn(f"{name}{number + 1}", node, read, parameters + number, mapping + number)
+            for name, parameters, mapping in PARAMETERS:
+                for pdo in valid_pdos(read, parameters, mapping):
+                    self._learn(f"{name}{pdo.number}", node, pdo)
 
-    def _learn(self, name: str, node: int, read: Read, parameters: int, mapping: int) -> None:
-        cob_id, count = read(Multiplexer(parameters, 1)), read(Multiplexer(mapping, 0))
-        if cob_id is None or not count or int(cob_id) & (cob.NOT_VALID | cob.EXTENDED):
+    def _learn(self, name: str, node: int, pdo: Pdo) -> None:
+        if not pdo.entries:
             return
         fields, bit = [], 0
-        for sub in range(1, min(int(count), MOST_MAPPED) + 1):
-            mapped = int(read(Multiplexer(mapping, sub)) or 0)
+        for mapped in pdo.entries:
             entry, bits = self._described.find(mapped >> 16, mapped >> 8 & 0xFF), mapped & 0xFF
             if entry is not None and entry.data_type != DataType.DOMAIN:
                 fields.append(_Field(entry, bit, bits))
             bit += bits
-        pdo = _Pdo(name, node, tuple(fields), (bit + 7) // 8, self._described.product)
-        self._pdos.setdefault(int(cob_id) & cob.CAN_ID, pdo)  # several modules may take the same samples
+        decoded = _Pdo(name, node, tuple(fields), pdo.length_bytes, self._described.product)
+        self._pdos.setdefault(pdo.can_id, decoded)  # several modules may take the same samples
 
     def decode(self, frame: Frame) -> DecodedFrame:
         """What a frame is; never raises."""
@@ -140,20 +133,17 @@ def read_by_sdo(node: NodeAccess) -> Read | None:
     """The PDO mapping of a node as it is now, all of it read here; None if the node does not answer."""
     if not node.answers():
         return None
-    values: dict[Multiplexer, float] = {}
+    values: dict[Multiplexer, Number | None] = {}
 
-    def keep(place: Multiplexer, layout: str) -> int:
+    def keep(place: Multiplexer) -> Number | None:
         try:
-            values[place] = found = node.integer(*place, layout)
+            values[place] = node.read_known(place)
         except CommissioningError:
-            return 0
-        return found
+            values[place] = None
+        return values[place]
 
-    for parameters, mapping in ((od.TPDO, od.TPDO_MAPPING), (od.RPDO, od.RPDO_MAPPING)):
-        for number in range(PDOS):
-            keep(Multiplexer(parameters + number, 1), "I")
-            for sub in range(1, min(keep(Multiplexer(mapping + number, 0), "B"), MOST_MAPPED) + 1):
-                keep(Multiplexer(mapping + number, sub), "I")
+    for _, parameters, mapping in PARAMETERS:
+        list(valid_pdos(keep, parameters, mapping))  # reads as it goes
     return values.get
 
 

@@ -20,7 +20,7 @@ from canfb.device.pdo.mapping import Direction
 from canfb.device.pdo.pdo import COMMUNICATION, numbers
 from canfb.device.routing import CanIds
 from canfb.device.storage.image import ParameterGroup
-from canfb.device.storage.storage import Store
+from canfb.device.storage.writing import Store
 from canfb.eds_files import eds_path
 from canfb.interface.fast_recording import FastRecorder
 from canfb.interface.hearing import TRUE_TIME, Hearing

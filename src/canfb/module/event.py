@@ -18,6 +18,7 @@ class EventKind(StrEnum):
     SECOND_POSITION = "second_position"
     TABLE = "table"
     SAVED = "saved"
+    SAVE_FAILED = "save_failed"
     FAULT = "fault"
     EMCY = "emcy"
 

@@ -13,7 +13,7 @@ from canfb.device.moment import NEVER
 from canfb.device.node import Node
 from canfb.device.routing import CanIds
 from canfb.device.storage.image import ParameterGroup
-from canfb.device.storage.storage import Store
+from canfb.device.storage.writing import Store
 from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.cia406.cyclic_timer import CyclicTimer
 from canfb.module.cia406.operating_time import OperatingTime
@@ -152,7 +152,7 @@ class FeedbackModule:
         node.on_configured = self._on_configured
         node.on_parameter_faults = self._on_parameter_faults
         node.on_emergency = self.events.emergency
-        node.on_saved = self.events.saved
+        node.on_saved, node.on_save_failed = self.events.saved, self.events.save_failed
 
     @property
     def feedback(self) -> Feedback | None:

@@ -27,7 +27,7 @@ class NodeEvents:
         """Take the hooks of a node that nothing else listens to."""
         node.on_state = lambda old, new, now: self.nmt(old, new, now, node.state_reason)
         node.on_emergency = self.emergency
-        node.on_saved = self.saved
+        node.on_saved, node.on_save_failed = self.saved, self.save_failed
 
     def nmt(self, old: NmtState, new: NmtState, now: float, why: str = "") -> None:
         """A change of the NMT state, and ``why`` if it was not commanded."""
@@ -50,6 +50,13 @@ class NodeEvents:
             if names:
                 text = f"parameters {what}: {', '.join(names)}"
                 self._tell(EventKind.SAVED, now, text, groups=names, dropped=groups is forgotten)
+
+    def save_failed(self, groups: Groups, reason: str, now: float) -> None:
+        """Parameters could not be saved, or their defaults not loaded: the store has what it had."""
+        names = [group.name.lower() for group in groups if group is not ParameterGroup.OPERATING_TIME]
+        if names:
+            text = f"parameters not saved ({reason}): {', '.join(names)}"
+            self._tell(EventKind.SAVE_FAILED, now, text, groups=names, reason=reason)
 
     def _tell(
         self, kind: EventKind, now: float, text: str, **values: bool | float | int | str | list[str] | None

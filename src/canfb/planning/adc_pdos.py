@@ -1,4 +1,4 @@
-"""The RPDOs of a planned module that bring its samples: how many pairs, with their time or without."""
+"""The RPDOs of a planned module that bring its samples: their bytes, and another layout of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.pdo_room import mapping_values
 from canfb.device.od.dcf import Place
-from canfb.planning.traffic import Values, mapped_bytes, mapped_objects, valid_pdos
+from canfb.planning.traffic import Values
+from canfb.view.pdo_map import Pdo, valid_pdos
 
 NEWEST = (od.SAMPLE_SINE, od.SAMPLE_COSINE)
 TIME = od.SAMPLE_TIME.mapped(32)
@@ -19,29 +20,15 @@ def _pair(sine: od.Multiplexer, cosine: od.Multiplexer) -> set[int]:
     return {sine.mapped(16), cosine.mapped(16)}
 
 
-def _mapped(values: Values) -> dict[int, list[int]]:
-    """What the RPDOs that are valid carry of 2000h, by their number."""
-    found = {
-        number: mapped_objects(values, od.RPDO_MAPPING + number - 1)
-        for number, _ in valid_pdos(values, od.RPDO)
-    }
-    sample = od.SAMPLE_SINE.object_index
-    return {number: mapped for number, mapped in found.items() if any(one >> 16 == sample for one in mapped)}
-
-
-def samples_per_sync(values: Values) -> int:
-    """The pairs that RPDOs carry, up to the first that none does, as the module counts them; at least 1."""
-    return od.samples_per_sync(list(_mapped(values).values()))
+def _of_samples(values: Values) -> list[Pdo]:
+    """The valid RPDOs that bring a part of the sample (2000h)."""
+    pdos = valid_pdos(values.get, od.RPDO, od.RPDO_MAPPING)
+    return [pdo for pdo in pdos if pdo.carries(od.SAMPLE_SINE.object_index)]
 
 
 def sample_bytes(values: Values) -> int:
     """Data bytes of all PDOs that bring one sample."""
-    return sum(mapped_bytes(values, od.RPDO_MAPPING + number - 1) for number in _mapped(values))
-
-
-def has_time(values: Values) -> bool:
-    """An RPDO brings the time of each sample."""
-    return any(TIME in one for one in _mapped(values).values())
+    return sum(pdo.length_bytes for pdo in _of_samples(values))
 
 
 def laid_out(values: Values, pairs: int, times: bool) -> dict[Place, Any]:
@@ -50,27 +37,26 @@ def laid_out(values: Values, pairs: int, times: bool) -> dict[Place, Any]:
     What else they bring of the sample stays. They are filled in their order, those of the same interface
     first, then those that are not in use. ValueError if there are too few.
     """
-    mapped = _mapped(values)
-    tracks = next((number for number, one in mapped.items() if _pair(*NEWEST) <= set(one)), None)
+    pdos = _of_samples(values)
+    tracks = next((pdo for pdo in pdos if _pair(*NEWEST).issubset(pdo.entries)), None)
     if tracks is None:
         raise ValueError("samples_per_sync needs an RPDO that brings 2000:01 and 2000:02")
-    cob_ids = dict(valid_pdos(values, od.RPDO))
-    interface = cob_ids[tracks] & NODE_ID
-    own = [number for number in mapped if cob_ids[number] & NODE_ID == interface]
-    wanted = [one.mapped(16) for pair in (NEWEST, *od.SAMPLE_EARLIER)[:pairs] for one in pair]
-    wanted += [TIME] if times else []
+    interface = tracks.can_id & NODE_ID
+    own = [pdo for pdo in pdos if pdo.can_id & NODE_ID == interface]
+    entries = [one.mapped(16) for pair in (NEWEST, *od.SAMPLE_EARLIER)[:pairs] for one in pair]
+    entries += [TIME] if times else []
     known = {one.mapped(16) for pair in (NEWEST, *od.SAMPLE_EARLIER) for one in pair} | {TIME}
-    wanted += [entry for number in own for entry in mapped[number] if entry not in known]
-    return _filled(values, own, interface, wanted)
+    entries += [entry for pdo in own for entry in pdo.entries if entry not in known]
+    return _filled(values, [pdo.number for pdo in own], interface, entries)
 
 
-def _filled(values: Values, own: list[int], interface: int, wanted: list[int]) -> dict[Place, Any]:
+def _filled(values: Values, own: list[int], interface: int, entries: list[int]) -> dict[Place, Any]:
     """These entries in the RPDOs ``own`` of an interface, and in others that are not valid."""
-    in_use = {number for number, _ in valid_pdos(values, od.RPDO)}
+    in_use = {pdo.number for pdo in valid_pdos(values.get, od.RPDO, od.RPDO_MAPPING)}
     free = [number for number in range(1, len(cob.TPDOS) + 1) if number not in in_use]
     numbers = own + [number for number in free if (od.RPDO + number - 1, 1) in values]
     changed: dict[Place, Any] = {}
-    pdos = mapping_values(0, wanted)  # by the place of the PDO among ``numbers``
+    pdos = mapping_values(0, entries)  # by the place of the PDO among ``numbers``
     needed = 1 + max(place for place, _ in pdos)
     if needed > len(numbers):
         raise ValueError(f"the samples need {needed} RPDOs, and there are {len(numbers)} for them")

@@ -98,12 +98,12 @@ class PlannedModule:
     @cached_property
     def times(self) -> bool:
         """The ADC PDO brings the time of each sample, or the module takes the sample itself."""
-        return self.samples_itself or adc_pdos.has_time(self.values)
+        return self.samples_itself or self.settings.timed
 
     @cached_property
     def samples_per_sync(self) -> int:
         """Pairs of sine and cosine for each SYNC, 1..4."""
-        return 1 if self.samples_itself else adc_pdos.samples_per_sync(self.values)
+        return 1 if self.samples_itself else self.settings.samples_per_sync
 
     @property
     def sample_bytes(self) -> int:

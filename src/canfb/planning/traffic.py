@@ -11,8 +11,9 @@ from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.frame import frame_bits
 from canfb.device.od.dcf import Place
-from canfb.device.pdo.pdo import EVENT_DRIVEN, PDO_NUMBERS, SYNCHRONOUS
+from canfb.device.pdo.pdo import EVENT_DRIVEN, SYNCHRONOUS
 from canfb.module.cia406.position_alarm import SHORTEST_S
+from canfb.view.pdo_map import Pdo, valid_pdos
 
 Values = Mapping[Place, Any]
 """Objects of a node by index and sub-index."""
@@ -87,19 +88,17 @@ def sync_message(values: Values) -> Message:
 def adc_messages(values: Values) -> list[Message]:
     """What the RPDOs of a module receive: a sample for each SYNC."""
     found = []
-    for number, cob_id in valid_pdos(values, od.RPDO):
-        mapping = od.RPDO_MAPPING + number - 1
-        carried = mapped_objects(values, mapping)
-        kind, sender = f"for RPDO{number}", 0
-        if number == 1 or any(one >> 16 == od.SAMPLE_SINE.object_index for one in carried):
-            kind = "ADC PDO" if number == 1 else f"ADC PDO {number}"
-            sender = cob_id - cob.TPDOS[number - 1] if number <= len(cob.TPDOS) else 0
+    for pdo in valid_pdos(values.get, od.RPDO, od.RPDO_MAPPING):
+        kind, sender = f"for RPDO{pdo.number}", 0
+        if pdo.number == 1 or pdo.carries(od.SAMPLE_SINE.object_index):
+            kind = "ADC PDO" if pdo.number == 1 else f"ADC PDO {pdo.number}"
+            sender = pdo.can_id - cob.TPDOS[pdo.number - 1]
         found.append(
             Message(
-                can_id=cob_id,
+                can_id=pdo.can_id,
                 kind=kind,
                 node_id=sender if 1 <= sender <= 127 else None,
-                data_bytes=mapped_bytes(values, mapping),
+                data_bytes=pdo.length_bytes,
                 each_syncs=1,
             )
         )
@@ -112,9 +111,8 @@ def node_messages(values: Values, node_id: int, *, sampled: bool) -> list[Messag
     ``sampled``: each sample is an event for its TPDOs of type FEh and FFh, and of type 0 the same. TPDOs
     on remote frames alone have the rate 0, as nobody is known to ask.
     """
-    found = [
-        _tpdo(values, number, cob_id, node_id, sampled) for number, cob_id in valid_pdos(values, od.TPDO)
-    ]
+    pdos = valid_pdos(values.get, od.TPDO, od.TPDO_MAPPING)
+    found = [_tpdo(values, pdo, node_id, sampled) for pdo in pdos]
     if values.get(HEARTBEAT):
         found.append(heartbeat_message(node_id, values[HEARTBEAT] * TIMER_S))
     emcy = values.get(EMCY_COB_ID, cob.EMERGENCY + node_id)
@@ -144,39 +142,18 @@ def heartbeat_message(node_id: int, period_s: float) -> Message:
     )
 
 
-def mapped_objects(values: Values, mapping: int) -> list[int]:
-    """The entries of a mapping (16xxh or 1Axxh) that are in use."""
-    count = values.get((mapping, 0), 0)
-    return [values[mapping, place] for place in range(1, count + 1)]
-
-
-def mapped_bytes(values: Values, mapping: int) -> int:
-    """Length of a PDO by its mapping."""
-    return -(-sum(entry & 0xFF for entry in mapped_objects(values, mapping)) // 8)
-
-
-def valid_pdos(values: Values, communication: int) -> list[tuple[int, int]]:
-    """Number and CAN-ID of each PDO that is valid."""
-    found = [(number, values.get((communication + number - 1, 1))) for number in PDO_NUMBERS]
-    return [
-        (number, cob_id & cob.CAN_ID)
-        for number, cob_id in found
-        if cob_id is not None and cob.is_valid(cob_id)
-    ]
-
-
-def _tpdo(values: Values, number: int, can_id: int, node_id: int, sampled: bool) -> Message:
+def _tpdo(values: Values, pdo: Pdo, node_id: int, sampled: bool) -> Message:
     def parameter(subindex: int) -> int:
-        return int(values.get((od.TPDO + number - 1, subindex), 0))
+        return int(values.get((od.TPDO + pdo.number - 1, subindex), 0))
 
     kind, inhibit, timer = parameter(2), parameter(3) * INHIBIT_S, parameter(5) * TIMER_S
     event_driven = kind in EVENT_DRIVEN
     each = max(1, kind) if kind in SYNCHRONOUS else 1 if event_driven and sampled else None
     return Message(
-        can_id=can_id,
-        kind=f"TPDO{number}, type {kind}",
+        can_id=pdo.can_id,
+        kind=f"TPDO{pdo.number}, type {kind}",
         node_id=node_id,
-        data_bytes=mapped_bytes(values, od.TPDO_MAPPING + number - 1),
+        data_bytes=pdo.length_bytes,
         each_syncs=each,
         least_hz=1.0 / timer if event_driven and timer else 0.0,
         most_hz=1.0 / inhibit if event_driven and inhibit else math.inf,

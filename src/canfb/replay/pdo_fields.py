@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from canfb import objects as od
-from canfb.cia301 import cob, datatypes
+from canfb.cia301 import datatypes
 from canfb.device.od.dictionary import Dictionary
-
-HIGHEST_TPDO = 512
+from canfb.view.pdo_map import valid_pdos
 
 
 @dataclass
@@ -57,12 +56,9 @@ class PdoFields:
     def __init__(self, dictionary: Dictionary, can_id: int) -> None:
         self.differences: list[FieldDifference] = []
         self._fields: list[_Field] = []
-        number = _tpdo_with(dictionary, can_id)
-        if number is None:
-            return
+        pdos = valid_pdos(lambda place: _value(dictionary, place), od.TPDO, od.TPDO_MAPPING)
         first_bit = 0
-        for place in range(1, _value(dictionary, od.TPDO_MAPPING + number, 0) + 1):
-            entry = _value(dictionary, od.TPDO_MAPPING + number, place)
+        for entry in next((pdo.entries for pdo in pdos if pdo.can_id == can_id), ()):
             index, subindex, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
             mapped = dictionary.find(index, subindex)
             name = f"{index:04X}h:{subindex:02X}"
@@ -81,16 +77,6 @@ class PdoFields:
             found.least, found.most = min(found.least, apart), max(found.most, apart)
 
 
-def _tpdo_with(dictionary: Dictionary, can_id: int) -> int | None:
-    for number in range(HIGHEST_TPDO):
-        entry = dictionary.find(od.TPDO + number, 1)
-        if entry is None:
-            return None
-        if cob.is_valid(entry.value) and entry.value & cob.CAN_ID == can_id:
-            return number
-    return None
-
-
-def _value(dictionary: Dictionary, index: int, subindex: int) -> int:
-    entry = dictionary.find(index, subindex)
-    return 0 if entry is None else int(entry.value)
+def _value(dictionary: Dictionary, place: od.Multiplexer) -> int | None:
+    entry = dictionary.find(*place)
+    return None if entry is None else int(entry.value)

@@ -17,8 +17,9 @@ MOST_ENTRIES = 64  # above, sub-index 0 of a mapping stands for a multiplexed PD
 
 
 class Pdo(NamedTuple):
-    """A PDO that is valid: CAN-ID, and what it maps, as in 1600h and 1A00h."""
+    """A PDO that is valid: its number, 1.., its CAN-ID, and what it maps, as in 1600h and 1A00h."""
 
+    number: int
     can_id: int
     entries: tuple[int, ...]
 
@@ -26,6 +27,10 @@ class Pdo(NamedTuple):
     def length_bytes(self) -> int:
         """The least length of its frames."""
         return (sum(entry & 0xFF for entry in self.entries) + 7) // 8
+
+    def carries(self, index: int) -> bool:
+        """It maps at least one entry of this object."""
+        return any(entry >> 16 == index for entry in self.entries)
 
     def bytes_of(self) -> dict[int, int]:
         """The byte at which each entry begins, of those that begin at one."""
@@ -49,4 +54,5 @@ def valid_pdos(read: Read, parameters: int, mapping: int) -> Iterator[Pdo]:
             continue
         if count <= MOST_ENTRIES:
             places = (Multiplexer(mapping + number, sub + 1) for sub in range(int(count)))
-            yield Pdo(int(cob_id) & cob.CAN_ID, tuple(int(read(place) or 0) for place in places))
+            entries = tuple(int(read(place) or 0) for place in places)
+            yield Pdo(number + 1, int(cob_id) & cob.CAN_ID, entries)
