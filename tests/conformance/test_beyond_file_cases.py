@@ -11,7 +11,7 @@ from conformance_eds import DOMAIN, FOLDER
 from conformance_kit import INTERFACE_ID, Tester, little, only
 
 RPDO1, SYNC = 0x180 + INTERFACE_ID, 0x080
-CHOICES = Path(__file__).parents[2] / "docs" / "canopen-choices.md"
+CHOICES = Path(__file__).parents[2] / "docs" / "canopen.md"
 
 
 @pytest.mark.parametrize("kind", ["00", "FE"])
