@@ -130,10 +130,10 @@ def test_what_is_saved_is_there_again(tmp_path: Path) -> None:
 
 def written(interface: EncoderInterface, data: bytes) -> bytes:
     """The answer to an SDO request; that to `save` comes when it is on the disk."""
-    frames = interface.receive(Frame(0x600 + NODE, data), 0.0)
+    frames = interface.receive(Frame(0x600 + NODE, data), interface.node.now)
 
     def answered() -> bool:
-        frames.extend(interface.tick(0.0))
+        frames.extend(interface.tick(interface.node.now + 1e-3))
         return any(frame.can_id == 0x580 + NODE for frame in frames)
 
     until(answered, "answered")
