@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import re
 import shlex
 from pathlib import Path
@@ -34,7 +35,7 @@ def test_its_commands_are_those_of_the_parser() -> None:
     (block,) = re.findall(r"```sh\n(.*?)```", PAGE, re.S)
     for line in block.splitlines():
         build_parser().parse_args(shlex.split(line)[1:])
-    options = set(re.findall(r"`(--[\w-]+|-\w)`", PAGE))
+    options = set(re.findall(r"`(--[\w-]+|-\w)`", PAGE)) - {"--phase-error"}
     assert options == {"--ready-file", "--json", "-v"}
     build_parser().parse_args(["interface", "x.yaml", "--ready-file", "r", "--json", "-v"])
 
@@ -58,6 +59,44 @@ def test_every_key_has_its_row() -> None:
 def test_its_codes_are_those_of_the_program() -> None:
     assert f"EMCY {EmergencyCode.HARDWARE:04X}h" in PAGE
     assert f"({AbortCode.DEVICE_STATE:08X}h)" in PAGE
+
+
+PLAN = re.findall(r"^    canfb (plan .*)$", PAGE, re.M)[0].split()
+
+
+def holds(rpm: float, cycles: int, phase_error: float, capsys: pytest.CaptureFixture[str]) -> bool:
+    words = PLAN[: PLAN.index("--rpm")]
+    code = main([*words, f"--rpm={rpm}", f"--cycles={cycles}", f"--phase-error={phase_error}", "--json"])
+    result = json.loads(capsys.readouterr().out)
+    assert code == (0 if result["holds"] else 1)
+    assert result["holds"] or result["tightest"]["limit"] in ("residual", "acceleration", "speed")
+    return bool(result["holds"])
+
+
+def test_the_speeds_are_those_of_the_plan(capsys: pytest.CaptureFixture[str]) -> None:
+    """0.0125 + v (e + d / 2) cycles: each speed holds, and one a tenth higher does not."""
+    assert main(PLAN) == 0
+    capsys.readouterr()
+    rows = re.findall(r"^\| (\d+) µs \| (\d+) µs \| (\d+) \| (\d+) \|", PAGE, re.M)
+    assert len(rows) == 6
+    for jitter_us, delay_us, *speeds in rows:
+        for rpm, cycles in zip(speeds, (2500, 512), strict=True):
+            for times, wanted in ((1.0, True), (1.1, False)):
+                speed = times * float(rpm)
+                sampled = speed / 60 * cycles * (float(jitter_us) + float(delay_us) / 2) * 1e-6
+                assert holds(speed, cycles, 0.0125 + sampled, capsys) is wanted, (rpm, cycles, times)
+
+
+def test_the_noise_of_the_residual_tells_the_jitter() -> None:
+    """Second differences weigh independent errors by sqrt(1 + 4 + 1)."""
+    (factor,) = re.findall(r"65536 \* ([\d.]+) \* v", PAGE)
+    assert float(factor) == pytest.approx(6**0.5, abs=0.005)
+
+
+def test_the_overlay_is_whole() -> None:
+    (overlay,) = re.findall(r"```dts\n(.*?)```", PAGE, re.S)
+    assert overlay.count("{") == overlay.count("}")
+    assert all(line.rstrip().endswith((";", "{", "}")) for line in overlay.splitlines())
 
 
 def test_the_links_lead_somewhere() -> None:

@@ -125,8 +125,19 @@ def test_what_is_saved_is_there_again(tmp_path: Path) -> None:
             interface.start(0.0)
             assert interface.dictionary.entry(0x1017).value == heartbeat_ms
             for data in (b"\x2b\x17\x10\x00\xfa\x00\x00\x00", b"\x23\x10\x10\x01save"):
-                (answer,) = interface.receive(Frame(0x600 + NODE, data), 0.0)
-                assert answer.data[0] == 0x60
+                assert written(interface, data)[0] == 0x60
+
+
+def written(interface: EncoderInterface, data: bytes) -> bytes:
+    """The answer to an SDO request; that to `save` comes when it is on the disk."""
+    frames = interface.receive(Frame(0x600 + NODE, data), interface.node.now)
+
+    def answered() -> bool:
+        frames.extend(interface.tick(interface.node.now + 1e-3))
+        return any(frame.can_id == 0x580 + NODE for frame in frames)
+
+    until(answered, "answered")
+    return next(frame.data for frame in frames if frame.can_id == 0x580 + NODE)
 
 
 class Running:

@@ -71,6 +71,7 @@ SUFFIXES = {
     "samples_per_sync": "samples",
     "noise_margin": "standard deviations",
     "scans": "scans",
+    "scans_per_sync": "scans",
     "periods": "SYNC periods",
     "bits": "bits",
     "lsb": "LSB",

@@ -24,7 +24,7 @@ from canfb.module.node_events import NodeEvents
 from canfb.simulation.scenario import SimulationConfig
 from canfb.sources.protocol import Converter, Source
 from canfb.sources.source_config import SourceConfig
-from canfb.sources.surroundings import Capture, Surroundings
+from canfb.sources.surroundings import Capture, Picked, Surroundings
 
 log = logging.getLogger(__name__)
 
@@ -35,8 +35,7 @@ class Hosting(Serving):
     def __init__(
         self, config: Config, words: Mapping[str, Any] | None = None, *, verbose: bool = False
     ) -> None:
-        super().__init__(config.bus if words is None else words, config.realtime, verbose=verbose)
-        self.config = config
+        super().__init__(config, words, verbose=verbose)
         self.modules: list[FeedbackModule] = []
 
     def _make_nodes(self, resources: contextlib.ExitStack) -> list[tuple[ServedDevice, NodeEvents]]:
@@ -121,8 +120,8 @@ def open_source(
     What is open is closed with ``resources``. CanfbError, in one line, for a source that cannot be used.
     """
 
-    def captured(opened: Callable[[], Capture], name: str, wait_s: float) -> Source:
-        return resources.enter_context(CapturedSource(opened, name, wait_s))
+    def captured(opened: Callable[[], Capture], name: str, wait_s: float, picked: Picked | None) -> Source:
+        return resources.enter_context(CapturedSource(opened, name, wait_s, picked))
 
     around = Surroundings(config.adc_bits, config.cycles_per_revolution, simulation, captured, resources)
     source = settings.open(around)

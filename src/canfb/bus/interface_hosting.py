@@ -28,8 +28,7 @@ class InterfaceHosting(Serving):
     def __init__(
         self, config: Config, words: Mapping[str, Any] | None = None, *, verbose: bool = False
     ) -> None:
-        super().__init__(config.bus if words is None else words, config.realtime, verbose=verbose)
-        self.config = config
+        super().__init__(config, words, verbose=verbose)
         self.interfaces: list[EncoderInterface] = []
 
     def _make_nodes(self, resources: contextlib.ExitStack) -> list[tuple[ServedDevice, NodeEvents]]:

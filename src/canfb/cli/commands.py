@@ -44,6 +44,11 @@ COMMANDS = (
         "simulate the encoder interface, with a motion, a recording or a drive, on a bus",
     ),
     CommandEntry("why", "why_command", "why the position of a module is not valid, and what brings it back"),
+    CommandEntry(
+        "diagnose",
+        "diagnose_command",
+        "write one file for whoever is to help: versions, settings, objects, log",
+    ),
     CommandEntry("reset", "reset_command", "reset and start a module, at standstill only"),
     CommandEntry("bus", "bus_command", "who is on a bus"),
     CommandEntry("nmt", "nmt_command", "start, stop or reset nodes"),

@@ -7,6 +7,7 @@ import contextlib
 
 from canfb.bus.readiness import Readiness
 from canfb.bus.runner import ending_on_signals
+from canfb.bus.self_diagnosis import diagnosing_on_signal
 from canfb.bus.serving import Serving
 from canfb.cli.log_printing import printed_as_json, printed_without_waiting
 from canfb.cli.options import add_bus_options, add_ready_file
@@ -22,12 +23,13 @@ def add_serving_options(parser: argparse.ArgumentParser, verbose: str) -> None:
 
 
 def serve(serving: Serving, options: argparse.Namespace) -> None:
-    """Serve the nodes until Ctrl-C, SIGTERM or SIGHUP."""
+    """Serve the nodes until Ctrl-C, SIGTERM or SIGHUP; SIGUSR1 writes a diagnosis."""
     with (
         printed_as_json() if options.json else contextlib.nullcontext(),
         printed_without_waiting(),
         Readiness(options.ready_file) as readiness,
         serving,
         ending_on_signals(serving.stop),
+        diagnosing_on_signal(serving.diagnose),
     ):
         serving.run(readiness.ready, readiness.alive)

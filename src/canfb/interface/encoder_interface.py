@@ -27,7 +27,7 @@ from canfb.interface.hearing import TRUE_TIME, Hearing
 from canfb.interface.sample_clock import SampleClock
 from canfb.interface.several_samples import SeveralSamples
 from canfb.signal.sample import Sample
-from canfb.sources.protocol import Machine, Source
+from canfb.sources.protocol import Grouped, Machine, Source
 from canfb.sources.source_watch import SourceWatch
 
 EDS = "encoder-interface"
@@ -49,7 +49,8 @@ class EncoderInterface:
     2000:01 is the time of the sample: that of ``clock`` when the SYNC was received, unless the sample
     brings a time of its own. With ``times`` TPDO1 carries it behind sine and cosine, by default.
     ``samples_per_sync``, 1..4: so many pairs for each SYNC (6401:05 and up), sampled by the clock of the
-    interface; see :class:`SeveralSamples`. What TPDO1 has no room for is in TPDO2 and TPDO3.
+    interface: by the converter (:class:`Grouped`), else see :class:`SeveralSamples`. What TPDO1 has no room
+    for is in TPDO2 and TPDO3.
 
     ``store`` keeps what 1010h and LSS save. A ``node_id`` of 255 is one that an LSS master gives it; it
     knows the device by its ``serial_number``, 0..4294967295. ``bit_rates_kbit_s`` are those that LSS may
@@ -96,7 +97,9 @@ class EncoderInterface:
         self.source = source
         self.dictionary.entry(*od.INTERFACE_MACHINE).on_check = _refuse
         self._machine = source if isinstance(source, Machine) else None
-        self._several = SeveralSamples(source, samples_per_sync) if samples_per_sync > 1 else None
+        grouped = isinstance(source, Grouped) and source.samples_per_sync == samples_per_sync
+        several = samples_per_sync > 1 and not grouped
+        self._several = SeveralSamples(source, samples_per_sync) if several else None
         self._watch = SourceWatch(self._ask, self._tell_of_source)
         self.samples = 0
         """Samples sent."""

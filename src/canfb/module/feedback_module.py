@@ -385,8 +385,9 @@ class FeedbackModule:
     def _on_configured(self) -> None:
         """A sample comes in whichever RPDOs carry its parts; some TPDOs go out with it."""
         self._input.configure()
-        per_sync = 1 if self._source else self._input.samples_per_sync
-        self._sampling.configured(per_sync, self._sampling.pairing.timed)
+        source, timed = self._source, self._sampling.pairing.timed
+        per_sync = self._input.samples_per_sync if source is None else source.samples_per_sync
+        self._sampling.configured(per_sync, timed or (source is not None and per_sync > 1))
         self._second.configure()
         self._choose_rpdo_hook()
         self._publishing.configured()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.objects.sample_input import PARTS, PLACES, SAMPLE_INVALID, ZERO_PULSE, SampleInput
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import TICK_S, TICKS
-from canfb.sources.protocol import Source
+from canfb.sources.protocol import Grouped, Source
 from canfb.sources.source_watch import SourceWatch
 
 
@@ -26,6 +27,11 @@ class LocalSource:
         entries = [dictionary.entry(*part) for part in PARTS]
         self._sine, self._cosine, self._coarse_sine, self._coarse_cosine = entries[:4]
         self._time, self._flags, self._place = entries[4:]
+        self._earlier = [
+            (dictionary.entry(*sine), dictionary.entry(*cosine)) for sine, cosine in od.SAMPLE_EARLIER
+        ]
+        self.samples_per_sync = source.samples_per_sync if isinstance(source, Grouped) else 1
+        """Pairs in a sample; several have a time."""
         self.timed_s: float | None = None
         """Time of the last sample by its time stamps, seconds since the first one; None without them."""
 
@@ -51,6 +57,8 @@ class LocalSource:
         self._flags.value = flags
         if sample.time_100ns is not None:
             self._keep_time(sample.time_100ns)
+        for (first, second), (sine, cosine) in zip(self._earlier, sample.earlier, strict=False):
+            first.value, second.value = sine, cosine
         if sample.coarse_sine is not None:
             self._coarse_sine.value, self._coarse_cosine.value = sample.coarse_sine, sample.coarse_cosine
 

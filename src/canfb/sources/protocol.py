@@ -36,6 +36,15 @@ class Converter(Protocol):
         """Bits of a count, 4..16."""
 
 
+@runtime_checkable
+class Grouped(Protocol):
+    """A source whose samples hold all pairs of a SYNC, with the time of the newest if there are several."""
+
+    @property
+    def samples_per_sync(self) -> int:
+        """Pairs of sine and cosine in a sample, 1..4."""
+
+
 class SourceEnded(Exception):
     """A recording has no sample left."""
 
