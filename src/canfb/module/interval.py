@@ -35,7 +35,7 @@ class SamplingInterval:
     @property
     def known_s(self) -> float:
         """Where it is certain enough for limits."""
-        return self._clock.period_s or self.nominal_s
+        return self.timed_s * self.samples_per_sync or self._clock.period_s or self.nominal_s
 
     @property
     def seconds(self) -> float:
@@ -45,4 +45,4 @@ class SamplingInterval:
     @property
     def sample_s(self) -> float:
         """The sampling interval, in which speeds are given: that of SYNC, divided by the samples in it."""
-        return self.timed_s or self.seconds / self.samples_per_sync
+        return self.seconds / self.samples_per_sync

@@ -24,7 +24,6 @@ from canfb.signal.supervision import COASTING, VALID
 from canfb.timing.judge import USUAL, Judge, Passed
 
 MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge
-SAME_INTERVAL = 0.02
 SAME_GRID = 2e-6  # of the interval
 GRID_SYNCS = 1024
 EXACT_SYNCS = 512  # from then on a lock is more exact than the drift of a clock
@@ -144,7 +143,8 @@ class Sampling:
         assert time_100ns is not None
         if self._limits.narrowed:
             self._limits.follow()
-        self._follow_interval()
+        if self._interval.samples_per_sync > 1:
+            self._follow_grid()
         last = self._publishing.last
         feedback = self._chain.step(sample, received_s, synced_s)
         if last is not None and feedback.samples == last.samples:
@@ -214,20 +214,13 @@ class Sampling:
             return ""
         return doubt_words(self._timed, self._doubted, self._interval.seconds)
 
-    def _follow_interval(self) -> None:
-        """Take the nominal interval along, by which sample times are judged.
-
-        Only once it is known: at a start on a busy host the first SYNCs are heard at uneven times, and the
-        times of even samples would become uneven by them. Until then the first sample time is the unit.
-        """
-        seconds, same = self._interval.known_s, SAME_INTERVAL
-        if self._interval.samples_per_sync > 1:
-            grid_s = self._grid_s()
-            # Of the earlier samples it is not known when they were taken: at standstill it does not matter.
-            self._chain.measures_intervals = grid_s > 0.0
-            seconds, same = grid_s or seconds, SAME_GRID
-        if seconds and abs(seconds - self._chain.interval_s) > same * seconds:
-            self._chain.interval_s = seconds
+    def _follow_grid(self) -> None:
+        """Several samples for each SYNC: the earlier ones were taken by the interval of SYNC, exactly."""
+        grid_s, chain = self._grid_s(), self._chain
+        # Of the earlier samples it is not known when they were taken: at standstill it does not matter.
+        chain.measures_intervals = grid_s > 0.0
+        if abs(grid_s - chain.interval_s) > SAME_GRID * grid_s:
+            chain.interval_s = grid_s
 
     def _grid_s(self) -> float:
         """The interval of SYNC by the clock of the interface, which takes the earlier samples by it.

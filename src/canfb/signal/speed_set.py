@@ -79,6 +79,7 @@ class SpeedSet:
         self._chance = 2.0 * most + 1.0  # speeds that random phases would leave
         self._alone = 0  # samples
         self._largest_off = self._squares = 0.0
+        self._even = 0  # samples in a row whose times tell nothing
         self.samples = 0
         """Since the start."""
         self.telling = False
@@ -142,7 +143,8 @@ class SpeedSet:
         self._largest_off, self._squares = max(self._largest_off, off), self._squares + off * off
         known = self.samples >= KNOWN_SAMPLES
         q = (math.sqrt(self._squares / (self.samples - 2)) if known else self._largest_off) / least
-        self.telling, self.silent = q >= TELLING, q < SILENT
+        self._even = self._even + 1 if off < SILENT * least else 0
+        self.telling, self.silent = q >= TELLING, q < SILENT or self._even >= START_SAMPLES
 
     @property
     def found(self) -> Found | None:

@@ -12,8 +12,8 @@ START_PART = 3.0 / 32.0
 # Intervals: two samples, each nearly half an interval from where it was due, are apart by this much too
 # little or too much. Jitter is not larger, as the count of SYNCs would not hold either.
 MOST_PART = 0.75
-# A deviation that was refused is usual if it is one of BEGUN with less than APART samples from one to the next:
-# jitter begins like that, wrong times are rarer.
+# A deviation that was refused is usual if it is one of BEGUN with less than APART samples from one to the
+# next: jitter begins like that, wrong times are rarer.
 BEGUN, APART = 3, 24
 
 
