@@ -174,6 +174,7 @@ class SyncJudge:
         clock, period = self.clock, self.clock.period_s
         self._early = min(EARLIEST, max(LEAST_EARLY, clock.jitter))
         self._wait_s = period or UNSETTLED_S
+        self._spare_s = clock.jitter * period  # a SYNC is not overdue before that
         self._low_s, self._high_s = inf, -inf
         busy = self.is_open or self._streak or self._error or self._gap or self._slack
         if period and not busy:
@@ -195,7 +196,7 @@ class SyncJudge:
             self.synced_s = self._received_s = time_s
             if counter is not None:
                 self._counter, self._next_counter = counter, 1 if counter == self.overflow else counter + 1
-            self.until = time_s + self.periods * self._wait_s
+            self.until = time_s + self.periods * self._wait_s + self._spare_s
             self._answered = False
             self._usual, self._since = True, 1
             errors = clock.errors
@@ -277,7 +278,7 @@ class SyncJudge:
         self._count_from(sync.counter)
         self._proved, self.begun = sync.proved, True
         self._answered = self._usual = self.extra_came = False
-        self.until = sync.time_s + self.periods * self._wait_s
+        self.until = sync.time_s + self.periods * self._wait_s + self._spare_s
         if not (missed or doubt or lost) and confirmed is None:
             return ON_TIME
         return SyncVerdict(missed=missed, lost=lost, confirmed=confirmed, doubt=doubt)
@@ -395,7 +396,7 @@ class SyncJudge:
         self._close()
         if self._counter is not None and self.overflow > 1:
             self._count_from((self._counter - 1 + intervals) % self.overflow + 1)
-        self.until = self.synced_s + self.periods * self._wait_s
+        self.until = self.synced_s + self.periods * self._wait_s + self._spare_s
         self._look_ahead()
 
     def overdue(self, now: float) -> int:
