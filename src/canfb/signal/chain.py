@@ -14,6 +14,7 @@ from canfb.signal.doubt import HOLE_INTERVALS
 from canfb.signal.estimator import Estimator
 from canfb.signal.estimator_runs import follow_run, successor, take_run
 from canfb.signal.feedback import Feedback
+from canfb.signal.front_end import AHEAD_INTERVALS
 from canfb.signal.frozen import FrozenInput, repeats
 from canfb.signal.pauses import LARGEST_SLIP_CYCLES, Pauses
 from canfb.signal.phase import AnyArray, raw_phase
@@ -69,6 +70,7 @@ class SignalChain(Pauses):
         self.crowded = False
         """The last sample came, but so soon after the one before that nothing was made of it."""
         self._make_reference(limits)
+        self._sampling_s = config.interval_s
         self.set_limits(limits)
         self.activate(Correction(table, config.conditioning))
 
@@ -94,6 +96,7 @@ class SignalChain(Pauses):
         if old > 0.0 and interval_s > 0.0:
             self._waited *= old / interval_s
             self._estimator.rescale(old / interval_s)
+        self._follow_unit()
 
     @property
     def unit_s(self) -> float:
@@ -133,6 +136,7 @@ class SignalChain(Pauses):
             self._make_reference(limits)
         self._reference.coarse.limit_revolutions = limits.coarse_limit_revolutions
         self._reference.coarse.full_scale_counts = limits.sample.full_scale_counts
+        self._use_front_end(self._conditioning, limits.corner_hz)
 
     def _declare(self, declared: Declared) -> None:
         """Hold the next samples against this; the position stays.
@@ -144,6 +148,7 @@ class SignalChain(Pauses):
             self._estimator.declare(declared)
             return
         self._estimator = successor(self._estimator, declared)
+        self._estimator.phases_keep = not self._conditioning.cosine_delay_s
         self._tracker = self._estimator.tracker
         self._reference.follow(self._estimator)
 
@@ -169,7 +174,7 @@ class SignalChain(Pauses):
         check_table(correction.table)
         self._correction = correction
         self._use_table(correction.table)
-        self._coefficients = correction.conditioning.coefficients()
+        self._use_front_end(correction.conditioning, self._corner_hz)
         self._base_status = 0 if correction.table is None else TABLE_ACTIVE
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
@@ -187,6 +192,7 @@ class SignalChain(Pauses):
         self._times.reset()
         self._waits, self._turned = False, 0.0
         self._speed = float(speed_cycles)
+        self._turn(self._speed)
 
     def uncertain(self, intervals: float) -> Feedback | None:
         """Up to this many intervals of SYNC may have passed uncounted: lost, except at standstill.
@@ -236,6 +242,8 @@ class SignalChain(Pauses):
         if time_100ns is not None:
             speed = self._tracker.step_cycles * self._per_sync
             passed = self._times.elapsed(time_100ns, elapsed + self._waited, received_s, synced_s, speed)
+            if self._front is not None and self._front.unit_s != self.unit_s:
+                self._follow_unit()
             self.crowded = passed == CROWDED
             if passed <= 0.0:
                 if passed in (REPEATED, CROWDED) and self._last is not None:
@@ -475,6 +483,8 @@ class SignalChain(Pauses):
         else:  # the speed of a sample that was not valid may be wrong by whole cycles
             acceleration = speeds.acceleration(self._estimator.places)
         self._speed, self._was_valid = speed, bits & VALID
+        if self._front is not None:
+            self._turn(speed + AHEAD_INTERVALS * acceleration if bits & VALID else speed)
         status = bits | self._base_status
         if self._referenced and not bits & LOST:
             status |= REFERENCED
