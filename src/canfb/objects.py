@@ -100,9 +100,10 @@ ENCODER_CYCLES_PER_REVOLUTION: Final = Multiplexer(0x2001, 1)
 ENCODER_FULL_SCALE: Final = Multiplexer(0x2001, 2)
 ENCODER_LOWEST_AMPLITUDE: Final = Multiplexer(0x2001, 3)
 ENCODER_HIGHEST_AMPLITUDE: Final = Multiplexer(0x2001, 4)
+ENCODER_CORNER_FREQUENCY: Final = Multiplexer(0x2001, 5)
 
-CONDITIONING: Final = tuple(Multiplexer(0x2002, subindex) for subindex in range(1, 6))
-"""2002:01..05, in the order of the fields of :class:`canfb.Conditioning`."""
+CONDITIONING: Final = tuple(Multiplexer(0x2002, subindex) for subindex in range(1, 8))
+"""2002:01..07, in the order of the fields of :class:`canfb.Conditioning`."""
 
 SCALE_SPEED_MULTIPLIER: Final = Multiplexer(0x2003, 1)
 SCALE_SPEED_DIVISOR: Final = Multiplexer(0x2003, 2)

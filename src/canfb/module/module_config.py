@@ -91,6 +91,10 @@ class ModuleConfig(ChainConfig):
                 raise ValueError(
                     f"{name} belongs to a chain without a bus: {name.removesuffix('_cycles') + key}"
                 )
+        if self.interval_s:
+            raise ValueError(
+                "interval_s belongs to a chain without a bus: a module measures it, or reads 1006h"
+            )
         _check_largest("max_acceleration_rad_s2", self.max_acceleration_rad_s2, MOST_ACCELERATION_RAD_S2)
         _check_largest("max_jerk_rad_s3", self.max_jerk_rad_s3, MOST_JERK_RAD_S3)
         if not isinstance(self.predict, int) or not 0 <= self.predict <= 2:

@@ -46,7 +46,7 @@ class Publishing:
         parts: SampleInput,
         prediction_chosen: Callable[[], None],
     ) -> None:
-        self.latest = Latest()
+        self.latest = Latest(chain)
         self.on_feedback: Callable[[Feedback, float], None] | None = None
         self._dictionary, self._node = dictionary, node
         self.profile = EncoderProfile(dictionary, interval, self.latest)
@@ -58,9 +58,7 @@ class Publishing:
             lambda: limits.in_force.residual_limit,
         )
         limits.on_applied = self.warnings.limits_changed
-        self.prediction = Prediction(
-            dictionary, self.profile, prediction_chosen, lambda: chain.unit_s, interval
-        )
+        self.prediction = Prediction(dictionary, self.profile, prediction_chosen, chain, interval)
         self.loss = LastLoss(dictionary, limits, chain, lambda: node.now)
         self.objects = Publication(dictionary, interval, chain, parts, limits, self.latest, self.loss)
         self.alarm = PositionAlarm(node)

@@ -14,6 +14,7 @@ from canfb.signal.doubt import HOLE_INTERVALS
 from canfb.signal.estimator import Estimator
 from canfb.signal.estimator_runs import follow_run, successor, take_run
 from canfb.signal.feedback import Feedback
+from canfb.signal.front_end import AHEAD_INTERVALS
 from canfb.signal.frozen import FrozenInput, repeats
 from canfb.signal.pauses import Pauses
 from canfb.signal.phase import AnyArray, raw_phase
@@ -22,7 +23,6 @@ from canfb.signal.recovery.reference import Pulse, Reference, pulse_between
 from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import CROWDED, REPEATED, SUSPECT, SampleTimes
-from canfb.signal.still_phase import STANDSTILL_CYCLES
 from canfb.signal.subsamples import in_order
 from canfb.signal.supervision import (
     FROZEN,
@@ -62,13 +62,13 @@ class SignalChain(Pauses):
         """Of the last interval: what the samples before the newest gave, oldest first."""
         self._was_valid = 0  # the sample before
         self._times = SampleTimes()
-        self._waited = 0.0  # intervals without a sample since the last one with a sample time
         self.measures_intervals = True
         """Sample times say how long an interval was; False: they only tell new samples from doubled ones."""
         limits = config.chain_limits
         self.crowded = False
         """The last sample came, but so soon after the one before that nothing was made of it."""
         self._make_reference(limits)
+        self._sampling_s = config.interval_s
         self.set_limits(limits)
         self.activate(Correction(table, config.conditioning))
 
@@ -93,6 +93,7 @@ class SignalChain(Pauses):
         old, self._times.interval_s = self._times.unit_s, interval_s
         if old > 0.0 and interval_s > 0.0:
             self._rescale(old / interval_s)
+        self._follow_unit()
 
     def _rescale(self, factor: float) -> None:
         self._waited *= factor
@@ -136,6 +137,7 @@ class SignalChain(Pauses):
             self._make_reference(limits)
         self._reference.coarse.limit_revolutions = limits.coarse_limit_revolutions
         self._reference.coarse.full_scale_counts = limits.sample.full_scale_counts
+        self._use_front_end(self._conditioning, limits.corner_hz)
 
     def _declare(self, declared: Declared) -> None:
         """Hold the next samples against this; the position stays.
@@ -147,6 +149,7 @@ class SignalChain(Pauses):
             self._estimator.declare(declared)
             return
         self._estimator = successor(self._estimator, declared)
+        self._estimator.phases_keep = not self._conditioning.cosine_delay_s
         self._tracker = self._estimator.tracker
         self._reference.follow(self._estimator)
 
@@ -172,7 +175,7 @@ class SignalChain(Pauses):
         check_table(correction.table)
         self._correction = correction
         self._use_table(correction.table)
-        self._coefficients = correction.conditioning.coefficients()
+        self._use_front_end(correction.conditioning, self._corner_hz)
         self._base_status = 0 if correction.table is None else TABLE_ACTIVE
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
@@ -190,6 +193,7 @@ class SignalChain(Pauses):
         self._times.reset()
         self._waits, self._turned = False, 0.0
         self._speed = float(speed_cycles)
+        self._turn(self._speed)
 
     def lose(self) -> Feedback:
         """The position is lost from now on: no cycles were counted."""
@@ -226,6 +230,8 @@ class SignalChain(Pauses):
         passed = self._times.elapsed(time_100ns, elapsed + self._waited, received_s, synced_s, speed)
         if self._times.unit_s != unit_s > 0.0:
             self._rescale(unit_s / self._times.unit_s)
+        if self._front is not None and self._front.unit_s != self.unit_s:
+            self._follow_unit()
         self.crowded = passed == CROWDED
         if passed <= 0.0:
             if passed in (REPEATED, CROWDED) and self._last is not None:
@@ -461,16 +467,6 @@ class SignalChain(Pauses):
         bits = self._miss_second(bits)
         return self._feedback(math.nan, math.nan, 0.0, math.nan, track, bits | MISSED, 0)
 
-    def _restarted(self, sample: Sample) -> Feedback:
-        """The clock of the interface was restarted, or none of the SYNCs since the last sample was heard.
-
-        Its length is unknown: a machine that creeps may have gone on as long as the times say.
-        """
-        creeps = abs(speeds.steady_speed(self._estimator.places)) >= STANDSTILL_CYCLES
-        lost = self.uncertain(max(1.0, self._times.passed) if creeps else 1.0)
-        self._waited = 0.0
-        return self.step(sample._replace(time_100ns=None)) if lost is None else lost
-
     def _feedback(
         self, s: float, c: float, amplitude: float, raw: float, track: Track, bits: int, jump: int
     ) -> Feedback:
@@ -483,6 +479,8 @@ class SignalChain(Pauses):
         else:  # the speed of a sample that was not valid may be wrong by whole cycles
             acceleration = speeds.acceleration(self._estimator.places)
         self._speed, self._was_valid = speed, bits & VALID
+        if self._front is not None:
+            self._turn(speed + AHEAD_INTERVALS * acceleration if bits & VALID else speed)
         status = bits | self._base_status
         if self._referenced and not bits & LOST:
             status |= REFERENCED

@@ -130,10 +130,10 @@ class Publication:
         return raw if raw == raw else self._last_raw
 
     def _phase(self) -> int:
-        return int(self._last.phase * PHASE_UNITS)
+        return int(self._latest.place(self._last)[1] * PHASE_UNITS)
 
     def _cycle_count(self) -> int:
-        return self._last.cycles
+        return self._latest.place(self._last)[0]
 
     def _amplitude(self) -> int:
         amplitude = self._last.amplitude
