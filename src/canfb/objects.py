@@ -297,6 +297,20 @@ MEASUREMENT_DRIFT_PEAK: Final = Multiplexer(0x2030, 9)
 MEASUREMENT_SAMPLES: Final = Multiplexer(0x2030, 10)
 
 
+WRITE_LOCK_MODE: Final = Multiplexer(0x2040, 1)
+WRITE_LOCK_UNLOCK_CODE: Final = Multiplexer(0x2040, 2)
+WRITE_LOCK_NEW_UNLOCK_CODE: Final = Multiplexer(0x2040, 3)
+WRITE_LOCK_LOCKED: Final = Multiplexer(0x2040, 4)
+
+
+class WriteLockMode(IntEnum):
+    """What can be written to 2040:01."""
+
+    OFF = 0
+    PREOP = 1
+    CODE = 2
+
+
 class MeasurementCommand(IntEnum):
     """What can be written to 2030:01."""
 

@@ -91,6 +91,15 @@ def is_active(module: NodeAccess, wanted: Correction) -> bool:
     )
 
 
+def check_unlocked(module: NodeAccess) -> None:
+    """CommissioningError while the write lock (2040h) refuses every write: before a long measurement."""
+    if module.read_known(od.WRITE_LOCK_LOCKED):
+        raise CommissioningError(
+            f"{module.name} is locked (2040h): canfb sdo write {module.node_id:#04x} 2040:02 CODE unlocks "
+            "it; with write_lock: preop nothing is written in OPERATIONAL (docs/security.md)"
+        )
+
+
 def save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> str | None:
     """Keep table and parameters over a loss of power: the object used, None where nothing can be kept.
 

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from canfb.commissioning import own_calibration
 from canfb.commissioning.access import Master
+from canfb.commissioning.active import check_unlocked
 from canfb.commissioning.artefacts import keep_samples, write, write_refusal
 from canfb.commissioning.choices import MODULE, Choices
 from canfb.commissioning.circumstances import Circumstances
@@ -105,6 +106,8 @@ class CalibrationRun:
             interface_identity=session.interface_identity,
         )
         self._limits = session.limits
+        if not (choices.check or choices.dry_run):
+            check_unlocked(session.module)
         before = self._look(session, None)
         settings = choices.settings(session.limits)
         source = session.source(choices.samples_from, choices.recorder, choices.rate)

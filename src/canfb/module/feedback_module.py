@@ -29,6 +29,7 @@ from canfb.module.objects.recorder import Recorder
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.objects.second_input import SecondInput
 from canfb.module.objects.table_store import TableStore
+from canfb.module.objects.write_lock import WriteLock
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.module.sampling import Sampling
@@ -90,6 +91,7 @@ class FeedbackModule:
         self._make_commands()
         self._listen_to_node()
         self._choose_parameters()
+        self._lock = WriteLock(self.node)
         self._limits.apply()
         self._tables.reset()
 
@@ -360,6 +362,7 @@ class FeedbackModule:
 
     def _on_reset(self, communication_only: bool, now: float) -> None:
         self._operating_time.begin(now)
+        self._lock.reset()
         self._publishing.reset_alarms()
         self._sampling.forget_interval()
         if communication_only:

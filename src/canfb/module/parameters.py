@@ -14,7 +14,12 @@ from canfb.cia301.pdo_room import mapping_values
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.position import distinguishable_revolutions, single_turn_resolution
 from canfb.module.interval import SamplingInterval
-from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, MOST_JERK_RAD_S3, ModuleConfig
+from canfb.module.module_config import (
+    MOST_ACCELERATION_RAD_S2,
+    MOST_JERK_RAD_S3,
+    WRITE_LOCKS,
+    ModuleConfig,
+)
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import MOST_CORNER_HZ, ChainConfig
 from canfb.signal.residual_noise import ResidualNoise
@@ -59,6 +64,8 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         od.SUPERVISION_PERIODS: config.sync_timeout_periods,
         od.PREDICTION_POSITION: int(config.predict),
         od.PREDICTION_NOMINAL_SYNC: int(config.nominal_sync),
+        od.WRITE_LOCK_MODE: int(WRITE_LOCKS[config.write_lock]),
+        od.WRITE_LOCK_NEW_UNLOCK_CODE: config.unlock_code,
         od.UNITS_PER_REVOLUTION: resolution,
         od.TOTAL_RANGE: resolution * revolutions,
         od.SINGLE_TURN_RESOLUTION: resolution,
