@@ -77,14 +77,12 @@ def test_each_change_is_made_alone(tmp_path: Path) -> None:
 
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
-    """A project with a module of two changes, and tests that miss one of them: each change is a run of pytest."""
+    """A module of two changes, and tests that miss one of them: each change is a run of pytest."""
+    module = "def over(value: int) -> bool:\n    return value > len('abc')\n"
+    test = "from small import over\ndef test_it():\n    assert (over(2), over(4)) == (False, True)\n"
     (tmp_path / "src").mkdir()
-    (tmp_path / "src" / "small.py").write_text(
-        "def over(value: int) -> bool:\n    return value > len('abc')\n"
-    )
-    (tmp_path / "test_small.py").write_text(
-        "from small import over\ndef test_it():\n    assert (over(2), over(4)) == (False, True)\n"
-    )
+    (tmp_path / "src" / "small.py").write_text(module)
+    (tmp_path / "test_small.py").write_text(test)
     return tmp_path
 
 
