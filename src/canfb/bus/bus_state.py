@@ -64,7 +64,7 @@ class BusState:
         self._report = report
         self.gone = False
         self.troubled = False
-        """Whether `reading_worked` and `sending_worked` want to be called."""
+        """Whether `reading_worked` and `sending_worked` must be called."""
         self._told = True
         self._bus_off = False
         self._recovered = ""  # what is to be reported at the end of what was reported

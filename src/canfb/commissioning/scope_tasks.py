@@ -1,4 +1,4 @@
-"""What the page of ``canfb scope`` lets do to a module, in words for it: the tasks of the other commands."""
+"""The tasks of the page of ``canfb scope``: those of the other commands, with their texts."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ class Inhibited(Protocol):
 
 @runtime_checkable
 class BusWatching(Protocol):
-    """A device that wants to know when the bus goes and comes back, as FeedbackModule does."""
+    """A device that is notified when the bus fails and is back, as FeedbackModule."""
 
     def bus_off(self, now: float) -> list[Frame]:
         """The bus is gone."""

@@ -32,7 +32,7 @@ def _nobody_follows() -> None:
 class Routes:
     """The listeners of the present NMT state, by CAN-ID: `data` and `remote` for the two kinds of frames.
 
-    `sent` are those that want to know when a frame of the node itself has left: an inhibit time counts
+    `sent` are those that are notified when a frame of the node itself has left: an inhibit time counts
     from there. The three tables stay the same objects, whatever they hold. `changes` moves, and `on_change`
     is called, whenever they are filled again.
     """

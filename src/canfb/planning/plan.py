@@ -1,4 +1,4 @@
-"""A plan: the limits of a situation, each with its margin, and whether all of them hold."""
+"""A plan: the limits of its input, each with its margin, and whether all of them hold."""
 
 from __future__ import annotations
 

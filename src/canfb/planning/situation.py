@@ -1,4 +1,4 @@
-"""What is planned: a bus, its SYNC, its modules, and the motion of their encoders."""
+"""The input of a plan: a bus, its SYNC, its modules, and the motion of their encoders."""
 
 from __future__ import annotations
 
