@@ -10,12 +10,12 @@ from canfb.bus.known_modules import assumed_layout, known_layouts
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config
 from canfb.device.hosted import Device
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.snapshot import ModuleSnapshot
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import demo_encoder
-from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion, Ramp
 from canfb.simulation.scenario import SimulationConfig
 from canfb.simulation.shaft_encoder import ShaftEncoder

@@ -1,4 +1,4 @@
-"""The YAML of ``canfb run`` and ``canfb simulate``: its keys are the fields of the classes.
+"""The YAML of the commands: its keys are the fields of the classes.
 
 Every message names the file, the line and the key::
 
@@ -13,12 +13,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
 from canfb.checks import flag, integer_in
 from canfb.errors import ConfigError
+from canfb.interface.interface_config import InterfaceConfig
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig
 from canfb.module.second_position_config import SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
@@ -26,6 +27,12 @@ from canfb.simulation.cia402.drive_config import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
 from canfb.sources.registry import source_kinds
 from canfb.sources.source_config import SourceConfig
+
+MODULES, INTERFACES = ("modules",), ("interfaces",)
+ANY_NODES = MODULES + INTERFACES
+"""The lists of nodes; a command needs one of several."""
+_NODES = {"modules": "module", "interfaces": "encoder interface"}
+NodeConfig = ModuleConfig | InterfaceConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,20 +60,29 @@ class Config:
     """A configuration, validated.
 
     bus          python-can's own words (interface, channel, bitrate, ...), may be empty
-    modules      the drive feedback modules of this process
+    modules      the drive feedback modules, which one process serves
+    interfaces   the encoder interfaces with a source, which ``canfb interface`` serves
     realtime     real-time options
     simulation   what ``canfb simulate`` plays
     """
 
     bus: dict[str, Any] = field(default_factory=dict)
     modules: list[ModuleConfig] = field(default_factory=list)
+    interfaces: list[InterfaceConfig] = field(default_factory=list)
     realtime: RealtimeConfig = field(default_factory=RealtimeConfig)
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
+
+    @property
+    def nodes(self) -> list[tuple[str, int, NodeConfig]]:
+        """Modules and interfaces, each behind its key and its place in that list."""
+        lists: dict[str, Sequence[NodeConfig]] = {"modules": self.modules, "interfaces": self.interfaces}
+        return [(key, n, one) for key, those in lists.items() for n, one in enumerate(those)]
 
 
 # Which dataclass a key holds; a list holds several.
 _NESTED: dict[str, type] = {
     "modules": ModuleConfig,
+    "interfaces": InterfaceConfig,
     "realtime": RealtimeConfig,
     "conditioning": Conditioning,
     "second_position": SecondPositionConfig,
@@ -76,7 +92,7 @@ _NESTED: dict[str, type] = {
     "harmonics": HarmonicConfig,
     "drive": DriveConfig,
 }
-_LISTS = frozenset({"modules", "harmonics"})
+_LISTS = frozenset({"modules", "interfaces", "harmonics"})
 
 
 _LONGEST_MESSAGE = 300
@@ -91,8 +107,8 @@ _Loader.add_implicit_resolver(
 )
 
 
-def load_config(path: str | Path) -> Config:
-    """Read and validate the configuration at ``path``.
+def load_config(path: str | Path, needs: Sequence[str] = MODULES) -> Config:
+    """Read and validate the configuration at ``path``; one of the lists ``needs`` must not be empty.
 
     ConfigError, in one line with file, line and key, for a bad one.
     """
@@ -106,18 +122,19 @@ def load_config(path: str | Path) -> Config:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise _config_error(str(path), line, "this is not UTF-8 text") from None
-    return parse_config(text, str(path))
+    return parse_config(text, str(path), needs)
 
 
-def parse_config(text: str, name: str = "configuration") -> Config:
+def parse_config(text: str, name: str = "configuration", needs: Sequence[str] = MODULES) -> Config:
     """:func:`load_config` for a text; ``name`` stands in the messages for the file."""
     root = _compose(text, name)
     if root is None:
         raise _config_error(name, 1, "the configuration is empty; 'canfb config example' prints one")
     reader = _Reader(name)
     config: Config = reader.read(root, Config, "the configuration")
-    if not config.modules:
-        raise _config_error(name, 1, "'modules' is missing: a list with at least one module")
+    if not any(getattr(config, one) for one in needs):
+        lists, words = " or ".join(map(repr, needs)), " or ".join(_NODES[one] for one in needs)
+        raise _config_error(name, 1, f"{lists} is missing: a list with at least one {words}")
     reader.check_distinct_nodes(root, config)
     return config
 
@@ -323,27 +340,27 @@ class _Reader:
         return f"unknown key {key!r} in {where}; {hint}"
 
     def check_distinct_nodes(self, root: yaml.Node, config: Config) -> None:
-        """Two modules with one node id would answer each other's masters; a module sends no ADC counts."""
-        items = next(value for key, value in root.value if key.value == "modules").value
-        owner: dict[int, int] = {}
-        self._check_distinct_serial_numbers(items, config)
-        for n, module in enumerate(config.modules):
-            other = owner.setdefault(module.node_id, n)
-            if other != n and module.node_id != UNCONFIGURED:
-                raise self.fail(
-                    items[n], f"node_id {module.node_id} of modules[{n}] is also that of modules[{other}]"
-                )
-        self._check_distinct_folders(items, config)
-        for n, module in enumerate(config.modules):
-            node = module.encoder_interface
-            if module.source is None and node in owner:
-                raise self.fail(
-                    items[n],
-                    f"encoder_interface {node} of modules[{n}] is the node_id of modules[{owner[node]}]",
-                )
-        self._check_drive(root, config)
+        """Two devices with one node id would answer each other's masters; a module sends no ADC counts."""
+        devices = _devices(root, config)
+        owner: dict[int, str] = {}
+        self._check_distinct_serial_numbers(devices)
+        for one in devices:
+            node_id = one.config.node_id
+            other = owner.setdefault(node_id, one.title)
+            if other != one.title and node_id != UNCONFIGURED:
+                raise self.fail(one.node, f"node_id {node_id} of {one.title} is also that of {other}")
+        self._check_distinct_folders(devices)
+        modules = {one.config.node_id: one.title for one in devices if isinstance(one.config, ModuleConfig)}
+        for one in devices:
+            if isinstance(one.config, ModuleConfig) and one.config.source is None:
+                node = one.config.encoder_interface
+                if node in modules:
+                    raise self.fail(
+                        one.node, f"encoder_interface {node} of {one.title} is the node_id of {modules[node]}"
+                    )
+        self._check_drive(root, config, devices)
 
-    def _check_drive(self, root: yaml.Node, config: Config) -> None:
+    def _check_drive(self, root: yaml.Node, config: Config, devices: list[_Device]) -> None:
         """The simulated drive is a node of its own."""
         drive = config.simulation.drive
         if drive is None:
@@ -351,31 +368,47 @@ class _Reader:
         simulation = next(value for key, value in root.value if key.value == "simulation")
         place = next(value for key, value in simulation.value if key.value == "drive")
         place = next((key for key, _ in place.value if key.value == "node_id"), place)
-        for n, module in enumerate(config.modules):
-            for name in ("node_id", "encoder_interface"):
-                unused = name == "encoder_interface" and module.source is not None
-                if getattr(module, name) == drive.node_id and not unused:
-                    raise self.fail(place, f"drive: node_id {drive.node_id} is the {name} of modules[{n}]")
+        for one in devices:
+            names = ["node_id"]
+            if isinstance(one.config, ModuleConfig) and one.config.source is None:
+                names.append("encoder_interface")
+            for name in names:
+                if getattr(one.config, name) == drive.node_id:
+                    raise self.fail(place, f"drive: node_id {drive.node_id} is the {name} of {one.title}")
 
-    def _check_distinct_serial_numbers(self, items: Any, config: Config) -> None:
-        """LSS distinguishes modules without a node-ID by their serial numbers."""
-        owner: dict[int, int] = {}
-        for n, module in enumerate(config.modules):
-            other = owner.setdefault(module.serial_number, n)
-            if other != n and UNCONFIGURED in (module.node_id, config.modules[other].node_id):
-                number = module.serial_number
+    def _check_distinct_serial_numbers(self, devices: list[_Device]) -> None:
+        """LSS distinguishes devices without a node-ID by their serial numbers."""
+        owner: dict[tuple[type, int], _Device] = {}
+        for one in devices:
+            number = one.config.serial_number
+            other = owner.setdefault((type(one.config), number), one)
+            if other is not one and UNCONFIGURED in (one.config.node_id, other.config.node_id):
                 raise self.fail(
-                    items[n],
-                    f"serial_number {number} of modules[{n}] is also that of modules[{other}]: "
+                    one.node,
+                    f"serial_number {number} of {one.title} is also that of {other.title}: "
                     "LSS needs unique ones",
                 )
 
-    def _check_distinct_folders(self, items: Any, config: Config) -> None:
-        """Two modules with one state_dir would overwrite each other's parameters."""
-        owner: dict[Path, int] = {}
-        for n, module in enumerate(config.modules):
-            if module.state_dir is None:
+    def _check_distinct_folders(self, devices: list[_Device]) -> None:
+        """Two devices with one state_dir would overwrite each other's parameters."""
+        owner: dict[Path, str] = {}
+        for one in devices:
+            if one.config.state_dir is None:
                 continue
-            other = owner.setdefault(Path(module.state_dir).absolute(), n)
-            if other != n:
-                raise self.fail(items[n], f"state_dir of modules[{n}] is also that of modules[{other}]")
+            other = owner.setdefault(Path(one.config.state_dir).absolute(), one.title)
+            if other != one.title:
+                raise self.fail(one.node, f"state_dir of {one.title} is also that of {other}")
+
+
+class _Device(NamedTuple):
+    """A node of the configuration, with its place in the file."""
+
+    title: str
+    node: yaml.Node
+    config: NodeConfig
+
+
+def _devices(root: yaml.Node, config: Config) -> list[_Device]:
+    """All of them, modules first."""
+    lists = {key.value: value.value for key, value in root.value if key.value in _NODES}
+    return [_Device(f"{key}[{n}]", lists[key][n], one) for key, n, one in config.nodes]

@@ -30,7 +30,7 @@ def logged(caplog: pytest.LogCaptureFixture) -> pytest.LogCaptureFixture:
 def watched(verbose: bool = False) -> tuple[EventLog, canfb.FeedbackModule]:
     module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=32))
     log = EventLog(verbose, wall=lambda: WALL)
-    log.watch(module)
+    log.watch(module, module.events)
     log.begin()
     return log, module
 
@@ -54,7 +54,7 @@ def test_a_line_has_time_node_and_text_and_a_program_gets_the_values(
 def test_what_happens_before_the_bus_is_open_waits(logged: pytest.LogCaptureFixture) -> None:
     module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=32))
     log = EventLog(wall=lambda: WALL)
-    log.watch(module)
+    log.watch(module, module.events)
     module.start(5.0)
     assert logged.records == []
     log.begin()

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from canfb import objects as od
-from canfb.module import event_watch
+from canfb.module import event_watch, node_events
 from canfb.module.event import DETAILS, EventKind
 
 PAGE = (
@@ -15,7 +15,12 @@ PAGE = (
     .read_text(encoding="utf-8")
     .partition("\n## Events")[2]
 )
-WATCH = Path(event_watch.__file__).read_text(encoding="utf-8") + " ".join(od.FAULT_WORDS.values())
+WATCH = " ".join(
+    (
+        *(Path(str(one.__file__)).read_text(encoding="utf-8") for one in (event_watch, node_events)),
+        *od.FAULT_WORDS.values(),
+    )
+)
 
 
 def test_every_kind_has_its_row() -> None:

@@ -236,7 +236,7 @@ def test_a_program_error_in_one_ends_all_and_says_which(
     assert story.status == 1
     (line,) = err.splitlines()
     assert line.startswith("canfb: node 38 (26h): program error: ZeroDivisionError: division by zero (")
-    assert line.endswith("; all modules of the process end")
+    assert line.endswith("; all nodes of the process end")
     assert len(story.positions(38)) == 1
     assert len([text for text in out.splitlines() if " samples; missed " in text]) == len(NODES) + 1
 

@@ -11,10 +11,10 @@ from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
 from canfb.cli.simulate_options import chosen
 from canfb.configuration import Config, parse_config
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import VALID
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.set_up import source_of
 from canfb.simulation.sync_producer import SyncProducer
 

@@ -17,7 +17,7 @@ from canfb.commissioning.module_objects import ModuleObjects
 from canfb.configuration import load_config
 from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.od.concise import decode_concise
-from canfb.device.storage.storage import Store
+from canfb.device.storage.writing import Store
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
 from canfb.module.device_configuration import configuration_of

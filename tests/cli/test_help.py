@@ -30,6 +30,8 @@ COMMANDS = [
     "table clear",
     "backup",
     "why",
+    "diagnose",
+    "interface",
     "reset",
     "dump",
     "bus scan",

@@ -142,7 +142,9 @@ def test_the_first_session_holds_for_ten_seconds_with_real_processes(
     running = start(*module), start(*interface)
     files = tmp_path / "module.ready", tmp_path / "interface.ready"
     waited_for(lambda: all(file.exists() for file in files), *running)
-    assert start(*nmt[:3]).wait(LIMIT_S) == 0
+    while multicast_bus.recv(0.0) is not None:
+        pass  # SYNCs; a queue that is full of them would lose the first sample
+    starting = start(*nmt[:3])
     judge, last, count = new_judge(), 0, 0
     deadline = time.monotonic() + LIMIT_S
     while count < 1000 and time.monotonic() < deadline:
@@ -152,6 +154,7 @@ def test_the_first_session_holds_for_ten_seconds_with_real_processes(
         judge.take(message.arbitration_id, bytes(message.data), message.timestamp)
         if message.arbitration_id == POSITION:
             last, count = struct.unpack_from("<I", message.data)[0], count + 1
+    assert starting.wait(LIMIT_S) == 0
     said = (tmp_path / "run.txt").read_text()
     assert count == 1000, said
     check(judge, said)

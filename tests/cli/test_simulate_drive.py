@@ -19,10 +19,10 @@ from canfb.cli.simulate_options import chosen
 from canfb.configuration import Config, parse_config
 from canfb.device.hosted import Device
 from canfb.errors import ConfigError
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.cia402.drive_config import DriveConfig
 from canfb.simulation.cia402.state_machine import State
-from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.simulated_axis import SimulatedAxis, simulated_axis
 
 MODULES = "modules: [{node_id: 0x20, encoder_interface: 0x10}]\n"

@@ -15,15 +15,15 @@ from canfb.cia301.frame import Frame
 from canfb.commissioning.access import NodeAccess
 from canfb.commissioning.samples import TrackSamples
 from canfb.demo.embedded_network import EmbeddedNetwork
-from canfb.device.storage.storage import Store
+from canfb.device.storage.writing import Store
+from canfb.interface.encoder_interface import EncoderInterface
+from canfb.interface.sample_clock import SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, Harmonic
-from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion, Ripple
-from canfb.simulation.sample_clock import SampleClock
 from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_producer import SyncProducer
 from canfb.simulation.sync_timing import REGULAR, SyncTiming
@@ -116,6 +116,9 @@ class EmbeddedMaster:
 
     def send(self, can_id: int, data: bytes) -> None:
         self.bus.send(Frame(can_id, data))
+
+    def request(self, can_id: int) -> None:
+        self.bus.send(Frame(can_id, b"", True))
 
     def now(self) -> float:
         return self.bus.now

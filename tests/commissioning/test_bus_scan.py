@@ -14,15 +14,8 @@ from canfb.cli.main import main
 from canfb.commissioning.bus_scan import FoundNode, scan
 
 
-class RequestingMaster(EmbeddedMaster):
-    """With remote frames."""
-
-    def request(self, can_id: int) -> None:
-        self.bus.send(Frame(can_id, b"", True))
-
-
 def scanned(bench: Bench, seconds: float = 0.3) -> dict[int, FoundNode]:
-    return {one.node_id: one for one in scan(RequestingMaster(bench.bus), seconds)}
+    return {one.node_id: one for one in scan(EmbeddedMaster(bench.bus), seconds)}
 
 
 def frames(bench: Bench) -> list[Frame]:
@@ -82,8 +75,8 @@ def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
         def __init__(self, *_: Any) -> None:
             pass
 
-        def __enter__(self) -> RequestingMaster:
-            return RequestingMaster(bench.bus)
+        def __enter__(self) -> EmbeddedMaster:
+            return EmbeddedMaster(bench.bus)
 
         def __exit__(self, *_: object) -> None:
             pass

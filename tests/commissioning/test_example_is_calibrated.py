@@ -18,10 +18,10 @@ from canfb.commissioning.artefacts import prepare
 from canfb.commissioning.guard import Guard
 from canfb.configuration import parse_config
 from canfb.errors import CalibrationError
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import TABLE_ACTIVE, VALID
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.set_up import source_of
 from canfb.simulation.sync_producer import SyncProducer
 

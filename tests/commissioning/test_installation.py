@@ -12,7 +12,7 @@ from commissioning_kit import Bench
 
 from canfb.cia301.frame import Frame
 from canfb.commissioning.access import CommissioningError
-from canfb.commissioning.active import put_back, put_in_force, read_active, save
+from canfb.commissioning.active import put_in_force, put_in_force_again, read_active, save
 from canfb.commissioning.guard import Guard
 from canfb.commissioning.measurement import Measurement, Settings
 from canfb.commissioning.procedure import Installation, install
@@ -221,7 +221,7 @@ def test_a_module_that_is_gone_is_told_as_it_is(
     bench = prepared(old)
     fault = Fault(bench)
     fault.spoil = lambda count, frame: [] if count > 20 else None
-    with pytest.raises(CommissioningError, match="could not be restored") as error:
+    with pytest.raises(CommissioningError, match="could not be put back") as error:
         run_install(bench, measured, fresh, settings)
     assert "switch module 32 (20h) off and on" in str(error.value)
 
@@ -308,5 +308,5 @@ def test_a_save_that_fails_is_undone_in_the_store_as_well(
 def test_put_back_tells_when_it_is_not_what_it_was(old: Correction, measured: Measurement) -> None:
     bench = prepared(measured.found)
     lying(bench, 0x2020, 4, 100)
-    with pytest.raises(CommissioningError, match="could not be restored"):
-        put_back(bench.access, old)
+    with pytest.raises(CommissioningError, match="CRC of the active table is 04030201h"):
+        put_in_force_again(bench.access, old)

@@ -17,7 +17,7 @@ GROUPS = {
     "Other": 10,
     "State": 4,
     "Trans": 4,
-    "Beyond": 20,
+    "Beyond": 24,
 }
 CASES = [f"{group.lower()}_{number:02}" for group, count in GROUPS.items() for number in range(1, count + 1)]
 

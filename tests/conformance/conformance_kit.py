@@ -13,10 +13,10 @@ from conformance_eds import Eds
 
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
-from canfb.simulation.encoder_interface import EncoderInterface
 
 MODULE, INTERFACE = "module", "interface"
 DEVICES = (MODULE, INTERFACE)

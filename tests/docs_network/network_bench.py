@@ -7,13 +7,13 @@ from typing import Any
 
 from canfb.cia301.frame import Frame
 from canfb.demo.embedded_network import EmbeddedNetwork
-from canfb.device.storage.storage import Store
+from canfb.device.storage.writing import Store
 from canfb.eds_files import eds_path
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder_interface import EncoderInterface
 
 INTERFACE_ID, MODULE_ID = 0x11, 0x21
 EDS_FOLDER = eds_path("canfb-module").parent

@@ -14,10 +14,10 @@ from canfb.bus.simulating import fed_module
 from canfb.cia301.frame import Frame
 from canfb.configuration import load_config
 from canfb.demo.embedded_network import EmbeddedNetwork
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.background_traffic import BackgroundTraffic
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.simulated_axis import simulated_axis
 from canfb.simulation.sync_timing import REGULAR, SyncDeviation, SyncTiming
 

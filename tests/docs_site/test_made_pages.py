@@ -13,6 +13,7 @@ import pytest
 
 import canfb
 from canfb.cli.parser import build_parser
+from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.registry import source_kinds
 from tools.site.api_page import as_rst, escaped
 from tools.site.commands_page import commands_of
@@ -89,7 +90,7 @@ def ends_of(key: Key) -> tuple[float, float] | None:
     return (float(found[1]), float(found[2])) if found and key.is_number else None
 
 
-REQUIRED = {"node_id": 5, "order": 3, "device": "x", "file": "x"}
+REQUIRED = {"node_id": 5, "order": 3, "device": "x", "file": "x", "source": MotionSourceConfig()}
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)

@@ -12,11 +12,11 @@ from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.od.entry import Entry
 from canfb.eds_files import eds_path
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.motor import Motor, MotorConfig
 from canfb.simulation.cia402.plant import Plant
-from canfb.simulation.encoder_interface import EncoderInterface
 from tools.eds.model import Eds, read
 
 MODULE, INTERFACE, DRIVE = "canfb-module.eds", "encoder-interface.eds", "drive.eds"

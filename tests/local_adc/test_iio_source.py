@@ -107,6 +107,14 @@ def test_time_stamps_wrap_like_2000h(iiod: Iiod, opened: Opened) -> None:
     assert source.next() == sample(-2048, -2048, 7)
 
 
+def test_a_scan_that_is_not_later_than_the_one_before_is_invalid(iiod: Iiod, opened: Opened) -> None:
+    server = iiod()
+    source = opened(server)
+    for time_ns, invalid in ((5_000, False), (5_000, True), (4_000, True), (4_100, False)):
+        deliver(server, source, reading(2048, 2048, time_ns))
+        assert source.next() == sample(0, 0, time_ns // 100)._replace(invalid=invalid)
+
+
 def test_stated_bits_are_those_of_the_converter(iiod: Iiod, opened: Opened) -> None:
     server = iiod(adc("be:s24/32>>8"))
     assert opened(server, adc_bits=16).adc_bits == 16

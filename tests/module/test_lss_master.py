@@ -9,11 +9,11 @@ import pytest
 from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder_interface import EncoderInterface
 
 MODULE = (0, 1, 1)  # vendor-ID, product code, revision number
 INTERFACE = (0, 2, 1)

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from canfb.cia301.frame import Frame
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.sources.recording_source import RecordingLayout, RecordingSource
 
 FOLDER = Path(os.environ.get("CANFB_RECORDINGS", Path(__file__).parents[3] / "shared" / "data"))

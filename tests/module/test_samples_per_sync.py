@@ -10,13 +10,13 @@ import pytest
 
 from canfb import objects as od
 from canfb.cia301.frame import Frame
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
 from canfb.simulation.encoder import Encoder
-from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.sources.motion_source import MotionSource
 from folding import each

@@ -16,14 +16,14 @@ from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage.image import Identity, ParameterGroup, Record, decode_image, encode_image
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.module.second_position_config import SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import CorrectionTable
+from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder_interface import EncoderInterface
 
 MANUFACTURER = ParameterGroup.MANUFACTURER
 IDENTITY = Identity(0, 1, 1)
@@ -103,6 +103,24 @@ def test_a_table_that_was_only_staged_is_not_kept(store: MemoryStore) -> None:
     machine.sdo[0x2020][3].raw = 0
     machine.save()
     assert Machine(store).module.chain.correction.table is None
+
+
+def test_a_save_between_upload_and_activation_keeps_what_is_in_force(store: MemoryStore) -> None:
+    machine = Machine(store)
+    machine.sdo[0x2002][1].raw = 12.5
+    machine.activate(TABLE)
+    in_force = machine.module.chain.correction
+    machine.sdo[0x2002][1].raw, machine.sdo[0x2002][4].raw = -3.0, 1.25
+    machine.sdo.download(0x2020, 1, CorrectionTable.identity(16).to_bytes())
+    machine.save()
+    assert machine.sdo[0x2002][4].raw == 1.25, "2002h still shows what waits"
+    assert machine.module.chain.correction == in_force
+    assert Machine(store).module.chain.correction == in_force
+    machine.sdo[0x2020][3].raw = machine.sdo[0x2020][2].raw
+    machine.save()
+    assert Machine(store).module.chain.correction == Correction(
+        CorrectionTable.identity(16), Conditioning(sine_offset_counts=-3.0, cosine_gain=1.25)
+    )
 
 
 def test_without_a_save_a_reset_takes_the_table_away(store: MemoryStore) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from canfb.bus.saved_configuration import saved_configuration
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.device_configuration import DeviceConfiguration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
@@ -26,7 +27,6 @@ from canfb.signal.sample import Sample
 from canfb.signal.speed_set import MOST_WAITING
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder
-from canfb.simulation.encoder_interface import EncoderInterface
 
 NODE, INTERFACE = 0x20, 0x10
 RATE_HZ = 1000.0

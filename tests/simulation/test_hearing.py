@@ -12,15 +12,16 @@ from canfb.bus.simulating import fed_module
 from canfb.cia301.frame import Frame
 from canfb.configuration import parse_config
 from canfb.errors import ConfigError
+from canfb.interface.encoder_interface import EncoderInterface
+from canfb.interface.hearing import TRUE_TIME
+from canfb.interface.sample_clock import SampleClock
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder
-from canfb.simulation.encoder_interface import EncoderInterface
-from canfb.simulation.hearing import TRUE_TIME, SlowMotion
 from canfb.simulation.motion import Motion, Ramp
-from canfb.simulation.sample_clock import SampleClock
 from canfb.simulation.set_up import sync_rate
 from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.simulated_axis import simulated_axis
+from canfb.simulation.slow_motion import SlowMotion
 from canfb.sources.motion_source import MotionSource
 
 NODE, TPDO1 = 16, 0x190

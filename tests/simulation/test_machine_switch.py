@@ -11,9 +11,9 @@ import pytest
 from canfb.bus.simulating import fed_module
 from canfb.cia301.frame import Frame
 from canfb.configuration import load_config
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.objects import MachineCommand
 from canfb.signal.sample import Sample
-from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.machine_switch import StoppableMotion
 from canfb.simulation.motion import Motion, Ramp
 from canfb.simulation.set_up import Play, set_up

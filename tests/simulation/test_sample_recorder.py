@@ -14,9 +14,9 @@ from canfb.cli.simulate_options import chosen
 from canfb.cli.simulate_record import check_record, write_record
 from canfb.configuration import parse_config
 from canfb.errors import CanfbError, ConfigError
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.sample_recorder import SampleRecorder
 from canfb.simulation.set_up import source_of
 from canfb.sources.protocol import SourceEnded

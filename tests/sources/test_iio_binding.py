@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from canfb.errors import BusError
-from canfb.sources.iio_capture import ChannelScaling, IioCapture
-from canfb.sources.iio_source import IioSourceConfig
+from canfb.sources.iio_device import ChannelScaling
+from canfb.sources.iio_source import IioCapture, IioSourceConfig
 
 CONFIG = IioSourceConfig(device="ads7950")
 

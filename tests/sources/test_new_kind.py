@@ -120,7 +120,9 @@ def test_an_unknown_kind_is_told_of_it() -> None:
 def test_a_module_runs_on_it() -> None:
     config = parse_config(configuration("      steps: [0, 0.125, 0.25, 0.375, 0.375]\n"))
     with contextlib.ExitStack() as resources:
-        module_config, source = open_source(config.modules[0], config.simulation, resources)
+        (module_config,) = config.modules
+        assert module_config.source is not None
+        module_config, source = open_source(module_config, module_config.source, config.simulation, resources)
         assert module_config.adc_bits == 14, "those of its converter"
         module = FeedbackModule(module_config, source=source)
         told: list[str] = []
@@ -131,10 +133,10 @@ def test_a_module_runs_on_it() -> None:
             module.receive(Frame(0x80, b""), n * 1e-3)
             if module.feedback is not None and module.feedback.status & VALID:
                 positions.append(module.feedback.cycles + module.feedback.phase)
-        assert not source.closed  # type: ignore[union-attr]
+        assert not source.closed  # type: ignore[attr-defined]
     assert positions == pytest.approx([0.0, 0.125, 0.375, 0.75, 1.125], abs=2e-3)
     assert told == ["the source has ended: no more samples"]
-    assert source.closed  # type: ignore[union-attr]
+    assert source.closed  # type: ignore[attr-defined]
 
 
 def test_the_machine_is_asked_by_the_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,14 +20,15 @@ from canfb.signal.supervision import VALID
 from canfb.sources.protocol import Source, SourceEnded
 
 
-def opened(source: str, more: str = "") -> Source | None:
+def opened(source: str, more: str = "") -> Source:
     config = parse_config(f"modules: [{{node_id: 32, source: {source}}}]\n{more}")
+    (module,) = config.modules
+    assert module.source is not None
     with contextlib.ExitStack() as resources:
-        return open_source(config.modules[0], config.simulation, resources)[1]
+        return open_source(module, module.source, config.simulation, resources)[1]
 
 
-def played(source: Source | None) -> list[Sample | None]:
-    assert source is not None
+def played(source: Source) -> list[Sample | None]:
     samples: list[Sample | None] = []
     with contextlib.suppress(SourceEnded):
         while len(samples) < 100:
@@ -36,7 +37,8 @@ def played(source: Source | None) -> list[Sample | None]:
 
 
 def test_without_one_the_samples_come_from_the_pdo() -> None:
-    assert opened("null") is None
+    (module,) = parse_config("modules: [{node_id: 32, source: null}]").modules
+    assert module.source is None
 
 
 def test_the_motion_is_that_of_the_simulation() -> None:

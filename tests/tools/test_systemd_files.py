@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "tools" / "systemd"
 PAGE = (ROOT / "docs" / "service.md").read_text(encoding="utf-8").partition("\n## Events")[0]
 UNIT = (FOLDER / "canfb@.service").read_text(encoding="utf-8")
+INTERFACE = (FOLDER / "canfb-interface@.service").read_text(encoding="utf-8")
 ANALYZE = shutil.which("systemd-analyze")
 needs_systemd = pytest.mark.skipif(ANALYZE is None, reason="no systemd-analyze")
 # systemd's own scale, 0 (best) to 100.
@@ -34,16 +35,17 @@ def analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def units(folder: Path, *drop_ins: str) -> Path:
+def units(folder: Path, *drop_ins: str, name: str = "canfb", text: str = UNIT) -> Path:
     """The unit with a program that is there, as one file with its drop-ins."""
-    path = folder / "canfb@.service"
-    path.write_text(UNIT.replace("/opt/canfb/bin/canfb", sys.executable) + "\n" + "\n".join(drop_ins))
-    return folder / "canfb@left.service"
+    path = folder / f"{name}@.service"
+    path.write_text(text.replace("/opt/canfb/bin/canfb", sys.executable) + "\n" + "\n".join(drop_ins))
+    return folder / f"{name}@left.service"
 
 
 @needs_systemd
-def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
-    done = analyze("verify", str(units(tmp_path)))
+@pytest.mark.parametrize(("name", "text"), [("canfb", UNIT), ("canfb-interface", INTERFACE)])
+def test_systemd_accepts_the_unit(name: str, text: str, tmp_path: Path) -> None:
+    done = analyze("verify", str(units(tmp_path, name=name, text=text)))
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -61,12 +63,30 @@ def test_systemd_accepts_the_drop_ins_of_the_page(tmp_path: Path) -> None:
 
 
 @needs_systemd
-def test_the_service_is_hardened(tmp_path: Path) -> None:
-    units(tmp_path)
+@pytest.mark.parametrize(("name", "text"), [("canfb", UNIT), ("canfb-interface", INTERFACE)])
+def test_the_service_is_hardened(name: str, text: str, tmp_path: Path) -> None:
+    units(tmp_path, name=name, text=text)
     done = analyze(
-        "security", "--offline=yes", f"--threshold={MOST_EXPOSED}", str(tmp_path / "canfb@.service")
+        "security", "--offline=yes", f"--threshold={MOST_EXPOSED}", str(tmp_path / f"{name}@.service")
     )
     assert done.returncode == 0, done.stdout
+
+
+def test_the_unit_of_the_interface_differs_in_its_command_and_its_devices() -> None:
+    both = [set(re.findall(r"^\w+=.*$", text, re.MULTILINE)) for text in (UNIT, INTERFACE)]
+    assert sorted(both[1] - both[0]) == [
+        "Description=CANopen encoder interfaces of /etc/canfb/%i.yaml",
+        "DeviceAllow=char-iio rw",
+        "DevicePolicy=closed",
+        "ExecStart=/opt/canfb/bin/canfb interface /etc/canfb/%i.yaml",
+        "SupplementaryGroups=iio",
+    ]
+    assert sorted(one.partition("=")[0] for one in both[0] - both[1]) == [
+        "Description",
+        "ExecStart",
+        "PrivateDevices",
+        "ProtectKernelTunables",
+    ]
 
 
 @pytest.mark.skipif(shutil.which("udevadm") is None, reason="no udevadm")

@@ -25,10 +25,10 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo import pdo
 from canfb.device.pdo.mapping import Direction, resolve_all
 from canfb.device.storage.storage import MemoryStore
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
-from canfb.simulation.encoder_interface import EncoderInterface
 from tools.fuzz.client import Follower
 from tools.fuzz.inputs import LSS, NODE_ID, SERVER, Reader, Step, steps
 from tools.fuzz.watch import SdoWatcher, demand

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from canfb.configuration import Config, RealtimeConfig
+from canfb.interface.interface_config import InterfaceConfig
 from canfb.module.module_config import ModuleConfig
 from canfb.module.second_position_config import SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
@@ -25,6 +26,11 @@ SECTIONS: tuple[tuple[str, type, str], ...] = (
         SecondPositionConfig,
         "another sensor of the machine (2014h); see [the second position](../docs/second-position.md)",
     ),
+    (
+        "interfaces",
+        InterfaceConfig,
+        "a list, for `canfb interface`; see [a Linux computer as the interface](../docs/linux-interface.md)",
+    ),
     ("realtime", RealtimeConfig, "see [real time](../docs/realtime.md)"),
     ("simulation", SimulationConfig, "what `canfb simulate` plays; see [simulation](../docs/simulation.md)"),
     ("simulation: encoder", EncoderScenario, "the errors of the simulated encoder"),
@@ -34,9 +40,9 @@ SECTIONS: tuple[tuple[str, type, str], ...] = (
 )
 INTRODUCTION = """# Configuration keys
 
-The YAML of `canfb run`, `canfb simulate` and the commands that take `--config`. Every key is a field of a
-class of canfb; this page is made from those classes. `canfb config example` prints a file to start from,
-`canfb config check` names file, line and key of a mistake. A key without default is required.
+The YAML of `canfb run`, `canfb interface`, `canfb simulate` and the commands with `--config`. Every key is a
+field of a class of canfb; this page is made from those classes. `canfb config example` prints a file to start
+from, `canfb config check` names file, line and key of a mistake. A key without default is required.
 """
 BUS = """
 ## bus
@@ -65,6 +71,7 @@ SUFFIXES = {
     "samples_per_sync": "samples",
     "noise_margin": "standard deviations",
     "scans": "scans",
+    "scans_per_sync": "scans",
     "periods": "SYNC periods",
     "bits": "bits",
     "lsb": "LSB",

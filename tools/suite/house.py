@@ -40,15 +40,16 @@ ROOMS = {
     "scope": Room(240, 200, 3, "a page for commissioning"),
     "replay": Room(460, 230, 3, "recorded frames through a module"),
     "report": Room(720, 220, 3, "pictures and pages"),
-    "simulation": Room(20, 240, 4, "a machine, its encoder, a drive"),
+    "simulation": Room(20, 220, 4, "a machine, its encoder, a drive"),
     "module": Room(300, 210, 4, "samples in, position PDO out", "join"),
     "monitoring": Room(530, 160, 4, "what the bus says"),
-    "sources": Room(320, 200, 5, "samples from elsewhere"),
+    "interface": Room(20, 240, 5, "the encoder interface as a node"),
+    "sources": Room(320, 200, 6, "samples from elsewhere"),
     "view": Room(540, 160, 5, "what a module is"),
     "calibration": Room(720, 220, 5, "a recording in, a table out", "mathematics"),
-    "device": Room(20, 300, 6, "the CiA 301 slave: frames and times in", "canopen"),
-    "timing": Room(345, 150, 6, "what times prove", "mathematics"),
-    "signal": Room(520, 420, 6, "mathematics of a sample: counts in, position out", "mathematics"),
+    "device": Room(20, 300, 7, "the CiA 301 slave: frames and times in", "canopen"),
+    "timing": Room(345, 150, 7, "what times prove", "mathematics"),
+    "signal": Room(520, 420, 7, "mathematics of a sample: counts in, position out", "mathematics"),
 }
 GROUND = ("cia301", "objects", "checks", "errors", "eds_files")
 ARROWS = [
@@ -72,8 +73,9 @@ ARROWS = [
     ("commissioning", "view"),
     ("configuration", "simulation"),
     ("configuration", "module"),
-    ("simulation", "sources"),
-    ("simulation", "device"),
+    ("simulation", "interface"),
+    ("interface", "sources"),
+    ("interface", "device"),
     ("module", "sources"),
     ("module", "calibration"),
     ("module", "device"),
@@ -103,7 +105,7 @@ STYLE = """
 
 
 def drawing() -> str:
-    ground = TOP + 7 * FLOOR_HEIGHT
+    ground = TOP + 8 * FLOOR_HEIGHT
     height = ground + ROOM_HEIGHT + TOP
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}">',

@@ -1,4 +1,4 @@
-"""A converter as the source of a module: a thread waits for its scans, a SYNC takes the newest."""
+"""A converter as a source: a thread waits for its scans, a SYNC takes the newest, or those of a grid."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from typing import Self
 from canfb.bus.realtime import RealtimeThread
 from canfb.errors import reason
 from canfb.signal.sample import Sample
+from canfb.sources.even_scans import NewestScan
 from canfb.sources.protocol import SourceError
-from canfb.sources.surroundings import Capture
+from canfb.sources.surroundings import Capture, Picked
 
 REOPEN_S = 1.0
 CLOSE_S = 5.0
 
 
 class CapturedSource:
-    """Gives the newest scan of a converter (:class:`canfb.sources.protocol.Source`).
+    """Gives the scans of a converter that ``picked`` chooses for a SYNC; without it the newest.
 
     ``opened`` opens it (:class:`canfb.sources.surroundings.Capture`), at once: what it raises goes through.
     One that fails later is opened again every ``reopen_s``, by the thread called ``name``. With a capture
@@ -26,7 +27,13 @@ class CapturedSource:
     """
 
     def __init__(
-        self, opened: Callable[[], Capture], name: str, wait_s: float, reopen_s: float = REOPEN_S
+        self,
+        opened: Callable[[], Capture],
+        name: str,
+        wait_s: float,
+        picked: Picked | None = None,
+        *,
+        reopen_s: float = REOPEN_S,
     ) -> None:
         self._opened = opened
         self._wait_s = wait_s
@@ -34,12 +41,14 @@ class CapturedSource:
         self._changed = threading.Condition()
         # All of these under the condition.
         self._capture: Capture | None = opened()
-        self._scan: Sample | None = None
+        self._picked = NewestScan() if picked is None else picked
         self._trouble = ""
         self.scans = 0
         """Scans that have come, those included that no SYNC took."""
         self.adc_bits = self._capture.adc_bits
         """Bits of a count."""
+        self.samples_per_sync = self._picked.per_sync
+        """Pairs of sine and cosine in a sample."""
         self._stopping = threading.Event()
         self._thread = RealtimeThread(target=self._run, name=name, daemon=True)
         self._thread.start()
@@ -61,20 +70,21 @@ class CapturedSource:
         self._thread.join(CLOSE_S)
 
     def next(self) -> Sample | None:
-        """The newest scan that no SYNC has taken, or that of this SYNC; None where there is none.
+        """The scans of this SYNC; None where there are none.
 
-        SourceError while the device does not work.
+        SourceError while the device does not work, or its scans do not fit.
         """
         with self._changed:
             capture = self._capture
             if capture is not None and capture.is_fired:
-                self._scan = None  # of an earlier SYNC, and late
+                self._picked.forget()  # what is of an earlier SYNC, and late
+                before = self.scans
                 self._fire(capture)
-                self._changed.wait_for(lambda: self._scan or self._trouble, self._wait_s)
-            scan, self._scan = self._scan, None
-            if scan is None and self._trouble:
+                self._changed.wait_for(lambda: self.scans != before or self._trouble, self._wait_s)
+            sample = self._picked.take()
+            if sample is None and self._trouble:
                 raise SourceError(self._trouble)
-            return scan
+            return sample
 
     @staticmethod
     def _fire(capture: Capture) -> None:
@@ -105,7 +115,7 @@ class CapturedSource:
             return
         if scan is not None:
             with self._changed:
-                self._scan = scan
+                self._picked.came(scan)
                 self.scans += 1
                 self._changed.notify()
 
@@ -120,5 +130,6 @@ class CapturedSource:
             return
         with self._changed:
             self._capture, self._trouble = capture, ""
+            self._picked.forget()
             if self._stopping.is_set():
                 capture.cancel()

@@ -1,4 +1,4 @@
-"""The events of modules as lines of a log: each with its time, and not more than a person can read."""
+"""The events of nodes as lines of a log: each with its time, and not more than a person can read."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from collections.abc import Callable, Mapping
 from datetime import datetime
 from typing import Any, NamedTuple
 
-from canfb.bus.module_lines import title_of
+from canfb.bus.module_lines import Served, title_of
 from canfb.bus.throttle import Held, Throttle
 from canfb.bus.wall_clock import local_time
 from canfb.module.event import DETAILS, Event
-from canfb.module.feedback_module import FeedbackModule
+from canfb.module.node_events import NodeEvents
 
 log = logging.getLogger(__name__)
 
-Told = tuple[FeedbackModule, Event]
+Told = tuple[Served, Event]
 
 
 class _Noted(NamedTuple):
@@ -29,11 +29,11 @@ class _Noted(NamedTuple):
 
 
 class EventLog:
-    """Writes what happens in modules to the logger, as information; with ``verbose`` single faults, too.
+    """Writes what happens in nodes to the logger, as information; with ``verbose`` single faults, too.
 
     An event is noted when it happens and written by the next :meth:`tick`: the position PDO of a bad sample
     must not wait for a line of text. A record has the attribute `event`, a dict of plain values for programs.
-    What a module repeats within a second is counted, and reported by :meth:`tick`. What happens before
+    What a node repeats within a second is counted, and reported by :meth:`tick`. What happens before
     :meth:`begin` waits for it. ``wall`` is the time of day, for tests.
     """
 
@@ -44,18 +44,18 @@ class EventLog:
         self._noted: deque[_Noted] = deque()
         self._begun = False
 
-    def watch(self, module: FeedbackModule) -> None:
-        """Write its events from now on."""
-        module.events.detailed = self._verbose
-        module.events.on_event = lambda event: self._take(module, event)
+    def watch(self, device: Served, events: NodeEvents) -> None:
+        """Write the events of this device from now on."""
+        events.detailed = self._verbose
+        events.on_event = lambda event: self._take(device, event)
 
     def begin(self) -> None:
-        """The modules are on the bus: write what has happened."""
+        """The nodes are on the bus: write what has happened."""
         self._begun = True
         self._write_noted()
 
     def tick(self, now: float) -> None:
-        """Write what has happened, and what was held back, when it is time to; ``now`` is that of modules."""
+        """Write what has happened, and what was held back, when it is due; ``now`` is that of the nodes."""
         self._note_held(self._throttle.ended(now))
         if self._begun:
             self._write_noted()
@@ -65,12 +65,12 @@ class EventLog:
         self._note_held(self._throttle.close(now))
         self.begin()
 
-    def _take(self, module: FeedbackModule, event: Event) -> None:
+    def _take(self, device: Served, event: Event) -> None:
         if event.kind in DETAILS and not self._verbose:
             return
         self._note_held(self._throttle.ended(event.time_s))
-        if self._throttle.admits((id(module), event.kind), (module, event), event.time_s):
-            self._note((module, event), event.text, {})
+        if self._throttle.admits((id(device), event.kind), (device, event), event.time_s):
+            self._note((device, event), event.text, {})
 
     def _note_held(self, ended: list[Held[Told]]) -> None:
         for held in ended:
@@ -79,8 +79,8 @@ class EventLog:
             self._note(held.last, text, more)
 
     def _note(self, told: Told, text: str, more: Mapping[str, Any]) -> None:
-        module, event = told  # whose node-ID may be another one soon
-        noted = _Noted(self._wall(), module.node.node_id, title_of(module), event, text, more)
+        device, event = told  # whose node-ID may be another one soon
+        noted = _Noted(self._wall(), device.node.node_id, title_of(device), event, text, more)
         self._noted.append(noted)
 
     def _write_noted(self) -> None:

@@ -6,97 +6,53 @@ import contextlib
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
+from canfb.bus.background_store import ThreadedStore
 from canfb.bus.captured_source import CapturedSource
-from canfb.bus.event_log import EventLog
-from canfb.bus.module_lines import name_of, speeds_of, summary_of, title_of, what_is_saved
-from canfb.bus.on_bus import OnBus
+from canfb.bus.module_lines import Served, name_of, speeds_of, summary_of, title_of, what_is_saved
 from canfb.bus.opening import describe
-from canfb.bus.runner import DeviceFailure
+from canfb.bus.serving import ServedDevice, Serving
 from canfb.bus.state_files import StateFiles
 from canfb.configuration import Config
-from canfb.device.hosted import Device
 from canfb.device.storage.image import ParameterGroup
-from canfb.errors import CanfbError, ConfigError
+from canfb.errors import ConfigError
+from canfb.interface.interface_config import InterfaceConfig
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from canfb.module.node_events import NodeEvents
 from canfb.simulation.scenario import SimulationConfig
 from canfb.sources.protocol import Converter, Source
-from canfb.sources.surroundings import Capture, Surroundings
+from canfb.sources.source_config import SourceConfig
+from canfb.sources.surroundings import Capture, Picked, Surroundings
 
 log = logging.getLogger(__name__)
 
 
-class Hosting(OnBus):
-    """The modules of a configuration on a bus. Use it as a context manager around :meth:`run`.
-
-    ``words`` are python-can's own for the bus (interface, channel, ...), those of the configuration if not
-    given. What there is to say goes to the loggers ``canfb.*``: information on what runs and what happens
-    (:class:`.EventLog`, which ``verbose`` makes say more), warnings on what fails and on what works again.
-    ConfigError for a bus on which a device would hear itself; CanfbError, on
-    entering, for a bus, a state_dir or a source that cannot be used.
-    """
+class Hosting(Serving):
+    """The modules of a configuration on a bus; ``words`` are those of the configuration if not given."""
 
     def __init__(
         self, config: Config, words: Mapping[str, Any] | None = None, *, verbose: bool = False
     ) -> None:
-        super().__init__(config.bus if words is None else words, config.realtime)
-        self.config = config
+        super().__init__(config, words, verbose=verbose)
         self.modules: list[FeedbackModule] = []
-        self._events = EventLog(verbose)
-        self._alive: Callable[[float], None] = lambda now: None
-        self._looked_s = 0.0
 
-    def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
+    def _make_nodes(self, resources: contextlib.ExitStack) -> list[tuple[ServedDevice, NodeEvents]]:
         config = self.config
         self.modules = [
             make_module(module, resources, self.words, config.simulation) for module in config.modules
         ]
-        for made in self.modules:
-            self._events.watch(made)
-        return list(self.modules)
+        return [(module, module.events) for module in self.modules]
 
-    def _meanwhile(self, now: float) -> None:
-        self._looked_s = now
-        self._events.tick(now)
-        self._alive(now)
-        super()._meanwhile(now)
-
-    def run(
-        self,
-        ready: Callable[[], None] = lambda: None,
-        alive: Callable[[float], None] = lambda now: None,
-    ) -> None:
-        """Serve the modules until :meth:`stop`. ``ready`` is called when they are on the bus.
-
-        ``alive`` is called again and again with the time, seconds (monotonic), as long as they are served.
-
-        A program error in one of them ends it for all, with CanfbError.
-        """
-        if self._runner is None:
-            raise RuntimeError("use Hosting as a context manager: with Hosting(config) as hosting")
-        self._alive = alive
+    def _at_start(self) -> list[str]:
         named = [(module, name_of(module)) for module in self.modules]
         nodes = ", ".join(name for _, name in named)
         saved = [line for module, name in named for line in what_is_saved(module, name)]
-        speeds = speeds_of(named)
+        return [f"running node {nodes} on {describe(self.words)}; end with Ctrl-C", *saved, *speeds_of(named)]
 
-        def on_the_bus() -> None:
-            for line in (f"running node {nodes} on {describe(self.words)}; end with Ctrl-C", *saved, *speeds):
-                log.info(line)
-            self._events.begin()
-            ready()
-
-        try:
-            self._runner.run(ready=on_the_bus)
-        except DeviceFailure as failure:
-            (failed,) = (module for module in self.modules if module is failure.device)
-            raise CanfbError(f"{title_of(failed)}: {failure}; all modules of the process end") from failure
-        finally:
-            self._events.close(max(self._looked_s, *(module.node.now for module in self.modules)))
-            for module in self.modules:
-                log.info(summary_of(module))
+    def _at_end(self) -> list[str]:
+        return [summary_of(module) for module in self.modules]
 
 
 def make_module(
@@ -105,48 +61,67 @@ def make_module(
     bus_words: Mapping[str, Any],
     simulation: SimulationConfig | None = None,
 ) -> FeedbackModule:
-    """The module with its state_dir and its source, if it has them, held until `resources` are closed.
+    """The module with its state_dir and its source, if it has them, held until `resources` are closed."""
+    store = open_store(config.state_dir, resources)
+    source = None
+    if config.source is not None:
+        config, source = open_source(config, config.source, simulation or SimulationConfig(), resources)
+    module = FeedbackModule(config, store, source=source, bit_rates_kbit_s=bit_rates_of(bus_words))
+    warn_about(module, config.state_dir)
+    module.on_warning = module.on_source
+    return module
 
-    The bit rate of the bus belongs to the system: LSS may choose the one that it has, and no other.
-    """
-    store = None
-    if config.state_dir is not None:
-        store = resources.enter_context(StateFiles(config.state_dir))
+
+def open_store(state_dir: str | None, resources: contextlib.ExitStack) -> ThreadedStore | None:
+    """The state_dir, held until `resources` are closed; None without one."""
+    if state_dir is None:
+        return None
+    return resources.enter_context(ThreadedStore(resources.enter_context(StateFiles(state_dir))))
+
+
+def bit_rates_of(bus_words: Mapping[str, Any]) -> list[int]:
+    """In kbit/s: the bit rate of the bus belongs to the system, and LSS may choose the one that it has."""
     bit_rate = bus_words.get("bitrate")
-    bit_rates = [bit_rate // 1000] if isinstance(bit_rate, int) else []
-    config, source = open_source(config, simulation or SimulationConfig(), resources)
-    module = FeedbackModule(config, store, source=source, bit_rates_kbit_s=bit_rates)
+    return [bit_rate // 1000] if isinstance(bit_rate, int) else []
+
+
+class _Warning(Served, Protocol):
+    on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None
+    on_source: Callable[[str], None] | None
+
+
+def warn_about(device: _Warning, state_dir: str | None) -> None:
+    """Log stored parameters that were refused, another node with its node-ID, and a source that fails."""
 
     def tell(faults: Mapping[ParameterGroup, str]) -> None:
         for group, why in faults.items():
             name = group.name.lower()
             log.warning(
-                f"node {module.node.node_id}: stored {name} parameters in {config.state_dir} refused: {why}; "
+                f"node {device.node.node_id}: stored {name} parameters in {state_dir} refused: {why}; "
                 "the defaults are used"
             )
 
     def tell_duplicate(can_id: int, now: float) -> None:
-        log.warning(f"{title_of(module)}: another node on the bus uses this node-ID ({can_id:03X}h)")
+        log.warning(f"{title_of(device)}: another node on the bus uses this node-ID ({can_id:03X}h)")
 
-    module.on_parameter_faults = tell
-    module.node.on_duplicate = tell_duplicate
-    module.on_source = module.on_warning = lambda text: log.warning(f"node {module.node.node_id}: {text}")
-    return module
+    device.on_parameter_faults = tell
+    device.node.on_duplicate = tell_duplicate
+    device.on_source = lambda text: log.warning(f"node {device.node.node_id}: {text}")
+
+
+Sampling = TypeVar("Sampling", ModuleConfig, InterfaceConfig)
 
 
 def open_source(
-    config: ModuleConfig, simulation: SimulationConfig, resources: contextlib.ExitStack
-) -> tuple[ModuleConfig, Source | None]:
-    """The source, or None for the ADC PDO, and the configuration with the bits of its converter.
+    config: Sampling, settings: SourceConfig, simulation: SimulationConfig, resources: contextlib.ExitStack
+) -> tuple[Sampling, Source]:
+    """The source with these ``settings``, and the configuration with the bits of its converter.
 
     What is open is closed with ``resources``. CanfbError, in one line, for a source that cannot be used.
     """
-    settings = config.source
-    if settings is None:
-        return config, None
 
-    def captured(opened: Callable[[], Capture], name: str, wait_s: float) -> Source:
-        return resources.enter_context(CapturedSource(opened, name, wait_s))
+    def captured(opened: Callable[[], Capture], name: str, wait_s: float, picked: Picked | None) -> Source:
+        return resources.enter_context(CapturedSource(opened, name, wait_s, picked))
 
     around = Surroundings(config.adc_bits, config.cycles_per_revolution, simulation, captured, resources)
     source = settings.open(around)

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from canfb.bus.bus_words import check_words
 from canfb.bus.opening import check_device_bus
-from canfb.configuration import Config, line_of
+from canfb.configuration import Config, NodeConfig, line_of
 from canfb.errors import ConfigError
-from canfb.module.module_config import ModuleConfig
 
 
 def check_machine(path: Path, config: Config) -> None:
@@ -18,22 +17,22 @@ def check_machine(path: Path, config: Config) -> None:
         keys: tuple[str | int, ...] = ("bus",)
         check_words(config.bus)
         check_device_bus(config.bus)
-        for n, module in enumerate(config.modules):
-            keys = ("modules", n, "state_dir")
-            _check_state_dir(module)
-            keys = ("modules", n, "source")
-            if module.source is not None:
-                module.source.check_machine()
+        for key, n, node in config.nodes:
+            keys = (key, n, "state_dir")
+            _check_state_dir(node)
+            keys = (key, n, "source")
+            if node.source is not None:
+                node.source.check_machine()
         keys = ("realtime", "cpu")
         _check_cpu(config.realtime.cpu)
     except ConfigError as error:
         raise ConfigError(f"{path}:{line_of(path, *keys, said=str(error))}: {error}") from None
 
 
-def _check_state_dir(module: ModuleConfig) -> None:
-    if module.state_dir is None:
+def _check_state_dir(node: NodeConfig) -> None:
+    if node.state_dir is None:
         return
-    folder = Path(module.state_dir)
+    folder = Path(node.state_dir)
     there = next((part for part in (folder, *folder.absolute().parents) if part.exists()), Path("/"))
     if not there.is_dir():
         raise ConfigError(f"state_dir {folder} cannot be used: {there} is not a folder")

@@ -1,12 +1,14 @@
-"""What ``canfb run`` says of a module: its name, what was saved, its counters at the end."""
+"""What a program says of the nodes that it serves: their names, what was saved, counters at the end."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Protocol
 
 from canfb import objects as od
 from canfb.cia301.datatypes import encode
 from canfb.device.lss.lss import UNCONFIGURED
+from canfb.device.node import Node
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.parameters import configured_defaults
 
@@ -20,22 +22,47 @@ COUNTERS = {
 """What the closing line counts."""
 
 
-def name_of(module: FeedbackModule) -> str:
+class Served(Protocol):
+    """A device of ours around a node."""
+
+    @property
+    def node(self) -> Node:
+        """Its node."""
+
+
+def name_of(device: Served) -> str:
     """The node-ID that it has, or is going to have; before its start."""
-    module.node.storage.power_on()  # a node-ID stored by LSS takes precedence over the configuration
-    module.node.lss.power_on()
-    node_id = module.node.lss.pending_node_id
+    node = device.node
+    node.storage.power_on()  # a node-ID stored by LSS takes precedence over the configuration
+    node.lss.power_on()
+    node_id = node.lss.pending_node_id
     if node_id == UNCONFIGURED:
-        return f"without a node-ID yet (LSS, serial number {module.config.serial_number})"
+        return f"without a node-ID yet (LSS, serial number {_serial_number(node)})"
     return f"{node_id} ({node_id:02X}h)"
 
 
-def title_of(module: FeedbackModule) -> str:
+def title_of(device: Served) -> str:
     """The node, by the node-ID that it has now."""
-    node_id = module.node.node_id
+    node_id = device.node.node_id
     if node_id == UNCONFIGURED:
-        return f"node without a node-ID (serial number {module.config.serial_number})"
+        return f"node without a node-ID (serial number {_serial_number(device.node)})"
     return f"node {node_id} ({node_id:02X}h)"
+
+
+def short_title_of(device: Served) -> str:
+    """The same, for a line with figures."""
+    node_id = device.node.node_id
+    return title_of(device) if node_id == UNCONFIGURED else f"node {node_id}"
+
+
+def duplicates_of(device: Served) -> str:
+    """Frames of another node with the same node-ID, "" for none."""
+    duplicates = device.node.counters.duplicate_frames
+    return f"; {duplicates} frames of another node with this node-ID" if duplicates else ""
+
+
+def _serial_number(node: Node) -> int:
+    return int(node.dictionary.entry(*od.IDENTITY_SERIAL_NUMBER).value)
 
 
 def what_is_saved(module: FeedbackModule, name: str) -> list[str]:
@@ -65,8 +92,4 @@ def summary_of(module: FeedbackModule) -> str:
     """Samples and counters of the module, at the end."""
     counts = ", ".join(f"{name} {module.dictionary.entry(*place).value}" for name, place in COUNTERS.items())
     samples = module.dictionary.entry(*od.FEEDBACK_SAMPLES).value
-    node_id = module.node.node_id
-    node = title_of(module) if node_id == UNCONFIGURED else f"node {node_id}"
-    duplicates = module.node.counters.duplicate_frames
-    others = f"; {duplicates} frames of another node with this node-ID" if duplicates else ""
-    return f"{node}: {samples} samples; {counts}{others}"
+    return f"{short_title_of(module)}: {samples} samples; {counts}{duplicates_of(module)}"

@@ -109,7 +109,7 @@ class NetworkOnBus:
             play = Play(rate_hz=self._rate_hz, autostart=module.autostart)
             simulated = set_up(self.config.simulation, fed_module(module), play, lambda text: None)
             if self._events is not None:
-                self._events.watch(self.module)
+                self._events.watch(self.module, self.module.events)
             self._network.taps.append(self._send)
             for device in (*simulated.devices, self.module):
                 self._network.attach(device)

@@ -11,7 +11,7 @@ from canfb.cli.options import Commands, add_bus_options, add_command, bus_option
 from canfb.cli.watch_options import positive
 from canfb.cli.yaml_argument import yaml_file
 from canfb.commissioning.bus_scan import scan
-from canfb.configuration import load_config
+from canfb.configuration import ANY_NODES, load_config
 
 LISTEN_S = 1.2  # the heartbeat of most nodes comes once a second or more often
 
@@ -35,7 +35,7 @@ def register(commands: Commands) -> None:
 def bus_scan(options: argparse.Namespace) -> int:
     """Ask all node-IDs, and say who is there."""
     chosen = options.config or options.configuration
-    words = bus_options(options, load_config(chosen).bus if chosen else {})
+    words = bus_options(options, load_config(chosen, ANY_NODES).bus if chosen else {})
     with BusMaster(open_bus(words), 0.3) as master:
         found = scan(master, options.seconds)
     nobody = "no node answers, and no heartbeat is heard: are the bus, its bit rate and its power right?"

@@ -30,6 +30,11 @@ COMMANDS = (
         "what bit rate, SYNC rate, speed and acceleration allow, before there is a machine",
     ),
     CommandEntry("run", "run", "run the feedback modules of a configuration on a bus"),
+    CommandEntry(
+        "interface",
+        "interface_command",
+        "run the encoder interface of a configuration, with an ADC, on a bus",
+    ),
     CommandEntry("monitor", "monitor", "watch modules live, on a bus or in a log"),
     CommandEntry("dump", "dump_command", "show frames, PDOs of modules and interfaces decoded"),
     CommandEntry("scope", "scope", "watch and commission modules on a local web page"),
@@ -39,6 +44,11 @@ COMMANDS = (
         "simulate the encoder interface, with a motion, a recording or a drive, on a bus",
     ),
     CommandEntry("why", "why_command", "why the position of a module is not valid, and what brings it back"),
+    CommandEntry(
+        "diagnose",
+        "diagnose_command",
+        "write one file for whoever is to help: versions, settings, objects, log",
+    ),
     CommandEntry("reset", "reset_command", "reset and start a module, at standstill only"),
     CommandEntry("bus", "bus_command", "who is on a bus"),
     CommandEntry("nmt", "nmt_command", "start, stop or reset nodes"),

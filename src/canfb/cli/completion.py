@@ -55,13 +55,14 @@ def nodes(action: argparse.Action, parsed_args: argparse.Namespace, **_: object)
     name = getattr(parsed_args, "config", None)
     if name is None:
         return found
-    from canfb.configuration import load_config
+    from canfb.configuration import ANY_NODES, load_config
 
     try:
-        modules = load_config(name).modules
+        config = load_config(name, ANY_NODES)
     except CanfbError:
         return found
-    ids = {node for one in modules for node in (one.node_id, one.encoder_interface) if 1 <= node <= 127}
+    known = [node for one in config.modules for node in (one.node_id, one.encoder_interface)]
+    ids = {node for node in (*known, *(one.node_id for one in config.interfaces)) if 1 <= node <= 127}
     return [*found, *(f"0x{node:02X}" for node in sorted(ids))]
 
 

@@ -9,7 +9,7 @@ from canfb.bus.machine_check import check_machine
 from canfb.cli import config_dcf
 from canfb.cli.examples import examples_of
 from canfb.cli.options import Commands, add_command
-from canfb.configuration import load_config
+from canfb.configuration import ANY_NODES, load_config
 
 EXAMPLE = """\
 # canfb run CONFIG.yaml, canfb simulate CONFIG.yaml
@@ -69,10 +69,13 @@ def register(commands: Commands) -> None:
 
 def check(options: argparse.Namespace) -> int:
     """Say what is in the configuration, or what is wrong with it, on this machine."""
-    config = load_config(options.config)
+    config = load_config(options.config, ANY_NODES)
     check_machine(Path(options.config), config)
-    nodes = ", ".join(f"{module.node_id:02X}h" for module in config.modules)
-    print(f"{options.config}: valid; modules: {nodes}")
+    nodes: dict[str, list[str]] = {}
+    for key, _, one in config.nodes:
+        nodes.setdefault(key, []).append(f"{one.node_id:02X}h")
+    lists = [f"; {key}: {', '.join(ids)}" for key, ids in nodes.items()]
+    print(f"{options.config}: valid{''.join(lists)}")
     return 0
 
 

@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-_EXAMPLES = {
+from canfb.cli.offline_examples import OFFLINE
+
+_EXAMPLES = OFFLINE | {
     "canfb": """
   canfb demo                                   a complete demonstration, without a bus
   canfb try                                    a module to look at and to talk to, without hardware
   canfb config example > feedback.yaml         a configuration to start from
   canfb run feedback.yaml                      run its module on its bus
   canfb simulate feedback.yaml --rate 100      simulate encoder interface and machine, produce SYNC""",
-    "canfb demo": """
-  canfb demo
-  canfb demo --json
-  canfb demo --out pictures""",
     "canfb try": """
   canfb try
   canfb try --rate 500 --no-scope
   canfb try --json --ready-file try.ready""",
-    "canfb plan": """
-  canfb plan feedback.yaml
-  canfb plan feedback.yaml --rate 2000 --rpm 3000 --acceleration 500 --times
-  canfb plan -b 500000 --rate 1000 --jitter 20 --rpm 1500 --acceleration 120 --modules 4 --json""",
     "canfb run": """
   canfb run feedback.yaml
   canfb run feedback.yaml -i socketcan -c can0
   canfb run feedback.yaml -i udp_multicast -c 239.74.163.2""",
+    "canfb interface": """
+  canfb interface interface.yaml
+  canfb interface interface.yaml -i socketcan -c can0 --ready-file interface.ready""",
     "canfb monitor": """
   canfb monitor -i socketcan -c can0
   canfb monitor 0x20 0x21 -i socketcan -c can0 -b 500000 --sdo
@@ -41,6 +38,9 @@ _EXAMPLES = {
     "canfb why": """
   canfb why 0x20 -i socketcan -c can0
   canfb why 0x20 --config feedback.yaml --json""",
+    "canfb diagnose": """
+  canfb diagnose feedback.yaml
+  canfb diagnose 0x10 0x20 -i socketcan -c can0 --out machine.json""",
     "canfb reset": """
   canfb reset 0x20 -i socketcan -c can0
   canfb reset 0x20 --config feedback.yaml --force""",
@@ -89,26 +89,6 @@ _EXAMPLES = {
     "canfb restore": """
   canfb restore left-drive.yaml --dry-run --config feedback.yaml
   canfb restore left-drive.yaml --preop --save --config feedback.yaml""",
-    "canfb record": """
-  canfb record bus.log -i socketcan -c can0
-  canfb record bus.blf --config feedback.yaml --seconds 60
-  canfb record week.log --config feedback.yaml --max-size 100M""",
-    "canfb replay": """
-  canfb replay bus.log --config feedback.yaml --report replay.html
-  canfb replay bus.blf --config feedback.yaml --table new.yaml --set coast_samples=5
-  canfb replay bus.log --module 0x20 --encoder-interface 0x10 --out samples.parquet
-  canfb replay month --config feedback.yaml --out month.parquet --workers 4""",
-    "canfb config": """
-  canfb config example > feedback.yaml
-  canfb config check feedback.yaml
-  canfb config dcf feedback.yaml""",
-    "canfb config check": """
-  canfb config check feedback.yaml""",
-    "canfb config example": """
-  canfb config example > feedback.yaml""",
-    "canfb config dcf": """
-  canfb config dcf feedback.yaml --module 0x20 --out left.dcf --concise left.bin
-  canfb config dcf --node 0x20 -i socketcan -c can0""",
 }
 
 

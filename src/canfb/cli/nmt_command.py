@@ -9,7 +9,7 @@ from canfb.bus.opening import open_bus
 from canfb.cia301.nmt import NmtCommand
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options
 from canfb.cli.yaml_argument import node_or_yaml, take_yaml
-from canfb.configuration import load_config
+from canfb.configuration import ANY_NODES, load_config
 from canfb.errors import ConfigError
 
 WORDS = {
@@ -63,7 +63,7 @@ def nmt(options: argparse.Namespace) -> int:
     take_yaml(options)
     if not options.nodes:
         raise ConfigError("a node-ID, several, or all is required beside CONFIG.yaml")
-    configured = load_config(options.config).bus if options.config else {}
+    configured = load_config(options.config, ANY_NODES).bus if options.config else {}
     nodes = [EVERYBODY] if EVERYBODY in options.nodes else list(dict.fromkeys(options.nodes))
     with BusMaster(open_bus(bus_options(options, configured))) as master:
         for node in nodes:

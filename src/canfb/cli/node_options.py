@@ -16,7 +16,7 @@ from canfb.cli.printing import report
 from canfb.cli.yaml_argument import yaml_file
 from canfb.commissioning.access import Master
 from canfb.commissioning.guard import Guard
-from canfb.configuration import load_config
+from canfb.configuration import ANY_NODES, load_config
 from canfb.errors import ConfigError
 
 
@@ -44,7 +44,7 @@ def master_of(options: argparse.Namespace) -> Iterator[Master]:
     if not 0.01 <= options.answer_within <= 60.0:
         raise ConfigError(f"--answer-within {options.answer_within:g}: must be 0.01 to 60")
     chosen = options.config or options.configuration
-    configured = load_config(chosen).bus if chosen else {}
+    configured = load_config(chosen, ANY_NODES).bus if chosen else {}
     words = bus_options(options, configured)
     with BusMaster(open_bus(words), options.answer_within) as master:
         yield master

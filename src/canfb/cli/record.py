@@ -13,7 +13,7 @@ from canfb.bus.readiness import Readiness
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.options import Commands, add_bus_options, add_command, add_ready_file, bus_options
 from canfb.cli.printing import say
-from canfb.configuration import load_config
+from canfb.configuration import ANY_NODES, load_config
 
 UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}
 
@@ -60,7 +60,7 @@ def _size(text: str) -> int:
 
 def record(options: argparse.Namespace) -> int:
     """Record until Ctrl-C, SIGTERM, SIGHUP or --seconds."""
-    configured = load_config(options.config).bus if options.config else {}
+    configured = load_config(options.config, ANY_NODES).bus if options.config else {}
     words = bus_options(options, configured)
     bus_log = BusLog(options.file, options.max_size, options.force)
     with (

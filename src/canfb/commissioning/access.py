@@ -53,6 +53,9 @@ class Master(Protocol):
     def send(self, can_id: int, data: bytes) -> None:
         """Send a data frame."""
 
+    def request(self, can_id: int) -> None:
+        """Send a remote frame."""
+
     def now(self) -> float:
         """Seconds, monotonic."""
 

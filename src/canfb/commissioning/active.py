@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 from canfb import objects as od
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
-from canfb.errors import CanfbError
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 
@@ -73,17 +72,11 @@ def activate(module: NodeAccess, crc32: int) -> None:
     _check_crc(module, od.TABLE_ACTIVE_CRC, "active", crc32)
 
 
-def put_back(module: NodeAccess, before: Correction) -> None:
-    """Activate the old set again. CommissioningError, which says what to do, if that fails."""
-    try:
-        put_in_force(module, before)
-        if read_active(module) != before:
-            raise CommissioningError(f"{module.name}: the previous table and conditioning are not active")
-    except CanfbError as error:
-        raise CommissioningError(
-            f"the previous table and conditioning could not be restored ({error}): switch "
-            f"{module.name} off and on, or write 0 to 2020:03"
-        ) from error
+def put_in_force_again(module: NodeAccess, before: Correction) -> None:
+    """Activate the old set, and prove it. CommissioningError if that fails."""
+    put_in_force(module, before)
+    if read_active(module) != before:
+        raise CommissioningError(f"{module.name}: the previous table and conditioning are not active")
 
 
 def is_active(module: NodeAccess, wanted: Correction) -> bool:

@@ -7,17 +7,16 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from canfb import objects as od
-from canfb.cia301.nmt import NmtCommand
+from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.commissioning.access import CommissioningError, NodeAccess
 from canfb.commissioning.active import save, saving_object
 from canfb.commissioning.backup_file import Backup, NodeIdentity
 from canfb.commissioning.guard import Guard
+from canfb.commissioning.node_state import nmt_state
 from canfb.commissioning.object_description import Place, place_text
 from canfb.commissioning.session import IDENTITY
-from canfb.commissioning.undoing import all_or_nothing
-from canfb.errors import CanfbError
+from canfb.commissioning.undoing import all_or_nothing, put_back
 
-LOOK_S = 0.3  # a SYNC slower than that is not seen
 STORES = (od.STORE_ALL_PARAMETERS,)
 LEFT_ALONE = (od.TABLE_STAGED,)  # compared by the CRC of the active table
 NMT = 0x000
@@ -136,8 +135,7 @@ class Restoring:
         module = self._module
         if preop:
             module.master.send(NMT, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, module.node_id)))
-            module.master.wait(LOOK_S)
-        if not self._processes_samples():
+        if nmt_state(module) is not NmtState.OPERATIONAL:
             return
         if preop:
             raise CommissioningError(f"{module.name} does not go to PRE-OPERATIONAL; nothing was written")
@@ -145,12 +143,6 @@ class Restoring:
             f"{module.name} is in OPERATIONAL: a restore switches its PDOs off meanwhile, and may move its "
             f"position. Stop the machine, and give --preop (or canfb nmt preop {module.node_id:#04x})"
         )
-
-    def _processes_samples(self) -> bool:
-        """Only in OPERATIONAL (no object of CiA 301 shows the NMT state)."""
-        before = self._module.integer(*od.FEEDBACK_SAMPLES, "I")
-        self._module.master.wait(LOOK_S)
-        return self._module.integer(*od.FEEDBACK_SAMPLES, "I") != before
 
     def _write_and_prove(
         self, before: Configured, wanted: Configured, differs: bool, keep: bool
@@ -161,7 +153,7 @@ class Restoring:
             self._put_back(before, differs, saving)
             return f"the parameters and the table from before are in {self._module.name} again"
 
-        with all_or_nothing(self._guard, undo):
+        with all_or_nothing(self._module, self._guard, undo):
             if differs:
                 self._write(wanted)
                 left = differences(self._read(), wanted)
@@ -171,23 +163,18 @@ class Restoring:
             return save(self._module, STORES) if keep else None
 
     def _put_back(self, before: Configured, differs: bool, saving: bool) -> None:
-        """Twice, as it may be the bus that fails. CommissioningError, which says how things stand."""
-        for is_last in (False, True):
-            try:
-                if differs:
-                    self._write(before)
-                    left = differences(self._read(), before)
-                    if left:
-                        raise CommissioningError(f"{self._module.name}: not as before: {shown(left)}")
-                if saving:
-                    save(self._module, STORES)
-                return
-            except CanfbError as error:
-                if is_last:
-                    raise CommissioningError(
-                        f"what was before could not be put back ({error}): switch {self._module.name} off "
-                        "and on, which brings back what is saved in it"
-                    ) from error
+        """CommissioningError, which says how things stand, if that fails."""
+
+        def act() -> None:
+            if differs:
+                self._write(before)
+                left = differences(self._read(), before)
+                if left:
+                    raise CommissioningError(f"{self._module.name}: not as before: {shown(left)}")
+            if saving:
+                save(self._module, STORES)
+
+        put_back(self._module, "what was before", act, saving=saving)
 
     def _write(self, configured: Configured) -> None:
         for one in configured.writes():

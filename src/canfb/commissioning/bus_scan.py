@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.nmt import NmtState
 from canfb.commissioning.access import CommissioningError, Master, NodeAccess
+from canfb.commissioning.node_state import state_in
 
 NODES = range(1, 128)
 EVERY = 16  # requests at once: adapters have short queues
@@ -24,13 +25,6 @@ GUARD_TIME = (0x100C, 0)
 DEVICE_NAME = (0x1008, 0)
 STATE_S = 0.05  # for the answer to a remote frame
 REQUEST = struct.pack("<BHB4x", 0x40, *od.DEVICE_TYPE)
-
-
-class ScanMaster(Master, Protocol):
-    """A master that may send remote frames as well."""
-
-    def request(self, can_id: int) -> None:
-        """Send a remote frame."""
 
 
 @dataclass(frozen=True)
@@ -78,18 +72,17 @@ class FoundNode:
         return f"{head}  {', '.join(parts)}"
 
 
-def scan(master: ScanMaster, listen_s: float) -> list[FoundNode]:
+def scan(master: Master, listen_s: float) -> list[FoundNode]:
     """Who is there; listens ``listen_s`` seconds for answers and heartbeats. CanfbError if the bus fails."""
     answers: set[int] = set()
-    states: dict[int, int] = {}
+    states: dict[int, NmtState | None] = {}
 
     def answered(can_id: int, data: bytes, at: float) -> None:
         answers.add(can_id - cob.SDO_RESPONSE)
 
     def told(can_id: int, data: bytes, at: float) -> None:
         if len(data) == 1:
-            # A boot-up is followed by PRE-OPERATIONAL.
-            states[can_id - cob.ERROR_CONTROL] = data[0] & 0x7F or int(NmtState.PRE_OPERATIONAL)
+            states[can_id - cob.ERROR_CONTROL] = state_in(data)
 
     for node in NODES:
         master.subscribe(cob.SDO_RESPONSE + node, answered)
@@ -117,7 +110,7 @@ def scan(master: ScanMaster, listen_s: float) -> list[FoundNode]:
             master.unsubscribe(cob.ERROR_CONTROL + node, told)
 
 
-def _described(node: NodeAccess, state: int | None) -> FoundNode:
+def _described(node: NodeAccess, state: NmtState | None) -> FoundNode:
     vendor, product, revision, serial = (
         _number(node, *place, "I")
         for place in (
@@ -136,9 +129,8 @@ def _described(node: NodeAccess, state: int | None) -> FoundNode:
     return FoundNode(node.node_id, _state(state), device_type, vendor, product, revision, serial, words)
 
 
-def _state(state: int | None) -> str | None:
-    found = next((one for one in NmtState if one == state), None)
-    return None if found is None else found.name.replace("_", "-")
+def _state(state: NmtState | None) -> str | None:
+    return None if state is None else state.name.replace("_", "-")
 
 
 def _number(node: NodeAccess, index: int, subindex: int, layout: str) -> int | None:

@@ -9,7 +9,7 @@ from canfb.commissioning.access import CommissioningError, NodeAccess
 from canfb.commissioning.active import save, saving_object
 from canfb.commissioning.guard import Guard
 from canfb.commissioning.supervision_limits import write_limits
-from canfb.commissioning.undoing import all_or_nothing
+from canfb.commissioning.undoing import all_or_nothing, put_back
 from canfb.errors import CanfbError
 from canfb.objects import Multiplexer, StatusBit
 
@@ -42,11 +42,16 @@ def set_limits(
     """
     saving = False
 
+    def back() -> None:
+        write_limits(module, before)
+        if saving:
+            save(module)
+
     def undo() -> str:
-        _put_back(module, before, saving)
+        put_back(module, "the limits from before", back, saving=saving)
         return f"the limits from before are in force in {module.name}{_position(module)}"
 
-    with all_or_nothing(guard, undo):
+    with all_or_nothing(module, guard, undo):
         step("writing the limits")
         write_limits(module, wanted)
         step("watching the machine with the new limits")
@@ -56,22 +61,6 @@ def set_limits(
         step("saving")
         saving = True
         return save(module)
-
-
-def _put_back(module: NodeAccess, before: Values, saving: bool) -> None:
-    """Twice, as it may be the bus that fails. CommissioningError, which says how things stand."""
-    for is_last in (False, True):
-        try:
-            write_limits(module, before)
-            if saving:
-                save(module)
-            return
-        except CanfbError as error:
-            if is_last:
-                raise CommissioningError(
-                    f"the limits from before could not be put back ({error}): switch {module.name} off and "
-                    "on, which brings back what is saved in it"
-                ) from error
 
 
 def _position(module: NodeAccess) -> str:

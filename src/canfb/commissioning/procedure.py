@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from canfb import objects as od
 from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
-from canfb.commissioning.active import put_back, put_in_force, save
+from canfb.commissioning.active import put_in_force, put_in_force_again, save
 from canfb.commissioning.guard import Guard
 from canfb.commissioning.measurement import Measurement, Settings, block_of
+from canfb.commissioning.node_state import without_restart
 from canfb.commissioning.samples import TrackSamples
+from canfb.commissioning.undoing import put_back
 from canfb.errors import CanfbError
 from canfb.signal.correction import Correction
 from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES, MOST_PHASE_ERROR_CYCLES
@@ -64,24 +66,25 @@ def install(
     declared: int | None = None  # 2010:0C before, once it is written
     saving = False
     try:
-        step("activating the table")
-        if put is None:
-            put_in_force(module, measured.found)
-        else:
-            measured = put()
-        done.active = True
-        step("verifying on fresh samples")
-        done.fresh = verify(collect(), measured, settings)
-        before_error = phase_error(module)
-        if before_error is not None:
-            declared = before_error
-            done.phase_error_cycles = declare_phase_error(module, done.fresh)
-        if keep:
-            step("saving")
-            saving = True
-            _save(module, done)
-        else:
-            done.save_note = "not saved, as requested: the table is lost when the module is switched off"
+        with without_restart(module):
+            step("activating the table")
+            if put is None:
+                put_in_force(module, measured.found)
+            else:
+                measured = put()
+            done.active = True
+            step("verifying on fresh samples")
+            done.fresh = verify(collect(), measured, settings)
+            before_error = phase_error(module)
+            if before_error is not None:
+                declared = before_error
+                done.phase_error_cycles = declare_phase_error(module, done.fresh)
+            if keep:
+                step("saving")
+                saving = True
+                _save(module, done)
+            else:
+                done.save_note = "not saved, as requested: the table is lost when the module is switched off"
     except BaseException as error:
         with guard.held():
             with contextlib.suppress(OSError):  # a terminal that has gone
@@ -137,12 +140,16 @@ def declare_phase_error(module: NodeAccess, fresh: Deviation) -> float:
 
 def _undo(module: NodeAccess, before: Correction, declared: int | None, saving: bool) -> tuple[bool, str]:
     """Restore the old set, and 2010:0C where it was written; whether that worked, and a line about it."""
-    try:
+
+    def act() -> None:
         if declared is not None:
             module.write(*od.SUPERVISION_PHASE_ERROR, "H", declared)
-        put_back(module, before)
+        put_in_force_again(module, before)
         if saving:
             save(module)
+
+    try:
+        put_back(module, "the previous table and conditioning", act, saving=saving)
     except CanfbError as error:
         return False, str(error)
     return True, f"the previous table and conditioning are active in {module.name}"

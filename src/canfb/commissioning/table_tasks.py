@@ -12,8 +12,8 @@ from canfb import objects as od
 from canfb.commissioning.access import CommissioningError, NodeAccess
 from canfb.commissioning.active import (
     activate,
-    put_back,
     put_in_force,
+    put_in_force_again,
     read_active,
     save,
     saving_object,
@@ -23,11 +23,13 @@ from canfb.commissioning.active import (
 from canfb.commissioning.guard import Guard
 from canfb.commissioning.table_file import TableFile, as_yaml, is_yaml
 from canfb.commissioning.table_state import TableState, difference
-from canfb.commissioning.undoing import all_or_nothing
+from canfb.commissioning.undoing import all_or_nothing, put_back
 from canfb.commissioning.whole_file import write_whole
+from canfb.errors import CanfbError
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction, CorrectionTable
 
+AS_IT_WAS = "the previous table and conditioning"
 AS_BEFORE = "the table and the conditioning from before are in force in"
 
 
@@ -85,7 +87,7 @@ class TableTasks:
         source = f"{file.path}: {table.crc32:08X}h, {len(table)} entries"
         if not file.with_conditioning:
             source += "; it knows no conditioning, that of the module stays"
-        state = TableState.of_module(self._module)
+        state = self._state_after(wanted, done)
         lines = [source, self._moves(state, before, wanted)]
         if not active:
             how = self._advice.to_activate.format(node=f"{self._module.node_id:#04x}")
@@ -99,7 +101,7 @@ class TableTasks:
             raise CommissioningError(f"{self._module.name}: nothing is staged; {self._advice.to_stage}")
         before = read_active(self._module)
         done = self._in_force(before, None, keep, lambda: activate(self._module, staged))
-        now = TableState.of_module(self._module)
+        now = self._state_after(None, done)
         return Change(now, [self._moves(now, before, now.used), *self._outcome(now.used, done)], done)
 
     def clear(self, *, conditioning: bool, keep: bool) -> Change:
@@ -107,7 +109,7 @@ class TableTasks:
         before = read_active(self._module)
         wanted = Correction(None, IDENTITY if conditioning else before.conditioning)
         done = self._in_force(before, wanted, keep, lambda: put_in_force(self._module, wanted))
-        state = TableState.of_module(self._module)
+        state = self._state_after(wanted, done)
         lines = [self._moves(state, before, wanted), *self._outcome(wanted, done)]
         if not wanted.conditioning.is_identity:
             lines.append("the conditioning (2002h) stays in force; --conditioning clears it as well")
@@ -137,10 +139,10 @@ class TableTasks:
 
     def _staged(self, before: Correction, wanted: Correction, table: CorrectionTable) -> None:
         def undo() -> str:
-            write_conditioning(self._module, before.conditioning)
+            put_back(self._module, AS_IT_WAS, lambda: write_conditioning(self._module, before.conditioning))
             return f"{AS_BEFORE} {self._module.name}"
 
-        with all_or_nothing(self._guard, undo):
+        with all_or_nothing(self._module, self._guard, undo):
             write_conditioning(self._module, wanted.conditioning)
             stage(self._module, table)
 
@@ -154,19 +156,34 @@ class TableTasks:
             )
         saving = False
 
-        def undo() -> str:
-            put_back(self._module, before)
+        def back() -> None:
+            put_in_force_again(self._module, before)
             if saving:
                 save(self._module)
+
+        def undo() -> str:
+            put_back(self._module, AS_IT_WAS, back, saving=saving)
             return f"{AS_BEFORE} {self._module.name}"
 
-        with all_or_nothing(self._guard, undo):
+        with all_or_nothing(self._module, self._guard, undo):
             put()
             if wanted is not None and read_active(self._module).crc32 != wanted.crc32:
                 raise CommissioningError(f"{self._module.name}: another table is active than was written")
             saving = keep
             saved_as = save(self._module) if keep else None
         return {"staged": False, "active": True, "saved_as": saved_as}
+
+    def _state_after(self, used: Correction | None, done: dict[str, Any]) -> TableState:
+        """The state after a change. CommissioningError if it cannot be read, which says what was done."""
+        try:
+            return TableState.of_module(self._module)
+        except CanfbError as error:
+            table = "table" if used is None or used.table is None else f"table {used.crc32:08X}h"
+            where = "in force" if done["active"] else "staged"
+            saved = f", saved ({done['saved_as']})" if done["saved_as"] else ""
+            raise CommissioningError(
+                f"done: {table} {where} in {self._module.name}{saved}; but then {error}"
+            ) from error
 
     def _moves(self, state: TableState, before: Correction, after: Correction) -> str:
         """By how much a position within the cycle moves with the other table."""

@@ -13,6 +13,8 @@ import numpy.typing as npt
 from canfb.cia301.frame import Frame
 from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.eds_files import eds_path
+from canfb.interface.encoder_interface import EncoderInterface
+from canfb.interface.sample_clock import SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.phase import FloatArray
@@ -20,9 +22,7 @@ from canfb.signal.sample import Sample
 from canfb.simulation.background_traffic import BackgroundTraffic
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, demo_encoder
-from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.motion import Motion, Ramp, Ripple
-from canfb.simulation.sample_clock import SampleClock
 from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_drive import Drive
 from canfb.simulation.sync_timing import SyncTiming

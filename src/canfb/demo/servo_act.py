@@ -17,6 +17,8 @@ from canfb.demo.demo_network import (
     SYNC_PERIOD_S,
     TIMING,
 )
+from canfb.interface.encoder_interface import EncoderInterface
+from canfb.interface.sample_clock import SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import Correction
@@ -24,9 +26,7 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.phase import FloatArray
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder
-from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.s_curve import SCurve
-from canfb.simulation.sample_clock import SampleClock
 from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_producer import SyncProducer
 from canfb.sources.motion_source import MotionSource

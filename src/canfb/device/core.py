@@ -16,6 +16,7 @@ from canfb.device.counters import Counters
 from canfb.device.hooks import Hooks
 from canfb.device.moment import NEVER, Emit, Moment
 from canfb.device.od.dictionary import Dictionary
+from canfb.device.pending import Pending
 from canfb.device.routing import Routes
 
 
@@ -95,6 +96,7 @@ class Core:
         "node_id",
         "on_rpdo",
         "outbox",
+        "pending",
         "reactions",
         "routes",
         "sdo_timeout_s",
@@ -125,6 +127,8 @@ class Core:
         self.counters = Counters()
         self.agenda = Agenda()
         self.routes = Routes()
+        self.pending: Pending | None = None
+        """Of the SDO write that is just being done: its answer waits for this."""
         self.outbox: list[Frame] = []
         self.emit: Emit = self.outbox.append
         """Sends a frame: with the return of the running call."""

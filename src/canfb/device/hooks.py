@@ -40,6 +40,7 @@ class Hooks:
     on_configured(): PDO parameters or the NMT state have changed; mappings may be others now.
     on_emergency(code, register, detail, now): an EMCY goes out, with 1001h and its 5 manufacturer bytes.
     on_saved(saved, forgotten, now): these groups of parameters were saved, or dropped from the store.
+    on_save_failed(groups, reason, now): these groups could not be saved or dropped; the store is as before.
     on_bit_rate(kbit_s, delay_s, now): LSS activates this bit rate. Change it at `now` + `delay_s`; the
     node by itself sends nothing up to `now` + 2 `delay_s`. What waits in a driver's queue is yours.
     """
@@ -59,4 +60,5 @@ class Hooks:
         self.on_configured: Callable[[], None] | None = None
         self.on_emergency: Callable[[int, int, bytes, float], None] | None = None
         self.on_saved: Callable[[Groups, Groups, float], None] | None = None
+        self.on_save_failed: Callable[[Groups, str, float], None] | None = None
         self.on_bit_rate: Callable[[int, float, float], None] | None = None

@@ -13,7 +13,8 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.device.routing import CanIds
 from canfb.device.services import Services
 from canfb.device.silence import Silence
-from canfb.device.storage.storage import Storage, Store
+from canfb.device.storage.storage import Storage
+from canfb.device.storage.writing import Store
 
 LAST_COMMUNICATION_INDEX = 0x1FFF
 
@@ -47,7 +48,8 @@ class LifeCycle(Reactions):
 
     def _make_services(self) -> None:
         self.services = Services(self.core, self.silence)
-        self.core.agenda.fill(self.services.timed())
+        writing = self.storage.writing
+        self.core.agenda.fill([*([] if writing is None else [writing]), *self.services.timed()])
 
     def power_on(self, now: float) -> None:
         """To the boot-up, with what the store keeps; see `Node.start`."""

@@ -17,7 +17,7 @@ from canfb.device.pdo import pdo
 from canfb.device.pdo.rpdo import Rpdo
 from canfb.device.routing import CanIds
 from canfb.device.sdo.server import TIMEOUT_S
-from canfb.device.storage.storage import Store
+from canfb.device.storage.writing import Store
 
 _BUS = "bus"
 

@@ -1,4 +1,4 @@
-"""Events of a module: what a log of it says."""
+"""Events of a node: what a log of it says."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ class EventKind(StrEnum):
     SECOND_POSITION = "second_position"
     TABLE = "table"
     SAVED = "saved"
+    SAVE_FAILED = "save_failed"
     FAULT = "fault"
     EMCY = "emcy"
 
@@ -28,7 +29,7 @@ DETAILS = frozenset({EventKind.FAULT, EventKind.EMCY})
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that has happened in a module.
+    """Something that has happened in a node.
 
     kind    what it was
     time_s  when, seconds on the clock of `now`

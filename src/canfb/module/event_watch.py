@@ -6,12 +6,10 @@ import math
 from collections.abc import Callable
 
 from canfb import objects as od
-from canfb.cia301.codes import emergency_text
 from canfb.cia301.nmt import NmtState
-from canfb.device.hooks import Groups
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.storage.image import ParameterGroup
-from canfb.module.event import Event, EventKind
+from canfb.module.event import EventKind
+from canfb.module.node_events import NodeEvents
 from canfb.module.objects.last_loss import LastLoss
 from canfb.module.parameters import Limits
 from canfb.module.timeline import Timeline
@@ -24,7 +22,7 @@ FAULTS = sum(od.FAULT_WORDS)
 ANOTHER_RATE = 0.05  # relative change of the SYNC rate that is an event
 
 
-class EventWatch:
+class EventWatch(NodeEvents):
     """Calls ``on_event`` with each :class:`.Event`; without it nothing is made.
 
     ``detailed``: single faults, too, and each EMCY. For the hot path: :meth:`follow` must see each sample
@@ -32,10 +30,9 @@ class EventWatch:
     """
 
     def __init__(self, dictionary: Dictionary, limits: Limits, loss: LastLoss) -> None:
-        self.on_event: Callable[[Event], None] | None = None
+        super().__init__()
         self.unconfirmed: Callable[[], str] = lambda: ""
         """Why a position without a fault is not valid yet, in words; "" if it is not known."""
-        self.detailed = False
         self.status = NEVER_SEEN
         self._limits, self._loss = limits, loss
         self._low, self._high = (
@@ -63,10 +60,7 @@ class EventWatch:
         """
         self._rate_hz = 0.0
         self.reset()
-        boot_up = "boot-up, " if old is NmtState.INITIALISING else ""
-        name = new.name.replace("_", "-")
-        text = f"{boot_up}{name}{': ' if why else ''}{why}"
-        self._tell(EventKind.NMT, now, text, state=name, boot_up=bool(boot_up), reason=why or None)
+        super().nmt(old, new, now, why)
 
     def synced(self, interval_s: float, now: float) -> None:
         """SYNCs come as expected, at this interval; not called with each of them."""
@@ -127,13 +121,6 @@ class EventWatch:
             text = f"sample {feedback.samples}: {', '.join(self._reasons(feedback, feedback.status))}"
             self._tell(EventKind.FAULT, now, text, sample=feedback.samples, faults=faults)
 
-    def emergency(self, code: int, register: int, detail: bytes, now: float) -> None:
-        """An EMCY goes out."""
-        if self.detailed:
-            words = emergency_text(code, od.EMERGENCY_TEXTS)
-            text = f"EMCY {code:04X}h sent ({words}), 1001h {register:02X}h, detail {detail.hex(' ')}"
-            self._tell(EventKind.EMCY, now, text, code=code, register=register, detail=detail.hex())
-
     def table(self, correction: Correction, now: float) -> None:
         """A table, or none, has come into force."""
         table, before = correction.table, self._corrected
@@ -145,14 +132,6 @@ class EventWatch:
             self._tell(EventKind.TABLE, now, text, entries=len(table), crc32=table.crc32)
         elif before:
             self._tell(EventKind.TABLE, now, "table in force: none, the identity", entries=0, crc32=0)
-
-    def saved(self, saved: Groups, forgotten: Groups, now: float) -> None:
-        """Parameters were saved, or their defaults loaded."""
-        for groups, what in ((saved, "saved"), (forgotten, "dropped, the defaults come with the next reset")):
-            names = [group.name.lower() for group in groups if group is not ParameterGroup.OPERATING_TIME]
-            if names:
-                text = f"parameters {what}: {', '.join(names)}"
-                self._tell(EventKind.SAVED, now, text, groups=names, dropped=groups is forgotten)
 
     def _changed(self, state: od.PositionState, feedback: Feedback, now: float) -> None:
         """Another state of the position; a reason is all that went wrong since it was valid."""
@@ -213,12 +192,6 @@ class EventWatch:
     def _amplitude(self, feedback: Feedback) -> str:
         amplitude = feedback.amplitude
         return f"amplitude {amplitude:.0f} counts" if math.isfinite(amplitude) else "no amplitude"
-
-    def _tell(
-        self, kind: EventKind, now: float, text: str, **values: bool | float | int | str | list[str] | None
-    ) -> None:
-        if self.on_event is not None:
-            self.on_event(Event(kind, now, text, values))
 
 
 def _time(seconds: float) -> str:

@@ -13,7 +13,7 @@ from canfb.device.moment import NEVER
 from canfb.device.node import Node
 from canfb.device.routing import CanIds
 from canfb.device.storage.image import ParameterGroup
-from canfb.device.storage.storage import Store
+from canfb.device.storage.writing import Store
 from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.cia406.cyclic_timer import CyclicTimer
 from canfb.module.cia406.operating_time import OperatingTime
@@ -152,7 +152,7 @@ class FeedbackModule:
         node.on_configured = self._on_configured
         node.on_parameter_faults = self._on_parameter_faults
         node.on_emergency = self.events.emergency
-        node.on_saved = self.events.saved
+        node.on_saved, node.on_save_failed = self.events.saved, self.events.save_failed
 
     @property
     def feedback(self) -> Feedback | None:
@@ -384,8 +384,9 @@ class FeedbackModule:
     def _on_configured(self) -> None:
         """A sample comes in whichever RPDOs carry its parts; some TPDOs go out with it."""
         self._input.configure()
-        per_sync = 1 if self._source else self._input.samples_per_sync
-        self._sampling.configured(per_sync, self._sampling.pairing.timed)
+        source, timed = self._source, self._sampling.pairing.timed
+        per_sync = self._input.samples_per_sync if source is None else source.samples_per_sync
+        self._sampling.configured(per_sync, timed or (source is not None and per_sync > 1))
         self._second.configure()
         self._choose_rpdo_hook()
         self._publishing.configured()

@@ -31,7 +31,7 @@ class ModuleConfig(ChainConfig):
                              room for it. Not used with a source
     samples_per_sync         1..4 pairs of sine and cosine that the encoder interface sends for each SYNC: two
                              in its TPDO1, two more in TPDO2 (2000:01, :02, :08..0D); then the sample time.
-                             Not used with a source
+                             With a source of kind iio: that it gives; not used with another
     source                   source of the samples instead of the ADC PDO; None: the PDO
     max_acceleration_rad_s2  largest acceleration of the machine, 0..1e9 (2010:02); 0 = not known
     max_jerk_rad_s3          largest jerk of the machine, 0..1e15 (2010:08), for prediction_order 3; 0 = not

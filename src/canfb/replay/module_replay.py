@@ -11,7 +11,7 @@ from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand
 from canfb.device.lss.lss import UNCONFIGURED
-from canfb.device.storage.storage import Store
+from canfb.device.storage.writing import Store
 from canfb.module.calibration_job import Outcome
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

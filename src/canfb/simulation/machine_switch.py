@@ -7,14 +7,13 @@ tools and masters of others as well. A signal or a line on stdin would work only
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.od.entry import Entry
-from canfb.objects import MachineCommand
+from canfb.interface.encoder_interface import EncoderInterface
+from canfb.objects import INTERFACE_MACHINE, MachineCommand
 from canfb.signal.phase import FloatArray
 from canfb.sources.motion_source import MotionSource, ShaftMotion
 
@@ -79,17 +78,17 @@ class StoppableMotion:
 
 
 class MachineSwitch:
-    """Object 2060h: 1 lets the machine of ``source`` run, 0 stops it. It reads as what the machine was told.
+    """Object 2060h of the interface: 1 lets its machine run, 0 stops it. It reads as what it was told.
 
-    ``now()`` is the time of the node, seconds. A source whose machine cannot be stopped here (a recording, a
-    drive, a converter) refuses it: 08000022h.
+    A source whose machine cannot be stopped here (a recording, a drive) refuses it: 08000022h.
     """
 
-    def __init__(self, entry: Entry, source: object, now: Callable[[], float]) -> None:
+    def __init__(self, interface: EncoderInterface) -> None:
+        entry, source = interface.dictionary.entry(*INTERFACE_MACHINE), interface.source
         self._source = source if isinstance(source, MotionSource) else None
         motion = None if self._source is None else self._source.motion
         self._motion = motion if isinstance(motion, StoppableMotion) else None
-        self._entry, self._now = entry, now
+        self._entry, self._now = entry, interface.machine_now
         entry.on_check = self._check
         entry.on_written = self._obey
         entry.on_read = lambda: int(self._motion is None or self._motion.running)

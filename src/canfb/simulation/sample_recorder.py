@@ -9,8 +9,8 @@ import numpy as np
 from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.phase import FloatArray
-from canfb.simulation.encoder_interface import EncoderInterface
 
 MISSED = -32768  # in both tracks, as in 2050:03
 

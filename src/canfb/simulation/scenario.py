@@ -6,10 +6,10 @@ import random
 from dataclasses import dataclass, field
 
 from canfb.checks import integer_in, number_in
+from canfb.interface.sample_clock import LARGEST_DRIFT_PPM, SampleClock
 from canfb.simulation.cia402.drive_config import DriveConfig
 from canfb.simulation.encoder import Encoder, Harmonic
 from canfb.simulation.motion import Motion, Ramp, Ripple
-from canfb.simulation.sample_clock import LARGEST_DRIFT_PPM, SampleClock
 from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_timing import SyncTiming
 from canfb.sources.motion_source import MotionSource
@@ -125,7 +125,7 @@ class SimulationConfig(SyncTiming):
                                  its samples (2000:01), -10000..10000 ppm
     aperture_jitter_ns           rms of the instant at which the tracks are held, 0..1e6 ns
     pace                         "time": the machine turns in true time; "sync": it goes on by one interval
-                                 with each SYNC, however late (:mod:`canfb.simulation.hearing`)
+                                 with each SYNC, however late (:mod:`canfb.interface.hearing`)
     sync_period_us               of the SYNC of the bus, 10..1e7 us; ``--rate`` takes precedence
     seed                         of everything that is random, 0..2^63 - 1
     """

@@ -6,15 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from canfb.device.hosted import Device
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.simulation.demand import MotionDemand, of_motion, of_recording
-from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.fed_module import FedModule
-from canfb.simulation.hearing import SlowMotion
-from canfb.simulation.machine_switch import StoppableMotion
+from canfb.simulation.machine_switch import MachineSwitch, StoppableMotion
 from canfb.simulation.sample_recorder import SampleRecorder
 from canfb.simulation.scenario import SimulationConfig
 from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.simulated_axis import SimulatedAxis, simulated_axis
+from canfb.simulation.slow_motion import SlowMotion
 from canfb.simulation.sync_producer import SyncProducer
 from canfb.simulation.sync_rate import IN_SLOW_MOTION, IN_TRUE_TIME, SyncRateWatch
 from canfb.sources.motion_source import MotionSource
@@ -77,6 +77,7 @@ def set_up(
         samples_per_sync=module.samples_per_sync,
         clock=simulation.sample_clock(),
     )
+    MachineSwitch(interface)
     # The machine first: it must have moved when the SYNC comes to the others.
     devices: list[Device] = [interface] if axis is None else [axis.plant, interface, axis.drive]
     advice = IN_TRUE_TIME

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -13,14 +12,6 @@ from canfb.simulation.encoder import Encoder
 from canfb.sources.motion_source import RevolutionsAt
 
 BISECTIONS = 40
-
-
-@runtime_checkable
-class Machine(Protocol):
-    """A source that turns whether it is sampled or not."""
-
-    def sample_at(self, now: float) -> Sample | None:
-        """The sample at the true time ``now`` of the node, seconds; None for one that is lost."""
 
 
 class ShaftEncoder:

@@ -20,12 +20,29 @@ class Source(Protocol):
 
 
 @runtime_checkable
+class Machine(Protocol):
+    """A source that turns whether it is sampled or not."""
+
+    def sample_at(self, now: float) -> Sample | None:
+        """The sample at the true time ``now`` of the node, seconds; None for one that is lost."""
+
+
+@runtime_checkable
 class Converter(Protocol):
     """A source that knows its converter."""
 
     @property
     def adc_bits(self) -> int:
         """Bits of a count, 4..16."""
+
+
+@runtime_checkable
+class Grouped(Protocol):
+    """A source whose samples hold all pairs of a SYNC, with the time of the newest if there are several."""
+
+    @property
+    def samples_per_sync(self) -> int:
+        """Pairs of sine and cosine in a sample, 1..4."""
 
 
 class SourceEnded(Exception):

@@ -35,13 +35,33 @@ class Capture(Protocol):
         """Let :meth:`refill` end with an OSError, now and ever after."""
 
 
-class Captured(Protocol):
-    """Runs a capture in a thread, and gives its newest scan."""
+class Picked(Protocol):
+    """Which scans are the sample of a SYNC: :mod:`canfb.sources.even_scans`."""
 
-    def __call__(self, opened: Callable[[], Capture], name: str, wait_s: float) -> Source:
+    @property
+    def per_sync(self) -> int:
+        """Pairs of sine and cosine in a sample, 1..4."""
+
+    def came(self, scan: Sample) -> None:
+        """A scan, in the order in which they are taken."""
+
+    def forget(self) -> None:
+        """What has come is of no use any more."""
+
+    def take(self) -> Sample | None:
+        """The sample of this SYNC; None where there is none. SourceError."""
+
+
+class Captured(Protocol):
+    """Runs a capture in a thread, and gives a sample of its scans for each SYNC."""
+
+    def __call__(
+        self, opened: Callable[[], Capture], name: str, wait_s: float, picked: Picked | None
+    ) -> Source:
         """The source. What ``opened`` raises now goes through; later it is tried again every second.
 
-        ``name`` is that of the thread. A SYNC waits ``wait_s`` for a scan that it has fired.
+        ``name`` is that of the thread. A SYNC waits ``wait_s`` for a scan that it has fired. ``picked``
+        chooses the scans; None: the newest is the sample.
         """
 
 

@@ -14,6 +14,8 @@ from canopen.profiles.p402 import BaseNode402
 from canfb.cia301.frame import Frame
 from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.eds_files import eds_path
+from canfb.interface.encoder_interface import EncoderInterface
+from canfb.interface.sample_clock import SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
@@ -23,8 +25,6 @@ from canfb.simulation.cia402.plant import Plant, PlantSource
 from canfb.simulation.cia402.state_machine import State
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder
-from canfb.simulation.encoder_interface import EncoderInterface
-from canfb.simulation.sample_clock import SampleClock
 from canfb.simulation.sync_timing import SyncDeviation, SyncTiming
 
 DRIVE_ID, MODULE_ID, INTERFACE_ID = 0x30, 0x20, 0x10

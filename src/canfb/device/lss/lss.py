@@ -162,13 +162,14 @@ class LssSlave:
             Record(*_NODE_ID_RECORD, False, bytes([self.pending_node_id])),
             Record(*_BIT_RATE_RECORD, False, bytes([timing])),
         ]
-        error = Error.NONE if self._storage.is_there else Error.NOT_POSSIBLE
-        if self._storage.is_there:
-            try:
-                self._storage.save_records(ParameterGroup.LSS, records)
-            except OSError:
-                error = Error.STORE_FAILED
-        self._answer(bytes([data[0], error]))
+        if not self._storage.is_there:
+            self._answer(bytes([data[0], Error.NOT_POSSIBLE]))
+            return
+
+        def done(error: OSError | None) -> None:
+            self._answer(bytes([data[0], Error.NONE if error is None else Error.STORE_FAILED]))
+
+        self._storage.save_records(ParameterGroup.LSS, records, done)
 
     def _inquire_node_id(self, data: bytes) -> None:
         self._answer(bytes([data[0], self._core.node_id]))

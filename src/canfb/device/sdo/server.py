@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, SdoAbort
@@ -11,6 +12,7 @@ from canfb.device.agenda import Timed
 from canfb.device.core import Core
 from canfb.device.moment import NEVER
 from canfb.device.od.entry import Entry
+from canfb.device.pending import Pending
 from canfb.device.sdo.block import CRC_SUPPORTED, BlockDownload, BlockUpload
 from canfb.device.sdo.segment import SegmentedDownload, SegmentedUpload
 from canfb.device.sdo.transfer import (
@@ -35,18 +37,21 @@ class SdoServer(Timed):
     """Serves one client at a time; each channel has its own transfer, toggle bits and time-out.
 
     A request that is not 8 bytes long is ignored. A new request within a transfer gives the old
-    one up and is served.
+    one up and is served; so it is while an answer waits for what was written (`Pending`).
     """
 
     def __init__(self, core: Core) -> None:
         self.deadline = NEVER
         self.response_id = cob.SDO_RESPONSE + core.node_id
         """The CAN-ID of the answers; that of the first channel, unless another one is given."""
+        self._core = core
         self._dictionary = core.dictionary
         self._emit = core.emit
         self._counters = core.counters
         self._timeout_s = core.sdo_timeout_s
         self._transfer: Transfer | None = None
+        self._pending: Pending | None = None
+        self._multiplexer = b""  # of the running call
         self._begin: dict[int, Callable[[bytes], Transfer | None]] = {
             INITIATE_DOWNLOAD: self._download,
             INITIATE_UPLOAD: self._upload,
@@ -57,6 +62,7 @@ class SdoServer(Timed):
     def drop(self) -> None:
         """Give the running transfer up without a word (NMT reset or stop)."""
         self._transfer = None
+        self._forget_answer()
         self.deadline = NEVER
 
     def handle(self, data: bytes, now: float) -> None:
@@ -64,8 +70,11 @@ class SdoServer(Timed):
         if len(data) != _FRAME_LENGTH:
             self._counters.malformed_frames += 1
             return
+        if self._pending is not None:
+            self._forget_answer()
+        self._core.pending = None
         transfer, self._transfer = self._transfer, None
-        multiplexer = data[1:4] if transfer is None else transfer.multiplexer
+        self._multiplexer = data[1:4] if transfer is None else transfer.multiplexer
         try:
             if transfer is not None and transfer.accepts(data[0]):
                 if transfer.handle(data):
@@ -74,10 +83,10 @@ class SdoServer(Timed):
                 begin = self._begin.get(data[0] >> 5)
                 if begin is None:
                     raise SdoAbort(AbortCode.COMMAND)
-                multiplexer = data[1:4]
+                self._multiplexer = data[1:4]
                 self._transfer = begin(data)
         except SdoAbort as abort:
-            self._abort(multiplexer, abort.code)
+            self._abort(self._multiplexer, abort.code)
         self._schedule(now)
 
     def tick(self, now: float) -> None:
@@ -97,7 +106,26 @@ class SdoServer(Timed):
         self.deadline = NEVER if transfer is None else now + min(transfer.pause, self._timeout_s)
 
     def _reply(self, payload: bytes) -> None:
+        pending = self._core.pending
+        if pending is not None:
+            self._core.pending, self._pending = None, pending
+            pending.on_end = partial(self._written, self._multiplexer, payload)
+            return
         self._emit(Frame(self.response_id, payload.ljust(_FRAME_LENGTH, b"\x00")))
+
+    def _written(self, multiplexer: bytes, payload: bytes, code: AbortCode | None) -> None:
+        """What the answer has waited for is done, or has failed with `code`."""
+        self._pending = None
+        if code is None:
+            self._reply(payload)
+        else:
+            self._abort(multiplexer, code)
+
+    def _forget_answer(self) -> None:
+        """The client does not wait for it any more; what it has written goes on."""
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            pending.on_end = None
 
     def _abort(self, multiplexer: bytes, code: AbortCode) -> None:
         self._counters.sdo_aborts += 1

@@ -64,6 +64,11 @@ class KeptEntries:
         if entry.access == "rw":
             entry.on_download = self._written
 
+    def save_as(self, index: int, subindex: int, saved: Callable[[], Any]) -> None:
+        """Save ``saved()`` in place of the value of this parameter. KeyError when there is none."""
+        self._dictionary.entry(index, subindex)
+        self._saved_value[index, subindex] = saved
+
     def of(self, group: ParameterGroup) -> Iterator[Entry]:
         """The entries of a group, in ascending order."""
         indices = RANGES[group]

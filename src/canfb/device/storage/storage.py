@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Protocol
 
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.core import Core
+from canfb.device.pending import Pending
 from canfb.device.storage.image import (
     Identity,
     ImageError,
@@ -18,6 +19,7 @@ from canfb.device.storage.image import (
 )
 from canfb.device.storage.kept import KeptEntries
 from canfb.device.storage.restoring import restore
+from canfb.device.storage.writing import Changes, Done, Store, Writing
 
 SAVE, LOAD, VERIFY = 0x1010, 0x1011, 0x1020
 ALL_PARAMETERS = 1
@@ -27,16 +29,6 @@ SAVES_ON_COMMAND = RESTORES = 1
 
 PARAMETERS = (ParameterGroup.COMMUNICATION, ParameterGroup.APPLICATION, ParameterGroup.MANUFACTURER)
 """The groups of 1010h and 1011h."""
-
-
-class Store(Protocol):
-    """Memory that outlives the power. What it keeps are bytes, which the device makes and checks."""
-
-    def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
-        """What is kept, by group; an OSError for a group that is there and cannot be read."""
-
-    def save(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
-        """Keep these groups, or forget those that are None: all of them or, with an OSError, none."""
 
 
 class MemoryStore:
@@ -68,6 +60,9 @@ class Storage:
     place. A fault lasts until the group is saved or its defaults are loaded; the hook
     `on_parameter_faults` is then called.
 
+    A store may write in the background: what is saved counts as kept, and the SDO write is answered, when it
+    has done so. A reset before brings the values from before, or those of the save.
+
     Without a store nothing is kept: 1010h reads 0 and refuses with 08000020h. 1011h works then, too:
     after the next reset the defaults are in force, as after every reset.
     """
@@ -78,6 +73,7 @@ class Storage:
         self.entries = KeptEntries(dictionary, self.configuration_changed)
         self.faults: dict[ParameterGroup, str] = {}
         self._store = store
+        self.writing = None if store is None else Writing(store, lambda: core.moment.now)
         self._images: dict[ParameterGroup, bytes] = {}
         found = (dictionary.find(VERIFY, subindex) for subindex in (1, 2))
         self._verify = [entry for entry in found if entry is not None]
@@ -129,9 +125,9 @@ class Storage:
             self.refuse(group, str(error))
             return None
 
-    def save_records(self, group: ParameterGroup, records: list[Record]) -> None:
-        """Keep records of the caller's own. OSError when the store fails or when there is none."""
-        self._keep({group: encode_image(group, self._identity(), records)})
+    def save_records(self, group: ParameterGroup, records: list[Record], done: Done) -> None:
+        """Keep records of the caller's own; `done` gets None, or why that does not work."""
+        self._keep({group: encode_image(group, self._identity(), records)}, done)
 
     def configuration_changed(self) -> None:
         """What the next power-on would bring is another configuration now: 1020h becomes 0."""
@@ -168,30 +164,52 @@ class Storage:
             raise SdoAbort(AbortCode.NOT_STORED)
 
     def _save(self, subindex: int) -> None:
-        self._command({group: self._image(group) for group in _groups(subindex)})
+        self._command({group: self._image(group) for group in _groups(subindex)}, lambda: None)
 
     def _load(self, subindex: int) -> None:
-        there = [group for group in _groups(subindex) if group in self._images or group in self.faults]
-        self._command(dict.fromkeys(there))
-        self.configuration_changed()
+        # What is on its way into the store may be in any group.
+        busy = self.writing is not None and self.writing.is_busy
+        there = [
+            group for group in _groups(subindex) if busy or group in self._images or group in self.faults
+        ]
+        self._command(dict.fromkeys(there), self.configuration_changed)
 
     def _image(self, group: ParameterGroup) -> bytes | None:
         """The present values of a group; None for a device without parameters in it."""
         records = self.entries.records(group, self._core.node_id)
         return encode_image(group, self._identity(), records) if records else None
 
-    def _command(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
-        try:
-            self._keep(changes)
-        except OSError:
-            raise SdoAbort(AbortCode.HARDWARE) from None
+    def _command(self, changes: Changes, kept: Callable[[], None]) -> None:
+        """Write `changes`, then call `kept`; the answer to SDO waits. SdoAbort if it fails at once."""
+        pending = Pending()
 
-    def _keep(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
+        def done(error: OSError | None) -> None:
+            if error is None:
+                kept()
+            pending.end(None if error is None else _abort_code(error))
+
+        self._keep(changes, done)
+        if not pending.ended:
+            self._core.pending = pending
+        elif pending.code is not None:
+            raise SdoAbort(pending.code)
+
+    def _keep(self, changes: Changes, done: Done) -> None:
         if not changes:
+            done(None)
+        elif self.writing is None:
+            done(OSError("there is no store"))
+        else:
+            self.writing.write(changes, partial(self._written, changes, done))
+
+    def _written(self, changes: Changes, done: Done, error: OSError | None) -> None:
+        """The store has kept the changes, or has failed with `error`."""
+        now, hooks = self._core.moment.now, self._core.hooks
+        if error is not None:
+            if hooks.on_save_failed is not None:
+                hooks.on_save_failed(list(changes), error.strerror or str(error), now)
+            done(error)
             return
-        if self._store is None:
-            raise OSError("there is no store")
-        self._store.save(changes)
         mended = [group for group in changes if self.faults.pop(group, None)]
         for group, image in changes.items():
             if image is None:
@@ -200,10 +218,15 @@ class Storage:
                 self._images[group] = image
         if mended:
             self.report_faults()
-        if self._core.hooks.on_saved is not None:
+        if hooks.on_saved is not None:
             forgotten = [group for group, image in changes.items() if image is None]
             saved = [group for group in changes if group not in forgotten]
-            self._core.hooks.on_saved(saved, forgotten, self._core.moment.now)
+            hooks.on_saved(saved, forgotten, now)
+        done(None)
+
+
+def _abort_code(error: OSError) -> AbortCode:
+    return AbortCode.DEVICE_STATE if error.errno == errno.EBUSY else AbortCode.HARDWARE
 
 
 def _check_load(value: int) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import struct
 from collections.abc import Callable
 
@@ -20,9 +19,10 @@ _SECONDS = struct.Struct("<Q")
 class OperatingTime:
     """Counts from the first :meth:`begin` on, beyond what the store has kept.
 
-    Writing takes milliseconds, in which no SYNC is answered. So :meth:`keep` is for moments in which
-    none has to be, and what has passed since the last one is lost with the power. Without a store the
-    time is not counted: 6508h reads FFFFFFFFh. ``now()`` is the time of the running call.
+    Writing takes milliseconds, in which a store that does not write in the background answers no SYNC. So
+    :meth:`keep` is for moments in which none has to be, and what has passed since the last one is lost with
+    the power. Without a store the time is not counted: 6508h reads FFFFFFFFh. ``now()`` is the time of the
+    running call.
     """
 
     def __init__(self, dictionary: Dictionary, storage: Storage, now: Callable[[], float]) -> None:
@@ -52,9 +52,12 @@ class OperatingTime:
         if seconds - self._kept_s < LEAST_S:
             return
         record = Record(OPERATING_TIME, 0, False, _SECONDS.pack(seconds))
-        with contextlib.suppress(OSError):
-            self._storage.save_records(ParameterGroup.OPERATING_TIME, [record])
-            self._kept_s = seconds
+
+        def done(error: OSError | None) -> None:
+            if error is None:
+                self._kept_s = seconds
+
+        self._storage.save_records(ParameterGroup.OPERATING_TIME, [record], done)
 
     def _seconds(self, now: float) -> int:
         since = now if self._since_s is None else self._since_s

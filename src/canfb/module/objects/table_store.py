@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable
+from functools import partial
 
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
@@ -19,8 +20,8 @@ from canfb.signal.correction import Correction, CorrectionTable
 class TableStore:
     """Object 2020h: a table is staged by 2020:01 and takes effect, with 2002h, by 2020:03.
 
-    `save` keeps the active table, as the content of 2020:01; it is active again after a reset. 2020:06 is
-    its CRC.
+    `save` keeps what is in force: the active table, as the content of 2020:01, and its conditioning; not what
+    2002h holds for the next activation. Both come back with a reset. 2020:06 is the CRC of the table.
     """
 
     def __init__(self, dictionary: Dictionary, chain: SignalChain, storage: Storage) -> None:
@@ -41,8 +42,9 @@ class TableStore:
         activate.on_written = self._activate
         activate.on_download = storage.configuration_changed
         storage.entries.keep(*od.TABLE_STAGED, saved=self._saved)
-        for entry in self._conditioned:
+        for part, entry in enumerate(self._conditioned):
             entry.on_check = self._checker(entry)
+            storage.entries.save_as(entry.index, entry.subindex, partial(self._saved_conditioning, part))
 
     def reset(self) -> None:
         """Nothing staged, the stored table active or none, the conditioning of 2002h in force."""
@@ -63,6 +65,9 @@ class TableStore:
     def _saved(self) -> bytes:
         table = self._chain.correction.table
         return b"" if table is None else table.to_bytes()
+
+    def _saved_conditioning(self, part: int) -> float:
+        return self._chain.correction.conditioning.values[part]
 
     def _saved_crc(self) -> int:
         """0 for the identity, and where nothing is saved: both bring the identity."""

@@ -12,8 +12,9 @@ from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.pdo import EVENT_DRIVEN
 from canfb.device.storage.image import ParameterGroup
-from canfb.device.storage.storage import Store
+from canfb.device.storage.writing import Store
 from canfb.eds_files import eds_path
+from canfb.interface.hearing import TRUE_TIME, Hearing
 from canfb.simulation.cia402.axis import Axis
 from canfb.simulation.cia402.drive_errors import DriveError
 from canfb.simulation.cia402.drive_interval import SyncInterval
@@ -22,7 +23,6 @@ from canfb.simulation.cia402.link import FeedbackModuleLink, apply_defaults
 from canfb.simulation.cia402.plant import Plant
 from canfb.simulation.cia402.scaling import saturated
 from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, State, StateMachine, Status
-from canfb.simulation.hearing import TRUE_TIME, Hearing
 
 __all__ = ["FeedbackModuleLink", "ServoDrive"]
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
+from canfb.interface.hearing import TRUE_TIME, Hearing
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.coupling import Coupling
 from canfb.simulation.cia402.motor import Motor
 from canfb.simulation.encoder import Encoder
-from canfb.simulation.hearing import TRUE_TIME, Hearing
 from canfb.simulation.shaft_encoder import ShaftEncoder
 
 
 class Plant:
     """A motor that turns in true time, from the first SYNC on, also while no SYNC comes.
 
-    ``hearing`` (:mod:`canfb.simulation.hearing`) may be set to another time than the true one: all times
+    ``hearing`` (:mod:`canfb.interface.hearing`) may be set to another time than the true one: all times
     of the plant are of that.
 
     It sends nothing, but must hear the SYNC before those who sample or drive it: attach it first.

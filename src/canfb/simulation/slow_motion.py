@@ -1,8 +1,6 @@
-"""At which time of the machine a frame was received: true time, or one interval with each SYNC."""
+"""A machine that goes on by one interval with each SYNC, for a computer that does not keep up."""
 
 from __future__ import annotations
-
-from typing import Protocol
 
 from canfb import objects as od
 from canfb.checks import number_in
@@ -10,46 +8,15 @@ from canfb.cia301.cob import CAN_ID
 from canfb.cia301.frame import Frame
 from canfb.device.od.dictionary import Dictionary
 
-OLDEST_S = 10.0
 SECONDS_PER_US = 1e-6
 SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S = 1e-6, 10.0
-
-
-class Hearing(Protocol):
-    """The time of the machine, as a simulated node has it."""
-
-    def heard_at(self, frame: Frame, now: float) -> float:
-        """The time of the machine, seconds, at which ``frame`` was received that is handled at ``now``."""
-
-    def at(self, now: float) -> float:
-        """The time of the machine, seconds, at ``now``."""
-
-
-class TrueTime:
-    """The machine turns in true time: at the clock of the bus where there is one."""
-
-    def heard_at(self, frame: Frame, now: float) -> float:
-        """Receive time of ``frame`` in seconds on the clock of ``now``, the time at which it is handled.
-
-        A time stamp that lies ahead of ``now``, or more than 10 s behind it, belongs to another clock:
-        ``now``.
-        """
-        stamp = frame.timestamp
-        return now if stamp is None or not now - OLDEST_S <= stamp <= now else stamp
-
-    def at(self, now: float) -> float:
-        """``now``."""
-        return now
-
-
-TRUE_TIME = TrueTime()
 
 
 class SlowMotion:
     """The machine goes on by one nominal interval with each SYNC, however late it is, and stands between.
 
-    For a computer that does not keep up: the samples are equidistant in the time of the machine. Attach it
-    to the bus before the nodes whose ``hearing`` it is; it sends nothing.
+    The samples are equidistant in the time of the machine. Attach it to the bus before the nodes whose
+    ``hearing`` (:mod:`canfb.interface.hearing`) it is; it sends nothing.
 
     ``dictionary`` is that of the node that samples: its 1005h says which frame is the SYNC, its 1006h how
     long the interval is. ``interval_s``, 1e-6 to 10 s, counts while 1006h is 0; ValueError for another.

@@ -7,11 +7,11 @@ import struct
 import pytest
 
 from canfb.cia301.frame import Frame
+from canfb.interface.encoder_interface import EncoderInterface
+from canfb.interface.sample_clock import SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
-from canfb.simulation.encoder_interface import EncoderInterface
-from canfb.simulation.sample_clock import SampleClock
 
 NODE = 16
 SYNC = Frame(0x80, b"")

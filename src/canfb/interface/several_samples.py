@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+from canfb.interface.sample_clock import TICKS_PER_S
 from canfb.signal.nominal_sync import NominalSync
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import TICKS
-from canfb.simulation.sample_clock import TICKS_PER_S
-from canfb.simulation.shaft_encoder import Machine
-from canfb.sources.protocol import Source
+from canfb.sources.protocol import Machine, Source
 
 LOCK_SYNCS = 4096  # that the clock of the interface is locked to
 EARLIER_PART = 1.0 / 16.0  # of the interval: so long before the nominal SYNC the newest sample is taken

@@ -1,30 +1,34 @@
-"""The remote encoder interface: a CiA 401 analog input node that samples at every SYNC."""
+"""The remote encoder interface: a CiA 401 analog input node that samples at every SYNC.
+
+One class for the interface with a converter and for the simulated one (``canfb simulate``):
+the source makes the difference. Time is an argument, and a source never waits.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 
 from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.cob import CAN_ID
-from canfb.cia301.codes import EmergencyCode, ErrorRegister
+from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.cia301.pdo_room import mapping_values
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.mapping import Direction
 from canfb.device.pdo.pdo import COMMUNICATION, numbers
+from canfb.device.routing import CanIds
 from canfb.device.storage.image import ParameterGroup
-from canfb.device.storage.storage import Store
+from canfb.device.storage.writing import Store
 from canfb.eds_files import eds_path
+from canfb.interface.fast_recording import FastRecorder
+from canfb.interface.hearing import TRUE_TIME, Hearing
+from canfb.interface.sample_clock import SampleClock
+from canfb.interface.several_samples import SeveralSamples
 from canfb.signal.sample import Sample
-from canfb.simulation.fast_recording import FastRecorder
-from canfb.simulation.hearing import TRUE_TIME, Hearing
-from canfb.simulation.machine_switch import MachineSwitch
-from canfb.simulation.sample_clock import SampleClock
-from canfb.simulation.several_samples import SeveralSamples
-from canfb.simulation.shaft_encoder import Machine
-from canfb.sources.protocol import Source, SourceEnded
+from canfb.sources.protocol import Grouped, Machine, Source
+from canfb.sources.source_watch import SourceWatch
 
 EDS = "encoder-interface"
 PLACES = 65536  # 2000:03 counts the sample interval in 1/65536
@@ -35,17 +39,22 @@ class EncoderInterface:
 
     ``source`` gives the samples: a :class:`Machine` at the time at which the SYNC was received, another
     source one sample for each SYNC. That is true time, unless ``hearing`` is set to another one (see
-    :mod:`canfb.simulation.hearing`). A SYNC for which it has none gets no TPDO, as if the sample
+    :mod:`canfb.interface.hearing`). A SYNC for which it has none gets no TPDO, as if the sample
     were lost on the bus. ``ended`` becomes True when a recording is over. Each sample is an event for the
     TPDOs of type 0; types FEh and FFh have their event timer.
+
+    A source that fails is asked again at the next SYNC. ``on_source`` is called with one line when it fails,
+    works again or has ended; meanwhile EMCY 5000h is active.
 
     2000:01 is the time of the sample: that of ``clock`` when the SYNC was received, unless the sample
     brings a time of its own. With ``times`` TPDO1 carries it behind sine and cosine, by default.
     ``samples_per_sync``, 1..4: so many pairs for each SYNC (6401:05 and up), sampled by the clock of the
-    interface; see :class:`SeveralSamples`. What TPDO1 has no room for is in TPDO2 and TPDO3.
+    interface: by the converter (:class:`Grouped`), else see :class:`SeveralSamples`. What TPDO1 has no room
+    for is in TPDO2 and TPDO3.
 
     ``store`` keeps what 1010h and LSS save. A ``node_id`` of 255 is one that an LSS master gives it; it
-    knows the device by its ``serial_number``, 0..4294967295.
+    knows the device by its ``serial_number``, 0..4294967295. ``bit_rates_kbit_s`` are those that LSS may
+    choose. ``on_parameter_faults`` is called with the groups of stored parameters that were refused.
     """
 
     def __init__(
@@ -59,6 +68,7 @@ class EncoderInterface:
         times: bool = False,
         samples_per_sync: int = 1,
         clock: SampleClock | None = None,
+        bit_rates_kbit_s: Collection[int] = (),
     ) -> None:
         if not 0 <= serial_number <= 0xFFFFFFFF:
             raise ValueError(f"serial_number must be 0..4294967295, not {serial_number}")
@@ -68,7 +78,11 @@ class EncoderInterface:
         for place, value in _adc_pdos(node_id, times, samples_per_sync).items():
             parameter = self.dictionary.entry(*place)
             parameter.default = parameter.value = value
-        self.node = Node(self.dictionary, node_id, autostart=autostart, store=store)
+        self.node = Node(
+            self.dictionary, node_id, autostart=autostart, store=store, bit_rates_kbit_s=bit_rates_kbit_s
+        )
+        self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None = None
+        self.on_source: Callable[[str], None] | None = None
         self.inhibited = self.node.inhibited
         self.node.on_sync = self._on_sync
         self.node.on_parameter_faults = self._on_parameter_faults
@@ -79,15 +93,18 @@ class EncoderInterface:
         self._now = 0.0
         self._heard_s = 0.0  # when the frame was received, in the time of the machine
         self._clock = SampleClock() if clock is None else clock
-        self.recorder = FastRecorder(self.dictionary, source, lambda: self.hearing.at(self._now))
+        self.recorder = FastRecorder(self.dictionary, source, self.machine_now)
         self.source = source
-        MachineSwitch(
-            self.dictionary.entry(*od.INTERFACE_MACHINE), source, lambda: self.hearing.at(self._now)
-        )
+        self.dictionary.entry(*od.INTERFACE_MACHINE).on_check = _refuse
         self._machine = source if isinstance(source, Machine) else None
-        self._several = SeveralSamples(source, samples_per_sync) if samples_per_sync > 1 else None
-        self.ended = False
+        grouped = isinstance(source, Grouped) and source.samples_per_sync == samples_per_sync
+        several = samples_per_sync > 1 and not grouped
+        self._several = SeveralSamples(source, samples_per_sync) if several else None
+        self._watch = SourceWatch(self._ask, self._tell_of_source)
         self.samples = 0
+        """Samples sent."""
+        self.missed = 0
+        """SYNCs in OPERATIONAL for which the source had none, before its end."""
         self._silent = False
         entry = self.dictionary.entry
         self._sine, self._cosine = entry(*od.INTERFACE_SINE), entry(*od.INTERFACE_COSINE)
@@ -100,6 +117,15 @@ class EncoderInterface:
         parameters = COMMUNICATION[Direction.TRANSMIT] - 1
         self._cob_ids = [entry(parameters + number, 1) for number in tpdos]
         self._types = {number: entry(parameters + number, 2) for number in tpdos}
+
+    @property
+    def ended(self) -> bool:
+        """The source has no sample left."""
+        return self._watch.ended
+
+    def machine_now(self) -> float:
+        """The time of the machine, seconds, at the running call."""
+        return self.hearing.at(self._now)
 
     def start(self, now: float) -> list[Frame]:
         """Power-on at ``now`` (seconds): the boot-up frame."""
@@ -124,6 +150,14 @@ class EncoderInterface:
         """When :meth:`tick` is due next, None for not at all."""
         return self.node.deadline()
 
+    def can_ids(self) -> CanIds:
+        """The CAN-IDs that it listens to: a host need not give it other frames."""
+        return self.node.can_ids()
+
+    def follow_can_ids(self, moved: Callable[[], None]) -> None:
+        """Have ``moved`` called in each call after which :meth:`can_ids` may give others."""
+        self.node.follow_can_ids(moved)
+
     def sent(self, can_id: int, now: float) -> None:
         """A frame with this CAN-ID has left at ``now``: inhibit times count from there."""
         self.node.sent(can_id, now)
@@ -137,12 +171,14 @@ class EncoderInterface:
         return self.node.bus_back(now)
 
     def _on_sync(self, counter: int | None, now: float) -> None:
-        try:
-            sample = None if self.ended else self._sample()
-        except SourceEnded:
-            self.ended, sample = True, None
+        sample = self._watch.sample(now)
+        if self._watch.failing:
+            self.node.emergency(EmergencyCode.HARDWARE, ErrorRegister.GENERIC, b"", now)
+        else:
+            self.node.clear_emergency(EmergencyCode.HARDWARE, now)
         if sample is None:
             self._silent = True
+            self.missed += not self.ended
             return
         self.samples += 1
         self._keep(sample)
@@ -150,11 +186,15 @@ class EncoderInterface:
             if kind.value == 0:  # FEh and FFh have their event timer; a sample of each SYNC would be too much
                 self.node.trigger_tpdo(number, now)
 
-    def _sample(self) -> Sample | None:
+    def _ask(self) -> Sample | None:
         """A machine is sampled when the SYNC is heard; a recording has one sample for each SYNC."""
         if self._several is not None:
             return self._several.at_sync(self._heard_s)
         return self.source.next() if self._machine is None else self._machine.sample_at(self._heard_s)
+
+    def _tell_of_source(self, text: str) -> None:
+        if self.on_source is not None:
+            self.on_source(text)
 
     def _keep(self, sample: Sample) -> None:
         """Put the sample into 6401h and 2000h."""
@@ -183,12 +223,19 @@ class EncoderInterface:
             self.node.emergency(EmergencyCode.DATA_SET, ErrorRegister.GENERIC, bytes(sorted(faults))[:5], now)
         else:
             self.node.clear_emergency(EmergencyCode.DATA_SET, now)
+        if self.on_parameter_faults is not None:
+            self.on_parameter_faults(faults)
 
     def _audible(self, frames: list[Frame]) -> list[Frame]:
         if not self._silent:
             return frames
         samples = {cob_id.value & CAN_ID for cob_id in self._cob_ids}
         return [frame for frame in frames if frame.can_id not in samples]
+
+
+def _refuse(value: int) -> None:
+    """2060h is of a machine that the program moves; see :mod:`canfb.simulation.machine_switch`."""
+    raise SdoAbort(AbortCode.DEVICE_STATE)
 
 
 def _adc_pdos(node_id: int, times: bool, samples_per_sync: int) -> dict[tuple[int, int], int]:

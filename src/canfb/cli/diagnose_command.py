@@ -1,0 +1,108 @@
+"""``canfb diagnose``: one file for whoever is to help."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from canfb.bus import diagnosis_facts as facts
+from canfb.bus.wall_clock import local_time
+from canfb.cli import node_options
+from canfb.cli.options import Commands, add_bus_options, add_command, bus_options
+from canfb.cli.sdo_command import OURS
+from canfb.cli.watch_options import positive
+from canfb.cli.yaml_argument import node_or_yaml, take_yaml
+from canfb.commissioning.bus_scan import scan
+from canfb.commissioning.node_diagnosis import HeardFrames, node_facts
+from canfb.commissioning.whole_file import check_writable, write_whole
+from canfb.configuration import ANY_NODES, Config, load_config
+from canfb.eds_files import eds_path
+from canfb.errors import CanfbError
+
+LISTEN_S = 2.0
+
+
+def register(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "diagnose",
+        "write one file for whoever is to help: versions, settings, objects, log",
+        diagnose,
+    )
+    parser.add_argument(
+        "nodes",
+        metavar="NODE",
+        nargs="*",
+        type=node_or_yaml,
+        help="nodes to read, and CONFIG.yaml; without: those of the configuration, else all that answer",
+    )
+    parser.add_argument("--config", metavar="CONFIG.yaml", help="the configuration, with the bus")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="(canfb-diagnose-DATE-TIME.json); replaced")
+    parser.add_argument("--seconds", metavar="S", type=positive, default=LISTEN_S, help="to listen (2)")
+    parser.add_argument(
+        "--answer-within", type=float, default=1.0, metavar="S", help="time for an SDO answer (1)"
+    )
+    add_bus_options(parser)
+
+
+def diagnose(options: argparse.Namespace) -> int:
+    """Write what can be found out; what cannot is in the file with its reason. Nothing on the bus changes."""
+    take_yaml(options)
+    path = options.out or Path(f"canfb-diagnose-{local_time():%Y%m%d-%H%M%S}.json")
+    check_writable(path)
+    parts: dict[str, Any] = {"versions": facts.versions()}
+    config, words = Config(), {}
+    try:
+        if options.config:
+            config = load_config(options.config, ANY_NODES)
+            parts["configuration"] = facts.configuration_facts(config)
+            parts["log"] = facts.journal(Path(options.config).stem)
+        words = bus_options(options, config.bus)
+    except CanfbError as error:
+        parts["configuration_error"] = str(error)
+    parts["bus"] = facts.interface_facts(words)
+    try:
+        _ask(options, config, parts)
+    except CanfbError as error:
+        parts["bus"]["error"] = str(error)
+    write_whole(path, facts.diagnosis_text("canfb diagnose", parts).encode())
+    _say(path, parts)
+    return 0
+
+
+def _ask(options: argparse.Namespace, config: Config, parts: dict[str, Any]) -> None:
+    """Listen to the bus, and read the nodes."""
+    options.configuration = None
+    known = [eds_path(name) for name in OURS]
+    with node_options.master_of(options) as master:
+        parts["bus"]["frames"] = HeardFrames().listen(master, options.seconds)
+        parts["bus"]["seconds"] = options.seconds
+        chosen = options.nodes or _configured(config)
+        if not chosen:
+            found = scan(master, options.seconds)
+            parts["bus"]["found"] = [one.figures() for one in found]
+            chosen = [one.node_id for one in found]
+        parts["nodes"] = []
+        for node_id in chosen:
+            parts["nodes"].append(node_facts(master, node_id, known))
+
+
+def _configured(config: Config) -> list[int]:
+    """Modules, their interfaces, and interfaces of their own."""
+    nodes = [one.node_id for _, _, one in config.nodes]
+    nodes += [one.encoder_interface for one in config.modules if one.source is None]
+    return sorted({node for node in nodes if 1 <= node <= 127})
+
+
+def _say(path: Path, parts: dict[str, Any]) -> None:
+    for place in (parts, parts["bus"]):
+        for name in ("configuration_error", "error"):
+            if name in place:
+                print(f"not read: {place[name]}")
+    for node in parts.get("nodes", []):
+        name = f"node {node['node_id']} ({node['node_id']:02X}h)"
+        error = f"; {node['error']}" if "error" in node else ""
+        print(f"{name}: {len(node.get('objects', {}))} objects{error}")
+    print(f"written  {path}")

@@ -1,0 +1,148 @@
+"""``interfaces:`` of the YAML: what is right loads, what is wrong gets one line with file, line and key."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from canfb.cli.main import main
+from canfb.configuration import ANY_NODES, INTERFACES, parse_config
+from canfb.errors import ConfigError
+from canfb.interface.interface_config import InterfaceConfig
+from canfb.sources.iio_source import IioSourceConfig
+from canfb.sources.motion_source import MotionSourceConfig
+
+ADC = "source: {kind: iio, device: ads7950}"
+BOTH = f"""\
+modules:
+  - {{node_id: 0x20, encoder_interface: 0x10}}
+interfaces:
+  - {{node_id: 0x10, {ADC}, times: true}}
+"""
+
+
+def test_every_key_is_read() -> None:
+    text = (
+        "interfaces:\n- {node_id: 0x10, source: {kind: motion}, serial_number: 7, times: true,"
+        " samples_per_sync: 2, adc_bits: 14, cycles_per_revolution: 1024, state_dir: /tmp/x,"
+        " autostart: true}\n"
+    )
+    (config,) = parse_config(text, needs=INTERFACES).interfaces
+    assert config == InterfaceConfig(
+        node_id=16,
+        source=MotionSourceConfig(),
+        serial_number=7,
+        times=True,
+        samples_per_sync=2,
+        adc_bits=14,
+        cycles_per_revolution=1024,
+        state_dir="/tmp/x",
+        autostart=True,
+    )
+    assert all(f"{field.name}:" in text for field in dataclasses.fields(InterfaceConfig))
+
+
+def test_bits_that_are_stated_are_those_of_the_converter() -> None:
+    for stated, bits in (("", None), (", adc_bits: 12", 12)):
+        text = f"interfaces: [{{node_id: 16, {ADC}{stated}}}]"
+        source = parse_config(text, needs=INTERFACES).interfaces[0].source
+        assert isinstance(source, IioSourceConfig)
+        assert source.adc_bits == bits
+
+
+def test_one_file_may_serve_both_computers() -> None:
+    config = parse_config(BOTH)
+    assert [one.node_id for one in config.modules] == [32]
+    assert [one.node_id for one in parse_config(BOTH, needs=INTERFACES).interfaces] == [16]
+
+
+WRONG = {
+    "no interfaces": (
+        "modules: [{node_id: 3}]",
+        1,
+        "'interfaces' is missing: a list with at least one encoder interface",
+    ),
+    "no source": ("interfaces:\n- node_id: 16\n", 2, "'source' is missing in interfaces[0]"),
+    "no source at all": (
+        "interfaces:\n- node_id: 16\n  source: null\n",
+        3,
+        "interfaces[0]: source must be a configuration of a source, not None",
+    ),
+    "a key of a module": (
+        f"interfaces:\n- node_id: 16\n  {ADC}\n  residual_limit: 0.3\n",
+        4,
+        "unknown key 'residual_limit' in interfaces[0]",
+    ),
+    "five samples": (
+        f"interfaces:\n- node_id: 16\n  {ADC}\n  samples_per_sync: 5\n",
+        4,
+        "samples_per_sync must be a whole number 1..4, not 5",
+    ),
+    "node-ID": (f"interfaces: [{{node_id: 128, {ADC}}}]", 1, "node_id must be a whole number 1..127"),
+    "state_dir": (f"interfaces: [{{node_id: 1, {ADC}, state_dir: 4}}]", 1, "state_dir must be text, not 4"),
+    "times": (f"interfaces: [{{node_id: 1, {ADC}, times: 1}}]", 1, "times must be true or false, not 1"),
+    "the node-ID of a module": (
+        BOTH.replace("node_id: 0x10", "node_id: 0x20"),
+        4,
+        "node_id 32 of interfaces[0] is also that of modules[0]",
+    ),
+    "twice": (
+        f"interfaces:\n- {{node_id: 16, {ADC}}}\n- {{node_id: 16, {ADC}}}\n",
+        3,
+        "node_id 16 of interfaces[1] is also that of interfaces[0]",
+    ),
+    "state_dir twice": (
+        "modules: [{node_id: 3, state_dir: x}]\n"
+        f"interfaces:\n- {{node_id: 16, {ADC}, state_dir: ./x}}\n",
+        3,
+        "state_dir of interfaces[0] is also that of modules[0]",
+    ),
+    "serial numbers": (
+        f"interfaces:\n- {{node_id: 255, {ADC}}}\n- {{node_id: 255, {ADC}}}\n",
+        3,
+        "serial_number 0 of interfaces[1] is also that of interfaces[0]: LSS needs unique ones",
+    ),
+    "the drive": (
+        f"interfaces: [{{node_id: 48, {ADC}}}]\nsimulation: {{drive: {{node_id: 48}}}}\n",
+        2,
+        "drive: node_id 48 is the node_id of interfaces[0]",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_is_told_with_its_line(case: str) -> None:
+    text, line, words = WRONG[case]
+    with pytest.raises(ConfigError) as caught:
+        parse_config(text, "f.yaml", INTERFACES)
+    assert str(caught.value).startswith(f"f.yaml:{line}: ")
+    assert words in str(caught.value)
+
+
+def test_a_command_for_any_node_names_both_lists() -> None:
+    with pytest.raises(ConfigError, match="'modules' or 'interfaces' is missing: a list with at least one"):
+        parse_config("bus: {}", needs=ANY_NODES)
+
+
+def test_the_check_takes_a_file_of_an_interface(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "interface.yaml"
+    path.write_text(f"interfaces: [{{node_id: 16, {ADC}}}]")
+    assert main(["config", "check", str(path)]) == 0
+    path.write_text(BOTH)
+    assert main(["config", "check", str(path)]) == 0
+    assert capsys.readouterr().out == (
+        f"{path}: valid; interfaces: 10h\n{path}: valid; modules: 20h; interfaces: 10h\n"
+    )
+
+
+def test_run_and_interface_want_their_own_lists(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "one.yaml"
+    for command, text, missing in (
+        ("run", f"interfaces: [{{node_id: 16, {ADC}}}]", "'modules' is missing"),
+        ("interface", "modules: [{node_id: 3}]", "'interfaces' is missing"),
+    ):
+        path.write_text(text)
+        assert main([command, str(path)]) == 2
+        assert capsys.readouterr().err.startswith(f"canfb: {path}:1: {missing}")

@@ -1,0 +1,175 @@
+"""A converter that samples faster than SYNC: several samples for each, at the interface and in a module."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from emulated_iiod import EmulatedIiod
+from iio_kit import LIMIT_S, deliver, reading
+
+from canfb.bus.captured_source import CapturedSource
+from canfb.bus.hosting import open_source
+from canfb.bus.interface_hosting import make_interface
+from canfb.cia301.frame import Frame
+from canfb.configuration import ANY_NODES, parse_config
+from canfb.errors import ConfigError
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
+from canfb.signal.supervision import MISSED, VALID
+from canfb.simulation.encoder import Encoder
+from canfb.simulation.motion import Motion, Ramp
+from canfb.simulation.scenario import SimulationConfig
+
+Iiod = Callable[..., EmulatedIiod]
+SYNC = Frame(0x80, b"")
+SYNC_S, SCANS = 1e-3, 4
+SYNCS = 700
+RPM = 600.0  # 25 cycles in each interval of SYNC
+SOURCE = f"source: {{kind: iio, device: ads7950, scans_per_sync: {SCANS}, uri: "
+KEYS = f"samples_per_sync: 2, autostart: true, {SOURCE}"
+
+
+class Machine:
+    """An encoder on a machine, sampled by the converter; ``truth_cycles`` is where it was at each scan."""
+
+    def __init__(self, server: EmulatedIiod) -> None:
+        self._server = server
+        self._encoder, self._rng = Encoder(noise_lsb=0.5), np.random.default_rng(11)
+        self._motion = Motion((Ramp(0.1, 0.0), Ramp(0.5, RPM)))
+        self._scan_s = SYNC_S / SCANS * (1.0 + 20e-6)
+        self._scan = 0
+        self.truth_cycles: dict[int, float] = {}
+        """By the time of the scan, 100 ns."""
+
+    def turn(self, source: CapturedSource, until_s: float) -> None:
+        new = []
+        while self._scan * self._scan_s <= until_s:
+            time_s = self._scan * self._scan_s
+            position = self._motion.revolutions(time_s) * 2500
+            sine, cosine = self._encoder.sample(position, self._rng)
+            new.append(reading(int(sine) + 2048, int(cosine) + 2048, round(time_s * 1e9)))
+            self.truth_cycles[round(time_s * 1e9) // 100] = position
+            self._scan += 1
+        deliver(self._server, source, *new)
+
+
+@pytest.fixture
+def resources() -> Iterator[contextlib.ExitStack]:
+    with contextlib.ExitStack() as stack:
+        yield stack
+
+
+def configured(server: EmulatedIiod, text: str) -> Any:
+    return parse_config(text.replace("uri: ", f"uri: 'ip:127.0.0.1:{server.port}'}}"), needs=ANY_NODES)
+
+
+def follow(
+    machine: Machine, source: CapturedSource, module: FeedbackModule, sync: Callable[[float], None]
+) -> None:
+    """SYNC after SYNC, heard up to 0.2 ms late; the position is right at each of them that is valid."""
+    rng, valid = np.random.default_rng(5), 0
+    for number in range(1, SYNCS + 1):
+        heard_s = number * SYNC_S + float(rng.uniform(0.0, 2e-4))
+        machine.turn(source, heard_s)
+        sync(heard_s)
+        feedback = module.feedback
+        if feedback is None or not feedback.status & VALID:
+            continue
+        valid += 1
+        truth = machine.truth_cycles[int(module.dictionary.entry(0x2000, 5).value)]
+        assert abs(feedback.cycles + feedback.phase - truth) < 0.02, number
+        assert number < 20 or not feedback.status & MISSED
+    assert valid > 0.95 * SYNCS
+    assert truth > 5000
+
+
+def test_a_module_with_an_adc_of_its_own_takes_two(iiod: Iiod, resources: contextlib.ExitStack) -> None:
+    server = iiod()
+    (config,) = configured(server, f"modules: [{{node_id: 32, {KEYS}}}]").modules
+    assert config.source is not None
+    config, source = open_source(config, config.source, SimulationConfig(), resources)
+    assert isinstance(source, CapturedSource)
+    assert server.opened.wait(LIMIT_S)
+    module = FeedbackModule(config, source=source)
+    module.start(0.0)
+
+    def sync(now: float) -> None:
+        module.receive(SYNC, now)
+
+    follow(Machine(server), source, module, sync)
+    assert module.dictionary.entry(0x2011, 8).value > 1.9 * 0.95 * SYNCS, "all pairs are processed"
+    newest, earlier = (
+        (module.dictionary.entry(0x2000, sine).value, module.dictionary.entry(0x2000, sine + 1).value)
+        for sine in (1, 8)
+    )
+    assert newest != earlier
+
+
+def test_an_interface_sends_two_and_the_module_follows(iiod: Iiod, resources: contextlib.ExitStack) -> None:
+    server = iiod()
+    (config,) = configured(server, f"interfaces: [{{node_id: 16, times: true, {KEYS}}}]").interfaces
+    interface = make_interface(config, resources, {})
+    assert server.opened.wait(LIMIT_S)
+    module = FeedbackModule(ModuleConfig(node_id=32, times=True, samples_per_sync=2, autostart=True))
+    for device in (interface, module):
+        device.start(0.0)
+
+    def sync(now: float) -> None:
+        module.receive(SYNC._replace(timestamp=now), now)
+        sent = interface.receive(SYNC._replace(timestamp=now), now)
+        assert [len(frame.data) for frame in sent] in ([8, 4], [])
+        for frame in sent:
+            module.receive(frame, now + 1e-4)
+
+    assert isinstance(interface.source, CapturedSource)
+    follow(Machine(server), interface.source, module, sync)
+    assert interface.missed < 5
+
+
+def test_the_pairs_are_half_an_interval_apart(iiod: Iiod, resources: contextlib.ExitStack) -> None:
+    server = iiod()
+    (config,) = configured(server, f"interfaces: [{{node_id: 16, times: true, {KEYS}}}]").interfaces
+    interface = make_interface(config, resources, {})
+    assert server.opened.wait(LIMIT_S)
+    assert isinstance(interface.source, CapturedSource)
+    interface.start(0.0)
+    sent: list[Frame] = []
+    for number in range(1, 20):
+        scans = range(SCANS * (number - 1), SCANS * number)
+        deliver(server, interface.source, *[reading(2048 + n, 2048 - n, n * 250_000) for n in scans])
+        sent += interface.receive(SYNC, number * SYNC_S)
+    pairs = [struct.unpack("<4h", frame.data) for frame in sent if frame.can_id == 0x190]
+    times = [struct.unpack("<I", frame.data)[0] for frame in sent if frame.can_id == 0x290]
+    assert len(pairs) == len(times) > 15
+    for (sine, cosine, sine_1, cosine_1), time in zip(pairs, times, strict=True):
+        assert (cosine, sine_1, cosine_1) == (-sine, sine - 2, 2 - sine)
+        assert time == sine * 2500
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("", "samples_per_sync: 2 need scans_per_sync in source, a multiple of it, not None"),
+        (", scans_per_sync: 5", "samples_per_sync: 2 need scans_per_sync in source, a multiple of it, not 5"),
+        (", scans_per_sync: 4, time_stamps: false", "scans_per_sync needs time_stamps: true"),
+        (", scans_per_sync: 1", "scans_per_sync must be a whole number 2..256, not 1"),
+    ],
+)
+def test_what_cannot_be_is_told_by_the_configuration(source: str, words: str) -> None:
+    for key in ("modules", "interfaces"):
+        with pytest.raises(ConfigError) as caught:
+            parse_config(
+                f"{key}: [{{node_id: 3, samples_per_sync: 2, source: {{kind: iio, device: x{source}}}}}]",
+                needs=ANY_NODES,
+            )
+        assert words in str(caught.value)
+
+
+def test_a_trigger_that_is_fired_has_no_clock(iiod: Iiod, opened: Callable[..., CapturedSource]) -> None:
+    with pytest.raises(ConfigError, match="'sysfstrig7' gives one scan for each SYNC; scans_per_sync"):
+        opened(iiod(), trigger="sysfstrig7", scans_per_sync=4)

@@ -1,0 +1,141 @@
+"""`canfb interface` with an ADC of libiio's local backend: for `canfb run`, and for python canopen."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from ctypes.util import find_library
+from pathlib import Path
+
+import can
+import canopen
+import pytest
+from emulated_iio_tree import position_cycles
+from network import (
+    ADC_COB_ID,
+    INTERFACE_ID,
+    NODE_ID,
+    POSITION_COB_ID,
+    SYNC,
+    TIMES,
+    Master,
+    Timer,
+    next_frame,
+    position_fields,
+    skip_unless_required,
+    start_command,
+    tolerate_late_syncs,
+    wait_for_boot_up,
+    write_config,
+)
+from pace import Pace
+from test_local_adc import with_adc
+
+from canfb.device.od.dictionary import Dictionary
+from canfb.eds_files import eds_path
+from canfb.objects import StatusBit
+from processes import Process
+
+CHANNEL = "bus: {interface: socketcan, channel: vcan0}\n"
+SOURCE = "{kind: iio, device: ads7950, trigger: sysfstrig0, wait_us: 1000000, buffer_scans: 8}"
+UNITS_PER_CYCLE, RANGE_CYCLES = 8192, 209 * 2500
+SERIAL = 0x7E570001
+SYNCS = 400
+
+
+@pytest.fixture(autouse=True)
+def libiio() -> None:
+    if find_library("iio") is None:
+        skip_unless_required("no libiio; run: apt-get install libiio0")
+
+
+@pytest.fixture
+def interface(tmp_path: Path, command: Callable[..., Process], pace: Pace) -> Callable[[int], Process]:
+    """Starts `canfb interface` with this node-ID, where the emulated ADC is."""
+    path = tmp_path / "interface.yaml"
+
+    def start(node_id: int) -> Process:
+        path.write_text(
+            f"{CHANNEL}interfaces:\n  - {{node_id: {node_id}, serial_number: {SERIAL}, times: true,"
+            f" state_dir: {tmp_path / 'state'}, source: {SOURCE}}}\n"
+        )
+        canfb = [sys.executable, "-m", "canfb", "interface", str(path)]
+        return command(*with_adc(1e3 * pace.period_s), *canfb)
+
+    return start
+
+
+def test_a_module_follows_the_encoder_at_the_interface(
+    interface: Callable[[int], Process],
+    process: Callable[..., Process],
+    tmp_path: Path,
+    can_bus: can.BusABC,
+    pace: Pace,
+) -> None:
+    """Each SYNC fires one scan, and its position is that of the machine at this scan."""
+    served = interface(INTERFACE_ID)
+    run = process("run", write_config(tmp_path, TIMES))
+    wait_for_boot_up(can_bus, pace, NODE_ID, INTERFACE_ID)
+    tolerate_late_syncs(can_bus, pace)
+    for message in start_command(INTERFACE_ID, NODE_ID):
+        can_bus.send(message)
+    timer, valid = Timer(pace), 0
+    for number in range(SYNCS):
+        timer.wait()
+        can_bus.send(SYNC)
+        units, status, _ = position_fields(next_frame(can_bus, pace, POSITION_COB_ID))
+        if status & StatusBit.VALID:
+            valid += 1
+            error = units / UNITS_PER_CYCLE - position_cycles(number)
+            assert abs((error + RANGE_CYCLES / 2) % RANGE_CYCLES - RANGE_CYCLES / 2) < 0.02, number
+    assert valid > 0.9 * SYNCS
+    assert position_cycles(SYNCS) > 50
+    assert run.stop() == 0
+    assert served.stop() == 0
+    run.wait_for(f"node {NODE_ID}: {SYNCS} samples; missed 0, ")
+    served.wait_for(f"node {INTERFACE_ID}: {SYNCS} samples sent$")
+
+
+def test_python_canopen_reads_its_objects_and_saves(
+    interface: Callable[[int], Process], can_bus: can.BusABC, can_channel: str, pace: Pace
+) -> None:
+    for heartbeat_ms in (0, 2000):  # the second time it has been saved
+        served = interface(INTERFACE_ID)
+        wait_for_boot_up(can_bus, pace, INTERFACE_ID)
+        with Master(can_channel, pace) as master:
+            sdo = master.interface.sdo
+            assert sdo[0x1000].raw == 0x00040191
+            assert sdo[0x1018][4].raw == SERIAL
+            assert sdo[0x1017].raw == heartbeat_ms
+            sdo[0x1017].raw = 2000
+            sdo[0x1010][1].raw = 0x65766173
+            master.interface.nmt.state = "OPERATIONAL"
+            can_bus.send(SYNC)
+            data = next_frame(can_bus, pace, ADC_COB_ID)
+            values = [sdo[0x6401][1].raw, sdo[0x6401][2].raw]
+            assert values == [int.from_bytes(data[n : n + 2], "little", signed=True) for n in (0, 2)]
+            assert sdo[0x2000][1].raw == int.from_bytes(data[4:8], "little") == 0, "the first scan"
+            assert master.interface.nmt.wait_for_heartbeat(pace.patience_s) == "OPERATIONAL"
+        assert served.stop() == 0
+
+
+def test_an_lss_master_gives_it_a_node_id_that_stays(
+    interface: Callable[[int], Process], can_bus: can.BusABC, can_channel: str, pace: Pace
+) -> None:
+    served = interface(255)
+    served.wait_for(rf"encoder interface: node without a node-ID yet \(LSS, serial number {SERIAL}\)")
+    with canopen.Network() as network:
+        network.connect(interface="socketcan", channel=can_channel)
+        lss, node_id = network.lss, 0x15
+        lss.RESPONSE_TIMEOUT = pace.patience_s
+        dictionary = Dictionary.load(eds_path("encoder-interface"), node_id)
+        address = [dictionary.entry(0x1018, n).value for n in (1, 2, 3)]
+        assert lss.send_switch_state_selective(*address, SERIAL)
+        lss.configure_node_id(node_id)
+        lss.store_configuration()
+        lss.send_switch_state_global(lss.WAITING_STATE)
+    wait_for_boot_up(can_bus, pace, node_id)
+    assert served.stop() == 0
+    again = interface(255)
+    wait_for_boot_up(can_bus, pace, node_id)
+    assert again.stop() == 0

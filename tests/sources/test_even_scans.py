@@ -1,0 +1,159 @@
+"""Scans on a grid that is locked to SYNC: equidistant samples, whatever the SYNC and the program do."""
+
+from __future__ import annotations
+
+import itertools
+import random
+from collections.abc import Iterable, Sequence
+
+import pytest
+
+from canfb.signal.sample import Sample
+from canfb.sources.even_scans import EvenScans, NewestScan
+from canfb.sources.protocol import SourceError
+
+TICKS_PER_S = 10_000_000
+SYNC_S = 1e-3
+
+
+class Bench:
+    """A converter that scans every ``scan_s`` seconds, and SYNCs; the sine is the number of the scan."""
+
+    def __init__(self, per_sync: int, scans: int, scan_s: float, lost: Iterable[int] = ()) -> None:
+        self.picked = EvenScans(per_sync, scans)
+        self._scan_s, self._next, self._lost = scan_s, 0, set(lost)
+
+    def scan_until(self, now: float) -> None:
+        while self._next * self._scan_s <= now:
+            if self._next not in self._lost:
+                time = round(self._next * self._scan_s * TICKS_PER_S) % 2**32
+                self.picked.came(Sample(self._next, -self._next, time_100ns=time))
+            self._next += 1
+
+    def sync(self, heard_s: float) -> Sample | None:
+        self.scan_until(heard_s)
+        return self.picked.take()
+
+    def run(self, heard_s: Sequence[float]) -> list[Sample | None]:
+        return [self.sync(time) for time in heard_s]
+
+
+def numbers(samples: Iterable[Sample | None]) -> list[list[int]]:
+    """Of each sample the scans, the newest first."""
+    return [[int(one.sine), *(int(sine) for sine, _ in one.earlier)] for one in samples if one is not None]
+
+
+def even(count: int, period_s: float = SYNC_S, jitter_s: float = 0.0, seed: int = 3) -> list[float]:
+    rng = random.Random(seed)
+    return [n * period_s + rng.uniform(0.0, jitter_s) for n in range(1, count + 1)]
+
+
+@pytest.mark.parametrize(("per_sync", "scans"), [(1, 8), (2, 2), (2, 8), (3, 6), (4, 8), (4, 64)])
+def test_samples_are_equidistant_however_the_sync_jitters(per_sync: int, scans: int) -> None:
+    bench = Bench(per_sync, scans, SYNC_S / scans)
+    chosen = numbers(bench.run(even(500, jitter_s=0.4 * SYNC_S)))
+    assert len(chosen) >= 496
+    apart = scans // per_sync
+    assert all(one == [one[0] - n * apart for n in range(per_sync)] for one in chosen)
+    steps = [after[0] - before[0] for before, after in itertools.pairwise(chosen)]
+    moved = [step for step in steps if step != scans]
+    assert len(moved) < 12, "the grid stands"
+    assert sum(steps) == pytest.approx(scans * len(steps), abs=scans)
+
+
+@pytest.mark.parametrize("drift", [200e-6, -200e-6])
+def test_the_grid_follows_the_drift_of_the_clock_by_single_scans(drift: float) -> None:
+    bench = Bench(2, 8, SYNC_S / 8 * (1.0 + drift))
+    samples = bench.run(even(20_000, jitter_s=50e-6))
+    chosen = numbers(samples)
+    assert len(chosen) >= 19_995
+    steps = [after[0] - before[0] for before, after in itertools.pairwise(chosen)]
+    moved = [step - 8 for step in steps if step != 8]
+    assert set(moved) == ({-1} if drift > 0 else {1})
+    assert len(moved) == pytest.approx(8 * 20_000 * abs(drift), abs=4)
+
+
+def test_the_time_is_that_of_the_newest_scan() -> None:
+    bench = Bench(2, 8, SYNC_S / 8)
+    for sample in bench.run(even(50)):
+        assert sample is None or sample.time_100ns == round(sample.sine * SYNC_S / 8 * TICKS_PER_S)
+
+
+def test_before_there_is_an_interval_of_scans_there_is_no_sample() -> None:
+    bench = Bench(2, 8, SYNC_S / 8)
+    assert bench.sync(0.0) is None
+    assert bench.sync(0.5e-3) is None
+    assert bench.sync(2e-3) is not None
+
+
+def test_a_sync_that_is_not_heard_leaves_its_samples_out() -> None:
+    bench = Bench(2, 8, SYNC_S / 8)
+    chosen = numbers(bench.run([time for n, time in enumerate(even(100)) if n != 50]))
+    steps = [after[0] - before[0] for before, after in itertools.pairwise(chosen)]
+    assert sorted(set(steps)) == [8, 16]
+    assert steps.count(16) == 1
+
+
+def test_a_sync_too_soon_has_no_sample_and_the_grid_stands() -> None:
+    bench = Bench(2, 8, SYNC_S / 8)
+    before = numbers(bench.run(even(60)))
+    assert bench.sync(60 * SYNC_S + 0.2 * SYNC_S) is None
+    (after,) = numbers([bench.sync(61 * SYNC_S)])
+    assert after[0] - before[-1][0] == 8
+
+
+def test_scans_that_are_lost_make_no_sample_of_unequal_distances() -> None:
+    bench = Bench(4, 8, SYNC_S / 8, lost=(403, 404))
+    failed = []
+    for n, time in enumerate(even(200)):
+        try:
+            sample = bench.sync(time)
+        except SourceError as error:
+            failed.append((n, str(error)))
+            continue
+        if sample is not None:
+            (chosen,) = numbers([sample])
+            assert chosen == [chosen[0] - 2 * step for step in range(4)], n
+    assert failed
+    assert all("scans are missing" in text for _, text in failed)
+    assert {n for n, _ in failed} <= {50, 51, 52}, failed
+
+
+@pytest.mark.parametrize(("real", "words"), [(8.4, "8.38"), (16, "16"), (4, "4"), (7.5, "7.5"), (3, "3")])
+def test_a_number_of_scans_that_does_not_fit_is_told(real: float, words: str) -> None:
+    bench = Bench(2, 8, SYNC_S / real)
+    told = ""
+    for time in even(500, jitter_s=0.1 * SYNC_S):
+        try:
+            bench.sync(time)
+        except SourceError as error:
+            told = str(error)
+    assert told.startswith(f"scans_per_sync is 8, but {words}"), told
+
+
+@pytest.mark.parametrize("scans", [2, 4, 8, 64, 256])
+def test_the_right_number_is_not_doubted(scans: int) -> None:
+    bench = Bench(1, scans, SYNC_S / scans * (1.0 + 100e-6))
+    samples = bench.run(even(1500, jitter_s=0.2 * SYNC_S))
+    assert samples.count(None) < 20
+
+
+def test_a_converter_that_starts_again_begins_a_new_grid() -> None:
+    bench = Bench(2, 8, SYNC_S / 8)
+    bench.run(even(50))
+    bench.picked.forget()
+    assert bench.sync(51 * SYNC_S) is None
+    samples = bench.run([n * SYNC_S for n in range(52, 60)])
+    assert samples[-1] is not None
+
+
+def test_the_newest_scan_is_taken_once() -> None:
+    picked = NewestScan()
+    assert picked.take() is None
+    picked.came(Sample(1, 2))
+    picked.came(Sample(3, 4))
+    assert picked.take() == Sample(3, 4)
+    assert picked.take() is None
+    picked.came(Sample(5, 6))
+    picked.forget()
+    assert picked.take() is None
