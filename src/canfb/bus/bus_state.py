@@ -109,7 +109,7 @@ class BusState:
             self._show_life(now)
 
     def lost(self) -> bool:
-        """Whether the bus has gone, or has gone again before it was said to be back; asked once each time."""
+        """True once for each failure of the bus, also one before its return was reported."""
         if self._told:
             return False
         self._told = True
@@ -148,6 +148,6 @@ class BusState:
 
 
 def is_down(error: Exception) -> bool:
-    """Whether a failure says that the interface is down, or gone."""
+    """Whether a failure means that the interface is down, or removed."""
     code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
     return code in INTERFACE_DOWN

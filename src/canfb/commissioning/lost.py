@@ -41,7 +41,7 @@ class Loss:
 
 @dataclass(frozen=True)
 class LostPosition:
-    """What a module says of its position and of its last loss.
+    """State of the position of a module, and its last loss.
 
     loss                    the last one since its reset; None without one
     keeps_cause             the module has 2012:10; older ones do not

@@ -1,4 +1,4 @@
-"""What an EDS says of the objects of a node: names, types, units, limits; and which one is meant by a name.
+"""Objects of a node by its EDS: names, types, units, limits; and look-up by name.
 
 The unit of an object is a line ``;Unit=`` above its section in our EDS files, a comment for CiA 306, or a key
 ``Unit`` in it, as python canopen has it.

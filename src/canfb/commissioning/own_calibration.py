@@ -33,7 +33,7 @@ PATIENCE_S = 120.0  # without progress: a slow computer calculates for long
 
 @dataclass(frozen=True)
 class ModuleDrift:
-    """What the module says of its table: its error now, rms and peak, and the noise, all in cycles."""
+    """Figures of the module about its table: present error, rms and peak, and noise, in cycles."""
 
     rms: float
     peak: float

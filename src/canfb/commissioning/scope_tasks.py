@@ -23,7 +23,7 @@ BUTTONS = Advice("upload one first", "Activate puts it in force", "Save keeps it
 
 @dataclass(frozen=True)
 class TaskDone:
-    """What a task says, and what it has measured, if anything."""
+    """Result of a task: text, and measured curves if there are any."""
 
     lines: list[str]
     measured: Measurement | None = None

@@ -75,7 +75,7 @@ class Computing(Protocol):
     """A device with something to compute now and then, as FeedbackModule is."""
 
     def pending_job(self) -> Any:
-        """What is to be computed, None for nothing."""
+        """The pending computation, None if there is none."""
 
     def finish_job(self, job: Any, result: Any, now: float) -> list[Frame]:
         """What came out, or an Exception."""

@@ -12,7 +12,7 @@ RemoteHandler = Callable[[float], None]
 
 
 class CanIds(NamedTuple):
-    """What a node listens to, by CAN-ID; all other frames do nothing but count.
+    """CAN-IDs that a node listens to; all other frames are only counted.
 
     `data` and `remote` are those of data and remote frames now. `any_state` and `any_state_remote` are those
     with the present parameters in any NMT state: a master that starts the node need not wait before it sends
@@ -66,7 +66,7 @@ class Routes:
             self.remote[can_id] = handler
 
     def add_sent(self, can_id: int | None, follow: Callable[[float], None]) -> None:
-        """Who follows the frames that leave; None for one that sends nothing now. The last one added does."""
+        """Observer of the frames that leave: the last one added; None: nothing is sent now."""
         if can_id is not None:
             self.sent[can_id] = follow
 

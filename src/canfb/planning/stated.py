@@ -177,7 +177,7 @@ def _motion(
 
 
 def _demand(simulation: SimulationConfig, config: ModuleConfig, rate_hz: float) -> MotionDemand | None:
-    """What ``canfb simulate`` says of its motion; None if the configuration has none of its own."""
+    """Demand of the motion of ``canfb simulate``; None if the configuration does not define a motion."""
     if simulation.drive is not None:
         return profile_demand(simulation.drive, _drive_objects(simulation.drive), config, rate_hz)
     if simulation.motion == SimulationConfig().motion:
