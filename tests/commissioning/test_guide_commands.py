@@ -16,7 +16,7 @@ from canfb.cli.main import build_parser
 
 ROOT = Path(__file__).parents[2]
 GUIDES = (
-    *("first-hour", "first-encoder", "wiring", "sync-rate"),
+    *("first-hour", "first-encoder", "wiring", "several-samples"),
     *("realtime", "homing", "calibration", "canopen", "simulation"),
 )
 # Parsed, not run.
@@ -59,7 +59,7 @@ RUNNING = (
 )
 HARDWARE = ("canfb simulate machine.yaml --rate 100",)
 BEFORE = {
-    "sync-rate": RUNNING[:2],
+    "several-samples": RUNNING[:2],
     "realtime": RUNNING,
     "homing": ("canfb run still.yaml", "canfb simulate still.yaml --rate 100 --rpm 0", RUNNING[-1]),
     "calibration": RUNNING,
@@ -76,7 +76,7 @@ SAYS = {
     ("first-encoder", 4): "cycles",
     ("first-encoder", 5): "saved (1010:04)",
     ("first-encoder", 6): "axis-1.yaml",
-    ("sync-rate", 0): "the module follows 209 at 500 Hz (eq. 10)",
+    ("several-samples", 0): "the module follows 209 at 500 Hz (eq. 10)",
     ("realtime", 0): "2012:01 Counters: Missed samples: 0",
     ("homing", 0): VALID,
     ("calibration", 0): "is active and verified on fresh samples",
@@ -128,7 +128,7 @@ def play(network: GuideNetwork, *pages: str) -> None:
             network.wait(0.5)
 
 
-@pytest.mark.parametrize("page", ["first-hour", "wiring", "sync-rate", "realtime"])
+@pytest.mark.parametrize("page", ["first-hour", "wiring", "several-samples", "realtime"])
 def test_a_page_from_its_first_to_its_last_command(network: GuideNetwork, page: str) -> None:
     play(network, page)
 

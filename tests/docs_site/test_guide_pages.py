@@ -14,7 +14,7 @@ from canfb.simulation.wire import frame_bits
 DOCS = Path(__file__).parents[2] / "docs"
 GUIDES = [
     *("first-hour", "first-encoder", "wiring"),
-    *("sync-rate", "realtime", "homing"),
+    *("several-samples", "realtime", "homing"),
 ]
 
 
@@ -29,7 +29,7 @@ def test_the_configurations_load(name: str) -> None:
 
 
 def test_the_accelerations_are_those_of_the_formula() -> None:
-    rows = re.findall(r"^(\d+) Hz: ([\d.]+) rad/s\^2$", text_of("sync-rate"), re.MULTILINE)
+    rows = re.findall(r"^(\d+) Hz: ([\d.]+) rad/s\^2$", text_of("several-samples"), re.MULTILINE)
     assert len(rows) == 4
     for rate, limit in rows:
         assert float(limit) == round(max_acceleration(2500, float(rate), 1 / 3), 1)
@@ -38,7 +38,7 @@ def test_the_accelerations_are_those_of_the_formula() -> None:
 def test_the_bus_loads_are_those_of_the_longest_frames() -> None:
     bits = frame_bits(0) + 2 * frame_bits(8)
     rows = re.findall(
-        r"^\| (\d+) ([kM])bit/s \| ([\d.]+) ms \| (\d+) Hz \|$", text_of("sync-rate"), re.MULTILINE
+        r"^\| (\d+) ([kM])bit/s \| ([\d.]+) ms \| (\d+) Hz \|$", text_of("several-samples"), re.MULTILINE
     )
     assert (bits, len(rows)) == (325, 4)
     for number, prefix, time_ms, rate_hz in rows:

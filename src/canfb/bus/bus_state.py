@@ -64,7 +64,7 @@ class BusState:
         self._report = report
         self.gone = False
         self.troubled = False
-        """Whether `reading_worked` and `sending_worked` want to be called."""
+        """Whether `reading_worked` and `sending_worked` must be called."""
         self._told = True
         self._bus_off = False
         self._recovered = ""  # what is to be reported at the end of what was reported
@@ -109,7 +109,7 @@ class BusState:
             self._show_life(now)
 
     def lost(self) -> bool:
-        """Whether the bus has gone, or has gone again before it was said to be back; asked once each time."""
+        """True once for each failure of the bus, also one before its return was reported."""
         if self._told:
             return False
         self._told = True
@@ -148,6 +148,6 @@ class BusState:
 
 
 def is_down(error: Exception) -> bool:
-    """Whether a failure says that the interface is down, or gone."""
+    """Whether a failure means that the interface is down, or removed."""
     code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
     return code in INTERFACE_DOWN

@@ -30,7 +30,7 @@ def candump_frames(path: Path, channel: str | None, counters: LogCounters) -> It
 
     OSError or EOFError for a file that cannot be read (on).
     """
-    wanted = None if channel is None else channel.encode()
+    selected = None if channel is None else channel.encode()
     lines = 0
     with path.open("rb") as raw, _unzipped(path, raw) as file:
         for block in _blocks(file):
@@ -38,30 +38,30 @@ def candump_frames(path: Path, channel: str | None, counters: LogCounters) -> It
             count = block.count(b"\n")
             if len(usual) == count:
                 counters.frames += count
-                yield _frames(usual, wanted, counters)
+                yield _frames(usual, selected, counters)
             else:
-                yield list(_one_by_one(block, lines, wanted, counters))
+                yield list(_one_by_one(block, lines, selected, counters))
             lines += count
             counters.bytes_read = raw.tell()
 
 
-def _frames(lines: Sequence[tuple[bytes, ...]], wanted: bytes | None, counters: LogCounters) -> list[Frame]:
+def _frames(lines: Sequence[tuple[bytes, ...]], selected: bytes | None, counters: LogCounters) -> list[Frame]:
     """Of lines that all are usual."""
     ids, frame = _IDS, Frame
     try:
         taken = [
             _new(frame, (ids[can_id], unhexlify(data), False, float(time_s)))
             for time_s, name, can_id, data in lines
-            if wanted is None or name == wanted
+            if selected is None or name == selected
         ]
         names = {name for _, name, _, _ in lines}
-        for other in names if wanted is not None else ():
-            if other != wanted:
+        for other in names if selected is not None else ():
+            if other != selected:
                 counters.leave_out(_text(other), Counter(ids[line[2]] for line in lines if line[1] == other))
     except KeyError:  # large and small letters in one identifier
         large = [(time_s, name, can_id.upper(), data) for time_s, name, can_id, data in lines]
-        return _frames(large, wanted, counters)
-    counters.channels.update(_text(name) for name in names if wanted in (None, name))
+        return _frames(large, selected, counters)
+    counters.channels.update(_text(name) for name in names if selected in (None, name))
     return taken
 
 
@@ -85,13 +85,13 @@ def _blocks(file: IO[bytes]) -> Iterator[bytes]:
         yield rest + b"\n"
 
 
-def _one_by_one(block: bytes, before: int, wanted: bytes | None, counters: LogCounters) -> Iterator[Frame]:
+def _one_by_one(block: bytes, before: int, selected: bytes | None, counters: LogCounters) -> Iterator[Frame]:
     """Lines of which some are not the usual ones; ``before`` lines stand before them."""
     for number, line in enumerate(block.split(b"\n")[:-1], before + 1):
         if not line.strip():
             continue
         try:
-            frame = _frame(line, wanted, counters)
+            frame = _frame(line, selected, counters)
         except ValueError:
             counters.damaged_lines += 1
             counters.first_damaged_line = counters.first_damaged_line or number
@@ -100,7 +100,7 @@ def _one_by_one(block: bytes, before: int, wanted: bytes | None, counters: LogCo
                 yield frame
 
 
-def _frame(line: bytes, wanted: bytes | None, counters: LogCounters) -> Frame | None:
+def _frame(line: bytes, selected: bytes | None, counters: LogCounters) -> Frame | None:
     """The frame, if it is one that counts; ValueError for a line that is none."""
     found = ANY.match(line)
     if found is None:
@@ -111,7 +111,7 @@ def _frame(line: bytes, wanted: bytes | None, counters: LogCounters) -> Frame | 
     content = b"" if remote else unhexlify(data[1:] if fd else data)  # CAN FD has its flags first
     counters.frames += 1
     is_canopen = len(can_id) <= 3 and not fd
-    if wanted not in (None, name):
+    if selected not in (None, name):
         if is_canopen:
             counters.leave_out(_text(name), Counter((number,)))
     elif is_canopen:

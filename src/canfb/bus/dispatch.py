@@ -125,10 +125,10 @@ class Dispatch:
                 self._change(self.remote, port, old.remote, port.can_ids.remote)
         self._tell_bus()
 
-    def hear_all(self, wanted: bool) -> None:
+    def hear_all(self, enabled: bool) -> None:
         """Ask the bus for all frames, or for those that are listened to."""
-        if wanted is not self.hears_all:
-            self.hears_all = wanted
+        if enabled is not self.hears_all:
+            self.hears_all = enabled
             self._tell_bus()
 
     def _tell_bus(self) -> None:

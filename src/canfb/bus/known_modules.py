@@ -18,7 +18,7 @@ def known_layouts(config: Config, nodes: Sequence[int] = ()) -> list[NodeLayout]
 
 
 def known_objects(config: Config, nodes: Sequence[int] = ()) -> dict[int, Read]:
-    """What the objects of the same modules hold, by node-ID, unless somebody has changed them."""
+    """Objects of the same modules by node-ID, as configured or by default."""
     return {module.node_id: _reader(module) for module, _ in _known(config, nodes)}
 
 

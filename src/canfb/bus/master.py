@@ -134,8 +134,8 @@ class _Network(canopen.Network):
         self._filter()
 
     def _filter(self) -> None:
-        wanted = [{"can_id": one, "can_mask": cob.CAN_ID, "extended": False} for one in self.subscribers]
-        self._bus.set_filters(wanted or None)  # type: ignore[arg-type]
+        filters = [{"can_id": one, "can_mask": cob.CAN_ID, "extended": False} for one in self.subscribers]
+        self._bus.set_filters(filters or None)  # type: ignore[arg-type]
 
 
 class _Listener(MessageListener):

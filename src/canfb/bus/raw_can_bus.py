@@ -61,7 +61,7 @@ class RawCanBus:
 
     @classmethod
     def open(cls, channel: str) -> Self:
-        """Open the interface; OSError for one that there is not, or that this system cannot have."""
+        """Open the interface. Raises OSError if it does not exist or SocketCAN is missing."""
         with contextlib.ExitStack() as opened:
             raw = opened.enter_context(socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW))
             bus = cls(raw, channel)  # times and error frames, before the first frame
@@ -105,9 +105,9 @@ class RawCanBus:
             return
         filters = _ANY_STANDARD
         if can_ids is not None:
-            wanted = [*sorted(can_ids), *(can_id | REMOTE for can_id in sorted(remote_can_ids))]
-            if len(wanted) <= MOST_FILTERS:
-                filters = b"".join(_FILTER.pack(can_id, _EXACT) for can_id in wanted)
+            accepted = [*sorted(can_ids), *(can_id | REMOTE for can_id in sorted(remote_can_ids))]
+            if len(accepted) <= MOST_FILTERS:
+                filters = b"".join(_FILTER.pack(can_id, _EXACT) for can_id in accepted)
         self._chosen = filters
         if filters != self._filters:
             with contextlib.suppress(OSError):  # the interface is gone, which reading says

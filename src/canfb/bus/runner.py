@@ -63,7 +63,7 @@ class Runner:
 
     A frame goes to the devices that listen to it; those of one process hear each other as well. A bus that
     fails is tried again; what happened is counted and reported to ``report``, one line each time it changes,
-    and the devices that want to know hear when the bus goes and comes back. A device that raises ends
+    and devices that watch the bus are notified when it fails and is back. A device that raises ends
     :meth:`run` for all, with DeviceFailure: its state is unknown.
 
     Frames get the time at which the bus received them (:class:`ReceiveTimes`). A runner that comes

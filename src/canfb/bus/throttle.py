@@ -73,14 +73,14 @@ class Throttle(Generic[T]):
         return self._close(list(self._windows), now, go_on=False)
 
     def _close(self, keys: list[Hashable], now: float, *, go_on: bool) -> list[Held[T]]:
-        told = []
+        lines = []
         for key in keys:
             window = self._windows.pop(key)
             if window.last is not None:
-                told.append(Held(key, window.held, now - window.began_s, window.last))
+                lines.append(Held(key, window.held, now - window.began_s, window.last))
                 if go_on:
                     length_s = min(2.0 * window.length_s, LONGEST_WINDOW_S)
                     self._windows[key] = _Window(now, length_s, BURST)
         ends = (window.began_s + window.length_s for window in self._windows.values())
         self.deadline = min(ends, default=NEVER)
-        return told
+        return lines

@@ -48,7 +48,7 @@ class Reason(StrEnum):
 
     @classmethod
     def of_number(cls, number: int) -> Reason:
-        """What 2030:07 says; a number that is none is FAILED."""
+        """The reason by its number in 2030:07; FAILED if the number is not known."""
         members = list(cls)
         return members[number] if number < len(members) else cls.FAILED
 

@@ -66,7 +66,7 @@ def backup(options: argparse.Namespace) -> int:
 
 
 def backup_of(master: Master, node_id: int, date: str) -> Backup:
-    """What a module holds now. CanfbError where it cannot be read, or is none."""
+    """Parameters and table of a module. Raises CanfbError if it cannot be read or is not a module."""
     objects, module = ModuleObjects(master, node_id), NodeAccess(master, node_id, "module")
     configuration = read_configuration(objects)
     template = ObjectDescriptions(eds_path(EDS), node_id)

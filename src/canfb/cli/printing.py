@@ -1,4 +1,4 @@
-"""What a command says: lines on stdout and stderr."""
+"""Output of a command: lines on stdout and stderr."""
 
 from __future__ import annotations
 

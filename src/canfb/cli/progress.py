@@ -1,4 +1,4 @@
-"""What a long command says of its progress, on standard error."""
+"""Progress of a long command, on standard error."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ The master's side, between the buses and the calculation::
     drift_check        how far an encoder has moved away from its table; drift_summary: its figures
     session            both nodes on a bus, read once
     module_objects     the objects of a module, for its configuration
-    circumstances      where, when and with what it was measured
+    circumstances      provenance of a measurement: nodes, date, command
     summary            figures for people; calibration_page: the page, from canfb.report
     artefacts          the files of a measurement; table_file: tables as YAML
     commission_run     canfb commission: from the first sample to the last file; commission_summary,

@@ -1,4 +1,4 @@
-"""Amplitude over the phase, and the noise of the converter: what a frozen input can be told by."""
+"""Amplitude over the phase, and the noise of the converter: how a frozen input is recognised."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FITTED_SAMPLES = 50_000
 SURE_PART = 0.8  # of the noise that was measured; it may be less at another time
 TEN_YEARS_S = 10.0 * 365.25 * 86400.0
 LEAST_REPEATS, MOST_REPEATS = 16, 255
-QUIETEST_COUNTS = 0.15  # less cannot be told from a converter without noise
+QUIETEST_COUNTS = 0.15  # less cannot be distinguished from a converter without noise
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""How far an encoder has drifted from the active table; nothing is changed."""
+"""Drift of an encoder from its active table; the module is not changed."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from canfb.signal.correction import Correction
 
 
 def module_drift_lines(found: ModuleDrift, active: Correction, where: Circumstances) -> list[str]:
-    """What the module itself says, for people."""
+    """The check by the module itself, as text."""
     return [
         f"{'active table':24}{table_words(active)}",
         f"{'its error now, rms':24}{percent(found.rms, where)} of a cycle",

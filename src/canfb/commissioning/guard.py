@@ -17,7 +17,7 @@ class Guard:
         self._held = self._interrupted = False
 
     def interrupt(self) -> None:
-        """Somebody wants it to end."""
+        """The end is requested."""
         if not self._held and not self._interrupted:
             self._interrupted = True
             raise KeyboardInterrupt

@@ -41,7 +41,7 @@ class Loss:
 
 @dataclass(frozen=True)
 class LostPosition:
-    """What a module says of its position and of its last loss.
+    """State of the position of a module, and its last loss.
 
     loss                    the last one since its reset; None without one
     keeps_cause             the module has 2012:10; older ones do not
@@ -142,24 +142,24 @@ class LostPosition:
                 losses = _times(self.losses, "loss", "losses")
                 return [f"not known: this module does not keep the cause; {losses} so far"]
             return ["none since the start"]
-        told = [f"{age_words(loss.since_s)} ago: {loss.cause.text}"]
+        facts = [f"{age_words(loss.since_s)} ago: {loss.cause.text}"]
         if loss.bad_samples:
-            told.append(
+            facts.append(
                 f"{loss.bad_samples} samples in a row missed or bad{_fault_words(loss.faults)}; "
                 f"2010:03 bridges {self.coast_samples}"
             )
         elif loss.faults:
-            told.append(f"faults since the last valid position: {', '.join(od.fault_words(loss.faults))}")
+            facts.append(f"faults since the last valid position: {', '.join(od.fault_words(loss.faults))}")
         compared = (
             "nothing to compare" if loss.residual_cycles >= 0.5 else f"{loss.residual_cycles:.3f} cycle"
         )
-        told.append(f"residual then: {compared}; limit {loss.limit_cycles:.3f} cycle")
-        told.append(f"speed then: {self._speed_words(loss.speed_cycles)}")
-        told.append(
+        facts.append(f"residual then: {compared}; limit {loss.limit_cycles:.3f} cycle")
+        facts.append(f"speed then: {self._speed_words(loss.speed_cycles)}")
+        facts.append(
             f"since the start: {_times(self.losses, 'loss', 'losses')}, {self.missed} missed samples, "
             f"{self.unheard} SYNCs not heard"
         )
-        return told
+        return facts
 
     def _speed_words(self, cycles: float) -> str:
         if not self.sample_hz:

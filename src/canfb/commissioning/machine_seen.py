@@ -1,4 +1,4 @@
-"""What can be said of a machine from the samples of its duty; or why nothing can."""
+"""Figures of a machine from the samples of its duty; or why there are none."""
 
 from __future__ import annotations
 

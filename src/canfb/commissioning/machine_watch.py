@@ -1,4 +1,4 @@
-"""What the module says meanwhile: its speed, its status, its counters."""
+"""Speed, status and counters of the module during a measurement."""
 
 from __future__ import annotations
 

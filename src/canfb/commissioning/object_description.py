@@ -1,4 +1,4 @@
-"""What an EDS says of the objects of a node: names, types, units, limits; and which one is meant by a name.
+"""Objects of a node by its EDS: names, types, units, limits; and look-up by name.
 
 The unit of an object is a line ``;Unit=`` above its section in our EDS files, a comment for CiA 306, or a key
 ``Unit`` in it, as python canopen has it.
@@ -121,12 +121,12 @@ class ObjectDescriptions:
         return found
 
     def _named(self, text: str) -> list[ObjectDescription]:
-        wanted = _words(text)
-        if not wanted:
+        query = _words(text)
+        if not query:
             raise ConfigError(f"{text!r}: a number such as 2010:01, or the name of an object, is required")
         for fits in (str.__eq__, str.startswith):
-            own = [one for one in self if fits(_words(one.name), wanted) or fits(_words(one.title), wanted)]
-            whole = {one.index for one in self if one.parent and fits(_words(one.parent), wanted)}
+            own = [one for one in self if fits(_words(one.name), query) or fits(_words(one.title), query)]
+            whole = {one.index for one in self if one.parent and fits(_words(one.parent), query)}
             outside = [one for one in own if one.index not in whole]
             if len(whole) == 1 and not outside:
                 return self.of_object(whole.pop())
@@ -137,9 +137,7 @@ class ObjectDescriptions:
                 several += [f"{index:04X} {self.of_object(index)[0].parent}" for index in whole]
                 raise ConfigError(f"{text!r} means several objects: {_listed(sorted(several))}")
         near = [
-            f"{one.number} {one.title}"
-            for one in self
-            if set(wanted.split()) & set(_words(one.title).split())
+            f"{one.number} {one.title}" for one in self if set(query.split()) & set(_words(one.title).split())
         ]
         hint = f"; is it one of these: {_listed(near)}?" if near else f"; {self.path.name} has the names"
         raise ConfigError(f"{text!r}: {self.product} has no object of this name{hint}")

@@ -33,7 +33,7 @@ PATIENCE_S = 120.0  # without progress: a slow computer calculates for long
 
 @dataclass(frozen=True)
 class ModuleDrift:
-    """What the module says of its table: its error now, rms and peak, and the noise, all in cycles."""
+    """Figures of the module about its table: present error, rms and peak, and noise, in cycles."""
 
     rms: float
     peak: float
@@ -133,8 +133,8 @@ class _Samples:
             )
 
 
-def _wait(module: NodeAccess, wanted: int, heard: Callable[[float], None], look: Callable[[], None]) -> None:
-    """Until 2030:02 is ``wanted``."""
+def _wait(module: NodeAccess, target: int, heard: Callable[[float], None], look: Callable[[], None]) -> None:
+    """Until 2030:02 is ``target``."""
     master = module.master
     seen, moved = -1, master.now()
     samples = _Samples(module)
@@ -144,7 +144,7 @@ def _wait(module: NodeAccess, wanted: int, heard: Callable[[float], None], look:
         state = module.integer(*od.MEASUREMENT_STATE, "B")
         progress = module.integer(*od.MEASUREMENT_PROGRESS, "B")
         heard(progress / 100.0)
-        if state == wanted:
+        if state == target:
             return
         if state == State.REFUSED:
             reason = Reason.of_number(module.integer(*od.MEASUREMENT_REASON, "B"))

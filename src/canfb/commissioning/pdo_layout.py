@@ -124,11 +124,11 @@ def _find(
     node: NodeAccess,
     parameters: int,
     mapping: int,
-    wanted: tuple[int, int],
+    entries_of_pair: tuple[int, int],
     earlier: Sequence[tuple[int, int]],
 ) -> PdoLayout | None:
-    pdos = list(_pdos(node, parameters, mapping, wanted if not earlier else None))
-    found = _carrier(pdos, wanted)
+    pdos = list(_pdos(node, parameters, mapping, entries_of_pair if not earlier else None))
+    found = _carrier(pdos, entries_of_pair)
     if found is None:
         return None
     can_id, places, time_byte = found
@@ -149,10 +149,12 @@ def _pdos(node: NodeAccess, parameters: int, mapping: int, last: tuple[int, int]
             return
 
 
-def _carrier(pdos: Sequence[Pdo], wanted: tuple[int, int]) -> tuple[int, tuple[int, int], int | None] | None:
+def _carrier(
+    pdos: Sequence[Pdo], entries_of_pair: tuple[int, int]
+) -> tuple[int, tuple[int, int], int | None] | None:
     """COB-ID, bytes of both objects and of the sample time in the first PDO that has both objects."""
     for pdo in pdos:
-        places = _places(pdo, wanted)
+        places = _places(pdo, entries_of_pair)
         if places is not None:
             return pdo.can_id, places, _time_place(pdo)
     return None
@@ -169,10 +171,14 @@ def _sync_id(node: NodeAccess) -> int:
         return cob.SYNC
 
 
-def _places(pdo: Pdo, wanted: tuple[int, int]) -> tuple[int, int] | None:
+def _places(pdo: Pdo, entries_of_pair: tuple[int, int]) -> tuple[int, int] | None:
     """Bytes of both objects in this PDO."""
     at = pdo.bytes_of()
-    return (at[wanted[0]], at[wanted[1]]) if all(one in at for one in wanted) else None
+    return (
+        (at[entries_of_pair[0]], at[entries_of_pair[1]])
+        if all(one in at for one in entries_of_pair)
+        else None
+    )
 
 
 def _time_place(pdo: Pdo) -> int | None:

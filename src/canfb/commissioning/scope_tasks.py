@@ -1,4 +1,4 @@
-"""What the page of ``canfb scope`` lets do to a module, in words for it: the tasks of the other commands."""
+"""The tasks of the page of ``canfb scope``: those of the other commands, with their texts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BUTTONS = Advice("upload one first", "Activate puts it in force", "Save keeps it
 
 @dataclass(frozen=True)
 class TaskDone:
-    """What a task says, and what it has measured, if anything."""
+    """Result of a task: text, and measured curves if there are any."""
 
     lines: list[str]
     measured: Measurement | None = None

@@ -83,7 +83,7 @@ def servo_facts(story: Story) -> list[tuple[str, str]]:
 
 
 def verdict(held: bool) -> str:
-    """What is said of a check."""
+    """Result of a check, in words."""
     return "held" if held else "FAILED"
 
 

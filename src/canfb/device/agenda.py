@@ -54,7 +54,7 @@ class Timed(ABC):
 
     @property
     def deadline(self) -> float:
-        """When it wants `tick`, seconds; NEVER for not at all."""
+        """Time of the next `tick`, seconds; NEVER: none."""
         return self._deadline
 
     @deadline.setter

@@ -77,7 +77,7 @@ class Emergency(Timed):
         *,
         again: bool = False,
     ) -> None:
-        """An error appeared: 1001h, 1003h and EMCY. Nothing if it is active, unless it is told ``again``.
+        """An error appeared: 1001h, 1003h and EMCY. Nothing if it is active, unless ``again``.
 
         `register_bits` are bits of 1001h (the generic bit is added), `manufacturer` up to 5 bytes.
         """

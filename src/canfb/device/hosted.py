@@ -61,7 +61,7 @@ class Inhibited(Protocol):
 
 @runtime_checkable
 class BusWatching(Protocol):
-    """A device that wants to know when the bus goes and comes back, as FeedbackModule does."""
+    """A device that is notified when the bus fails and is back, as FeedbackModule."""
 
     def bus_off(self, now: float) -> list[Frame]:
         """The bus is gone."""
@@ -75,7 +75,7 @@ class Computing(Protocol):
     """A device with something to compute now and then, as FeedbackModule is."""
 
     def pending_job(self) -> Any:
-        """What is to be computed, None for nothing."""
+        """The pending computation, None if there is none."""
 
     def finish_job(self, job: Any, result: Any, now: float) -> list[Frame]:
         """What came out, or an Exception."""

@@ -12,7 +12,7 @@ RemoteHandler = Callable[[float], None]
 
 
 class CanIds(NamedTuple):
-    """What a node listens to, by CAN-ID; all other frames do nothing but count.
+    """CAN-IDs that a node listens to; all other frames are only counted.
 
     `data` and `remote` are those of data and remote frames now. `any_state` and `any_state_remote` are those
     with the present parameters in any NMT state: a master that starts the node need not wait before it sends
@@ -32,7 +32,7 @@ def _nobody_follows() -> None:
 class Routes:
     """The listeners of the present NMT state, by CAN-ID: `data` and `remote` for the two kinds of frames.
 
-    `sent` are those that want to know when a frame of the node itself has left: an inhibit time counts
+    `sent` are those that are notified when a frame of the node itself has left: an inhibit time counts
     from there. The three tables stay the same objects, whatever they hold. `changes` moves, and `on_change`
     is called, whenever they are filled again.
     """
@@ -66,7 +66,7 @@ class Routes:
             self.remote[can_id] = handler
 
     def add_sent(self, can_id: int | None, follow: Callable[[float], None]) -> None:
-        """Who follows the frames that leave; None for one that sends nothing now. The last one added does."""
+        """Observer of the frames that leave: the last one added; None: nothing is sent now."""
         if can_id is not None:
             self.sent[can_id] = follow
 

@@ -87,7 +87,7 @@ class FastRecorder:
         return b"".join((*self._blocks[:whole], tail))
 
     def _block(self, number: int) -> bytes:
-        """Whole blocks only, so that reading early changes nothing of the noise."""
+        """Whole blocks only, so that the noise does not depend on when it is read."""
         if self._source is None:
             return b""
         places = np.arange(number * BLOCK_SAMPLES, (number + 1) * BLOCK_SAMPLES)

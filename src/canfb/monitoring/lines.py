@@ -41,7 +41,7 @@ def state_words(node: NodeSnapshot) -> str:
 
 
 def position_words(module: ModuleSnapshot) -> str:
-    """What the status word says, in one or a few words; "no data" where it is old."""
+    """The status word in one or a few words; "no data" if it is old."""
     if is_stale(module):
         return "no data" if module.age_s is None else f"no data for {age(module.age_s)}"
     return module.position_state or "no status"

@@ -99,16 +99,16 @@ class Page:
         wide = min(2 * high, inner - LEAST_FIGURES - 1)  # characters are about twice as high as wide
         with_tracks = bool(module.tracks_counts) and wide >= LEAST_TRACKS
         figures = inner - wide - 1 if with_tracks else inner
-        told = self._figures(node, module, figures)
-        told += self._more_errors(node, high - len(told))
+        texts = self._figures(node, module, figures)
+        texts += self._more_errors(node, high - len(texts))
         table = Table.grid(padding=(0, 1, 0, 0))
         table.add_column(width=figures, no_wrap=True)
-        cells: list[RenderableType] = [Group(*(self._cut(one, figures) for one in told))]
+        cells: list[RenderableType] = [Group(*(self._cut(one, figures) for one in texts))]
         if with_tracks:
             table.add_column(width=wide, no_wrap=True)
             cells.append(self._lissajous(module, wide, wide // 2))
         table.add_row(*cells)
-        rows = min(rows, max(len(told), wide // 2 if with_tracks else 0) + 2)
+        rows = min(rows, max(len(texts), wide // 2 if with_tracks else 0) + 2)
         style = FAINT if lines.is_stale(module) else STYLES.get(module.position_state or "", BAD)
         return Panel(
             table,
@@ -195,11 +195,11 @@ class Page:
 
     def _more_errors(self, node: NodeSnapshot, room: int) -> list[Text]:
         """The EMCYs before the last one, where there is room for them."""
-        told = []
+        texts = []
         for one in node.emergencies[1 : 1 + max(0, room)]:
             words = f"{one.code:04X}h {one.text}, {lines.age(one.age_s)} ago"
-            told.append(Text.assemble(_label(""), (words, FAINT if one.code == 0 else "")))
-        return told
+            texts.append(Text.assemble(_label(""), (words, FAINT if one.code == 0 else "")))
+        return texts
 
     def _table(self, modules: Sequence[tuple[NodeSnapshot, ModuleSnapshot]], width: int) -> Table:
         """A line for each module."""
@@ -242,15 +242,15 @@ class Page:
         found.sort(key=lambda entry: entry[0])
         if room < 2 or not found:
             return []
-        told = [Text("EMCY", FAINT)]
+        texts = [Text("EMCY", FAINT)]
         for age_s, node_id, one in found[: room - 1]:
             text = f"{lines.age(age_s):>8} ago  node {node_id:<3}  {one.code:04X}h {one.text}"
-            told.append(self._cut(Text(text, "" if one.code == 0 else BAD), width))
-        return told
+            texts.append(self._cut(Text(text, "" if one.code == 0 else BAD), width))
+        return texts
 
     def _others(self, nodes: Sequence[NodeSnapshot], width: int) -> Text:
-        told = ", ".join(f"{node.node_id} {node.state or '-'}" for node in nodes)
-        return self._cut(Text.assemble(("other nodes  ", FAINT), told), width)
+        texts = ", ".join(f"{node.node_id} {node.state or '-'}" for node in nodes)
+        return self._cut(Text.assemble(("other nodes  ", FAINT), texts), width)
 
 
 def _label(text: str) -> tuple[str, str]:

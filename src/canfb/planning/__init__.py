@@ -4,7 +4,7 @@ Pure arithmetic over a module, its interface and a simulated motion::
 
     traffic      the frames of a node: how long, how often, bound to SYNC or not
     bus_load     all frames of a bus: worst-case load, the largest SYNC rate, what delays a SYNC
-    situation    what is planned; stated: from a configuration and options; planned_module: one module
+    situation    the input of a plan; stated: from a configuration and options; planned_module: one module
     adc_pdos     the RPDOs that bring the samples; phase_errors: what the encoder adds to a residual
     budget       what the residual limit of a module is used up by, and the limits that follow
     jerk_budget  the same with third-order prediction

@@ -45,7 +45,7 @@ class ResidualPart:
 
 @dataclass(frozen=True)
 class ResidualBudget:
-    """One module under the motion of the situation. What is not stated counts as nothing."""
+    """One module under the motion of the plan. What is not given counts as 0."""
 
     situation: Situation
     module: PlannedModule
@@ -80,7 +80,7 @@ class ResidualBudget:
 
     @cached_property
     def declared(self) -> Declared:
-        """What its estimator is told."""
+        """The declared limits of its estimator."""
         module = self.module
         settings = module.settings
         return self.bounds.chain_limits(

@@ -56,7 +56,7 @@ class BusLoad:
 
     @cached_property
     def sync_delay_s(self) -> float:
-        """How long a SYNC waits at most: for the end of a frame that follows none, or of one that is late."""
+        """Longest wait of a SYNC for the bus: the longest frame that may be on the wire when it is due."""
         late = self.longest_turn_s * self.sync_hz > 1.0
         longest = max((message.bits for message in self.messages), default=0) if late else self._free_bits()
         return longest / self.bit_rate

@@ -1,4 +1,4 @@
-"""Changes of a plan: what a proposal does to the modules of a situation."""
+"""Changes of a plan: what a proposal does to its modules."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ class CountDetection:
 
     @property
     def is_sharp(self) -> bool:
-        """The limit is where the pages want it."""
+        """The limit is as narrow as docs/faults.md recommends."""
         return self.limit_cycles + self.motion_cycles <= self.well + ROUNDING
 
 

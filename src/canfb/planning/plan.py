@@ -1,4 +1,4 @@
-"""A plan: the limits of a situation, each with its margin, and whether all of them hold."""
+"""A plan: the limits of its input, each with its margin, and whether all of them hold."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Plan:
         return all(margin.holds for margin in self.margins)
 
     def detection(self, budget: ResidualBudget, limit_cycles: float | None = None) -> CountDetection:
-        """What follows from a residual limit, that in force if none is given."""
+        """Detection with this residual limit; None: the one in force."""
         limit = budget.limit_cycles if limit_cycles is None else limit_cycles
         kind = JerkDetection if budget.module.is_third_order else CountDetection
         declared = budget.declared

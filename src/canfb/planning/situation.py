@@ -1,4 +1,4 @@
-"""What is planned: a bus, its SYNC, its modules, and the motion of their encoders."""
+"""The input of a plan: a bus, its SYNC, its modules, and the motion of their encoders."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ROUNDED_AMPLITUDE = 0.75  # of full scale, as the simulated encoder has it
 
 @dataclass(frozen=True, kw_only=True)
 class StatedMotion:
-    """What the encoders have to follow; None: nothing is stated.
+    """Motion that the encoders have to follow; None: not given.
 
     speed_rad_s            largest speed
     acceleration_rad_s2    largest acceleration

@@ -1,4 +1,4 @@
-"""From a configuration and what is stated beside it to the situation that is planned."""
+"""The input of a plan, from a configuration and the command line."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ LARGEST_EXTRA = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class Stated:
-    """What is stated beside a configuration, and goes before it. None: as the configuration has it.
+    """Command-line overrides of the configuration. None: as the configuration has it.
 
     bit_rate                   bit/s, 10000..1000000
     rate_hz                    SYNC rate, 0.1..100000 Hz
@@ -177,7 +177,7 @@ def _motion(
 
 
 def _demand(simulation: SimulationConfig, config: ModuleConfig, rate_hz: float) -> MotionDemand | None:
-    """What ``canfb simulate`` says of its motion; None if the configuration has none of its own."""
+    """Demand of the motion of ``canfb simulate``; None if the configuration does not define a motion."""
     if simulation.drive is not None:
         return profile_demand(simulation.drive, _drive_objects(simulation.drive), config, rate_hz)
     if simulation.motion == SimulationConfig().motion:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 LONGEST_DELAY_S = 1.0
-"""What has no counterpart within this time has none."""
+"""Longest time between a frame and its counterpart, s."""
 
 Waiting = deque[tuple[float, bytes]]
 

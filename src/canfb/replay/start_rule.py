@@ -24,7 +24,7 @@ class Begin(Enum):
 
 
 def found_in(head: Iterable[Frame], node_id: int, own_can_ids: Collection[int]) -> Begin:
-    """What the first frame says that says anything.
+    """NMT state by the first frame that shows it.
 
     A boot-up of the module: it is powered on there. A PDO of its own, or a heartbeat with 05h: it was
     OPERATIONAL. Another heartbeat, or an NMT start: it was not. A log without any of these has no master:

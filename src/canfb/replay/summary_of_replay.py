@@ -219,7 +219,7 @@ def log_facts(counters: Any, trouble: str | None) -> list[tuple[str, str]]:
 
 
 def channel_facts(counters: Any) -> list[str]:
-    """What was taken and left out by channels of the log; nothing where there is one, and it was taken."""
+    """Channels of the log that were taken and left out; empty if the only one was taken."""
     if counters.left_out:
         number = sum(sum(one.values()) for one in counters.left_out.values())
         return [

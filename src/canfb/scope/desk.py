@@ -1,4 +1,4 @@
-"""What the page lets do, one task at a time, and how far it is."""
+"""The tasks of the page, one at a time, with progress and result."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ class GateVerdict(Enum):
 
 @dataclass(frozen=True)
 class Request:
-    """What a request says of itself; header names in lower case."""
+    """A request: method, path, headers with names in lower case."""
 
     method: str
     path: str

@@ -1,4 +1,4 @@
-"""What the page says in words, as HTML; whatever came from the bus or from a file is escaped."""
+"""Texts of the page, as HTML; text from the bus or from a file is escaped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``canfb scope`` may send: nothing, what reads by SDO, or all that its tasks need."""
+"""Frames that ``canfb scope`` may send: none, SDO uploads, or all that its tasks need."""
 
 from __future__ import annotations
 

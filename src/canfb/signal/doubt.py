@@ -208,7 +208,7 @@ class LogEntry(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """What the candidates say: the one that is right, and whether nothing is in doubt any more."""
+    """Result of the candidates: the one that is right, and whether the doubt has ended."""
 
     candidate: Candidate | None = None
     settled: bool = False

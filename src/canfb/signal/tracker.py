@@ -194,7 +194,7 @@ class Tracker:
         return track
 
     def look(self, phase: float, elapsed: float = 1.0) -> Track:
-        """What :meth:`update` would give for this phase; nothing changes. Arguments unchecked."""
+        """Result of :meth:`update` for this phase, without a change. Arguments unchecked."""
         if phase != phase:
             return self.predict(elapsed)
         if not self._started:

@@ -76,7 +76,7 @@ class MotionDemand:
 
     @property
     def asked(self) -> float:
-        """What the motion asks, as a part of what is left for it; inf if nothing is."""
+        """Demand of the motion over the limit that is left for it; inf if none is left."""
         asked, left = (
             (self.jerk_rad_s3, self.left_rad_s3)
             if self._by_jerk

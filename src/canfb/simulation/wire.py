@@ -17,7 +17,7 @@ LONGEST_FRAME_BITS = frame_bits(8)
 
 @dataclass(order=True)
 class Waiting:
-    """A frame that wants to be sent: the lowest CAN-ID first, then the one that came first."""
+    """A frame that waits: the lowest CAN-ID first, then the oldest."""
 
     can_id: int
     number: int
@@ -49,13 +49,13 @@ class Wire:
 
     @property
     def next_s(self) -> float:
-        """When something happens next: a frame begins, or ends; NEVER if nothing does."""
+        """Time of the next event, a frame that begins or ends; NEVER: none."""
         if self._sending is not None:
             return self._end_s
         return self._free_s if self._waiting else NEVER
 
     def put(self, frame: Frame, sender: Any) -> None:
-        """A station wants to send this frame."""
+        """Queue a frame."""
         self._numbers += 1
         heappush(self._waiting, Waiting(frame.can_id, self._numbers, frame, sender))
 

@@ -23,9 +23,9 @@ class SourceConfig:
     kind: str = ""
 
     def __post_init__(self) -> None:
-        wanted = type(self).kind
-        if self.kind != wanted:
-            raise ValueError(f"kind must be {wanted} here, not {self.kind!r}")
+        own_kind = type(self).kind
+        if self.kind != own_kind:
+            raise ValueError(f"kind must be {own_kind} here, not {self.kind!r}")
 
     @property
     def title(self) -> str:

@@ -30,13 +30,13 @@ def numbers(dictionary: Dictionary, direction: Direction) -> list[int]:
 
 def rpdo_with(dictionary: Dictionary, objects: Iterable[tuple[int, int]]) -> int | None:
     """Number of the first valid RPDO whose mapping holds all these objects (index, sub-index)."""
-    wanted = {index << 8 | subindex for index, subindex in objects}
+    required = {index << 8 | subindex for index, subindex in objects}
     for number in numbers(dictionary, Direction.RECEIVE):
         mapping = MAPPING[Direction.RECEIVE] + number - 1
         count = dictionary.entry(mapping).value
         mapped = {dictionary.entry(mapping, place).value >> 8 for place in range(1, count + 1)}
         cob_id = dictionary.entry(COMMUNICATION[Direction.RECEIVE] + number - 1, 1).value
-        if wanted <= mapped and cob.is_valid(cob_id):
+        if required <= mapped and cob.is_valid(cob_id):
             return number
     return None
 

@@ -58,9 +58,9 @@ class Quiet:
 
 def check_size(entry: Entry, size: int) -> None:
     """Refuse an announced size, bytes, that the entry cannot take, before any data comes."""
-    wanted = entry.byte_length
-    if wanted and size != wanted:
-        raise SdoAbort(AbortCode.TOO_LONG if size > wanted else AbortCode.TOO_SHORT)
+    expected = entry.byte_length
+    if expected and size != expected:
+        raise SdoAbort(AbortCode.TOO_LONG if size > expected else AbortCode.TOO_SHORT)
     if size > LARGEST_DOWNLOAD:
         raise SdoAbort(AbortCode.OUT_OF_MEMORY)
 

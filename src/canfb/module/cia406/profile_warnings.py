@@ -93,9 +93,9 @@ class Warnings:
         if not feedback.status & VALID:
             return
         present = self._present(feedback)
-        wanted = present & self._mask.value
+        enabled = present & self._mask.value
         for bit, code in CODES.items():
-            if wanted & bit:
+            if enabled & bit:
                 self._seen_s[bit] = now
                 if not self._told & bit:
                     self._told |= bit

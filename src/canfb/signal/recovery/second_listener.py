@@ -21,7 +21,7 @@ class SecondListener:
 
     @property
     def second(self) -> SecondOpinion | None:
-        """What another sensor says of the position, None without one."""
+        """Comparison with another sensor, None without one."""
         return self._second
 
     def use_second(self, sensor: SecondSensor | None) -> None:

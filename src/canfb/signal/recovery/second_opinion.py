@@ -1,4 +1,4 @@
-"""What another sensor of the machine says of the position: docs/second-position.md has the rules.
+"""Comparison with another sensor of the machine; the rules are in docs/second-position.md.
 
 It is heard one SYNC later than the sample, when the interval is over and the value is certain. It does
 three things. After a start, and while the position is lost, it determines the range of speed, as the coarse
@@ -323,15 +323,15 @@ class SecondOpinion:
             if jump:  # near it, but which of several counts is not known
                 recovery.found(jump, 0)
             return jump
-        wanted = self._count.feed(difference, self._limit_cycles + PHASE_CYCLES)
-        if wanted is None:
+        shift_cycles = self._count.feed(difference, self._limit_cycles + PHASE_CYCLES)
+        if shift_cycles is None:
             return 0
         self._restart_search()
-        if wanted:
-            recovery.found(wanted, 0)
+        if shift_cycles:
+            recovery.found(shift_cycles, 0)
         recovery.confirm_count()
         self._proven = True
-        return wanted
+        return shift_cycles
 
 
 def _shifted(track: Track, cycles: int) -> Track:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from canfb.signal.second_position import Pair, SecondScale, only_count
 
-AGREEING_VALUES = 8  # in a row that want the same count,
+AGREEING_VALUES = 8  # in a row with the same shift of the count,
 STEADY_CYCLES = 0.1  # and differ by no more: if they drift apart, one does not follow the machine
 STILL_CYCLES = 0.25
 STILL_PAIRS = 8
 
 
 class CountSearch:
-    """Finds the shift of the count that several values in a row want, as the only one within a limit."""
+    """The shift of the count in which several values in a row agree, the only one within a limit."""
 
     def __init__(self, scale: SecondScale) -> None:
         self._steady_cycles = STEADY_CYCLES + 2.0 * scale.increment_cycles
@@ -24,15 +24,19 @@ class CountSearch:
 
     def feed(self, difference_cycles: float, limit_cycles: float) -> int | None:
         """The shift, None as long as it is not certain."""
-        wanted, first = only_count(difference_cycles, limit_cycles), self._first
-        if wanted is None:
+        shift_cycles, first = only_count(difference_cycles, limit_cycles), self._first
+        if shift_cycles is None:
             self.restart()
             return None
-        if first is None or first[0] != wanted or abs(first[1] - difference_cycles) > self._steady_cycles:
-            self._first, self._values = (wanted, difference_cycles), 1
+        if (
+            first is None
+            or first[0] != shift_cycles
+            or abs(first[1] - difference_cycles) > self._steady_cycles
+        ):
+            self._first, self._values = (shift_cycles, difference_cycles), 1
             return None
         self._values += 1
-        return wanted if self._values >= AGREEING_VALUES else None
+        return shift_cycles if self._values >= AGREEING_VALUES else None
 
 
 class Standstill:

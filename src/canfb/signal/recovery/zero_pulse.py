@@ -12,7 +12,7 @@ REMEMBERED = 3  # pulses that nothing has confirmed
 
 
 class PulseVerdict(Enum):
-    """What a pulse says of a position that was valid up to here."""
+    """Check of a valid position against the zero pulse."""
 
     NOTHING = "there is no other pulse to compare it with"
     AGREES = "the count is right: the pulse is at its place, or where the first one was"

@@ -76,14 +76,14 @@ class PositionLoop:
         """The torque in Nm, for one position. The gains are all chosen, the period is more than 0 s."""
         error = 2.0 * math.pi * (demand.revolutions - revolutions)
         braking = BRAKING_SHARE * torque_limit_nm / gains.inertia_kg_m2
-        wanted = gains.velocity_forward * demand.speed_rad_s + approach(error, gains.position, braking)
-        speed = max(-speed_limit_rad_s, min(speed_limit_rad_s, wanted))
+        requested = gains.velocity_forward * demand.speed_rad_s + approach(error, gains.position, braking)
+        speed = max(-speed_limit_rad_s, min(speed_limit_rad_s, requested))
         deviation = speed - speed_rad_s
         forward = gains.acceleration_forward * gains.inertia_kg_m2 * demand.acceleration_rad_s2
         proportional = gains.velocity * deviation
         unlimited = proportional + self._integral_nm + forward
         torque = max(-torque_limit_nm, min(torque_limit_nm, unlimited))
-        self.limited = torque != unlimited or speed != wanted
+        self.limited = torque != unlimited or speed != requested
         if torque == unlimited or deviation * unlimited < 0.0:  # never further into the limit
             self._integral_nm += proportional * period_s / gains.integral_s
             self._integral_nm = max(-torque_limit_nm, min(torque_limit_nm, self._integral_nm))

@@ -61,7 +61,7 @@ POWERED = frozenset({State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAU
 """Where the motor may have torque."""
 
 SWITCHED_ON = frozenset({State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE})
-"""Where an error of the drive's supervision is a fault; below, the axis is off and nothing can happen."""
+"""States in which an error of the supervision is a fault; in the others the axis is off."""
 
 TRANSITIONS: dict[tuple[State, Command], State] = {
     (State.SWITCH_ON_DISABLED, Command.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 2
