@@ -19,7 +19,7 @@ MUTATED ?= $(addprefix src/canfb/signal/,supervision.py frozen.py \
 	recovery/coarse.py recovery/zero_pulse.py recovery/reference.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test lint types unit socketcan package site lowest pythons mutate bench format clean
+.PHONY: help demo check test lint types unit socketcan package site lowest mutate bench format clean
 
 help: ## Show the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -69,9 +69,6 @@ lowest: $(LOWEST)/.installed ## Run a part of the tests with the lowest versions
 	$(LOWEST)/bin/python -m pytest tests/bus/test_opening.py tests/bus/test_runner.py tests/cli/test_main.py \
 		tests/cli/test_config_command.py tests/cli/test_simulate_command.py tests/module/test_feedback_module.py \
 		tests/commissioning/test_calibration_page.py tests/test_exports.py
-
-pythons: ## Run the unit tests with every Python from 3.11 that is there
-	@$(PYTHON) -m tools.suite.pythons unit
 
 # What watches over the position: a change that no test notices is one that a mistake could be.
 mutate: $(INSTALLED_TEST) ## Change the supervision in one place at a time, and see whether the tests notice

@@ -80,6 +80,7 @@ FOREIGN: dict[str, set[str]] = {
     "sources": {"numpy", "iio"},
     "interface": {"numpy"},
     "simulation": {"numpy"},
+    "planning": {"numpy"},
     "replay": {"numpy"},
     "configuration": {"yaml"},
     "report": {"numpy"},

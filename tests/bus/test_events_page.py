@@ -7,7 +7,6 @@ import re
 from pathlib import Path
 
 from canfb import objects as od
-from canfb.bus.throttle import BURST, LONGEST_WINDOW_S, WINDOW_S
 from canfb.module import event_watch, node_events
 from canfb.module.event import DETAILS, EventKind
 
@@ -29,12 +28,6 @@ def test_every_kind_has_its_row() -> None:
     assert rows.pop(0)[0] == "event"
     assert [kind for kind, _ in rows] == [str(kind) for kind in EventKind]
     assert {kind for kind, text in rows if "only with `-v`" in text} == {str(kind) for kind in DETAILS}
-
-
-def test_the_limits_are_those_of_the_program() -> None:
-    assert (BURST, WINDOW_S, LONGEST_WINDOW_S) == (5, 1.0, 10.0)
-    assert "at most five events within a second" in PAGE
-    assert f"more than {event_watch.ANOTHER_RATE:.0%}".replace("%", " %") in PAGE
 
 
 def test_the_lines_have_the_words_of_the_program() -> None:

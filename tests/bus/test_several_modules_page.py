@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from canfb.bus.bus_state import LASTING_S, SETTLED_S
 from canfb.bus.module_lines import name_of, summary_of
 from canfb.cia301.codes import EmergencyCode
 from canfb.cia301.frame import Frame
@@ -76,9 +75,3 @@ def test_bus_off_with_and_without_the_setting() -> None:
     assert module.state == 5
     (save,) = re.findall(r"cansend can0 620#(2310\w+)", PAGE)
     assert bytes.fromhex(save)[4:] == b"save"
-
-
-def test_the_times() -> None:
-    assert (LASTING_S, SETTLED_S) == (0.4, 1.0)
-    assert "reading fails for 0.4 s" in PAGE
-    assert re.search(r"without a failure for a\s+second", PAGE)

@@ -11,7 +11,7 @@ import pytest
 from canfb.cli.bus_help import BUS_HELP
 from canfb.cli.main import main
 
-PAGE = (Path(__file__).parents[2] / "docs" / "usb-adapters.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "wiring.md").read_text(encoding="utf-8")
 CHANNEL = "canfb-bus-of"
 VARIABLES = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
 

@@ -261,7 +261,6 @@ def test_the_commands_of_the_page_run(
     assert said[2].startswith(shown[1].partition("129")[0])
     _, err = canfb(bench, *shlex.split(blocks[1])[1:], code=1)
     assert "no answer" in err
-    assert "(docs/sdo.md)" in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_parts_of_the_command(capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,7 +21,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
-from canfb.simulation.embedded_bus import EmbeddedBus, frame_bits
+from canfb.simulation.embedded_bus import EmbeddedBus
 
 PAGE = (Path(__file__).parents[2] / "docs" / "attach.md").read_text(encoding="utf-8")
 NODE, INTERFACE = 0x20, 0x10
@@ -230,14 +230,6 @@ def test_a_missed_sample_is_told_at_the_next_sync_and_a_lost_position_once() -> 
 
 
 # The rest of the page
-
-
-def test_bits_and_load() -> None:
-    assert all(frame_bits(n) == 55 + 10 * n for n in range(9))
-    rows = re.findall(r"^\| .* \| (\d) \| (\d+) \|$", PAGE, re.M)
-    assert [(int(n), int(bits)) for n, bits in rows] == [(0, 55), (4, 95), (8, 135), (8, 135)]
-    assert sum(int(bits) for _, bits in rows) == 420
-    assert 285 == 55 + 95 + 135
 
 
 def test_a_lost_interface_takes_the_module_to_preoperational() -> None:

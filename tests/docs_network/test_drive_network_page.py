@@ -70,11 +70,3 @@ def test_the_files_agree() -> None:
     assert config.modules[0].node_id == NETWORK.nodes["module"].node_id
     assert config.modules[0].encoder_interface == NETWORK.nodes["interface"].node_id
     assert config.simulation.drive.node_id == NETWORK.nodes["drive"].node_id
-    assert set(re.findall(r"\]\(([^)#]+)\)", PAGE)) <= {
-        "network.svg",
-        "../attach.md",
-        "../encoder-interface.md",
-        "../vcan.md",
-        "../calibration.md",
-        "../second-position.md",
-    }

@@ -13,7 +13,7 @@ from canfb.simulation.wire import frame_bits
 
 DOCS = Path(__file__).parents[2] / "docs"
 GUIDES = [
-    *("first-hour", "first-encoder", "wiring", "usb-adapters", "raspberry-pi"),
+    *("first-hour", "first-encoder", "wiring"),
     *("sync-rate", "realtime", "homing"),
 ]
 

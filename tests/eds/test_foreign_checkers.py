@@ -69,12 +69,10 @@ def test_dcfchk_would_say_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_eds_validate_has_nothing_new_to_say(name: str, tmp_path: Path) -> None:
-    pytest.importorskip("eds_utils", reason="pip install eds-utils")
     assert judged(complaints(EDS_VALIDATE, translated(name, tmp_path))) == set()
 
 
 def test_eds_validate_would_say_it(tmp_path: Path) -> None:
-    pytest.importorskip("eds_utils", reason="pip install eds-utils")
     path = translated(NAMES[0], tmp_path)
     path.write_text(path.read_text().replace("=0x1017\n", "=0x1777\n"), encoding="ascii")
     messages = [message for _, message in complaints(EDS_VALIDATE, path)]

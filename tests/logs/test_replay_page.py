@@ -46,7 +46,3 @@ def test_its_options_are_there() -> None:
     options = set(re.findall(r"`(--[a-z-]+)", PAGE)) - {"--seconds", "--force", "--max-size"}
     assert len(options) > 10
     assert [option for option in options if option not in text] == []
-
-
-def test_it_is_linked() -> None:
-    assert "(docs/replay.md)" in (ROOT / "README.md").read_text(encoding="utf-8")

@@ -12,7 +12,6 @@ import pytest
 from test_monitor_panels import printed
 
 from canfb.cli.main import build_parser
-from canfb.monitoring import bus_model, meters, module_model, node_model
 from monitored_network import MonitoredNetwork
 
 PAGE = (Path(__file__).parents[2] / "docs" / "monitor.md").read_text(encoding="utf-8")
@@ -56,15 +55,6 @@ def test_every_option_is_there() -> None:
     own = out.getvalue().partition("\noptions:")[2].partition("bus arguments")[0]
     options = set(re.findall(r"--[a-z-]+", own))
     assert {option for option in options if option not in PAGE} <= {"--help", "--debug", "--channel"}
-
-
-def test_the_limits_are_those_of_the_program() -> None:
-    assert f"the last {meters.SYNCS} SYNCs" in PAGE
-    assert f"after {node_model.ALIKE} TPDO1" in PAGE
-    assert f"the last {module_model.TRACKS} ADC PDOs" in PAGE
-    assert f"last {module_model.SPEED_S} s" in PAGE
-    assert module_model.HISTORY_BIN_S == 0.5
-    assert bus_model.TPDOS
 
 
 def test_the_program_runs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tools.paper import figures, plant, reproduce
+from tools.paper import plant, reproduce
 from tools.paper.claim import FAST, Claim, Verdict, markdown, verdict
 
 ROOT = Path(__file__).parents[2]
@@ -179,33 +178,6 @@ def test_a_claim_that_does_not_hold_fails(
     two_claims[1] = replace(two_claims[1], verdict=verdict(False, Verdict.LIMITED))
     assert reproduce.main([]) == 1
     assert capsys.readouterr().out.endswith("2 claims, 1 do not hold: resolution\n")
-
-
-def test_figures(two_claims: list[Claim], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert reproduce.main(["--fast", "--figures", str(tmp_path / "pictures")]) == 0
-    pictures = sorted((tmp_path / "pictures").iterdir())
-    assert [picture.name for picture in pictures] == [
-        "83-cycles-per-sample.png",
-        "acceleration-limits.png",
-        "conventional-method.png",
-        "error-over-phase.png",
-    ]
-    assert all(picture.read_bytes().startswith(b"\x89PNG") for picture in pictures)
-    assert str(pictures[0]) in capsys.readouterr().out
-
-
-def test_no_figures_without_matplotlib(
-    two_claims: list[Claim],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    assert not figures.can_draw()
-    assert reproduce.main(["--figures", str(tmp_path / "pictures")]) == 2
-    assert capsys.readouterr().err == "figures need matplotlib: pip install 'canfb[tools]'\n"
-    assert not (tmp_path / "pictures").exists()
 
 
 def test_a_file_that_cannot_be_written(

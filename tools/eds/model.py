@@ -17,7 +17,6 @@ U8, U16, U32, VISIBLE_STRING, DOMAIN_TYPE = 0x05, 0x06, 0x07, 0x09, 0x0F
 _SIGNED_BITS = {0x02: 8, 0x03: 16, 0x04: 32, 0x10: 24, 0x12: 40, 0x13: 48, 0x14: 56, 0x15: 64}
 _UNSIGNED_BITS = {0x01: 1, 0x05: 8, 0x06: 16, 0x07: 32, 0x16: 24, 0x18: 40, 0x19: 48, 0x1A: 56, 0x1B: 64}
 _REAL_BITS = {0x08: 32, 0x11: 64}
-_REAL_LARGEST = {0x08: (2 - 2**-23) * 2.0**127, 0x11: (2 - 2**-52) * 2.0**1023}
 BITS = _SIGNED_BITS | _UNSIGNED_BITS | _REAL_BITS
 """Length of each data type that is a number, bits: these are the ones that a PDO can carry."""
 UNSIZED_TYPES = {0x09: "VISIBLE_STRING", 0x0A: "OCTET_STRING", 0x0B: "UNICODE_STRING", 0x0F: "DOMAIN"}
@@ -178,16 +177,6 @@ def number_of_type(text: str, data_type: int, node_id: int | None = None) -> flo
     except ValueError:
         return None
     return value if math.isfinite(value) else None
-
-
-def range_of_type(data_type: int) -> tuple[float, float]:
-    """Smallest and largest value of a data type of `BITS`."""
-    if data_type in _REAL_BITS:
-        return -_REAL_LARGEST[data_type], _REAL_LARGEST[data_type]
-    if data_type in _SIGNED_BITS:
-        half = 1 << (_SIGNED_BITS[data_type] - 1)
-        return -half, half - 1
-    return 0, (1 << _UNSIGNED_BITS[data_type]) - 1
 
 
 def is_communication(index: int) -> bool:

@@ -1,10 +1,10 @@
 """Try every claim of the paper, and print a table: what the paper says, what comes out here.
 
-    python -m tools.paper.reproduce [--fast] [--markdown FILE] [--figures DIR]
+    python -m tools.paper.reproduce [--fast] [--markdown FILE]
 
 The paper is Hoescheler and Szamel, Up-to-date Technique for Easy High-Accuracy Position
 Acquisition with Sinusoidal Incremental Encoders, 1997. --fast takes shorter runs. Exit status
-1 when a claim does not hold, 2 when a file cannot be written or matplotlib is missing.
+1 when a claim does not hold, 2 when a file cannot be written.
 docs/paper.md says more.
 """
 
@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 try:
-    from tools.paper import conventional, detection, figures, phase, tracking
+    from tools.paper import conventional, detection, phase, tracking
 except ImportError as error:
     sys.exit(f"{error}: run this file with the Python of the virtual environment (make test makes it)")
 from tools.paper.claim import FAST, FULL, Claim, Effort, Maker, markdown, plain
@@ -50,11 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--fast", action="store_true", help="shorter runs")
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table as Markdown")
-    parser.add_argument("--figures", type=Path, metavar="DIR", help="write the pictures as PNG")
     options = parser.parse_args(argv)
-    if options.figures is not None and not figures.can_draw():
-        print("figures need matplotlib: pip install 'canfb[tools]'", file=sys.stderr)
-        return 2
     found = []
     for claim in claims(FAST if options.fast else FULL):
         print(plain([claim]), flush=True)
@@ -62,9 +58,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if options.markdown is not None:
             options.markdown.write_text(markdown(found), encoding="utf-8")
-        if options.figures is not None:
-            for path in figures.write_figures(options.figures, 5 if options.fast else 150):
-                print(path)
     except OSError as error:
         print(f"cannot write {error.filename}: {error.strerror}", file=sys.stderr)
         return 2

@@ -163,7 +163,7 @@ def _advice(options: dict[str, Any], error: Exception) -> str:
     if interface is None and UNNAMED in text:
         return (
             "no interface is named: -i socketcan -c can0, a configuration (--config feedback.yaml), or "
-            "CAN_INTERFACE and CAN_CHANNEL, or python-can's can.conf; see docs/usb-adapters.md"
+            "CAN_INTERFACE and CAN_CHANNEL, or python-can's can.conf; see docs/wiring.md"
         )
     number = error.errno if isinstance(error, OSError) and interface == "socketcan" else None
     if number == errno.EAFNOSUPPORT:

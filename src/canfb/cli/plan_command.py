@@ -79,6 +79,9 @@ def register(commands: Commands) -> None:
         metavar="COUNT",
         help="that are alike, each with its interface (1)",
     )
+    parser.add_argument(
+        "--coverage", action="store_true", help="diagnostic coverage by fault (docs/faults.md)"
+    )
     parser.add_argument("--json", action="store_true", help="figures, for programs")
 
 
@@ -94,7 +97,7 @@ def plan(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(plan_figures(found, remedies), indent=2))
     else:
-        print("\n".join(plan_lines(found, remedies)))
+        print("\n".join(plan_lines(found, remedies, coverage=options.coverage)))
     return HOLDS if found.holds else EXCEEDED
 
 

@@ -9,6 +9,7 @@ from canfb.planning.budget import ResidualBudget, over
 from canfb.planning.changes import Remedy
 from canfb.planning.detection import CountDetection
 from canfb.planning.plan import Plan
+from canfb.planning.plan_coverage import coverage_figures
 
 RPM = 60.0 / (2.0 * math.pi)
 
@@ -101,6 +102,7 @@ def _module(plan: Plan, budget: ResidualBudget) -> dict[str, Any]:
         },
         "detection": _detection(plan.detection(budget)),
         "detection_at_needed_limit": _detection(plan.detection(budget, min(budget.needed_cycles, 0.5))),
+        "coverage": coverage_figures(plan, budget),
     }
 
 

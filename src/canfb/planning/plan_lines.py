@@ -10,6 +10,7 @@ from canfb.planning.budget import ResidualBudget, over
 from canfb.planning.changes import Remedy
 from canfb.planning.detection import CountDetection
 from canfb.planning.plan import Plan
+from canfb.planning.plan_coverage import area_line, coverage_lines
 from canfb.planning.situation import Situation
 from canfb.planning.traffic import Message
 from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES
@@ -19,11 +20,12 @@ EXCEEDED = "   <- exceeded"
 MOST_COASTED = 255
 
 
-def plan_lines(plan: Plan, remedies: list[Remedy]) -> list[str]:
-    """All of it; ``remedies`` are those of the plan."""
+def plan_lines(plan: Plan, remedies: list[Remedy], *, coverage: bool = False) -> list[str]:
+    """All of it; ``remedies`` are those of the plan. ``coverage``: with the diagnostic coverage by fault."""
     lines = [*_bus_lines(plan.situation), ""]
     for names, budget in _alike(plan):
-        lines += [*_module_lines(plan, names, budget), ""]
+        faults = coverage_lines(plan, budget) if coverage else []
+        lines += [*_module_lines(plan, names, budget), *faults, ""]
     return [*lines, *_verdict(plan, remedies)]
 
 
@@ -76,6 +78,7 @@ def _module_lines(plan: Plan, names: str, budget: ResidualBudget) -> list[str]:
         _line("residual", f"{budget.needed_cycles:.3f} of {budget.limit_cycles:.3f} cycle", budget.margin),
         "    " + " + ".join(f"{part.what} {part.cycles:.3f}" for part in budget.parts),
         *_detection_lines(plan.detection(budget), budget),
+        area_line(plan, budget),
     ]
 
 

@@ -1,0 +1,235 @@
+"""How much of the faults of an encoder the configured limits detect: diagnostic coverage.
+
+Drives with safe motion publish the coverage of the vector length: 1 - allowed area / whole area of the
+voltages, as if a fault left any pair of voltages equally likely (:func:`area_coverage`). With the residual
+only the phases within L of the predicted one are left of the ring.
+
+:func:`fault_coverage` takes the faults one by one, those that IEC 61800-5-2 names for such encoders: each is
+put into the tracks of a machine in motion, and equations 9 and 12 say how the count goes on and which sample
+is refused. It knows neither the doubt after a fault nor the frozen input of 2010:04. A computation is no
+certificate: what the faults of a machine are, and how often they come, is for its analysis to say.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.simulation import faults
+from canfb.simulation.faults import Fault, Samples, Signal
+
+CASES = 400  # of each fault
+FAULTY_SAMPLES = 200  # as in docs/fault-campaign.md
+HARM_CYCLES = 0.25
+LONGEST_RAMP = 200
+SEED = 61800
+
+Rng = np.random.Generator
+Floats = npt.NDArray[np.float64]
+Bits = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleWindow:
+    """What a sample is held against.
+
+    full_scale_counts           of the converter; a count at either end is refused
+    low_counts, high_counts     accepted amplitude
+    nominal_counts              amplitude of the healthy tracks
+    limit_cycles                residual limit L
+    order                       of the prediction, 2 or 3
+    motion_cycles               largest acceleration (order 3: jerk), cycles per interval to the order
+    tolerance_cycles            of the second position, None: there is none
+    """
+
+    full_scale_counts: int
+    low_counts: int
+    high_counts: int
+    nominal_counts: float
+    limit_cycles: float
+    order: int
+    motion_cycles: float
+    tolerance_cycles: float | None
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Part detected, 0..1: by amplitude and converter range, with the residual, with a second position."""
+
+    amplitude: float
+    residual: float
+    second: float | None
+
+
+@dataclass(frozen=True)
+class FaultCoverage:
+    """Of the faults of one kind that move phase or position by more than a quarter of a cycle.
+
+    harmful     their number, of ``CASES``
+    within      samples until 99 % of those are detected that amplitude or residual detects; None: none is
+    """
+
+    name: str
+    harmful: int
+    shares: Shares
+    within: int | None
+
+
+def area_coverage(window: SampleWindow) -> Shares:
+    """Of voltages that may be anything within the range of the converter."""
+    full = float(window.full_scale_counts)
+    whole = 4.0 * full * full
+    ring = (_disc(window.high_counts, full) - _disc(window.low_counts, full)) / whole
+    left = min(1.0, 2.0 * window.limit_cycles)
+    tolerance = window.tolerance_cycles
+    seen = None if tolerance is None else 1.0 - ring * min(left, 2.0 * tolerance)
+    return Shares(1.0 - ring, 1.0 - ring * left, seen)
+
+
+def _disc(radius: float, half_side: float) -> float:
+    """The area of a disc within a square around its centre."""
+    if radius <= half_side:
+        return math.pi * radius * radius
+    if radius >= math.sqrt(2.0) * half_side:
+        return 4.0 * half_side * half_side
+    inside = math.acos(half_side / radius)
+    return radius * radius * (math.pi - 4.0 * inside) + 4.0 * half_side * radius * math.sin(inside)
+
+
+def fault_coverage(window: SampleWindow) -> list[FaultCoverage]:
+    """Each kind of fault, at all phases and speeds; the result depends on ``window`` alone."""
+    return [_covered(window, name, draw) for name, draw in KINDS.items()]
+
+
+def _covered(window: SampleWindow, name: str, draw: Callable[[Rng, float], Fault] | None) -> FaultCoverage:
+    rng = np.random.default_rng([SEED, list(KINDS).index(name)])
+    order, total = window.order, window.order + FAULTY_SAMPLES
+    truth = np.stack([_motion(window, total, rng) for _ in range(CASES)])
+    # Without its coupling the encoder goes on at its last speed.
+    clean = truth if draw is not None else truth[:, :1] + np.arange(total) * np.diff(truth[:, :2])
+    angle = 2.0 * np.pi * clean
+    sine, cosine = (np.rint(window.nominal_counts * track(angle)) for track in (np.sin, np.cos))
+    if draw is not None:
+        for case in range(CASES):
+            samples = Samples(
+                sine[case].astype(np.int64),
+                cosine[case].astype(np.int64),
+                np.ones(total, dtype=np.bool_),
+                window.full_scale_counts,
+            )
+            bad = draw(rng, window.nominal_counts).inject(samples, order, total, rng)
+            sine[case], cosine[case] = bad.sine, bad.cosine
+    return _judged(window, name, truth, sine, cosine)
+
+
+def _motion(window: SampleWindow, total: int, rng: Rng) -> Floats:
+    """True positions, cycles: any phase and speed; from the fault on a constant acceleration (order 3: jerk).
+
+    Whole cycles per interval make no difference to eq. 9, so the speed is within half a cycle.
+    """
+    k = np.maximum(np.arange(total) - window.order + 1.0, 0.0)
+    high = float(rng.uniform(-1.0, 1.0)) * window.motion_cycles
+    bend = k * (k + 1.0) / 2.0 if window.order == 2 else k * (k + 1.0) * (k + 2.0) / 6.0
+    k = np.arange(total) - window.order + 1.0
+    moved: Floats = float(rng.uniform()) + float(rng.uniform(-0.5, 0.5)) * k + high * bend
+    return moved
+
+
+def _judged(window: SampleWindow, name: str, truth: Floats, sine: Floats, cosine: Floats) -> FaultCoverage:
+    order, full = window.order, window.full_scale_counts
+    amplitude = np.hypot(sine, cosine)
+    refused = (amplitude < window.low_counts) | (amplitude > window.high_counts)
+    for track in (sine, cosine):
+        refused |= (track <= -full) | (track >= full - 1)
+    phase = np.arctan2(sine, cosine) / (2.0 * np.pi)
+    change = np.diff(phase, order, axis=1)
+    residual = change - np.rint(change)
+    error: Floats = residual - np.diff(truth, order, axis=1)
+    for _ in range(order):
+        error = np.cumsum(error, axis=1)
+    by_amplitude = refused[:, order:]
+    by_residual: Any = by_amplitude | (np.abs(residual) > window.limit_cycles)
+    moved = phase - truth
+    moved -= np.rint(moved)
+    harmful: Any = ((np.abs(moved[:, order:]) > HARM_CYCLES) | (np.abs(error) > HARM_CYCLES)).any(axis=1)
+    tolerance = window.tolerance_cycles
+    second = None if tolerance is None else by_residual | (np.abs(error) > tolerance)
+    shares = Shares(
+        _share(by_amplitude, harmful),
+        _share(by_residual, harmful),
+        None if second is None else _share(second, harmful),
+    )
+    return FaultCoverage(name, int(harmful.sum()), shares, _within(by_residual[harmful]))
+
+
+def _share(detected: Bits, harmful: Bits) -> float:
+    return float(np.any(detected, axis=1)[harmful].mean()) if harmful.any() else 1.0
+
+
+def _within(detected: Bits) -> int | None:
+    first = [int(np.argmax(one)) + 1 for one in detected if one.any()]
+    return int(np.quantile(first, 0.99, method="higher")) if first else None
+
+
+def _one(rng: Rng) -> Signal:
+    return Signal.SINE if rng.uniform() < 0.5 else Signal.COSINE
+
+
+def _sign(rng: Rng) -> float:
+    return 1.0 if rng.uniform() < 0.5 else -1.0
+
+
+def _ramp(rng: Rng) -> int:
+    return int(rng.integers(20, LONGEST_RAMP + 1))
+
+
+def _offset(rng: Rng, nominal: float) -> Fault:
+    size, ramp = float(rng.uniform(0.3, 1.5)) * nominal * _sign(rng), _ramp(rng)
+    if _one(rng) is Signal.SINE:
+        return faults.TrackDrift(sine_offset=size, ramp_samples=ramp)
+    return faults.TrackDrift(cosine_offset=size, ramp_samples=ramp)
+
+
+def _gain(rng: Rng, nominal: float) -> Fault:
+    gain, ramp = float(rng.uniform(-0.2, 1.4)), _ramp(rng)
+    if _one(rng) is Signal.SINE:
+        return faults.TrackDrift(sine_gain=gain, ramp_samples=ramp)
+    return faults.TrackDrift(cosine_gain=gain, ramp_samples=ramp)
+
+
+def _phase(rng: Rng, nominal: float) -> Fault:
+    size = float(rng.uniform(0.1, 1.0)) * math.pi * _sign(rng)
+    return faults.TrackDrift(phase_rad=size, ramp_samples=_ramp(rng))
+
+
+def _oscillation(rng: Rng, nominal: float) -> Fault:
+    signal = (Signal.SINE, Signal.COSINE, Signal.BOTH)[int(rng.integers(3))]
+    size, rate = float(rng.uniform(0.1, 1.2)) * nominal, float(rng.uniform(0.0, 0.5))
+    return faults.Oscillation(signal, size, rate, float(rng.uniform(0.0, 2.0 * math.pi)))
+
+
+KINDS: dict[str, Callable[[Rng, float], Fault] | None] = {
+    "one track open": lambda rng, nominal: faults.OpenTrack(_one(rng), float(rng.uniform(0.0, 5.0))),
+    "both open": lambda rng, nominal: faults.OpenTrack(Signal.BOTH, float(rng.uniform(0.0, 5.0))),
+    "short to a supply": lambda rng, nominal: faults.ShortedTrack(_one(rng), bool(rng.uniform() < 0.5)),
+    "tracks joined": lambda rng, nominal: faults.JoinedTracks(),
+    "stuck at a value": lambda rng, nominal: faults.StuckTrack(
+        _one(rng), float(rng.uniform(-nominal, nominal))
+    ),
+    "stuck at the last value": lambda rng, nominal: faults.StuckTrack(_one(rng)),
+    "frozen": lambda rng, nominal: faults.FrozenSamples(),
+    "offset drift": _offset,
+    "gain drift": _gain,
+    "phase drift": _phase,
+    "oscillation": _oscillation,
+    "tracks swapped": lambda rng, nominal: faults.SwappedTracks(),
+    "one track inverted": lambda rng, nominal: faults.InvertedTracks(_one(rng)),
+    "both inverted": lambda rng, nominal: faults.InvertedTracks(Signal.BOTH),
+    "coupling lost": None,
+}
+"""By name: draws one of given nominal amplitude, counts. None: not in the tracks."""

@@ -1,0 +1,153 @@
+"""Diagnostic coverage: the area of the voltages, faults one by one, and what docs/faults.md says of them."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from planning_kit import planned
+
+from canfb.cli.main import main
+from canfb.planning.coverage import KINDS, FaultCoverage, SampleWindow, area_coverage, fault_coverage
+from canfb.planning.plan_coverage import coverage_figures, second_tolerance, window_of
+
+DEFAULT = SampleWindow(
+    full_scale_counts=2048,
+    low_counts=410,
+    high_counts=2560,
+    nominal_counts=1500.0,
+    limit_cycles=1.0 / 3.0,
+    order=2,
+    motion_cycles=0.01,
+    tolerance_cycles=25.0,
+)
+COMMISSIONED = replace(DEFAULT, low_counts=1200, high_counts=1800, limit_cycles=0.06)
+PAGE = (Path(__file__).parents[2] / "docs" / "faults.md").read_text(encoding="utf-8")
+
+
+@cache
+def found(window: SampleWindow) -> dict[str, FaultCoverage]:
+    return {one.name: one for one in fault_coverage(window)}
+
+
+@pytest.mark.parametrize("window", [DEFAULT, COMMISSIONED, replace(DEFAULT, low_counts=0, high_counts=4000)])
+def test_the_area_is_that_of_any_voltages(window: SampleWindow) -> None:
+    n = 1000
+    axis = (np.arange(n) + 0.5) / n * 2.0 * window.full_scale_counts - window.full_scale_counts
+    length = np.hypot(axis[:, None], axis[None, :])
+    allowed = ((length >= window.low_counts) & (length <= window.high_counts)).mean()
+    shares = area_coverage(window)
+    assert shares.amplitude == pytest.approx(1.0 - allowed, abs=1e-3)
+    assert shares.residual == pytest.approx(1.0 - allowed * 2.0 * window.limit_cycles, abs=1e-3)
+    assert shares.second == shares.residual, "a second position of 25 cycles sees nothing of a phase"
+
+
+def test_the_ring_of_a_safe_drive() -> None:
+    """Within the range of the converter the ring is pi (R^2 - r^2)."""
+    assert area_coverage(COMMISSIONED).amplitude == pytest.approx(
+        1.0 - math.pi * (1800**2 - 1200**2) / 4096**2
+    )
+
+
+def test_what_must_be_seen_and_what_cannot_be() -> None:
+    for window in (DEFAULT, COMMISSIONED):
+        faults = found(window)
+        for name in ("both open", "short to a supply"):
+            assert faults[name].shares.amplitude == 1.0
+            assert faults[name].within == 1
+        assert faults["both inverted"].shares.amplitude == 0.0
+        assert faults["both inverted"].shares.residual == 1.0
+        coupling = faults["coupling lost"].shares
+        assert (coupling.amplitude, coupling.residual) == (0.0, 0.0), "the tracks are those of a legal motion"
+        assert coupling.second is not None
+        assert coupling.second > 0.8
+        assert 0.0 < faults["frozen"].shares.residual < 1.0
+    assert found(DEFAULT)["frozen"].shares.residual == pytest.approx(1.0 - 2.0 / 3.0, abs=0.06)
+    assert found(COMMISSIONED)["frozen"].shares.residual == pytest.approx(1.0 - 0.12, abs=0.06)
+
+
+def test_each_means_adds_to_the_one_before() -> None:
+    for window in (DEFAULT, COMMISSIONED, replace(COMMISSIONED, order=3, limit_cycles=0.14)):
+        for one in found(window).values():
+            assert one.shares.second is not None
+            assert 0.0 <= one.shares.amplitude <= one.shares.residual <= one.shares.second <= 1.0
+            assert one.harmful > 0
+    without = fault_coverage(replace(DEFAULT, tolerance_cycles=None))
+    assert {one.shares.second for one in without} == {None}
+    assert [one.shares.residual for one in without] == [
+        one.shares.residual for one in found(DEFAULT).values()
+    ]
+
+
+def test_narrow_limits_are_what_helps() -> None:
+    for name in KINDS:
+        wide, narrow = found(DEFAULT)[name].shares, found(COMMISSIONED)[name].shares
+        assert narrow.residual >= wide.residual, name
+
+
+def test_the_window_of_a_plan() -> None:
+    plan = planned(acceleration_rad_s2=25.0, residual_limit=0.06)
+    (budget,) = plan.budgets
+    window = window_of(plan, budget)
+    assert (window.low_counts, window.high_counts, window.order) == (410, 2560, 2)
+    assert window.limit_cycles == pytest.approx(0.06, abs=2e-5)
+    assert window.motion_cycles == pytest.approx(25.0 * 2500 / (2 * math.pi) * 1e-6)
+    assert window.tolerance_cycles == 25.0
+    assert second_tolerance(budget) is None
+    figures = coverage_figures(plan, budget)
+    assert figures["second_position_mapped"] is False
+    assert list(figures["faults"]) == list(KINDS)
+
+
+def test_a_second_position_that_is_mapped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "second.yaml"
+    config.write_text(
+        "bus: {interface: virtual, channel: test}\n"
+        "modules:\n  - node_id: 0x20\n    cycles_per_revolution: 1000\n"
+        "    second_position: {cob_id: 0x381, increments: 4096, tolerance_revolutions: 0.05}\n"
+    )
+    main(["plan", str(config), "--json"])
+    (module,) = json.loads(capsys.readouterr().out)["modules"]
+    assert module["coverage"]["second_position_mapped"] is True
+    assert module["coverage"]["second_position_cycles"] == pytest.approx(50.0)
+
+
+def test_the_table_is_printed_on_request(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["plan", "--coverage", "--acceleration", "25"])
+    lines = capsys.readouterr().out.splitlines()
+    (area,) = (line for line in lines if "1 - allowed area / whole area" in line)
+    assert "no certificate" in "".join(lines)
+    begin = next(n for n, line in enumerate(lines) if line.split()[:2] == ["fault", "amplitude"])
+    assert [line[4:30].strip() for line in lines[begin + 1 : begin + 1 + len(KINDS)]] == list(KINDS)
+    main(["plan", "--acceleration", "25"])
+    assert [line for line in lines if line not in lines[begin - 2 : begin + 1 + len(KINDS)]] == (
+        capsys.readouterr().out.splitlines()
+    )
+    assert "by the amplitude" in area
+
+
+def row(name: str) -> list[str]:
+    """The computed cells of the table of the page, beside what was measured."""
+    cells = []
+    for window in (DEFAULT, COMMISSIONED):
+        one = found(window)[name]
+        second = one.shares.second or 0.0
+        shares = (one.shares.amplitude, one.shares.residual, second)
+        cells.append(" / ".join(f"{math.floor(100.0 * share + 1e-9)}" for share in shares))
+        cells.append("-" if one.within is None else f"{one.within}")
+    return cells
+
+
+def test_the_page_has_these_figures() -> None:
+    rows = {}
+    for line in re.findall(r"^\| (.*) \|$", PAGE, re.M):
+        name, *cells = (cell.strip() for cell in line.split("|"))
+        if name in KINDS and len(cells) == 6:
+            rows[name] = [cells[0], cells[1], cells[3], cells[4]]
+    assert rows == {name: row(name) for name in KINDS}, "\n".join(f"{n}: {row(n)}" for n in KINDS)
