@@ -137,7 +137,7 @@ class Judge(SyncJudge):
             self._offered = True
         self._slack = min(offsets[-1] - offsets[0], MOST_OPTIONS)
         self._lowest = options[0] if self._slack and not self.is_open and offsets[0] == 0 else None
-        self._since_before, self._since = since, max(0, -offsets[-1])
+        self._since_before, self._since = since, -offsets[-1]
         error = self._error
         self._came()
         if len(options) == 1 and certain and not error:

@@ -11,11 +11,12 @@ arrivals; so does this clock. What differs is how good the arrivals are:
   it but its last frame is later than a period, and is not used.
 
 The period is first measured, over FIRST_INTERVALS that agree, or as the line below FIRST_CALLS calls. 1006h
-is taken in its place only if it agrees with that; it is then more exact, but it is never believed against
-what is heard. From there on two numbers are followed, as by the straight line through all groups of
-TOGETHER SYNCs, at most MEMORY of them: :attr:`SyncClock.due_s` and :attr:`SyncClock.period_s`. What the
-judge refuses does not come here. A clock whose SYNCs are all refused, and all regular, is set again
-(:meth:`SyncClock.set_again`).
+is taken in its place only if it agrees with that as far as it is known; it is then more exact, but it is
+never believed against what is heard. From there on two numbers are followed, as by the straight line through
+all SYNCs: :attr:`SyncClock.due_s` and :attr:`SyncClock.period_s`. At first one SYNC is taken at a time, so
+that a poor first period does not add up; later, and without receive times, TOGETHER of them, and at most
+MEMORY groups. What the judge refuses does not come here. A clock whose SYNCs are all refused, and all
+regular, is set again (:meth:`SyncClock.set_again`).
 
 :attr:`SyncClock.deviation` is the mean absolute deviation from the filter. DEVIATIONS times that is what a
 SYNC may be off: uniform jitter is at most 2 mean deviations, Gaussian jitter is beyond 6.4 standard
@@ -48,6 +49,7 @@ AGREEMENT = 0.2
 
 TOGETHER = 8  # SYNCs that are learned from at a time
 MEMORY = 32  # groups of them
+SINGLE = 24  # SYNCs, until they are taken together
 FIRST_INTERVALS = 5  # proved; all but one agree
 TWICE = 0.4  # of the median, below the jitter of two SYNCs of which none is missing
 MORE_INTERVALS = 12  # none of them a gap, where SYNC jitters more than that
@@ -76,6 +78,7 @@ class SyncClock:
         "jitter",
         "nominal_s",
         "period_s",
+        "together",
     )
 
     def __init__(self) -> None:
@@ -94,6 +97,8 @@ class SyncClock:
         self.errors: list[float] = []
         self._first: list[float] = []
         self._groups = self._spreads = 0
+        self.together = TOGETHER
+        """SYNCs that are taken together now."""
         self.deviation = JITTER / DEVIATIONS
         self.jitter = JITTER
         """How far a SYNC may be off, periods, as measured; up to JITTER."""
@@ -123,12 +128,18 @@ class SyncClock:
         period, last = _measured(first) if proved else _below(first)
         if period < LEAST_PERIOD_S:
             return False
-        if abs(self.nominal_s - period) <= SAME_PERIOD * period:
+        if abs(self.nominal_s - period) <= max(SAME_PERIOD * period, _uncertain(first, period, proved)):
             period = self.nominal_s
         self.period_s, self.due_s = period, last + period
+        self._begin_line(len(first) - 1, proved)
         self._first = []
-        self._groups = 1
         return True
+
+    def _begin_line(self, intervals: int, proved: bool) -> None:
+        """The line stands on so many intervals."""
+        self.errors.clear()
+        self._groups, self.together = (intervals, 1) if proved else (1, TOGETHER)
+        self._spreads = 0
 
     def learn(self, proved: bool) -> None:
         """Follow the group in ``errors``, and empty it."""
@@ -139,25 +150,37 @@ class SyncClock:
         beyond = off - STRAIGHT * period
         if not proved and beyond > 0.0:
             off -= (1.0 - RISING) * beyond
-        spread = sum([abs(error - mean) for error in errors]) / size / period
+        apart = mean if size > 1 else 0.0
+        spread = sum([abs(error - apart) for error in errors]) / size / period
         errors.clear()
         self._groups = n = min(self._groups + 1, MEMORY)
         whole = (n + 1) * (n + 2)
         slope = off * 6.0 / whole / size
         self.due_s += off * (4 * n + 2) / whole + slope
         self.period_s = max(period + slope, LEAST_PERIOD_S)
-        self._spreads = min(self._spreads + 1, SPREADS)
+        self._spreads = min(self._spreads + 1, SPREADS * TOGETHER // size)
         self.deviation += (min(spread, JITTER) - self.deviation) / self._spreads
-        least = min(LEAST_JITTER, LEAST_JITTER_S / self.period_s)
-        self.jitter = min(JITTER, max(least, DEVIATIONS * self.deviation))
+        if size > 1 or self._spreads >= TOGETHER:  # fewer than that say nothing
+            least = min(LEAST_JITTER, LEAST_JITTER_S / self.period_s)
+            self.jitter = min(JITTER, max(least, DEVIATIONS * self.deviation))
+        if size == 1 and n >= SINGLE:
+            self.together = TOGETHER
+            self._groups, self._spreads = n // TOGETHER, max(1, self._spreads // TOGETHER)
 
     def set_again(self, times_s: list[float]) -> None:
         """These SYNCs, all the last ones, are regular, and not where they were due: another rate or phase."""
         self.period_s = (times_s[-1] - times_s[0]) / (len(times_s) - 1)
         self.due_s = times_s[-1] + self.period_s
-        self.errors.clear()
-        self._groups, self._spreads = 1, 0
+        self._begin_line(len(times_s) - 1, True)
         self.deviation, self.jitter = JITTER / DEVIATIONS, JITTER
+
+
+def _uncertain(times_s: list[float], period_s: float, proved: bool) -> float:
+    """How far the first period may be off: the mean of n intervals by 2/n of the largest deviation of one."""
+    if not proved:
+        return 0.0
+    apart = [b - a for a, b in pairwise(times_s)]
+    return 2.0 / len(apart) * max([min(abs(one - period_s), JITTER * period_s) for one in apart])
 
 
 def is_regular(times_s: list[float]) -> bool:

@@ -43,7 +43,7 @@ from enum import IntEnum
 from math import inf, isfinite
 from typing import NamedTuple
 
-from canfb.timing.sync_clock import EARLIEST, LEAST_PERIOD_S, SAME_PERIOD, TOGETHER, SyncClock, is_regular
+from canfb.timing.sync_clock import EARLIEST, LEAST_PERIOD_S, SAME_PERIOD, SyncClock, is_regular
 
 LEAST_EARLY = 0.15
 WHOLE = 0.85
@@ -201,7 +201,7 @@ class SyncJudge:
             self._usual, self._since = True, 1
             errors = clock.errors
             errors.append(error)
-            if len(errors) >= TOGETHER:
+            if len(errors) >= clock.together:
                 self._follow(time_s, proved)
             return ON_TIME
         verdict = self._judged(time_s, proved, counter)
@@ -266,6 +266,7 @@ class SyncJudge:
         """Count this SYNC, and those before it that were not received."""
         clock, lost = self.clock, sync.lost
         missed = lost + (not self._answered) if self.sampled else 0
+        missed = max(0, missed + min(0, self._since))  # the last sample may have answered some of them
         self._before_open = self.sampled and (not self._answered or lost > 0)
         if clock.period_s and self.begun:
             clock.due_s += (1 + lost) * clock.period_s
@@ -300,7 +301,7 @@ class SyncJudge:
             self._error = abs(sync.apart - 1 - sync.lost)
         if not self._streak and (sync.proved or sync.off < 1.0):
             clock.errors.append(sync.off * clock.period_s)
-            if len(clock.errors) >= TOGETHER:
+            if len(clock.errors) >= clock.together:
                 self._follow(sync.time_s, sync.proved)
         return verdict
 
