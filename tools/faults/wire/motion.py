@@ -56,6 +56,14 @@ class Motion:
             x += acceleration / w * shaking - acceleration / w**2 * np.sin(w * shaking)
         return x
 
+    def largest_acceleration(self, end: float) -> float:
+        """In cycles/T^2, up to time ``end``; without jerks."""
+        steps = sorted(self.pieces)
+        constant = np.cumsum([0.0, *(size for _, size in steps)])
+        shaking = sum(abs(size) for _, size, _, _ in self.vibrations)  # a sin(2 pi f t)
+        inside = [True, *(begin < end for begin, _ in steps)]
+        return float(np.abs(constant[inside]).max()) + shaking
+
     def speed(self, time: float) -> float:
         """Cycles per T at this time."""
         before, after = self.at([time - 5e-4, time + 5e-4])

@@ -9,7 +9,7 @@ import numpy as np
 
 from canfb import Frame
 from tools.faults.wire.classes import CLASSES
-from tools.faults.wire.draw import draw_plan, torque
+from tools.faults.wire.draw import UNKNOWN_LIMIT, draw_plan, torque
 from tools.faults.wire.host import Sent, drive
 from tools.faults.wire.judge import Judge, Verdict
 from tools.faults.wire.line import Line, Plan, lay
@@ -61,7 +61,16 @@ def plan_of(episode: Episode) -> Plan:
         plan.note = unseen(plan)
     if pushed:
         torque(plan)
+    if not setup.servo:
+        declare(plan)
     return plan
+
+
+def declare(plan: Plan) -> None:
+    """2010:02 is at least what the machine does; where it is not set, what 2010:0B assumes is."""
+    largest = plan.motion.largest_acceleration(plan.end)
+    if largest > (plan.options.limit or UNKNOWN_LIMIT):
+        plan.options.limit = largest
 
 
 def play_plan(plan: Plan, fresh: bool = False, bench: Bench = _bench) -> Played:
