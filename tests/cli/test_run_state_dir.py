@@ -20,6 +20,7 @@ from canfb.cia301.frame import Frame
 from canfb.cli.log_printing import printed_log
 from canfb.cli.main import main
 from canfb.eds_files import eds_path
+from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 
 LIMIT_S = 30.0
@@ -34,7 +35,16 @@ def exchanged(config: ModuleConfig, *requests: bytes) -> list[str]:
     with contextlib.ExitStack() as resources:
         module = make_module(config, resources, {})
         module.start(0.0)
-        return [frame.data.hex() for data in requests for frame in module.receive(Frame(0x620, data), 0.0)]
+        return [answer(module, data) for data in requests]
+
+
+def answer(module: FeedbackModule, data: bytes) -> str:
+    """The answer to a request; that to `save` comes when it is on the disk."""
+    frames, end = module.receive(Frame(0x620, data), module.node.now), time.monotonic() + LIMIT_S
+    while not any(frame.can_id == SAVED.can_id for frame in frames):
+        assert time.monotonic() < end, "no answer"
+        frames = module.tick(module.node.now + 1e-3)
+    return next(frame.data.hex() for frame in frames if frame.can_id == SAVED.can_id)
 
 
 def test_a_module_of_the_command_keeps_its_parameters(tmp_path: Path) -> None:

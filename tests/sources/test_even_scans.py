@@ -102,6 +102,18 @@ def test_a_sync_too_soon_has_no_sample_and_the_grid_stands() -> None:
     assert after[0] - before[-1][0] == 8
 
 
+def test_after_a_stall_the_grid_stands_and_the_syncs_of_the_burst_have_no_sample() -> None:
+    """The program stands still for five intervals, and then hears five SYNCs at once."""
+    bench = Bench(2, 8, SYNC_S / 8)
+    heard = even(120)
+    heard[60:65] = [heard[64] + 1e-5 * n for n in range(5)]
+    samples = bench.run(heard)
+    assert [n for n, one in enumerate(samples) if one is None and n > 10] == [61, 62, 63, 64]
+    chosen = numbers(samples)
+    steps = {after[0] - before[0] for before, after in itertools.pairwise(chosen)}
+    assert steps == {8, 40}
+
+
 def test_scans_that_are_lost_make_no_sample_of_unequal_distances() -> None:
     bench = Bench(4, 8, SYNC_S / 8, lost=(403, 404))
     failed = []
