@@ -1,0 +1,1 @@
+"""Days of operation in simulated time, with everything that happens to a bus in them."""

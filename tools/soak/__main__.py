@@ -1,0 +1,132 @@
+"""Soak: many cycles in simulated time with everything that happens to a bus, and resources that stay flat.
+
+    python -m tools.soak [--cycles N] [--setup NAME] [--seed N] [--json]
+
+Module, encoder interface, SYNC at 1 kHz, master, monitor and event log of one network, whose machine moves
+and rests. One disturbance follows the other: lost samples, bus off and back, a cable that is pulled out, NMT,
+resets, a node that goes, block transfers, tables, saves with a disk that is full now and then, a flood of
+frames, frames of a wrong length, a clock that is set. A lost position is brought back by an NMT reset at a
+rest, as docs/lost.md has it. Exit status 1 if a valid position was wrong, a lost sample was not
+counted, the position did not come back by itself, or memory, objects or file descriptors grew; 2 for a wrong
+option.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tools.soak.world import INTERVAL_S, SETUPS, Findings, Setup, World
+
+WARM = 0.3  # of the cycles: caches fill
+MOST_GROWTH_BYTES, MOST_GROWTH_OBJECTS = 4 << 20, 2000
+MOST_LINES_PER_S = 10.0  # of simulated time
+LOOKS = 20
+
+
+class Resources(NamedTuple):
+    """Of this process."""
+
+    memory_bytes: int
+    objects: int
+    descriptors: int
+
+    @classmethod
+    def now(cls) -> Resources:
+        gc.collect()
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return cls(
+            pages * os.sysconf("SC_PAGE_SIZE"), len(gc.get_objects()), len(os.listdir("/proc/self/fd"))
+        )
+
+
+def soak(setup: Setup, cycles: int, seed: int) -> dict[str, Any]:
+    """One set-up; what came out."""
+    world = World(setup, seed)
+    looks: list[Resources] = []
+
+    def look() -> None:
+        done = world.found.cycles / cycles
+        if done >= WARM + len(looks) * (1.0 - WARM) / LOOKS:
+            looks.append(Resources.now())
+
+    began = time.perf_counter()
+    found = world.run(cycles, look)
+    elapsed_s = time.perf_counter() - began
+    first, last = (looks or [Resources.now()])[0], Resources.now()
+    return as_figures(setup, found, first, last) | {"cycles_per_s": found.cycles / elapsed_s}
+
+
+def as_figures(setup: Setup, found: Findings, first: Resources, last: Resources) -> dict[str, Any]:
+    """All there is to say of one set-up."""
+    grown = {
+        "memory_bytes": max(0, last.memory_bytes - first.memory_bytes) > MOST_GROWTH_BYTES,
+        "objects": last.objects - first.objects > MOST_GROWTH_OBJECTS,
+        "descriptors": last.descriptors > first.descriptors,
+    }
+    bounded = found.log_lines <= 50 + MOST_LINES_PER_S * found.cycles * INTERVAL_S
+    return {
+        "setup": setup.name,
+        **{name: value for name, value in asdict(found).items() if name != "done"},
+        "disturbances": dict(sorted(found.done.items())),
+        "warm": first._asdict(),
+        "end": last._asdict(),
+        "grown": [name for name, is_more in grown.items() if is_more],
+        "good": not found.bad and not any(grown.values()) and bounded,
+    }
+
+
+def lines(one: dict[str, Any]) -> list[str]:
+    """The same for people."""
+    warm, end = one["warm"], one["end"]
+    return [
+        f"{one['setup']}: {one['cycles']} cycles ({one['cycles'] * INTERVAL_S / 3600.0:.3g} h), "
+        f"{sum(one['disturbances'].values())} disturbances, {one['cycles_per_s']:.0f} cycles/s",
+        f"  valid {100.0 * one['valid'] / one['cycles']:.1f} %, wrong {one['wrong']}, lost samples not "
+        f"counted {one['uncounted']}, not recovered {one['not_recovered']}, longest recovery "
+        f"{one['longest_recovery_s']:.2f} s, {one['lost']} resets of a lost position",
+        f"  memory {warm['memory_bytes'] / 1e6:.1f} -> {end['memory_bytes'] / 1e6:.1f} MB, objects "
+        f"{warm['objects']} -> {end['objects']}, file descriptors {warm['descriptors']} -> "
+        f"{end['descriptors']}, {one['log_lines']} lines of log",
+        *([f"  first wrong: {one['first_wrong']}"] if one["first_wrong"] else []),
+        *(
+            []
+            if one["good"]
+            else [f"  NOT good{': grown ' if one['grown'] else ''}{', '.join(one['grown'])}"]
+        ),
+    ]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.soak", description=(__doc__ or "").partition("\n")[0]
+    )
+    names = [one.name for one in SETUPS]
+    parser.add_argument("--cycles", type=int, default=100_000, metavar="N", help="of each set-up")
+    parser.add_argument("--setup", choices=names, help="only this one")
+    parser.add_argument("--seed", type=int, default=28)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args(argv)
+    if options.cycles < 1:
+        parser.error("--cycles must be at least 1")
+    chosen = [one for one in SETUPS if options.setup in (None, one.name)]
+    results = []
+    for setup in chosen:
+        results.append(soak(setup, options.cycles, options.seed))
+        if not options.json:
+            print("\n".join(lines(results[-1])), flush=True)
+    if options.json:
+        print(json.dumps(results, indent=1))
+    return 0 if all(one["good"] for one in results) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

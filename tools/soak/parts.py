@@ -1,0 +1,170 @@
+"""What stands around the module in the soak: a cable that loses frames, a master, a store that is slow."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable, Collection
+from typing import Any
+
+import canopen
+from canopen.sdo.client import SdoClient
+from canopen.sdo.exceptions import SdoCommunicationError
+
+from canfb.cia301.frame import Frame
+from canfb.demo.embedded_network import EmbeddedNetwork
+from canfb.device.hosted import Device
+from canfb.device.storage.storage import MemoryStore
+from canfb.device.storage.writing import Changes
+from canfb.simulation.embedded_bus import EmbeddedBus
+
+ANSWER_S = 0.2
+STEP_S = 0.001
+SAVE_POLLS = 5
+
+logging.getLogger("canopen").setLevel(logging.CRITICAL)  # transfers are broken off on purpose
+
+
+class Cable:
+    """A device behind a cable that can be pulled out, and that loses frames of some CAN-IDs."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self.pulled = False
+        self.losing: dict[int, int] = {}
+        """By CAN-ID: how many frames more do not arrive."""
+        self.lost = 0
+        self.stamp_s: float | None = None
+        """By how much the clock of receive times is ahead; None: frames have none."""
+
+    def start(self, now: float) -> list[Frame]:
+        return self.device.start(now)
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        if self.pulled:
+            return []
+        if self.losing.get(frame.can_id):
+            self.losing[frame.can_id] -= 1
+            self.lost += 1
+            return []
+        if self.stamp_s is not None:
+            frame = frame._replace(timestamp=now + self.stamp_s)
+        return self.device.receive(frame, now)
+
+    def tick(self, now: float) -> list[Frame]:
+        frames = self.device.tick(now)
+        return [] if self.pulled else frames
+
+    def deadline(self) -> float | None:
+        return self.device.deadline()
+
+
+class OtherNode:
+    """A node with a heartbeat and nothing else; it comes and goes."""
+
+    def __init__(self, node_id: int, period_s: float) -> None:
+        self.is_there = True
+        self._heartbeat = Frame(0x700 + node_id, b"\x05")
+        self._period_s = period_s
+        self._next_s = 0.0
+
+    def start(self, now: float) -> list[Frame]:
+        self._next_s = now + self._period_s
+        return []
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        return []
+
+    def deadline(self) -> float | None:
+        return self._next_s
+
+    def tick(self, now: float) -> list[Frame]:
+        if now < self._next_s:
+            return []
+        self._next_s = now + self._period_s
+        return [self._heartbeat] if self.is_there else []
+
+
+class SlowStore(MemoryStore):
+    """Is asked some times before a save is done; one in nine fails, as on a full disk."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._begun: deque[Changes] = deque()
+        self._polls = self._saves = 0
+
+    def begin(self, changes: Changes) -> None:
+        self._begun.append(changes)
+        self._polls = SAVE_POLLS
+
+    def ended(self) -> Collection[OSError | None]:
+        self._polls -= 1
+        if self._polls > 0:
+            return ()
+        ended: list[OSError | None] = []
+        while self._begun:
+            changes = self._begun.popleft()
+            self._saves += 1
+            if self._saves % 9:
+                self.save(changes)
+                ended.append(None)
+            else:
+                ended.append(OSError(28, "No space left on device"))
+        return ended
+
+
+class SimulatedClient(SdoClient):
+    """python canopen's SDO client; simulated time passes while it waits."""
+
+    wait: Callable[[float], None]
+
+    def read_response(self) -> bytes:
+        left = self.RESPONSE_TIMEOUT
+        while self.responses.empty():
+            if left <= 0.0:
+                raise SdoCommunicationError("No SDO response received")
+            self.wait(STEP_S)
+            left -= STEP_S
+        inherited: Any = super()
+        answer: bytes = inherited.read_response()
+        return answer
+
+
+class SoakMaster:
+    """A master on the embedded bus: :class:`canfb.commissioning.access.Master`."""
+
+    def __init__(self, bus: EmbeddedBus) -> None:
+        self._bus = bus
+        self._network = EmbeddedNetwork(bus)
+        self._network.subscribers = {}
+        self._clients: dict[int, SimulatedClient] = {}
+
+    def sdo(self, node_id: int) -> Any:
+        if node_id not in self._clients:
+            make: Any = SimulatedClient
+            dictionary: Any = canopen.ObjectDictionary
+            client: SimulatedClient = make(0x600 + node_id, 0x580 + node_id, dictionary())
+            client.RESPONSE_TIMEOUT = ANSWER_S
+            client.network = self._network
+            client.wait = self.wait
+            self._network.subscribe(client.tx_cobid, client.on_response)
+            self._clients[node_id] = client
+        return self._clients[node_id]
+
+    def subscribe(self, can_id: int, hear: Any) -> None:
+        self._network.subscribe(can_id, hear)
+
+    def unsubscribe(self, can_id: int, hear: Any) -> None:
+        self._network.unsubscribe(can_id, hear)
+
+    def send(self, can_id: int, data: bytes) -> None:
+        self._bus.send(Frame(can_id, data))
+
+    def request(self, can_id: int) -> None:
+        self._bus.send(Frame(can_id, b"", True))
+
+    def now(self) -> float:
+        return self._bus.now
+
+    def wait(self, duration_s: float) -> None:
+        self._bus.run_until(self._bus.now + duration_s)
