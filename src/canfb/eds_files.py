@@ -9,6 +9,7 @@ from pathlib import Path
 
 from canfb.errors import CanfbError
 
+EDS_NAMES = ("canfb-module", "encoder-interface", "drive")
 _PACKAGE = Path(__file__).resolve().parent
 
 

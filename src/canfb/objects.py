@@ -100,9 +100,10 @@ ENCODER_CYCLES_PER_REVOLUTION: Final = Multiplexer(0x2001, 1)
 ENCODER_FULL_SCALE: Final = Multiplexer(0x2001, 2)
 ENCODER_LOWEST_AMPLITUDE: Final = Multiplexer(0x2001, 3)
 ENCODER_HIGHEST_AMPLITUDE: Final = Multiplexer(0x2001, 4)
+ENCODER_CORNER_FREQUENCY: Final = Multiplexer(0x2001, 5)
 
-CONDITIONING: Final = tuple(Multiplexer(0x2002, subindex) for subindex in range(1, 6))
-"""2002:01..05, in the order of the fields of :class:`canfb.Conditioning`."""
+CONDITIONING: Final = tuple(Multiplexer(0x2002, subindex) for subindex in range(1, 8))
+"""2002:01..07, in the order of the fields of :class:`canfb.Conditioning`."""
 
 SCALE_SPEED_MULTIPLIER: Final = Multiplexer(0x2003, 1)
 SCALE_SPEED_DIVISOR: Final = Multiplexer(0x2003, 2)
@@ -294,6 +295,20 @@ MEASUREMENT_REASON: Final = Multiplexer(0x2030, 7)
 MEASUREMENT_DRIFT_RMS: Final = Multiplexer(0x2030, 8)
 MEASUREMENT_DRIFT_PEAK: Final = Multiplexer(0x2030, 9)
 MEASUREMENT_SAMPLES: Final = Multiplexer(0x2030, 10)
+
+
+WRITE_LOCK_MODE: Final = Multiplexer(0x2040, 1)
+WRITE_LOCK_UNLOCK_CODE: Final = Multiplexer(0x2040, 2)
+WRITE_LOCK_NEW_UNLOCK_CODE: Final = Multiplexer(0x2040, 3)
+WRITE_LOCK_LOCKED: Final = Multiplexer(0x2040, 4)
+
+
+class WriteLockMode(IntEnum):
+    """What can be written to 2040:01."""
+
+    OFF = 0
+    PREOP = 1
+    CODE = 2
 
 
 class MeasurementCommand(IntEnum):

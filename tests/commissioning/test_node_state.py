@@ -10,6 +10,7 @@ from commissioning_kit import MODULE_ID, Bench
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.commissioning.access import CommissioningError
+from canfb.commissioning.active import check_unlocked
 from canfb.commissioning.node_state import nmt_state, state_in, without_restart
 
 ERROR_CONTROL = 0x700 + MODULE_ID
@@ -90,3 +91,11 @@ def test_a_restart_is_noticed() -> None:
         without_restart(bench.access),
     ):
         bench.bus.send(Frame(0x000, bytes((0x81, MODULE_ID))))
+
+
+def test_a_lock_is_said_before_the_measurement() -> None:
+    bench = Bench(sync=False, operational=False, config={"write_lock": "preop"})
+    check_unlocked(bench.access)
+    bench.bus.send(Frame(0x000, bytes((0x01, MODULE_ID))))
+    with pytest.raises(CommissioningError, match=r"module 32 \(20h\) is locked \(2040h\)"):
+        check_unlocked(bench.access)

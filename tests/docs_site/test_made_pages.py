@@ -24,6 +24,7 @@ EDS = Path(__file__).parents[2] / "eds"
 DIMENSIONLESS = {
     "predict",
     "serial_number",
+    "unlock_code",
     "node_id",
     "encoder_interface",
     "priority",

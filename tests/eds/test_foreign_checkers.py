@@ -23,6 +23,8 @@ KNOWN: dict[tuple[str, str], str] = {
     for number, section in (
         (0, "2020sub3"),
         (0, "2030sub1"),
+        (0, "2040sub2"),
+        (0, "2040sub3"),
         (0, "2050sub1"),
         (0, "6003"),
         (0, "6009"),

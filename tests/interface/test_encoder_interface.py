@@ -212,3 +212,49 @@ def test_no_answer_to_a_remote_frame_unless_the_master_allows_it() -> None:
     for cob_id in (0x80000000 | TPDO1, TPDO1):
         interface.receive(download(0x1800, 1, cob_id), 0.0)
     assert interface.receive(remote, 0.0) == [adc(7, 8)]
+
+
+class Failing:
+    """A source that fails as long as it is told to."""
+
+    def __init__(self) -> None:
+        self.fails = True
+
+    def next(self) -> Sample:
+        if self.fails:
+            raise OSError(5, "Input/output error")
+        return Sample(1, 2)
+
+
+def test_a_source_that_fails_is_one_emcy_until_it_has_worked_for_a_second() -> None:
+    source = Failing()
+    told: list[str] = []
+    interface = EncoderInterface(NODE, source, autostart=True)
+    interface.on_source = told.append
+    interface.start(0.0)
+    emcy = Frame(0x80 + NODE, struct.pack("<HB5x", 0x5000, 1))
+    assert [interface.receive(SYNC, 0.01 * n) for n in range(3)] == [[emcy], [], []]
+    source.fails = False
+    assert interface.receive(SYNC, 0.5) == [adc(1, 2)]
+    assert interface.receive(SYNC, 1.5) == [Frame(0x80 + NODE, bytes(8)), adc(1, 2)]
+    assert told == ["the source fails: [Errno 5] Input/output error", "the source works again"]
+    assert (interface.samples, interface.missed) == (2, 3)
+
+
+def test_a_failure_that_persists_is_reported_again_after_a_reset() -> None:
+    interface = EncoderInterface(NODE, Failing(), autostart=True)
+    interface.start(0.0)
+    (first,) = interface.receive(SYNC, 0.0)
+    interface.receive(nmt(RESET_COMMUNICATION), 0.1)
+    assert interface.receive(SYNC, 0.2) == [first]
+
+
+@pytest.mark.parametrize("counts", [(32768, 0), (0, -32769), (math.nan, 0)])
+def test_counts_that_do_not_fit_are_no_sample(counts: tuple[float, float]) -> None:
+    class Wrong:
+        def next(self) -> Sample:
+            return Sample(*counts)
+
+    interface = EncoderInterface(NODE, Wrong(), autostart=True)
+    interface.start(0.0)
+    assert [frame.can_id for frame in interface.receive(SYNC, 0.0)] == [0x80 + NODE]

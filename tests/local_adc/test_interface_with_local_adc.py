@@ -160,6 +160,9 @@ class Running:
     def send(self, can_id: int, data: bytes = b"") -> None:
         self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
+    def signal(self, number: int) -> None:
+        self._process.send_signal(number)
+
     def ended(self) -> tuple[int, str, str]:
         self._process.send_signal(signal.SIGTERM)
         output, errors = self._process.communicate(timeout=LIMIT_S)
@@ -231,6 +234,27 @@ def test_the_command_serves_the_simulated_machine(command: Any) -> None:
     sine, cosine, _ = struct.unpack("<hhI", running.heard(ADC_PDO))
     assert 1500 < (sine**2 + cosine**2) ** 0.5 < 1570
     assert running.ended()[0] == 0
+
+
+def test_on_sigusr1_the_command_writes_a_diagnosis_and_goes_on(
+    command: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    running = command("{kind: motion}")
+    running.heard(0x710)
+    running.send(0x000, bytes([1, NODE]))
+    running.send(0x80)
+    running.heard(ADC_PDO)
+    running.signal(signal.SIGUSR1)
+    until(lambda: any(tmp_path.glob("canfb-diagnose-*.json")), "written")
+    (path,) = tmp_path.glob("canfb-diagnose-*.json")
+    (node,) = json.loads(path.read_text(encoding="utf-8"))["nodes"]
+    assert (node["node_id"], node["state"]) == (NODE, "OPERATIONAL")
+    running.send(0x80)
+    running.heard(ADC_PDO)
+    returncode, output, _ = running.ended()
+    assert returncode == 0
+    assert output.endswith(f"node {NODE}: 2 samples sent\n")
 
 
 def test_a_device_that_is_not_there_ends_the_command(command: Any) -> None:

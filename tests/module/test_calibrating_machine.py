@@ -230,7 +230,8 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
 
 
 def test_astuple_is_the_order_of_2002h() -> None:
-    assert astuple(Conditioning(1.0, 2.0, 3.0, 4.0, 0.5)) == (1.0, 2.0, 3.0, 4.0, 0.5)
+    values = (1.0, 2.0, 3.0, 4.0, 0.5, 0.001, 0.002)
+    assert astuple(Conditioning(*values)) == values
 
 
 ModuleUnderAnyMaster.TestCase.settings = settings(max_examples=60, stateful_step_count=25, deadline=None)

@@ -193,7 +193,7 @@ def test_sync_is_lost_and_found_again() -> None:
     machine.run(100)
     machine.events.clear()
     machine.silence(0.5)
-    assert machine.texts(EventKind.SYNC_LOST) == ["SYNC lost, none for 2 ms"]
+    assert machine.texts(EventKind.SYNC_LOST) == ["SYNC lost, none for 2.01 ms"]
     machine.run(100)
     assert machine.texts(EventKind.SYNC_FOUND) == ["SYNC found, 1000 Hz"]
 

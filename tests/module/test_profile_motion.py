@@ -14,8 +14,9 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.module.cia406.position import PositionScale
 from canfb.module.cia406.speed import MotionObjects, saturated
-from canfb.module.interval import IntervalEstimate
+from canfb.module.interval import SamplingInterval
 from canfb.module.objects.publication import NOTHING
+from canfb.timing.sync_clock import SyncClock
 
 U32 = st.integers(0, 0xFFFFFFFF)
 CYCLES = st.floats(-1e6, 1e6)
@@ -50,7 +51,8 @@ def test_speed_and_acceleration_are_scaled_and_saturated(
         dictionary.entry(0x2003, subindex).value = factor
     last = NOTHING._replace(speed_cycles=speed, acceleration_cycles=acceleration)
     scale = PositionScale(cycles, units, 0xFFFFFFFF, reverse, 0)
-    MotionObjects(dictionary, IntervalEstimate(dictionary.entry(0x1006)), lambda: last, lambda: scale)
+    interval = SamplingInterval(dictionary.entry(0x1006), SyncClock())
+    MotionObjects(dictionary, interval, lambda: last, lambda: scale)
     period, sign = Fraction(period_us, 1_000_000), -1 if reverse else 1
     for index, value, time, factor, divisor in (
         (0x6030, speed, period, factors[0], factors[1]),

@@ -42,6 +42,12 @@ WRITES: dict[str, list[tuple[int, int, float]]] = {
     "PDO on": [(0x1800, 1, 0x1A0)],
     "PDO at SYNC": [(0x1800, 2, 1)],
     "cycles": [(0x2001, 1, 100)],
+    "delay": [(0x2002, 7, 3e-4), (0x2020, 3, 0)],
+    "negative delay": [(0x2002, 7, -2e-4), (0x2020, 3, TABLE.crc32)],
+    "cosine delay": [(0x2002, 6, 1e-5), (0x2020, 3, 0)],
+    "no delays": [(0x2002, 6, 0.0), (0x2002, 7, 0.0), (0x2020, 3, TABLE.crc32)],
+    "corner": [(0x2001, 5, 800.0)],
+    "no corner": [(0x2001, 5, 0.0)],
 }
 FRAMES = {
     "stop": STOP,

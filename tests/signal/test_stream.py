@@ -30,6 +30,7 @@ FULL_SCALE = 2048
 X = np.arange(64) / 64
 TABLE = CorrectionTable(X + 0.02 * np.sin(2 * np.pi * X) - 0.01)
 CONDITIONING = Conditioning(12.5, -7.0, 1.1, 0.9, 0.1)
+DELAYED = Conditioning(12.5, -7.0, 1.1, 0.9, 0.1, 1e-4, 1e-3)
 
 
 def one_by_one(
@@ -168,7 +169,9 @@ def recording(
     table=st.sampled_from([None, TABLE]),
     config=st.builds(
         ChainConfig,
-        conditioning=st.sampled_from([Conditioning(), CONDITIONING]),
+        conditioning=st.sampled_from([Conditioning(), CONDITIONING, DELAYED]),
+        corner_hz=st.sampled_from([0.0, 0.0, 300.0]),
+        interval_s=st.just(1e-3),
         residual_limit=st.sampled_from([0.1, 1 / 3, 0.5]),
         coast_samples=st.sampled_from([0, 1, 3, 40]),
         frozen_samples=st.sampled_from([0, 1, 2, 3, 16]),

@@ -216,6 +216,7 @@ def test_the_interval_of_the_module_takes_the_place_of_the_first_one() -> None:
     times.forget()
     assert times.unit_s == 2e-3
     times.interval_s = 0.0
+    times.reset()
     assert times.unit_s == 0.0
 
 

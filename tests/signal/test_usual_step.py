@@ -24,6 +24,7 @@ from canfb.signal.supervision import SECOND_POSITION, SampleLimits
 
 TABLE = CorrectionTable([k / 64 + 0.02 * math.sin(2 * math.pi * k / 64) for k in range(64)])
 CONDITIONING = Conditioning(3.0, -2.0, 1.01, 0.98, 0.02)
+DELAYED = Conditioning(3.0, -2.0, 1.01, 0.98, 0.02, 1e-4, 1e-3)
 LIMITS = ChainLimits(
     sample=SampleLimits(2048, 410, 2048),
     cycles_per_revolution=2500,
@@ -91,6 +92,8 @@ def events(draw: st.DrawFn) -> list[tuple[str, float]]:
             "uncertain",
             "interval",
             "second",
+            "front",
+            "corner",
         ]
     )
     return draw(st.lists(st.tuples(kinds, st.floats(-1.0, 1.0, allow_nan=False)), min_size=3, max_size=20))
@@ -129,6 +132,12 @@ def happen(chain: SignalChain, kind: str, x: float, position: float, ticks: int)
         chain.set_limits(replace(LIMITS, samples_per_sync=2 if x > 0 else 1))
     elif kind == "table":
         chain.activate(Correction(TABLE if x > 0 else None, CONDITIONING if abs(x) > 0.5 else Conditioning()))
+    elif kind == "front":
+        chain.activate(Correction(TABLE, DELAYED))
+        chain.use_interval(0.001 * (1.0 + abs(x)))
+    elif kind == "corner":
+        chain.set_limits(replace(LIMITS, corner_hz=500.0 * abs(x)))
+        chain.use_interval(0.001)
     elif kind == "restart":
         chain.restart(round(100 * x), x)
     elif kind == "resume":

@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from canfb.timing.judge import Judge, Passed, Refusal
-from canfb.timing.sync_judge import MEMORY
 
-TICK_S = 1e-7
 DELAY_S = 0.2  # periods from a SYNC to its PDO
 SAME = 0.02  # interval
+REMEMBERED = 16  # samples, by the estimator
 
 
 @dataclass
@@ -24,7 +23,6 @@ class Slot:
     again: float = 0.0  # sent twice, so much later
     pdo_lost: bool = False
     pdo_late: float = 0.0
-    stamp_off: float = 0.0  # the sample time is wrong by so much
     produced: bool = True
 
 
@@ -36,15 +34,12 @@ class Bus:
     period_s: float = 1e-3
     proved: bool = False
     overflow: int = 0
-    timed: bool = False
     nominal_s: float = 0.0
     jitter: float = 0.02  # periods
     latency: float = 0.02
     noise_s: float = 20e-6
-    drift: float = 1e-4
     stalls: list[tuple[float, float]] = field(default_factory=list)
     seed: int = 1
-    first_tick: int = (1 << 32) - 500_000
 
     def frames(self) -> list[tuple[float, str, int, float, float]]:
         """(time on the bus, kind, slot, instant of the sample, how late it was sent again) in their order."""
@@ -67,9 +62,9 @@ class Bus:
         rng = np.random.default_rng(self.seed + 1)
         judge = judge or Judge()
         judge.overflow, judge.clock.nominal_s = self.overflow, self.nominal_s
-        result = Result(judge, self.period_s * (1.0 + self.drift) if self.timed else 0.0, self.period_s)
+        result = Result(judge, self.period_s)
         now = 0.0
-        for at, kind, n, instant, again in self.frames():
+        for at, kind, n, _, again in self.frames():
             now = max(now + 1e-5, at + float(rng.uniform(0.0, self.latency)))
             for begin, end in self.stalls:
                 if begin <= now < end:
@@ -81,10 +76,6 @@ class Bus:
             if kind == "sync":
                 counter = n % self.overflow + 1 if self.overflow else None
                 result.sync(judge.sync(time_s, self.proved, counter), n)
-            elif self.timed:
-                true_s = (instant + self.slots[n].stamp_off) * self.period_s
-                tick = int(true_s * (1.0 + self.drift) / TICK_S) + self.first_tick
-                result.sample(judge.stamped(tick % (1 << 32), time_s, self.proved), n, instant)
             else:
                 slot = self.slots[n]
                 at_s = n + 1.0 + slot.late * self.proved  # else nothing shows it
@@ -98,7 +89,6 @@ class Result:
     """What the judge said, against the truth."""
 
     judge: Judge
-    unit_s: float
     period_s: float
     wrong: list[str] = field(default_factory=list)
     used: list[int] = field(default_factory=list)
@@ -117,13 +107,12 @@ class Result:
     def scale(self) -> float:
         """Where the rate of SYNC has changed, an interval is another one."""
         ratio = self.period_s / (self.judge.clock.period_s or self.period_s)
-        counted = self.unit_s or not self.judge._proved
-        return 1.0 if counted or abs(ratio - 1.0) < 0.05 else ratio
+        return 1.0 if not self.judge._proved or abs(ratio - 1.0) < 0.05 else ratio
 
     @property
     def same(self) -> float:
-        """Without sample times the usual jitter is not part of the error of an instant."""
-        return SAME if self.unit_s else SAME + 2.0 * self.judge.clock.jitter
+        """The usual jitter is not part of the error of an instant."""
+        return SAME + 2.0 * self.judge.clock.jitter
 
     def sync(self, verdict: object, n: int) -> None:
         self.verdicts[n] = verdict
@@ -153,8 +142,6 @@ class Result:
             return
         true = (instant - before) * self.scale
         elapsed = passed.elapsed if isinstance(passed.elapsed, tuple) else (passed.elapsed,)
-        if self.unit_s:  # of sample times: near to the period, and given in
-            elapsed = tuple(one * self.judge.interface.unit_s / self.unit_s for one in elapsed)
         taken = min(elapsed, key=lambda one: abs(true - one))
         if len(elapsed) > 1:
             self.sets += 1
@@ -170,4 +157,4 @@ class Result:
         if max(off) > 0.0:
             self.wrong.append(f"sample {n}: {passed}, was {true:.3f}, off by {max(off):.3f}")
             self._past = []
-        self._past = [*self._past[1 - MEMORY :], (self._clock, instant, error)]
+        self._past = [*self._past[1 - REMEMBERED :], (self._clock, instant, error)]

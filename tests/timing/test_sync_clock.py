@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.timing.sync_clock import JITTER, LEAST_JITTER, TOGETHER, SyncClock, is_regular
+from canfb.timing.sync_clock import JITTER, LEAST_JITTER_S, TOGETHER, SyncClock, is_regular
 
 PERIOD_S = 1e-3
 
@@ -62,7 +62,7 @@ def test_the_drift_of_two_crystals_is_followed(drift: float, proved: bool) -> No
     period_s = PERIOD_S * (1.0 + drift)
     follow(clock, round(clock.due_s / PERIOD_S), 100, period_s, proved, 0.0)
     assert clock.period_s == pytest.approx(period_s, rel=2e-5)
-    assert clock.jitter == pytest.approx(LEAST_JITTER, abs=0.02)
+    assert clock.jitter == pytest.approx(LEAST_JITTER_S / PERIOD_S, rel=0.05)
 
 
 def test_deviation_never_leaves_what_is_declared() -> None:

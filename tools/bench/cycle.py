@@ -22,7 +22,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 try:
     import can
@@ -165,7 +165,7 @@ def encoder_table() -> canfb.CorrectionTable:
     return canfb.CorrectionTable(ideal + 0.01 * np.sin(2 * np.pi * (ideal + 0.1)))
 
 
-def feedback_module(order: int = 2, times: bool = False) -> canfb.FeedbackModule:
+def feedback_module(order: int = 2, times: bool = False, **fields: Any) -> canfb.FeedbackModule:
     """The module as it is delivered, operational, with an active correction table."""
     module = canfb.FeedbackModule(
         canfb.ModuleConfig(
@@ -174,6 +174,7 @@ def feedback_module(order: int = 2, times: bool = False) -> canfb.FeedbackModule
             autostart=True,
             prediction_order=order,
             times=times,
+            **fields,
         )
     )
     module.start(0.0)
@@ -192,13 +193,25 @@ def adc_data(cycles: int, speed: float = 0.3) -> list[bytes]:
     ]
 
 
+ANALOG_PATHS: dict[str, dict[str, Any]] = {
+    "2002:06": {"conditioning": canfb.Conditioning(cosine_delay_s=1e-6)},
+    "2002:07": {"conditioning": canfb.Conditioning(delay_s=1e-6)},
+    "both, and 2001:05": {
+        "conditioning": canfb.Conditioning(cosine_delay_s=1e-6, delay_s=1e-6),
+        "corner_hz": 125e3,
+    },
+}
+
+
 class ModuleRun:
     """The module, cycle by cycle; what it sends is checked at the end."""
 
     interval_s = INTERVAL_S
 
-    def __init__(self, cycles: int, order: int = 2, *, speed: float = 0.3, times: bool = False) -> None:
-        self.module = feedback_module(order, times)
+    def __init__(
+        self, cycles: int, order: int = 2, *, speed: float = 0.3, times: bool = False, **fields: Any
+    ) -> None:
+        self.module = feedback_module(order, times, **fields)
         self.sync = canfb.Frame(SYNC, b"")
         self.samples = [canfb.Frame(ADC_PDO, data) for data in adc_data(cycles, speed)]
         self.now = 0.0
@@ -392,6 +405,9 @@ def comparisons(cycles: int, samples: int) -> list[Comparison]:
     module = ("canfb.FeedbackModule: ADC PDO, SYNC in, position out", ModuleRun(cycles))
     third = ("the same, with third-order prediction", ModuleRun(cycles, 3))
     second = ("canfb.FeedbackModule as delivered", ModuleRun(cycles))
+    delayed, lagging, attenuated = (
+        (f"the same, with {what}", ModuleRun(cycles, **fields)) for what, fields in ANALOG_PATHS.items()
+    )
     still = ("the same, the machine stands", ModuleRun(cycles, speed=0.0))
     timed = ("the same, with sample times", TimedRun())
     null_bus = cast(can.BusABC, NullBus())
@@ -400,6 +416,9 @@ def comparisons(cycles: int, samples: int) -> list[Comparison]:
     return [
         Comparison("cycle", module, ("canopen.LocalNode with atan2", frames), unit, scale, goal=0.6),
         Comparison("cycle, third order", third, second, unit, scale, goal=1.05),
+        Comparison("cycle, cosine delay", delayed, second, unit, scale, goal=1.1),
+        Comparison("cycle, delay", lagging, second, unit, scale, goal=1.1),
+        Comparison("cycle, both and corner", attenuated, second, unit, scale),
         Comparison("cycle, at standstill", still, ("canopen.LocalNode with atan2", frames), unit, scale),
         Comparison(
             "cycle, sample times",

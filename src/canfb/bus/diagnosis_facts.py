@@ -21,6 +21,7 @@ from datetime import datetime
 from importlib import metadata
 from typing import Any
 
+from canfb.bus.wall_clock import date_and_time
 from canfb.configuration import Config
 
 PACKAGES = ("canfb", "python-can", "canopen", "numpy", "PyYAML", "bokeh", "rich", "pylibiio", "uvloop")
@@ -130,6 +131,5 @@ class KeptLines(logging.Handler):
 
 def diagnosis_text(made_by: str, parts: Mapping[str, Any]) -> str:
     """The file: who made it and when, and then the parts in their order."""
-    made = datetime.now().astimezone().isoformat(" ", "seconds")
-    whole = {"canfb_diagnosis": 1, "made": made, "made_by": made_by, **parts}
+    whole = {"canfb_diagnosis": 1, "made": date_and_time(), "made_by": made_by, **parts}
     return json.dumps(plain(whole), indent=1, ensure_ascii=False) + "\n"

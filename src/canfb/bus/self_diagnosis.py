@@ -74,7 +74,7 @@ class SelfDiagnosis:
         self._requested = True
 
     def step(self, nodes: Sequence[Served]) -> None:
-        """Go on with what was requested, for some ten microseconds."""
+        """Go on with what was requested: ten microseconds as a rule, half a millisecond at most."""
         if self._writing is not None:
             if self._writing.is_alive():
                 return

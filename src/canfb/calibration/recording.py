@@ -113,11 +113,16 @@ def timed_tracks(data: bytes, times: bytes) -> tuple[FloatArray, FloatArray, Flo
     there is one for each sample.
     """
     ticks = np.frombuffer(times, np.int64)
-    known = ticks != NO_TIME
+    known = with_time(times)
     sine, cosine = recorded_tracks(data)
     if len(ticks) != len(sine):
         raise ValueError(f"{len(sine)} samples have {len(ticks)} times")
-    return sine[known], cosine[known], ticks[known] * SECONDS_PER_TICK
+    return sine[known], cosine[known], np.asarray(ticks[known] * SECONDS_PER_TICK, np.float64)
+
+
+def with_time(times: bytes) -> BoolArray:
+    """Which samples have a time, ``times`` as for :func:`timed_tracks`."""
+    return np.asarray(np.frombuffer(times, np.int64) != NO_TIME, np.bool_)
 
 
 def _clipped(s: FloatArray, c: FloatArray, usable: BoolArray, adc_bits: int | None) -> BoolArray:

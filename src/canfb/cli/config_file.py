@@ -39,6 +39,8 @@ modules:                                        # one process serves several nod
     #                                           # {kind: recording, file: tracks.csv}, or {kind: motion}
     # conditioning:                             # offset, gain and phase error of the tracks; default: none
     #   {sine_offset_counts: 0, cosine_offset_counts: 0, sine_gain: 1, cosine_gain: 1, phase_error_rad: 0}
+    #                                           # and cosine_delay_s, delay_s (2002:06, :07)
+    # corner_hz: 125e3                          # low-pass of the analog path: the amplitude over the speed
 
 simulation:                                     # the machine of canfb simulate
   encoder: {amplitude: 0.75, sine_offset: 0.01, cosine_amplitude: 0.99, noise_lsb: 0.5}

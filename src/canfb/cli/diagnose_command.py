@@ -10,14 +10,13 @@ from canfb.bus import diagnosis_facts as facts
 from canfb.bus.wall_clock import local_time
 from canfb.cli import node_options
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options
-from canfb.cli.sdo_command import OURS
 from canfb.cli.watch_options import positive
 from canfb.cli.yaml_argument import node_or_yaml, take_yaml
 from canfb.commissioning.bus_scan import scan
 from canfb.commissioning.node_diagnosis import HeardFrames, node_facts
 from canfb.commissioning.whole_file import check_writable, write_whole
 from canfb.configuration import ANY_NODES, Config, load_config
-from canfb.eds_files import eds_path
+from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import CanfbError
 
 LISTEN_S = 2.0
@@ -75,7 +74,7 @@ def diagnose(options: argparse.Namespace) -> int:
 def _ask(options: argparse.Namespace, config: Config, parts: dict[str, Any]) -> None:
     """Listen to the bus, and read the nodes."""
     options.configuration = None
-    known = [eds_path(name) for name in OURS]
+    known = [eds_path(name) for name in EDS_NAMES]
     with node_options.master_of(options) as master:
         parts["bus"]["frames"] = HeardFrames().listen(master, options.seconds)
         parts["bus"]["seconds"] = options.seconds

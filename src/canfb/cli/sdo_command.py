@@ -13,10 +13,9 @@ from canfb.commissioning.marked_yaml import read_bytes
 from canfb.commissioning.object_description import ObjectDescriptions
 from canfb.commissioning.sdo_tasks import SdoTasks, described_by, is_lost
 from canfb.commissioning.whole_file import check_writable, write_whole
-from canfb.eds_files import eds_path
+from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import ConfigError
 
-OURS = ("canfb-module", "encoder-interface", "drive")
 OBJECT = """the name in the EDS or its beginning, in any case ("residual limit", "supervision: residual"), \
 or index:sub as manuals have it, hexadecimal (2010:01)"""
 
@@ -61,7 +60,7 @@ def _tasks(master: Master, options: argparse.Namespace) -> SdoTasks:
     node = NodeAccess(master, options.node, "node")
     if options.eds is not None:
         return SdoTasks(node, ObjectDescriptions(options.eds, options.node))
-    return SdoTasks(node, described_by(node, map(eds_path, OURS), options.object))
+    return SdoTasks(node, described_by(node, map(eds_path, EDS_NAMES), options.object))
 
 
 def read(options: argparse.Namespace) -> int:

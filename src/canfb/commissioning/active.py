@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 from collections.abc import Sequence
 
@@ -11,6 +12,7 @@ from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 
 STORES = (od.STORE_MANUFACTURER_PARAMETERS, od.STORE_ALL_PARAMETERS)  # the narrower one first
+OLD_CONDITIONING = 5  # sub-indices of 2002h, before it had delays
 SAVE = b"save"
 SAVES_ON_COMMAND = 1
 SAVE_WITHIN_S = 10.0
@@ -39,9 +41,11 @@ def read_active(module: NodeAccess) -> Correction:
 
 
 def read_conditioning(module: NodeAccess) -> Conditioning:
-    """Object 2002h; the identity where there is none."""
+    """Object 2002h; the identity where there is none, no delays where an older module has none."""
     try:
-        values = [float(module.read(*place, "f")) for place in od.CONDITIONING]
+        values = [float(module.read(*place, "f")) for place in od.CONDITIONING[:OLD_CONDITIONING]]
+        with contextlib.suppress(ObjectAbsentError):
+            values += [float(module.read(*place, "f")) for place in od.CONDITIONING[OLD_CONDITIONING:]]
         return Conditioning(*values)
     except ObjectAbsentError:
         return IDENTITY
@@ -87,6 +91,15 @@ def is_active(module: NodeAccess, wanted: Correction) -> bool:
     )
 
 
+def check_unlocked(module: NodeAccess) -> None:
+    """CommissioningError while the write lock (2040h) refuses every write: before a long measurement."""
+    if module.read_known(od.WRITE_LOCK_LOCKED):
+        raise CommissioningError(
+            f"{module.name} is locked (2040h): canfb sdo write {module.node_id:#04x} 2040:02 CODE unlocks "
+            "it; with write_lock: preop nothing is written in OPERATIONAL (docs/security.md)"
+        )
+
+
 def save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> str | None:
     """Keep table and parameters over a loss of power: the object used, None where nothing can be kept.
 
@@ -113,10 +126,12 @@ def saving_object(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES)
 
 def write_conditioning(module: NodeAccess, wanted: Conditioning) -> None:
     """Write 2002h, which waits for the next activation. CommissioningError if it reads otherwise then."""
-    if read_conditioning(module) == wanted:
+    there = read_conditioning(module)
+    if there == wanted:
         return
-    for place, value in zip(od.CONDITIONING, wanted.values, strict=True):
-        module.write(*place, "f", value)
+    for place, value, before in zip(od.CONDITIONING, wanted.values, there.values, strict=True):
+        if value != before:
+            module.write(*place, "f", value)
     written = (struct.unpack("<f", struct.pack("<f", value))[0] for value in wanted.values)
     if read_conditioning(module) != Conditioning(*written):
         raise CommissioningError(

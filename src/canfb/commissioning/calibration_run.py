@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from canfb.commissioning import own_calibration
 from canfb.commissioning.access import Master
+from canfb.commissioning.active import check_unlocked
 from canfb.commissioning.artefacts import keep_samples, write, write_refusal
 from canfb.commissioning.choices import MODULE, Choices
 from canfb.commissioning.circumstances import Circumstances
@@ -105,14 +106,19 @@ class CalibrationRun:
             interface_identity=session.interface_identity,
         )
         self._limits = session.limits
+        if not (choices.check or choices.dry_run):
+            check_unlocked(session.module)
         before = self._look(session, None)
         settings = choices.settings(session.limits)
         source = session.source(choices.samples_from, choices.recorder, choices.rate)
+        source = self._together(session, source)
         if choices.samples_from == MODULE:
             return self._by_module(session, source, settings, guard, before)
         self._steps.step(f"collecting samples for {choices.collect_s:g} s")
         watch = LockWatch(session.cycles_per_revolution, session.speed_rad_s)
-        first = session.source(choices.samples_from, choices.recorder, choices.rate, watch)
+        first = self._together(
+            session, session.source(choices.samples_from, choices.recorder, choices.rate, watch)
+        )
         samples = first(choices.collect_s, choices.least_samples, self._steps.part)
         self._look(session, before)
         if watch.found is not None:
@@ -123,6 +129,11 @@ class CalibrationRun:
         if not choices.dry_run:
             measured, done = self._install(session, measured, source, settings, guard)
         return self._report(measured, done)
+
+    @staticmethod
+    def _together(session: Session, source: Source) -> Source:
+        """The same samples, the cosine at the instant of the sine."""
+        return lambda seconds, least, heard: session.together(source(seconds, least, heard))
 
     def _look(self, session: Session, before: Look | None) -> Look | None:
         """The module now; said at once if its position is lost, and kept beside the look ``before``."""
@@ -146,6 +157,7 @@ class CalibrationRun:
                 module_drift_lines(drift, session.active, self._where),
             )
         samples = own_calibration.let_measure(session.module, session.layout(), self._steps.part)
+        samples = session.together(samples)
         self._look(session, before)
         accepted = False
 

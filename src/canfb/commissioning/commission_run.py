@@ -8,6 +8,7 @@ from pathlib import Path
 
 from canfb import objects as od
 from canfb.commissioning.access import CommissioningError, Master
+from canfb.commissioning.active import check_unlocked
 from canfb.commissioning.artefacts import keep_samples
 from canfb.commissioning.calibration_run import Account, Steps
 from canfb.commissioning.circumstances import Circumstances
@@ -92,6 +93,8 @@ class CommissionRun:
                 "its errors: run canfb calibrate first"
             )
         limits = SupervisionLimits.read(node)
+        if wishes.write:
+            check_unlocked(node)
         if wishes.save:
             check_can_save(node)
         check_valid(node)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.calibration.from_motion import calibrate_from_motion
@@ -66,8 +66,15 @@ def measure(
 ) -> Measurement:
     """Calibrate; with a ``conditioning``, with this one in place of what the settings say.
 
+    The tracks of ``samples`` are sampled at once (:meth:`TrackSamples.together`). The delays of ``before``
+    stay: they are not to be seen at one speed.
     CalibrationError for samples that cannot be used, CommissioningError for wrong settings.
     """
+    if before.conditioning.cosine_delay_s and settings.conditioning is None:
+        raise CommissioningError(
+            "2002:06 is set, and the delay between the tracks is removed behind offset and gain: "
+            "--conditioning fit"
+        )
     try:
         calibration = METHODS[settings.method](
             samples.sine,
@@ -80,6 +87,8 @@ def measure(
         )
     except ValueError as error:
         raise CommissioningError(f"the samples cannot be used: {error}") from error
+    kept = calibration.conditioning.with_delays_of(before.conditioning)
+    calibration = replace(calibration, conditioning=kept)
     found = calibration.correction
     block = block_of(calibration)
     on_samples = best_deviation(samples.recording(settings.adc_bits), found, before, block)

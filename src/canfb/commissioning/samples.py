@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.calibration.recording import Recording, recording
+from canfb.calibration.simultaneous import sampled_together, speeds
+from canfb.commissioning.access import CommissioningError
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample_times import TICK_S, TICKS
 from canfb.sources.tracks_file import with_gaps
@@ -66,6 +68,22 @@ class TrackSamples:
     def recording(self, adc_bits: int | None) -> Recording:
         """As a recording of this converter, for :mod:`canfb.calibration`."""
         return recording(self.sine, self.cosine, self.time_s, None, adc_bits)
+
+    def together(self, cosine_delay_s: float, cycles_per_s: float) -> TrackSamples:
+        """As if both tracks had been sampled at once, and not the cosine ``cosine_delay_s`` later (2002:06).
+
+        ``cycles_per_s`` is the mean speed, which samples alone leave open by whole cycles per sample.
+        CommissioningError where the rate is not known, CalibrationError where the samples are on no ellipse.
+        """
+        if not cosine_delay_s:
+            return self
+        if not self.rate_hz:
+            raise CommissioningError("2002:06 is set, and the rate of the samples is not known: --rate")
+        record = recording(self.sine, self.cosine, self.time_s, None, None, may_be_offset=True)
+        speed = speeds(record, cycles_per_s / self.rate_hz)
+        cosine = sampled_together(record, 2.0 * np.pi * self.rate_hz * cosine_delay_s * speed)
+        cosine[np.isnan(self.cosine)] = np.nan
+        return replace(self, cosine=cosine, origin=f"{self.origin}, cosine at the instant of the sine")
 
     def __len__(self) -> int:
         return len(self.sine)

@@ -10,6 +10,7 @@ from canfb import objects as od
 from canfb.commissioning.access import CommissioningError, Master, NodeAccess
 from canfb.commissioning.active import read_active
 from canfb.commissioning.listening import Listener, listen
+from canfb.commissioning.machine_watch import check_valid
 from canfb.commissioning.pdo_layout import PdoLayout, agreed_layout, module_layout
 from canfb.commissioning.recording_upload import record
 from canfb.commissioning.samples import TrackSamples
@@ -102,6 +103,18 @@ class Session:
         except CommissioningError:
             return 0.0
         return speed if math.isfinite(speed) else 0.0
+
+    def together(self, samples: TrackSamples) -> TrackSamples:
+        """As if both tracks had been sampled at once, without the delay that the module has (2002:06).
+
+        By the speed that the module says now. CommissioningError where its position is not valid.
+        """
+        delay_s = self.active.conditioning.cosine_delay_s
+        if not delay_s:
+            return samples
+        check_valid(self.module)
+        cycles_per_s = self.speed_rad_s() * self.cycles_per_revolution / (2.0 * math.pi)
+        return samples.together(delay_s, cycles_per_s)
 
     def check_interface(self) -> None:
         """CommissioningError if the module takes its samples from another interface than the one named."""

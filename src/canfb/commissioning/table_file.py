@@ -13,6 +13,7 @@ from canfb.commissioning.marked_yaml import MarkedYaml, read_bytes
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 
+DELAYS = frozenset({"cosine_delay_s", "delay_s"})
 _KNOWN = ", ".join(IDENTITY.words)
 
 
@@ -35,7 +36,7 @@ def as_yaml(used: Correction, meta: dict[str, Any]) -> str:
 
 
 def conditioning_words(conditioning: Conditioning) -> dict[str, float]:
-    """Object 2002:01..05 by name."""
+    """Object 2002:01..07 by name."""
     return {name: float(value) for name, value in conditioning.words.items()}
 
 
@@ -44,6 +45,7 @@ class TableFile:
     """What a table file holds.
 
     with_conditioning       False for bytes of 2020:01, which know none
+    with_delays             it says the delays of the analog path, 2002:06 and 2002:07
     cycles_per_revolution   of the encoder, None if it is not noted
     """
 
@@ -51,6 +53,15 @@ class TableFile:
     used: Correction
     with_conditioning: bool
     cycles_per_revolution: int | None = None
+    with_delays: bool = False
+
+    def for_module(self, active: Conditioning) -> Correction:
+        """Its table and conditioning; what it does not know of 2002h stays as it is ``active``."""
+        if not self.with_conditioning:
+            return Correction(self.used.table, active)
+        if self.with_delays:
+            return self.used
+        return Correction(self.used.table, self.used.conditioning.with_delays_of(active))
 
 
 def read_table(path: str | Path) -> Correction:
@@ -113,6 +124,7 @@ def _from_yaml(path: Path, data: bytes) -> TableFile:
         Correction(table, _conditioning(marked, words)),
         True,
         cycles if isinstance(cycles, int) and cycles > 0 else None,
+        not DELAYS.isdisjoint(words),
     )
 
 

@@ -78,7 +78,7 @@ class TableTasks:
             raise CommissioningError(
                 f"{file.path}: it has no table; canfb table clear goes back to the identity"
             )
-        wanted = Correction(table, file.used.conditioning if file.with_conditioning else before.conditioning)
+        wanted = file.for_module(before.conditioning)
         if active:
             done = self._in_force(before, wanted, keep, lambda: put_in_force(self._module, wanted))
         else:

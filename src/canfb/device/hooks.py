@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from canfb.cia301.nmt import NmtState
+from canfb.device.od.entry import Entry
 from canfb.device.storage.image import ParameterGroup
 
 Groups = list[ParameterGroup]
@@ -22,7 +23,7 @@ class Hooks:
     the day, while 1012h says that it is consumed.
     accepts_sync(counter, now): whether a SYNC in OPERATIONAL counts as one, before anything is done
     with it; False drops it.
-    on_idle_sync(): a SYNC in PRE-OPERATIONAL.
+    on_idle_sync(counter): a SYNC in PRE-OPERATIONAL.
     on_sync(counter, now): a SYNC in OPERATIONAL, after synchronous RPDOs were taken over, before
     synchronous TPDOs are sampled; `counter` is None without 1019h.
     on_synchronised(): the synchronous TPDOs of a SYNC are sampled.
@@ -39,6 +40,8 @@ class Hooks:
     state changes as 1029h says.
     on_configured(): PDO parameters or the NMT state have changed; mappings may be others now.
     on_emergency(code, register, detail, now): an EMCY goes out, with 1001h and its 5 manufacturer bytes.
+    on_write(entry): an SDO is about to write this entry, or LSS to configure the node (None); raises SdoAbort
+    to refuse it.
     on_saved(saved, forgotten, now): these groups of parameters were saved, or dropped from the store.
     on_save_failed(groups, reason, now): these groups could not be saved or dropped; the store is as before.
     on_bit_rate(kbit_s, delay_s, now): LSS activates this bit rate. Change it at `now` + `delay_s`; the
@@ -48,7 +51,7 @@ class Hooks:
     def __init__(self) -> None:
         self.on_time: Callable[[int, int, float], None] | None = None
         self.accepts_sync: Callable[[int | None, float], bool] | None = None
-        self.on_idle_sync: Callable[[], None] | None = None
+        self.on_idle_sync: Callable[[int | None], None] | None = None
         self.on_sync: Callable[[int | None, float], None] | None = None
         self.on_synchronised: Callable[[], None] | None = None
         self.on_state: Callable[[NmtState, NmtState, float], None] | None = None
@@ -59,6 +62,7 @@ class Hooks:
         self.on_communication_error: Callable[[float], None] | None = None
         self.on_configured: Callable[[], None] | None = None
         self.on_emergency: Callable[[int, int, bytes, float], None] | None = None
+        self.on_write: Callable[[Entry | None], None] | None = None
         self.on_saved: Callable[[Groups, Groups, float], None] | None = None
         self.on_save_failed: Callable[[Groups, str, float], None] | None = None
         self.on_bit_rate: Callable[[int, float, float], None] | None = None

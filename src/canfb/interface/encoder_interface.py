@@ -101,6 +101,7 @@ class EncoderInterface:
         several = samples_per_sync > 1 and not grouped
         self._several = SeveralSamples(source, samples_per_sync) if several else None
         self._watch = SourceWatch(self._ask, self._tell_of_source)
+        self._reported = False  # EMCY of the source is active
         self.samples = 0
         """Samples sent."""
         self.missed = 0
@@ -172,10 +173,8 @@ class EncoderInterface:
 
     def _on_sync(self, counter: int | None, now: float) -> None:
         sample = self._watch.sample(now)
-        if self._watch.failing:
-            self.node.emergency(EmergencyCode.HARDWARE, ErrorRegister.GENERIC, b"", now)
-        else:
-            self.node.clear_emergency(EmergencyCode.HARDWARE, now)
+        if self._watch.failing is not self._reported:
+            self._report_source(now)
         if sample is None:
             self._silent = True
             self.missed += not self.ended
@@ -185,6 +184,13 @@ class EncoderInterface:
         for number, kind in self._types.items():
             if kind.value == 0:  # FEh and FFh have their event timer; a sample of each SYNC would be too much
                 self.node.trigger_tpdo(number, now)
+
+    def _report_source(self, now: float) -> None:
+        self._reported = self._watch.failing
+        if self._reported:
+            self.node.emergency(EmergencyCode.HARDWARE, ErrorRegister.GENERIC, b"", now)
+        else:
+            self.node.clear_emergency(EmergencyCode.HARDWARE, now)
 
     def _ask(self) -> Sample | None:
         """A machine is sampled when the SYNC is heard; a recording has one sample for each SYNC."""
@@ -214,6 +220,7 @@ class EncoderInterface:
         self._flags.value = flags
 
     def _on_reset(self, communication_only: bool, now: float) -> None:
+        self._reported = False
         if not communication_only:
             self.recorder.reset()
 

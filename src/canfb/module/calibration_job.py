@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.recording import recorded_tracks, timed_tracks
 from canfb.calibration.result import Calibration, Reason
+from canfb.calibration.simultaneous import recorded_together
 from canfb.calibration.solver import no_progress
 from canfb.errors import CalibrationError
+from canfb.signal.conditioning import IDENTITY, Conditioning
 
 
 class Outcome(NamedTuple):
@@ -34,11 +36,16 @@ class CalibrationJob:
     times       sample times in 100 ns, rising, INTEGER64 of this machine, NO_TIME for none;
                 None: one sample per interval
     adc_bits    4..16
+    turned      by how much the machine turned from the sine of each sample to its cosine, rad, REAL32 of this
+                machine; None: both are sampled at once
+    active      its delays stay as they are: they do not show at one speed
     """
 
     samples: bytes
     times: bytes | None
     adc_bits: int
+    turned: bytes | None = None
+    active: Conditioning = IDENTITY
 
     def __call__(self, progress: Callable[[float], None] = no_progress) -> Outcome:
         """Table and conditioning from the samples; ``progress`` is called with 0..1."""
@@ -48,9 +55,12 @@ class CalibrationJob:
         else:
             sine, cosine, time_s = timed_tracks(self.samples, self.times)
         try:
+            if self.turned is not None:
+                cosine = recorded_together(sine, cosine, time_s, self.adc_bits, self.turned, self.times)
             found = calibrate_from_motion(
                 sine, cosine, "fit", time_s=time_s, adc_bits=self.adc_bits, progress=progress
             )
         except CalibrationError as error:
             return Outcome(Reason(error.reason), error.calibration, str(error))
+        found = replace(found, conditioning=found.conditioning.with_delays_of(self.active))
         return Outcome(Reason.ACCEPTED, found, found.verdict)

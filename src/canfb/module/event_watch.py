@@ -12,7 +12,6 @@ from canfb.module.event import EventKind
 from canfb.module.node_events import NodeEvents
 from canfb.module.objects.last_loss import LastLoss
 from canfb.module.parameters import Limits
-from canfb.module.timeline import Timeline
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import AMPLITUDE, MISSED, REFERENCED, RESIDUAL, SECOND_POSITION
@@ -71,11 +70,11 @@ class EventWatch(NodeEvents):
         text = f"SYNC now at {self._rate_hz:.6g} Hz" if known else f"SYNC found, {self._rate_hz:.6g} Hz"
         self._tell(EventKind.SYNC_FOUND, now, text, rate_hz=self._rate_hz)
 
-    def overdue(self, timeline: Timeline, now: float) -> None:
-        """No SYNC and no sample for 2010:06 periods."""
+    def overdue(self, synced_s: float, now: float) -> None:
+        """No SYNC and no sample for 2010:06 periods, since ``synced_s``."""
         if self._rate_hz:
             self._rate_hz = 0.0
-            silent_s = now - timeline.synced_s
+            silent_s = now - synced_s
             self._tell(EventKind.SYNC_LOST, now, f"SYNC lost, none for {_time(silent_s)}", silent_s=silent_s)
 
     def follow(self, feedback: Feedback, now: float) -> None:

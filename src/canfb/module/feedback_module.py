@@ -20,7 +20,7 @@ from canfb.module.cia406.operating_time import OperatingTime
 from canfb.module.cia406.position_alarm import REGISTER
 from canfb.module.delivered import delivered_dictionary
 from canfb.module.event_watch import EventWatch
-from canfb.module.interval import IntervalEstimate
+from canfb.module.interval import SamplingInterval
 from canfb.module.jitter_watch import JitterWatch
 from canfb.module.local_source import LocalSource
 from canfb.module.module_config import ModuleConfig
@@ -29,6 +29,7 @@ from canfb.module.objects.recorder import Recorder
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.objects.second_input import SecondInput
 from canfb.module.objects.table_store import TableStore
+from canfb.module.objects.write_lock import WriteLock
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.module.sampling import Sampling
@@ -38,6 +39,7 @@ from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
 from canfb.sources.protocol import Source
+from canfb.timing.judge import Judge
 
 COMMANDS = (od.MEASUREMENT_COMMAND.object_index, od.RECORDING_COMMAND.object_index)
 
@@ -89,6 +91,7 @@ class FeedbackModule:
         self._make_commands()
         self._listen_to_node()
         self._choose_parameters()
+        self._lock = WriteLock(self.node)
         self._limits.apply()
         self._tables.reset()
 
@@ -100,7 +103,8 @@ class FeedbackModule:
     def _make_chain_around(self, source: Source | None) -> None:
         """What feeds the chain, and what its feedback becomes."""
         dictionary, node, chain = self.dictionary, self.node, self.chain
-        self._interval = interval = IntervalEstimate(dictionary.entry(*od.CYCLE_PERIOD))
+        self._judge = judge = Judge()
+        self._interval = interval = SamplingInterval(dictionary.entry(*od.CYCLE_PERIOD), judge.clock)
         self._limits = Limits(dictionary, chain, interval)
         self._input = SampleInput(dictionary, node)
         self._second = SecondInput(dictionary, node, chain)
@@ -114,6 +118,7 @@ class FeedbackModule:
         self._sampling = Sampling(
             dictionary,
             node,
+            judge,
             interval,
             self._limits,
             chain,
@@ -122,12 +127,10 @@ class FeedbackModule:
             self._taps,
             self._publishing,
         )
-        self._timeline = self._sampling.timeline
         cycles_per_revolution = dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         cycles_per_revolution.on_written = self._encoder_changed
-        self._jitter = JitterWatch(self._timeline, interval, self._limits, cycles_per_revolution, self._warn)
-        self._interval = interval
-        self._timeline.on_followed = self._on_followed
+        self._jitter = JitterWatch(judge.clock, interval, self._limits, cycles_per_revolution, self._warn)
+        judge.on_followed = self._on_followed
         self._recorder = Recorder(dictionary, interval, self._taps)
 
     def _make_commands(self) -> None:
@@ -210,21 +213,21 @@ class FeedbackModule:
         ``frame.timestamp`` is when it was received, if the bus says it, and ``now`` is no earlier. A
         late caller first gives all the frames that wait, in their order, and then calls :meth:`tick`.
         """
-        until = self._timeline.until
+        until = self._judge.until
         if now > until and (frame.timestamp is None or frame.timestamp > until):
             self._publishing.withhold()
         return self.node.receive(frame, now)
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at ``now``; the frames to send."""
-        if now >= self._timeline.until:
-            self.events.overdue(self._timeline, now)
+        if now >= self._judge.until:
+            self.events.overdue(self._judge.synced_s, now)
             self._sampling.overdue(now)
         return self.node.tick(now)
 
     def deadline(self) -> float | None:
         """When :meth:`tick` is to be called next, None for not at all."""
-        due, until = self.node.deadline(), self._timeline.until
+        due, until = self.node.deadline(), self._judge.until
         if until == NEVER:
             return due
         return until if due is None or until < due else due
@@ -324,7 +327,7 @@ class FeedbackModule:
 
         Sample times know each interval; a time of the call is not that of the SYNC.
         """
-        self.events.synced(self._interval.settled_s, now)
+        self.events.synced(self._judge.clock.period_s, now)
         last = self._publishing.last
         if proved and last is not None and not self._sampling.pairing.timed:
             self._jitter.look(last, now)
@@ -359,6 +362,7 @@ class FeedbackModule:
 
     def _on_reset(self, communication_only: bool, now: float) -> None:
         self._operating_time.begin(now)
+        self._lock.reset()
         self._publishing.reset_alarms()
         self._sampling.forget_interval()
         if communication_only:

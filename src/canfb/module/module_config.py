@@ -8,12 +8,16 @@ from dataclasses import dataclass
 from canfb.checks import flag, integer_in
 from canfb.device.lss.lss import UNCONFIGURED as UNCONFIGURED  # for readers of configurations
 from canfb.module.second_position_config import SecondPositionConfig
+from canfb.objects import WriteLockMode
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.subsamples import MOST_PER_SYNC
 from canfb.sources.source_config import SourceConfig
 
 RPDOS = 3
 MOST_ACCELERATION_RAD_S2, MOST_JERK_RAD_S3 = 1e9, 1e15  # 2010:02, 2010:08
+
+
+WRITE_LOCKS = {"none": WriteLockMode.OFF, "preop": WriteLockMode.PREOP, "code": WriteLockMode.CODE}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +54,9 @@ class ModuleConfig(ChainConfig):
     state_dir                folder for the data of `save` (1010h), created if missing; None: nothing
                              is saved. `canfb run` uses it; each module has its own
     autostart                True: OPERATIONAL without a master
+    write_lock               when parameters, table and node-ID can be written over the bus (2040:01): "none"
+                             always, "preop" not in OPERATIONAL, "code" not without unlock_code
+    unlock_code              0..4294967295, for write_lock "code" (2040:02); 0: none
     """
 
     node_id: int
@@ -67,6 +74,8 @@ class ModuleConfig(ChainConfig):
     second_position: SecondPositionConfig | None = None
     state_dir: str | None = None
     autostart: bool = False
+    write_lock: str = "none"
+    unlock_code: int = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -91,6 +100,10 @@ class ModuleConfig(ChainConfig):
                 raise ValueError(
                     f"{name} belongs to a chain without a bus: {name.removesuffix('_cycles') + key}"
                 )
+        if self.interval_s:
+            raise ValueError(
+                "interval_s belongs to a chain without a bus: a module measures it, or reads 1006h"
+            )
         _check_largest("max_acceleration_rad_s2", self.max_acceleration_rad_s2, MOST_ACCELERATION_RAD_S2)
         _check_largest("max_jerk_rad_s3", self.max_jerk_rad_s3, MOST_JERK_RAD_S3)
         if not isinstance(self.predict, int) or not 0 <= self.predict <= 2:
@@ -99,6 +112,11 @@ class ModuleConfig(ChainConfig):
         integer_in("sync_timeout_periods", self.sync_timeout_periods, 2, 255)
         for name in ("times", "nominal_sync", "autostart"):
             flag(name, getattr(self, name))
+        if self.write_lock not in WRITE_LOCKS:
+            raise ValueError(f"write_lock must be none, preop or code, not {self.write_lock!r}")
+        integer_in("unlock_code", self.unlock_code, 0, 0xFFFFFFFF)
+        if self.write_lock == "code" and not self.unlock_code:
+            raise ValueError("write_lock: code needs an unlock_code, 1 to 4294967295")
         if self.state_dir is not None and not _is_folder_name(self.state_dir):
             raise ValueError(f"state_dir must be the name of a folder, not {self.state_dir!r}")
 

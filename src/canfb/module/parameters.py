@@ -13,14 +13,20 @@ from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.pdo_room import mapping_values
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.position import distinguishable_revolutions, single_turn_resolution
-from canfb.module.interval import IntervalEstimate
-from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, MOST_JERK_RAD_S3, ModuleConfig
+from canfb.module.interval import SamplingInterval
+from canfb.module.module_config import (
+    MOST_ACCELERATION_RAD_S2,
+    MOST_JERK_RAD_S3,
+    WRITE_LOCKS,
+    ModuleConfig,
+)
 from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
+from canfb.signal.chain_config import MOST_CORNER_HZ, ChainConfig
 from canfb.signal.residual_noise import ResidualNoise
 from canfb.signal.supervision import SampleLimits
 from canfb.view.limits_in_force import limit_settings
 
+SAME_NARROWED, SAME_ANALOG = 0.02, 2e-4  # of the interval: no reason for new limits, other coefficients
 SAME_NOISE = 0.02  # of it: no reason for new limits
 LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
 
@@ -42,6 +48,7 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         od.ENCODER_FULL_SCALE: limits.full_scale_counts,
         od.ENCODER_LOWEST_AMPLITUDE: limits.amplitude_low_counts,
         od.ENCODER_HIGHEST_AMPLITUDE: limits.amplitude_high_counts,
+        od.ENCODER_CORNER_FREQUENCY: config.corner_hz,
         **conditioning,
         od.SUPERVISION_RESIDUAL_LIMIT: int(config.residual_limit * LIMIT_UNITS),
         od.SUPERVISION_ACCELERATION: config.max_acceleration_rad_s2,
@@ -57,6 +64,8 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         od.SUPERVISION_PERIODS: config.sync_timeout_periods,
         od.PREDICTION_POSITION: int(config.predict),
         od.PREDICTION_NOMINAL_SYNC: int(config.nominal_sync),
+        od.WRITE_LOCK_MODE: int(WRITE_LOCKS[config.write_lock]),
+        od.WRITE_LOCK_NEW_UNLOCK_CODE: config.unlock_code,
         od.UNITS_PER_REVOLUTION: resolution,
         od.TOTAL_RANGE: resolution * revolutions,
         od.SINGLE_TURN_RESOLUTION: resolution,
@@ -116,15 +125,15 @@ def apply_defaults(dictionary: Dictionary, defaults: dict[tuple[int, int], Any])
 
 
 class Limits:
-    """Objects 2001:02..04 and 2010h: written by SDO, in force from the next sample on."""
+    """Objects 2001:02..05 and 2010h: written by SDO, in force from the next sample on."""
 
-    def __init__(self, dictionary: Dictionary, chain: SignalChain, interval: IntervalEstimate) -> None:
+    def __init__(self, dictionary: Dictionary, chain: SignalChain, interval: SamplingInterval) -> None:
         self._chain = chain
-        self._interval = interval
         self._dictionary, entry = dictionary, dictionary.entry
         self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         self._full_scale = entry(*od.ENCODER_FULL_SCALE)
         self._low, self._high = entry(*od.ENCODER_LOWEST_AMPLITUDE), entry(*od.ENCODER_HIGHEST_AMPLITUDE)
+        self._corner = entry(*od.ENCODER_CORNER_FREQUENCY)
         self._residual = entry(*od.SUPERVISION_RESIDUAL_LIMIT)
         self._acceleration = entry(*od.SUPERVISION_ACCELERATION)
         self._order, self._jerk = entry(*od.SUPERVISION_ORDER), entry(*od.SUPERVISION_JERK)
@@ -140,9 +149,12 @@ class Limits:
         self._applied_noise = math.nan
         self.timed = False
         """Samples bring their time, in units of 100 ns."""
+        self.interval = interval
         self._applied_s = 0.0
+        self.shortest_s = self.longest_s = 0.0
+        """While :attr:`SamplingInterval.measured_s` is between them :meth:`follow` has nothing to do."""
         self.narrowed = False
-        """A known acceleration or jerk narrows a residual limit; it then depends on the sampling interval."""
+        """The limits, or what the analog path does, depend on the sampling interval, which may change."""
         self.in_force = ChainConfig().chain_limits
         """What the chain has, narrowed or not: the same object until :meth:`apply`."""
         self.on_applied: Callable[[], None] | None = None
@@ -151,6 +163,7 @@ class Limits:
         self._high.on_check = self._check(lambda high: high > self._low.value)
         self._acceleration.on_check = self._check(lambda value: 0.0 <= value <= MOST_ACCELERATION_RAD_S2)
         self._jerk.on_check = self._check(lambda value: 0.0 <= value <= MOST_JERK_RAD_S3)
+        self._corner.on_check = self._check(lambda value: 0.0 <= value <= MOST_CORNER_HZ)
         for changed in (
             self._full_scale,
             self._low,
@@ -166,6 +179,7 @@ class Limits:
             self._bad,
             self._assumed,
             self._phase_error,
+            self._corner,
         ):
             changed.on_written = self.apply
         self._full_scale.on_written = self._full_scale_written
@@ -188,8 +202,14 @@ class Limits:
 
     def follow(self) -> None:
         """Before a sample, if it is :attr:`narrowed`: take the residual limit along with the interval."""
-        if abs(self._interval.known_s - self._applied_s) > 0.02 * self._applied_s:
+        known_s, chain = self.interval.known_s, self._chain
+        same = SAME_NARROWED * self._applied_s
+        if abs(known_s - self._applied_s) > same:
             self.apply()
+        elif chain.needs_interval:
+            chain.use_interval(known_s / self.interval.samples_per_sync)
+            same = SAME_ANALOG * known_s
+        self.shortest_s, self.longest_s = known_s - same, known_s + same
 
     def measured(self) -> None:
         """Another block of :attr:`noise`: the limits follow where it has changed."""
@@ -204,13 +224,13 @@ class Limits:
     def apply(self) -> None:
         """Put the values of the dictionary in force."""
         self.noise.order = self.order
-        known_s, per_sync = self._interval.known_s, self._interval.samples_per_sync
+        known_s, per_sync = self.interval.known_s, self.interval.samples_per_sync
         self._applied_noise = usable = self.noise.usable_cycles
         settings = replace(limit_settings(self._read), samples_per_sync=per_sync, timed=self.timed)
         noise_cycles = usable if usable == usable else None
         bounds = settings.bounds(self._cycles_per_revolution.value, known_s / per_sync, noise_cycles)
         self._applied_s = known_s
-        self.narrowed = self._acceleration.value > 0.0 or self._jerk.value > 0.0
+        by_motion = self._acceleration.value > 0.0 or self._jerk.value > 0.0
         self.in_force = bounds.chain_limits(
             self.order,
             settings.widest_cycles,
@@ -220,8 +240,11 @@ class Limits:
             frozen_samples=self._frozen.value,
             coarse_limit_revolutions=self._coarse.value / LIMIT_UNITS,
             samples_per_sync=per_sync,
+            corner_hz=settings.corner_hz,
         )
         self._chain.set_limits(self.in_force)
+        self._chain.use_interval(known_s / per_sync)
+        self.narrowed = by_motion or self._chain.needs_interval
         if self.on_applied is not None:
             self.on_applied()
 

@@ -13,7 +13,7 @@ from canfb.module.cia406.position_alarm import PositionAlarm
 from canfb.module.cia406.profile import EncoderProfile
 from canfb.module.cia406.profile_warnings import Warnings
 from canfb.module.event_watch import EventWatch
-from canfb.module.interval import IntervalEstimate
+from canfb.module.interval import SamplingInterval
 from canfb.module.latest import Latest
 from canfb.module.objects.last_loss import LastLoss
 from canfb.module.objects.prediction import Prediction
@@ -40,13 +40,13 @@ class Publishing:
         self,
         dictionary: Dictionary,
         node: Node,
-        interval: IntervalEstimate,
+        interval: SamplingInterval,
         limits: Limits,
         chain: SignalChain,
         parts: SampleInput,
         prediction_chosen: Callable[[], None],
     ) -> None:
-        self.latest = Latest()
+        self.latest = Latest(chain)
         self.on_feedback: Callable[[Feedback, float], None] | None = None
         self._dictionary, self._node = dictionary, node
         self.profile = EncoderProfile(dictionary, interval, self.latest)
@@ -58,9 +58,7 @@ class Publishing:
             lambda: limits.in_force.residual_limit,
         )
         limits.on_applied = self.warnings.limits_changed
-        self.prediction = Prediction(
-            dictionary, self.profile, prediction_chosen, lambda: chain.unit_s, interval
-        )
+        self.prediction = Prediction(dictionary, self.profile, prediction_chosen, chain, interval)
         self.loss = LastLoss(dictionary, limits, chain, lambda: node.now)
         self.objects = Publication(dictionary, interval, chain, parts, limits, self.latest, self.loss)
         self.alarm = PositionAlarm(node)

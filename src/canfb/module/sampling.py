@@ -7,14 +7,13 @@ from functools import partial
 from canfb.device.moment import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
-from canfb.module.interval import IntervalEstimate
+from canfb.module.interval import SamplingInterval
 from canfb.module.local_source import LocalSource
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.pairing import Findings, Pairing
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.module.tap import Taps
-from canfb.module.timeline import Timeline
 from canfb.module.usual_sample import UsualSample
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
@@ -22,9 +21,9 @@ from canfb.signal.nominal_sync import NominalSync
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import TICK_S, TICKS
 from canfb.signal.supervision import COASTING, VALID
+from canfb.timing.judge import USUAL, Judge, Passed
 
 MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge
-SAME_INTERVAL = 0.02
 SAME_GRID = 2e-6  # of the interval
 GRID_SYNCS = 1024
 EXACT_SYNCS = 512  # from then on a lock is more exact than the drift of a clock
@@ -61,7 +60,8 @@ class Sampling:
         self,
         dictionary: Dictionary,
         node: Node,
-        interval: IntervalEstimate,
+        judge: Judge,
+        interval: SamplingInterval,
         limits: Limits,
         chain: SignalChain,
         parts: SampleInput,
@@ -79,54 +79,93 @@ class Sampling:
         self._grid = NominalSync(
             GRID_SYNCS
         )  # by which an interface takes its samples, if several for each SYNC
-        self.timeline = timeline = Timeline(dictionary, interval)
+        self._waited = 0.0  # intervals since the last sample that were reported as missed
+        self._set_waited, self._set_back = 0.0, 0  # those before the last set of intervals; samples since
+        self._judge = judge
         self._usual = UsualSample(
             dictionary,
             chain,
             limits,
-            timeline,
             taps,
             publishing,
             unusual=partial(self._take_counts, parts),
         )
         found = Findings(
-            self._usual.take, self._take, self._miss, self._lose_count, publishing.withhold, chain.repeats
+            self._usual.take,
+            self._take,
+            self._take_timed,
+            self._miss,
+            self._confirm,
+            self._lose_count,
+            chain.slips,
+            publishing.withhold,
+            chain.repeats,
         )
-        self.pairing = Pairing(dictionary, node, timeline, interval, parts, source, found)
+        self.pairing = Pairing(dictionary, node, judge, interval, parts, source, found)
 
     def _take_counts(self, parts: SampleInput, now: float) -> None:
-        """A sample without a time."""
-        self._take(parts.sample(), None, None, now)
+        """A sample without a time, in its turn."""
+        self._take(parts.sample(), USUAL, now)
 
-    def _take(self, sample: Sample, received_s: float | None, synced_s: float | None, now: float) -> bool:
-        """A sample through the chain, and out; False if it is an earlier one, and nothing happened.
+    def _take(self, sample: Sample, passed: Passed, now: float) -> bool:
+        """A sample without a time through the chain, and out; False if nothing came of it."""
+        if self._limits.narrowed:
+            self._limits.follow()
+        options = self._since_last(passed)
+        if not options:
+            return False
+        several = options if len(options) > 1 else ()
+        placed = not (passed.instant_error and self._chain.slips(passed.instant_error))
+        feedback = self._chain.after(sample, options[0], several, placed=placed)
+        self._set_back = 0 if several else self._set_back + 1
+        if feedback.status & VALID and (self._usual.unconfirmed or not passed.certain):
+            feedback = self._withheld(feedback)
+        self._out(sample, feedback, now)
+        return True
+
+    def _since_last(self, passed: Passed) -> tuple[float, ...]:
+        """Intervals since the last sample or miss, all possible ones; none if more were missed already."""
+        elapsed, waited = passed.elapsed, self._waited
+        options = elapsed if isinstance(elapsed, tuple) else (elapsed,)
+        self._waited = max(0.0, waited - options[0])
+        if len(options) > 1:
+            self._set_waited = waited
+        return tuple([one - waited for one in options if one > waited]) if waited else options
+
+    def _take_timed(
+        self, sample: Sample, received_s: float | None, synced_s: float | None, now: float
+    ) -> bool:
+        """A sample with its time; False if it is an earlier one again, and nothing happened.
 
         Nothing happens either with one that is too near to the last, but it did come.
         """
+        time_100ns = sample.time_100ns
+        assert time_100ns is not None
         if self._limits.narrowed:
             self._limits.follow()
-        time_100ns = sample.time_100ns
-        if time_100ns is None:
-            feedback = self._chain.step(sample)
-            if feedback.status & VALID and (self._usual.unconfirmed or self.timeline.withheld):
+        if self._interval.samples_per_sync > 1:
+            self._follow_grid()
+        last = self._publishing.last
+        feedback = self._chain.step(sample, received_s, synced_s)
+        if last is not None and feedback.samples == last.samples:
+            return self._chain.crowded
+        self._waited = 0.0
+        self._interval.timed_s = self._chain.unit_s
+        instant = time_100ns, received_s, synced_s
+        if feedback.status & VALID:
+            if sample.earlier:
+                self._grid.sample(time_100ns)
+            if self._prediction.follows:
+                self._prediction.sampled(time_100ns)
+            self._timed, self._doubted = instant, None
+            if self._usual.unconfirmed:
                 feedback = self._withheld(feedback)
         else:
-            self._follow_interval()
-            last = self._publishing.last
-            feedback = self._chain.step(sample, received_s, synced_s)
-            if last is not None and feedback.samples == last.samples:
-                return self._chain.crowded
-            if feedback.status & VALID:
-                self.pairing.valid(sample)
-                if sample.earlier:
-                    self._grid.sample(time_100ns)
-                if self._prediction.follows:
-                    self._prediction.sampled(time_100ns)
-                self._timed, self._doubted = (time_100ns, received_s, synced_s), None
-                if self._usual.unconfirmed:
-                    feedback = self._withheld(feedback)
-            else:
-                self._doubted = (time_100ns, received_s, synced_s)
+            self._doubted = instant
+        self._out(sample, feedback, now)
+        return True
+
+    def _out(self, sample: Sample, feedback: Feedback, now: float) -> None:
         noise = self._limits.noise
         if self._chain.between:
             self._publishing.count(self._chain.between, now)
@@ -138,7 +177,6 @@ class Sampling:
         self._usual.publish(feedback, now)
         if self._taps.open:
             self._tap(sample, feedback)
-        return True
 
     def _tap(self, sample: Sample, feedback: Feedback) -> None:
         """All samples of this SYNC for the taps, each with its own time."""
@@ -165,31 +203,24 @@ class Sampling:
         """What keeps a position without a fault from being valid, in words; "" where that is not known."""
         if self._usual.unconfirmed:
             return f"{CONFIRMING_SAMPLES} samples must confirm it after the pause"
-        if self.timeline.withheld:
-            frame, late_s = self.timeline.late
-            return f"{frame} {late_s * 1e3:.3g} ms late, one may have been missed: the next SYNCs decide"
+        if self._judge.is_open:
+            late_ms = self._judge.late_s * 1e3
+            return f"SYNC {late_ms:.3g} ms late, one may have been missed: the next SYNCs decide"
         if self._chain.searches:
             return "the sample times do not confirm yet that the machine stood at the start"
         if self._chain.reference.in_doubt:
             return "a zero pulse contradicts it"
         if self._timed is None or self._doubted is None:
             return ""
-        return doubt_words(self._timed, self._doubted, self._interval.settled_s or self._interval.seconds)
+        return doubt_words(self._timed, self._doubted, self._interval.seconds)
 
-    def _follow_interval(self) -> None:
-        """Take the nominal interval along, by which sample times are judged.
-
-        Only once it is known: at a start on a busy host the first SYNCs are heard at uneven times, and the
-        times of even samples would become uneven by them. Until then the first sample time is the unit.
-        """
-        seconds, same = self._interval.known_s, SAME_INTERVAL
-        if self._interval.samples_per_sync > 1:
-            grid_s = self._grid_s()
-            # Of the earlier samples it is not known when they were taken: at standstill it does not matter.
-            self._chain.measures_intervals = grid_s > 0.0
-            seconds, same = grid_s or seconds, SAME_GRID
-        if seconds and abs(seconds - self._chain.interval_s) > same * seconds:
-            self._chain.interval_s = seconds
+    def _follow_grid(self) -> None:
+        """Several samples for each SYNC: the earlier ones were taken by the interval of SYNC, exactly."""
+        grid_s, chain = self._grid_s(), self._chain
+        # Of the earlier samples it is not known when they were taken: at standstill it does not matter.
+        chain.measures_intervals = grid_s > 0.0
+        if abs(grid_s - chain.interval_s) > SAME_GRID * grid_s:
+            chain.interval_s = grid_s
 
     def _grid_s(self) -> float:
         """The interval of SYNC by the clock of the interface, which takes the earlier samples by it.
@@ -209,11 +240,17 @@ class Sampling:
     def _miss(self, samples: int, now: float) -> None:
         """So many samples that did not come, reported once."""
         known_as_lost = self._chain.lost
+        self._waited += samples
         # Of a position that is lost it makes no difference how long it has been.
         for left in range(min(samples, MOST_MISSED) - 1, -1, -1):
             self._publishing.publish(self._chain.miss(), now, send=not left and not known_as_lost)
+            self._set_back += 1
             for _ in range(self._interval.samples_per_sync):
                 self._taps.miss()
+
+    def _confirm(self, elapsed: float) -> None:
+        """So many intervals had passed at the last sample that had several."""
+        self._chain.confirm(elapsed - self._set_waited, self._set_back)
 
     def _lose_count(self, intervals: float, now: float) -> None:
         """So many intervals may or may not have passed: the position is lost if the machine moves."""
@@ -226,31 +263,33 @@ class Sampling:
         if not self.pairing.overdue(now):
             self._publishing.outdated(now)
         if self._chain.lost:
-            self.timeline.until = NEVER
+            self._judge.until = NEVER
 
     def uncounted(self, now: float) -> None:
         """The bus is gone: SYNCs are not counted, and the position is lost."""
         if self.pairing.sampled:
             self._publishing.publish(self._chain.lose(), now, send=False)
-            self.pairing.begin()
+            self._begin()
+
+    def _begin(self) -> None:
+        self.pairing.begin()
+        self._waited = 0.0
 
     def pause(self, now: float) -> None:
         """OPERATIONAL ends: nobody counts, and what can be read by SDO is not valid any more."""
         self._publishing.withhold()
-        timeline = self.timeline
-        self._paused_s = timeline.synced_s if timeline.begun else now
-        timeline.pause()
+        judge = self._judge
+        self._paused_s = judge.synced_s if judge.begun else now
+        judge.pause()
 
     def resume(self, now: float) -> None:
         """OPERATIONAL, for the first time or again: nothing was counted meanwhile."""
-        chain, interval = self._chain, self._interval
-        self.pairing.begin()
-        interval_s = interval.settled_s or interval.seconds
+        chain, interval_s = self._chain, self._interval.seconds
+        self._begin()
         self._timed = self._doubted = None
         self._usual.unconfirmed = CONFIRMING_SAMPLES if chain.begun and not chain.lost else 0
         # Since the last SYNC, whose sample may not have come any more.
         chain.resume((now - self._paused_s) / interval_s + 1.0 if interval_s else NEVER)
-        interval.pause()
         self._prediction.pause(self._publishing.last)
         self._publishing.withhold()
 
@@ -259,12 +298,14 @@ class Sampling:
         limits = self._limits
         if (samples_per_sync, timed) != (self._interval.samples_per_sync, limits.timed):
             self._interval.samples_per_sync, limits.timed = samples_per_sync, timed
+            self._interval.timed_s = 0.0
             self._chain.measures_intervals = True
             limits.noise_changes()
 
     def forget_interval(self) -> None:
         """After a reset another master may send SYNC at another rate."""
-        self._interval.reset()
+        self._judge.forget()
+        self._interval.timed_s = 0.0
         self._grid.forget()
         self._grid_learned_s = 0.0
         self._chain.forget_times()

@@ -7,6 +7,7 @@ other one the parts are called one by one; tests/module/test_usual_sample.py com
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import floor
 
 from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary
@@ -16,7 +17,6 @@ from canfb.module.objects.publication import FAULTS, SIXTEEN_BITS, U32, Publicat
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.module.tap import Taps
-from canfb.module.timeline import Timeline
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import VALID
@@ -35,7 +35,6 @@ class UsualSample:
         dictionary: Dictionary,
         chain: SignalChain,
         limits: Limits,
-        timeline: Timeline,
         taps: Taps,
         publishing: Publishing,
         unusual: Callable[[float], None],
@@ -48,7 +47,7 @@ class UsualSample:
             entry(*one) for one in (od.FEEDBACK_STATUS, od.FEEDBACK_RESIDUAL, od.FEEDBACK_SAMPLES)
         )
         self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
-        self._chain, self._limits, self._timeline, self._taps = chain, limits, timeline, taps
+        self._chain, self._limits, self._taps = chain, limits, taps
         self._publishing = publishing
         self._latest: Latest = publishing.latest
         self._objects: Publication = publishing.objects
@@ -56,6 +55,7 @@ class UsualSample:
         self._cams = self._profile.cams
         self._warnings, self._alarm = publishing.warnings, publishing.alarm
         self._prediction = publishing.prediction
+        self._interval = limits.interval
         self._unusual = unusual
         self.unconfirmed = 0
         """Samples after a pause that are not called valid yet."""
@@ -63,10 +63,10 @@ class UsualSample:
     def take(self, now: float) -> None:
         """The sample that has come, ``now`` in seconds."""
         limits = self._limits
-        if self.unconfirmed or self._timeline.withheld or self._taps.open or self._flags.value:
+        if self.unconfirmed or self._taps.open or self._flags.value:
             self._unusual(now)
             return
-        if limits.narrowed:
+        if limits.narrowed and not limits.shortest_s < self._interval.measured_s < limits.longest_s:
             limits.follow()
         feedback = self._chain.usual(self._sine.value, self._cosine.value)
         if feedback is None:
@@ -80,7 +80,7 @@ class UsualSample:
     def publish(self, feedback: Feedback, now: float) -> None:
         """:meth:`Publishing.publish`, which takes all but a valid one without a fault, after another."""
         publishing = self._publishing
-        _, _, amplitude, _, cycles, phase, residual, status, _, _, _, samples = feedback
+        _, _, amplitude, _, cycles, phase, residual, status, speed, acceleration, _, samples = feedback
         scale, warnings = self._profile.scale, self._warnings
         binary = scale.binary
         if (
@@ -98,6 +98,11 @@ class UsualSample:
         self._status.value = status | self._objects.work
         self._residual.value = int(residual * SIXTEEN_BITS)
         self._samples.value = samples & U32
+        lag = self._chain.lag_intervals
+        if lag:  # as Latest.place
+            position = phase + (speed + acceleration * (1.0 + lag) * 0.5) * lag
+            turns = floor(position)
+            cycles, phase = cycles + turns, position - turns
         units = cycles * binary + int(phase * scale.binary_factor) + scale.offset
         self._position.value = self._fine.value = units % scale.total_range
         for trigger in publishing.event_tpdos:

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.blocks import BLOCK_SAMPLES, Scratch, blocks
+from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.conditioning import Conditioning
+from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import CorrectionTable, check_table
 from canfb.signal.estimator import Estimator
 from canfb.signal.estimator_runs import follow_run, take_run
-from canfb.signal.phase import FloatArray, raw_phase_block, wrap_block
-from canfb.signal.supervision import VALID
+from canfb.signal.phase import AnyArray, FloatArray, raw_phase_block, wrap_block
+from canfb.signal.sample import Sample
+from canfb.signal.supervision import VALID, SampleLimits
 from canfb.signal.tracker import RESIDUAL_LIMIT, TrackResult
 from canfb.signal.tracking import continues
 from canfb.signal.tracks import check_counts, pair_of_tracks
@@ -29,7 +32,9 @@ DECLARED = (
     "bad_samples",
     "doubt_acceleration_cycles",
     "coast_samples",
+    "interval_s",
 )
+NO_LIMITS = SampleLimits(1 << 62, 0.0, math.inf)
 
 
 def process(
@@ -49,7 +54,8 @@ def process(
     sample, cycles per sample, with an error of less than half a cycle; default: standstill.
     ``prediction_order`` 3 predicts with constant acceleration; ``residual_limit`` then limits the jerk.
     ``declared``: any of max_acceleration_cycles, max_jerk_cycles, phase_error_cycles, bad_samples,
-    doubt_acceleration_cycles and coast_samples, as in :class:`canfb.ChainConfig`.
+    doubt_acceleration_cycles, coast_samples and interval_s, as in :class:`canfb.ChainConfig`. A conditioning
+    with cosine_delay_s needs interval_s; its samples are taken one by one.
 
     The result is bit for bit that of :class:`canfb.SignalChain` one sample after the other,
     without limits on amplitude and converter, which depend on the individual encoder
@@ -76,7 +82,14 @@ def process(
     unknown = declared.keys() - DECLARED
     if unknown:
         raise TypeError(f"process() has no option {min(unknown)!r}; it takes {', '.join(DECLARED)}")
-    config = ChainConfig(residual_limit=residual_limit, prediction_order=prediction_order, **declared)
+    config = ChainConfig(
+        residual_limit=residual_limit,
+        prediction_order=prediction_order,
+        conditioning=conditioning or IDENTITY,
+        **declared,
+    )
+    if config.conditioning.cosine_delay_s:
+        return _one_by_one(sines, cosines, config, table, speed_cycles)
     follower = _Follower(config, speed_cycles)
     result = TrackResult.empty(len(sines))
     for part, scratch in blocks(len(sines)):
@@ -90,6 +103,29 @@ def process(
             raw_phase_block(s, c, scratch.raw, scratch)
             table.correct_block(scratch.raw, phase, scratch)
         follower.take(result, part, scratch)
+    return result
+
+
+def _one_by_one(
+    sines: AnyArray,
+    cosines: AnyArray,
+    config: ChainConfig,
+    table: CorrectionTable | None,
+    speed_cycles: float,
+) -> TrackResult:
+    """Each phase depends on the speed, and so on the samples before it."""
+    if not config.interval_s:
+        raise ValueError(
+            "a conditioning with cosine_delay_s needs interval_s, the sampling interval in seconds"
+        )
+    chain = SignalChain(config, table)
+    chain.set_limits(replace(config.chain_limits, sample=NO_LIMITS))
+    chain.restart(0, speed_cycles)
+    result = TrackResult.empty(len(sines))
+    for k, (sine, cosine) in enumerate(zip(sines.tolist(), cosines.tolist(), strict=True)):
+        got = chain.step(Sample(sine, cosine))
+        result.cycles[k], result.phase[k], result.residual[k] = got.cycles, got.phase, got.residual
+        result.ok[k] = got.valid
     return result
 
 

@@ -14,15 +14,15 @@ from canfb.signal.doubt import HOLE_INTERVALS
 from canfb.signal.estimator import Estimator
 from canfb.signal.estimator_runs import follow_run, successor, take_run
 from canfb.signal.feedback import Feedback
+from canfb.signal.front_end import AHEAD_INTERVALS
 from canfb.signal.frozen import FrozenInput, repeats
-from canfb.signal.pauses import LARGEST_SLIP_CYCLES, Pauses
+from canfb.signal.pauses import Pauses
 from canfb.signal.phase import AnyArray, raw_phase
 from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.reference import Pulse, Reference, pulse_between
 from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import CROWDED, REPEATED, SUSPECT, SampleTimes
-from canfb.signal.still_phase import STANDSTILL_CYCLES
 from canfb.signal.subsamples import in_order
 from canfb.signal.supervision import (
     FROZEN,
@@ -62,13 +62,13 @@ class SignalChain(Pauses):
         """Of the last interval: what the samples before the newest gave, oldest first."""
         self._was_valid = 0  # the sample before
         self._times = SampleTimes()
-        self._waited = 0.0  # intervals without a sample since the last one with a sample time
         self.measures_intervals = True
         """Sample times say how long an interval was; False: they only tell new samples from doubled ones."""
         limits = config.chain_limits
         self.crowded = False
         """The last sample came, but so soon after the one before that nothing was made of it."""
         self._make_reference(limits)
+        self._sampling_s = config.interval_s
         self.set_limits(limits)
         self.activate(Correction(table, config.conditioning))
 
@@ -92,8 +92,12 @@ class SignalChain(Pauses):
         """Positions and speeds stay as they are; intervals in progress are counted in the new unit."""
         old, self._times.interval_s = self._times.unit_s, interval_s
         if old > 0.0 and interval_s > 0.0:
-            self._waited *= old / interval_s
-            self._estimator.rescale(old / interval_s)
+            self._rescale(old / interval_s)
+        self._follow_unit()
+
+    def _rescale(self, factor: float) -> None:
+        self._waited *= factor
+        self._estimator.rescale(factor)
 
     @property
     def unit_s(self) -> float:
@@ -133,6 +137,7 @@ class SignalChain(Pauses):
             self._make_reference(limits)
         self._reference.coarse.limit_revolutions = limits.coarse_limit_revolutions
         self._reference.coarse.full_scale_counts = limits.sample.full_scale_counts
+        self._use_front_end(self._conditioning, limits.corner_hz)
 
     def _declare(self, declared: Declared) -> None:
         """Hold the next samples against this; the position stays.
@@ -144,6 +149,7 @@ class SignalChain(Pauses):
             self._estimator.declare(declared)
             return
         self._estimator = successor(self._estimator, declared)
+        self._estimator.phases_keep = not self._conditioning.cosine_delay_s
         self._tracker = self._estimator.tracker
         self._reference.follow(self._estimator)
 
@@ -169,7 +175,7 @@ class SignalChain(Pauses):
         check_table(correction.table)
         self._correction = correction
         self._use_table(correction.table)
-        self._coefficients = correction.conditioning.coefficients()
+        self._use_front_end(correction.conditioning, self._corner_hz)
         self._base_status = 0 if correction.table is None else TABLE_ACTIVE
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
@@ -187,17 +193,7 @@ class SignalChain(Pauses):
         self._times.reset()
         self._waits, self._turned = False, 0.0
         self._speed = float(speed_cycles)
-
-    def uncertain(self, intervals: float) -> Feedback | None:
-        """Up to this many intervals of SYNC may have passed uncounted: lost, except at standstill.
-
-        None where that makes no difference: each phase is then less than half a cycle from the last.
-        """
-        speed = max(abs(self._tracker.step_cycles), abs(speeds.steady_speed(self._estimator.places)))
-        most = speed * intervals * self._per_sync
-        if self._estimator.lost or not self._tracker.started or most < LARGEST_SLIP_CYCLES:
-            return None
-        return self.lose()
+        self._turn(self._speed)
 
     def lose(self) -> Feedback:
         """The position is lost from now on: no cycles were counted."""
@@ -227,37 +223,55 @@ class SignalChain(Pauses):
         With several samples in an interval (``samples_per_sync`` of :class:`ChainLimits`) all of them are
         taken, in their order; the result is that of the newest, :attr:`between` has the others.
         """
-        sine, cosine, elapsed, bad, coarse, _, pulse, time_100ns, _, options = sample
-        if elapsed == 1.0 and not options and not bad and coarse is pulse is time_100ns is None:
-            feedback = self.usual(sine, cosine)
+        time_100ns, elapsed = sample.time_100ns, sample.elapsed
+        if time_100ns is None:
+            return self.after(sample, elapsed, sample.options)
+        speed, unit_s = self._tracker.step_cycles * self._per_sync, self._times.unit_s
+        passed = self._times.elapsed(time_100ns, elapsed + self._waited, received_s, synced_s, speed)
+        if self._times.unit_s != unit_s > 0.0:
+            self._rescale(unit_s / self._times.unit_s)
+        if self._front is not None and self._front.unit_s != self.unit_s:
+            self._follow_unit()
+        self.crowded = passed == CROWDED
+        if passed <= 0.0:
+            if passed in (REPEATED, CROWDED) and self._last is not None:
+                return self._last
+            if passed != SUSPECT:
+                return self._restarted(sample)
+            self._waited += elapsed
+            return self.after(sample, elapsed, placed=False)
+        next_one = elapsed + self._waited < HOLE_INTERVALS
+        if self.measures_intervals:
+            elapsed = passed - self._waited  # what was waited for is counted already
+        self._waited = 0.0
+        return self.after(sample, elapsed, next_one=next_one)
+
+    def after(
+        self,
+        sample: Sample,
+        elapsed: float,
+        options: tuple[float, ...] = (),
+        *,
+        placed: bool = True,
+        next_one: bool = False,
+    ) -> Feedback:
+        """:meth:`step` where it is known when the sample was taken, whatever its own time says.
+
+        ``elapsed`` intervals of SYNC after the one before, or any of the ``options``; ``placed``: False if
+        that is not known, which makes it a bad sample; ``next_one``: by the count of SYNCs none was missed.
+        """
+        sine, cosine, _, invalid, coarse, _, pulse, _, _, _ = sample
+        bad = invalid or not placed
+        timed = sample.time_100ns is not None
+        if not (bad or options) and coarse is pulse is None and (elapsed == 1.0 or timed):
+            feedback = self.usual(sine, cosine, elapsed)
             if feedback is not None:
                 return feedback
-        next_one = unplaced = False
-        if time_100ns is not None:
-            speed = self._tracker.step_cycles * self._per_sync
-            passed = self._times.elapsed(time_100ns, elapsed + self._waited, received_s, synced_s, speed)
-            self.crowded = passed == CROWDED
-            if passed <= 0.0:
-                if passed in (REPEATED, CROWDED) and self._last is not None:
-                    return self._last
-                bad = unplaced = True
-                if passed != SUSPECT:
-                    return self._restarted(sample)
-                self._waited += elapsed
-            else:
-                next_one = elapsed + self._waited < HOLE_INTERVALS
-                if self.measures_intervals:
-                    elapsed = passed - self._waited  # what was waited for is counted already
-                self._waited = 0.0
-                if not bad and coarse is pulse is None:
-                    feedback = self.usual(sine, cosine, elapsed)
-                    if feedback is not None:
-                        return feedback
         if self._per_sync == 1:
-            feedback = self._take(sample, elapsed, bad, unplaced, next_one, options=options)
+            feedback = self._take(sample, elapsed, bad, not placed, next_one, options=options)
             self._look_again(feedback)
             return feedback
-        return self._take_all(sample, elapsed, bad, unplaced, next_one, options)
+        return self._take_all(sample, elapsed, bad, not placed, next_one, options)
 
     def _take_all(
         self,
@@ -453,16 +467,6 @@ class SignalChain(Pauses):
         bits = self._miss_second(bits)
         return self._feedback(math.nan, math.nan, 0.0, math.nan, track, bits | MISSED, 0)
 
-    def _restarted(self, sample: Sample) -> Feedback:
-        """The clock of the interface was restarted, or none of the SYNCs since the last sample was heard.
-
-        Its length is unknown: a machine that creeps may have gone on as long as the times say.
-        """
-        creeps = abs(speeds.steady_speed(self._estimator.places)) >= STANDSTILL_CYCLES
-        lost = self.uncertain(max(1.0, self._times.passed) if creeps else 1.0)
-        self._waited = 0.0
-        return self.step(sample._replace(time_100ns=None)) if lost is None else lost
-
     def _feedback(
         self, s: float, c: float, amplitude: float, raw: float, track: Track, bits: int, jump: int
     ) -> Feedback:
@@ -475,6 +479,8 @@ class SignalChain(Pauses):
         else:  # the speed of a sample that was not valid may be wrong by whole cycles
             acceleration = speeds.acceleration(self._estimator.places)
         self._speed, self._was_valid = speed, bits & VALID
+        if self._front is not None:
+            self._turn(speed + AHEAD_INTERVALS * acceleration if bits & VALID else speed)
         status = bits | self._base_status
         if self._referenced and not bits & LOST:
             status |= REFERENCED

@@ -17,11 +17,14 @@ from canfb.signal.tracker import RESIDUAL_LIMIT, check_residual_limit
 # with 40 % offset and 20 % amplitude error the raw amplitude still varies between 24 and 120 %.
 AMPLITUDE_LOW = 0.2
 AMPLITUDE_HIGH = 1.25
+MOST_CORNER_HZ = 1e9  # 2001:05
 LARGEST = {
     "max_acceleration_cycles": 1000.0,
     "max_jerk_cycles": 1000.0,
     "phase_error_cycles": 1.0 / 16.0,
     "doubt_acceleration_cycles": 0.5,
+    "corner_hz": MOST_CORNER_HZ,
+    "interval_s": 1000.0,
 }
 
 
@@ -36,7 +39,8 @@ class ChainLimits:
     are in an interval of SYNC: all intervals above are those from sample to sample. ``coast_samples`` counts
     intervals of SYNC. ``phase_error`` is the largest error of a phase, cycles, ``instant_error`` that
     of a sample time, intervals: it is added at the speed of the machine, up to ``widest_limit`` (2010:01;
-    None: ``residual_limit``). The others are those of :class:`ChainConfig`.
+    None: ``residual_limit``). ``corner_hz`` is the corner frequency of the analog path, 0.0: none. The others
+    are those of :class:`ChainConfig`.
     ValueError for a bad limit or order.
     """
 
@@ -56,6 +60,7 @@ class ChainLimits:
     widest_limit: float | None = None
     bad_samples: int = 0
     doubt_acceleration: float = DOUBT_ACCELERATION
+    corner_hz: float = 0.0
 
     def __post_init__(self) -> None:
         check_residual_limit(self.residual_limit)
@@ -99,6 +104,8 @@ class ChainConfig:
     amplitude_low_counts    lowest accepted amplitude after conditioning, 0..65535 (2001:03);
                             None: 0.2 of the full scale
     amplitude_high_counts   highest accepted amplitude, 0..65535 (2001:04); None: 1.25 of the full scale
+    corner_hz               of the low-pass of the analog path, 0..1e9 Hz (2001:05): both limits hold for the
+                            amplitude before it; 0: none
     residual_limit          largest accepted residual, 0 < limit <= 0.5 cycles (2010:01, eq. 12)
     coast_samples           0..255 sampling intervals to bridge before the position is lost (2010:03)
     frozen_samples          0..255 successive repeats that distinguish a dead converter from a machine
@@ -107,7 +114,7 @@ class ChainConfig:
     coarse_limit_revolutions  largest difference of the coarse track, above 0, at most 0.25 (2010:05)
     prediction_order        2..3 (2010:07): 2 constant speed, eq. 9; 3 constant acceleration, so that the
                             residual limit bounds the jerk
-    conditioning            offset, gain and phase error of the tracks (2002h)
+    conditioning            offset, gain and phase error of the tracks, and delays of the analog path (2002h)
     max_acceleration_cycles  largest acceleration of the machine, 0..1000 cycles per interval^2; 0: not known
     max_jerk_cycles         largest jerk, 0..1000 cycles per interval^3, for prediction_order 3; 0: not known
     phase_error_cycles      largest phase error of a good sample, above 0, at most 0.0625 cycles (2010:0C):
@@ -116,6 +123,8 @@ class ChainConfig:
                             cannot do harm
     doubt_acceleration_cycles  assumed while in doubt if max_acceleration is not known, 0..0.5 cycles per
                             interval^2 (2010:0B); 0: none, and each gap that leaves two motions is lost
+    interval_s              sampling interval, 0..1000 s, for corner_hz and for the cosine_delay_s of
+                            conditioning; 0: not known
     """
 
     cycles_per_revolution: int = 2500
@@ -133,6 +142,8 @@ class ChainConfig:
     phase_error_cycles: float = PHASE_ERROR_CYCLES
     bad_samples: int = 0
     doubt_acceleration_cycles: float = DOUBT_ACCELERATION
+    corner_hz: float = 0.0
+    interval_s: float = 0.0
 
     def __post_init__(self) -> None:
         integer_in("cycles_per_revolution", self.cycles_per_revolution, 1, 1048576)
@@ -198,6 +209,7 @@ class ChainConfig:
             frozen_samples=self.frozen_samples,
             coarse_limit_revolutions=self.coarse_limit_revolutions,
             prediction_order=self.prediction_order,
+            corner_hz=self.corner_hz,
         )
 
 

@@ -1,15 +1,18 @@
-"""Conditioning of the tracks before Table 1: offset, gain and phase error (2002:01..05)."""
+"""Conditioning of the tracks before Table 1: offset, gain, phase error and delays (2002:01..07)."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.blocks import Scratch
+
+Coefficients = tuple[float, float, float, float, float]
+LONGEST_DELAY_S = 0.01  # of 2002:06 and 2002:07, either sign
 
 
 @dataclass(frozen=True)
@@ -25,6 +28,11 @@ class Conditioning:
     sine_gain              factor of the sine track (2002:03), 0.001..1000 or its negative
     cosine_gain            factor of the cosine track (2002:04), 0.001..1000 or its negative
     phase_error_rad        deviation of the tracks from a right angle (2002:05), within -pi/3..pi/3
+    cosine_delay_s         the cosine is sampled this much after the sine (2002:06), -0.01..0.01 s
+    delay_s                common delay of the analog path and the converter (2002:07), -0.01..0.01 s
+
+    :meth:`apply` is what holds at standstill; :mod:`canfb.signal.front_end` has the speed. ``delay_s``
+    leaves the tracks as they are: what is published is the position by so much later.
     """
 
     sine_offset_counts: float = 0.0
@@ -32,6 +40,8 @@ class Conditioning:
     sine_gain: float = 1.0
     cosine_gain: float = 1.0
     phase_error_rad: float = 0.0
+    cosine_delay_s: float = 0.0
+    delay_s: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in self.words.items():
@@ -42,15 +52,18 @@ class Conditioning:
                 raise ValueError(f"{name} is out of range: its size must be 0.001 to 1000")
         if abs(self.phase_error_rad) >= math.pi / 3:
             raise ValueError("phase_error_rad is out of range: its size must be below pi/3")
+        for name in ("cosine_delay_s", "delay_s"):
+            if abs(getattr(self, name)) > LONGEST_DELAY_S:
+                raise ValueError(f"{name} is out of range: its size must be at most {LONGEST_DELAY_S} s")
 
     @property
     def words(self) -> dict[str, float]:
-        """Its fields by name, in the order of 2002:01..05."""
+        """Its fields by name, in the order of 2002:01..07."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Its fields in the order of 2002:01..05."""
+        """Its fields in the order of 2002:01..07."""
         return tuple(self.words.values())
 
     @property
@@ -58,7 +71,7 @@ class Conditioning:
         """True if it changes nothing."""
         return self == IDENTITY
 
-    def coefficients(self) -> tuple[float, float, float, float, float]:
+    def coefficients(self) -> Coefficients:
         """(sine offset, sine gain, cosine offset, cosine factor, skew): what :meth:`apply` computes with.
 
         s' = (sine - offset) gain;  c' = (cosine - offset) factor - s' skew, where
@@ -71,6 +84,10 @@ class Conditioning:
             float(self.cosine_gain) / math.cos(self.phase_error_rad),
             math.tan(self.phase_error_rad),
         )
+
+    def with_delays_of(self, other: Conditioning) -> Conditioning:
+        """The same with the delays of ``other``: a measurement at one speed does not show them."""
+        return replace(self, cosine_delay_s=other.cosine_delay_s, delay_s=other.delay_s)
 
     def apply(self, sine: Any, cosine: Any) -> tuple[Any, Any]:
         """Conditioned tracks in counts, scalars or float64 arrays; both give the same bits."""

@@ -62,6 +62,7 @@ class Estimator:
         "lost",
         "on_lost",
         "on_speed",
+        "phases_keep",
         "places",
         "tracker",
     )
@@ -72,6 +73,8 @@ class Estimator:
         """Called when the position is lost."""
         self.on_speed: Callable[[], None] = lambda: None
         """Called when the speed of a lost position is known."""
+        self.phases_keep = True
+        """A phase is the same at any speed. Else uneven times say nothing: each speed has other phases."""
         self.loss_cause = LossCause.NONE
         """Of the last loss."""
         self.places: deque[Place] = deque(maxlen=REMEMBERED_SAMPLES)
@@ -193,7 +196,7 @@ class Estimator:
     def rescale(self, factor: float) -> None:
         """Sampling intervals are counted in another unit: all of them are this many times longer."""
         self.tracker.rescale(factor)
-        self._speeds.stop()
+        self._speeds.rescale(factor)
         self._change_places(lambda place: (place[0], place[1], place[2] * factor))
         for doubt in (self._doubt, self._past):
             if doubt is not None:
@@ -229,9 +232,10 @@ class Estimator:
                 self.places.append((followed[0], phase, 1.0))
                 return followed, VALID
         options = elapsed if isinstance(elapsed, tuple) else (elapsed,)
-        if self._speeds.begin(self.declared, options, self.lost, self._start_places()) is None:
-            return self._taken(phase, options)
-        return self._by_speed(phase, options)
+        follows = self.phases_keep
+        if follows and self._speeds.begin(self.declared, options, self.lost, self._start_places()):
+            return self._by_speed(phase, options)
+        return self._taken(phase, options)
 
     def _by_speed(self, phase: float, options: tuple[float, ...]) -> tuple[Track, int]:
         """The same, held against every speed at which the machine can have started, or turns while lost."""
@@ -337,7 +341,7 @@ class Estimator:
         elapsed = options[0]
         if len(options) > 1 or elapsed >= HOLE_INTERVALS:
             return None
-        if elapsed == 1.0 and self.tracker.is_steady and not self.declared.instant_error:
+        if elapsed == 1.0 and self.tracker.is_steady and not (self.declared.instant_error or self.searches):
             if len(self.places) > 1:
                 return None  # the prediction has refused it already
             track = self.tracker.look(phase)

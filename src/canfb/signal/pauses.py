@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from canfb.objects import LossCause
 from canfb.signal import speeds
+from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Sample
+from canfb.signal.sample_times import SampleTimes
 from canfb.signal.still_phase import STANDSTILL_CYCLES, STILL_CYCLES
 from canfb.signal.usual_step import UsualStep
 
@@ -15,10 +18,12 @@ class Pauses(UsualStep):
     """How a chain goes on after a time in which nobody counted."""
 
     _per_sync: int
+    _times: SampleTimes
 
     def __init__(self) -> None:
         super().__init__()
         self._waits = False  # for a standstill, at which it can start
+        self._waited = 0.0  # intervals without a sample since the last one with a sample time
         self._turned = 0.0  # the speed at a reset, cycles per interval, where the position started again
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
@@ -27,6 +32,38 @@ class Pauses(UsualStep):
 
     def _pause(self) -> None:
         raise NotImplementedError
+
+    def lose(self) -> Feedback:
+        """:meth:`SignalChain.lose`."""
+        raise NotImplementedError
+
+    def step(self, sample: Sample) -> Feedback:
+        """:meth:`SignalChain.step`."""
+        raise NotImplementedError
+
+    def uncertain(self, intervals: float) -> Feedback | None:
+        """Up to this many intervals of SYNC may have passed uncounted: lost, except at standstill.
+
+        None where that makes no difference: each phase is then less than half a cycle from the last.
+        """
+        return self.lose() if self.slips(intervals) else None
+
+    def slips(self, intervals: float) -> bool:
+        """In so many intervals of SYNC the machine goes so far that its phase could mislead."""
+        if self._estimator.lost or not self._tracker.started:
+            return False
+        speed = max(abs(self._tracker.step_cycles), abs(speeds.steady_speed(self._estimator.places)))
+        return speed * intervals * self._per_sync >= LARGEST_SLIP_CYCLES
+
+    def _restarted(self, sample: Sample) -> Feedback:
+        """The clock of the interface was restarted, or none of the SYNCs since the last sample was heard.
+
+        Its length is unknown: a machine that creeps may have gone on as long as the times say.
+        """
+        creeps = abs(speeds.steady_speed(self._estimator.places)) >= STANDSTILL_CYCLES
+        lost = self.uncertain(max(1.0, self._times.passed) if creeps else 1.0)
+        self._waited = 0.0
+        return self.step(sample._replace(time_100ns=None)) if lost is None else lost
 
     def reset(self) -> None:
         """:meth:`restart` at cycle count 0, as the module is reset: the machine may be turning.

@@ -9,6 +9,8 @@ held against the number of intervals that were counted.
 from __future__ import annotations
 
 import math
+from collections import deque
+from statistics import median
 
 from canfb.signal.usual_scatter import UsualScatter
 
@@ -25,29 +27,33 @@ SPARE_S, SPARE_PART = 0.5e-3, 0.3  # seconds and intervals: a bus and a host del
 # A time may be wrong by no more than this, in cycles at the speed of the machine, without a second opinion:
 # with the residual limit of 1/3 it is less than half a cycle.
 SLIP_CYCLES = 0.15
+MOST_PACES, PACES_TOGETHER = 32, 8  # intervals
+SAME_PACE = 0.02  # of the interval
 REPEATED, SUSPECT, RESTARTED, CROWDED = -1.0, -2.0, -3.0, -4.0
 
 
 class SampleTimes:
     """Turns sample times into elapsed intervals, and judges them.
 
-    ``interval_s`` is the nominal sampling interval, seconds; while it is 0.0, the first interval that
-    is seen takes its place.
+    ``interval_s`` is the nominal sampling interval, seconds; while it is 0.0, the median of those that are
+    seen takes its place: the interface knows its pace better than anybody who hears of it.
     """
 
     __slots__ = (
         "_earlier",
         "_earlier_counted",
         "_earlier_times",
-        "_first_s",
         "_heard",
         "_jitter",
         "_last",
         "_odd_s",
+        "_pace_s",
+        "_paces_s",
         "_received_s",
         "_suspect",
         "_suspected",
         "_synced_s",
+        "_until_pace",
         "interval_s",
         "passed",
     )
@@ -62,6 +68,9 @@ class SampleTimes:
         """:meth:`forget`, and what is usual: it may be another interface, or another bus."""
         self._jitter = UsualScatter()  # of the sample times
         self._heard = UsualScatter()  # of the sample times against the receptions of SYNC
+        self._pace_s = 0.0  # the interval, while nobody says how long it is: the median of
+        self._paces_s: deque[float] = deque(maxlen=MOST_PACES)
+        self._until_pace = 0  # samples until it is looked at again
         self.forget()
 
     def forget(self) -> None:
@@ -75,12 +84,21 @@ class SampleTimes:
         self._earlier: int | None = None  # the last time that was REPEATED
         self._earlier_counted = 0.0  # intervals counted up to it
         self._earlier_times = 0  # this many continued the count
-        self._first_s = 0.0
 
     @property
     def unit_s(self) -> float:
         """The interval in which elapsed times are given, seconds; 0.0 before it is known."""
-        return self.interval_s or self._first_s
+        return self.interval_s or self._pace_s
+
+    def _follow_pace(self) -> None:
+        """With each sample at first, then now and then."""
+        if self._until_pace:
+            self._until_pace -= 1
+        elif self._paces_s:
+            pace_s = median(self._paces_s)
+            self._until_pace = PACES_TOGETHER if len(self._paces_s) > PACES_TOGETHER else 0
+            if abs(pace_s - self._pace_s) > SAME_PACE * pace_s:
+                self._pace_s = pace_s
 
     def elapsed(
         self,
@@ -108,11 +126,13 @@ class SampleTimes:
         ticks = (time_100ns - last) % TICKS
         if ticks >= HALF_TICKS:
             ticks -= TICKS
-        unit = self.interval_s or self._first_s
-        if not unit:
+        if not self.unit_s:
             if not 0 < ticks < HALF_TICKS:
                 return REPEATED
-            self._first_s = unit = ticks * TICK_S / counted
+            self._pace_s = ticks * TICK_S / counted
+        if not self.interval_s:
+            self._follow_pace()
+        unit = self.unit_s
         intervals = ticks * TICK_S / unit
         apart = self._apart_s(received_s)
         error_s = self._error_s(ticks * TICK_S, received_s, synced_s)
@@ -130,6 +150,8 @@ class SampleTimes:
                 odd = 0.0
             if odd != SUSPECT:
                 self._accept(time_100ns, received_s, synced_s)
+            if not (odd or self.interval_s):
+                self._paces_s.append(ticks * TICK_S / counted)
             return odd or intervals
         if agrees and 0.0 < intervals < CLOSEST:
             return CROWDED
@@ -168,10 +190,10 @@ class SampleTimes:
 
         By its distance from the last one, ``uneven_s`` from a whole number of intervals, or by the
         receptions of both SYNCs, whichever is the sharper witness. A second one that is off by as much
-        as the one before: the clock was set. Nothing is learned from what is off.
+        as the one before: the clock was set.
         """
         jitter, heard, before = self._jitter, self._heard, self._odd_s
-        unit = self.interval_s or self._first_s
+        unit = self.unit_s
         off_s, limit_s, witness = uneven_s, jitter.limit_of(unit), jitter
         error_s = None
         if synced_s is not None and self._synced_s is not None:

@@ -79,6 +79,7 @@ class SpeedSet:
         self._chance = 2.0 * most + 1.0  # speeds that random phases would leave
         self._alone = 0  # samples
         self._largest_off = self._squares = 0.0
+        self._even = 0  # samples in a row whose times tell nothing
         self.samples = 0
         """Since the start."""
         self.telling = False
@@ -142,7 +143,8 @@ class SpeedSet:
         self._largest_off, self._squares = max(self._largest_off, off), self._squares + off * off
         known = self.samples >= KNOWN_SAMPLES
         q = (math.sqrt(self._squares / (self.samples - 2)) if known else self._largest_off) / least
-        self.telling, self.silent = q >= TELLING, q < SILENT
+        self._even = self._even + 1 if off < SILENT * least else 0
+        self.telling, self.silent = q >= TELLING, q < SILENT or self._even >= START_SAMPLES
 
     @property
     def found(self) -> Found | None:
@@ -178,6 +180,11 @@ class Starts:
         self.last_two: Found = NOTHING_FOUND
         self._tried = False
         self._is_declared = False
+        self._unit = 1.0  # that of the speeds, in intervals as they are counted now
+
+    def rescale(self, factor: float) -> None:
+        """Intervals are counted in another unit from here on: all are this many times longer."""
+        self._unit *= factor
 
     def stop(self) -> None:
         """Whatever comes, these speeds are not followed any more."""
@@ -186,7 +193,7 @@ class Starts:
     def skip(self, options: tuple[float, ...]) -> None:
         """No usable phase after so many intervals."""
         if self.active is not None:
-            self.active.skip(options[0])
+            self.active.skip(options[0] / self._unit)
 
     def begin(
         self, declared: Declared, options: tuple[float, ...], lost: bool, places: Sequence[Place]
@@ -202,6 +209,7 @@ class Starts:
         self.active = speeds = SpeedSet(
             bound.largest, declared.phase_error, declared.instant_error, declared.bad_samples + bound.order
         )
+        self._unit = 1.0
         self._is_declared = declared.acceleration is not None
         if places:
             self.origin = places[0][0]
@@ -212,7 +220,7 @@ class Starts:
     def take(self, phase: float, elapsed: float, lost: bool, count: int | None) -> SpeedVerdict:
         """A sample; ``count`` is that of the speed assumed, None where it is in doubt."""
         speeds = self.active
-        if speeds is None or not speeds.feed(phase, elapsed):
+        if speeds is None or not speeds.feed(phase, elapsed / self._unit):
             self.active = self.origin = None  # what is counted from here on lacks the way up to here
             self._tried |= speeds is None or bool(speeds.left)
             return SpeedVerdict.UNKNOWN
@@ -234,7 +242,7 @@ class Starts:
     def _of_lost(self, speeds: SpeedSet) -> SpeedVerdict:
         found = speeds.found
         if found is not None:
-            self.last_two = found
+            self.last_two = found._replace(elapsed=found.elapsed * self._unit)
             self.stop()
             return SpeedVerdict.FOUND
         if speeds.samples > START_SAMPLES and not speeds.telling:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from canfb.objects import StatusBit
@@ -26,6 +26,7 @@ SECOND_POSITION: Final = int(StatusBit.SECOND_POSITION)
 # After a fault the limits are narrower by this factor until a sample keeps them.
 AMPLITUDE_HYSTERESIS = 1.0 / 32.0
 CLIPPING_HYSTERESIS_COUNTS = 2
+LEAST_LEFT = 0.25  # of the amplitude by a low-pass: at four times its corner frequency
 
 
 @dataclass(frozen=True)
@@ -61,20 +62,30 @@ class SampleLimits:
 class Supervision:
     """Checks one sample after the other against :class:`SampleLimits`, with hysteresis."""
 
-    __slots__ = ("_narrow", "_usual", "after_fault", "bounds")
+    __slots__ = ("_known", "_limits", "_narrow", "_usual", "after_fault", "bounds")
 
     def __init__(self, limits: SampleLimits) -> None:
         self.set_limits(limits)
 
     def set_limits(self, limits: SampleLimits) -> None:
         """Take new limits; no fault is remembered."""
+        self._limits, self._known = limits, True
         self._usual, self._narrow = limits.bounds(), limits.bounds(after_fault=True)
-        self.passed()
+        self.bounds = self._usual  # those in force, for the hot path to compare with
+        self.after_fault = False
+
+    def amplitude_known(self, known: bool) -> None:
+        """False: the speed, and so what the analog path leaves of the amplitude, is not known."""
+        if known is not self._known:
+            low = self._limits.amplitude_low_counts
+            limits = self._limits if known else replace(self._limits, amplitude_low_counts=low * LEAST_LEFT)
+            self._usual, self._narrow = limits.bounds(), limits.bounds(after_fault=True)
+            self._known = known
+            self.bounds = self._narrow if self.after_fault else self._usual
 
     def passed(self) -> None:
         """A sample has kept the limits in force."""
-        self.bounds = self._usual  # those in force, for the hot path to compare with
-        self.after_fault = False
+        self.bounds, self.after_fault = self._usual, False
 
     def faults(self, sine: float, cosine: float, amplitude: float) -> int:
         """Status bits AMPLITUDE and CLIPPED of a sample: raw counts, conditioned amplitude.

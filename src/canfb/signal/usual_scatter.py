@@ -12,8 +12,9 @@ START_PART = 3.0 / 32.0
 # Intervals: two samples, each nearly half an interval from where it was due, are apart by this much too
 # little or too much. Jitter is not larger, as the count of SYNCs would not hold either.
 MOST_PART = 0.75
-# A deviation that was refused is usual if it is one of so many in a window: wrong times are rarer.
-BEGUN = 3
+# A deviation that was refused is usual if it is one of BEGUN with less than APART samples from one to the
+# next: jitter begins like that, wrong times are rarer.
+BEGUN, APART = 3, 24
 
 
 class UsualScatter:
@@ -21,10 +22,19 @@ class UsualScatter:
 
     ``limit_s`` is twice that, seconds; :meth:`limit_of` is what holds for intervals of some length: at most
     three quarters of it, and until 32 samples have come at least 3/32. What is beyond the limit is not
-    learned, unless it is the third within a window.
+    learned, unless it is the third in close succession.
     """
 
-    __slots__ = ("_before_s", "_largest_s", "_left", "_refused", "_refused_s", "learned", "limit_s")
+    __slots__ = (
+        "_before_s",
+        "_largest_s",
+        "_left",
+        "_passed",
+        "_refused",
+        "_refused_s",
+        "learned",
+        "limit_s",
+    )
 
     def __init__(self) -> None:
         self.limit_s = 0.0
@@ -32,7 +42,8 @@ class UsualScatter:
         """Samples that count towards the first limit, up to 32."""
         self._largest_s = self._before_s = 0.0
         self._left = WINDOW_SAMPLES
-        self._refused, self._refused_s = 0, 0.0  # since the last window, and the largest of them
+        self._refused, self._refused_s = 0, 0.0  # in close succession, and the largest of them
+        self._passed = 0  # samples since the last of them
 
     def limit_of(self, interval_s: float) -> float:
         """The limit in force for intervals of this length, seconds."""
@@ -47,16 +58,19 @@ class UsualScatter:
             self._largest_s = deviation_s
             self._find_limit()
         self._left -= 1
+        self._passed += 1
         if not self._left:
             self._before_s, self._largest_s = self._largest_s, 0.0
             self._left = WINDOW_SAMPLES
-            self._refused, self._refused_s = 0, 0.0
             self._find_limit()
         if self.learned < LEARNED_SAMPLES:
             self.learned += 1
 
     def refuse(self, deviation_s: float) -> None:
         """Another one was beyond the limit: a wrong time, or jitter that begins."""
+        if self._passed >= APART:
+            self._refused, self._refused_s = 0, 0.0
+        self._passed = 0
         self._refused += 1
         self._refused_s = max(self._refused_s, deviation_s)
         if self._refused >= BEGUN:

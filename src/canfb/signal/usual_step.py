@@ -11,9 +11,11 @@ import math
 from collections import deque
 from math import sqrt
 
+from canfb.signal.conditioning import IDENTITY, Coefficients, Conditioning
 from canfb.signal.correction import CorrectionTable, Lines
 from canfb.signal.estimator import Estimator
 from canfb.signal.feedback import Feedback
+from canfb.signal.front_end import AHEAD_INTERVALS, SAME_INTERVAL, FrontEnd
 from canfb.signal.frozen import FrozenInput
 from canfb.signal.recovery.second_listener import SecondListener
 from canfb.signal.supervision import VALID, Supervision
@@ -32,7 +34,7 @@ class UsualStep(SecondListener):
     _referenced: int  # REFERENCED or 0
     _tracker: Tracker
     _places: deque[tuple[int, float, float]]  # of the estimator
-    _coefficients: tuple[float, float, float, float, float]
+    _coefficients: Coefficients  # of the next sample
     _bounds: tuple[float, float, float, float]
     _entries: int  # of the table; 0 for the identity
     _lines: Lines
@@ -47,6 +49,12 @@ class UsualStep(SecondListener):
         self._sine = self._cosine = math.nan  # counts of the last sample
         self._last: Feedback | None = None
         self._before: Track | Feedback | None = None  # the last sample, if it was taken
+        self._front: FrontEnd | None = None  # that depends on the speed
+        self._conditioning = IDENTITY
+        self._corner_hz = 0.0
+        self._sampling_s = 0.0
+        self.lag_intervals = 0.0
+        """2002:07 in sampling intervals: the position is that of so much earlier."""
 
     @property
     def begun(self) -> bool:
@@ -63,12 +71,63 @@ class UsualStep(SecondListener):
         self._table = table
         self._entries, self._lines = (0, ()) if table is None else (len(table), table.lines())
 
+    @property
+    def unit_s(self) -> float:
+        """The interval in which speeds of timed samples are given, seconds; 0.0 before it is known."""
+        raise NotImplementedError
+
+    @property
+    def conditions_by_speed(self) -> bool:
+        """Counts alone do not give the phase."""
+        return self._front is not None
+
+    def turned_rad(self, speed_cycles: float) -> float:
+        """By how much the tracks turn at this speed from the sine of a sample to its cosine."""
+        return 0.0 if self._front is None else self._front.turned_rad(speed_cycles)
+
+    @property
+    def needs_interval(self) -> bool:
+        """The analog path depends on the speed in cycles per second: :meth:`use_interval` is required."""
+        return self._front is not None or self._conditioning.delay_s != 0.0
+
+    def use_interval(self, sampling_s: float) -> None:
+        """The sampling interval where samples bring no time, seconds; 0.0: not known."""
+        if abs(sampling_s - self._sampling_s) > SAME_INTERVAL * self._sampling_s:
+            self._sampling_s = sampling_s
+            self._follow_unit()
+
+    def _use_front_end(self, conditioning: Conditioning, corner_hz: float) -> None:
+        """Condition so from the next sample on."""
+        self._conditioning, self._corner_hz = conditioning, corner_hz
+        delayed = conditioning.cosine_delay_s != 0.0
+        self._front = FrontEnd(conditioning, corner_hz) if delayed or corner_hz else None
+        self._coefficients = conditioning.coefficients()
+        self._estimator.phases_keep = not delayed
+        self._follow_unit()
+
+    def _follow_unit(self) -> None:
+        """The interval of the speeds may be another one."""
+        unit_s = self.unit_s or self._sampling_s
+        self.lag_intervals = self._conditioning.delay_s / unit_s if unit_s > 0.0 else 0.0
+        if self._front is not None:
+            self._front.use_interval(unit_s)
+            self._turn(self._tracker.step_cycles if self._tracker.started else self._speed)
+
+    def _turn(self, speed_cycles: float) -> None:
+        """The next sample is expected at this speed. While the position is lost it may be any other."""
+        if self._front is None:
+            return
+        known = not self._estimator.lost and (self._tracker.started or speed_cycles != 0.0)
+        self._supervision.amplitude_known(known or not self._corner_hz)
+        self._coefficients = self._front.coefficients(speed_cycles, known)
+
     def _forget_sample(self) -> None:
         """The next sample is the first of its kind."""
         self._nothing_in_doubt = False
         self._last = self._before = None
         self._sine = self._cosine = math.nan
         self._speed = 0.0
+        self._turn(0.0)
 
     def _look_again(self, feedback: Feedback) -> None:
         """After ``feedback``: may the next sample be a usual one?"""
@@ -164,4 +223,6 @@ class UsualStep(SecondListener):
                 samples,
             ),
         )
+        if self._front is not None:
+            self._coefficients = self._front.coefficients(speed + AHEAD_INTERVALS * acceleration)
         return last

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from canfb.checks import integer_in, number_in
 from canfb.interface.sample_clock import LARGEST_DRIFT_PPM, SampleClock
+from canfb.simulation.analog_path import AnalogPath
 from canfb.simulation.cia402.drive_config import DriveConfig
 from canfb.simulation.encoder import Encoder, Harmonic
 from canfb.simulation.motion import Motion, Ramp, Ripple
@@ -48,6 +49,10 @@ class EncoderScenario:
     phase_error_rad    deviation of the tracks from a right angle, -1..1
     noise_lsb          rms of the noise of each sample, 0..1000
     harmonics          of the tracks, each an order and its amplitudes
+    sine_corner_hz     corner frequency of the low-pass of the sine track, 0..1e9; 0: none
+    cosine_corner_hz   that of the cosine track, 0..1e9; 0: none
+    cosine_delay_s     the cosine is sampled this much after the sine, -0.01..0.01
+    delay_s            both tracks come this much late, -0.01..0.01
     """
 
     amplitude: float = 0.75
@@ -58,6 +63,10 @@ class EncoderScenario:
     phase_error_rad: float = 0.0
     noise_lsb: float = 0.5
     harmonics: list[HarmonicConfig] = field(default_factory=list)
+    sine_corner_hz: float = 0.0
+    cosine_corner_hz: float = 0.0
+    cosine_delay_s: float = 0.0
+    delay_s: float = 0.0
 
     def __post_init__(self) -> None:
         number_in("amplitude", self.amplitude, 0.0, 2.0)
@@ -67,6 +76,10 @@ class EncoderScenario:
             number_in(name, getattr(self, name), 0.0, 2.0)
         number_in("phase_error_rad", self.phase_error_rad, -1.0, 1.0)
         number_in("noise_lsb", self.noise_lsb, 0.0, 1000.0)
+        for name in ("sine_corner_hz", "cosine_corner_hz"):
+            number_in(name, getattr(self, name), 0.0, 1e9)
+        for name in ("cosine_delay_s", "delay_s"):
+            number_in(name, getattr(self, name), -0.01, 0.01)
 
     def encoder(self, adc_bits: int) -> Encoder:
         """The encoder with an ADC of ``adc_bits``."""
@@ -80,6 +93,12 @@ class EncoderScenario:
             harmonics=tuple(Harmonic(h.order, h.sine, h.cosine) for h in self.harmonics),
             adc_bits=adc_bits,
             noise_lsb=self.noise_lsb,
+            path=AnalogPath(
+                sine_corner_hz=self.sine_corner_hz,
+                cosine_corner_hz=self.cosine_corner_hz,
+                cosine_delay_s=self.cosine_delay_s,
+                delay_s=self.delay_s,
+            ),
         )
 
 

@@ -12,6 +12,7 @@ from canfb.simulation.encoder import Encoder
 from canfb.sources.motion_source import RevolutionsAt
 
 BISECTIONS = 40
+SPEED_OVER_S = 1e-5  # of the analog path
 
 
 class ShaftEncoder:
@@ -47,13 +48,22 @@ class ShaftEncoder:
             held_s = max(0.0, time_s + self._aperture_jitter_s * max(-4.0, min(4.0, off)))
         revolutions = revolutions_at(held_s)
         self.position_cycles = revolutions * self._cycles_per_revolution
-        sine, cosine = self._encoder.sample(self.position_cycles, self._rng)
+        hertz = 0.0 if self._encoder.path.is_ideal else self._hertz(held_s, revolutions_at)
+        sine, cosine = self._encoder.sample(self.position_cycles, self._rng, hertz)
         last, self._last = self._last, (held_s, revolutions)
         pulse = None
         if last is not None and math.floor(last[1]) != math.floor(revolutions):
             pulse = _pulse_place(*last, held_s, revolutions, revolutions_at)
         coarse = self._encoder.coarse(revolutions, self._others)
         return Sample(int(sine), int(cosine), 1.0, False, *coarse, pulse)
+
+    def _hertz(self, at_s: float, revolutions_at: RevolutionsAt) -> float:
+        """The speed there, cycles per second."""
+        before_s = max(0.0, at_s - SPEED_OVER_S)
+        if before_s == at_s:
+            return 0.0
+        turned = revolutions_at(at_s) - revolutions_at(before_s)
+        return turned / (at_s - before_s) * self._cycles_per_revolution
 
     def fast_samples(
         self, revolutions: npt.NDArray[np.float64], seed: tuple[int, int]

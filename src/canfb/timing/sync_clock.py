@@ -26,7 +26,7 @@ What is declared, and why:
 | bound | value | reason |
 |---|---|---|
 | JITTER | 0.45 period | half a period is as near to the next SYNC; measured, it is less after 8 SYNCs |
-| LEAST_JITTER | 0.03 period | noise of a receive time: 30 us of 1 ms |
+| LEAST_JITTER_S | 10 us, up to LEAST_JITTER = 0.03 period | noise of a receive time |
 | EARLIEST | 0.5 period | from there on a SYNC is nearer to the one before |
 | DRIFT | 2e-4 | two crystals of 100 ppm each |
 | LEAST_PERIOD_S | 50 us | the shortest frame takes 47 us at 1 Mbit/s |
@@ -40,7 +40,7 @@ from itertools import pairwise
 from statistics import median
 
 JITTER = 0.45
-LEAST_JITTER = 0.03
+LEAST_JITTER, LEAST_JITTER_S = 0.03, 10e-6
 EARLIEST = 0.5
 DRIFT = 2e-4
 LEAST_PERIOD_S = 50e-6
@@ -96,7 +96,7 @@ class SyncClock:
         self._groups = self._spreads = 0
         self.deviation = JITTER / DEVIATIONS
         self.jitter = JITTER
-        """How far a SYNC may be off, periods, as measured; LEAST_JITTER .. JITTER."""
+        """How far a SYNC may be off, periods, as measured; up to JITTER."""
 
     @property
     def known_s(self) -> float:
@@ -148,7 +148,8 @@ class SyncClock:
         self.period_s = max(period + slope, LEAST_PERIOD_S)
         self._spreads = min(self._spreads + 1, SPREADS)
         self.deviation += (min(spread, JITTER) - self.deviation) / self._spreads
-        self.jitter = min(JITTER, max(LEAST_JITTER, DEVIATIONS * self.deviation))
+        least = min(LEAST_JITTER, LEAST_JITTER_S / self.period_s)
+        self.jitter = min(JITTER, max(least, DEVIATIONS * self.deviation))
 
     def set_again(self, times_s: list[float]) -> None:
         """These SYNCs, all the last ones, are regular, and not where they were due: another rate or phase."""

@@ -18,9 +18,10 @@ are still behind, these are lost. A first one that is behind by whole periods le
 clear. Where it is not whole, or where the number changes, some came late and others are missing: doubt.
 
 **The instant.** An interface samples at the SYNC, or by a timer that follows it; which, it does not say. So
-a SYNC off its grid puts the instants of MEMORY samples in doubt by as much: the position is in doubt by the
-speed times that, and is flagged, or not, by arithmetic. The usual jitter is not part of it: it does not hit
-whole cycles again and again, and the residuals show it (docs/time.md).
+a SYNC off its grid puts the instant of its sample in doubt by as much, and one whose grid has moved for good
+that of all samples from then on: the position is in doubt by the speed times that, and is flagged, or lost,
+by arithmetic. The usual jitter is not part of it: it does not hit whole cycles again and again, and the
+residuals show it (docs/time.md).
 
 **Extra SYNCs** (sent twice, or of another producer) are none for sampling, but they are for CANopen: every
 SYNC on the bus triggers the synchronous PDOs. Only one that is repeated by its counter is none at all.
@@ -32,7 +33,6 @@ RELOCK SYNCs in a row that are extra or off, and regular, are another rate or ph
 | WHOLE | 0.85 period | a SYNC this long after another is no repetition: the same jitter |
 | PACED | 2 SYNCs | a host is interrupted while it takes what waits, but not twice, a period apart |
 | MOST_OPTIONS | 4 | more intervals are more machines than phases tell apart |
-| MEMORY | 16 samples | those that the estimator remembers |
 | UNSETTLED_S | 0.5 s | taken for a period where none is known |
 """
 
@@ -43,7 +43,7 @@ from enum import IntEnum
 from math import inf, isfinite
 from typing import NamedTuple
 
-from canfb.timing.sync_clock import EARLIEST, SAME_PERIOD, TOGETHER, SyncClock, is_regular
+from canfb.timing.sync_clock import EARLIEST, LEAST_PERIOD_S, SAME_PERIOD, TOGETHER, SyncClock, is_regular
 
 LEAST_EARLY = 0.15
 WHOLE = 0.85
@@ -51,7 +51,6 @@ HALF = 0.5
 PACED = 2
 RELOCK = 6
 MOST_OPTIONS = 4
-MEMORY = 16
 UNSETTLED_S = 0.5
 MOST_INTERVALS = 1 << 20  # more are as good as lost
 
@@ -64,7 +63,8 @@ class SyncVerdict(NamedTuple):
     repeated   the same SYNC twice, by its counter: nothing is to be done with it
     lost       SYNCs before it that were not received
     confirmed  the one of the last set of intervals that was true, None: not known
-    doubt      how many intervals have passed cannot be known
+    doubt      so many intervals may or may not have passed, and nothing will show it; 0.0: none. Less than
+               half of one is a step of the grid
     """
 
     missed: int = 0
@@ -72,7 +72,7 @@ class SyncVerdict(NamedTuple):
     repeated: bool = False
     lost: int = 0
     confirmed: float | None = None
-    doubt: bool = False
+    doubt: float = 0.0
 
 
 ON_TIME = SyncVerdict()
@@ -136,7 +136,9 @@ class SyncJudge:
         """A sample came since."""
         self.extra_came = False
         """Since the last SYNC: the interface may answer it."""
-        self.synced_s = self._sync_before_s = self._received_s = 0.0
+        self.extra_after = 0.0
+        """Periods from the last SYNC to the extra one."""
+        self.synced_s = self._received_s = 0.0
         self._proved = False
         self._counter: int | None = None
         self._next_counter: int | None = None
@@ -148,10 +150,16 @@ class SyncJudge:
         self._uneven = False  # extra SYNCs came, and this one is late: it may be another rate
         self._slack = 0  # periods that the last sample may have been later
         self._lowest: float | None = None  # of its intervals, if it was not
-        self._error, self._error_left = 0.0, 0
-        self._more = 0.0  # periods that time allows beyond those that were counted
+        self._error = 0.0  # of the instant of this SYNC, periods
+        self.late_s = 0.0
+        """How late the last SYNC was that opened the question whether others are missing."""
         self._close()
         self._look_ahead()
+
+    @property
+    def proved(self) -> bool:
+        """The time of the last SYNC is that at which it was on the bus."""
+        return self._proved
 
     def _close(self) -> None:
         """No SYNC may be missing."""
@@ -165,9 +173,10 @@ class SyncJudge:
         """Which of the next SYNCs need no judgement."""
         clock, period = self.clock, self.clock.period_s
         self._early = min(EARLIEST, max(LEAST_EARLY, clock.jitter))
-        self._patience_s = self.periods * (period or UNSETTLED_S)
+        self._wait_s = period or UNSETTLED_S
+        self._spare_s = clock.jitter * period  # a SYNC is not overdue before that
         self._low_s, self._high_s = inf, -inf
-        busy = self.is_open or self._streak or self._error_left or self._gap or self._slack
+        busy = self.is_open or self._streak or self._error or self._gap or self._slack
         if period and not busy:
             self._low_s, self._high_s = -self._early * period, HALF * period
             if self._proved:  # the time says both sides
@@ -184,10 +193,10 @@ class SyncJudge:
             and proved == self._proved
         ):
             clock.due_s += clock.period_s
-            self._sync_before_s, self.synced_s = self.synced_s, time_s
+            self.synced_s = self._received_s = time_s
             if counter is not None:
                 self._counter, self._next_counter = counter, 1 if counter == self.overflow else counter + 1
-            self.until = time_s + self._patience_s
+            self.until = time_s + self.periods * self._wait_s + self._spare_s
             self._answered = False
             self._usual, self._since = True, 1
             errors = clock.errors
@@ -195,8 +204,6 @@ class SyncJudge:
             if len(errors) >= TOGETHER:
                 self._follow(time_s, proved)
             return ON_TIME
-        if self._answered and not self._streak:
-            self._received_s = self.synced_s
         verdict = self._judged(time_s, proved, counter)
         self._look_ahead()
         return verdict
@@ -255,7 +262,7 @@ class SyncJudge:
             return Zone.BEHIND, sync
         return Zone.OFF if proved and abs(off) > clock.jitter else Zone.ON, sync
 
-    def _take(self, sync: _Sync, doubt: bool = False, confirmed: float | None = None) -> SyncVerdict:
+    def _take(self, sync: _Sync, doubt: float = 0.0, confirmed: float | None = None) -> SyncVerdict:
         """Count this SYNC, and those before it that were not received."""
         clock, lost = self.clock, sync.lost
         missed = lost + (not self._answered) if self.sampled else 0
@@ -265,15 +272,13 @@ class SyncJudge:
         self._since = min(self._since + 1 + lost, MOST_INTERVALS)
         if not lost and not sync.behind:  # what came before this SYNC answers none after the one before
             self._slack, confirmed, self._lowest = 0, confirmed or self._lowest, None
-        self._more = max(0.0, sync.off) + (self._more if self.extra_came else 0.0)
-        self._uneven = False
+        self._uneven, self._error = False, 0.0
         self._gap = lost > 0 or (self._gap and abs(sync.off) > clock.jitter)
-        self._sync_before_s = -inf if lost else self.synced_s
         self.synced_s = self._received_s = sync.time_s
         self._count_from(sync.counter)
         self._proved, self.begun = sync.proved, True
         self._answered = self._usual = self.extra_came = False
-        self.until = sync.time_s + self._patience_s
+        self.until = sync.time_s + self.periods * self._wait_s + self._spare_s
         if not (missed or doubt or lost) and confirmed is None:
             return ON_TIME
         return SyncVerdict(missed=missed, lost=lost, confirmed=confirmed, doubt=doubt)
@@ -291,6 +296,8 @@ class SyncJudge:
                 return self._set_again(sync)
         verdict = self._take(sync)
         self._uneven = bool(self._streak) and sync.off > self._early
+        if self._streak and sync.proved:  # one that was expected, by chance: others before it were not
+            self._error = abs(sync.apart - 1 - sync.lost)
         if not self._streak and (sync.proved or sync.off < 1.0):
             clock.errors.append(sync.off * clock.period_s)
             if len(clock.errors) >= TOGETHER:
@@ -304,25 +311,27 @@ class SyncJudge:
         return self._take(sync, confirmed=confirmed)
 
     def _off_grid(self, sync: _Sync) -> SyncVerdict:
-        self._err(abs(sync.off))
         confirmed = self._set[0] if self._offered else None
         self._close()
         if self._goes_on(sync.time_s):
-            return self._set_again(sync, doubt=False)
-        return self._take(sync, confirmed=confirmed)
+            return self._set_again(sync, doubt=abs(sync.off))
+        verdict = self._take(sync, confirmed=confirmed)
+        self._error = abs(sync.off)
+        return verdict
 
     def _extra(self, sync: _Sync) -> SyncVerdict:
         if self._goes_on(sync.time_s):
             return self._set_again(sync)
+        same = sync.proved and self._proved and sync.time_s - self._received_s < LEAST_PERIOD_S
         self._received_s, self.extra_came = sync.time_s, True
-        self._more += 1.0  # if it was none that was sent twice
-        return EXTRA
+        self.extra_after = (sync.time_s - self.synced_s) / self.clock.period_s
+        return REPEATED if same else EXTRA
 
     def _contradicted(self, sync: _Sync) -> SyncVerdict:
         self._close()
         if self._goes_on(sync.time_s):
             return self._set_again(sync)
-        verdict = self._take(sync, doubt=True)
+        verdict = self._take(sync, doubt=max(1.0, float(sync.lost)))
         self.clock.due_s = sync.time_s + self.clock.period_s
         return verdict
 
@@ -331,7 +340,7 @@ class SyncJudge:
             return self._set_again(sync)
         turn = self.overflow if sync.counter is not None and self.overflow >= 2 else 1
         verdict = self._take(sync)
-        self.is_open, self._debt = True, sync.behind
+        self.is_open, self._debt, self.late_s = True, sync.behind, sync.off * self.clock.period_s
         first, most = float(self._since), sync.behind // turn
         uneven = max(sync.off - sync.behind, abs(sync.apart - 1 - sync.lost - sync.behind))
         self._unclear = most + 1 > MOST_OPTIONS or uneven > self._early
@@ -349,17 +358,13 @@ class SyncJudge:
             return self._take(sync)
         more, unclear = sync.behind, self._unclear
         confirmed = self._set[0] + more if self._offered and not unclear else None
-        doubt = unclear if self.sampled else False
+        doubt = float(more) if unclear and self.sampled else 0.0
         self._close()
         if confirmed is None and not doubt:  # no sample has come yet: these are missed like any others
             return self._take(sync._replace(lost=sync.lost + more))
         verdict = self._take(sync, doubt=doubt, confirmed=confirmed)
         self.clock.due_s += more * self.clock.period_s
         return verdict._replace(lost=verdict.lost + more)
-
-    def _err(self, error: float) -> None:
-        """The instants of the next samples may be off by so much, intervals."""
-        self._error, self._error_left = max(self._error, error), MEMORY
 
     def _goes_on(self, time_s: float) -> bool:
         """SYNCs that are not where they were due, again and again, and regular."""
@@ -372,17 +377,14 @@ class SyncJudge:
         del streak[0]
         return False
 
-    def _set_again(self, sync: _Sync, doubt: bool = True) -> SyncVerdict:
-        """Another rate or phase."""
+    def _set_again(self, sync: _Sync, doubt: float = 1.0) -> SyncVerdict:
+        """Another rate or phase: so many intervals may have passed unnoticed meanwhile."""
         before_s = self.clock.period_s
         verdict = self._take(sync._replace(lost=0))
         self.clock.set_again(self._streak)
         self._streak.clear()
         changed = abs(self.clock.period_s - before_s) > SAME_PERIOD * before_s
-        if not (doubt or changed):
-            return verdict
-        self._err(HALF)
-        return verdict._replace(doubt=True)
+        return verdict._replace(doubt=1.0 if changed else doubt)
 
     def _advance(self, intervals: int) -> None:
         """So many SYNCs came since the last one, and were not received."""
@@ -390,11 +392,11 @@ class SyncJudge:
         self._since = min(self._since + intervals, MOST_INTERVALS)
         self.synced_s += intervals * clock.period_s
         clock.due_s += intervals * clock.period_s
-        self._sync_before_s = -inf
+        self._proved = False
         self._close()
         if self._counter is not None and self.overflow > 1:
             self._count_from((self._counter - 1 + intervals) % self.overflow + 1)
-        self.until = self.synced_s + self._patience_s
+        self.until = self.synced_s + self.periods * self._wait_s + self._spare_s
         self._look_ahead()
 
     def overdue(self, now: float) -> int:

@@ -75,6 +75,7 @@ class LimitSettings:
     cycle_period_s         1006h
     samples_per_sync       pairs that its RPDOs carry
     timed                  they carry the sample time
+    corner_hz              2001:05
     """
 
     widest_cycles: float = 0.5
@@ -88,6 +89,7 @@ class LimitSettings:
     cycle_period_s: float = 0.0
     samples_per_sync: int = 1
     timed: bool = False
+    corner_hz: float = 0.0
 
     def limit_cycles(
         self,
@@ -160,6 +162,7 @@ def limit_settings(read: Read) -> LimitSettings:
         cycle_period_s=int(read(od.CYCLE_PERIOD) or 0) * 1e-6,
         samples_per_sync=od.samples_per_sync(mapped),
         timed=any(od.SAMPLE_TIME.mapped(32) in one for one in mapped),
+        corner_hz=float(read(od.ENCODER_CORNER_FREQUENCY) or 0.0),
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+from tools.faults.wire.draw import UNKNOWN_LIMIT
 from tools.faults.wire.line import Plan, Slot
 from tools.faults.wire.motion import Motion
 from tools.faults.wire.physics import stamp_tolerance
@@ -49,7 +50,7 @@ def any_but_servo(setup: Setup) -> bool:
 
 def machine(plan: Plan, speed: float, after: int, *, limit: float | None = 0.25, share: float = 0.7) -> None:
     """A machine that goes from rest to ``speed`` cycles/T and stays there; the fault comes then."""
-    size = share * (limit or 0.25)
+    size = share * (limit or UNKNOWN_LIMIT)
     ramp = abs(speed) / size
     plan.options.limit = limit
     plan.motion = Motion(start=float(plan.rng.uniform(0.1, 0.9)))

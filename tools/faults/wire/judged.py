@@ -10,22 +10,22 @@ not the phases would show it. Cases of docs/wire-faults.md (P1, P3, P4, P7) are 
 from __future__ import annotations
 
 import argparse
-import struct
 import sys
 from collections.abc import Sequence
 from fnmatch import fnmatch
 
 from canfb import Frame
 from canfb.timing.judge import Judge, Passed, Refusal
-from canfb.timing.sync_judge import MEMORY, SyncVerdict
+from canfb.timing.sync_judge import SyncVerdict
 from tools.faults.wire.classes import CLASSES
 from tools.faults.wire.host import drive
-from tools.faults.wire.line import SAMPLE_LATENCY_US, Event, Line, Plan, lay
+from tools.faults.wire.line import Event, Line, Plan, lay
 from tools.faults.wire.play import Episode, plan_of
 from tools.faults.wire.setups import SETUPS
 
-TOLERANCE_TIMED, TOLERANCE = 0.03, 0.3  # intervals; without sample times jitter is no matter of the judge
+TOLERANCE = 0.3  # intervals: jitter is no matter of the judge
 WHOLE = 0.5
+REMEMBERED = 16  # samples, by the estimator
 ANOTHER_RATE = 0.02
 
 
@@ -60,9 +60,6 @@ class JudgedModule:
         time_s = now if frame.timestamp is None else frame.timestamp
         if event.what == "sync" and len(frame.data) == self._plan.setup.counter:
             self._sync(self.judge.sync(time_s, proved, frame.data[0] if frame.data else None), event)
-        elif event.what == "pdo" and self._plan.setup.times:
-            stamp = struct.unpack_from("<I", frame.data, 4)[0]
-            self._sample(self.judge.stamped(stamp, time_s, proved), event, proved)
         elif event.what == "pdo":
             self._sample(self.judge.answer(time_s, proved), event, proved)
         return []
@@ -71,7 +68,7 @@ class JudgedModule:
         self._past, self._uncertain, self._set_true = [], 0.0, None
 
     def _sync(self, verdict: SyncVerdict, event: Event) -> None:
-        if verdict.doubt and not self._plan.setup.times:
+        if verdict.doubt:
             self._forget()
         if verdict.confirmed is not None and self._set_true is not None:
             if abs(verdict.confirmed - self._set_true) > WHOLE:
@@ -82,40 +79,36 @@ class JudgedModule:
             self._uncertain = 0.0
 
     def _sample(self, passed: Passed | Refusal, event: Event, proved: bool) -> None:
-        timed, judge = self._plan.setup.times, self.judge
+        judge = self.judge
         if isinstance(passed, Refusal):
             if passed is Refusal.ANOTHER and not judge.extra_came:
                 self._forget()
             return
         interval_s = self._plan.options.interval_s
         ratio = (judge.clock.period_s or interval_s) / interval_s
-        if not timed and abs(ratio - 1.0) > ANOTHER_RATE:
+        if abs(ratio - 1.0) > ANOTHER_RATE:
             self._forget()
-        unit = judge.interface.unit_s / interval_s / (1.0 + self._plan.drift) if timed else 1.0
         true, error = self._true(event, proved), passed.instant_error
-        if self._past and unit:
+        if self._past:
             options = passed.elapsed if isinstance(passed.elapsed, tuple) else (passed.elapsed,)
             since = true - self._past[-1][1]
-            taken = min((one * unit for one in options), key=lambda one: abs(one - since))
-            self._set_true = taken / unit if len(options) > 1 else self._set_true
-            tolerance = TOLERANCE_TIMED if timed else TOLERANCE
-            if not passed.certain and abs(since - taken) > tolerance + error:
+            taken = min((one for one in options), key=lambda one: abs(one - since))
+            self._set_true = taken if len(options) > 1 else self._set_true
+            if not passed.certain and abs(since - taken) > TOLERANCE + error:
                 self._uncertain += since - taken
                 taken = since
             self._given += taken
             off = max(
                 abs(self._given - given - (true - then)) - error - other for given, then, other in self._past
             )
-            if off > tolerance:
+            if off > TOLERANCE:
                 self.wrong.append(f"{event.time:.2f} T: {passed}, was {since:.3f}, off by {off:.3f}")
                 self._forget()
-        self._past = [*self._past[1 - MEMORY :], (self._given, true, error)]
+        self._past = [*self._past[1 - REMEMBERED :], (self._given, true, error)]
 
     def _true(self, event: Event, proved: bool) -> float:
-        """The instant of the sample, T. Without sample and receive times nothing shows more than its SYNC."""
+        """The instant of the sample, T. Without receive times nothing shows more than its SYNC."""
         plan, line = self._plan, self._line
-        if plan.setup.times:
-            return line.sample_times[event.number] - SAMPLE_LATENCY_US * plan.us
         slot = line.sample_slots[event.number]
         return slot + 1.0 + (plan.slots[slot].late_us * plan.us if proved else 0.0)
 
@@ -140,7 +133,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     total = found = 0
     for number, wire_class in enumerate(CLASSES):
         for place, setup in enumerate(SETUPS):
-            if setup.servo or not wire_class.of(setup) or not fnmatch(setup.name, chosen.setup):
+            if (
+                setup.servo
+                or setup.times
+                or not wire_class.of(setup)
+                or not fnmatch(setup.name, chosen.setup)
+            ):
                 continue
             if not fnmatch(wire_class.name, chosen.wire_class):
                 continue

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from enum import IntEnum
 
+from canfb.cia301.codes import SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.core import Core
 from canfb.device.lss.identification import Identification
@@ -41,6 +42,16 @@ class LssCommand(IntEnum):
     INQUIRE_IDENTITY = 0x5A
     """5Ah to 5Dh: vendor-ID, product code, revision number, serial number."""
     INQUIRE_NODE_ID = 0x5E
+
+
+CHANGES = frozenset(
+    {
+        LssCommand.CONFIGURE_NODE_ID,
+        LssCommand.CONFIGURE_BIT_TIMING,
+        LssCommand.ACTIVATE_BIT_TIMING,
+        LssCommand.STORE_CONFIGURATION,
+    }
+)
 
 
 class Error(IntEnum):
@@ -110,9 +121,26 @@ class LssSlave:
             self._switch_state(data[1], now)
         elif data[0] in self._services:
             if self.state is LssState.CONFIGURATION:
-                self._services[data[0]](data)
+                self._serve(data)
         else:
             self._identify(data)
+
+    def _serve(self, data: bytes) -> None:
+        """A service in CONFIGURATION; one that changes something is refused while the node is locked."""
+        if data[0] in CHANGES and self._is_locked():
+            if data[0] != LssCommand.ACTIVATE_BIT_TIMING:  # which has no answer
+                self._answer(bytes([data[0], Error.NOT_POSSIBLE]))
+            return
+        self._services[data[0]](data)
+
+    def _is_locked(self) -> bool:
+        hook = self._core.hooks.on_write
+        try:
+            if hook is not None:
+                hook(None)
+        except SdoAbort:
+            return True
+        return False
 
     def _switch_state(self, mode: int, now: float) -> None:
         if mode == LssState.CONFIGURATION:

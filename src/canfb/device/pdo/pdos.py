@@ -58,7 +58,7 @@ class Pdos:
         accepts = hooks.accepts_sync
         if not self._operational:
             if hooks.on_idle_sync is not None:
-                hooks.on_idle_sync()
+                hooks.on_idle_sync(counter)
             return
         if accepts is not None and not accepts(counter, now):
             return

@@ -134,9 +134,16 @@ class SdoServer(Timed):
     def _entry(self, data: bytes) -> Entry:
         return self._dictionary.lookup(data[1] | data[2] << 8, data[3])
 
-    def _download(self, data: bytes) -> Transfer | None:
+    def _writable(self, data: bytes) -> Entry:
+        """The entry that a download names. SdoAbort if there is none that may be written."""
         entry = self._entry(data)
         entry.check_writable()
+        if self._core.hooks.on_write is not None:
+            self._core.hooks.on_write(entry)
+        return entry
+
+    def _download(self, data: bytes) -> Transfer | None:
+        entry = self._writable(data)
         command, multiplexer = data[0], data[1:4]
         if command & 0x02:
             entry.download(expedited_data(entry, data))
@@ -169,8 +176,7 @@ class SdoServer(Timed):
         command = data[0]
         if command & 0x01:
             raise SdoAbort(AbortCode.COMMAND)
-        entry = self._entry(data)
-        entry.check_writable()
+        entry = self._writable(data)
         announced = int.from_bytes(data[4:8], "little") if command & 0x02 else None
         with_crc = bool(command & CRC_SUPPORTED)
         return BlockDownload(data[1:4], entry, announced, with_crc=with_crc, reply=self._reply)

@@ -18,7 +18,7 @@ from canfb.module.cia406.position import (
 )
 from canfb.module.cia406.speed import MotionObjects
 from canfb.module.cia406.work_area import WorkArea
-from canfb.module.interval import IntervalEstimate
+from canfb.module.interval import SamplingInterval
 from canfb.module.latest import Latest
 from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import VALID
@@ -35,7 +35,7 @@ class EncoderProfile:
     those of :class:`canfb.module.cia406.profile_warnings.Warnings`.
     """
 
-    def __init__(self, dictionary: Dictionary, interval: IntervalEstimate, latest: Latest) -> None:
+    def __init__(self, dictionary: Dictionary, interval: SamplingInterval, latest: Latest) -> None:
         entry = dictionary.entry
         self._operating = entry(*od.OPERATING_PARAMETERS)
         self._units_per_rev, self._range = entry(*od.UNITS_PER_REVOLUTION), entry(*od.TOTAL_RANGE)
@@ -95,10 +95,11 @@ class EncoderProfile:
     def publish(self, feedback: Feedback) -> None:
         """Write the position objects and the alarm."""
         scale = self.scale
+        cycles, phase = self._latest.place(feedback)
         if scale.binary:
-            units = feedback.cycles * scale.binary + int(feedback.phase * scale.binary_factor)
+            units = cycles * scale.binary + int(phase * scale.binary_factor)
         else:
-            units = scale.units(feedback.cycles, feedback.phase)
+            units = scale.units(cycles, phase)
         self._position.value = self._fine.value = position = (units + scale.offset) % scale.total_range
         if feedback.status & VALID:
             self._alarms.value = self._standing_alarms
@@ -118,13 +119,13 @@ class EncoderProfile:
 
     def _valid_position(self) -> int | None:
         last = self._latest.valid
-        return None if last is None else self.scale.position(last.cycles, last.phase)
+        return None if last is None else self.scale.position(*self._latest.place(last))
 
     def _raw_position(self) -> int:
         last, scale = self._latest.feedback, self._raw_scale
         if last is None:
             return 0
-        return scale.units(last.cycles, last.phase) % scale.total_range
+        return scale.units(*self._latest.place(last)) % scale.total_range
 
     def _check_operating(self, value: int) -> None:
         if value & ~(CODE_SEQUENCE | SCALING):
@@ -138,7 +139,7 @@ class EncoderProfile:
         last = self._latest.feedback
         if last is None or not last.valid or abs(last.speed_cycles) > STANDSTILL_CYCLES:
             raise SdoAbort(AbortCode.DEVICE_STATE)
-        units = self.scale.units(last.cycles, last.phase)
+        units = self.scale.units(*self._latest.place(last))
         self._offset.value = self.scale.offset = self.scale.offset_for(units, value)
         for preset in self._presets:  # one value, in 32 and in 64 bits
             preset.value = value

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.module.cia406.position import PositionScale
-from canfb.module.interval import IntervalEstimate
+from canfb.module.interval import SamplingInterval
 from canfb.signal.feedback import Feedback
 
 SPEED, ACCELERATION = 0x6030, 0x6040
@@ -35,7 +35,7 @@ class MotionObjects:
     def __init__(
         self,
         dictionary: Dictionary,
-        interval: IntervalEstimate,
+        interval: SamplingInterval,
         last_valid: Callable[[], Feedback | None],
         scale: Callable[[], PositionScale],
     ) -> None:

@@ -120,7 +120,9 @@ class Calibrating:
         """One sample of a recording; one that the supervision flags is left out."""
         status = feedback.status
         self._add_time(sample.time_100ns)
-        if sample.invalid or _left_out(status):
+        turned = self._chain.turned_rad(feedback.speed_cycles)
+        self._turned.append(turned)
+        if sample.invalid or _left_out(status) or (turned and status & LOST):  # the speed is not known then
             self._samples.miss()
         else:
             self._samples.take(self._held(sample.sine), self._held(sample.cosine))
@@ -131,6 +133,7 @@ class Calibrating:
     def miss(self) -> None:
         """A SYNC without a sample."""
         self._times.append(NO_TIME)
+        self._turned.append(0.0)
         self._samples.miss()
         self._complete()
 
@@ -164,6 +167,7 @@ class Calibrating:
     def _forget(self, capacity: int) -> None:
         self._samples = SampleRecording(capacity)
         self._times = array("q")
+        self._turned = array("f")  # from each sine to its cosine
         self._timed = True
         self._last_tick: int | None = None
         self._bins = [0] * BINS
@@ -193,7 +197,9 @@ class Calibrating:
 
     def _compute(self) -> None:
         times = self._times.tobytes() if self._timed and len(self._times) else None
-        self._job = CalibrationJob(self._samples.to_bytes(), times, self._adc_bits)
+        active = self._chain.correction.conditioning
+        turned = self._turned.tobytes() if active.cosine_delay_s else None
+        self._job = CalibrationJob(self._samples.to_bytes(), times, self._adc_bits, turned, active)
         self._enter(State.COMPUTING)
 
     def _add_time(self, time_100ns: int | None) -> None:

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.profile import EncoderProfile
-from canfb.module.interval import IntervalEstimate
+from canfb.module.interval import SamplingInterval
+from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
 from canfb.signal.nominal_sync import NominalSync
 from canfb.signal.sample_times import TICK_S
@@ -44,7 +45,7 @@ class Prediction:
     With 2013:02 and sample times the position belongs to the nominal SYNC of its sample, d intervals
     after it: x + v d. :meth:`shift` puts it into the objects for good, once the lock is good enough. From
     there to the next nominal SYNC formula 1 adds v (d + p), formula 2 v (d + p) + a (d + p)(d + p + 1)/2,
-    with p the period of the lock in intervals. ``interval_s()`` is the interval of the speeds, seconds.
+    with p the period of the lock in intervals. All go on further by the delay of the analog path (2002:07).
     """
 
     def __init__(
@@ -52,14 +53,14 @@ class Prediction:
         dictionary: Dictionary,
         profile: EncoderProfile,
         chosen: Callable[[], None],
-        interval_s: Callable[[], float],
-        interval: IntervalEstimate,
+        chain: SignalChain,
+        interval: SamplingInterval,
     ) -> None:
         entry = dictionary.entry
         self._kind, self._nominal = entry(*od.PREDICTION_POSITION), entry(*od.PREDICTION_NOMINAL_SYNC)
         self._kind.on_written = self._nominal.on_written = chosen
         self._order = entry(*od.SUPERVISION_ORDER)
-        self._interval_s = interval_s
+        self._chain = chain
         self._interval = interval
         self._lock = NominalSync()
         self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
@@ -96,13 +97,15 @@ class Prediction:
         if not last.status & VALID or not self._lock.locked:
             return
         cycles, phase = ahead(
-            last.cycles, last.phase, last.speed_cycles * self._intervals(self._lock.lead_ticks)
+            last.cycles,
+            last.phase,
+            last.speed_cycles * (self._intervals(self._lock.lead_ticks) + self._chain.lag_intervals),
         )
         self._position.value = self._fine.value = self._profile.position_at(cycles, phase)
         self._status.value |= EXTRAPOLATED
 
     def _intervals(self, ticks: float) -> float:
-        return ticks * TICK_S / self._interval_s()
+        return ticks * TICK_S / self._chain.unit_s
 
     def extrapolate(self, last: Feedback) -> None:
         """A SYNC, after what it brings was processed: ``last`` belongs to the SYNC before."""
@@ -144,6 +147,7 @@ class Prediction:
         after, lock = float(self._interval.samples_per_sync), self._lock
         if self.follows and lock.locked:
             after = self._intervals(lock.lead_ticks + lock.period_ticks)
+        after += self._chain.lag_intervals
         self._speed_cycles = displacement = last.speed_cycles * after
         curved = self._kind.value == CONSTANT_ACCELERATION or self._order.value == THIRD
         if curved and self._valid_samples >= KNOWN_ACCELERATION:

@@ -7,7 +7,7 @@ import math
 from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.position import PHASE_UNITS
-from canfb.module.interval import IntervalEstimate
+from canfb.module.interval import SamplingInterval
 from canfb.module.latest import Latest
 from canfb.module.objects.last_loss import LastLoss
 from canfb.module.objects.sample_input import SampleInput
@@ -58,7 +58,7 @@ class Publication:
     def __init__(
         self,
         dictionary: Dictionary,
-        interval: IntervalEstimate,
+        interval: SamplingInterval,
         chain: SignalChain,
         source: SampleInput,
         limits: Limits,
@@ -130,10 +130,10 @@ class Publication:
         return raw if raw == raw else self._last_raw
 
     def _phase(self) -> int:
-        return int(self._last.phase * PHASE_UNITS)
+        return int(self._latest.place(self._last)[1] * PHASE_UNITS)
 
     def _cycle_count(self) -> int:
-        return self._last.cycles
+        return self._latest.place(self._last)[0]
 
     def _amplitude(self) -> int:
         amplitude = self._last.amplitude

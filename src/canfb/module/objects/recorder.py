@@ -5,7 +5,7 @@ from __future__ import annotations
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary
-from canfb.module.interval import IntervalEstimate
+from canfb.module.interval import SamplingInterval
 from canfb.module.tap import Taps
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
@@ -22,7 +22,7 @@ class Recorder:
     OPERATIONAL, because time would be lost. 2050:03 gives the samples so far at any time.
     """
 
-    def __init__(self, dictionary: Dictionary, interval: IntervalEstimate, taps: Taps) -> None:
+    def __init__(self, dictionary: Dictionary, interval: SamplingInterval, taps: Taps) -> None:
         self._interval = interval
         self._taps = taps
         self._recording = SampleRecording(dictionary.entry(*od.RECORDING_CAPACITY).value)

@@ -1,0 +1,89 @@
+"""The cosine as if it had been sampled with the sine, where the converter takes it later (2002:06).
+
+A reference measurement fits tracks that are functions of one phase. With the delay d(t) = 2 pi f cosine_delay
+(:mod:`canfb.signal.front_end`) the cosine is A cos(x + d - phase_error), and from it and the sine follows
+
+    A cos x = (cosine + s sin(d - phase_error)) / cos(d - phase_error),
+    cosine' = A cos(x - phase_error) = A cos x cos(phase_error) + s sin(phase_error),
+
+s and cosine after offset and gain. Offset and gain are those of the samples themselves, and so is the phase
+error: a fit shows it less the mean of d, and another fit of what follows shows it better.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from canfb.calibration.ellipse import angle_cycles, fit_ellipse
+from canfb.calibration.recording import Recording, recording, with_time
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.phase import FloatArray
+
+FITS = 3
+LARGEST_RAD = 1.0  # of a phase error
+LONGEST_STEP = 2.0  # intervals between two samples that show a speed
+
+
+def sampled_together(record: Recording, turned_rad: FloatArray) -> FloatArray:
+    """The cosine track in counts; ``turned_rad`` is d at each sample. Both of the length of the record.
+
+    Samples at the ends of the converter stay as they are. CalibrationError if the samples are on no ellipse.
+    """
+    sine, cosine, use = record.sine, record.cosine, record.valid
+    ellipse = fit_ellipse(sine, cosine, use)
+    shown = ellipse.phase_error_rad + float(np.mean(turned_rad[use]))
+    used = replace(ellipse, phase_error_rad=max(-LARGEST_RAD, min(shown, LARGEST_RAD)))
+    for _ in range(FITS):
+        found = _together(sine, cosine, turned_rad, used)
+        used = fit_ellipse(sine, found, use)
+    inside = np.clip(found, cosine.min(), cosine.max())  # the amplitude is the same
+    return np.where(record.clipped, cosine, inside)
+
+
+def recorded_together(
+    sine: FloatArray,
+    cosine: FloatArray,
+    time_s: FloatArray | None,
+    adc_bits: int,
+    turned: bytes,
+    times: bytes | None,
+) -> FloatArray:
+    """:func:`sampled_together` for :func:`recorded_tracks`, or with ``times`` for :func:`timed_tracks`.
+
+    ``turned`` is d of each sample, REAL32 of this machine.
+    """
+    turned_rad = np.frombuffer(turned, np.float32).astype(np.float64)
+    if times is not None:
+        turned_rad = turned_rad[with_time(times)]
+    record = recording(sine, cosine, time_s, None, adc_bits, may_be_offset=True)
+    return np.where(np.isnan(cosine), np.nan, sampled_together(record, turned_rad))
+
+
+def speeds(record: Recording, mean_cycles: float) -> FloatArray:
+    """Speed at each sample, cycles per interval, shape (n,), of a mean that is known from elsewhere.
+
+    Samples alone leave whole cycles per interval open.
+    """
+    ellipse = fit_ellipse(record.sine, record.cosine, record.valid)
+    angle = np.where(record.valid, angle_cycles(ellipse, record.sine, record.cosine), np.nan)
+    at = np.flatnonzero(record.valid)
+    place, time = record.positions(angle)[at], record.time[at]
+    passed = np.diff(time)
+    step = np.diff(place) / passed
+    known = (passed <= LONGEST_STEP) & np.isfinite(step) & ~np.isin(at[1:], record.breaks)
+    if not known.any():
+        return np.full(len(record.sine), mean_cycles)
+    middle = ((time[1:] + time[:-1]) / 2.0)[known]
+    return np.interp(record.time, middle, step[known] - float(np.mean(step[known])) + mean_cycles)
+
+
+def _together(sine: FloatArray, cosine: FloatArray, turned_rad: FloatArray, used: Conditioning) -> FloatArray:
+    s = (sine - used.sine_offset_counts) * used.sine_gain
+    c = (cosine - used.cosine_offset_counts) * used.cosine_gain
+    phase_error = used.phase_error_rad
+    angle = phase_error - turned_rad
+    straight = (c - s * np.sin(angle)) / np.cos(angle)
+    moved = straight * np.cos(phase_error) + s * np.sin(phase_error)
+    return np.asarray(used.cosine_offset_counts + moved / used.cosine_gain, np.float64)

@@ -1,0 +1,91 @@
+"""Object 2040h: who may change table, limits and communication parameters over the bus.
+
+CAN knows no sender, so a lock keeps mistakes away, and a tool that is connected to the wrong machine; whoever
+can put frames on the bus can also listen to the code. docs/security.md says what it is good for.
+"""
+
+from __future__ import annotations
+
+from canfb import objects as od
+from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.cia301.nmt import NmtState
+from canfb.device.moment import NEVER
+from canfb.device.node import Node
+from canfb.device.od.entry import Entry
+from canfb.objects import WriteLockMode
+
+RETRY_S = 1.0  # after a wrong code none is accepted
+COMMANDS = (od.TABLE_STAGED, od.TABLE_ACTIVATE, od.MEASUREMENT_COMMAND, od.WRITE_LOCK_NEW_UNLOCK_CODE)
+STORES = frozenset({0x1010, 0x1011})
+
+
+class WriteLock:
+    """Refuses SDO writes of parameters, and LSS, while it is locked: 08000022h, with a code 08000021h.
+
+    Parameters are what a backup holds, table, calibration in the module, `save`, `load`, and the lock itself.
+    Process data, preset, recording and the clearing of errors stay free. A right code unlocks until a reset,
+    or until 0 is written. The lock is saved with the parameters (1010h), but is in no backup.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        entry, entries = node.dictionary.entry, node.storage.entries
+        self._mode, self._code = entry(*od.WRITE_LOCK_MODE), entry(*od.WRITE_LOCK_NEW_UNLOCK_CODE)
+        self._given = entry(*od.WRITE_LOCK_UNLOCK_CODE)
+        for place in (od.WRITE_LOCK_MODE, od.WRITE_LOCK_NEW_UNLOCK_CODE):
+            entries.keep(*place)
+        self._locked_places = {(one.index, one.subindex) for one in entries.settings()}
+        self._locked_places |= {od.WRITE_LOCK_MODE, *COMMANDS}
+        self._unlocked = False
+        self._retry_s = -NEVER
+        self._mode.on_check = self._check_mode
+        self._code.on_check = self._check_code
+        self._given.on_check = self._check_given
+        self._given.on_written = self._unlock
+        entry(*od.WRITE_LOCK_LOCKED).on_read = lambda: int(self.refusal is not None)
+        node.on_write = self._check
+
+    @property
+    def refusal(self) -> AbortCode | None:
+        """Why a write is refused now; None: it is not."""
+        mode = self._mode.value
+        if mode == WriteLockMode.PREOP and self._node.state is NmtState.OPERATIONAL:
+            return AbortCode.DEVICE_STATE
+        if mode == WriteLockMode.CODE and not self._unlocked:
+            return AbortCode.LOCAL_CONTROL
+        return None
+
+    def reset(self) -> None:
+        """Locked again."""
+        self._unlocked = False
+
+    def _check(self, entry: Entry | None) -> None:
+        place = None if entry is None else (entry.index, entry.subindex)
+        if entry is not None and entry.index not in STORES and place not in self._locked_places:
+            return
+        refusal = self.refusal
+        if refusal is not None:
+            raise SdoAbort(refusal)
+
+    def _check_mode(self, value: int) -> None:
+        if value == WriteLockMode.CODE and not self._code.value:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+
+    def _check_code(self, value: int) -> None:
+        if not value and self._mode.value == WriteLockMode.CODE:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+
+    def _check_given(self, value: int) -> None:
+        """A wrong code is refused, and so is any for a second after it: nobody tries all of them."""
+        if not value:
+            return
+        now = self._node.now
+        if now >= self._retry_s:
+            if self._code.value and value == self._code.value:
+                return
+            self._retry_s = now + RETRY_S
+        raise SdoAbort(AbortCode.LOCAL_CONTROL)
+
+    def _unlock(self) -> None:
+        self._unlocked = bool(self._given.value)
+        self._given.value = 0

@@ -1,0 +1,188 @@
+"""2040h: what is refused while the module is locked, what is not, and what unlocks it."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import pytest
+
+from canfb import objects as od
+from canfb.cia301.frame import Frame
+from canfb.device.storage.storage import MemoryStore
+from canfb.module.backup_content import backup_values
+from canfb.module.device_configuration import configuration_of
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
+
+CODE = 0x51F0A7E3
+STATE, LOCAL = "08000022", "08000021"
+LOCKED = [
+    (0x1017, 0, "H"),
+    (0x1400, 1, "I"),
+    (0x1800, 2, "B"),
+    (0x1A00, 0, "B"),
+    (0x1F80, 0, "I"),
+    (0x2001, 1, "I"),
+    (0x2002, 1, "f"),
+    (0x2010, 1, "H"),
+    (0x2014, 4, "f"),
+    (0x2020, 3, "I"),
+    (0x2030, 1, "B"),
+    (0x2040, 1, "B"),
+    (0x2040, 3, "I"),
+    (0x6001, 0, "I"),
+]
+FREE = [(0x1003, 0, "B"), (0x2050, 1, "B"), (0x2000, 1, "h"), (0x6003, 0, "I")]
+
+
+class Locked:
+    def __init__(self, store: MemoryStore | None = None, **config: Any) -> None:
+        self.module = FeedbackModule(ModuleConfig(node_id=32, **config), store or MemoryStore())
+        self.now = 0.0
+        self.module.start(0.0)
+
+    def nmt(self, command: int) -> None:
+        self.module.receive(Frame(0x000, bytes((command, 32))), self.now)
+
+    def ask(self, data: bytes) -> str:
+        """The abort code of one request, "" if it was answered."""
+        (answer,) = (
+            frame.data for frame in self.module.receive(Frame(0x620, data), self.now) if frame.can_id == 0x5A0
+        )
+        return f"{int.from_bytes(answer[4:], 'little'):08X}" if answer[0] == 0x80 else ""
+
+    def write(self, index: int, sub: int, layout: str, value: float) -> str:
+        data = struct.pack(f"<{layout}", value)
+        head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, sub)
+        return self.ask(head + data.ljust(4, b"\0"))
+
+    def begin(self, command: int, index: int, sub: int) -> str:
+        """A segmented (21h) or block (C2h) download, of which nothing follows."""
+        said = self.ask(struct.pack("<BHBI", command, index, sub, 64))
+        if not said:
+            self.module.receive(Frame(0x620, struct.pack("<BHBI", 0x80, index, sub, 0)), self.now)
+        return said
+
+    def value(self, index: int, sub: int = 0) -> Any:
+        return self.module.dictionary.entry(index, sub).current()
+
+    def unlock(self, code: int = CODE) -> str:
+        return self.write(*od.WRITE_LOCK_UNLOCK_CODE, "I", code)
+
+
+def refused(machine: Locked, code: str) -> None:
+    for index, sub, layout in LOCKED:
+        before = machine.value(index, sub)
+        assert machine.write(index, sub, layout, 1) == code, f"{index:04X}:{sub:02X}"
+        assert machine.value(index, sub) == before
+    for command in (0x21, 0xC2):
+        assert machine.begin(command, *od.TABLE_STAGED) == code
+    for word, index in ((b"save", 0x1010), (b"load", 0x1011)):
+        assert machine.ask(struct.pack("<BHB4s", 0x23, index, 1, word)) == code
+    for index, sub, layout in FREE:
+        assert machine.write(index, sub, layout, 0) not in (STATE, LOCAL) or index == 0x6003
+    assert machine.value(*od.WRITE_LOCK_LOCKED) == 1
+
+
+def free(machine: Locked) -> None:
+    assert machine.value(*od.WRITE_LOCK_LOCKED) == 0
+    assert machine.write(0x1017, 0, "H", 500) == ""
+    assert machine.write(0x2010, 3, "B", 5) == ""
+    assert machine.begin(0x21, *od.TABLE_STAGED) == machine.begin(0xC2, *od.TABLE_STAGED) == ""
+    assert machine.ask(struct.pack("<BHB4s", 0x23, 0x1010, 1, b"save")) == ""
+
+
+def test_off_by_default() -> None:
+    machine = Locked()
+    free(machine)
+    machine.nmt(1)
+    free(machine)
+
+
+def test_only_outside_of_operational() -> None:
+    machine = Locked(write_lock="preop")
+    free(machine)
+    machine.nmt(1)
+    refused(machine, STATE)
+    assert machine.unlock() == LOCAL, "there is no code"
+    machine.nmt(0x80)
+    free(machine)
+    assert machine.write(*od.WRITE_LOCK_MODE, "B", 0) == ""
+    machine.nmt(1)
+    free(machine)
+
+
+def test_a_code_unlocks_until_a_reset() -> None:
+    machine = Locked(write_lock="code", unlock_code=CODE)
+    refused(machine, LOCAL)
+    machine.nmt(1)
+    refused(machine, LOCAL)
+    assert machine.unlock() == ""
+    free(machine)
+    assert machine.unlock(0) == "", "locked by hand"
+    refused(machine, LOCAL)
+    assert machine.unlock() == ""
+    machine.nmt(0x82)
+    refused(machine, LOCAL)
+
+
+def test_a_wrong_code_costs_a_second() -> None:
+    machine = Locked(write_lock="code", unlock_code=CODE)
+    for place in range(20):
+        machine.now = 0.04 * place
+        assert machine.unlock(CODE ^ 1) == LOCAL
+        assert machine.unlock() == LOCAL, "even the right one"
+    machine.now = 1.0
+    assert machine.unlock() == ""
+    assert machine.unlock(CODE ^ 1) == LOCAL
+    free(machine)
+
+
+def test_the_code_cannot_be_read_and_the_lock_is_in_no_backup() -> None:
+    machine = Locked(write_lock="code", unlock_code=CODE)
+    for sub in (2, 3):
+        assert machine.ask(struct.pack("<BHB4x", 0x40, 0x2040, sub)) == "06010001"
+    configuration = configuration_of(machine.module)
+    assert not [place for place in configuration.values() if place[0] == 0x2040]
+    assert not [place for place in backup_values(configuration) if place[0] == 0x2040]
+
+
+def test_the_lock_is_saved() -> None:
+    store = MemoryStore()
+    machine = Locked(store)
+    assert machine.write(*od.WRITE_LOCK_MODE, "B", 2) == "06090030", "without a code nobody could unlock it"
+    assert machine.write(*od.WRITE_LOCK_NEW_UNLOCK_CODE, "I", CODE) == ""
+    assert machine.write(*od.WRITE_LOCK_MODE, "B", 2) == ""
+    assert machine.write(0x1017, 0, "H", 1) == LOCAL
+    assert machine.unlock() == ""
+    assert machine.write(*od.WRITE_LOCK_NEW_UNLOCK_CODE, "I", 0) == "06090030"
+    assert machine.ask(struct.pack("<BHB4s", 0x23, 0x1010, 1, b"save")) == ""
+    again = Locked(store)
+    refused(again, LOCAL)
+    assert again.unlock() == ""
+    free(again)
+
+
+def test_lss_is_locked_as_well() -> None:
+    machine = Locked(write_lock="code", unlock_code=CODE)
+
+    def lss(*data: int) -> list[bytes]:
+        frames = machine.module.receive(Frame(0x7E5, bytes(data).ljust(8, b"\0")), machine.now)
+        return [frame.data[:2] for frame in frames if frame.can_id == 0x7E4]
+
+    lss(0x04, 1)
+    for command in (0x11, 0x13, 0x17):
+        assert lss(command, 40) == [bytes((command, 1))]
+    assert lss(0x15, 0) == []
+    assert lss(0x5E) == [bytes((0x5E, 32))]
+    assert machine.unlock() == ""
+    assert lss(0x11, 40) == [b"\x11\x00"]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"write_lock": "on"}, {"write_lock": "code"}, {"unlock_code": -1}, {"unlock_code": 1 << 32}]
+)
+def test_a_wrong_configuration(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"write_lock|unlock_code"):
+        ModuleConfig(node_id=32, **wrong)

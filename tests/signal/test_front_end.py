@@ -1,0 +1,311 @@
+"""What the analog path does at speed: a delay between the tracks, and less amplitude."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import canfb
+from canfb.objects import StatusBit
+from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainConfig
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.feedback import Feedback
+from canfb.signal.front_end import FrontEnd
+from canfb.signal.sample import Sample
+from folding import each
+
+INTERVAL_S = 1e-3
+TICKS = 10_000  # of 100 ns in it
+DELAY_S = 1e-6
+FAST = 125.037  # cycles per interval: 3000 rpm with 2500 cycles per revolution, and not locked
+GRID = np.arange(4096) / 4096
+RAW = canfb.phase_in_cycle(np.sin(2 * np.pi * GRID), np.cos(2 * np.pi * GRID))
+TABLE = CorrectionTable(np.interp(np.arange(1024) / 1024, RAW, GRID))  # undoes Table 1
+ELLIPSE = Conditioning(20.0, -30.0, 1.02, 0.97, 0.06, DELAY_S)
+
+
+def counts(
+    position: float, speed: float, used: Conditioning, amplitude: float = 1500.0, corner_hz: float = 0.0
+) -> tuple[float, float]:
+    """Counts of an encoder that ``used`` conditions, at this position (cycles) and speed (per interval)."""
+    x = 2.0 * math.pi * (position % 1.0)
+    hertz = speed / INTERVAL_S
+    turned = 2.0 * math.pi * hertz * used.cosine_delay_s
+    size = amplitude / math.hypot(1.0, hertz / corner_hz) if corner_hz else amplitude
+    return (
+        used.sine_offset_counts + size / used.sine_gain * math.sin(x),
+        used.cosine_offset_counts + size / used.cosine_gain * math.cos(x + turned - used.phase_error_rad),
+    )
+
+
+def chain_of(used: Conditioning, order: int = 2, **others: float) -> SignalChain:
+    config = ChainConfig(conditioning=used, interval_s=INTERVAL_S, prediction_order=order, **others)  # type: ignore[arg-type]
+    return SignalChain(config, TABLE)
+
+
+def ramp(acceleration: float, top: float, samples: int = 3000) -> tuple[np.ndarray, np.ndarray]:
+    """Position (cycles) and speed (per interval) at each sample, from standstill to ``top``."""
+    k = np.arange(samples, dtype=float)
+    turn = abs(top) / acceleration
+    speed = np.minimum(acceleration * k, abs(top))
+    position = np.where(k < turn, 0.5 * acceleration * k * k, abs(top) * (k - turn / 2.0))
+    return math.copysign(1.0, top) * position + 0.1, math.copysign(1.0, top) * speed
+
+
+def errors(
+    chain: SignalChain, positions: np.ndarray, speeds: np.ndarray, encoder: Conditioning
+) -> np.ndarray:
+    """Of each sample, cycles; all must be valid."""
+    found = []
+    for position, speed in zip(positions, speeds, strict=True):
+        got = chain.step(Sample(*counts(position, speed, encoder)))
+        assert got.valid, got
+        found.append((got.cycles - position) + got.phase)
+    return np.array(found) - round(float(np.median(found)))
+
+
+@each("delay_s", [1e-6, -1e-6, 1e-7])
+@each("top", [FAST, -FAST, 2.513])
+@each("order", [2, 3])
+def test_the_delay_is_removed_at_each_speed(order: int, top: float, delay_s: float) -> None:
+    """Also on the ramp, and with an ellipse: what is left is the interpolation of the table."""
+    encoder = replace(ELLIPSE, cosine_delay_s=delay_s)
+    positions, speeds = ramp(0.1, top)
+    found = errors(chain_of(encoder, order), positions, speeds, encoder)
+    assert 1e-10 < np.abs(found[-500:]).max() < 2e-6
+    assert np.abs(found).max() < 2e-4, "where the acceleration begins or ends it is not known yet"
+
+
+def test_without_the_delay_known_the_error_is_that_of_the_issue() -> None:
+    """v d / 2 cycles at its largest, as docs/encoder-interface.md has it."""
+    positions, speeds = ramp(0.1, FAST)
+    found = errors(chain_of(replace(ELLIPSE, cosine_delay_s=0.0)), positions, speeds, ELLIPSE)
+    assert np.ptp(found[-500:]) / 2.0 == pytest.approx(FAST * DELAY_S / INTERVAL_S / 2.0, rel=0.1)
+
+
+def test_a_large_acceleration_needs_the_third_order_and_its_speed() -> None:
+    """Four cycles per interval^2: the speed of the last interval is six cycles per interval behind."""
+    encoder = replace(ELLIPSE, cosine_delay_s=1e-7)
+    k = np.arange(300.0)
+    turn = 80.0  # then the acceleration stays
+    positions = np.where(
+        k < turn, 0.05 * k**3 / 6.0, 0.05 * turn * (k * k - k * turn + turn * turn / 3.0) / 2.0
+    )
+    speeds = np.where(k < turn, 0.05 * k * k / 2.0, 0.05 * turn * (k - turn / 2.0))
+    found = errors(chain_of(encoder, 3), positions + 0.1, speeds, encoder)
+    assert np.abs(found).max() < 2e-5
+    behind = 1.5 * 0.05 * turn * 1e-7 / INTERVAL_S / 2.0
+    assert behind > 2e-4, "what the speed of the last interval would leave"
+
+
+@each("kind", ["timed", "untimed"])
+def test_the_interval_may_come_with_the_samples(kind: str) -> None:
+    """Sample times, uneven by 3 us, say how long an interval is; without them the owner of the chain does."""
+    rng = np.random.default_rng(1)
+    chain = SignalChain(ChainConfig(conditioning=ELLIPSE), TABLE)
+    if kind == "timed":
+        chain.interval_s = INTERVAL_S
+    else:
+        chain.use_interval(INTERVAL_S)
+    chain.restart(0, 40.37)
+    worst = 0.0
+    for k in range(500):
+        early = int(rng.integers(-30, 30)) if kind == "timed" else 0
+        position = 0.1 + 40.37 * (k + early / TICKS)
+        time = TICKS * k + early if kind == "timed" else None
+        got = chain.step(Sample(*counts(position, 40.37, ELLIPSE), time_100ns=time))
+        assert got.valid
+        worst = max(worst, abs((got.cycles - position) + got.phase))
+    assert worst < 2e-5
+
+
+def test_the_first_interval_of_times_is_one_too() -> None:
+    chain = SignalChain(ChainConfig(conditioning=ELLIPSE), TABLE)
+    for k in range(50):
+        position = 0.1 + 0.4 * k
+        got = chain.step(Sample(*counts(position, 0.4, ELLIPSE), time_100ns=TICKS * k))
+    assert abs((got.cycles - position) + got.phase) < 1e-5
+
+
+def test_another_unit_changes_nothing() -> None:
+    chain = SignalChain(ChainConfig(conditioning=ELLIPSE), TABLE)
+    chain.interval_s = INTERVAL_S
+    chain.restart(0, 3.37)
+    for k in range(100):
+        if k == 50:
+            chain.interval_s = INTERVAL_S * 1.01
+        position = 0.1 + 3.37 * k
+        got = chain.step(Sample(*counts(position, 3.37, ELLIPSE), time_100ns=TICKS * k))
+        assert abs((got.cycles - position) + got.phase) < 2e-5, k
+
+
+def test_several_samples_in_an_interval() -> None:
+    chain = chain_of(ELLIPSE)
+    chain.set_limits(replace(ChainConfig().chain_limits, samples_per_sync=2))
+    chain.use_interval(INTERVAL_S / 2.0)
+    chain.restart(0, 20.185)
+    for k in range(100):
+        position = 0.1 + 40.37 * k
+        earlier = counts(position - 20.185, 40.37, ELLIPSE)
+        got = chain.step(Sample(*counts(position, 40.37, ELLIPSE), earlier=(earlier,)))
+        for one, true in ((got, position), *((first, position - 20.185) for first in chain.between)):
+            away = one.phase - true % 1.0
+            assert abs(away - round(away)) < 2e-5
+
+
+# The amplitude.
+
+
+@each("order", [2, 3])
+def test_the_amplitude_is_that_of_a_slow_machine(order: int) -> None:
+    """A window of 0.9 to 1.1 holds from standstill to 3000 rpm, where the low-pass leaves 0.7."""
+    narrow = {"amplitude_low_counts": 1350, "amplitude_high_counts": 1650}
+    plain = Conditioning()
+    with_corner = chain_of(plain, order, corner_hz=125e3, **narrow)
+    without = chain_of(plain, order, **narrow)
+    positions, speeds = ramp(0.1, FAST)
+    flagged = 0
+    for position, speed in zip(positions, speeds, strict=True):
+        sample = Sample(*counts(position, speed, plain, corner_hz=125e3))
+        got = with_corner.step(sample)
+        assert got.valid
+        assert got.amplitude == pytest.approx(1500.0, rel=0.005)
+        flagged += bool(without.step(sample).status & StatusBit.AMPLITUDE)
+    assert flagged > 1000
+
+
+def test_a_track_that_falls_short_is_flagged_at_speed() -> None:
+    """By as much as at standstill: 0.85 of the nominal amplitude, with the limit at 0.9."""
+    chain = chain_of(Conditioning(), corner_hz=125e3, amplitude_low_counts=1350, amplitude_high_counts=1650)
+    for position, speed in zip(*ramp(0.1, FAST), strict=True):
+        got = chain.step(Sample(*counts(position, speed, Conditioning(), corner_hz=125e3)))
+    weak = chain.step(Sample(*counts(position + FAST, FAST, Conditioning(), 1275.0, 125e3)))
+    assert got.valid
+    assert weak.status & StatusBit.AMPLITUDE
+
+
+def test_a_lost_position_is_found_though_its_speed_is_not_known() -> None:
+    """The amplitude at an unknown speed cannot be judged: the coarse track finds the position anyway."""
+    n = 2500
+    chain = chain_of(
+        ELLIPSE,
+        corner_hz=125e3,
+        amplitude_low_counts=1350,
+        amplitude_high_counts=1650,
+        cycles_per_revolution=n,
+    )
+
+    def take(k: int) -> Feedback:
+        position = 0.1 + FAST * k
+        x = 2.0 * math.pi * (position / n % 1.0)
+        coarse = round(1500.0 * math.sin(x)), round(1500.0 * math.cos(x))
+        return chain.step(Sample(*counts(position, FAST, ELLIPSE, 1500.0, 125e3), 1.0, False, *coarse))
+
+    first = [take(k) for k in range(10)]
+    assert not any(one.status & StatusBit.LOST for one in first[:1])
+    later = [take(k) for k in range(10, 400)]
+    assert later[-1].valid
+    assert later[-1].speed_cycles == pytest.approx(FAST, abs=1e-3)
+    error = later[-1].phase - (0.1 + FAST * 399) % 1.0
+    assert abs(error - round(error)) < 1e-4
+
+
+# What it must not do.
+
+
+def test_tracks_that_become_one_have_no_phase() -> None:
+    """A quarter of a cycle between the samples: sine and cosine are the same."""
+    front = FrontEnd(Conditioning(cosine_delay_s=1e-6), 0.0)
+    front.use_interval(INTERVAL_S)
+    assert front.coefficients(250.0) == (0.0,) * 5
+    assert front.coefficients(200.0) != (0.0,) * 5
+
+
+@each("used, others", [(ELLIPSE, {}), (Conditioning(), {"corner_hz": 1e5})])
+def test_while_the_interval_is_not_known_it_conditions_as_at_standstill(
+    used: Conditioning, others: dict[str, float]
+) -> None:
+    front = FrontEnd(used, others.get("corner_hz", 0.0))
+    assert front.coefficients(80.0) == pytest.approx(used.coefficients(), rel=1e-12)
+
+
+def test_uneven_times_do_not_tell_speeds_by_phases_that_depend_on_them() -> None:
+    """A start in motion, with sample times: each speed would have other phases."""
+    rng = np.random.default_rng(2)
+    found = {}
+    for name, used in (("with", ELLIPSE), ("without", replace(ELLIPSE, cosine_delay_s=0.0))):
+        chain = SignalChain(ChainConfig(conditioning=used, max_acceleration_cycles=0.01), TABLE)
+        chain.interval_s = INTERVAL_S
+        searched = False
+        for k in range(40):
+            early = int(rng.integers(-200, 200))
+            pair = counts(0.1 + 40.37 * (k + early / TICKS), 40.37, used)
+            chain.step(Sample(*pair, time_100ns=TICKS * k + early))
+            searched |= chain.searches
+        found[name] = searched
+    assert found == {"with": False, "without": True}
+
+
+@each("value", [0.011, -0.011, math.nan, math.inf, "1e-6"])
+@each("name", ["cosine_delay_s", "delay_s"])
+def test_a_delay_that_is_none_is_refused(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=name):
+        Conditioning(**{name: value})  # type: ignore[arg-type]
+
+
+def test_process_gives_the_bits_of_the_chain_and_needs_the_interval() -> None:
+    positions, speeds = ramp(0.1, FAST, 2000)
+    pairs = [counts(x, v, ELLIPSE) for x, v in zip(positions, speeds, strict=True)]
+    sine, cosine = (np.array(track) for track in zip(*pairs, strict=True))
+    chain = chain_of(ELLIPSE)
+    wanted = [chain.step(Sample(*pair)) for pair in pairs]
+    result = canfb.process(sine, cosine, TABLE, conditioning=ELLIPSE, interval_s=INTERVAL_S)
+    assert result.cycles.tolist() == [one.cycles for one in wanted]
+    assert result.phase.tolist() == [one.phase for one in wanted]
+    assert result.ok.all()
+    with pytest.raises(ValueError, match="interval_s"):
+        canfb.process(sine, cosine, TABLE, conditioning=ELLIPSE)
+
+
+def test_another_conditioning_takes_the_speed_along() -> None:
+    """2002:06 is activated in motion: from the next sample on the error is gone."""
+    chain = chain_of(replace(ELLIPSE, cosine_delay_s=0.0))
+    positions, speeds = ramp(0.1, FAST)
+    found = []
+    for k, (position, speed) in enumerate(zip(positions, speeds, strict=True)):
+        if k == 2500:
+            chain.activate(Correction(TABLE, ELLIPSE))
+        got = chain.step(Sample(*counts(position, speed, ELLIPSE)))
+        assert got.valid
+        found.append(abs((got.cycles - position) + got.phase))
+    assert max(found[2000:2500]) > 0.03
+    assert max(found[2500:]) < 2e-5
+
+
+@given(
+    speed=st.floats(-200.0, 200.0),
+    delay=st.floats(-1e-6, 1e-6),
+    phase_error=st.floats(-0.5, 0.5),
+    position=st.floats(0.0, 1.0),
+)
+def test_the_coefficients_undo_what_the_encoder_does(
+    speed: float, delay: float, phase_error: float, position: float
+) -> None:
+    used = Conditioning(11.0, -7.0, 1.1, 0.9, phase_error, delay)
+    front = FrontEnd(used, 0.0)
+    front.use_interval(INTERVAL_S)
+    offset_s, gain_s, offset_c, factor_c, skew = front.coefficients(speed)
+    sine, cosine = counts(position, speed, used)
+    if gain_s:
+        s = (sine - offset_s) * gain_s
+        c = (cosine - offset_c) * factor_c - s * skew
+        assert (s, c) == pytest.approx(
+            (1500.0 * math.sin(2 * math.pi * position), 1500.0 * math.cos(2 * math.pi * position)), abs=1e-6
+        )
