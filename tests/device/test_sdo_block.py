@@ -269,3 +269,27 @@ def test_a_value_beyond_the_limits(bench: Bench) -> None:
 def test_sequence_number_zero(bench: Bench) -> None:
     bench.sdo(f"C2{TABLE}0E")
     assert bench.sdo("00") == abort(TABLE, AbortCode.SEQUENCE_NUMBER)
+
+
+@pytest.mark.parametrize(
+    ("request_", "answer"),
+    [
+        ("40001000", "4300100091010400"),
+        ("2F25200009", "6025200000000000"),
+        ("A000100014", "C200100004000000"),
+        ("C217100002", f"A0171000{DOWNLOAD_BLOCK:02X}000000"),
+    ],
+)
+def test_a_new_request_amid_the_segments(bench: Bench, request_: str, answer: str) -> None:
+    bench.sdo(f"C2{TABLE}0E")
+    bench.sdo("01" + "11" * 7)
+    assert bench.sdo(request_) == [answer]
+    assert bench.dictionary.entry(0x2020).value == b""
+
+
+def test_a_new_request_amid_an_upload(bench: Bench) -> None:
+    bench.dictionary.entry(0x2020).value = content_of(700)
+    bench.sdo(f"A0{TABLE}7F")
+    bench.sdo("A3")
+    assert bench.sdo("A000100014") == ["C200100004000000"]
+    assert bench.sdo("A3") == ["8191010400000000"]

@@ -230,3 +230,10 @@ def test_channel_ids_are_not_restricted_ones(bench: Bench, can_id: int) -> None:
 def test_expedited_text_without_a_size(bench: Bench) -> None:
     assert bench.sdo("2221200061626364") == ["6021200000000000"]
     assert bench.dictionary.entry(0x2021).value == "abcd"
+
+
+def test_a_new_request_replaces_the_transfer(bench: Bench) -> None:
+    bench.sdo("2121200009000000")
+    assert bench.sdo("40001000") == ["4300100091010400"]
+    assert bench.sdo("00")[0].endswith("01000405")
+    assert bench.dictionary.entry(0x2021).value == "text"

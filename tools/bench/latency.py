@@ -8,9 +8,8 @@
 (alone), correction tables by SDO block transfer (sdo), or frames of other nodes up to 1 Mbit/s (full). The
 bus is a pair of datagram sockets that carry struct can_frame, or with --channel a SocketCAN interface. Each
 SYNC is answered by TPDO2 (type 1), each ADC PDO by TPDO1 (type 254). Nodes: `canfb`, as it is delivered;
-`collecting`, with garbage collections as Python has them by default; `floor`, which answers and does nothing
-else: what machine and bus take. Realtime: SCHED_FIFO, mlockall and a processor of its own, as far as the
-system permits. All combinations are measured, in turns.
+`floor`, which answers and does nothing else: what machine and bus take. Realtime: SCHED_FIFO, mlockall and a
+processor of its own, as far as the system permits. All combinations are measured, in turns.
 
 --in-process takes the time of the calls of the module alone, on the wall and of the processor.
 docs/latency.md says how to read the figures.
@@ -21,7 +20,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import gc
-import json
 import os
 import statistics
 import sys
@@ -50,28 +48,25 @@ PRIORITY = 90  # of this program, above that of the module
 REALTIME = ("no", "yes")
 BUS_HEAD = [
     *("load", "node", "realtime"),
-    *("SYNC to TPDO2", "ADC PDO to TPDO1", "CPU of a wake-up", "not in time", "collections", "longest"),
+    *("SYNC to TPDO2", "ADC PDO to TPDO1", "CPU of a wake-up", "not in time"),
 ]
 CALLS_HEAD = ["load", "node", "call", "calls", "wall", "CPU"]
 
 
 @dataclass
 class Found:
-    """Of one combination, all rounds: times in µs, and what the node says of its collections."""
+    """Of one combination, all rounds: times in µs."""
 
     from_sync_us: list[float] = field(default_factory=list)
     from_adc_us: list[float] = field(default_factory=list)
     not_in_time: int = 0
-    collected: list[int] = field(default_factory=lambda: [0, 0, 0])
-    longest_us: float = 0.0
     woken_us: list[float] = field(default_factory=list)
 
     def cells(self) -> list[str]:
         """For a row."""
-        counts = "+".join(map(str, self.collected))
         ticks = self.woken_us and statistics.median(self.woken_us) == 0.0  # a clock that is too coarse
         times = (self.from_sync_us, self.from_adc_us, [] if ticks else self.woken_us)
-        return [*map(cell, times), str(self.not_in_time), counts, f"{self.longest_us:.0f}"]
+        return [*map(cell, times), str(self.not_in_time)]
 
 
 def measure_bus(
@@ -83,7 +78,6 @@ def measure_bus(
         woken = Path(folder) / "woken"
         arguments = ["tools.bench.latency_node", kind, str(woken), *["--realtime"] * (realtime == "yes")]
         node = NodeProcess(arguments, channel, READY)
-        said = ""
         try:
             with undisturbed(first=channel is None):
                 others = Others(node.bus)
@@ -91,7 +85,7 @@ def measure_bus(
                 began_s = time.time()
                 times = others.play(cycles, rate_hz, LOADS[load]())
         finally:
-            said = node.end()
+            node.end()
         stamps_s = array("d", woken.read_bytes())
     found.from_sync_us += times.from_sync_us()
     found.from_adc_us += times.from_adc_us()
@@ -99,18 +93,13 @@ def measure_bus(
         took_s * 1e6 for at, took_s in zip(stamps_s[::2], stamps_s[1::2], strict=True) if at >= began_s
     ]
     found.not_in_time += times.not_in_time(1.0 / rate_hz)
-    collected = json.loads(said.splitlines()[-1])
-    found.collected = [one + more for one, more in zip(found.collected, collected["counts"], strict=True)]
-    found.longest_us = max(found.longest_us, collected["longest_us"])
 
 
 def measure_calls(load: str, kind: str, cycles: int) -> list[list[str]]:
     """A row for each kind of call."""
     calls = Calls(LOADS[load]())
     gc.collect()
-    if kind == "canfb":
-        gc.freeze()
-    gc.enable()
+    gc.freeze()
     try:
         calls.play(cycles)
     finally:

@@ -2,18 +2,14 @@
 
     python -m tools.bench.latency_node KIND FILE (--fd N | --channel vcan0) [--realtime]
 
-KIND: `canfb` is `canfb run`; `collecting` the same, but with garbage collections as Python has them by
-default; `floor` answers SYNC and ADC PDO as the module does, with an angle and without anything else: what
-machine and bus take. At the end a line of JSON has the garbage collections of each generation, and how long
-the longest took; FILE gets two doubles for each time that the node woke up for frames: when the first of them
-came, and the processor time of all that it did then, both in seconds.
+KIND: `canfb` is `canfb run`; `floor` answers SYNC and ADC PDO as the module does, with an angle and without
+anything else: what machine and bus take. FILE gets two doubles for each time that the node woke up for
+frames: when the first of them came, and the processor time of all that it did then, both in seconds.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
-import gc
 import json
 import math
 import os
@@ -22,8 +18,6 @@ import sys
 import tempfile
 import time
 from array import array
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -36,39 +30,12 @@ from canfb.cli.main import main as canfb
 from canfb.configuration import RealtimeConfig
 from tools.bench.bus import ADC_PDO, ENCODER_INTERFACE, NODE_ID, POSITION_PDO, SYNC
 
-KINDS = ("floor", "canfb", "collecting")
+KINDS = ("floor", "canfb")
 SYNCHRONOUS_PDO = 0x280 + NODE_ID
 UNITS_PER_CYCLE = 8192
 READY = "end with Ctrl-C"
 PRIORITY = 80
 TRACKS_AT = 0, 2  # sine and cosine in the ADC PDO
-
-
-class Collections:
-    """Counts garbage collections, and takes their times."""
-
-    def __init__(self, kept_out: Callable[[], AbstractContextManager[None]]) -> None:
-        self._kept_out = kept_out
-        self.counts = [0, 0, 0]
-        self.longest_us = 0.0
-        self._began_s = 0.0
-
-    @contextlib.contextmanager
-    def counted(self) -> Iterator[None]:
-        """``kept_out``, and count meanwhile."""
-        with self._kept_out():
-            gc.callbacks.append(self._take)
-            try:
-                yield
-            finally:
-                gc.callbacks.remove(self._take)
-
-    def _take(self, phase: str, what: dict[str, int]) -> None:
-        if phase == "start":
-            self._began_s = time.perf_counter()
-            return
-        self.counts[what["generation"]] += 1
-        self.longest_us = max(self.longest_us, (time.perf_counter() - self._began_s) * 1e6)
 
 
 class TimedBus(RawCanBus):
@@ -137,17 +104,14 @@ def main() -> int:
     wishes: dict[str, Any] = (
         {"priority": PRIORITY, "lock_memory": True, "cpu": cpu} if options.realtime else {}
     )
-    collections = Collections(contextlib.nullcontext if options.kind == "collecting" else outside_collections)
     if options.kind == "floor":
-        with collections.counted():
+        with outside_collections():
             status = serve_floor(bus, RealtimeConfig(**wishes))
     else:
-        setattr(on_bus, "outside_collections", collections.counted)  # noqa: B010
         setattr(on_bus, "open_device_bus", lambda words: bus)  # noqa: B010
         status = serve_module(options.channel, wishes)
     with options.file.open("wb") as file:
         bus.woken.tofile(file)
-    print(json.dumps({"counts": collections.counts, "longest_us": collections.longest_us}))
     return status
 
 
