@@ -101,9 +101,14 @@ ENCODER_FULL_SCALE: Final = Multiplexer(0x2001, 2)
 ENCODER_LOWEST_AMPLITUDE: Final = Multiplexer(0x2001, 3)
 ENCODER_HIGHEST_AMPLITUDE: Final = Multiplexer(0x2001, 4)
 ENCODER_CORNER_FREQUENCY: Final = Multiplexer(0x2001, 5)
+ENCODER_COSINE_CORNER_FREQUENCY: Final = Multiplexer(0x2001, 6)
 
-CONDITIONING: Final = tuple(Multiplexer(0x2002, subindex) for subindex in range(1, 8))
-"""2002:01..07, in the order of the fields of :class:`canfb.Conditioning`."""
+CONDITIONING: Final = tuple(
+    Multiplexer(index, subindex)
+    for index, most in ((0x2002, 7), (0x2005, 14))
+    for subindex in range(1, most + 1)
+)
+"""2002:01..07 and 2005:01..0E, in the order of the fields of :class:`canfb.Conditioning`."""
 
 SCALE_SPEED_MULTIPLIER: Final = Multiplexer(0x2003, 1)
 SCALE_SPEED_DIVISOR: Final = Multiplexer(0x2003, 2)

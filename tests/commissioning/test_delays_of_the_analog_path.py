@@ -21,7 +21,7 @@ from canfb.commissioning.active import put_in_force, read_active, read_condition
 from canfb.commissioning.samples import TrackSamples
 from canfb.commissioning.table_file import as_yaml, read_table_file
 from canfb.device.storage.storage import MemoryStore
-from canfb.signal.conditioning import Conditioning
+from canfb.signal.conditioning import HARMONIC_ORDERS, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.simulation.analog_path import AnalogPath
 from canfb.simulation.encoder import Encoder, Harmonic
@@ -56,22 +56,22 @@ def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -
 def bench_at(rpm: float, **config: Any) -> Bench:
     """Up to this speed from standstill, and steady but for a ripple: the module knows the speed."""
     motion = Motion((Ramp(0.3, 0.0), Ramp(2.0, rpm)), (Ripple(0.3, 0.31), Ripple(0.2, 1.7)))
-    bench = Bench(ENCODER, motion=motion, config=DELAYS | config)
+    bench = Bench(ENCODER, motion=motion, config=DELAYS | {"corner_hz": 0.0} | config)
     bench.bus.run_until(3.0)
     return bench
 
 
 def delays(bench: Bench) -> tuple[float, ...]:
     used = bench.module.chain.correction.conditioning
-    return used.cosine_delay_s, used.delay_s, bench.module.limits.corner_hz
+    return used.cosine_delay_s, used.delay_s, bench.module.limits.corners.corner_hz
 
 
 @each("rpm", [61.0, 1503.0, 3001.0])
 def test_a_calibration_at_any_speed_finds_the_encoder(rpm: float) -> None:
     """The phase error is that of the encoder: at 3000 rpm the samples show 0.75 rad more."""
-    bench = bench_at(rpm, adc_bits=12)
+    bench = bench_at(rpm)
     assert calibrate(bench) == 0
-    assert delays(bench) == (DELAY_S, LAG_S, CORNER_HZ)
+    assert delays(bench) == (DELAY_S, LAG_S, 0.0)
     assert bench.module.chain.correction.conditioning.phase_error_rad == pytest.approx(PHASE_ERROR, abs=3e-3)
     errors = position_errors(bench, 400)
     assert np.sqrt(np.mean(errors**2)) < 3e-4
@@ -81,9 +81,20 @@ def test_a_calibration_at_any_speed_finds_the_encoder(rpm: float) -> None:
 def test_the_measurement_of_the_module_keeps_them(rpm: float) -> None:
     bench = with_calculator(bench_at(rpm))
     assert calibrate(bench, "--source", "module") == 0
-    assert delays(bench) == (DELAY_S, LAG_S, CORNER_HZ)
+    assert delays(bench) == (DELAY_S, LAG_S, 0.0)
     assert bench.module.chain.correction.conditioning.phase_error_rad == pytest.approx(PHASE_ERROR, abs=3e-3)
     assert np.sqrt(np.mean(position_errors(bench, 400) ** 2)) < 3e-4
+
+
+def test_harmonics_are_those_at_low_speed() -> None:
+    """At speed their part of the error is in the table already."""
+    slow, fast = bench_at(61.0), bench_at(3001.0)
+    assert calibrate(slow) == calibrate(fast) == 0
+    used = slow.module.chain.correction.conditioning
+    assert abs(used.harmonics[HARMONIC_ORDERS.index(3)]) == pytest.approx(0.01, rel=0.1)
+    assert not any(fast.module.chain.correction.conditioning.harmonics)
+    put_in_force(fast.access, slow.module.chain.correction)
+    assert np.sqrt(np.mean(position_errors(fast, 400) ** 2)) < 3e-4, "and so they hold at any speed"
 
 
 def test_a_check_sees_no_drift_at_another_speed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -34,6 +34,7 @@ DIMENSIONLESS = {
     "prediction_order",
 }
 DIMENSIONLESS |= {"sine_gain", "cosine_gain", "bus_load", "cob_id"}
+DIMENSIONLESS |= {name for name in canfb.Conditioning().words if name.startswith("harmonic")}
 KINDS = [kind for _, kind, _ in SECTIONS] + list(source_kinds().values())
 
 

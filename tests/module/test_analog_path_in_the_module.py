@@ -180,7 +180,7 @@ def test_the_delays_wait_for_the_activation_and_the_corner_does_not(bench: Bench
     bench.sdo[0x2002][7].raw = 2e-6
     bench.sdo[0x2001][5].raw = 125e3
     assert chain.correction.conditioning.delay_s == 0.0
-    assert bench.module.limits.corner_hz == 125e3
+    assert bench.module.limits.corners.corner_hz == 125e3
     bench.sdo[0x2020][3].raw = 0
     used = chain.correction.conditioning
     assert (used.cosine_delay_s, used.delay_s) == pytest.approx((1e-6, 2e-6))
@@ -197,14 +197,14 @@ def test_they_are_kept_over_a_loss_of_power() -> None:
     again = Bench(store)
     used = again.module.chain.correction.conditioning
     assert (used.cosine_delay_s, used.delay_s) == pytest.approx((1e-6, 2e-6))
-    assert again.module.limits.corner_hz == 125e3
+    assert again.module.limits.corners.corner_hz == 125e3
 
 
 def test_the_configuration_has_them() -> None:
     text = "modules: [{node_id: 32, corner_hz: 125e3, conditioning: {cosine_delay_s: 1e-6, delay_s: 2e-6}}]"
     (config,) = parse_config(text).modules
     module = FeedbackModule(config)
-    assert module.limits.corner_hz == 125e3
+    assert module.limits.corners.corner_hz == 125e3
     used = module.chain.correction.conditioning
     assert (used.cosine_delay_s, used.delay_s) == pytest.approx((1e-6, 2e-6))
 

@@ -230,7 +230,7 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
 
 
 def test_astuple_is_the_order_of_2002h() -> None:
-    values = (1.0, 2.0, 3.0, 4.0, 0.5, 0.001, 0.002)
+    values = (1.0, 2.0, 3.0, 4.0, 0.5, 0.001, 0.002, *(n / 32 for n in range(14)))
     assert astuple(Conditioning(*values)) == values
 
 

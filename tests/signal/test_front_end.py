@@ -18,6 +18,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import FrontEnd
+from canfb.signal.harmonics import NO_LOW_PASS, Corners
 from canfb.signal.sample import Sample
 from folding import each
 
@@ -222,7 +223,7 @@ def test_a_lost_position_is_found_though_its_speed_is_not_known() -> None:
 
 def test_tracks_that_become_one_have_no_phase() -> None:
     """A quarter of a cycle between the samples: sine and cosine are the same."""
-    front = FrontEnd(Conditioning(cosine_delay_s=1e-6), 0.0)
+    front = FrontEnd(Conditioning(cosine_delay_s=1e-6), NO_LOW_PASS)
     front.use_interval(INTERVAL_S)
     assert front.coefficients(250.0) == (0.0,) * 5
     assert front.coefficients(200.0) != (0.0,) * 5
@@ -232,7 +233,7 @@ def test_tracks_that_become_one_have_no_phase() -> None:
 def test_while_the_interval_is_not_known_it_conditions_as_at_standstill(
     used: Conditioning, others: dict[str, float]
 ) -> None:
-    front = FrontEnd(used, others.get("corner_hz", 0.0))
+    front = FrontEnd(used, Corners(**others))
     assert front.coefficients(80.0) == pytest.approx(used.coefficients(), rel=1e-12)
 
 
@@ -299,7 +300,7 @@ def test_the_coefficients_undo_what_the_encoder_does(
     speed: float, delay: float, phase_error: float, position: float
 ) -> None:
     used = Conditioning(11.0, -7.0, 1.1, 0.9, phase_error, delay)
-    front = FrontEnd(used, 0.0)
+    front = FrontEnd(used, NO_LOW_PASS)
     front.use_interval(INTERVAL_S)
     offset_s, gain_s, offset_c, factor_c, skew = front.coefficients(speed)
     sine, cosine = counts(position, speed, used)

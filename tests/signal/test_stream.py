@@ -30,7 +30,7 @@ FULL_SCALE = 2048
 X = np.arange(64) / 64
 TABLE = CorrectionTable(X + 0.02 * np.sin(2 * np.pi * X) - 0.01)
 CONDITIONING = Conditioning(12.5, -7.0, 1.1, 0.9, 0.1)
-DELAYED = Conditioning(12.5, -7.0, 1.1, 0.9, 0.1, 1e-4, 1e-3)
+DELAYED = Conditioning(12.5, -7.0, 1.1, 0.9, 0.1, 1e-4, 1e-3, harmonic_3_forward_real=0.02)
 
 
 def one_by_one(

@@ -17,6 +17,7 @@ from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.feedback import Feedback
+from canfb.signal.harmonics import Corners
 from canfb.signal.sample import Sample
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.stream import process_stream
@@ -24,7 +25,7 @@ from canfb.signal.supervision import SECOND_POSITION, SampleLimits
 
 TABLE = CorrectionTable([k / 64 + 0.02 * math.sin(2 * math.pi * k / 64) for k in range(64)])
 CONDITIONING = Conditioning(3.0, -2.0, 1.01, 0.98, 0.02)
-DELAYED = Conditioning(3.0, -2.0, 1.01, 0.98, 0.02, 1e-4, 1e-3)
+DELAYED = Conditioning(3.0, -2.0, 1.01, 0.98, 0.02, 1e-4, 1e-3, harmonic_3_forward_real=0.02)
 LIMITS = ChainLimits(
     sample=SampleLimits(2048, 410, 2048),
     cycles_per_revolution=2500,
@@ -136,7 +137,7 @@ def happen(chain: SignalChain, kind: str, x: float, position: float, ticks: int)
         chain.activate(Correction(TABLE, DELAYED))
         chain.use_interval(0.001 * (1.0 + abs(x)))
     elif kind == "corner":
-        chain.set_limits(replace(LIMITS, corner_hz=500.0 * abs(x)))
+        chain.set_limits(replace(LIMITS, corners=Corners(500.0 * abs(x), 400.0)))
         chain.use_interval(0.001)
     elif kind == "restart":
         chain.restart(round(100 * x), x)

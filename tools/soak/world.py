@@ -17,6 +17,7 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.commissioning.access import NodeAccess
 from canfb.errors import CanfbError
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.monitoring.bus_model import BusModel
@@ -24,7 +25,6 @@ from canfb.objects import StatusBit
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.feedback import Feedback
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder_interface import EncoderInterface
 from canfb.simulation.sync_producer import SyncProducer
 from tools.soak.machine import MAX_ACCELERATION_CYCLES_S2, MAX_JERK_CYCLES_S3, Machine, is_fast, rests
 from tools.soak.parts import Cable, OtherNode, SlowStore, SoakMaster
@@ -118,7 +118,7 @@ class World:
         self._log.setLevel(logging.INFO)
         self._log.propagate = False
         self._log.handlers = [_Lines(self.found)]
-        self._events.watch(self.module)
+        self._events.watch(self.module, self.module.events)
         self._events.begin()
         self.module.on_feedback = self._judge
         bus.taps.append(self._hear)

@@ -197,5 +197,5 @@ def _radius(fit: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def as_real32(conditioning: Conditioning) -> Conditioning:
-    """The same conditioning with values that objects 2002:01..07 (REAL32) hold exactly."""
+    """The same conditioning with values that objects 2002:01..07 and 2005h (REAL32) hold exactly."""
     return Conditioning(*(float(np.float32(value)) for value in conditioning.values))

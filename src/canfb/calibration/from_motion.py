@@ -7,6 +7,8 @@ constant speed nor many samples per cycle, only different phases in the samples 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -15,6 +17,7 @@ from canfb.calibration.evaluate import finish, root_mean
 from canfb.calibration.recording import check_clipped, recording
 from canfb.calibration.result import Calibration
 from canfb.calibration.solver import Progress, Solver, no_progress
+from canfb.calibration.track_harmonics import with_track_harmonics
 from canfb.signal.conditioning import IDENTITY, Conditioning
 
 
@@ -63,5 +66,7 @@ def calibrate_from_motion(
     if not isinstance(chosen, Conditioning):
         chosen = ellipse
     result = finish(record, solution, as_real32(chosen), entries)
+    if conditioning == "fit" and result.tracks is not None:
+        result = replace(result, conditioning=with_track_harmonics(result.conditioning, result.tracks))
     report(1.0)
     return result

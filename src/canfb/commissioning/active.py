@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import struct
 from collections.abc import Sequence
 
 from canfb import objects as od
 from canfb.commissioning.access import CommissioningError, NodeAccess, ObjectAbsentError
+from canfb.commissioning.supervision_limits import as_real32
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 
@@ -126,14 +126,11 @@ def saving_object(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES)
 
 def write_conditioning(module: NodeAccess, wanted: Conditioning) -> None:
     """Write 2002h, which waits for the next activation. CommissioningError if it reads otherwise then."""
-    there = read_conditioning(module)
-    if there == wanted:
-        return
-    for place, value, before in zip(od.CONDITIONING, wanted.values, there.values, strict=True):
-        if value != before:
-            module.write(*place, "f", value)
-    written = (struct.unpack("<f", struct.pack("<f", value))[0] for value in wanted.values)
-    if read_conditioning(module) != Conditioning(*written):
+    values = zip(od.CONDITIONING, wanted.values, read_conditioning(module).values, strict=True)
+    changed = [(place, value) for place, value, before in values if value != before]
+    for place, value in changed:
+        module.write(*place, "f", value)
+    if any(module.read(*place, "f") != as_real32(value) for place, value in changed):
         raise CommissioningError(
             f"{module.name}: the conditioning read back (2002h) differs from what was written"
         )

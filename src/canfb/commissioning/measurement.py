@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.result import Calibration, Method
+from canfb.calibration.track_harmonics import without_harmonics
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.samples import TrackSamples
@@ -88,6 +89,8 @@ def measure(
     except ValueError as error:
         raise CommissioningError(f"the samples cannot be used: {error}") from error
     kept = calibration.conditioning.with_delays_of(before.conditioning)
+    if samples.at_speed and conditioning is None:
+        kept = without_harmonics(kept)
     calibration = replace(calibration, conditioning=kept)
     found = calibration.correction
     block = block_of(calibration)

@@ -29,6 +29,7 @@ class TrackSamples:
               between its neighbours. None: not known, the samples are equidistant
     heard_s   when the SYNC of each sample was received, seconds; None: not known
     coarse    sine and cosine of the coarse track, ADC counts, NaN where they did not come; None: none
+    at_speed  so fast that the analog path of the module counts: their harmonics are not those at standstill
     """
 
     sine: FloatArray
@@ -38,6 +39,7 @@ class TrackSamples:
     time_s: FloatArray | None = None
     heard_s: FloatArray | None = None
     coarse: tuple[FloatArray, FloatArray] | None = None
+    at_speed: bool = False
 
     @classmethod
     def of(

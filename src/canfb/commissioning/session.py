@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from canfb import objects as od
+from canfb.calibration.track_harmonics import counts_at
 from canfb.commissioning.access import CommissioningError, Master, NodeAccess
 from canfb.commissioning.active import read_active
 from canfb.commissioning.listening import Listener, listen
@@ -110,11 +111,13 @@ class Session:
         By the speed that the module says now. CommissioningError where its position is not valid.
         """
         delay_s = self.active.conditioning.cosine_delay_s
-        if not delay_s:
+        corner_hz = float(self.module.read_known(od.ENCODER_CORNER_FREQUENCY) or 0.0)
+        if not (delay_s or corner_hz):
             return samples
         check_valid(self.module)
-        cycles_per_s = self.speed_rad_s() * self.cycles_per_revolution / (2.0 * math.pi)
-        return samples.together(delay_s, cycles_per_s)
+        hertz = self.speed_rad_s() * self.cycles_per_revolution / (2.0 * math.pi)
+        at_speed = counts_at(hertz, delay_s, corner_hz)
+        return replace(samples.together(delay_s, hertz), at_speed=at_speed)
 
     def check_interface(self) -> None:
         """CommissioningError if the module takes its samples from another interface than the one named."""

@@ -213,8 +213,10 @@ def conditioning_in_words(conditioning: Conditioning) -> str:
     """A conditioning in a few words."""
     if conditioning.is_identity:
         return "none"
-    return (
+    words = (
         f"offset {conditioning.sine_offset_counts:+.1f}/{conditioning.cosine_offset_counts:+.1f}, gain "
         f"{conditioning.sine_gain:.4f}/{conditioning.cosine_gain:.4f}, phase "
         f"{conditioning.phase_error_rad:+.4f} rad"
     )
+    delays = (("cosine later by", conditioning.cosine_delay_s), ("delay", conditioning.delay_s))
+    return ", ".join([words, *(f"{what} {delay_s * 1e6:.4g} µs" for what, delay_s in delays if delay_s)])

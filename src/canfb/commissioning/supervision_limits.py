@@ -136,7 +136,7 @@ class SupervisionLimits:
             coast_samples=min(self.coast_samples * self.motion.samples_per_sync, 255),
             frozen_samples=int(self.values[od.SUPERVISION_FROZEN]),
             coarse_limit_revolutions=self.values[od.SUPERVISION_COARSE_LIMIT] / LIMIT_UNITS,
-            corner_hz=self.motion.corner_hz,
+            corners=self.motion.corners,
         )
 
 

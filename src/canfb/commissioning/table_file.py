@@ -36,8 +36,9 @@ def as_yaml(used: Correction, meta: dict[str, Any]) -> str:
 
 
 def conditioning_words(conditioning: Conditioning) -> dict[str, float]:
-    """Object 2002:01..07 by name."""
-    return {name: float(value) for name, value in conditioning.words.items()}
+    """Object 2002:01..07 by name, and the harmonics of 2005h that are there."""
+    words = conditioning.words.items()
+    return {name: float(value) for name, value in words if value or not name.startswith("harmonic")}
 
 
 @dataclass(frozen=True)

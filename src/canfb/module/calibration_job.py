@@ -11,6 +11,7 @@ from canfb.calibration.recording import recorded_tracks, timed_tracks
 from canfb.calibration.result import Calibration, Reason
 from canfb.calibration.simultaneous import recorded_together
 from canfb.calibration.solver import no_progress
+from canfb.calibration.track_harmonics import without_harmonics
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import IDENTITY, Conditioning
 
@@ -38,6 +39,7 @@ class CalibrationJob:
     adc_bits    4..16
     turned      by how much the machine turned from the sine of each sample to its cosine, rad, REAL32 of this
                 machine; None: both are sampled at once
+    at_speed    the analog path counts at the speed of the samples
     active      its delays stay as they are: they do not show at one speed
     """
 
@@ -46,6 +48,7 @@ class CalibrationJob:
     adc_bits: int
     turned: bytes | None = None
     active: Conditioning = IDENTITY
+    at_speed: bool = False
 
     def __call__(self, progress: Callable[[float], None] = no_progress) -> Outcome:
         """Table and conditioning from the samples; ``progress`` is called with 0..1."""
@@ -62,5 +65,6 @@ class CalibrationJob:
             )
         except CalibrationError as error:
             return Outcome(Reason(error.reason), error.calibration, str(error))
-        found = replace(found, conditioning=found.conditioning.with_delays_of(self.active))
+        kept = found.conditioning.with_delays_of(self.active)
+        found = replace(found, conditioning=without_harmonics(kept) if self.at_speed else kept)
         return Outcome(Reason.ACCEPTED, found, found.verdict)

@@ -49,6 +49,7 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         od.ENCODER_LOWEST_AMPLITUDE: limits.amplitude_low_counts,
         od.ENCODER_HIGHEST_AMPLITUDE: limits.amplitude_high_counts,
         od.ENCODER_CORNER_FREQUENCY: config.corner_hz,
+        od.ENCODER_COSINE_CORNER_FREQUENCY: config.cosine_corner_hz,
         **conditioning,
         od.SUPERVISION_RESIDUAL_LIMIT: int(config.residual_limit * LIMIT_UNITS),
         od.SUPERVISION_ACCELERATION: config.max_acceleration_rad_s2,
@@ -125,7 +126,7 @@ def apply_defaults(dictionary: Dictionary, defaults: dict[tuple[int, int], Any])
 
 
 class Limits:
-    """Objects 2001:02..05 and 2010h: written by SDO, in force from the next sample on."""
+    """Objects 2001:02..06 and 2010h: written by SDO, in force from the next sample on."""
 
     def __init__(self, dictionary: Dictionary, chain: SignalChain, interval: SamplingInterval) -> None:
         self._chain = chain
@@ -133,7 +134,10 @@ class Limits:
         self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         self._full_scale = entry(*od.ENCODER_FULL_SCALE)
         self._low, self._high = entry(*od.ENCODER_LOWEST_AMPLITUDE), entry(*od.ENCODER_HIGHEST_AMPLITUDE)
-        self._corner = entry(*od.ENCODER_CORNER_FREQUENCY)
+        self._corner, self._cosine_corner = (
+            entry(*od.ENCODER_CORNER_FREQUENCY),
+            entry(*od.ENCODER_COSINE_CORNER_FREQUENCY),
+        )
         self._residual = entry(*od.SUPERVISION_RESIDUAL_LIMIT)
         self._acceleration = entry(*od.SUPERVISION_ACCELERATION)
         self._order, self._jerk = entry(*od.SUPERVISION_ORDER), entry(*od.SUPERVISION_JERK)
@@ -163,7 +167,8 @@ class Limits:
         self._high.on_check = self._check(lambda high: high > self._low.value)
         self._acceleration.on_check = self._check(lambda value: 0.0 <= value <= MOST_ACCELERATION_RAD_S2)
         self._jerk.on_check = self._check(lambda value: 0.0 <= value <= MOST_JERK_RAD_S3)
-        self._corner.on_check = self._check(lambda value: 0.0 <= value <= MOST_CORNER_HZ)
+        for corner in (self._corner, self._cosine_corner):
+            corner.on_check = self._check(lambda value: 0.0 <= value <= MOST_CORNER_HZ)
         for changed in (
             self._full_scale,
             self._low,
@@ -180,6 +185,7 @@ class Limits:
             self._assumed,
             self._phase_error,
             self._corner,
+            self._cosine_corner,
         ):
             changed.on_written = self.apply
         self._full_scale.on_written = self._full_scale_written
@@ -240,7 +246,7 @@ class Limits:
             frozen_samples=self._frozen.value,
             coarse_limit_revolutions=self._coarse.value / LIMIT_UNITS,
             samples_per_sync=per_sync,
-            corner_hz=settings.corner_hz,
+            corners=settings.corners,
         )
         self._chain.set_limits(self.in_force)
         self._chain.use_interval(known_s / per_sync)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from itertools import groupby
 
+from canfb.planning.analog_lines import analog_lines
 from canfb.planning.budget import ResidualBudget, over
 from canfb.planning.changes import Remedy
 from canfb.planning.detection import CountDetection
@@ -73,6 +74,7 @@ def _module_lines(plan: Plan, names: str, budget: ResidualBudget) -> list[str]:
         f"{several}{order}residual limit {budget.limit_cycles:.3f} cycle{_narrowed(budget)}",
         *([f"  {motion.where}"] if motion.where else []),
         _speed_line(budget, motion.speed_rad_s),
+        *analog_lines(module, motion.speed_rad_s),
         f"    {_instants(budget)}",
         *(_third_order_lines(budget) if third else [*_acceleration_lines(budget), *_jerk_lines(budget)]),
         _line("residual", f"{budget.needed_cycles:.3f} of {budget.limit_cycles:.3f} cycle", budget.margin),

@@ -16,6 +16,7 @@ from canfb.signal.estimator_runs import follow_run, successor, take_run
 from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import AHEAD_INTERVALS
 from canfb.signal.frozen import FrozenInput, repeats
+from canfb.signal.harmonics import corrected
 from canfb.signal.pauses import Pauses
 from canfb.signal.phase import AnyArray, raw_phase
 from canfb.signal.recovery.coarse import CoarseTrack
@@ -137,7 +138,7 @@ class SignalChain(Pauses):
             self._make_reference(limits)
         self._reference.coarse.limit_revolutions = limits.coarse_limit_revolutions
         self._reference.coarse.full_scale_counts = limits.sample.full_scale_counts
-        self._use_front_end(self._conditioning, limits.corner_hz)
+        self._use_front_end(self._conditioning, limits.corners)
 
     def _declare(self, declared: Declared) -> None:
         """Hold the next samples against this; the position stays.
@@ -175,7 +176,7 @@ class SignalChain(Pauses):
         check_table(correction.table)
         self._correction = correction
         self._use_table(correction.table)
-        self._use_front_end(correction.conditioning, self._corner_hz)
+        self._use_front_end(correction.conditioning, self._corners)
         self._base_status = 0 if correction.table is None else TABLE_ACTIVE
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
@@ -353,6 +354,8 @@ class SignalChain(Pauses):
         if measured:
             table = self._table
             phase = raw if table is None else table.correct(raw)
+            if self._row:
+                phase = corrected(self._row, phase)
             track, bits = self._estimator.good(phase, options or elapsed)
         else:
             track, bits = self._estimator.bad(options or elapsed, missed=unplaced)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from canfb.checks import integer_in, number_in
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.declared import COAST_SAMPLES, DOUBT_ACCELERATION, MOST_BAD_SAMPLES, Declared
+from canfb.signal.harmonics import NO_LOW_PASS, Corners
 from canfb.signal.limits import PHASE_ERROR_CYCLES
 from canfb.signal.subsamples import MOST_PER_SYNC
 from canfb.signal.supervision import SampleLimits
@@ -24,6 +25,7 @@ LARGEST = {
     "phase_error_cycles": 1.0 / 16.0,
     "doubt_acceleration_cycles": 0.5,
     "corner_hz": MOST_CORNER_HZ,
+    "cosine_corner_hz": MOST_CORNER_HZ,
     "interval_s": 1000.0,
 }
 
@@ -39,7 +41,7 @@ class ChainLimits:
     are in an interval of SYNC: all intervals above are those from sample to sample. ``coast_samples`` counts
     intervals of SYNC. ``phase_error`` is the largest error of a phase, cycles, ``instant_error`` that
     of a sample time, intervals: it is added at the speed of the machine, up to ``widest_limit`` (2010:01;
-    None: ``residual_limit``). ``corner_hz`` is the corner frequency of the analog path, 0.0: none. The others
+    None: ``residual_limit``). ``corners`` are those of the low-passes of the tracks. The others
     are those of :class:`ChainConfig`.
     ValueError for a bad limit or order.
     """
@@ -60,7 +62,7 @@ class ChainLimits:
     widest_limit: float | None = None
     bad_samples: int = 0
     doubt_acceleration: float = DOUBT_ACCELERATION
-    corner_hz: float = 0.0
+    corners: Corners = NO_LOW_PASS
 
     def __post_init__(self) -> None:
         check_residual_limit(self.residual_limit)
@@ -106,6 +108,7 @@ class ChainConfig:
     amplitude_high_counts   highest accepted amplitude, 0..65535 (2001:04); None: 1.25 of the full scale
     corner_hz               of the low-pass of the analog path, 0..1e9 Hz (2001:05): both limits hold for the
                             amplitude before it; 0: none
+    cosine_corner_hz        that of the cosine track, 0..1e9 Hz (2001:06); 0: the same
     residual_limit          largest accepted residual, 0 < limit <= 0.5 cycles (2010:01, eq. 12)
     coast_samples           0..255 sampling intervals to bridge before the position is lost (2010:03)
     frozen_samples          0..255 successive repeats that distinguish a dead converter from a machine
@@ -143,6 +146,7 @@ class ChainConfig:
     bad_samples: int = 0
     doubt_acceleration_cycles: float = DOUBT_ACCELERATION
     corner_hz: float = 0.0
+    cosine_corner_hz: float = 0.0
     interval_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -209,7 +213,7 @@ class ChainConfig:
             frozen_samples=self.frozen_samples,
             coarse_limit_revolutions=self.coarse_limit_revolutions,
             prediction_order=self.prediction_order,
-            corner_hz=self.corner_hz,
+            corners=Corners(self.corner_hz, self.cosine_corner_hz),
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -12,6 +13,8 @@ import numpy.typing as npt
 from canfb.signal.blocks import Scratch
 
 Coefficients = tuple[float, float, float, float, float]
+HARMONIC_ORDERS = (-1, 2, -2, 3, -3, 5, -5)  # of cosine + i sine
+LARGEST_HARMONIC = 0.5
 LONGEST_DELAY_S = 0.01  # of 2002:06 and 2002:07, either sign
 
 
@@ -31,6 +34,24 @@ class Conditioning:
     cosine_delay_s         the cosine is sampled this much after the sine (2002:06), -0.01..0.01 s
     delay_s                common delay of the analog path and the converter (2002:07), -0.01..0.01 s
 
+    harmonic_1_backward_real       real part of order -1 (2005:01), -0.5..0.5
+    harmonic_1_backward_imaginary  imaginary part of order -1 (2005:02), -0.5..0.5
+    harmonic_2_forward_real        real part of order 2 (2005:03), -0.5..0.5
+    harmonic_2_forward_imaginary   imaginary part of order 2 (2005:04), -0.5..0.5
+    harmonic_2_backward_real       real part of order -2 (2005:05), -0.5..0.5
+    harmonic_2_backward_imaginary  imaginary part of order -2 (2005:06), -0.5..0.5
+    harmonic_3_forward_real        real part of order 3 (2005:07), -0.5..0.5
+    harmonic_3_forward_imaginary   imaginary part of order 3 (2005:08), -0.5..0.5
+    harmonic_3_backward_real       real part of order -3 (2005:09), -0.5..0.5
+    harmonic_3_backward_imaginary  imaginary part of order -3 (2005:0A), -0.5..0.5
+    harmonic_5_forward_real        real part of order 5 (2005:0B), -0.5..0.5
+    harmonic_5_forward_imaginary   imaginary part of order 5 (2005:0C), -0.5..0.5
+    harmonic_5_backward_real       real part of order -5 (2005:0D), -0.5..0.5
+    harmonic_5_backward_imaginary  imaginary part of order -5 (2005:0E), -0.5..0.5
+
+    The harmonics are those of cosine + i sine, conditioned, at standstill, relative to the fundamental. They
+    count with a low-pass or a cosine delay only: :mod:`canfb.signal.harmonics`.
+
     :meth:`apply` is what holds at standstill; :mod:`canfb.signal.front_end` has the speed. ``delay_s``
     leaves the tracks as they are: what is published is the position by so much later.
     """
@@ -42,6 +63,20 @@ class Conditioning:
     phase_error_rad: float = 0.0
     cosine_delay_s: float = 0.0
     delay_s: float = 0.0
+    harmonic_1_backward_real: float = 0.0
+    harmonic_1_backward_imaginary: float = 0.0
+    harmonic_2_forward_real: float = 0.0
+    harmonic_2_forward_imaginary: float = 0.0
+    harmonic_2_backward_real: float = 0.0
+    harmonic_2_backward_imaginary: float = 0.0
+    harmonic_3_forward_real: float = 0.0
+    harmonic_3_forward_imaginary: float = 0.0
+    harmonic_3_backward_real: float = 0.0
+    harmonic_3_backward_imaginary: float = 0.0
+    harmonic_5_forward_real: float = 0.0
+    harmonic_5_forward_imaginary: float = 0.0
+    harmonic_5_backward_real: float = 0.0
+    harmonic_5_backward_imaginary: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in self.words.items():
@@ -55,16 +90,30 @@ class Conditioning:
         for name in ("cosine_delay_s", "delay_s"):
             if abs(getattr(self, name)) > LONGEST_DELAY_S:
                 raise ValueError(f"{name} is out of range: its size must be at most {LONGEST_DELAY_S} s")
+        for name, value in self.words.items():
+            if name.startswith("harmonic") and abs(value) > LARGEST_HARMONIC:
+                raise ValueError(f"{name} is out of range: its size must be at most {LARGEST_HARMONIC}")
 
     @property
     def words(self) -> dict[str, float]:
-        """Its fields by name, in the order of 2002:01..07."""
+        """Its fields by name, in the order of 2002:01..07, 2005:01..0E."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Its fields in the order of 2002:01..07."""
+        """Its fields in the order of 2002:01..07, 2005:01..0E."""
         return tuple(self.words.values())
+
+    @property
+    def harmonics(self) -> tuple[complex, ...]:
+        """Of the orders :data:`HARMONIC_ORDERS`, relative to the fundamental."""
+        parts = self.values[-2 * len(HARMONIC_ORDERS) :]
+        return tuple(complex(*parts[n : n + 2]) for n in range(0, len(parts), 2))
+
+    def with_harmonics(self, harmonics: Sequence[complex]) -> Conditioning:
+        """The same with other ones."""
+        parts = [part for one in harmonics for part in (float(one.real), float(one.imag))]
+        return Conditioning(*self.values[: -len(parts)], *parts)
 
     @property
     def is_identity(self) -> bool:

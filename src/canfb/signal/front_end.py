@@ -12,18 +12,22 @@ with x the angle at the instant of the sine. That is a phase error of ``phase_er
 
 with s, cosine after offset and gain; for tracks at a right angle (cosine + s sin d) / cos d. A low-pass of
 one pole with the corner frequency fc takes the amplitude to A / sqrt(1 + (f / fc)^2). The inverse of it is
-a common gain, so that the amplitude, and its limits, are those of a slow machine.
+a common gain, so that the amplitude, and its limits, are those of a slow machine. Where the corner
+frequencies differ, so do the gains, and d has arctan(f / fc of the sine) - arctan(f / fc of the cosine)
+besides.
 
-Both depend on the speed alone, so they are five coefficients as at standstill, renewed after each sample
-with the speed expected at the next one. Every way of a sample then conditions as it always does.
+All depends on the speed alone, so it is five coefficients as at standstill, renewed after each sample
+with the speed expected at the next one. Every way of a sample then conditions as it always does. The
+harmonics are in :mod:`canfb.signal.harmonics`.
 """
 
 from __future__ import annotations
 
 import math
-from math import sqrt, tan
+from math import atan, sqrt, tan
 
 from canfb.signal.conditioning import Coefficients, Conditioning
+from canfb.signal.harmonics import Corners, Row, harmonic_rows
 
 LARGEST_RAD = 1.47  # |d - phase_error|: beyond it the tracks are less than 6 degrees from being the same one
 AHEAD_INTERVALS = 1.5  # from the middle of the last interval, whose speed is known, to the next sample
@@ -33,37 +37,68 @@ SAME_INTERVAL = 2e-4  # of it
 class FrontEnd:
     """Coefficients of a conditioning at a speed, which is in cycles per sampling interval.
 
-    ``corner_hz`` is that of the low-pass, 0.0: none. ``unit_s`` is the sampling interval in seconds; while
-    it is 0.0, not known, the machine is taken to stand.
+    ``unit_s`` is the sampling interval in seconds; while it is 0.0, not known, the machine is taken to stand.
     """
 
     __slots__ = (
         "_conditioning",
         "_corner",
-        "_corner_hz",
+        "_corners",
+        "_cosine_corner",
         "_delay",
+        "_differ",
         "_gains",
+        "_hertz",
         "_offsets",
         "_phase_error",
+        "_rows",
         "unit_s",
+        "varies",
     )
 
-    def __init__(self, conditioning: Conditioning, corner_hz: float) -> None:
-        self._conditioning, self._corner_hz = conditioning, corner_hz
+    def __init__(self, conditioning: Conditioning, corners: Corners) -> None:
+        self._conditioning, self._corners = conditioning, corners
         used = tuple(map(float, conditioning.values))
         self._offsets, self._gains, self._phase_error = used[:2], used[2:4], used[4]
+        self._differ = corners.of_cosine_hz != corners.corner_hz
+        self._rows = harmonic_rows(conditioning, corners)
+        self.varies = self._rows is not None or bool(corners.corner_hz and conditioning.delay_s)
+        """More than the coefficients depends on the speed: :meth:`row`, :meth:`lag_intervals`."""
         self.use_interval(0.0)
 
     def use_interval(self, unit_s: float) -> None:
         """Speeds are per interval of this length from now on, seconds; 0.0: not known."""
         self.unit_s = unit_s
-        hertz = 1.0 / unit_s if unit_s > 0.0 else 0.0  # at one cycle per interval
+        self._hertz = hertz = 1.0 / unit_s if unit_s > 0.0 else 0.0  # at one cycle per interval
         self._delay = 2.0 * math.pi * hertz * self._conditioning.cosine_delay_s
-        self._corner = hertz / self._corner_hz if self._corner_hz else 0.0
+        corners = self._corners
+        self._corner = hertz / corners.corner_hz if corners.corner_hz else 0.0
+        self._cosine_corner = hertz / corners.of_cosine_hz if corners.of_cosine_hz else 0.0
+
+    def hertz(self, speed_cycles: float) -> float:
+        """This speed in cycles per second."""
+        return speed_cycles * self._hertz
 
     def turned_rad(self, speed_cycles: float) -> float:
-        """d at this speed."""
-        return self._delay * speed_cycles
+        """From the sine of a sample to its cosine, at this speed."""
+        turned = self._delay * speed_cycles
+        if self._differ:
+            turned += atan(self._corner * speed_cycles) - atan(self._cosine_corner * speed_cycles)
+        return turned
+
+    def row(self, speed_cycles: float) -> Row:
+        """What the harmonics do at this speed; () for nothing."""
+        return () if self._rows is None else self._rows.row(speed_cycles * self._hertz)
+
+    def lag_intervals(self, speed_cycles: float) -> float:
+        """2002:07 at this speed: a low-pass delays by arctan(u) / u as much as at standstill, u = f / fc."""
+        if not self._hertz:
+            return 0.0
+        lag = self._conditioning.delay_s * self._hertz
+        ratio = self._corner * speed_cycles
+        if ratio:
+            lag -= (1.0 - atan(ratio) / ratio) * self._hertz / (2.0 * math.pi * self._corners.corner_hz)
+        return lag
 
     def coefficients(self, speed_cycles: float, amplitude_known: bool = True) -> Coefficients:
         """As :meth:`Conditioning.coefficients`, at this speed.
@@ -72,13 +107,23 @@ class FrontEnd:
         ``amplitude_known`` False the attenuation is left in.
         """
         angle = self._phase_error - self._delay * speed_cycles
-        if not -LARGEST_RAD < angle < LARGEST_RAD:
-            return 0.0, 0.0, 0.0, 0.0, 0.0
-        skew = tan(angle)
         (offset_s, offset_c), (gain_s, gain_c) = self._offsets, self._gains
-        if self._corner and amplitude_known:
+        if self._differ:
+            angle = self._phase_error - self.turned_rad(speed_cycles)
+            if amplitude_known:
+                gain_s *= _rise(self._corner * speed_cycles)
+                gain_c *= _rise(self._cosine_corner * speed_cycles)
+        elif self._corner and amplitude_known:
             ratio = self._corner * speed_cycles
             rise = sqrt(1.0 + ratio * ratio)
             gain_s *= rise
             gain_c *= rise
+        if not -LARGEST_RAD < angle < LARGEST_RAD:
+            return 0.0, 0.0, 0.0, 0.0, 0.0
+        skew = tan(angle)
         return offset_s, gain_s, offset_c, gain_c * sqrt(1.0 + skew * skew), skew
+
+
+def _rise(ratio: float) -> float:
+    """What undoes a low-pass at this part of its corner frequency."""
+    return sqrt(1.0 + ratio * ratio)

@@ -17,6 +17,7 @@ from canfb.signal.estimator import Estimator
 from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import AHEAD_INTERVALS, SAME_INTERVAL, FrontEnd
 from canfb.signal.frozen import FrozenInput
+from canfb.signal.harmonics import NO_LOW_PASS, Corners, Row, corrected
 from canfb.signal.recovery.second_listener import SecondListener
 from canfb.signal.supervision import VALID, Supervision
 from canfb.signal.tracker import Track, Tracker
@@ -51,7 +52,8 @@ class UsualStep(SecondListener):
         self._before: Track | Feedback | None = None  # the last sample, if it was taken
         self._front: FrontEnd | None = None  # that depends on the speed
         self._conditioning = IDENTITY
-        self._corner_hz = 0.0
+        self._corners = NO_LOW_PASS
+        self._row: Row = ()  # of the harmonics at the speed of the next sample
         self._sampling_s = 0.0
         self.lag_intervals = 0.0
         """2002:07 in sampling intervals: the position is that of so much earlier."""
@@ -85,6 +87,10 @@ class UsualStep(SecondListener):
         """By how much the tracks turn at this speed from the sine of a sample to its cosine."""
         return 0.0 if self._front is None else self._front.turned_rad(speed_cycles)
 
+    def hertz(self, speed_cycles: float) -> float:
+        """This speed in cycles per second, 0.0 while nothing depends on it."""
+        return 0.0 if self._front is None else self._front.hertz(speed_cycles)
+
     @property
     def needs_interval(self) -> bool:
         """The analog path depends on the speed in cycles per second: :meth:`use_interval` is required."""
@@ -96,12 +102,12 @@ class UsualStep(SecondListener):
             self._sampling_s = sampling_s
             self._follow_unit()
 
-    def _use_front_end(self, conditioning: Conditioning, corner_hz: float) -> None:
+    def _use_front_end(self, conditioning: Conditioning, corners: Corners) -> None:
         """Condition so from the next sample on."""
-        self._conditioning, self._corner_hz = conditioning, corner_hz
+        self._conditioning, self._corners = conditioning, corners
         delayed = conditioning.cosine_delay_s != 0.0
-        self._front = FrontEnd(conditioning, corner_hz) if delayed or corner_hz else None
-        self._coefficients = conditioning.coefficients()
+        self._front = FrontEnd(conditioning, corners) if delayed or corners.are_there else None
+        self._coefficients, self._row = conditioning.coefficients(), ()
         self._estimator.phases_keep = not delayed
         self._follow_unit()
 
@@ -118,8 +124,15 @@ class UsualStep(SecondListener):
         if self._front is None:
             return
         known = not self._estimator.lost and (self._tracker.started or speed_cycles != 0.0)
-        self._supervision.amplitude_known(known or not self._corner_hz)
+        self._supervision.amplitude_known(known or not self._corners.are_there)
         self._coefficients = self._front.coefficients(speed_cycles, known)
+        if self._front.varies:
+            self._vary(self._front, speed_cycles)
+
+    def _vary(self, front: FrontEnd, speed_cycles: float) -> None:
+        """What depends on the speed beside the coefficients."""
+        self._row = front.row(speed_cycles)
+        self.lag_intervals = front.lag_intervals(speed_cycles)
 
     def _forget_sample(self) -> None:
         """The next sample is the first of its kind."""
@@ -194,6 +207,8 @@ class UsualStep(SecondListener):
                 phase += 1.0
             if phase >= 1.0:
                 phase -= 1.0
+        if self._row:
+            phase = corrected(self._row, phase)
         tracker = self._tracker
         residual = tracker.advance(phase) if elapsed == 1.0 else self._estimator.advance_over(phase, elapsed)
         if residual < 0.0:
@@ -223,6 +238,10 @@ class UsualStep(SecondListener):
                 samples,
             ),
         )
-        if self._front is not None:
-            self._coefficients = self._front.coefficients(speed + AHEAD_INTERVALS * acceleration)
+        front = self._front
+        if front is not None:
+            ahead = speed + AHEAD_INTERVALS * acceleration
+            self._coefficients = front.coefficients(ahead)
+            if front.varies:
+                self._vary(front, ahead)
         return last

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from canfb import objects as od
 from canfb.signal.chain_config import ChainLimits
 from canfb.signal.declared import DOUBT_ACCELERATION
+from canfb.signal.harmonics import NO_LOW_PASS, Corners
 from canfb.signal.limits import (
     PHASE_ERROR_CYCLES,
     cycles_per_interval_cubed,
@@ -75,7 +76,7 @@ class LimitSettings:
     cycle_period_s         1006h
     samples_per_sync       pairs that its RPDOs carry
     timed                  they carry the sample time
-    corner_hz              2001:05
+    corners                2001:05 and 2001:06
     """
 
     widest_cycles: float = 0.5
@@ -89,7 +90,7 @@ class LimitSettings:
     cycle_period_s: float = 0.0
     samples_per_sync: int = 1
     timed: bool = False
-    corner_hz: float = 0.0
+    corners: Corners = NO_LOW_PASS
 
     def limit_cycles(
         self,
@@ -162,7 +163,10 @@ def limit_settings(read: Read) -> LimitSettings:
         cycle_period_s=int(read(od.CYCLE_PERIOD) or 0) * 1e-6,
         samples_per_sync=od.samples_per_sync(mapped),
         timed=any(od.SAMPLE_TIME.mapped(32) in one for one in mapped),
-        corner_hz=float(read(od.ENCODER_CORNER_FREQUENCY) or 0.0),
+        corners=Corners(
+            float(read(od.ENCODER_CORNER_FREQUENCY) or 0.0),
+            float(read(od.ENCODER_COSINE_CORNER_FREQUENCY) or 0.0),
+        ),
     )
 
 

@@ -10,6 +10,7 @@ from canfb import objects as od
 from canfb.calibration.drift import Drift, drift
 from canfb.calibration.recording import BINS, NO_TIME, covered
 from canfb.calibration.result import Calibration, Reason
+from canfb.calibration.track_harmonics import counts_at
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.calibration_job import CalibrationJob, Outcome
@@ -54,7 +55,9 @@ class Calibrating:
         self._working = working
         self._wanted = dictionary.entry(*od.MEASUREMENT_SAMPLES)
         self._full_scale = dictionary.entry(*od.ENCODER_FULL_SCALE)
+        self._corner = dictionary.entry(*od.ENCODER_CORNER_FREQUENCY)
         self._calibration: Calibration | None = None
+        self._fastest_hz = 0.0  # of the samples, cycles per second
         self._commands: dict[int, Callable[[], None]] = {
             Command.START: lambda: self._start(Command.START),
             Command.STOP: self.reset,
@@ -121,6 +124,7 @@ class Calibrating:
         status = feedback.status
         self._add_time(sample.time_100ns)
         turned = self._chain.turned_rad(feedback.speed_cycles)
+        self._fastest_hz = max(self._fastest_hz, abs(self._chain.hertz(feedback.speed_cycles)))
         self._turned.append(turned)
         if sample.invalid or _left_out(status) or (turned and status & LOST):  # the speed is not known then
             self._samples.miss()
@@ -168,6 +172,7 @@ class Calibrating:
         self._samples = SampleRecording(capacity)
         self._times = array("q")
         self._turned = array("f")  # from each sine to its cosine
+        self._fastest_hz = 0.0
         self._timed = True
         self._last_tick: int | None = None
         self._bins = [0] * BINS
@@ -199,7 +204,8 @@ class Calibrating:
         times = self._times.tobytes() if self._timed and len(self._times) else None
         active = self._chain.correction.conditioning
         turned = self._turned.tobytes() if active.cosine_delay_s else None
-        self._job = CalibrationJob(self._samples.to_bytes(), times, self._adc_bits, turned, active)
+        at_speed = counts_at(self._fastest_hz, active.cosine_delay_s, self._corner.value)
+        self._job = CalibrationJob(self._samples.to_bytes(), times, self._adc_bits, turned, active, at_speed)
         self._enter(State.COMPUTING)
 
     def _add_time(self, time_100ns: int | None) -> None:
