@@ -295,9 +295,11 @@ class FeedbackModule:
 
     def _on_sync_predicting(self, counter: int | None, now: float) -> None:
         pairing = self._sampling.pairing
-        extra = pairing.extra  # no sample belongs to it, and so none is extrapolated to it
+        extra = pairing.extra
         pairing.on_sync(counter, now)
-        if not extra:
+        if extra:  # no sample belongs to it, and so none is extrapolated to it
+            self._publishing.withhold()
+        else:
             self._publishing.extrapolate()
 
     def _choose_sync_hooks(self) -> None:

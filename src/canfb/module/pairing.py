@@ -138,7 +138,8 @@ class Pairing:
             return True
         if verdict.extra:
             _count(self._duplicate_syncs)
-            self.extra = not (parts.is_synchronous or verdict.repeated)
+            self.extra = not verdict.repeated
+            self._stale |= self.extra and parts.is_synchronous and not parts.timed  # whose it is, is open
             if self.extra and self._findings.slips(self.judge.extra_after):
                 self._findings.withhold()  # the position is that of the SYNC before
             return self.extra
@@ -168,7 +169,7 @@ class Pairing:
     def on_sync(self, counter: int | None, now: float) -> None:
         """A SYNC that was accepted: the interval before it is over, unless it is an extra one."""
         if self.extra:
-            self.extra = False
+            self.extra = self._stale = False
             return
         parts, judge = self._input, self.judge
         if self.on_interval is not None:
