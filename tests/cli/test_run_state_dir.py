@@ -20,6 +20,7 @@ from canfb.cia301.frame import Frame
 from canfb.cli.log_printing import printed_log
 from canfb.cli.main import main
 from canfb.eds_files import eds_path
+from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 
 LIMIT_S = 30.0
@@ -34,7 +35,15 @@ def exchanged(config: ModuleConfig, *requests: bytes) -> list[str]:
     with contextlib.ExitStack() as resources:
         module = make_module(config, resources, {})
         module.start(0.0)
-        return [frame.data.hex() for data in requests for frame in module.receive(Frame(0x620, data), 0.0)]
+        return [answer for data in requests for answer in answers(module, data)]
+
+
+def answers(module: FeedbackModule, data: bytes) -> list[str]:
+    """Those to one request; that of a save comes when the thread of the store is done."""
+    frames, end_s = module.receive(Frame(0x620, data), 0.0), time.monotonic() + LIMIT_S
+    while not frames and time.monotonic() < end_s:
+        frames = [frame for frame in module.tick(module.deadline() or 0.0) if frame.can_id == SAVED.can_id]
+    return [frame.data.hex() for frame in frames]
 
 
 def test_a_module_of_the_command_keeps_its_parameters(tmp_path: Path) -> None:
