@@ -157,7 +157,7 @@ def test_a_refused_write_leaves_the_old_set(
     assert bench.access.integer(*PHASE_ERROR, "H") == 819
 
 
-LAST_REQUEST = 66  # of an installation
+LAST_REQUEST = 106  # of an installation
 
 
 def lying(bench: Bench, index: int, subindex: int, times: int) -> None:

@@ -13,7 +13,6 @@ from canfb.calibration.simultaneous import recorded_together
 from canfb.calibration.solver import no_progress
 from canfb.calibration.track_harmonics import without_harmonics
 from canfb.errors import CalibrationError
-from canfb.signal.conditioning import IDENTITY, Conditioning
 
 
 class Outcome(NamedTuple):
@@ -40,14 +39,14 @@ class CalibrationJob:
     turned      by how much the machine turned from the sine of each sample to its cosine, rad, REAL32 of this
                 machine; None: both are sampled at once
     at_speed    the analog path counts at the speed of the samples
-    active      its delays stay as they are: they do not show at one speed
+    delays_s    2002:06 and 2002:07, which stay as they are: they do not show at one speed
     """
 
     samples: bytes
     times: bytes | None
     adc_bits: int
     turned: bytes | None = None
-    active: Conditioning = IDENTITY
+    delays_s: tuple[float, float] = (0.0, 0.0)
     at_speed: bool = False
 
     def __call__(self, progress: Callable[[float], None] = no_progress) -> Outcome:
@@ -65,6 +64,7 @@ class CalibrationJob:
             )
         except CalibrationError as error:
             return Outcome(Reason(error.reason), error.calibration, str(error))
-        kept = found.conditioning.with_delays_of(self.active)
+        between_s, common_s = self.delays_s
+        kept = replace(found.conditioning, cosine_delay_s=between_s, delay_s=common_s)
         found = replace(found, conditioning=without_harmonics(kept) if self.at_speed else kept)
         return Outcome(Reason.ACCEPTED, found, found.verdict)

@@ -204,8 +204,11 @@ class Calibrating:
         times = self._times.tobytes() if self._timed and len(self._times) else None
         active = self._chain.correction.conditioning
         turned = self._turned.tobytes() if active.cosine_delay_s else None
+        delays_s = active.cosine_delay_s, active.delay_s
         at_speed = counts_at(self._fastest_hz, active.cosine_delay_s, self._corner.value)
-        self._job = CalibrationJob(self._samples.to_bytes(), times, self._adc_bits, turned, active, at_speed)
+        self._job = CalibrationJob(
+            self._samples.to_bytes(), times, self._adc_bits, turned, delays_s, at_speed
+        )
         self._enter(State.COMPUTING)
 
     def _add_time(self, time_100ns: int | None) -> None:
