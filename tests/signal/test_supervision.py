@@ -403,3 +403,25 @@ def test_frozen_samples_are_counted() -> None:
 def test_the_amplitude_of_the_kit_is_within_the_default_limits() -> None:
     limits = ChainConfig().limits
     assert limits.amplitude_low_counts * 2 < AMPLITUDE < limits.amplitude_high_counts / 1.5
+
+
+def test_while_the_speed_is_not_known_a_quarter_of_the_amplitude_is_enough() -> None:
+    limits = SampleLimits(2048, 400.0, 1800.0)
+    quarter = SampleLimits(2048, 100.0, 1800.0)
+    supervision = Supervision(limits)
+    supervision.amplitude_known(False)
+    assert supervision.bounds == quarter.bounds()
+    assert supervision.faults(0.0, 90.0, 90.0) == AMPLITUDE_BIT
+    assert supervision.bounds == quarter.bounds(after_fault=True)
+    supervision.amplitude_known(True)
+    assert supervision.bounds == limits.bounds(after_fault=True)
+    supervision.amplitude_known(False)
+    assert supervision.bounds == quarter.bounds(after_fault=True)
+    supervision.passed()
+    assert supervision.bounds == quarter.bounds()
+    supervision.set_limits(limits)
+    assert supervision.bounds == limits.bounds()
+    supervision.amplitude_known(True)
+    assert supervision.bounds == limits.bounds()
+    supervision.amplitude_known(False)
+    assert supervision.bounds == quarter.bounds()
