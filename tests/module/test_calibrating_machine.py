@@ -218,7 +218,7 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
         crc32, entries = (0, 0) if self.table is None else (self.table.crc32, len(self.table))
         staged = 0 if self.staged is None else self.staged.crc32
         assert self.bench.in_force() == (staged, crc32, entries)
-        assert Conditioning(*self.bench.conditioning()) == self.written
+        assert self.bench.conditioning() == astuple(self.written)[:5]  # 2002:01..05
 
     @invariant()
     def figures_are_there_when_there_is_a_measurement(self) -> None:

@@ -213,7 +213,7 @@ class Limits:
         if abs(known_s - self._applied_s) > same:
             self.apply()
         elif chain.needs_interval:
-            chain.use_interval(known_s / self.interval.samples_per_sync)
+            chain.use_interval(self.interval.seconds / self.interval.samples_per_sync)
             same = SAME_ANALOG * known_s
         self.shortest_s, self.longest_s = known_s - same, known_s + same
 
@@ -249,7 +249,7 @@ class Limits:
             corners=settings.corners,
         )
         self._chain.set_limits(self.in_force)
-        self._chain.use_interval(known_s / per_sync)
+        self._chain.use_interval(self.interval.seconds / per_sync)
         self.narrowed = by_motion or self._chain.needs_interval
         if self.on_applied is not None:
             self.on_applied()
