@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from commissioning_kit import EmbeddedMaster
 
-from canfb.bus import on_bus
+from canfb.bus import hosting, on_bus
 from canfb.cia301.frame import Frame
 from canfb.cli import calibrate, nmt_command, node_options
 from canfb.cli.main import main
@@ -92,6 +92,8 @@ class GuideNetwork:
         def keep(entered: Any, *ending: Any) -> None:
             resources.push(entered._resources.pop_all())
 
+        # A thread takes true time, and a master gives up in that of the bus.
+        monkeypatch.setattr(hosting, "ThreadedStore", contextlib.nullcontext)
         monkeypatch.setattr(on_bus, "Runner", Attaching)
         monkeypatch.setattr(on_bus, "open_device_bus", lambda words: contextlib.nullcontext())
         monkeypatch.setattr(on_bus, "apply_realtime", lambda realtime: None)
