@@ -6,15 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-import canopen
 import numpy as np
-from canopen.sdo.client import SdoClient
-from canopen.sdo.exceptions import SdoCommunicationError
 
 from canfb.cia301.frame import Frame
 from canfb.commissioning.access import NodeAccess
 from canfb.commissioning.samples import TrackSamples
-from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage.writing import Store
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.interface.sample_clock import SampleClock
@@ -28,12 +24,12 @@ from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_producer import SyncProducer
 from canfb.simulation.sync_timing import REGULAR, SyncTiming
 from canfb.sources.motion_source import MotionSource
+from tools.soak import embedded_master
 
 MODULE_ID, INTERFACE_ID = 0x20, 0x10
 RATE_HZ = 1000.0
 CYCLES = 2500
 ANSWER_S = 0.05
-STEP_S = 0.001
 
 
 def random_encoder(seed: int) -> Encoder:
@@ -66,30 +62,11 @@ class ChangingSource:
         return None if counts is None else Sample(*counts)
 
 
-class EmbeddedClient(SdoClient):
-    """canopen's SDO client; simulated time passes while it waits."""
-
-    wait: Callable[[float], None]
-
-    def read_response(self) -> bytes:
-        left = self.RESPONSE_TIMEOUT
-        while self.responses.empty():
-            if left <= 0.0:
-                raise SdoCommunicationError("No SDO response received")
-            self.wait(STEP_S)
-            left -= STEP_S
-        answer: bytes = super().read_response()
-        return answer
-
-
-class EmbeddedMaster:
-    """:class:`canfb.commissioning.access.Master` on an embedded bus."""
+class EmbeddedMaster(embedded_master.EmbeddedMaster):
+    """Notes what a tool sends, and says when it waits."""
 
     def __init__(self, bus: EmbeddedBus) -> None:
-        self.bus = bus
-        self.network = EmbeddedNetwork(bus)
-        self.network.subscribers = {}
-        self.clients: dict[int, EmbeddedClient] = {}
+        super().__init__(bus, ANSWER_S)
         self.sent: list[Frame] = []
         self.on_wait: Callable[[float], None] = lambda now: None
         bus.taps.append(self._note)
@@ -98,34 +75,9 @@ class EmbeddedMaster:
         if 0x600 < frame.can_id < 0x680 or frame.can_id in (0x000, 0x080):
             self.sent.append(frame)
 
-    def sdo(self, node_id: int) -> Any:
-        if node_id not in self.clients:
-            client = EmbeddedClient(0x600 + node_id, 0x580 + node_id, canopen.ObjectDictionary())
-            client.RESPONSE_TIMEOUT = ANSWER_S
-            client.network = self.network
-            client.wait = self.wait
-            self.network.subscribe(client.tx_cobid, client.on_response)
-            self.clients[node_id] = client
-        return self.clients[node_id]
-
-    def subscribe(self, can_id: int, hear: Any) -> None:
-        self.network.subscribe(can_id, hear)
-
-    def unsubscribe(self, can_id: int, hear: Any) -> None:
-        self.network.unsubscribe(can_id, hear)
-
-    def send(self, can_id: int, data: bytes) -> None:
-        self.bus.send(Frame(can_id, data))
-
-    def request(self, can_id: int) -> None:
-        self.bus.send(Frame(can_id, b"", True))
-
-    def now(self) -> float:
-        return self.bus.now
-
     def wait(self, duration_s: float) -> None:
         self.on_wait(self.bus.now)
-        self.bus.run_until(self.bus.now + duration_s)
+        super().wait(duration_s)
 
 
 @dataclass

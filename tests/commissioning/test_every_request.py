@@ -13,22 +13,19 @@ import numpy as np
 import pytest
 from adversary import Adversary, Held, Task, requests
 from commissioning_kit import MODULE_ID, Bench
+from restoring_kit import restore_from
 
 from canfb.cli.backup_command import backup_of
 from canfb.commissioning.active import put_in_force, save
 from canfb.commissioning.backup_file import Backup
-from canfb.commissioning.backup_restoring import Restoring, Wishes
 from canfb.commissioning.guard import Guard
 from canfb.commissioning.limit_setting import set_limits
 from canfb.commissioning.measurement import Measurement, Settings
-from canfb.commissioning.module_objects import ModuleObjects
 from canfb.commissioning.procedure import install
 from canfb.commissioning.samples import TrackSamples
 from canfb.commissioning.table_file import TableFile
 from canfb.commissioning.table_tasks import TableTasks
 from canfb.device.storage.storage import MemoryStore
-from canfb.module.backup_content import restored_configuration
-from canfb.module.read_configuration import read_configuration
 from canfb.objects import Multiplexer
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
@@ -58,13 +55,7 @@ def backup() -> Backup:
 
 
 def restore(bench: Bench) -> object:
-    kept = backup()
-    read = lambda: read_configuration(ModuleObjects(bench.master, MODULE_ID))  # noqa: E731
-    return Restoring(bench.access, read, Guard()).restore(
-        kept,
-        lambda before: restored_configuration(kept.values, before, kept.table, MODULE_ID, MODULE_ID),
-        Wishes(keep=True),
-    )
+    return restore_from(backup(), bench)
 
 
 def upload(bench: Bench) -> object:

@@ -11,19 +11,16 @@ from commissioning_kit import MODULE_ID, Bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from node_commands import ANSWER, REQUEST, abort
+from restoring_kit import restore_from
 
 from canfb.cia301.frame import Frame
 from canfb.cli.backup_command import backup_of
 from canfb.commissioning.active import put_in_force
 from canfb.commissioning.backup_file import Backup
-from canfb.commissioning.backup_restoring import Restored, Restoring, Wishes
-from canfb.commissioning.guard import Guard
-from canfb.commissioning.module_objects import ModuleObjects
+from canfb.commissioning.backup_restoring import Restored
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CanfbError
-from canfb.module.backup_content import restored_configuration
 from canfb.module.device_configuration import configuration_of
-from canfb.module.read_configuration import read_configuration
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 
@@ -48,13 +45,7 @@ def backup() -> Backup:
 
 
 def restore(bench: Bench) -> Restored:
-    kept = backup()
-    read = lambda: read_configuration(ModuleObjects(bench.master, MODULE_ID))  # noqa: E731
-    return Restoring(bench.access, read, Guard()).restore(
-        kept,
-        lambda before: restored_configuration(kept.values, before, kept.table, MODULE_ID, MODULE_ID),
-        Wishes(keep=True),
-    )
+    return restore_from(backup(), bench)
 
 
 def wanted() -> dict[tuple[int, int], Any]:

@@ -1,25 +1,16 @@
-"""What stands around the module in the soak: a cable that loses frames, a master, a store that is slow."""
+"""What stands around the module in the soak: a cable that loses frames, another node, a slow store."""
 
 from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable, Collection
-from typing import Any
-
-import canopen
-from canopen.sdo.client import SdoClient
-from canopen.sdo.exceptions import SdoCommunicationError
+from collections.abc import Collection
 
 from canfb.cia301.frame import Frame
-from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.hosted import Device
 from canfb.device.storage.storage import MemoryStore
 from canfb.device.storage.writing import Changes
-from canfb.simulation.embedded_bus import EmbeddedBus
 
-ANSWER_S = 0.2
-STEP_S = 0.001
 SAVE_POLLS = 5
 
 logging.getLogger("canopen").setLevel(logging.CRITICAL)  # transfers are broken off on purpose
@@ -111,60 +102,3 @@ class SlowStore(MemoryStore):
             else:
                 ended.append(OSError(28, "No space left on device"))
         return ended
-
-
-class SimulatedClient(SdoClient):
-    """python canopen's SDO client; simulated time passes while it waits."""
-
-    wait: Callable[[float], None]
-
-    def read_response(self) -> bytes:
-        left = self.RESPONSE_TIMEOUT
-        while self.responses.empty():
-            if left <= 0.0:
-                raise SdoCommunicationError("No SDO response received")
-            self.wait(STEP_S)
-            left -= STEP_S
-        inherited: Any = super()
-        answer: bytes = inherited.read_response()
-        return answer
-
-
-class SoakMaster:
-    """A master on the embedded bus: :class:`canfb.commissioning.access.Master`."""
-
-    def __init__(self, bus: EmbeddedBus) -> None:
-        self._bus = bus
-        self._network = EmbeddedNetwork(bus)
-        self._network.subscribers = {}
-        self._clients: dict[int, SimulatedClient] = {}
-
-    def sdo(self, node_id: int) -> Any:
-        if node_id not in self._clients:
-            make: Any = SimulatedClient
-            dictionary: Any = canopen.ObjectDictionary
-            client: SimulatedClient = make(0x600 + node_id, 0x580 + node_id, dictionary())
-            client.RESPONSE_TIMEOUT = ANSWER_S
-            client.network = self._network
-            client.wait = self.wait
-            self._network.subscribe(client.tx_cobid, client.on_response)
-            self._clients[node_id] = client
-        return self._clients[node_id]
-
-    def subscribe(self, can_id: int, hear: Any) -> None:
-        self._network.subscribe(can_id, hear)
-
-    def unsubscribe(self, can_id: int, hear: Any) -> None:
-        self._network.unsubscribe(can_id, hear)
-
-    def send(self, can_id: int, data: bytes) -> None:
-        self._bus.send(Frame(can_id, data))
-
-    def request(self, can_id: int) -> None:
-        self._bus.send(Frame(can_id, b"", True))
-
-    def now(self) -> float:
-        return self._bus.now
-
-    def wait(self, duration_s: float) -> None:
-        self._bus.run_until(self._bus.now + duration_s)

@@ -26,8 +26,9 @@ from canfb.signal.correction import CorrectionTable
 from canfb.signal.feedback import Feedback
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.sync_producer import SyncProducer
+from tools.soak.embedded_master import EmbeddedMaster
 from tools.soak.machine import MAX_ACCELERATION_CYCLES_S2, MAX_JERK_CYCLES_S3, Machine, is_fast, rests
-from tools.soak.parts import Cable, OtherNode, SlowStore, SoakMaster
+from tools.soak.parts import Cable, OtherNode, SlowStore
 
 MODULE, INTERFACE, OTHER = 32, 16, 5
 CYCLES = 2500
@@ -39,6 +40,7 @@ RECOVERY_S = 12.0
 LOST_S = 1.0  # then the master resets the module at the next rest, as canfb reset does
 PAUSE_S = 1.2  # longest time without SYNC or OPERATIONAL
 MASTER_S, HEARTBEAT_S, LOST_HEARTBEAT_MS = 0.1, 0.1, 500
+ANSWER_S = 0.2
 EDS, NAME, HEARTBEATS = (0x1021, 0), (0x1008, 0), (0x1016, 1)
 TABLE = CorrectionTable.identity(64)
 FLOOD = [one for one in range(0x101, 0x7E0) if one & 0x7F not in (MODULE, INTERFACE, OTHER)]
@@ -124,7 +126,7 @@ class World:
         bus.taps.append(self._hear)
         for device in (self._cable, self._interface, self._other, SyncProducer(INTERVAL_S)):
             bus.attach(device)
-        self._master = SoakMaster(bus)
+        self._master = EmbeddedMaster(bus, ANSWER_S)
         self._access = NodeAccess(self._master, MODULE, "module")
         self._access.write(*HEARTBEATS, "I", OTHER << 16 | LOST_HEARTBEAT_MS)
         self._nmt(NmtCommand.START)
