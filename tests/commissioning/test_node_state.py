@@ -28,8 +28,8 @@ def test_the_state_without_a_single_sample(operational: bool, heartbeat_ms: int)
     bench = Bench(sync=False, operational=operational)
     bench.access.write(0x1017, 0, "H", heartbeat_ms)
     frames = heard(bench)
-    wanted = NmtState.OPERATIONAL if operational else NmtState.PRE_OPERATIONAL
-    assert nmt_state(bench.access) is wanted
+    expected = NmtState.OPERATIONAL if operational else NmtState.PRE_OPERATIONAL
+    assert nmt_state(bench.access) is expected
     assert any(frame.rtr for frame in frames) == (not heartbeat_ms), "asked only where there is no heartbeat"
 
 

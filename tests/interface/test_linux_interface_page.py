@@ -81,10 +81,10 @@ def test_the_speeds_are_those_of_the_plan(capsys: pytest.CaptureFixture[str]) ->
     assert len(rows) == 6
     for jitter_us, delay_us, *speeds in rows:
         for rpm, cycles in zip(speeds, (2500, 512), strict=True):
-            for times, wanted in ((1.0, True), (1.1, False)):
+            for times, allowed in ((1.0, True), (1.1, False)):
                 speed = times * float(rpm)
                 sampled = speed / 60 * cycles * (float(jitter_us) + float(delay_us) / 2) * 1e-6
-                assert holds(speed, cycles, 0.0125 + sampled, capsys) is wanted, (rpm, cycles, times)
+                assert holds(speed, cycles, 0.0125 + sampled, capsys) is allowed, (rpm, cycles, times)
 
 
 def test_the_noise_of_the_residual_tells_the_jitter() -> None:

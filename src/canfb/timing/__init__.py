@@ -1,4 +1,4 @@
-"""Time of each frame: one clock for SYNC, one for samples, one judge. Pure arithmetic.
+"""Time of each frame: one clock for SYNC, one judge. Pure arithmetic.
 
-Nothing here knows CAN, a clock or a file: receive times, counters and sample times come as arguments.
+Nothing here knows CAN, a clock or a file: receive times and counters come as arguments.
 """

@@ -135,7 +135,7 @@ class SdoServer(Timed):
         return self._dictionary.lookup(data[1] | data[2] << 8, data[3])
 
     def _writable(self, data: bytes) -> Entry:
-        """The entry that a download names. SdoAbort if there is none that may be written."""
+        """The entry that a download writes. SdoAbort if it does not exist, or must not be written."""
         entry = self._entry(data)
         entry.check_writable()
         if self._core.hooks.on_write is not None:
