@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from judged_bus import Bus, Result, Slot
 
+from canfb.timing.deviations import JITTER
 from canfb.timing.judge import USUAL, Judge, Passed, Refusal
-from canfb.timing.sync_clock import JITTER
 from canfb.timing.sync_judge import ON_TIME, RELOCK
 
 FAULT = 70

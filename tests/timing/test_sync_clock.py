@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.timing.sync_clock import JITTER, LEAST_JITTER_S, TOGETHER, SyncClock, is_regular
+from canfb.timing.deviations import JITTER, LEAST_JITTER_S, TOGETHER
+from canfb.timing.sync_clock import SyncClock, is_regular
 
 PERIOD_S = 1e-3
 

@@ -18,16 +18,12 @@ that a poor first period does not add up; later, and without receive times, TOGE
 MEMORY groups. What the judge refuses does not come here. A clock whose SYNCs are all refused, and all
 regular, is set again (:meth:`SyncClock.set_again`).
 
-:attr:`SyncClock.deviation` is the mean absolute deviation from the filter. DEVIATIONS times that is what a
-SYNC may be off: uniform jitter is at most 2 mean deviations, Gaussian jitter is beyond 6.4 standard
-deviations once in 10^10. It starts with what is declared, and never leaves it.
+How far a SYNC may be off starts with what is declared, and never leaves it (deviations.py).
 
 What is declared, and why:
 
 | bound | value | reason |
 |---|---|---|
-| JITTER | 0.45 period | half a period is as near to the next SYNC; measured, it is less after 8 SYNCs |
-| LEAST_JITTER_S | 10 us, up to LEAST_JITTER = 0.03 period | noise of a receive time |
 | EARLIEST | 0.5 period | from there on a SYNC is nearer to the one before |
 | DRIFT | 2e-4 | two crystals of 100 ppm each |
 | LEAST_PERIOD_S | 50 us | the shortest frame takes 47 us at 1 Mbit/s |
@@ -38,16 +34,15 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from statistics import median
+from statistics import linear_regression, median
 
-JITTER = 0.45
-LEAST_JITTER, LEAST_JITTER_S = 0.03, 10e-6
+from canfb.timing.deviations import JITTER, TOGETHER, Deviations
+
 EARLIEST = 0.5
 DRIFT = 2e-4
 LEAST_PERIOD_S = 50e-6
 AGREEMENT = 0.2
 
-TOGETHER = 8  # SYNCs that are learned from at a time
 MEMORY = 32  # groups of them
 SINGLE = 24  # SYNCs, until they are taken together
 FIRST_INTERVALS = 5  # proved; all but one agree
@@ -55,10 +50,9 @@ TWICE = 0.4  # of the median, below the jitter of two SYNCs of which none is mis
 MORE_INTERVALS = 12  # none of them a gap, where SYNC jitters more than that
 FIRST_CALLS, MOST_CALLS = 9, 33  # straight enough at once, or as they are
 STRAIGHT = 0.1  # period: calls no further above their line come from a host that is not late
+OWN = 0.1  # of the squares from the old line; alternately late and in time: 0.4 or more
 SAME_PERIOD = 0.03  # of the period: 1006h is that of the bus
-DEVIATIONS = 8.0  # mean absolute deviations
 RISING = 0.25  # of what all calls of a group were late: a host that is late does that as well
-SPREADS = 8  # groups, over which the deviation is a mean
 
 
 class SyncClock:
@@ -71,11 +65,9 @@ class SyncClock:
     __slots__ = (
         "_first",
         "_groups",
-        "_spreads",
-        "deviation",
+        "deviations",
         "due_s",
         "errors",
-        "jitter",
         "nominal_s",
         "period_s",
         "together",
@@ -84,6 +76,7 @@ class SyncClock:
     def __init__(self) -> None:
         self.nominal_s = 0.0
         """1006h in seconds, 0.0: not written."""
+        self.deviations = Deviations()
         self.forget()
 
     def forget(self) -> None:
@@ -96,12 +89,20 @@ class SyncClock:
         self.due_s = math.nan
         self.errors: list[float] = []
         self._first: list[float] = []
-        self._groups = self._spreads = 0
+        self._groups = 0
         self.together = TOGETHER
         """SYNCs that are taken together now."""
-        self.deviation = JITTER / DEVIATIONS
-        self.jitter = JITTER
-        """How far a SYNC may be off, periods, as measured; up to JITTER."""
+        self.deviations.forget()
+
+    @property
+    def jitter(self) -> float:
+        """How far a SYNC may be off, periods."""
+        return self.deviations.jitter
+
+    @property
+    def deviation(self) -> float:
+        """The mean absolute deviation of SYNC from the line, periods."""
+        return self.deviations.deviation
 
     @property
     def known_s(self) -> float:
@@ -139,7 +140,7 @@ class SyncClock:
         """The line stands on so many intervals."""
         self.errors.clear()
         self._groups, self.together = (intervals, 1) if proved else (1, TOGETHER)
-        self._spreads = 0
+        self.deviations.forget()
 
     def learn(self, proved: bool) -> None:
         """Follow the group in ``errors``, and empty it."""
@@ -150,29 +151,42 @@ class SyncClock:
         beyond = off - STRAIGHT * period
         if not proved and beyond > 0.0:
             off -= (1.0 - RISING) * beyond
-        apart = mean if size > 1 else 0.0
-        spread = sum([abs(error - apart) for error in errors]) / size / period
-        errors.clear()
         self._groups = n = min(self._groups + 1, MEMORY)
         whole = (n + 1) * (n + 2)
         slope = off * 6.0 / whole / size
-        self.due_s += off * (4 * n + 2) / whole + slope
+        phase_s = off * (4 * n + 2) / whole
+        self.deviations.learn(errors, phase_s, period, proved)
+        errors.clear()
+        self.due_s += phase_s + slope
         self.period_s = max(period + slope, LEAST_PERIOD_S)
-        self._spreads = min(self._spreads + 1, SPREADS * TOGETHER // size)
-        self.deviation += (min(spread, JITTER) - self.deviation) / self._spreads
-        if size > 1 or self._spreads >= TOGETHER:  # fewer than that say nothing
-            least = min(LEAST_JITTER, LEAST_JITTER_S / self.period_s)
-            self.jitter = min(JITTER, max(least, DEVIATIONS * self.deviation))
         if size == 1 and n >= SINGLE:
             self.together = TOGETHER
-            self._groups, self._spreads = n // TOGETHER, max(1, self._spreads // TOGETHER)
+            self._groups = n // TOGETHER
+            self.deviations.taken_together()
+
+    def step(self) -> float:
+        """Go to the grid to which SYNCs have moved within the noise; by how much, periods; 0.0: none."""
+        deviations = self.deviations
+        step_s, deviations.step_s = deviations.step_s, 0.0
+        if step_s:
+            self._groups = 1  # the next group places the line again
+        return abs(step_s) / self.period_s
+
+    def is_left_by(self, times_s: list[float]) -> bool:
+        """These SYNCs are regular, and on a line of their own, not on this one but for single late ones."""
+        if not is_regular(times_s):
+            return False
+        line = linear_regression(range(len(times_s)), times_s)
+        own = [time - line.intercept - n * line.slope for n, time in enumerate(times_s)]
+        lags = [(time - self.due_s) / self.period_s for time in times_s]
+        off = [(lag - round(lag)) * self.period_s for lag in lags]
+        return sum([one * one for one in own]) <= OWN * sum([one * one for one in off])
 
     def set_again(self, times_s: list[float]) -> None:
         """These SYNCs, all the last ones, are regular, and not where they were due: another rate or phase."""
         self.period_s = (times_s[-1] - times_s[0]) / (len(times_s) - 1)
         self.due_s = times_s[-1] + self.period_s
         self._begin_line(len(times_s) - 1, True)
-        self.deviation, self.jitter = JITTER / DEVIATIONS, JITTER
 
 
 def _uncertain(times_s: list[float], period_s: float, proved: bool) -> float:

@@ -21,11 +21,13 @@ clear. Where it is not whole, or where the number changes, some came late and ot
 a SYNC off its grid puts the instant of its sample in doubt by as much, and one whose grid has moved for good
 that of all samples from then on: the position is in doubt by the speed times that, and is flagged, or lost,
 by arithmetic. The usual jitter is not part of it: it does not hit whole cycles again and again, and the
-residuals show it (docs/time.md).
+residuals show it (docs/time.md). A step of the grid within the jitter shows in the mean of many SYNCs, and is
+the same doubt then (deviations.py).
 
 **Extra SYNCs** (sent twice, or of another producer) are none for sampling, but they are for CANopen: every
 SYNC on the bus triggers the synchronous PDOs. Only one that is repeated by its counter is none at all.
-RELOCK SYNCs in a row that are extra or off, and regular, are another rate or phase: the clock is set again.
+RELOCK SYNCs in a row that are extra or off, and regular on a line of their own, are another rate or phase:
+the clock is set again.
 
 | bound | value | reason |
 |---|---|---|
@@ -43,7 +45,7 @@ from enum import IntEnum
 from math import inf, isfinite
 from typing import NamedTuple
 
-from canfb.timing.sync_clock import EARLIEST, LEAST_PERIOD_S, SAME_PERIOD, SyncClock, is_regular
+from canfb.timing.sync_clock import EARLIEST, LEAST_PERIOD_S, SAME_PERIOD, SyncClock
 
 LEAST_EARLY = 0.15
 WHOLE = 0.85
@@ -201,18 +203,18 @@ class SyncJudge:
             self._usual, self._since = True, 1
             errors = clock.errors
             errors.append(error)
-            if len(errors) >= clock.together:
-                self._follow(time_s, proved)
-            return ON_TIME
+            return self._follow(time_s, proved) if len(errors) >= clock.together else ON_TIME
         verdict = self._judged(time_s, proved, counter)
         self._look_ahead()
         return verdict
 
-    def _follow(self, time_s: float, proved: bool) -> None:
+    def _follow(self, time_s: float, proved: bool) -> SyncVerdict:
         self.clock.learn(proved)
+        step = self.clock.step()
         self._look_ahead()
         if self.on_followed is not None:
             self.on_followed(time_s, proved)
+        return SyncVerdict(doubt=step) if step else ON_TIME
 
     def _judged(self, time_s: float, proved: bool, counter: int | None) -> SyncVerdict:
         if not isfinite(time_s):
@@ -302,7 +304,8 @@ class SyncJudge:
         if not self._streak and (sync.proved or sync.off < 1.0):
             clock.errors.append(sync.off * clock.period_s)
             if len(clock.errors) >= clock.together:
-                self._follow(sync.time_s, sync.proved)
+                doubt = self._follow(sync.time_s, sync.proved).doubt
+                verdict = verdict._replace(doubt=max(verdict.doubt, doubt)) if doubt else verdict
         return verdict
 
     def _all_came(self, sync: _Sync) -> SyncVerdict:
@@ -373,7 +376,7 @@ class SyncJudge:
         streak.append(time_s)
         if len(streak) < RELOCK:
             return False
-        if is_regular(streak):
+        if self.clock.is_left_by(streak):
             return True
         del streak[0]
         return False

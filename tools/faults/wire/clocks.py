@@ -11,7 +11,7 @@ import math
 from tools.faults.wire.draw import UNKNOWN_LIMIT
 from tools.faults.wire.line import Plan, Slot
 from tools.faults.wire.motion import Motion
-from tools.faults.wire.physics import stamp_tolerance
+from tools.faults.wire.physics import stamp_tolerance, step_note
 from tools.faults.wire.setups import Setup
 
 REST, STEADY = 14, 40  # slots at rest, and at speed before the fault
@@ -141,6 +141,7 @@ def producer_shifts(plan: Plan) -> None:
     cycles = int(plan.rng.integers(1, max(2, int(0.45 * abs(speed)) + 1)))
     shift = cycles / abs(speed) * (1 if plan.rng.integers(3) else -1)
     plan.slots[plan.fault - 1].produced = plan.rng.integers(2) == 0 or shift > 0.0
+    plan.note = step_note(plan, shift)
     for slot in plan.slots[plan.fault :]:
         slot.late_us = shift / plan.us
 
@@ -152,6 +153,7 @@ def producer_changes_rate(plan: Plan) -> None:
     _even(plan)
     rates = [k / abs(speed) for k in range(-40, 41) if k and -0.35 < k / abs(speed) < 0.45]
     rate = float(plan.rng.choice(rates))
+    plan.note = "P8 for a while" if step_note(plan, rate) else ""  # the later ones are further off
     for n, slot in enumerate(plan.slots[plan.fault :], 1):
         slot.late_us = n * rate / plan.us
 

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from tools.faults.wire.host import Sent
 from tools.faults.wire.line import Line, Plan
 from tools.faults.wire.physics import (
+    STEP_SYNCS,
     answers_another,
     host_may_be_late,
     is_smooth,
@@ -98,6 +99,7 @@ class Judge:
             [event.number for event in syncs],
         )
         self._lost = False
+        self._last_wrong = 0.0  # T
         self._tolerance = stamp_tolerance(plan.setup, plan.options.interval_s) if plan.setup.times else 0.0
         self._status: int | None = None  # of an SDO read
         self.shown: list[Shown] = []
@@ -141,11 +143,19 @@ class Judge:
         ended_valid = bool(positions) and bool(positions[-1].status & VALID)
         verdict.right_at_end = ended_valid and abs(positions[-1].error) <= self._plan.tolerance
         if verdict.wrong:
-            verdict.outcome = "physics" if self._plan.note.startswith("P") or self._is_p7() else "wrong"
+            physics = self._is_p8() if self._plan.note.startswith("P8") else self._plan.note.startswith("P")
+            verdict.outcome = "physics" if physics or self._is_p7() else "wrong"
         elif self._lost or not ended_valid:
             verdict.outcome = "lost"
         elif verdict.not_valid:
             verdict.outcome = "flagged"
+
+    def _is_p8(self) -> bool:
+        """A step of SYNC within the noise of receive times: seen after a while, or too small."""
+        plan = self._plan
+        if plan.setup.times or plan.note == "P8":
+            return not plan.setup.times
+        return self._last_wrong <= plan.fault + STEP_SYNCS
 
     def _is_p7(self) -> bool:
         """A PDO answered another SYNC, and a machine that keeps the limits moves as was shown."""
@@ -199,6 +209,7 @@ class Judge:
                 verdict.early += 1
         elif abs(error) > self._plan.tolerance:
             verdict.wrong += 1
+            self._last_wrong = one.now
             verdict.first_wrong = verdict.first_wrong or shown
             verdict.largest_error = max(verdict.largest_error, abs(error))
 

@@ -17,6 +17,11 @@ P7  No sample times. The first PDO after a SYNC answers an earlier one, and come
     Proof: the PDO carries no mark of its SYNC. Take the machine that moves as the module has it: this
     PDO is in time there, and the one of the earlier SYNC was lost. Frames, order and times are the same;
     the machine is healthy as long as its motion keeps the limits (:func:`is_smooth`).
+P8  Receive times, no sample times. From one SYNC on all of them are off by d, less than the noise of a
+    receive time, and v d is a whole number of cycles. For STEP_SYNCS; for good where d is below STEP_PART.
+    Proof: each of these receive times may be that of a SYNC on the old grid, with another noise; so a
+    healthy machine gives the same frames and times. Only the mean of many of them tells, and no sooner than
+    its own noise allows.
 P4  A sample time is off by e, no more than SYNC and receive times can be (:func:`stamp_tolerance`).
     Proof: a healthy machine whose SYNC came later by e, and whose sample was taken then, at v e cycles from
     here: if that is a whole number, counts and time are the same. A position is right if it is that of the
@@ -33,6 +38,8 @@ from tools.faults.wire.setups import Setup
 
 LATEST_HOST_S = 5e-3
 STAMP_NOISE_S = 1e-4
+STEP_PART = 0.55  # of the uniform noise: 1.9 standard deviations
+STEP_SYNCS = 64
 
 
 def host_may_be_late(setup: Setup, interval_s: float) -> bool:
@@ -43,6 +50,12 @@ def host_may_be_late(setup: Setup, interval_s: float) -> bool:
 def stamp_tolerance(setup: Setup, interval_s: float) -> float:
     """How far a sample time may be off unseen, T: the noise of receive times, or the jitter of the SYNC."""
     return min(0.45, (STAMP_NOISE_S if setup.stamps else LATEST_HOST_S) / interval_s)
+
+
+def step_note(plan: Plan, step: float) -> str:
+    """P8, P8 for some SYNCs, or nothing, for a SYNC that is off by ``step``, T."""
+    part = abs(step) * plan.options.interval_s / STAMP_NOISE_S
+    return "P8" if part <= STEP_PART else "P8 for a while" if part <= 1.0 else ""
 
 
 def unseen(plan: Plan) -> str:
