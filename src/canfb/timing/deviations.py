@@ -35,7 +35,7 @@ PEAKS = 128  # groups, of which the largest deviation is kept, or that of as man
 PEAKS_KNOWN = 8  # groups; with fewer the largest deviation says too little
 LASTING = 4  # groups, whose mean shows a step
 LEAST_STEP_S = LEAST_JITTER_S / DEVIATIONS
-MEANS = 64  # such means, over which their usual deviation is a mean
+MEANS = 256  # such means, over which their usual deviation is a mean: they overlap, 64 are independent
 MEANS_KNOWN = 16  # the jitter of a producer may swing
 
 
