@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import random
 from typing import Any
 
 import numpy as np
@@ -326,6 +327,20 @@ def test_a_position_lost_in_motion_stays_lost_over_pauses(speed: float, interval
             assert chain.step(sample_at(position)).status & StatusBit.LOST or speed % 1.0 == 0.0
         assert chain.lost
         assert chain.loss_cause is LossCause.PAUSE
+
+
+def test_uneven_times_do_not_bring_back_what_was_lost_before_the_pause() -> None:
+    chain, position = turning(12.7, ChainConfig(max_acceleration_cycles=0.25))
+    for _ in range(40):
+        chain.miss()
+        position += 12.7
+    chain.resume(1.0)
+    draw = random.Random(3)
+    for _ in range(200):
+        elapsed = 1.0 + draw.gauss(0.0, 0.08)
+        position += 12.7 * elapsed
+        assert not chain.step(sample_at(position)._replace(elapsed=elapsed)).valid
+    assert chain.lost
 
 
 @pytest.mark.parametrize("intervals", [3.0, 1e6])

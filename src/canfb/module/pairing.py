@@ -30,6 +30,9 @@ class Findings(NamedTuple):
 
     take_usual(now)               two counts and no more have come, in answer to the last SYNC
     take(sample, passed, now)     a sample after what the judge says has passed; False if nothing came of it
+    take_usual_timed(received_s, synced_s, now)
+                                  two counts and their time have come, no more, in answer to the last SYNC;
+                                  False if that is left to take_timed
     take_timed(sample, received_s, synced_s, now)
                                   a sample with its time, and when it and its SYNC were received, seconds,
                                   None if that is not known; False if it was an earlier one again
@@ -43,6 +46,7 @@ class Findings(NamedTuple):
 
     take_usual: Callable[[float], None]
     take: Callable[[Sample, Passed, float], bool]
+    take_usual_timed: Callable[[float | None, float | None, float], bool]
     take_timed: Callable[[Sample, float | None, float | None, float], bool]
     miss: Callable[[int, float], None]
     confirm: Callable[[float], None]
@@ -213,6 +217,12 @@ class Pairing:
         parts = self._input
         if self._stale:
             return
+        if number == parts.whole_timed and self._synced:
+            received_s, synced_s = self._receptions() if self._moment.proved else (None, None)
+            if self._findings.take_usual_timed(received_s, synced_s, now):
+                self._sample_came = self.sampled = True
+                self.judge.taken()
+                return
         if number == parts.judged:
             passed = self._judged(now)
             if passed is None:
@@ -270,17 +280,22 @@ class Pairing:
     def _timed(self, sample: Sample, now: float) -> bool:
         """By its time a sample is the next one, whatever was received when."""
         moment, judge = self._moment, self.judge
-        received_s = synced_s = None
-        if moment.proved and not (self._input.is_synchronous or self._source is not None):
-            received_s = moment.received
-            if self._synced and judge.proved and not judge.extra_came:  # else which SYNC it answers is open
-                synced_s = judge.synced_s
+        received_s, synced_s = self._receptions()
         if not self._synced and self._source is None:
             judge.sync(moment.received, moment.proved, None)  # each sample is its own
         came = self._findings.take_timed(sample, received_s, synced_s, now)
         if came:
             judge.taken()
         return came
+
+    def _receptions(self) -> tuple[float | None, float | None]:
+        """When the bus received this PDO and the SYNC that it answers, seconds; None: not known."""
+        moment, judge = self._moment, self.judge
+        if not moment.proved or self._input.is_synchronous or self._source is not None:
+            return None, None
+        if self._synced and judge.proved and not judge.extra_came:
+            return moment.received, judge.synced_s
+        return moment.received, None  # which SYNC it answers is open
 
     def _sample_source(self, source: LocalSource, now: float) -> None:
         """The sample of this very SYNC; without one it is missed, from the first SYNC on."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from canfb import objects as od
 from canfb.device.moment import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
@@ -82,6 +83,10 @@ class Sampling:
         self._waited = 0.0  # intervals since the last sample that were reported as missed
         self._set_waited, self._set_back = 0.0, 0  # those before the last set of intervals; samples since
         self._judge = judge
+        self._sine, self._cosine, self._time, self._flags = (
+            dictionary.entry(*part)
+            for part in (od.SAMPLE_SINE, od.SAMPLE_COSINE, od.SAMPLE_TIME, od.SAMPLE_FLAGS)
+        )
         self._usual = UsualSample(
             dictionary,
             chain,
@@ -93,6 +98,7 @@ class Sampling:
         found = Findings(
             self._usual.take,
             self._take,
+            self._take_usual_timed,
             self._take_timed,
             self._miss,
             self._confirm,
@@ -131,6 +137,31 @@ class Sampling:
         if len(options) > 1:
             self._set_waited = waited
         return tuple([one - waited for one in options if one > waited]) if waited else options
+
+    def _take_usual_timed(self, received_s: float | None, synced_s: float | None, now: float) -> bool:
+        """A sample with its time as it stands in the dictionary; False if it is to be looked at closely."""
+        if self._prediction.follows or self._usual.unconfirmed or self._taps.open or self._flags.value:
+            return False
+        limits = self._limits
+        if limits.narrowed:
+            limits.follow()
+        time_100ns = self._time.value
+        feedback = self._chain.usual_timed(
+            self._sine.value, self._cosine.value, time_100ns, received_s, synced_s
+        )
+        if feedback is None:
+            return False
+        self._waited = 0.0
+        instant = time_100ns, received_s, synced_s
+        if feedback.status & VALID:
+            self._timed, self._doubted = instant, None
+        else:
+            self._doubted = instant
+        noise = limits.noise
+        if feedback[-1] >= noise.due and noise.take(feedback):
+            limits.measured()
+        self._usual.publish(feedback, now)
+        return True
 
     def _take_timed(
         self, sample: Sample, received_s: float | None, synced_s: float | None, now: float

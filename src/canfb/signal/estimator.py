@@ -143,13 +143,13 @@ class Estimator:
             self._forget()
             self._begin_places()
 
-    def lose(self, cause: LossCause) -> None:
-        """Call the position lost. Eq. 9 counts from here on."""
+    def lose(self, cause: LossCause, starts: bool = True) -> None:
+        """Call the position lost; eq. 9 counts on. ``starts``: the count of the first sample is known."""
         if not self.lost:
             stood = speeds.stood_still(self.places)
             self._still = StillPhase(self.places[-1][1] if stood else None)
         if cause is not LossCause.START:
-            self._speeds = Starts(None if self.tracker.started else self.tracker.cycles)
+            self._speeds = Starts(self.tracker.cycles if starts and not self.tracker.started else None)
         self.lost = True
         self.loss_cause = cause
         self._forget()

@@ -6,7 +6,6 @@ from canfb.objects import LossCause
 from canfb.signal import speeds
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from canfb.signal.sample_times import SampleTimes
 from canfb.signal.still_phase import STANDSTILL_CYCLES, STILL_CYCLES
 from canfb.signal.usual_step import UsualStep
 
@@ -16,9 +15,6 @@ LARGEST_SLIP_CYCLES = 0.15
 
 class Pauses(UsualStep):
     """How a chain goes on after a time in which nobody counted."""
-
-    _per_sync: int
-    _times: SampleTimes
 
     def __init__(self) -> None:
         super().__init__()
@@ -105,16 +101,21 @@ class Pauses(UsualStep):
             self._reference.slipped()
 
     def _start_again(self, intervals: float) -> None:
-        """From cycle count 0, now or at the next standstill."""
-        estimator, declared = self._estimator, self._estimator.declared
+        """From cycle count 0, now or at the next standstill.
+
+        After a reset the first sample is cycle 0 at any speed that uneven times find. A position that was
+        lost stays lost while the machine turns: nobody has asked for another one.
+        """
+        estimator, was_lost = self._estimator, self._estimator.lost
+        declared = estimator.declared
         acceleration = declared.doubt_acceleration if declared.acceleration is None else declared.acceleration
         fastest = self._turned + acceleration * intervals * self._per_sync
-        waits = not estimator.stands_still if estimator.lost else self._waits
+        waits = not estimator.stands_still if was_lost else self._waits
         waits |= self._turned > 0.0 and fastest >= FASTEST_STANDSTILL_CYCLES
         self.restart()
         if waits:
             self._waits = True
-            estimator.lose(LossCause.PAUSE)
+            estimator.lose(LossCause.PAUSE, starts=not was_lost)
             self._reference.slipped()
 
     def _could_move(self, intervals: float, least_cycles: float) -> bool:

@@ -19,6 +19,8 @@ from canfb.signal.front_end import AHEAD_INTERVALS, SAME_INTERVAL, FrontEnd
 from canfb.signal.frozen import FrozenInput
 from canfb.signal.harmonics import NO_LOW_PASS, Corners, Row, corrected
 from canfb.signal.recovery.second_listener import SecondListener
+from canfb.signal.sample import Sample
+from canfb.signal.sample_times import SampleTimes
 from canfb.signal.supervision import VALID, Supervision
 from canfb.signal.tracker import Track, Tracker
 
@@ -39,6 +41,10 @@ class UsualStep(SecondListener):
     _bounds: tuple[float, float, float, float]
     _entries: int  # of the table; 0 for the identity
     _lines: Lines
+    _times: SampleTimes
+    _waited: float  # intervals without a sample since the last one with a sample time
+    _per_sync: int
+    measures_intervals: bool
 
     def __init__(self) -> None:
         self._nothing_in_doubt = False
@@ -152,6 +158,27 @@ class UsualStep(SecondListener):
             self._nothing_in_doubt = True
             self._places, self._bounds = self._estimator.places, self._supervision.bounds
             self._status = VALID | self._base_status | self._referenced
+
+    def after(
+        self, sample: Sample, elapsed: float, options: tuple[float, ...] = (), *, next_one: bool = False
+    ) -> Feedback:
+        """:meth:`SignalChain.after`."""
+        raise NotImplementedError
+
+    def usual_timed(
+        self, sine: float, cosine: float, time_100ns: int, received_s: float | None, synced_s: float | None
+    ) -> Feedback | None:
+        """:meth:`SignalChain.step` for these counts and no more, if their time is a usual one; else None."""
+        if self._waited or self._per_sync != 1 or not self.measures_intervals:
+            return None
+        elapsed = self._times.in_turn(time_100ns, received_s, synced_s)
+        if not elapsed:
+            return None
+        feedback = self.usual(sine, cosine, elapsed)
+        if feedback is not None:
+            return feedback
+        sample = Sample(sine, cosine, time_100ns=time_100ns)
+        return self.after(sample, elapsed, next_one=True)
 
     def _count_repeats(self, repeated: bool) -> None:
         """The counts of a machine that stood still are the same again, or others."""

@@ -152,6 +152,10 @@ class Judge(SyncJudge):
 
     def taken(self) -> Passed:
         """A sample that belongs to the last SYNC, whenever it comes."""
+        if self._usual and not self._slack:
+            self._since, self._usual = 0, False
+            self._answered = self.sampled = True
+            return USUAL
         return self._sampled((0,))
 
     def unanswered(self) -> None:

@@ -49,6 +49,8 @@ class SampleInput:
         """The RPDO that brings the whole sample, if one does: no need to wait for others."""
         self.whole = NO_RPDO
         """The RPDO that brings a whole sample of two counts and no more, at once; else NO_RPDO."""
+        self.whole_timed = NO_RPDO
+        """The same with their time; else NO_RPDO."""
         self.timed = False
         """Each sample brings its time."""
         self.judged: int | None = None
@@ -91,7 +93,7 @@ class SampleInput:
             }
             self._wanted = sum(1 << number for number in parts)
         self.alone = tracks if tracks is not None and self._wanted == 1 << tracks else None
-        plain = tracks is not None and coarse is time is flags is None and not earlier
+        plain = tracks is not None and coarse is flags is None and not earlier
         self._with_coarse, self.timed = coarse is not None, time is not None
         self._with_flags, self._with_place = flags is not None, place is not None
         self.arrived = 0
@@ -100,9 +102,9 @@ class SampleInput:
         self._waiting = None if tracks is None else self._node.synchronous_rpdo(tracks)
         self.is_synchronous = self._waiting is not None
         self.judged = None if self.timed or self.is_synchronous else tracks
-        self.whole = NO_RPDO
-        if plain and self.judged is not None and self.judged == self.alone:
-            self.whole = self.judged
+        at_once = plain and self.alone is not None and not self.is_synchronous
+        only = self.alone if at_once and self.alone is not None else NO_RPDO
+        self.whole, self.whole_timed = (NO_RPDO, only) if self.timed else (only, NO_RPDO)
 
     def take(self, number: int) -> bool:
         """RPDO ``number`` has come; True if the sample is complete with it.
