@@ -21,7 +21,7 @@ from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.path_fit import Fundamental, PathFit, check_apart, fit_path, response
 from canfb.calibration.recording import Recording, recording
 from canfb.calibration.result import TRACK_POINTS, Calibration, Reason
-from canfb.calibration.simultaneous import sampled_together, speeds
+from canfb.calibration.simultaneous import mean_speed, sampled_together, speeds
 from canfb.calibration.solver import Progress, no_progress
 from canfb.calibration.track_harmonics import with_track_harmonics
 from canfb.calibration.waveform import Waveform, grid_phases, origin_of, raw_phase_curve, table_of
@@ -153,7 +153,8 @@ class _AtSpeed:
             record = recording(
                 samples.sine, samples.cosine, samples.time_s, None, adc_bits, may_be_offset=True
             )
-            speed = samples.rate_hz * _smooth(speeds(record, samples.hertz / samples.rate_hz))
+            mean = mean_speed(record, samples.hertz / samples.rate_hz)
+            speed = samples.rate_hz * _smooth(speeds(record, mean))
             if np.ptp(speed) > MOST_VARIATION * abs(samples.hertz):
                 raise CalibrationError(
                     f"from {speed.min():.6g} to {speed.max():.6g} cycles/s: not one speed", Reason.SPEED
