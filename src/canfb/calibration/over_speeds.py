@@ -94,7 +94,7 @@ def calibrate_over_speeds(
     hertz = np.array([one.hertz for one in measured])
     if not len(measured) or not np.isfinite(hertz).all():
         raise ValueError("speeds must be finite numbers, one for each measurement")
-    check_apart(hertz, np.zeros(len(hertz)))
+    check_apart(hertz)
     found = []
     for number, one in enumerate(measured):
         found.append(_AtSpeed.of(one, adc_bits, entries))

@@ -227,11 +227,10 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
     )
 
 
-def check_apart(hertz: FloatArray, noise: FloatArray) -> None:
+def check_apart(hertz: FloatArray, noise: FloatArray | float = 0.0) -> None:
     """Refuse speeds (cycles/s) whose tracks cannot tell a delay, with what would be left uncertain."""
-    apart = float(np.ptp(hertz)) if len(hertz) else 0.0
-    top = float(np.abs(hertz).max()) if len(hertz) else 0.0
-    sigma_rad = math.sqrt(2.0) * math.hypot(ANGLE_REPEATS_RAD, float(np.max(noise, initial=0.0)))
+    apart, top = float(np.ptp(hertz)), float(np.abs(hertz).max())
+    sigma_rad = math.sqrt(2.0) * math.hypot(ANGLE_REPEATS_RAD, float(np.max(noise)))
     if apart > 0.0 and ERROR_OF_ANGLE * sigma_rad * top / apart <= MOST_UNCERTAIN_CYCLES:
         return
     if apart == 0.0:

@@ -95,19 +95,7 @@ class CalibrationRun:
     def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Account:
         """With the nodes of a bus; ``interface`` None if the module is to say it."""
         choices = self._choices
-        self._steps.step("reading the active table")
-        session = Session.open(master, module, interface)
-        self._where = replace(
-            self._where,
-            module=session.module.node_id,
-            encoder_interface=None if session.samples_itself else session.interface.node_id,
-            cycles_per_revolution=session.cycles_per_revolution,
-            identity=session.identity,
-            interface_identity=session.interface_identity,
-        )
-        self._limits = session.limits
-        if not (choices.check or choices.dry_run):
-            check_unlocked(session.module)
+        session = self._begin(master, module, interface)
         before = self._look(session, None)
         settings = choices.settings(session.limits)
         source = session.source(choices.samples_from, choices.recorder, choices.rate)
@@ -129,6 +117,23 @@ class CalibrationRun:
         if not choices.dry_run:
             measured, done = self._install(session, measured, source, settings, guard)
         return self._report(measured, done)
+
+    def _begin(self, master: Master, module: int, interface: int | None) -> Session:
+        """Read both nodes."""
+        self._steps.step("reading the active table")
+        session = Session.open(master, module, interface)
+        self._where = replace(
+            self._where,
+            module=session.module.node_id,
+            encoder_interface=None if session.samples_itself else session.interface.node_id,
+            cycles_per_revolution=session.cycles_per_revolution,
+            identity=session.identity,
+            interface_identity=session.interface_identity,
+        )
+        self._limits = session.limits
+        if not (self._choices.check or self._choices.dry_run):
+            check_unlocked(session.module)
+        return session
 
     @staticmethod
     def _together(session: Session, source: Source) -> Source:
@@ -246,6 +251,6 @@ def _lines(measured: Measurement, done: Installation, where: Circumstances, path
     lines += [f"{row.name:24}{row.before:{wide}}  {row.after}" for row in rows]
     lines.append("")
     lines += [f"{name:24}{text}" for name, text in facts(measured, done, where)]
-    lines += ["", verdict(measured), outcome(measured, done, where)]
+    lines += ["", verdict(measured, where), outcome(measured, done, where)]
     lines += [f"written  {path}" for path in paths]
     return lines
