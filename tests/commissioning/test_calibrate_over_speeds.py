@@ -25,7 +25,7 @@ from canfb.commissioning.choices import Choices
 from canfb.commissioning.circumstances import Circumstances
 from canfb.commissioning.guard import Guard
 from canfb.commissioning.path_summary import delay_words
-from canfb.commissioning.speed_run import read_corners
+from canfb.commissioning.session import read_corners
 from canfb.commissioning.supervision_limits import SupervisionLimits
 from canfb.configuration import Config
 from canfb.device.storage.storage import MemoryStore
@@ -104,6 +104,15 @@ def test_a_path_is_found_and_removed(capsys: pytest.CaptureFixture[str], tmp_pat
     page = (tmp_path / "report.html").read_text()
     assert "Error over the speed" in page
     assert "cosine after the sine" in page
+    # A check at this speed, of the encoder as it was, and of one that has changed.
+    assert check(made, capsys)["drift_rms_cycles"] < 1e-4
+    made.source.change = lambda counts: (counts[0] + 7.5, counts[1] * 1.01)
+    drift = check(made, capsys)
+    assert drift["drift_seen"]
+    assert drift["changed"]["gain"] == pytest.approx(0.01, abs=1e-3)
+    assert drift["changed"]["sine_offset"] == pytest.approx(7.5 / 1470.0, rel=0.1)
+    assert abs(drift["changed"]["cosine_offset"]) < 5e-4
+    assert abs(drift["changed"]["phase_rad"]) < 1e-3
     # The same from the files, without a bus.
     assert len(list((tmp_path / "speeds").glob("*.npz"))) == 3
     again = tmp_path / "again"
@@ -113,6 +122,13 @@ def test_a_path_is_found_and_removed(capsys: pytest.CaptureFixture[str], tmp_pat
     assert files["conditioning"] == found["conditioning"]
     assert files["corner_hz"] == found["corner_hz"]
     assert (again / "table.yaml").exists()
+
+
+def check(bench: Bench, capsys: pytest.CaptureFixture[str]) -> Any:
+    """`canfb calibrate --check` at the speed of now."""
+    options = build_parser().parse_args(["calibrate", *SHORT[:4], "--check", "--json"])
+    assert over_bus(bench.master, options, Config(), Progress(quiet=True), Guard(), "2026-03-01") == 0
+    return json.loads(capsys.readouterr().out)
 
 
 def from_files(folder: Path, *arguments: str) -> int:

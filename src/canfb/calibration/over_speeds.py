@@ -18,7 +18,7 @@ import numpy as np
 
 from canfb.calibration.ellipse import fit_ellipse
 from canfb.calibration.from_motion import calibrate_from_motion
-from canfb.calibration.path_fit import Fundamental, PathFit, check_apart, fit_path, response
+from canfb.calibration.path_fit import NO_PATH, Fundamental, PathFit, check_apart, fit_path, response
 from canfb.calibration.recording import Recording, recording
 from canfb.calibration.result import TRACK_POINTS, Calibration, Reason
 from canfb.calibration.simultaneous import mean_speed, sampled_together, speeds
@@ -107,6 +107,25 @@ def calibrate_over_speeds(
     calibration = at_standstill(lowest.calibration, lowest.hertz, path, entries)
     report(1.0)
     return SpeedCalibration(calibration, path, tuple(one.fundamental for one in found))
+
+
+def measured_at_standstill(
+    measured: TracksAtSpeed,
+    cosine_delay_s: float,
+    corners: Corners,
+    *,
+    adc_bits: int | None = None,
+    entries: int = 1024,
+) -> Calibration:
+    """A measurement at one speed behind a path that is known, as it is at standstill.
+
+    CalibrationError where it is refused.
+    """
+    path = replace(NO_PATH, cosine_delay_s=cosine_delay_s, corners=corners)
+    found = _AtSpeed.of(measured, adc_bits, entries)
+    if found.varies(path):
+        found = found.again(path, adc_bits, entries)
+    return at_standstill(found.calibration, found.hertz, path, entries)
 
 
 def at_standstill(found: Calibration, hertz: float, path: PathFit, entries: int) -> Calibration:

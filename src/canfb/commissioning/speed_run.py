@@ -13,23 +13,21 @@ from pathlib import Path
 
 import numpy as np
 
-from canfb import objects as od
 from canfb.calibration.deviation import Deviation
 from canfb.calibration.path_fit import check_apart
 from canfb.commissioning.access import CommissioningError, Master, NodeAccess
 from canfb.commissioning.active import put_in_force
 from canfb.commissioning.artefacts import keep_speeds
 from canfb.commissioning.calibration_run import LEAST_FRESH, Account, CalibrationRun
-from canfb.commissioning.choices import PDO, RECORDED
+from canfb.commissioning.choices import RECORDED
 from canfb.commissioning.error_over_speed import InForce, SpeedSamples, errors_at
 from canfb.commissioning.guard import Guard
-from canfb.commissioning.lock_watch import LockWatch
 from canfb.commissioning.machine_watch import SpeedReadings, check_valid
 from canfb.commissioning.measurement import Measurement, Settings
 from canfb.commissioning.procedure import Installation, check_as_predicted, install
 from canfb.commissioning.sample_files import read_speed
 from canfb.commissioning.samples import TrackSamples
-from canfb.commissioning.session import Session
+from canfb.commissioning.session import CORNERS, Session, read_corners
 from canfb.commissioning.speed_measurement import SpeedMeasurement, measure_speeds
 from canfb.commissioning.speed_wait import listed, wait_for_speed
 from canfb.commissioning.supervision_limits import as_real32
@@ -39,7 +37,6 @@ from canfb.signal.correction import NO_CORRECTION
 from canfb.signal.harmonics import Corners
 from canfb.signal.supervision import SampleLimits
 
-CORNERS = (od.ENCODER_CORNER_FREQUENCY, od.ENCODER_COSINE_CORNER_FREQUENCY)
 SPARE_AMPLITUDE = 0.05  # within the limits of the amplitude
 RPM_PER_RAD_S = 60.0 / (2.0 * math.pi)
 
@@ -63,7 +60,7 @@ class SpeedRun(CalibrationRun):
         per_rpm = session.cycles_per_revolution / 60.0
         check_apart(per_rpm * np.array(choices.speeds_rpm))
         check_valid(node)
-        before = InForce(session.active, read_corners(node))
+        before = InForce(session.active, session.corners)
         look = self._look(session, None)
         samples: list[SpeedSamples] = []
         left = list(choices.speeds_rpm)
@@ -85,23 +82,6 @@ class SpeedRun(CalibrationRun):
             check_amplitude(measured, session.limits)
             done = self._install_speeds(session, measured, settings, guard)
         return self._report(measured, done)
-
-    def _collect(self, session: Session, seconds: float, least: int) -> SpeedSamples:
-        """Samples of now, and the speed that the module says meanwhile."""
-        readings = SpeedReadings(session.module)
-        watch = LockWatch(session.cycles_per_revolution, session.speed_rad_s)
-        source = session.source(
-            PDO, self._choices.recorder, self._choices.rate, lambda heard: watch(heard) or readings(heard)
-        )
-        samples = source(seconds, least, self._steps.part)
-        if watch.found is not None:
-            self._judged(samples, watch.raise_found)
-        if not readings.found:
-            raise CommissioningError(
-                f"{session.module.name} did not say its speed (2011:07): set a longer --seconds"
-            )
-        rad_s = math.fsum(one.rad_per_s for one in readings.found) / len(readings.found)
-        return SpeedSamples(samples, rad_s * session.cycles_per_revolution / (2.0 * math.pi))
 
     def _measured_speeds(
         self, samples: Sequence[SpeedSamples], settings: Settings, before: InForce
@@ -177,11 +157,6 @@ class SpeedRun(CalibrationRun):
                 raise ConfigError(f"{path}: no speed is recorded (cycles_per_s): --speeds RPM,RPM,...")
             found.append(SpeedSamples(choices.samples_of_file(path), hertz))
         return found
-
-
-def read_corners(module: NodeAccess) -> Corners:
-    """2001:05 and 2001:06; none where the module does not have them."""
-    return Corners(*(float(module.read_known(place) or 0.0) for place in CORNERS))
 
 
 def write_corners(module: NodeAccess, wanted: Corners) -> None:
