@@ -39,6 +39,9 @@ META = (
     "residual_rms_cycles",
     "residual_peak_cycles",
     "uncertainty_peak_cycles",
+    "corner_hz",
+    "cosine_corner_hz",
+    "delay_estimate_s",
     "active",
     "saved",
 )
@@ -64,7 +67,7 @@ def write(
 ) -> list[Path]:
     """Write everything; the paths. CommissioningError if that does not work."""
     figures = as_json(measured, done, where)
-    meta = {key: figures[key] for key in META if figures[key] is not None}
+    meta = {key: figures[key] for key in META if figures.get(key) is not None}
     try:
         (folder / TABLE_YAML).write_text(as_yaml(measured.found, meta), encoding="utf-8")
         (folder / TABLE_BIN).write_bytes(measured.calibration.table.to_bytes())
