@@ -104,8 +104,8 @@ def test_a_check_sees_no_drift_at_another_speed(capsys: pytest.CaptureFixture[st
     put_in_force(fast.access, slow.module.chain.correction)
     capsys.readouterr()
     assert calibrate(fast, "--check", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["drift_rms_cycles"] < 2e-3, (
-        "the third harmonic is delayed, too"
+    assert json.loads(capsys.readouterr().out)["drift_rms_cycles"] < 2e-4, (
+        "the third harmonic is delayed, too, and that is no drift"
     )
 
 

@@ -10,4 +10,5 @@ CAN, a clock or a file. The parts::
 
     recording -> ellipse -> following -> solver (blocks, joint, selection) -> evaluate -> judgement
                                  waveform: tracks over the phase -> correction table
+    over_speeds: several of them -> path_fit: delays and corners of the analog path
 """

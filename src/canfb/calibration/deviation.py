@@ -76,10 +76,19 @@ class Deviation:
 
 def best_deviation(record: Recording, used: Correction, before: Correction, block_samples: int) -> Deviation:
     """:func:`deviation`, also with shorter blocks: the motion may be less smooth than it was before."""
+    return best_of_phases(record, _phases(record, used), _phases(record, before), block_samples)
+
+
+def best_of_phases(
+    record: Recording, phase: FloatArray, phase_before: FloatArray, block_samples: int
+) -> Deviation:
+    """:func:`best_deviation` of phases, as :func:`deviation_of_phases`."""
     lengths = sorted(
         {block_samples, max(LEAST_BLOCK, block_samples // 2), max(LEAST_BLOCK, block_samples // 4)}
     )
-    return min((deviation(record, used, before, n) for n in lengths), key=lambda found: found.rms)
+    return min(
+        (deviation_of_phases(record, phase, phase_before, n) for n in lengths), key=lambda found: found.rms
+    )
 
 
 def deviation(record: Recording, used: Correction, before: Correction, block_samples: int) -> Deviation:
@@ -89,7 +98,13 @@ def deviation(record: Recording, used: Correction, before: Correction, block_sam
     machine stands still or is locked to the samples say nothing and are left out. CalibrationError
     when too little is left.
     """
-    phase = _phases(record, used)
+    return deviation_of_phases(record, _phases(record, used), _phases(record, before), block_samples)
+
+
+def deviation_of_phases(
+    record: Recording, phase: FloatArray, phase_before: FloatArray, block_samples: int
+) -> Deviation:
+    """:func:`deviation` of phases (cycles, NaN where there is none) that were made of the samples."""
     check_clipped(record, np.where(np.isnan(phase), 0.0, phase))
     position = record.positions(np.where(record.valid, phase, np.nan))
     valid = record.valid & np.isfinite(position)
@@ -115,7 +130,7 @@ def deviation(record: Recording, used: Correction, before: Correction, block_sam
     left_out += int(blocks.used[~sound].sum())
     blocks, followed, smooth = blocks.take(sound), followed[sound], smooth[sound]
     error, use = followed - smooth, blocks.used
-    old = np.where(use, _phases(record, before)[blocks.index], 0.0) - smooth
+    old = np.where(use, phase_before[blocks.index], 0.0) - smooth
     old = about_mean(old, of=old[use])
     old = old - blocks.evaluate(blocks.smooth(old))
     correct = float(np.sqrt(blocks.samples / max(1, blocks.freedom)))

@@ -61,11 +61,26 @@ def recorded_together(
     return np.where(np.isnan(cosine), np.nan, sampled_together(record, turned_rad))
 
 
+def mean_speed(record: Recording, near_cycles: float) -> float:
+    """Cycles per interval, the one that is nearest to ``near_cycles``: samples leave whole cycles open."""
+    step = _steps(record)[1]
+    shown = float(np.mean(step)) if len(step) else near_cycles
+    return shown + round(near_cycles - shown)
+
+
 def speeds(record: Recording, mean_cycles: float) -> FloatArray:
     """Speed at each sample, cycles per interval, shape (n,), of a mean that is known from elsewhere.
 
     Samples alone leave whole cycles per interval open.
     """
+    middle, step = _steps(record)
+    if not len(step):
+        return np.full(len(record.sine), mean_cycles)
+    return np.interp(record.time, middle, step - float(np.mean(step)) + mean_cycles)
+
+
+def _steps(record: Recording) -> tuple[FloatArray, FloatArray]:
+    """From sample to sample: the time in the middle, intervals, and the speed, cycles per interval."""
     ellipse = fit_ellipse(record.sine, record.cosine, record.valid)
     angle = np.where(record.valid, angle_cycles(ellipse, record.sine, record.cosine), np.nan)
     at = np.flatnonzero(record.valid)
@@ -73,10 +88,7 @@ def speeds(record: Recording, mean_cycles: float) -> FloatArray:
     passed = np.diff(time)
     step = np.diff(place) / passed
     known = (passed <= LONGEST_STEP) & np.isfinite(step) & ~np.isin(at[1:], record.breaks)
-    if not known.any():
-        return np.full(len(record.sine), mean_cycles)
-    middle = ((time[1:] + time[:-1]) / 2.0)[known]
-    return np.interp(record.time, middle, step[known] - float(np.mean(step[known])) + mean_cycles)
+    return ((time[1:] + time[:-1]) / 2.0)[known], step[known]
 
 
 def _together(sine: FloatArray, cosine: FloatArray, turned_rad: FloatArray, used: Conditioning) -> FloatArray:

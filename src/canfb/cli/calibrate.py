@@ -17,6 +17,7 @@ from canfb.commissioning.artefacts import prepare
 from canfb.commissioning.calibration_run import Account, CalibrationRun
 from canfb.commissioning.choices import Choices
 from canfb.commissioning.guard import Guard
+from canfb.commissioning.speed_run import SpeedRun
 from canfb.configuration import Config, load_config
 from canfb.errors import CalibrationError
 
@@ -76,7 +77,8 @@ def _run(choices: Choices, options: argparse.Namespace, progress: Progress, date
             refusal = {"accepted": False, "reason": error.reason, "message": str(error)}
             print(json.dumps(refusal | {"active": False, "saved": False}, indent=2))
 
-    return CalibrationRun(choices, progress, date, refused)
+    kind = CalibrationRun if choices.speeds is None else SpeedRun
+    return kind(choices, progress, date, refused)
 
 
 def _say(account: Account, options: argparse.Namespace, progress: Progress) -> int:

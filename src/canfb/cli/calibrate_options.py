@@ -7,6 +7,7 @@ from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
+from canfb.cli.calibrate_input import add_file, add_speeds
 from canfb.cli.options import BUS_WORDS, add_bus_options, refuse_idle, whole_number
 from canfb.commissioning.choices import LEAST_SAMPLES, MODULE, PDO, RECORDING, Choices
 from canfb.commissioning.combinations import refuse_combinations
@@ -36,7 +37,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
     parser.add_argument("--no-save", action="store_true", help="do not save (1010h): lost at a restart")
     _add_measurement(parser)
-    _add_file(parser)
+    add_speeds(parser)
+    add_file(parser)
     add_bus_options(parser)
 
 
@@ -61,7 +63,10 @@ def _add_measurement(parser: argparse.ArgumentParser) -> None:
         help="node whose object 2050h records (default: interface)",
     )
     group.add_argument(
-        "--seconds", type=float, metavar="S", help="duration of the measurement (20; 4 for a recording)"
+        "--seconds",
+        type=float,
+        metavar="S",
+        help="duration of the measurement (20; 4 for a recording, 10 for a speed)",
     )
     group.add_argument(
         "--least-samples",
@@ -85,26 +90,6 @@ def _add_measurement(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--sync", type=float, metavar="HZ", help="produce the SYNC, on a bus without one")
     group.add_argument("--encoder", default="", metavar="NAME", help="name or serial number of the encoder")
     group.add_argument("--answer-within", type=float, default=1.0, metavar="S", help="SDO time-out (1)")
-
-
-def _add_file(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("samples of a file (no bus is used)")
-    group.add_argument("--samples", type=Path, metavar="FILE", help="NPZ file, or CSV with a header line")
-    group.add_argument(
-        "--columns", default="sine,cosine", metavar="SINE,COSINE", help="names or numbers of the two columns"
-    )
-    group.add_argument(
-        "--mid-scale", type=float, default=0.0, metavar="COUNTS", help="ADC reading of a zero signal"
-    )
-    group.add_argument(
-        "--time-column", metavar="NAME", help="column of times in seconds; gaps become missed samples"
-    )
-    group.add_argument(
-        "--table", type=Path, metavar="FILE", help="the active table, YAML or bytes of 2020:01"
-    )
-    group.add_argument(
-        "--cycles-per-revolution", type=int, metavar="N", help="also give errors as angles of the shaft"
-    )
 
 
 def choices_of(options: argparse.Namespace) -> Choices:

@@ -67,6 +67,7 @@ _EXAMPLES = OFFLINE | {
   canfb calibrate -i socketcan -c can0 --module 0x20 --out measured
   canfb calibrate feedback.yaml --dry-run --json
   canfb calibrate feedback.yaml --check
+  canfb calibrate feedback.yaml --speeds 61,1500,3000 --out measured
   canfb calibrate --samples measured/samples.npz --out again""",
     "canfb commission": """
   canfb commission 0x20 -i socketcan -c can0 --out limits

@@ -17,7 +17,14 @@ from canfb.errors import CanfbError
 
 Hear = Callable[[int, bytes, float], None]
 ABSENT = (AbortCode.NO_OBJECT, AbortCode.NO_SUBINDEX)
-REALS = frozenset({od.SUPERVISION_ACCELERATION, od.SUPERVISION_JERK})
+REALS = frozenset(
+    {
+        od.SUPERVISION_ACCELERATION,
+        od.SUPERVISION_JERK,
+        od.ENCODER_CORNER_FREQUENCY,
+        od.ENCODER_COSINE_CORNER_FREQUENCY,
+    }
+)
 REAL32 = struct.Struct("<f")
 SETTLE_S = 0.05  # for frames of an aborted block transfer that are still in transit
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from canfb.commissioning.access import CommissioningError
@@ -17,6 +18,7 @@ from canfb.errors import CalibrationError
 from canfb.signal.supervision import SampleLimits
 
 TABLE_YAML, TABLE_BIN, SAMPLES, REPORT = "table.yaml", "table.bin", "samples.npz", "report.html"
+SPEEDS = "speeds"
 # What is in the YAML beyond crc32, conditioning and entries.
 META = (
     "date",
@@ -37,6 +39,9 @@ META = (
     "residual_rms_cycles",
     "residual_peak_cycles",
     "uncertainty_peak_cycles",
+    "corner_hz",
+    "cosine_corner_hz",
+    "delay_estimate_s",
     "active",
     "saved",
 )
@@ -62,7 +67,7 @@ def write(
 ) -> list[Path]:
     """Write everything; the paths. CommissioningError if that does not work."""
     figures = as_json(measured, done, where)
-    meta = {key: figures[key] for key in META if figures[key] is not None}
+    meta = {key: figures[key] for key in META if figures.get(key) is not None}
     try:
         (folder / TABLE_YAML).write_text(as_yaml(measured.found, meta), encoding="utf-8")
         (folder / TABLE_BIN).write_bytes(measured.calibration.table.to_bytes())
@@ -81,6 +86,21 @@ def keep_samples(folder: Path, samples: TrackSamples) -> Path:
     except OSError as error:
         raise CommissioningError(f"cannot write to {folder}: {error.strerror}") from None
     return folder / SAMPLES
+
+
+def keep_speeds(folder: Path, measured: Sequence[tuple[TrackSamples, float]]) -> list[Path]:
+    """Write the samples of each speed (cycles/s) to a folder in the folder; their paths."""
+    place = folder / SPEEDS
+    paths = [place / f"{number:02d}.npz" for number in range(1, len(measured) + 1)]
+    try:
+        place.mkdir(exist_ok=True)
+        for old in place.glob("*.npz"):  # of an earlier run
+            old.unlink()
+        for path, (samples, hertz) in zip(paths, measured, strict=True):
+            write_npz(path, samples, hertz)
+    except OSError as error:
+        raise CommissioningError(f"cannot write to {place}: {error.strerror}") from None
+    return paths
 
 
 def write_refusal(

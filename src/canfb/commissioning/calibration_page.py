@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from canfb.calibration.recording import BINS
 from canfb.commissioning.circumstances import Circumstances, origins
 from canfb.commissioning.measurement import Measurement
 from canfb.commissioning.procedure import Installation
 from canfb.commissioning.samples import TrackSamples
+from canfb.commissioning.speed_measurement import SpeedMeasurement
 from canfb.commissioning.summary import comparison, coverage_warning, facts, outcome, verdict
 from canfb.errors import CalibrationError
 from canfb.report import pictures
@@ -29,7 +32,7 @@ def report_html(
     measured: Measurement, done: Installation, where: Circumstances, limits: SampleLimits | None = None
 ) -> str:
     """The page. It refers to nothing outside of itself and runs no script."""
-    said = [verdict(measured), _sentence(outcome(measured, done, where))]
+    said = [verdict(measured, where), _sentence(outcome(measured, done, where))]
     rows = [(row.name, row.before, row.after) for row in comparison(measured, done, where)]
     tables = comparison_table("Before and after", ("before", "after"), rows)
     tables += facts_table(MEASUREMENT, facts(measured, done, where))
@@ -37,6 +40,7 @@ def report_html(
         where,
         said,
         beside(tables, _lissajous(measured.samples, measured.found, limits))
+        + _over_speed(measured, where)
         + gallery("Pictures", _pictures(measured, done))
         + _origins(where),
     )
@@ -84,6 +88,36 @@ def _lissajous(samples: TrackSamples, used: Correction, limits: SampleLimits | N
     seen = len(samples) - samples.missed
     shown = f"all {seen} samples, shown by their density" if is_dense(samples.sine) else f"{seen} samples"
     return figure("Lissajous figure", f"should be a circle within the limits; {shown}", picture)
+
+
+def _over_speed(measured: Measurement, where: Circumstances) -> str:
+    """Both curves over the speed; nothing for one speed."""
+    if not isinstance(measured, SpeedMeasurement):
+        return ""
+    errors = measured.over_speeds.errors
+    per_turn = where.cycles_per_revolution
+    unit = "rpm" if per_turn else "cycles/s"
+    speed = np.array([one.hertz * (60.0 / per_turn if per_turn else 1.0) for one in errors])
+    nan = float("nan")
+    before = np.array([nan if one.before is None else one.before for one in errors])
+    mean = np.array([nan if one.mean_before is None else one.mean_before for one in errors])
+    after = np.array([one.after for one in errors])
+    late = np.array([one.mean_after for one in errors])
+    return gallery(
+        "Error over the speed",
+        [
+            figure(
+                "Error within a cycle",
+                "rms at each speed, on samples that were held out",
+                pictures.rms_over_speed(speed, before, after, unit),
+            ),
+            figure(
+                "Mean error",
+                "by the delay that the amplitude tells; a delay of the converter is not in it",
+                pictures.mean_over_speed(speed, mean, late, unit),
+            ),
+        ],
+    )
 
 
 def _pictures(measured: Measurement, done: Installation) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -9,16 +10,17 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from canfb.commissioning import own_calibration
-from canfb.commissioning.access import Master
+from canfb.commissioning.access import CommissioningError, Master
 from canfb.commissioning.active import check_unlocked
 from canfb.commissioning.artefacts import keep_samples, write, write_refusal
-from canfb.commissioning.choices import MODULE, Choices
+from canfb.commissioning.choices import MODULE, PDO, Choices
 from canfb.commissioning.circumstances import Circumstances
-from canfb.commissioning.drift_check import check
+from canfb.commissioning.drift_check import check, check_at_speed
 from canfb.commissioning.drift_summary import drift_json, drift_lines, module_drift_json, module_drift_lines
+from canfb.commissioning.error_over_speed import InForce, SpeedSamples
 from canfb.commissioning.guard import Guard
 from canfb.commissioning.lock_watch import LockWatch
-from canfb.commissioning.machine_watch import Look, Meanwhile, look_at, lost_words
+from canfb.commissioning.machine_watch import Look, Meanwhile, SpeedReadings, look_at, lost_words
 from canfb.commissioning.measurement import Measurement, Settings, measure
 from canfb.commissioning.procedure import Installation, install
 from canfb.commissioning.samples import TrackSamples
@@ -95,19 +97,9 @@ class CalibrationRun:
     def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Account:
         """With the nodes of a bus; ``interface`` None if the module is to say it."""
         choices = self._choices
-        self._steps.step("reading the active table")
-        session = Session.open(master, module, interface)
-        self._where = replace(
-            self._where,
-            module=session.module.node_id,
-            encoder_interface=None if session.samples_itself else session.interface.node_id,
-            cycles_per_revolution=session.cycles_per_revolution,
-            identity=session.identity,
-            interface_identity=session.interface_identity,
-        )
-        self._limits = session.limits
-        if not (choices.check or choices.dry_run):
-            check_unlocked(session.module)
+        session = self._begin(master, module, interface)
+        if choices.check and choices.samples_from == PDO and session.path_is_known:
+            return self._check_at_speed(session)
         before = self._look(session, None)
         settings = choices.settings(session.limits)
         source = session.source(choices.samples_from, choices.recorder, choices.rate)
@@ -129,6 +121,23 @@ class CalibrationRun:
         if not choices.dry_run:
             measured, done = self._install(session, measured, source, settings, guard)
         return self._report(measured, done)
+
+    def _begin(self, master: Master, module: int, interface: int | None) -> Session:
+        """Read both nodes."""
+        self._steps.step("reading the active table")
+        session = Session.open(master, module, interface)
+        self._where = replace(
+            self._where,
+            module=session.module.node_id,
+            encoder_interface=None if session.samples_itself else session.interface.node_id,
+            cycles_per_revolution=session.cycles_per_revolution,
+            identity=session.identity,
+            interface_identity=session.interface_identity,
+        )
+        self._limits = session.limits
+        if not (self._choices.check or self._choices.dry_run):
+            check_unlocked(session.module)
+        return session
 
     @staticmethod
     def _together(session: Session, source: Source) -> Source:
@@ -208,6 +217,37 @@ class CalibrationRun:
             step=steps.step,
         )
 
+    def _collect(self, session: Session, seconds: float, least: int) -> SpeedSamples:
+        """Samples of now, and the speed that the module says meanwhile."""
+        readings = SpeedReadings(session.module)
+        watch = LockWatch(session.cycles_per_revolution, session.speed_rad_s)
+        source = session.source(
+            PDO, self._choices.recorder, self._choices.rate, lambda heard: watch(heard) or readings(heard)
+        )
+        samples = source(seconds, least, self._steps.part)
+        if watch.found is not None:
+            self._judged(samples, watch.raise_found)
+        if not readings.found:
+            raise CommissioningError(
+                f"{session.module.name} did not say its speed (2011:07): set a longer --seconds"
+            )
+        rad_s = math.fsum(one.rad_per_s for one in readings.found) / len(readings.found)
+        return SpeedSamples(samples, rad_s * session.cycles_per_revolution / (2.0 * math.pi))
+
+    def _check_at_speed(self, session: Session) -> Account:
+        """How far the encoder has moved away, whatever the analog path does at this speed."""
+        choices = self._choices
+        self._look(session, None)
+        self._steps.step(f"collecting samples for {choices.collect_s:g} s")
+        measured = self._collect(session, choices.collect_s, choices.least_samples)
+        active, settings = InForce(session.active, session.corners), choices.settings(session.limits)
+        found = self._judged(
+            measured.samples, lambda: check_at_speed(measured, active, settings, self._steps.part)
+        )
+        if choices.out:
+            keep_samples(choices.out, measured.samples)
+        return Account(drift_json(found, self._where), drift_lines(found, self._where))
+
     def _drift(self, samples: TrackSamples, active: Correction, settings: Settings) -> Account:
         """How far the encoder has moved away from its table."""
         found = self._judged(samples, lambda: check(samples, active, settings, self._steps.part))
@@ -246,6 +286,6 @@ def _lines(measured: Measurement, done: Installation, where: Circumstances, path
     lines += [f"{row.name:24}{row.before:{wide}}  {row.after}" for row in rows]
     lines.append("")
     lines += [f"{name:24}{text}" for name, text in facts(measured, done, where)]
-    lines += ["", verdict(measured), outcome(measured, done, where)]
+    lines += ["", verdict(measured, where), outcome(measured, done, where)]
     lines += [f"written  {path}" for path in paths]
     return lines

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,13 +12,19 @@ from canfb.commissioning.access import CommissioningError
 from canfb.commissioning.measurement import MOTION, ZERO_CROSSINGS, Settings
 from canfb.commissioning.sample_files import read_npz
 from canfb.commissioning.samples import TrackSamples
+from canfb.commissioning.speed_measurement import ESTIMATE
 from canfb.errors import ConfigError
+from canfb.signal.conditioning import LONGEST_DELAY_S
 from canfb.signal.supervision import SampleLimits
 from canfb.sources.recording_source import RecordingLayout, RecordingSource
 
 PDO, RECORDING, MODULE = "pdo", "recording", "module"
 DEFAULT_MODULE = 0x20
+MOST_RPM = 1e6
+RECORDED = "recorded"  # speeds: those that the files of samples have
 LEAST_SAMPLES = 8000
+SECONDS_AT_SPEED = 10.0
+NEAREST = 1.05  # times: speeds to be told from each other as the machine turns
 RANGES = (
     ("seconds", 0.1, 3600.0),
     ("verify", 0.1, 600.0),
@@ -25,6 +32,7 @@ RANGES = (
     ("rate", 0.1, 1e7),
     ("sync", 0.1, 1e5),
     ("answer_within", 0.01, 60.0),
+    ("wait", 1.0, 86400.0),
     ("entries", 16, 4096),
     ("adc_bits", 4, 16),
     ("module", 1, 127),
@@ -62,6 +70,9 @@ class Choices:
     time_column: str | None = None
     table: Path | None = None
     cycles_per_revolution: int | None = None
+    speeds: str | None = None
+    delay: str | None = None
+    wait: float = 120.0
     line: str = ""
     """The command, for the report."""
 
@@ -73,12 +84,45 @@ class Choices:
     @property
     def collect_s(self) -> float:
         """How long to collect samples."""
-        return self.seconds if self.seconds is not None else (4.0 if self._is_fast else 20.0)
+        usual = SECONDS_AT_SPEED if self.speeds else 4.0 if self._is_fast else 20.0
+        return usual if self.seconds is None else self.seconds
 
     @property
     def verify_s(self) -> float:
         """How long to collect samples for the proof."""
         return self.verify if self.verify is not None else (1.0 if self._is_fast else 4.0)
+
+    @property
+    def speeds_rpm(self) -> tuple[float, ...]:
+        """Those of ``--speeds``; none for :data:`RECORDED`. ConfigError for what is no list of speeds."""
+        if self.speeds is None or (self.speeds == RECORDED and self.samples is not None):
+            return ()
+        try:
+            found = tuple(float(word) for word in self.speeds.split(","))
+        except ValueError:
+            found = ()
+        sizes = sorted(found)
+        apart = all(b > NEAREST * a if a > 0.0 else b > a / NEAREST for a, b in itertools.pairwise(sizes))
+        if len(found) < 2 or not all(0.0 < abs(one) < MOST_RPM for one in found) or not apart:
+            raise ConfigError(
+                f"--speeds {self.speeds}: two or more different speeds in rpm are required: 61,300,1000,3000"
+            )
+        return found
+
+    @property
+    def delay_to_set(self) -> str | float | None:
+        """2002:07 in seconds, :data:`.ESTIMATE`, None: as it is. ConfigError for anything else."""
+        if self.delay is None or self.delay == ESTIMATE:
+            return self.delay
+        try:
+            value = float(self.delay)
+        except ValueError:
+            value = math.nan
+        if not abs(value) <= LONGEST_DELAY_S:
+            raise ConfigError(
+                f"--delay {self.delay}: seconds, at most {LONGEST_DELAY_S:g}, or {ESTIMATE}, are required"
+            )
+        return value
 
     @property
     def _is_fast(self) -> bool:
@@ -92,6 +136,7 @@ class Choices:
                 raise ConfigError(f"--{name.replace('_', '-')} {value:g}: must be {low:g} to {high:g}")
         check_mid_scale(self.mid_scale)
         two_columns(self.columns)
+        _ = self.speeds_rpm, self.delay_to_set
         if self.samples_from == MODULE and self.method != MOTION:
             raise ConfigError("--source module: the module supports --method motion only")
 

@@ -25,6 +25,7 @@ _OF_THE_BUS = (
     "answer_within",
     "dry_run",
     "no_save",
+    "wait",
 )
 _OF_CSV = ("columns", "mid_scale", "time_column")
 _OF_THE_FILE = (*_OF_CSV, "table", "cycles_per_revolution")
@@ -46,3 +47,7 @@ def refuse_combinations(choices: Choices, refuse: Refuse, bus_words: Sequence[st
         refuse(["no_save"], "not with --dry-run, which writes nothing")
     if choices.samples_from != "recording":
         refuse(["recorder"], "only with --source recording")
+    if choices.speeds is None:
+        refuse(("delay", "wait"), "only with --speeds")
+    else:
+        refuse(("check", "method", "source", "conditioning"), "not with --speeds, which measures by motion")

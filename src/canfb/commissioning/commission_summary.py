@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from canfb import objects as od
+from canfb.calibration.path_fit import LowPass
 from canfb.commissioning.circumstances import Circumstances, where_words
 from canfb.commissioning.limit_choice import Choice, MachineSeen
 from canfb.commissioning.machine_seen import Observation
 from canfb.commissioning.machine_watch import in_words
+from canfb.commissioning.path_summary import delay_words
 from canfb.commissioning.supervision_limits import (
     KINDS,
     SupervisionLimits,
@@ -119,8 +121,20 @@ def machine_facts(done: Commissioned) -> list[tuple[str, str]]:
             f"{motion.residual_noise:.3g} cycle rms; converter {tracks.noise_counts:.2f} counts rms",
         ),
         ("amplitude", f"mean {tracks.mean:.0f}, {tracks.least:.0f} to {tracks.most:.0f} counts"),
+        ("low-pass", _low_pass_words(done)),
         ("flagged meanwhile", in_words(done.usual) or "nothing"),
     ]
+
+
+def _low_pass_words(done: Commissioned) -> str:
+    """What the amplitude over the speed says of corner and delay; commission does not write 2002:07."""
+    low_pass = done.machine.low_pass
+    if low_pass is None:
+        return "not known: too few speeds were seen"
+    words = delay_words(low_pass, done.where)
+    if not low_pass.is_seen:
+        return f"delay {words}"
+    return f"{low_pass.corner_hz / 1e3:.4g} kHz; delay {words}. 2002:07 stays as it is"
 
 
 def _rounded(value: float) -> str:
@@ -280,6 +294,7 @@ def as_figures(done: Commissioned) -> dict[str, Any]:
         "amplitude_mean_counts": tracks.mean,
         "amplitude_least_counts": tracks.least,
         "amplitude_most_counts": tracks.most,
+        **_low_pass_json(machine.low_pass),
         "flagged_meanwhile": dict(done.usual),
         "margin": done.margin,
         "notes": notes(done),
@@ -304,6 +319,16 @@ def as_figures(done: Commissioned) -> dict[str, Any]:
         "missed_samples_kept_before": done.before.kept_samples(machine.interval_s, done.largest_motion),
         "written": done.written,
         "saved": done.saved_as is not None,
+    }
+
+
+def _low_pass_json(low_pass: LowPass | None) -> dict[str, float | None]:
+    seen = low_pass is not None and low_pass.is_seen
+    return {
+        "corner_hz": low_pass.corner_hz if low_pass and seen else None,
+        "corner_uncertainty_hz": low_pass.corner_sigma_hz if low_pass and seen else None,
+        "delay_estimate_s": low_pass.delay_s if low_pass and seen else None,
+        "delay_estimate_uncertainty_s": low_pass.delay_sigma_s if low_pass and seen else None,
     }
 
 

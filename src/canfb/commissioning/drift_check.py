@@ -2,14 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from canfb.calibration.deviation import Deviation
 from canfb.calibration.drift import drift
+from canfb.calibration.ellipse import fit_ellipse
+from canfb.calibration.over_speeds import measured_at_standstill
+from canfb.calibration.path_fit import NO_PATH
 from canfb.calibration.result import Calibration
+from canfb.commissioning.error_over_speed import InForce, SpeedSamples, errors_at
 from canfb.commissioning.measurement import Heard, Settings, measure
 from canfb.commissioning.samples import TrackSamples
+from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
+
+
+class EllipseChange(NamedTuple):
+    """How the ellipse of the tracks has changed since the active conditioning was measured, at standstill.
+
+    sine_offset, cosine_offset   relative to the amplitude
+    gain                         amplitude of the cosine to that of the sine, relative
+    phase_rad                    deviation of the tracks from a right angle
+    """
+
+    sine_offset: float
+    cosine_offset: float
+    gain: float
+    phase_rad: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,6 +38,7 @@ class DriftCheck:
 
     rms, peak     of the error over the cycle, its constant part taken off
     on_samples    deviation of the samples; its ``before`` is that with the active table
+    change        None where the active conditioning is none
     """
 
     rms: float
@@ -25,6 +46,7 @@ class DriftCheck:
     active: Correction
     calibration: Calibration
     on_samples: Deviation
+    change: EllipseChange | None = None
 
     @property
     def seen(self) -> bool:
@@ -35,5 +57,41 @@ class DriftCheck:
 def check(samples: TrackSamples, active: Correction, settings: Settings, heard: Heard) -> DriftCheck:
     """Measure again, with the active conditioning, and compare. Errors as for a calibration."""
     measured = measure(samples, settings, active, heard, active.conditioning)
-    found = drift(measured.calibration, active.table, active.conditioning)
-    return DriftCheck(found.rms, found.peak, active, measured.calibration, measured.on_samples)
+    return _compared(measured.calibration, active, measured.on_samples)
+
+
+def check_at_speed(measured: SpeedSamples, active: InForce, settings: Settings, heard: Heard) -> DriftCheck:
+    """:func:`check` of samples as they came, at any speed: the analog path that is active is taken out."""
+    used = active.correction
+    heard(0.1)
+    found = measured_at_standstill(
+        measured.tracks,
+        used.conditioning.cosine_delay_s,
+        active.corners,
+        adc_bits=settings.adc_bits,
+        entries=settings.entries,
+    )
+    heard(0.8)
+    now = InForce(found.correction, active.corners)
+    errors = errors_at(measured, active, now, NO_PATH, found.block_samples, settings.adc_bits)
+    before = errors.after if errors.before is None else errors.before
+    return _compared(found, used, replace(errors.deviation, before_rms=before))
+
+
+def _compared(fresh: Calibration, active: Correction, on_samples: Deviation) -> DriftCheck:
+    found = drift(fresh, active.table, active.conditioning)
+    return DriftCheck(found.rms, found.peak, active, fresh, on_samples, _change(fresh, active.conditioning))
+
+
+def _change(fresh: Calibration, active: Conditioning) -> EllipseChange | None:
+    if fresh.tracks is None or (active.sine_gain == active.cosine_gain == 1.0 and not active.phase_error_rad):
+        return None
+    now = fit_ellipse(*fresh.tracks)
+    s, c = now.apply(*fresh.tracks)
+    amplitude = float((s * s + c * c).mean() ** 0.5)
+    return EllipseChange(
+        (now.sine_offset_counts - active.sine_offset_counts) * now.sine_gain / amplitude,
+        (now.cosine_offset_counts - active.cosine_offset_counts) * now.cosine_gain / amplitude,
+        (now.sine_gain / now.cosine_gain) / (active.sine_gain / active.cosine_gain) - 1.0,
+        now.phase_error_rad - active.phase_error_rad,
+    )

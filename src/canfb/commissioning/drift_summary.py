@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from canfb.commissioning.circumstances import Circumstances, percent, where_words
+from canfb.commissioning.circumstances import PERCENT, Circumstances, percent, where_words
 from canfb.commissioning.drift_check import DriftCheck
 from canfb.commissioning.own_calibration import ModuleDrift
 from canfb.commissioning.summary import table_words
@@ -44,6 +44,13 @@ def drift_lines(found: DriftCheck, where: Circumstances) -> list[str]:
         f"{'deviation of samples':24}{percent(found.on_samples.before_rms, where)} rms now, "
         f"{percent(found.calibration.residual_rms, where)} with a new table",
     ]
+    if found.change is not None:
+        change, part = found.change, PERCENT
+        lines.append(
+            f"{'changed since':24}offset {part * change.sine_offset:+.2g} / "
+            f"{part * change.cosine_offset:+.2g} % of the amplitude, gain of the cosine "
+            f"{part * change.gain:+.2g} %, phase {change.phase_rad:+.2g} rad"
+        )
     if not found.seen:
         lines.append("no drift within the uncertainty of this measurement")
     return lines
@@ -63,4 +70,5 @@ def drift_json(found: DriftCheck, where: Circumstances) -> dict[str, Any]:
         "new_table_rms_cycles": found.calibration.residual_rms,
         "coverage": found.calibration.coverage,
         "samples": found.calibration.samples_used,
+        "changed": None if found.change is None else found.change._asdict(),
     }

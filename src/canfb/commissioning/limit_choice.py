@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass
 
 from canfb import objects as od
+from canfb.calibration.path_fit import LowPass
 from canfb.commissioning.circumstances import PERCENT
 from canfb.commissioning.converter_noise import TracksSeen, repeats_of_frozen_input
 from canfb.commissioning.motion_seen import MotionSeen
-from canfb.commissioning.supervision_limits import KINDS, SupervisionLimits, as_real32
+from canfb.commissioning.supervision_limits import CORNER, KINDS, SupervisionLimits, as_real32
 from canfb.objects import Multiplexer
 from canfb.signal.limits import (
     CALIBRATED_PHASE_ERROR_CYCLES,
@@ -21,6 +22,7 @@ from canfb.signal.third_order import THIRD
 from canfb.signal.tracker import RESIDUAL_LIMIT
 from canfb.view.limits_in_force import LIMIT_UNITS
 
+SAME_CORNER = 0.05  # relative: what is set need not change
 LEAST_AMPLITUDE_SPREAD = 0.2  # temperature, supply and age of an encoder
 MOST_AMPLITUDE_SPREAD = 0.7
 NOISE_SIGMAS = 6.0  # beyond that a sample in 10^9
@@ -43,6 +45,7 @@ class MachineSeen:
                          known
     coarse_note          why the coarse track says nothing, else ""
     longest_pause        the longest time without SYNC or sample, periods; None: not known
+    low_pass             by the amplitude over the speed; None: there were too few speeds
     jitter_s             rms of the time from SYNC to SYNC as received, or by sample times; None: not known
     """
 
@@ -53,6 +56,7 @@ class MachineSeen:
     coarse_note: str = ""
     longest_pause: float | None = None
     jitter_s: float | None = None
+    low_pass: LowPass | None = None
 
     def rad(self, cycles: float, power: int, cycles_per_revolution: int) -> float:
         """Cycles per interval to this power, as rad per second to this power."""
@@ -87,9 +91,11 @@ def choose(
     ``margin`` is the factor beyond what was seen, above 1. ``known_rad_s2`` is an acceleration that the
     machine is known to do, rad/s^2, 0.0 if there is none.
     """
+    corner = corner_choice(seen.low_pass, limits)
     motion = _third_order if limits.prediction_order == THIRD else _motion
     error = _phase_error(seen, limits, margin)
     return [
+        *([] if corner is None else [corner]),
         *_amplitude(seen.tracks, limits, margin),
         *motion(seen, limits.changed({error.place: error.value}), margin, known_rad_s2),
         error,
@@ -97,6 +103,25 @@ def choose(
         _coarse(seen, limits, margin),
         _periods(seen, limits),
     ]
+
+
+def corner_choice(low_pass: LowPass | None, limits: SupervisionLimits) -> Choice | None:
+    """2001:05 as the amplitude shows it; None where it shows none, and none is set."""
+    before = limits.corners.corner_hz
+    if low_pass is None or (not low_pass.is_seen and not before):
+        return None
+    seen = f"{PERCENT * low_pass.left:.0f} % of the amplitude at the highest speed"
+    if not low_pass.is_seen:
+        return Choice(CORNER.place, before, before, "the amplitude does not fall with the speed")
+    if not low_pass.is_one_pole or not low_pass.checked:
+        why = f"{seen}, which does not fall as by one pole: canfb calibrate --speeds, or data sheets"
+        return Choice(CORNER.place, before, before, why)
+    seen += f": {low_pass.corner_hz / 1e3:.4g} ± {low_pass.corner_sigma_hz / 1e3:.1g} kHz"
+    if limits.motion.corners.cosine_corner_hz or (
+        before and abs(low_pass.corner_hz - before) <= max(SAME_CORNER * before, low_pass.corner_sigma_hz)
+    ):
+        return Choice(CORNER.place, before, before, seen)
+    return Choice(CORNER.place, before, as_real32(float(f"{low_pass.corner_hz:.4g}")), seen)
 
 
 def _choice(limits: SupervisionLimits, place: Multiplexer, value: float | None, why: str) -> Choice:

@@ -9,13 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from canfb.commissioning.access import CommissioningError
+from canfb.commissioning.amplitude_over_speed import low_pass_seen
 from canfb.commissioning.converter_noise import tracks_seen
-from canfb.commissioning.limit_choice import MachineSeen
+from canfb.commissioning.limit_choice import MachineSeen, corner_choice
 from canfb.commissioning.machine_watch import SpeedReading, in_words
 from canfb.commissioning.motion_seen import SIGMA_OF_MEDIAN, motion_seen
 from canfb.commissioning.samples import TrackSamples
 from canfb.commissioning.supervised_samples import SupervisedSamples, supervise
-from canfb.commissioning.supervision_limits import SupervisionLimits
+from canfb.commissioning.supervision_limits import AMPLITUDES, CORNER, SupervisionLimits
 from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray, raw_phases, wrap
 from canfb.signal.recovery.coarse import CoarseTrack
@@ -25,6 +26,7 @@ MOST_FLAGGED = 0.01
 LEAST_TURNED_CYCLES, LEAST_MOVING = 4.0, 0.01
 AGREES_CYCLES = 0.3
 ROUNDS = 3
+WIDEST_AMPLITUDE = 65535
 MOST_DIFFERENCE = 0.25  # of the coarse track, revolutions
 
 
@@ -33,7 +35,7 @@ class Observation:
     """Samples of a machine, followed from their start on, and what they show.
 
     start_speed   at the first sample, cycles per interval
-    followed      the chain's account, with the limits that the module has
+    followed      the chain's account, with the limits that the module has, and the corner that is chosen
     """
 
     samples: TrackSamples
@@ -67,6 +69,12 @@ def observe(
             f"of {len(samples)} samples many are flagged already ({in_words(flagged)}): find the cause first "
             "(docs/faults.md)"
         )
+    low_pass = low_pass_seen(followed, interval_s, limits.corners)
+    corner = corner_choice(low_pass, limits)
+    if corner is not None and corner.changes:
+        # With it the amplitude is another one: the limits of before say nothing about that.
+        open_limits = limits.changed({CORNER.place: corner.value, AMPLITUDES[1]: WIDEST_AMPLITUDE})
+        followed = supervise(samples, used, open_limits.chain_limits(interval_s), start_speed)
     motion = motion_seen(followed, limits.prediction_order)
     if motion.turned < LEAST_TURNED_CYCLES or motion.moving < LEAST_MOVING:
         raise CommissioningError(
@@ -83,6 +91,7 @@ def observe(
         coarse_note=note,
         longest_pause=_longest_pause(samples, interval_s),
         jitter_s=_jitter(samples, interval_s),
+        low_pass=low_pass,
     )
     return Observation(samples, used, start_speed, followed, seen)
 

@@ -52,12 +52,17 @@ def install(
     guard: Guard,
     *,
     put: Callable[[], Measurement] | None = None,
+    back: Callable[[], None] = lambda: None,
+    prove: Callable[[TrackSamples], Deviation] | None = None,
+    peak_cycles: float = 0.0,
     keep: bool = True,
     step: Callable[[str], None] = lambda text: None,
 ) -> tuple[Measurement, Installation]:
     """Activate the new set, verify it on fresh samples from ``collect``, and save it if ``keep``.
 
-    ``put`` replaces the upload: it activates another table and gives the measurement with it.
+    ``put`` replaces the upload: it activates another table and gives the measurement with it; ``back`` puts
+    back what else it wrote. ``prove`` replaces :func:`verify`. ``peak_cycles`` is an error that is known
+    from elsewhere.
 
     It is saved only after the verification. If anything fails, or is interrupted, the old set is
     restored (and saved again, where saving had begun) before the error is raised; its text says so.
@@ -74,11 +79,12 @@ def install(
                 measured = put()
             done.active = True
             step("verifying on fresh samples")
-            done.fresh = verify(collect(), measured, settings)
+            fresh = collect()
+            done.fresh = verify(fresh, measured, settings) if prove is None else prove(fresh)
             before_error = phase_error(module)
             if before_error is not None:
                 declared = before_error
-                done.phase_error_cycles = declare_phase_error(module, done.fresh)
+                done.phase_error_cycles = declare_phase_error(module, done.fresh, peak_cycles)
             if keep:
                 step("saving")
                 saving = True
@@ -89,7 +95,7 @@ def install(
         with guard.held():
             with contextlib.suppress(OSError):  # a terminal that has gone
                 step("restoring the old table")
-            undone, said = _undo(module, before, declared, saving)
+            undone, said = _undo(module, before, declared, saving, back)
         if isinstance(error, CanfbError) or not undone:
             raise CommissioningError(f"{str(error) or 'interrupted'}; {said}") from error
         with contextlib.suppress(OSError):
@@ -104,13 +110,17 @@ def verify(samples: TrackSamples, measured: Measurement, settings: Settings) -> 
     fresh = best_deviation(
         samples.recording(settings.adc_bits), measured.found, measured.before, block_of(calibration)
     )
-    limit = WORSE * calibration.residual_rms + calibration.uncertainty_rms
-    if fresh.rms > limit:
-        raise CommissioningError(
-            f"on fresh samples the table leaves {100 * fresh.rms:.3g} % of a cycle rms, "
-            f"{100 * calibration.residual_rms:.3g} % was predicted: something has changed since"
-        )
+    check_as_predicted(fresh.rms, calibration.residual_rms, calibration.uncertainty_rms)
     return fresh
+
+
+def check_as_predicted(found_rms: float, predicted_rms: float, uncertainty_rms: float) -> None:
+    """CommissioningError if fresh samples show more, cycles."""
+    if found_rms > WORSE * predicted_rms + uncertainty_rms:
+        raise CommissioningError(
+            f"on fresh samples the table leaves {100 * found_rms:.3g} % of a cycle rms, "
+            f"{100 * predicted_rms:.3g} % was predicted: something has changed since"
+        )
 
 
 def _save(module: NodeAccess, done: Installation) -> None:
@@ -130,20 +140,25 @@ def phase_error(module: NodeAccess) -> int | None:
         return None
 
 
-def declare_phase_error(module: NodeAccess, fresh: Deviation) -> float:
-    """Write what the fresh samples show to 2010:0C; the error that stands there then, cycles."""
-    largest = min(max(SPARE_PHASE_ERROR * fresh.peak, CALIBRATED_PHASE_ERROR_CYCLES), MOST_PHASE_ERROR_CYCLES)
+def declare_phase_error(module: NodeAccess, fresh: Deviation, peak_cycles: float = 0.0) -> float:
+    """Write what the fresh samples show to 2010:0C, or ``peak_cycles`` if it is more; what stands there then,
+    cycles."""
+    peak = max(fresh.peak, peak_cycles)
+    largest = min(max(SPARE_PHASE_ERROR * peak, CALIBRATED_PHASE_ERROR_CYCLES), MOST_PHASE_ERROR_CYCLES)
     units = math.ceil(largest * LIMIT_UNITS)
     module.write(*od.SUPERVISION_PHASE_ERROR, "H", units)
     return units / LIMIT_UNITS
 
 
-def _undo(module: NodeAccess, before: Correction, declared: int | None, saving: bool) -> tuple[bool, str]:
+def _undo(
+    module: NodeAccess, before: Correction, declared: int | None, saving: bool, back: Callable[[], None]
+) -> tuple[bool, str]:
     """Restore the old set, and 2010:0C where it was written; whether that worked, and a line about it."""
 
     def act() -> None:
         if declared is not None:
             module.write(*od.SUPERVISION_PHASE_ERROR, "H", declared)
+        back()
         put_in_force_again(module, before)
         if saving:
             save(module)

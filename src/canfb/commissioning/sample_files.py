@@ -14,19 +14,24 @@ from canfb.objects import MISSED_COUNTS
 from canfb.sources.tracks_file import read_tracks
 
 
-def write_npz(path: Path, samples: TrackSamples) -> None:
-    """Tracks as INTEGER16, -32768 in both for a missed sample, the rate in Hz, 0 if not known, and time_s."""
+def write_npz(path: Path, samples: TrackSamples, hertz: float | None = None) -> None:
+    """Tracks as INTEGER16, -32768 in both for a missed sample, the rate in Hz, 0 if not known, and time_s.
+
+    ``hertz`` is the speed, cycles per second, where it is known: cycles_per_s.
+    """
     sine, cosine = (
         np.nan_to_num(track, nan=MISSED_COUNTS).astype(np.int16) for track in (samples.sine, samples.cosine)
     )
-    times: dict[str, Any] = {} if samples.time_s is None else {"time_s": samples.time_s}
+    known: dict[str, Any] = {} if samples.time_s is None else {"time_s": samples.time_s}
+    if hertz is not None:
+        known["cycles_per_s"] = hertz
     np.savez_compressed(
         path,
         sine=sine,
         cosine=cosine,
         rate_hz=samples.rate_hz or 0.0,
         origin=np.array(samples.origin),
-        **times,
+        **known,
     )
 
 
@@ -43,6 +48,12 @@ def write_csv(path: Path, samples: TrackSamples) -> None:
             if not math.isnan(pair[0]):
                 time = [f"{number / samples.rate_hz:.9g}"] if samples.rate_hz else []
                 rows.writerow([*time, *map(int, pair)])
+
+
+def read_speed(path: Path) -> float | None:
+    """cycles_per_s of an NPZ file that :func:`read_npz` can read; None where it has none."""
+    with np.load(path, allow_pickle=False) as content:
+        return float(content["cycles_per_s"]) if "cycles_per_s" in content else None
 
 
 def read_npz(path: Path) -> TrackSamples:

@@ -87,6 +87,18 @@ class TrackSamples:
         cosine[np.isnan(self.cosine)] = np.nan
         return replace(self, cosine=cosine, origin=f"{self.origin}, cosine at the instant of the sine")
 
+    def between(self, first: int, stop: int) -> TrackSamples:
+        """These samples alone."""
+        at = slice(first, stop)
+        return replace(
+            self,
+            sine=self.sine[at],
+            cosine=self.cosine[at],
+            time_s=None if self.time_s is None else self.time_s[at],
+            heard_s=None if self.heard_s is None else self.heard_s[at],
+            coarse=None if self.coarse is None else (self.coarse[0][at], self.coarse[1][at]),
+        )
+
     def __len__(self) -> int:
         return len(self.sine)
 

@@ -16,6 +16,7 @@ from canfb.commissioning.pdo_layout import PdoLayout, agreed_layout, module_layo
 from canfb.commissioning.recording_upload import record
 from canfb.commissioning.samples import TrackSamples
 from canfb.signal.correction import Correction
+from canfb.signal.harmonics import Corners
 from canfb.signal.supervision import SampleLimits
 
 Heard = Callable[[float], None]
@@ -28,6 +29,7 @@ IDENTITY = (
     od.IDENTITY_SERIAL_NUMBER,
 )
 DEFAULT_INTERFACE = 0x10
+CORNERS = (od.ENCODER_CORNER_FREQUENCY, od.ENCODER_COSINE_CORNER_FREQUENCY)
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,17 @@ class Session:
             return 0.0
         return speed if math.isfinite(speed) else 0.0
 
+    @property
+    def corners(self) -> Corners:
+        """2001:05 and 2001:06."""
+        return read_corners(self.module)
+
+    @property
+    def path_is_known(self) -> bool:
+        """Something depends on the speed, and the active table is that of standstill: with harmonics."""
+        conditioning = self.active.conditioning
+        return any(conditioning.harmonics) and bool(conditioning.cosine_delay_s or self.corners.are_there)
+
     def together(self, samples: TrackSamples) -> TrackSamples:
         """As if both tracks had been sampled at once, without the delay that the module has (2002:06).
 
@@ -127,6 +140,11 @@ class Session:
     def layout(self) -> PdoLayout:
         """The PDO with the samples; the errors of :func:`.pdo_layout.agreed_layout`."""
         return agreed_layout(self.module, self.interface)
+
+
+def read_corners(module: NodeAccess) -> Corners:
+    """2001:05 and 2001:06; none where the module does not have them."""
+    return Corners(*(float(module.read_known(place) or 0.0) for place in CORNERS))
 
 
 def _identity_of(node: NodeAccess) -> tuple[int, ...] | None:

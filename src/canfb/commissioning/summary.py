@@ -8,8 +8,10 @@ from typing import Any
 from canfb.calibration.result import Calibration
 from canfb.commissioning.circumstances import Circumstances, percent, where_words
 from canfb.commissioning.measurement import Measurement
+from canfb.commissioning.path_summary import path_facts, path_json, speed_rows, speed_words
 from canfb.commissioning.procedure import Installation
 from canfb.commissioning.samples import TrackSamples
+from canfb.commissioning.speed_measurement import SpeedMeasurement
 from canfb.commissioning.table_file import conditioning_words
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
@@ -53,6 +55,8 @@ def comparison(measured: Measurement, done: Installation, where: Circumstances) 
             Row("on fresh samples, rms", percent(fresh.before_rms, where), percent(fresh.rms, where)),
             Row("on fresh samples, peak", percent(fresh.before_peak, where), percent(fresh.peak, where)),
         ]
+    if isinstance(measured, SpeedMeasurement):
+        rows += [Row(*words) for words in speed_rows(measured.over_speeds, where)]
     return rows
 
 
@@ -84,6 +88,8 @@ def facts(measured: Measurement, done: Installation, where: Circumstances) -> li
         listed.append(
             ("phase error, 2010:0C", f"{done.phase_error_cycles:.3g} cycle, at the speed of this motion")
         )
+    if isinstance(measured, SpeedMeasurement):
+        listed += path_facts(measured.over_speeds, where)
     if where.meanwhile is not None and where.meanwhile.is_lost:
         listed.append(("position of the module", "lost; a table does not bring it back (canfb why)"))
     if calibration.cramer_rao_ratio is not None:
@@ -148,8 +154,10 @@ def outcome(measured: Measurement, done: Installation, where: Circumstances) -> 
     return f"table {measured.calibration.table.crc32:08X}h is active and verified on fresh samples; {saved}"
 
 
-def verdict(measured: Measurement) -> str:
+def verdict(measured: Measurement, where: Circumstances) -> str:
     """The verdict in plain words."""
+    if isinstance(measured, SpeedMeasurement):
+        return _verdict_over_speeds(measured, where)
     calibration, on_samples = measured.calibration, measured.on_samples
     factor = on_samples.before_rms / calibration.residual_rms if calibration.residual_rms > 0.0 else 0.0
     if factor > 1.5:
@@ -161,6 +169,19 @@ def verdict(measured: Measurement) -> str:
     else:
         change = "The previous table is equally good: the encoder has not changed."
     return f"Accepted. {change} The table itself is good to {PERCENT * calibration.uncertainty_peak:.2g} %."
+
+
+def _verdict_over_speeds(measured: SpeedMeasurement, where: Circumstances) -> str:
+    errors = measured.over_speeds.errors
+    worst = max(errors, key=lambda one: one.after)
+    before = [one.before for one in errors if one.before is not None]
+    falls = f", {PERCENT * max(before):.2g} % before" if len(before) == len(errors) else ""
+    return (
+        f"Accepted. The error within a cycle is at most {PERCENT * worst.after:.2g} % of a cycle rms"
+        f"{falls}, from {speed_words(errors[0].hertz, where)} to {speed_words(errors[-1].hertz, where)}, on "
+        f"samples that were held out. The table itself is good to "
+        f"{PERCENT * measured.calibration.uncertainty_peak:.2g} %."
+    )
 
 
 def as_json(measured: Measurement, done: Installation, where: Circumstances) -> dict[str, Any]:
@@ -201,6 +222,7 @@ def as_json(measured: Measurement, done: Installation, where: Circumstances) -> 
         "phase_error_cycles": done.phase_error_cycles,
         "active": done.active,
         "saved": done.saved_as is not None,
+        **(path_json(measured.over_speeds) if isinstance(measured, SpeedMeasurement) else {}),
     }
 
 

@@ -12,6 +12,7 @@ from canfb import objects as od
 from canfb.commissioning.access import CommissioningError, NodeAccess
 from canfb.objects import Multiplexer
 from canfb.signal.chain_config import ChainLimits
+from canfb.signal.harmonics import Corners
 from canfb.signal.supervision import SampleLimits
 from canfb.view.limits_in_force import (
     LIMIT_UNITS,
@@ -44,7 +45,9 @@ LIMITS = (
     LimitObject(od.SUPERVISION_COARSE_LIMIT, "H", "coarse track limit", "1/65536 revolution"),
     LimitObject(od.SUPERVISION_PERIODS, "B", "periods without SYNC or sample", "periods"),
 )
-KINDS = {one.place: one for one in LIMITS}
+CORNER = LimitObject(od.ENCODER_CORNER_FREQUENCY, "f", "corner frequency", "Hz")
+"""Not a limit, but the limits of the amplitude hold for it; an older module does not have it."""
+KINDS = {one.place: one for one in (*LIMITS, CORNER)}
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,12 @@ class SupervisionLimits:
             limit_settings(module.read_known),
             (module.read_known(od.FEEDBACK_NOISE) or 0) / LIMIT_UNITS or None,
         )
+
+    @property
+    def corners(self) -> Corners:
+        """2001:05 and 2001:06."""
+        there = self.motion.corners
+        return Corners(self.values.get(CORNER.place, there.corner_hz), there.cosine_corner_hz)
 
     @property
     def settings(self) -> LimitSettings:
@@ -136,7 +145,7 @@ class SupervisionLimits:
             coast_samples=min(self.coast_samples * self.motion.samples_per_sync, 255),
             frozen_samples=int(self.values[od.SUPERVISION_FROZEN]),
             coarse_limit_revolutions=self.values[od.SUPERVISION_COARSE_LIMIT] / LIMIT_UNITS,
-            corners=self.motion.corners,
+            corners=self.corners,
         )
 
 
@@ -150,6 +159,8 @@ def write_limits(module: NodeAccess, wanted: Mapping[Multiplexer, float]) -> Non
     if low in wanted and high in wanted and wanted[low] >= module.integer(*high, "H"):
         places.remove(low)
         places.insert(places.index(high) + 1, low)
+    if CORNER.place in wanted:
+        places = _about_the_corner(module, places, wanted)
     error = od.SUPERVISION_PHASE_ERROR
     if error in wanted and wanted[error] > module.integer(*error, "H"):  # it widens what the others narrow
         places.sort(key=lambda place: place != error)
@@ -162,6 +173,18 @@ def write_limits(module: NodeAccess, wanted: Mapping[Multiplexer, float]) -> Non
             raise CommissioningError(
                 f"{module.name}: {place_words(place)} reads {there:g}, not {wanted[place]:g} as written"
             )
+
+
+def _about_the_corner(
+    module: NodeAccess, places: list[Multiplexer], wanted: Mapping[Multiplexer, float]
+) -> list[Multiplexer]:
+    """The corner between both limits of the amplitude, so that it is within them before and after."""
+    low, high = AMPLITUDES
+    before, after = float(module.read(*CORNER.place, CORNER.layout)), wanted[CORNER.place]
+    rises = after > 0.0 and (before == 0.0 or after < before)
+    order = [high, CORNER.place, low] if rises else [low, CORNER.place, high]
+    first = [place for place in order if place in wanted]
+    return [*first, *(place for place in places if place not in first)]
 
 
 def as_real32(value: float) -> float:

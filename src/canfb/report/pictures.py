@@ -44,6 +44,38 @@ def remaining_error(after: FloatArray, uncertainty: float) -> str:
     return plot.svg()
 
 
+def rms_over_speed(speed: FloatArray, before: FloatArray, after: FloatArray, unit: str) -> str:
+    """Rms error at each speed, cycles, shape (n,); NaN where the position was lost."""
+    values = np.concatenate([before, after])
+    values = values[np.isfinite(values) & (values > 0.0)] if np.any(values > 0.0) else np.array([1e-4])
+    low = 10.0 ** np.floor(np.log10(PERCENT * float(values.min())))
+    high = 10.0 ** np.ceil(np.log10(1.01 * PERCENT * float(values.max())))
+    labels = (f"speed, {unit}", "error rms, % of a cycle")
+    plot = Plot("Rms error over the speed, before and after", _span(speed), (low, high), labels, log_y=True)
+    _draw_both(plot, speed, before, after)
+    return plot.svg()
+
+
+def mean_over_speed(speed: FloatArray, before: FloatArray, after: FloatArray, unit: str) -> str:
+    """Mean error at each speed, cycles, shape (n,); NaN where it is not known."""
+    most = PERCENT * nice_limit(np.concatenate([before, after]), 1e-5)
+    labels = (f"speed, {unit}", "mean error, % of a cycle")
+    plot = Plot("Mean error over the speed, before and after", _span(speed), (-most, most), labels)
+    _draw_both(plot, speed, before, after)
+    return plot.svg()
+
+
+def _span(speed: FloatArray) -> tuple[float, float]:
+    return min(0.0, 1.05 * float(speed.min())), max(0.0, 1.05 * float(speed.max()))
+
+
+def _draw_both(plot: Plot, speed: FloatArray, before: FloatArray, after: FloatArray) -> None:
+    for values, style in ((before, "before"), (after, "after")):
+        known = np.isfinite(values)
+        plot.line(speed[known], PERCENT * values[known], style, style)
+        plot.dots(speed[known], PERCENT * values[known], style)
+
+
 def harmonics(before: FloatArray, after: FloatArray, noise_rms: float, samples: int) -> str:
     """Amplitudes of the harmonics of the error over the phase, before and after."""
     orders = np.arange(1, HIGHEST_ORDER + 1)

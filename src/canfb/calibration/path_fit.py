@@ -1,0 +1,322 @@
+"""The analog path from the tracks at several speeds: delay between them, corners of their low-passes, delay.
+
+At f cycles per second the fundamentals of the tracks are
+
+    |sine| = A / sqrt(1 + (f / fs)^2),    |cosine| = B / sqrt(1 + (f / fc)^2),
+    angle from sine to cosine = angle at standstill + 2 pi f cosine_delay + arctan(f / fs) - arctan(f / fc)
+
+with fs, fc the corners. So the angle over the speed gives the delay between the tracks, and the amplitudes
+give the corners. What both tracks are late shows in no angle; but a low-pass of one pole that takes the
+amplitude to the part r is late by arccos(r) / (2 pi) cycles, which is 1 / (2 pi fs) seconds at low speed. A
+converter that is late, or a filter that leaves the amplitude alone, is not to be seen: the estimate says
+what the low-pass does, and no more.
+
+The amplitudes of an encoder change a little from one measurement to the next (temperature, supply), more
+than the noise of the samples does. The uncertainties are one standard deviation, and have that in them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb.calibration.result import Reason
+from canfb.errors import CalibrationError
+from canfb.signal.harmonics import Corners
+from canfb.signal.phase import FloatArray
+
+AMPLITUDE_REPEATS = 1e-3  # relative, both tracks together, from one speed to the next
+RATIO_REPEATS = 2e-4  # of one amplitude to the other
+ANGLE_REPEATS_RAD = 2e-4  # from sine to cosine
+SEEN_SIGMAS = 3.0  # a low-pass that is there
+APART_SIGMAS = 2.0  # corners that differ
+ERROR_OF_ANGLE = 1.0 / (4.0 * math.pi * math.sqrt(2.0))  # rms of the phase, cycles, from an angle in rad
+MOST_UNCERTAIN_CYCLES = 1e-4  # rms, at the highest speed, from the delay between the tracks
+MOST_OFF_CYCLES = 1e-3  # rms, at any speed: what the model does not explain
+ROUNDS = 30
+MOST_MISFIT = SEEN_SIGMAS * AMPLITUDE_REPEATS
+BEYOND = 3.0  # standard deviations: a low-pass beyond them would have been seen
+
+
+@dataclass(frozen=True)
+class Fundamental:
+    """The fundamentals of both tracks at one speed.
+
+    hertz           cycles per second, with sign
+    sine, cosine    amplitudes, counts
+    angle_rad       of the cosine before the sine, less a quarter of a cycle
+    noise           relative standard deviation of an amplitude by the noise of the samples
+    """
+
+    hertz: float
+    sine: float
+    cosine: float
+    angle_rad: float
+    noise: float
+
+
+@dataclass(frozen=True)
+class TwoPoles:
+    """A low-pass of two equal poles instead: delay at low speed, seconds, and ``misfit`` as in LowPass."""
+
+    delay_s: float
+    misfit: float
+
+
+@dataclass(frozen=True)
+class LowPass:
+    """A low-pass of one pole as the amplitudes over the speed show it.
+
+    per_hz          1 / corner, 0.0: none is seen
+    sigma_per_hz    its uncertainty
+    top_hz          the highest speed
+    left            part of the amplitude at this speed, as the fit has it
+    misfit          largest relative difference of an amplitude from the fit
+    checked         there are more speeds than it takes, so misfit says whether it is one pole
+    least_corner_hz where none is seen: a lower one would have been
+    rises           the amplitude rises with the speed
+    other           two equal poles, as the same amplitudes show them
+    """
+
+    per_hz: float
+    sigma_per_hz: float
+    top_hz: float
+    left: float
+    misfit: float
+    checked: bool
+    least_corner_hz: float = math.inf
+    rises: bool = False
+    other: TwoPoles | None = None
+
+    @property
+    def is_seen(self) -> bool:
+        """There is one."""
+        return self.per_hz > 0.0
+
+    @property
+    def corner_hz(self) -> float:
+        """0.0: none."""
+        return 1.0 / self.per_hz if self.per_hz else 0.0
+
+    @property
+    def corner_sigma_hz(self) -> float:
+        """Uncertainty of the corner; 0.0: none."""
+        return self.sigma_per_hz * self.corner_hz**2
+
+    @property
+    def is_one_pole(self) -> bool:
+        """The amplitudes do not speak against it."""
+        return self.misfit <= MOST_MISFIT and not self.rises
+
+    @property
+    def may_have_two_poles(self) -> bool:
+        """Nor against two equal poles, which are later."""
+        return self.other is not None and (not self.checked or self.other.misfit <= MOST_MISFIT)
+
+    @property
+    def delay_s(self) -> float:
+        """Of this low-pass at low speed."""
+        return self.per_hz / (2.0 * math.pi)
+
+    @property
+    def delay_sigma_s(self) -> float:
+        """Its uncertainty if it is one pole; where none is seen, the longest delay that would not be."""
+        if not self.is_seen:
+            return 1.0 / (2.0 * math.pi * self.least_corner_hz) if self.least_corner_hz else math.inf
+        return self.sigma_per_hz / (2.0 * math.pi)
+
+    def delay_cycles(self, hertz: float) -> float:
+        """At a speed: arctan(f / fc) / (2 pi)."""
+        return math.atan(hertz * self.per_hz) / (2.0 * math.pi)
+
+    def delay_sigma_cycles(self, hertz: float) -> float:
+        """Its uncertainty at a speed."""
+        ratio = hertz * self.per_hz
+        return abs(hertz) * self.delay_sigma_s / (1.0 + ratio * ratio)
+
+
+@dataclass(frozen=True)
+class PathFit:
+    """The analog path between an encoder and its counts.
+
+    cosine_delay_s        the cosine is sampled this much after the sine (2002:06), 0.0: no delay is seen
+    cosine_delay_sigma_s  its uncertainty
+    corners               of the low-passes (2001:05, 2001:06)
+    low_pass              that of the sine, which the position is late by
+    off_cycles            rms error of the phase that is not explained, at each speed
+    """
+
+    cosine_delay_s: float
+    cosine_delay_sigma_s: float
+    corners: Corners
+    low_pass: LowPass
+    off_cycles: tuple[float, ...]
+
+    def turned_rad(self, hertz: npt.ArrayLike) -> FloatArray:
+        """From a sine to its cosine at these speeds."""
+        f = np.asarray(hertz, np.float64)
+        return np.asarray(
+            2.0 * math.pi * f * self.cosine_delay_s
+            + np.angle(response(f, self.corners.of_cosine_hz))
+            - np.angle(response(f, self.corners.corner_hz)),
+            np.float64,
+        )
+
+
+NO_PATH = PathFit(0.0, 0.0, Corners(), LowPass(0.0, 0.0, 0.0, 1.0, 0.0, False), ())
+
+
+def response(hertz: npt.ArrayLike, corner_hz: float) -> npt.NDArray[np.complex128]:
+    """Of a low-pass of one pole to these frequencies; a corner of 0.0 is none."""
+    f = np.asarray(hertz, np.float64)
+    return np.asarray(1.0 / (1.0 + 1j * f / corner_hz) if corner_hz else np.ones(f.shape), np.complex128)
+
+
+def fit_path(found: Sequence[Fundamental]) -> PathFit:
+    """The path of these fundamentals. CalibrationError ("speed") where the speeds are too close to tell,
+    or where no such path gives these tracks.
+    """
+    f = np.array([one.hertz for one in found])
+    check_apart(f, np.array([one.noise for one in found]))
+    size = np.array([math.sqrt(one.sine * one.cosine) for one in found])
+    noise = np.array([one.noise for one in found])
+    sigma = np.hypot(noise, AMPLITUDE_REPEATS)
+    both = fit_low_pass(f, size, sigma)
+    per_hz = np.array([both.per_hz, both.per_hz])
+    for _ in range(ROUNDS if both.is_seen else 0):
+        pair, apart_sigma = _corners(found, both.per_hz)
+        if abs(pair[1] - pair[0]) < APART_SIGMAS * apart_sigma:
+            per_hz[:] = both.per_hz
+            break
+        moved, per_hz = float(np.abs(pair - per_hz).max()), pair
+        if moved < 1e-6 * both.per_hz:
+            break
+        # The mean of two low-passes is not quite that of one between them.
+        each = np.prod(np.hypot(1.0, np.outer(pair, f)), axis=0)
+        both = fit_low_pass(f, size * np.sqrt(each) / np.hypot(1.0, pair.mean() * f), sigma)
+    ratio = np.outer(per_hz, f)
+    angle = np.unwrap([one.angle_rad for one in found]) - np.arctan(ratio[0]) + np.arctan(ratio[1])
+    weight = 1.0 / np.hypot(noise, ANGLE_REPEATS_RAD)
+    columns = np.column_stack([np.ones(len(f)), 2.0 * math.pi * f])
+    (at_rest, delay_s), covariance = _line(columns, angle, weight)
+    delay_sigma_s = math.sqrt(covariance[1, 1])
+    left_angle = angle - at_rest - 2.0 * math.pi * f * delay_s
+    gain = np.log([one.cosine / one.sine for one in found])
+    gain = gain - 0.5 * np.log1p(ratio[0] ** 2) + 0.5 * np.log1p(ratio[1] ** 2)
+    off = ERROR_OF_ANGLE * np.hypot(left_angle, gain - np.average(gain, weights=weight))
+    worst = int(np.argmax(off))
+    if off[worst] > MOST_OFF_CYCLES:
+        raise CalibrationError(
+            f"no delay and no low-pass give these tracks: at {f[worst]:.6g} cycles/s {off[worst]:.2g} cycle "
+            "rms are left. Is each speed right, within half a cycle per sample?",
+            Reason.SPEED,
+        )
+    left = float(abs(response(both.top_hz, 1.0 / per_hz[0] if per_hz[0] else 0.0)))
+    low_pass = replace(both, per_hz=float(per_hz[0]), left=left)
+    corner, cosine = (1.0 / float(one) if one else 0.0 for one in per_hz)
+    return PathFit(
+        delay_s if abs(delay_s) > SEEN_SIGMAS * delay_sigma_s else 0.0,
+        delay_sigma_s,
+        Corners(corner, 0.0 if cosine == corner else cosine),
+        low_pass,
+        tuple(off.tolist()),
+    )
+
+
+def check_apart(hertz: FloatArray, noise: FloatArray | float = 0.0) -> None:
+    """Refuse speeds (cycles/s) whose tracks cannot tell a delay, with what would be left uncertain."""
+    apart, top = float(np.ptp(hertz)), float(np.abs(hertz).max())
+    sigma_rad = math.sqrt(2.0) * math.hypot(ANGLE_REPEATS_RAD, float(np.max(noise)))
+    if apart > 0.0 and ERROR_OF_ANGLE * sigma_rad * top / apart <= MOST_UNCERTAIN_CYCLES:
+        return
+    if apart == 0.0:
+        raise CalibrationError("the analog path shows over at least two speeds", Reason.SPEED)
+    sigma_s = sigma_rad / (2.0 * math.pi * apart)
+    raise CalibrationError(
+        f"the speeds are too close to tell: from {hertz.min():.6g} to {hertz.max():.6g} cycles/s the delay "
+        f"between the tracks is known to ±{sigma_s * 1e9:.3g} ns, "
+        f"{ERROR_OF_ANGLE * sigma_rad * top / apart:.2g} cycle rms at the highest speed. Measure at a third "
+        "of it or less, too",
+        Reason.SPEED,
+    )
+
+
+def fit_low_pass(hertz: FloatArray, amplitude: FloatArray, sigma: FloatArray) -> LowPass:
+    """One pole through amplitudes (any unit) at speeds (cycles/s), ``sigma`` relative, all of one length.
+
+    At least one speed that is not zero.
+    """
+    top = float(np.abs(hertz).max())
+    square = (hertz / top) ** 2
+    checked = len(np.unique(np.round(np.sqrt(square), 2))) > 2
+    if np.ptp(square) < 1e-3:
+        return LowPass(0.0, 0.0, top, 1.0, 0.0, False, 0.0)
+    ratio2, sigma2, misfit = _poles(square, amplitude, sigma, 1)
+    rises = ratio2 < -SEEN_SIGMAS * sigma2
+    if ratio2 <= SEEN_SIGMAS * sigma2:
+        least = top / math.sqrt(max(ratio2, 0.0) + BEYOND * sigma2)
+        return LowPass(0.0, 0.0, top, 1.0, misfit, checked, least, rises)
+    ratio, left = math.sqrt(ratio2), 1.0 / math.sqrt(1.0 + ratio2)
+    other2, _, other_misfit = _poles(square, amplitude, sigma, 2)
+    other = TwoPoles(math.sqrt(max(other2, 0.0)) / top / math.pi, other_misfit)
+    return LowPass(ratio / top, sigma2 / (2.0 * ratio) / top, top, left, misfit, checked, other=other)
+
+
+def _poles(
+    square: FloatArray, amplitude: FloatArray, sigma: FloatArray, count: int
+) -> tuple[float, float, float]:
+    """(top speed / corner)^2 of this many equal poles, its uncertainty, largest relative difference.
+
+    amplitude^(-2/count) is a line over the square of the speed, which is relative to the top one.
+    """
+    inverse = (amplitude.max() / amplitude) ** (2.0 / count)
+    weight = count / (2.0 * sigma * inverse)
+    columns = np.column_stack([np.ones(len(square)), square])
+    (at_rest, rise), covariance = _line(columns, inverse, weight)
+    fitted = np.maximum(at_rest + rise * square, 1e-9)
+    off = (inverse / fitted) ** (count / 2.0) - 1.0
+    spread = 1.0
+    if len(square) > 2:
+        spread = max(1.0, math.sqrt(float(np.sum((off / sigma) ** 2)) / (len(square) - 2)))
+    at_rest = max(at_rest, 1e-9)
+    return rise / at_rest, spread * math.sqrt(covariance[1, 1]) / at_rest, float(np.abs(off).max())
+
+
+def _corners(found: Sequence[Fundamental], per_hz: float) -> tuple[FloatArray, float]:
+    """1 / corner of sine and cosine, and the uncertainty of their difference.
+
+    Their mean is that of both; the amplitudes of the tracks, one to the other, give the difference.
+    """
+    f = np.array([one.hertz for one in found])
+    gain = np.log([one.cosine / one.sine for one in found])
+    weight = 1.0 / np.hypot(RATIO_REPEATS, [one.noise for one in found])
+    pair = np.array([per_hz, per_hz])
+    sigma = math.inf
+    for _ in range(ROUNDS):
+        ratio = np.outer(pair, f)
+        model = 0.5 * np.log1p(ratio[0] ** 2) - 0.5 * np.log1p(ratio[1] ** 2)
+        # of half the difference: the cosine's is larger by it, that of the sine smaller
+        slope = -np.sum(ratio * f / (1.0 + ratio**2), axis=0)
+        columns = np.column_stack([np.ones(len(f)), slope])
+        (_, half), covariance = _line(columns, gain - model, weight)
+        sigma = 2.0 * math.sqrt(covariance[1, 1])
+        half = max(-0.4 * per_hz, min(half, 0.4 * per_hz))
+        pair = np.clip(pair + np.array([-half, half]), 0.5 * per_hz, 1.5 * per_hz)
+        if abs(half) < 1e-9 * per_hz:
+            break
+    return pair, sigma
+
+
+def _line(
+    columns: FloatArray, values: FloatArray, weight: FloatArray
+) -> tuple[tuple[float, float], FloatArray]:
+    """Least squares of two coefficients, and their covariance for values of this weight (1 / sigma)."""
+    weighted = columns * weight[:, None]
+    scale = np.linalg.norm(weighted, axis=0)
+    inverse = np.linalg.pinv(weighted / scale)
+    first, second = ((inverse @ (values * weight)) / scale).tolist()
+    return (first, second), np.asarray(inverse @ inverse.T / np.outer(scale, scale), np.float64)
