@@ -24,7 +24,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tools.soak.world import INTERVAL_S, SETUPS, Findings, Setup, World
+from tools.soak.disturbances import disturbances_of
+from tools.soak.setups import SETUPS, Setup
+from tools.soak.world import INTERVAL_S, Findings, World
 
 WARM = 0.3  # of the cycles: caches fill
 MOST_GROWTH_BYTES, MOST_GROWTH_OBJECTS = 4 << 20, 2000
@@ -59,7 +61,10 @@ def soak(setup: Setup, cycles: int, seed: int) -> dict[str, Any]:
             looks.append(Resources.now())
 
     began = time.perf_counter()
-    found = world.run(cycles, look)
+    try:
+        found = world.run(cycles, disturbances_of(setup), look)
+    finally:
+        world.close()
     elapsed_s = time.perf_counter() - began
     first, last = (looks or [Resources.now()])[0], Resources.now()
     return as_figures(setup, found, first, last) | {"cycles_per_s": found.cycles / elapsed_s}
@@ -96,7 +101,7 @@ def lines(one: dict[str, Any]) -> list[str]:
         f"  memory {warm['memory_bytes'] / 1e6:.1f} -> {end['memory_bytes'] / 1e6:.1f} MB, objects "
         f"{warm['objects']} -> {end['objects']}, file descriptors {warm['descriptors']} -> "
         f"{end['descriptors']}, {one['log_lines']} lines of log",
-        *([f"  first wrong: {one['first_wrong']}"] if one["first_wrong"] else []),
+        *(f"  {what}: {one[what]}" for what in ("first_wrong", "first_uncounted") if one[what]),
         *(
             []
             if one["good"]
