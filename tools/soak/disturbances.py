@@ -11,9 +11,9 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand
 from canfb.signal.correction import CorrectionTable
 from tools.soak.hosted import Hosted
-from tools.soak.machine import rests
+from tools.soak.servo import OF_A_DRIVE, ServoWorld
 from tools.soak.setups import Setup
-from tools.soak.world import INTERFACE, MODULE, OTHER, SAMPLES, SYNC, World
+from tools.soak.world import INTERFACE, INTERVAL_S, MODULE, OTHER, SAMPLES, SYNC, World
 
 EDS, NAME = (0x1021, 0), (0x1008, 0)
 TABLE = CorrectionTable.identity(64)
@@ -71,7 +71,7 @@ def nmt_pause(world: World) -> None:
 
 def reset(world: World) -> None:
     """Node or communication, at standstill."""
-    while not rests(world.bus.now, 0.5):
+    while not world.rests(0.5):
         world.pass_(0.05)
     world.reset(world.rng.choice((NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)))
 
@@ -155,9 +155,30 @@ def short_frames(world: World) -> None:
     world.bus.send(Frame(0x000, b"\1"))
 
 
+def extra_syncs(world: World) -> None:
+    """A second producer: SYNCs in between, for each of which the interface sends a sample.
+
+    Not beyond the middle of the interval, where nothing but receive times would show that they are extra
+    (docs/wire-faults.md).
+    """
+    if world.rng.random() < 0.5:
+        world.before_a_pause()
+    world.interruptions += 1
+    for _ in range(world.rng.randint(1, 30)):
+        sync_s = world.producer.deadline() or world.bus.now
+        world.bus.run_until(sync_s + world.rng.uniform(0.05, 0.45) * INTERVAL_S)
+        world.bus.send(Frame(SYNC, b""))
+    world.pass_(0.02)
+
+
 def clock_set(world: World) -> None:
     """The clock of the receive times is ahead for a while."""
     world.cable.stamp_s = world.rng.choice((0.0, 3600.0))
+
+
+def clock_behind(world: World) -> None:
+    """The clock of the receive times is behind for a while."""
+    world.cable.stamp_s = world.rng.choice((0.0, -3600.0))
 
 
 def stall(world: World) -> None:
@@ -207,12 +228,28 @@ def hosted_of(world: World) -> Hosted:
 
 ALWAYS: tuple[Disturbance, ...] = (
     *(samples_lost, bus_off, nmt_pause, reset, node_goes, interface_goes, converter_fails),
-    *(eds_by_block, table, save, reading, flood, short_frames),
+    *(eds_by_block, table, save, reading, flood, short_frames, extra_syncs),
 )
 OF_A_PROCESS = (stall, long_stall, link_down, queue_full, wall_clock_set)
 
 
-def disturbances_of(setup: Setup) -> Mapping[str, Disturbance]:
-    """What can happen to this set-up, by name."""
-    chosen = (*ALWAYS, *((clock_set,) if setup.stamps else ()), *(OF_A_PROCESS if setup.hosted else ()))
+KNOWN = (clock_behind,)
+"""Of receive times. What they show is known and not mended yet: cycles that are in no counter, positions that
+do not come back. They are left out unless asked for (`--known`)."""
+
+
+def disturbances_of(setup: Setup, *, known: bool = False) -> Mapping[str, Disturbance]:
+    """What can happen to this set-up, by name; with ``known`` what is known to show a defect, too."""
+    chosen = [*ALWAYS]
+    if setup.stamps:
+        chosen += [clock_set, *(KNOWN if known else ())]
+    if setup.hosted:
+        chosen += OF_A_PROCESS
+    if setup.driven:
+        chosen += OF_A_DRIVE
     return MappingProxyType({one.__name__: one for one in chosen})
+
+
+def world_of(setup: Setup, seed: int) -> World:
+    """Its network, powered on."""
+    return ServoWorld(setup, seed) if setup.driven else World(setup, seed)

@@ -6,20 +6,23 @@ import contextlib
 import logging
 import random
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from canfb import objects as od
 from canfb.bus.event_log import EventLog
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.commissioning.access import NodeAccess
+from canfb.device.hosted import Device
 from canfb.errors import CanfbError
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import apply_defaults
 from canfb.monitoring.bus_model import BusModel
 from canfb.objects import StatusBit
 from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.sync_producer import SyncProducer
 from tools.soak.embedded_master import EmbeddedMaster
@@ -57,6 +60,7 @@ class Findings:
 
     cycles: int = 0
     valid: int = 0
+    driven: int = 0
     done: Counter[str] = field(default_factory=Counter)
     refused: int = 0
     lost: int = 0
@@ -82,15 +86,39 @@ class _Lines(logging.Handler):
         self._found.log_lines += 1
 
 
+class AnyMachine(Protocol):
+    """What the world asks of a machine."""
+
+    broken: bool
+
+    @property
+    def sampled_cycles(self) -> float:
+        """Where it was at the last sample."""
+
+    def sample_at(self, now: float) -> Sample:
+        """The sample of this instant."""
+
+    def next(self) -> Sample:
+        """Not asked."""
+
+
 class World:
     """Module, encoder interface, SYNC, master, monitor, and a node that comes and goes."""
 
-    def __init__(self, setup: Setup, seed: int) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        seed: int,
+        machine: AnyMachine | None = None,
+        first: Sequence[Device] = (),
+        last: Sequence[Device] = (),
+    ) -> None:
+        """``first`` and ``last`` are further devices, by their place in the order of reception."""
         self.found = Findings()
         self.setup = setup
         self.rng = random.Random(f"{seed} {setup.name}")
         self.bus = bus = EmbeddedBus(setup.bit_rate)
-        self.machine = Machine(CYCLES, coarse=setup.coarse)
+        self.machine: AnyMachine = machine or Machine(CYCLES, coarse=setup.coarse)
         config = ModuleConfig(
             node_id=MODULE, encoder_interface=INTERFACE, cycles_per_revolution=CYCLES, **setup.config
         )
@@ -132,11 +160,11 @@ class World:
         self.module.on_frame = self._arrives
         self.interface.on_sample = self._leaves
         bus.taps.append(self._hear)
-        producer = SyncProducer(INTERVAL_S, setup.timing, seed)
-        for device in (self.cable, self.interface, self.other, producer):
+        self.producer = SyncProducer(INTERVAL_S, setup.timing, seed)
+        for device in (*first, self.cable, self.interface, *last, self.other, self.producer):
             bus.attach(device)
-        self._master = EmbeddedMaster(bus, ANSWER_S)
-        self.access = NodeAccess(self._master, MODULE, "module")
+        self.master = EmbeddedMaster(bus, ANSWER_S)
+        self.access = NodeAccess(self.master, MODULE, "module")
         self._configure()
 
     def close(self) -> None:
@@ -187,21 +215,35 @@ class World:
         end = self.bus.now + seconds
         while self.bus.now < end:
             self.bus.run_until(min(end, self.bus.now + HEARTBEAT_S / 2.0))
-            now = self.bus.now
-            if now >= self._next_s:
-                self._next_s = now + MASTER_S
-                self._events.tick(now)
-                if self.module.state is NmtState.PRE_OPERATIONAL:
-                    self.nmt(NmtCommand.START)
+            if self.bus.now >= self._next_s:
+                self._next_s = self.bus.now + MASTER_S
+                self.care()
+
+    def care(self) -> None:
+        """What the master does now and then: it starts a module that has stopped."""
+        self._events.tick(self.bus.now)
+        if self.module.state is NmtState.PRE_OPERATIONAL:
+            self.nmt(NmtCommand.START)
+
+    def rests(self, spare_s: float) -> bool:
+        """The machine stands still from now until ``spare_s`` later."""
+        return rests(self.bus.now, spare_s)
+
+    def is_fast(self) -> bool:
+        """The machine moves fast, and does so for a while."""
+        return is_fast(self.bus.now)
+
+    def on_sync(self, now: float) -> None:
+        """A SYNC has come."""
 
     def recover(self) -> None:
         """The position is valid again: by itself or, if it is lost, by a reset at a rest (docs/lost.md)."""
         began = reset_s = self.bus.now
-        while not self._valid():
+        while not self.valid():
             if self.bus.now - began > RECOVERY_S:
                 self.found.not_recovered += 1
                 return
-            if self.bus.now - reset_s > LOST_S and rests(self.bus.now, 0.5):
+            if self.bus.now - reset_s > LOST_S and self.rests(0.5):
                 reset_s = self.bus.now
                 self.found.lost += 1
                 self.reset(NmtCommand.RESET_NODE)
@@ -216,16 +258,17 @@ class World:
 
     def reset(self, command: NmtCommand) -> None:
         """Reset the module, and start it again. A master that gets no answer gives up."""
-        self._offset = None
-        self._counted = -1  # counters begin at 0
-        self.nmt(command)
+        self.nmt(command)  # on a wire, a last position may be published before it arrives
+        self._offset, self._counted = None, -1  # position and counters begin at 0
         self._configure()
 
     def before_a_pause(self) -> None:
         """What stands when a pause begins must not move in it: docs/supervision.md, Start of the module."""
         rest = self.rng.random() < 0.5
-        while not (rests(self.bus.now, PAUSE_S) if rest else is_fast(self.bus.now)):
+        end = self.bus.now + RECOVERY_S
+        while not (self.rests(PAUSE_S) if rest else self.is_fast()):
             self.pass_(0.02)
+            rest = rest or self.bus.now > end  # a drive may be in a fault
 
     def missed(self) -> int:
         """2012:01."""
@@ -245,7 +288,8 @@ class World:
     def _say(self, line: str) -> None:
         self.found.log_lines += 1
 
-    def _valid(self) -> bool:
+    def valid(self) -> bool:
+        """What the status word says."""
         return bool(self.module.dictionary.entry(*od.FEEDBACK_STATUS).current() & StatusBit.VALID)
 
     # -- what is seen ----------------------------------------------------------------------------------
@@ -254,6 +298,7 @@ class World:
         if frame.can_id == SYNC and not frame.data:
             self.syncs += 1
             self._synced_s = now
+            self.on_sync(now)
             self.found.cycles += 1
         self.monitor.receive(frame, now)
 
@@ -282,10 +327,13 @@ class World:
         if self._offset is None:
             self._offset = round(error)
         if abs(error - self._offset) > WRONG_CYCLES:
-            self.found.wrong += 1
-            if not self.found.first_wrong:
-                off = error - self._offset
-                self.found.first_wrong = f"{now:.3f} s, {self._suffers}: off by {off:.3f} cycle"
+            self.see_wrong(f"{now:.3f} s, {self._suffers}: off by {error - self._offset:.3f} cycle")
+
+    def see_wrong(self, what: str) -> None:
+        """Something is wrong that was said to be right."""
+        self.found.wrong += 1
+        if not self.found.first_wrong:
+            self.found.first_wrong = what
 
     def _judge_count(self, status: int) -> None:
         """A cycle without a valid position is in a counter, or the position is lost, or was not valid yet."""
