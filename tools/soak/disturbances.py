@@ -27,11 +27,12 @@ Disturbance = Callable[[World], None]
 
 def samples_lost(world: World) -> None:
     """Up to three ADC PDOs in a row, and each of them is counted."""
-    lost, before = world.rng.randint(1, 3), world.missed()
+    lost, before, interruptions = world.rng.randint(1, 3), world.missed(), world.interruptions
     world.cable.losing[SAMPLES] = lost
     world.pass_(0.02)
-    if world.missed() - before != lost:
-        world.miss_count(abs(world.missed() - before - lost), f"{lost} samples were lost")
+    beyond = world.missed() - before - lost
+    if beyond and (beyond < 0 or interruptions == world.interruptions):  # of a lost position, more may be
+        world.miss_count(abs(beyond), f"{lost} samples were lost, {lost + beyond} are counted")
 
 
 def bus_off(world: World) -> None:
