@@ -42,7 +42,7 @@ from processes import Process
 DRIVE = 0x30
 CYCLES, UNITS_PER_CYCLE = 1024, 8192
 MOTOR_INCREMENTS = 65536
-TURN_REVOLUTIONS, TOP_REVOLUTIONS_S, REVOLUTIONS_S2 = 0.25, 0.2, 0.2
+TURN_REVOLUTIONS, TOP_REVOLUTIONS_S, REVOLUTIONS_S2 = 0.12, 0.2, 0.2
 MODULE = f"{TIMES}    cycles_per_revolution: {CYCLES}\n    max_acceleration_rad_s2: 3.0\n"
 STOPPED_S = 0.5
 ANSWER_S = 4.0  # of a module that stands still meanwhile, too
