@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import struct
 from pathlib import Path
 
@@ -75,6 +76,26 @@ def test_error_frames_and_long_identifiers_are_counted_only() -> None:
 def test_a_bus_that_fails_is_one_line() -> None:
     with pytest.raises(BusError, match="the bus fails: gone"):
         watched([(0.1, can.CanOperationError("gone"))], 1.0)
+
+
+def test_an_interface_that_is_down_is_waited_for() -> None:
+    """It says so once, and when it is back; nothing spins meanwhile."""
+    clock, said = FakeClock(), list[str]()
+    down = can.CanOperationError("Error receiving: Network is down", errno.ENETDOWN)
+    plan: list[tuple[float, can.Message | Exception]] = [(0.1, down), (0.2, OSError(errno.ENETDOWN, "down"))]
+    plan += [(1.0 + n * 0.1, message(0x1A0, position(n), timestamp=1001.0 + n * 0.1)) for n in range(20)]
+    shown: list[BusSnapshot] = []
+    model = BusModel(known_layouts(Config(), [NODE]))
+    watching = Watching(model, shown.append, 5.0, (), clock, clock, clock.sleep, said.append)
+    watching.opened(FakeBus(clock, plan), 3.0)  # type: ignore[arg-type]
+    assert said == [f"the bus fails: {down}", "the bus works again"]
+    assert clock.slept == [pytest.approx(0.2)]
+    assert shown[-1].modules[0][1].position_units == 19_000
+
+
+def test_an_interface_that_is_removed_ends_it() -> None:
+    with pytest.raises(BusError, match="the bus fails: No such device"):
+        watched([(0.1, OSError(errno.ENODEV, "No such device"))], 1.0)
 
 
 def test_by_sdo_mapping_and_counters_come_from_the_module() -> None:

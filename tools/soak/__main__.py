@@ -1,14 +1,13 @@
 """Soak: many cycles in simulated time with everything that happens to a bus, and resources that stay flat.
 
-    python -m tools.soak [--cycles N] [--setup NAME] [--seed N] [--json]
+    python -m tools.soak [--cycles N] [--setup NAME] [--seed N] [--known] [--json]
 
 Module, encoder interface, SYNC at 1 kHz, master, monitor and event log of one network, whose machine moves
-and rests. One disturbance follows the other: lost samples, bus off and back, a cable that is pulled out, NMT,
-resets, a node that goes, block transfers, tables, saves with a disk that is full now and then, a flood of
-frames, frames of a wrong length, a clock that is set. A lost position is brought back by an NMT reset at a
-rest, as docs/lost.md has it. Exit status 1 if a valid position was wrong, a lost sample was not
-counted, the position did not come back by itself, or memory, objects or file descriptors grew; 2 for a wrong
-option.
+and rests; with a drive in some set-ups, and with the module in the runner of `canfb run` in others. One
+disturbance follows the other (disturbances.py). A lost position is brought back by an NMT reset at a rest, as
+docs/lost.md has it. Exit status 1 if a valid position was wrong, a cycle was not counted, the position did
+not come back without a restart of the process, memory, objects or file descriptors grew, or the log was
+longer than it may be; 2 for a wrong option.
 """
 
 from __future__ import annotations
@@ -24,7 +23,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tools.soak.world import INTERVAL_S, SETUPS, Findings, Setup, World
+from tools.soak.disturbances import disturbances_of, world_of
+from tools.soak.setups import SETUPS, Setup
+from tools.soak.world import INTERVAL_S, Findings
 
 WARM = 0.3  # of the cycles: caches fill
 MOST_GROWTH_BYTES, MOST_GROWTH_OBJECTS = 4 << 20, 2000
@@ -48,9 +49,9 @@ class Resources(NamedTuple):
         )
 
 
-def soak(setup: Setup, cycles: int, seed: int) -> dict[str, Any]:
+def soak(setup: Setup, cycles: int, seed: int, *, known: bool = False) -> dict[str, Any]:
     """One set-up; what came out."""
-    world = World(setup, seed)
+    world = world_of(setup, seed)
     looks: list[Resources] = []
 
     def look() -> None:
@@ -59,10 +60,25 @@ def soak(setup: Setup, cycles: int, seed: int) -> dict[str, Any]:
             looks.append(Resources.now())
 
     began = time.perf_counter()
-    found = world.run(cycles, look)
+    try:
+        found = world.run(cycles, disturbances_of(setup, known=known), look)
+    finally:
+        world.close()
     elapsed_s = time.perf_counter() - began
     first, last = (looks or [Resources.now()])[0], Resources.now()
-    return as_figures(setup, found, first, last) | {"cycles_per_s": found.cycles / elapsed_s}
+    more = {"cycles_per_s": found.cycles / elapsed_s, "bytes_per_million_cycles": slope(looks, found.cycles)}
+    return as_figures(setup, found, first, last) | more
+
+
+def slope(looks: list[Resources], cycles: int) -> float:
+    """Bytes of memory in a million cycles: the line through the looks, which are equally far apart."""
+    if len(looks) < 2:
+        return 0.0
+    middle = (len(looks) - 1) / 2.0
+    weights = [n - middle for n in range(len(looks))]
+    rise = sum(weight * look.memory_bytes for weight, look in zip(weights, looks, strict=True))
+    per_look = rise / sum(weight * weight for weight in weights)
+    return per_look * LOOKS / (1.0 - WARM) / cycles * 1e6
 
 
 def as_figures(setup: Setup, found: Findings, first: Resources, last: Resources) -> dict[str, Any]:
@@ -93,10 +109,11 @@ def lines(one: dict[str, Any]) -> list[str]:
         f"  valid {100.0 * one['valid'] / one['cycles']:.1f} %, wrong {one['wrong']}, lost samples not "
         f"counted {one['uncounted']}, not recovered {one['not_recovered']}, longest recovery "
         f"{one['longest_recovery_s']:.2f} s, {one['lost']} resets of a lost position",
-        f"  memory {warm['memory_bytes'] / 1e6:.1f} -> {end['memory_bytes'] / 1e6:.1f} MB, objects "
+        f"  memory {warm['memory_bytes'] / 1e6:.1f} -> {end['memory_bytes'] / 1e6:.1f} MB "
+        f"({one['bytes_per_million_cycles'] / 1e3:+.0f} kB in 10^6 cycles), objects "
         f"{warm['objects']} -> {end['objects']}, file descriptors {warm['descriptors']} -> "
         f"{end['descriptors']}, {one['log_lines']} lines of log",
-        *([f"  first wrong: {one['first_wrong']}"] if one["first_wrong"] else []),
+        *(f"  {what}: {one[what]}" for what in ("first_wrong", "first_uncounted") if one[what]),
         *(
             []
             if one["good"]
@@ -113,6 +130,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--cycles", type=int, default=100_000, metavar="N", help="of each set-up")
     parser.add_argument("--setup", choices=names, help="only this one")
     parser.add_argument("--seed", type=int, default=28)
+    parser.add_argument("--known", action="store_true", help="what is known to show a defect, too")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args(argv)
     if options.cycles < 1:
@@ -120,7 +138,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     chosen = [one for one in SETUPS if options.setup in (None, one.name)]
     results = []
     for setup in chosen:
-        results.append(soak(setup, options.cycles, options.seed))
+        results.append(soak(setup, options.cycles, options.seed, known=options.known))
         if not options.json:
             print("\n".join(lines(results[-1])), flush=True)
     if options.json:

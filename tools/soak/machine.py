@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from canfb.signal.sample import Sample
+from canfb.sources.protocol import SourceError
 
 AMPLITUDE_COUNTS = 1500.0
 MOVE_S, REST_S = 1.4, 2.0
@@ -36,20 +36,35 @@ def is_fast(time_s: float) -> bool:
     return 0.3 <= time_s % (MOVE_S + REST_S) <= 0.4
 
 
-@dataclass
 class Machine:
     """A source of samples; remembers where the machine was at the last one.
 
-    ``now`` is set by the world before each SYNC, seconds.
+    ``coarse``: the samples have a track with one cycle per revolution of ``cycles_per_revolution``, too.
+    ``broken``: the converter gives nothing.
     """
 
-    now: float = 0.0
-    sampled_cycles: float = 0.0
-    samples: int = 0
+    def __init__(self, cycles_per_revolution: int, *, coarse: bool = False) -> None:
+        self._per_revolution = cycles_per_revolution
+        self._coarse = coarse
+        self.broken = False
+        self.sampled_cycles = 0.0
+
+    def sample_at(self, now: float) -> Sample:
+        """The sample of this instant, seconds."""
+        if self.broken:
+            raise SourceError("the converter does not answer")
+        self.sampled_cycles = position = position_cycles(now)
+        sine, cosine = _tracks(position)
+        if not self._coarse:
+            return Sample(sine, cosine)
+        coarse_sine, coarse_cosine = _tracks(position / self._per_revolution)
+        return Sample(sine, cosine, coarse_sine=coarse_sine, coarse_cosine=coarse_cosine)
 
     def next(self) -> Sample:
-        """The sample of this instant."""
-        self.samples += 1
-        self.sampled_cycles = position_cycles(self.now)
-        angle = 2.0 * math.pi * (self.sampled_cycles % 1.0)
-        return Sample(round(AMPLITUDE_COUNTS * math.sin(angle)), round(AMPLITUDE_COUNTS * math.cos(angle)))
+        """Not asked: the interface knows when it samples."""
+        raise NotImplementedError
+
+
+def _tracks(position: float) -> tuple[int, int]:
+    angle = 2.0 * math.pi * (position % 1.0)
+    return round(AMPLITUDE_COUNTS * math.sin(angle)), round(AMPLITUDE_COUNTS * math.cos(angle))

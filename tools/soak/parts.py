@@ -1,17 +1,21 @@
-"""What stands around the module in the soak: a cable that loses frames, another node, a slow store."""
+"""What stands around the module in the soak: cables, another node, a slow store, and who knows the truth."""
 
 from __future__ import annotations
 
 import logging
-from collections import deque
-from collections.abc import Collection
+from collections import OrderedDict, deque
+from collections.abc import Callable, Collection
 
 from canfb.cia301.frame import Frame
 from canfb.device.hosted import Device
 from canfb.device.storage.storage import MemoryStore
-from canfb.device.storage.writing import Changes
+from canfb.device.storage.writing import Changes, Store
+from canfb.interface.encoder_interface import EncoderInterface
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 
 SAVE_POLLS = 5
+MOST_ON_THE_WAY = 4096  # samples
 
 logging.getLogger("canopen").setLevel(logging.CRITICAL)  # transfers are broken off on purpose
 
@@ -48,6 +52,49 @@ class Cable:
 
     def deadline(self) -> float | None:
         return self.device.deadline()
+
+
+class Truths:
+    """Where the machine was at each sample that is on its way, by the bytes of its PDO."""
+
+    def __init__(self) -> None:
+        self._by_id: OrderedDict[int, tuple[bytes, float]] = OrderedDict()
+
+    def note(self, data: bytes, position_cycles: float) -> None:
+        """A sample leaves. The very object is kept, so that no other one has its id."""
+        self._by_id.pop(id(data), None)
+        self._by_id[id(data)] = data, position_cycles
+        if len(self._by_id) > MOST_ON_THE_WAY:
+            self._by_id.popitem(last=False)
+
+    def of(self, data: bytes) -> float | None:
+        """It has arrived; None for a PDO of somebody else."""
+        found = self._by_id.get(id(data))
+        return None if found is None else found[1]
+
+
+class SampledInterface(EncoderInterface):
+    """Calls ``on_sample`` with each PDO that it sends at a SYNC."""
+
+    on_sample: Callable[[Frame], None] = staticmethod(lambda frame: None)
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        frames = super().receive(frame, now)
+        for one in frames:
+            self.on_sample(one)
+        return frames
+
+
+class WatchedModule(FeedbackModule):
+    """Calls ``on_frame`` with each frame, before it is taken."""
+
+    def __init__(self, config: ModuleConfig, store: Store) -> None:
+        self.on_frame: Callable[[Frame], None] = lambda frame: None
+        super().__init__(config, store)
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        self.on_frame(frame)
+        return super().receive(frame, now)
 
 
 class OtherNode:

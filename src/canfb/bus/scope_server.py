@@ -10,7 +10,9 @@ import asyncio
 import logging
 import secrets
 import socket
+import time
 import warnings
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -39,6 +41,7 @@ TICKET_S = 60  # in which it must be used
 PING_S = 20.0  # a browser that does not answer is gone
 IDLE_S = 60.0  # of a connection that is no websocket
 GONE_S = 15.0
+OPENING_S = 30.0  # of a websocket, at most
 LONGEST_LINE = 300
 UNSENT = "coroutine 'WSHandler.send_message' was never awaited"  # Bokeh's, to a page that has gone
 NOISY = ("bokeh.server.views.ws", "bokeh.server.protocol_handler")
@@ -149,13 +152,30 @@ class _GatedTornado(BokehTornado):
     def __init__(self, gate: Gate, applications: Any, **options: Any) -> None:
         super().__init__(applications, **options)
         self._gate = gate
+        self._opening_s: deque[float] = deque()  # when websockets were let through that are not open yet
+
+    @property
+    def _pages(self) -> int:
+        """Those that are open, or are being opened: a browser that gives up on the way does not say so."""
+        opening_s, now = self._opening_s, time.monotonic()
+        while opening_s and now - opening_s[0] > OPENING_S:
+            opening_s.popleft()
+        return len(self._clients) + len(opening_s)
+
+    def new_connection(self, *arguments: Any) -> Any:
+        """A websocket is open."""
+        if self._opening_s:
+            self._opening_s.popleft()
+        return super().new_connection(*arguments)
 
     def find_handler(self, request: HTTPServerRequest, **kwargs: Any) -> Any:
         """Of each request, that of a websocket too."""
         seen = {name.lower(): value for name, value in request.headers.get_all()}
         verdict, why = self._gate.judge(Request(request.method or "", request.path, seen))
-        if verdict in (GateVerdict.TICKET, GateVerdict.CONNECTED) and len(self._clients) >= MOST_PAGES:
+        if verdict in (GateVerdict.TICKET, GateVerdict.CONNECTED) and self._pages >= MOST_PAGES:
             verdict, why = GateVerdict.REFUSED, f"{MOST_PAGES} pages are open: close one, and reload this one"
+        if verdict is GateVerdict.CONNECTED:
+            self._opening_s.append(time.monotonic())
         if verdict is GateVerdict.TICKET:
             return self.get_handler_delegate(request, _Ticket, {"ticket": self._ticket})
         if verdict is not GateVerdict.REFUSED:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+import logging
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import can
 
+from canfb.bus.bus_state import BUS_FAILS, BUS_WORKS, RETRY_S, FailureWatch
 from canfb.bus.opening import open_bus
 from canfb.bus.receive_times import ReceiveTimes
 from canfb.cia301.frame import Frame
@@ -16,6 +19,8 @@ from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import Origin, layout_of
 from canfb.monitoring.sdo_reading import SdoReading
 from canfb.monitoring.snapshot import BusSnapshot
+
+log = logging.getLogger(__name__)
 
 LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
 READING_WAIT_S = 0.01  # with SDO requests to send
@@ -27,7 +32,8 @@ Show = Callable[[BusSnapshot], None]
 class Watching:
     """Feeds ``model`` and calls ``show`` with a snapshot ``rate_hz`` times a second, until :meth:`stop`.
 
-    Only listens, but for what ``readings`` ask by SDO. ``clock``, ``wall`` and ``sleep`` are those of the
+    Only listens, but for what ``readings`` ask by SDO. An interface that is down is waited for: ``report``
+    gets a line when it goes, and one when it is back. ``clock``, ``wall`` and ``sleep`` are those of the
     system, but for tests.
     """
 
@@ -40,10 +46,12 @@ class Watching:
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
         sleep: Callable[[float], None] = time.sleep,
+        report: Callable[[str], None] = log.warning,
     ) -> None:
         self._model, self._show, self._interval_s = model, show, 1.0 / rate_hz
         self._readings = list(readings)
         self._clock, self._wall, self._sleep = clock, wall, sleep
+        self._failure = FailureWatch(report, BUS_FAILS, BUS_WORKS)
         self._stopped = False
 
     def stop(self) -> None:
@@ -68,14 +76,24 @@ class Watching:
                 if message is None:
                     times.emptied()
                 else:
+                    self._failure.worked(now)
                     received = times.received(message.timestamp, now)
                     self._take(message, (now if received is None else received) - began)
                 self._ask(bus, now - began)
             except (can.CanError, OSError) as error:
-                raise BusError(f"the bus fails: {reason(error)}") from error
+                now = self._outlast(error)
             if now >= due:
                 self._show(self._model.snapshot(now - began))
                 due = max(due + self._interval_s, now)
+
+    def _outlast(self, error: Exception) -> float:
+        """An interface that is down comes back; anything else is raised, as a BusError. The time now."""
+        code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
+        if code != errno.ENETDOWN:
+            raise BusError(f"{BUS_FAILS}: {reason(error)}") from error
+        if self._failure.failed(error, self._clock()):
+            self._sleep(RETRY_S)
+        return self._clock()
 
     def log(self, path: Path, speed: float | None = None, seconds: float | None = None) -> None:
         """From a log that python-can reads, in its own time; the last snapshot is that of its end.

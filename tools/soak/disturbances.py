@@ -1,0 +1,256 @@
+"""What happens to the network of the soak, one thing after the other."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from canfb import objects as od
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtCommand
+from canfb.signal.correction import CorrectionTable
+from tools.soak.hosted import Hosted
+from tools.soak.servo import OF_A_DRIVE, ServoWorld
+from tools.soak.setups import Setup
+from tools.soak.world import INTERFACE, INTERVAL_S, MODULE, OTHER, SAMPLES, SYNC, World
+
+EDS, NAME = (0x1021, 0), (0x1008, 0)
+TABLE = CorrectionTable.identity(64)
+FLOOD = [one for one in range(0x101, 0x7E0) if one & 0x7F not in (MODULE, INTERFACE, OTHER)]
+LONGEST_GAP_S = 0.6
+SHORT_STALL_S, LONG_STALL_S = 0.04, 0.4
+"""The first fits into the socket, the second does not."""
+
+Disturbance = Callable[[World], None]
+
+
+def samples_lost(world: World) -> None:
+    """Up to three ADC PDOs in a row, and each of them is counted."""
+    lost, before, interruptions = world.rng.randint(1, 3), world.missed(), world.interruptions
+    world.cable.losing[SAMPLES] = lost
+    world.pass_(0.02)
+    beyond = world.missed() - before - lost
+    if beyond and (beyond < 0 or interruptions == world.interruptions):  # of a lost position, more may be
+        world.miss_count(abs(beyond), f"{lost} samples were lost, {lost + beyond} are counted")
+
+
+def bus_off(world: World) -> None:
+    """The controller is bus-off for a while, or the cable is pulled out and nobody says so."""
+    world.before_a_pause()
+    world.interruptions += 1
+    reported, hosted = world.rng.random() < 0.7, world.hosted
+    world.cable.pulled = True
+    if hosted is not None:
+        hosted.bus.full = True
+    if reported and hosted is not None:
+        hosted.happen(hosted.bus.bus_off, world.bus.now)
+    elif reported:
+        world.module.bus_off(world.bus.now)
+    world.pass_(world.rng.uniform(0.002, LONGEST_GAP_S))
+    world.cable.pulled = False
+    if hosted is not None:
+        hosted.bus.full = False
+    if reported and hosted is not None:
+        send(world, hosted.happen(hosted.bus.restarted, world.bus.now))
+    elif reported:
+        send(world, world.module.bus_back(world.bus.now))
+
+
+def send(world: World, frames: list[Frame]) -> None:
+    for frame in frames:
+        world.bus.send(frame)
+
+
+def nmt_pause(world: World) -> None:
+    """STOPPED or PRE-OPERATIONAL for a while."""
+    world.before_a_pause()
+    world.nmt(world.rng.choice((NmtCommand.STOP, NmtCommand.ENTER_PRE_OPERATIONAL)))
+    world.bus.run_until(world.bus.now + world.rng.uniform(0.002, 0.09))
+    world.nmt(NmtCommand.START)
+
+
+def reset(world: World) -> None:
+    """Node or communication, at standstill."""
+    while not world.rests(0.5):
+        world.pass_(0.05)
+    world.reset(world.rng.choice((NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)))
+
+
+def node_goes(world: World) -> None:
+    """The node whose heartbeat is monitored is away for a while."""
+    world.before_a_pause()
+    world.interruptions += 1
+    world.other.is_there = False
+    world.pass_(world.rng.uniform(0.2, 0.8))
+    world.other.is_there = True
+
+
+def interface_goes(world: World) -> None:
+    """The encoder interface is stopped, or reset: it starts by itself; no sample comes meanwhile."""
+    world.before_a_pause()
+    command = world.rng.choice((NmtCommand.STOP, NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION))
+    world.bus.send(Frame(0x000, bytes((command, INTERFACE))))
+    world.pass_(world.rng.uniform(0.002, 0.09))
+    world.bus.send(Frame(0x000, bytes((NmtCommand.START, INTERFACE))))
+    world.pass_(0.01)
+
+
+def converter_fails(world: World) -> None:
+    """The interface has no sample for some SYNCs, and says so by EMCY."""
+    world.machine.broken = True
+    world.pass_(world.rng.uniform(0.002, 0.02))
+    world.machine.broken = False
+    world.pass_(0.01)
+
+
+def eds_by_block(world: World) -> None:
+    """A block upload of the EDS; one in three is given up on the way."""
+    if world.rng.random() < 1.0 / 3.0:
+        world.bus.send(Frame(0x600 + MODULE, struct.pack("<BHBBB2x", 0xA4, *EDS, 127, 0)))
+        world.bus.send(Frame(0x600 + MODULE, b"\xa3".ljust(8, b"\0")))
+        world.pass_(0.01)
+    else:
+        world.access.upload_domain(*EDS)
+
+
+def table(world: World) -> None:
+    """A table by block download, in force, or the identity again."""
+    if world.rng.random() < 0.5:
+        world.access.download_domain(*od.TABLE_STAGED, TABLE.to_bytes())
+        world.access.write(*od.TABLE_ACTIVATE, "I", TABLE.crc32)
+    else:
+        world.access.write(*od.TABLE_ACTIVATE, "I", 0)
+
+
+def save(world: World) -> None:
+    """1010h, now and then on a full disk."""
+    world.access.write_bytes(0x1010, 1, b"save", 1.0)
+
+
+def reading(world: World) -> None:
+    """What a monitor reads."""
+    world.access.read_bytes(*NAME)
+    for sub in range(1, 16):
+        world.access.read_bytes(0x2012, sub)
+    world.monitor.snapshot(world.bus.now)
+
+
+def flood(world: World) -> None:
+    """A master gone mad: some hundred frames at one instant, of any content, and SDO reads."""
+    rng = world.rng
+    for _ in range(rng.randint(50, 400)):
+        if rng.random() < 0.3:
+            data = struct.pack("<BI3x", 0x40, rng.randrange(1 << 24))
+            world.bus.send(Frame(0x600 + MODULE, data))
+        else:
+            remote = rng.random() < 0.05
+            data = b"" if remote else rng.randbytes(rng.randint(0, 8))
+            world.bus.send(Frame(rng.choice(FLOOD), data, remote))
+
+
+def short_frames(world: World) -> None:
+    """SYNC and samples of a wrong length."""
+    world.bus.send(Frame(SYNC, b"\1\2"))
+    world.bus.send(Frame(SAMPLES, b"\1"))
+    world.bus.send(Frame(0x000, b"\1"))
+
+
+def extra_syncs(world: World) -> None:
+    """A second producer: SYNCs in between, for each of which the interface sends a sample.
+
+    Not beyond the middle of the interval, where nothing but receive times would show that they are extra
+    (docs/wire-faults.md).
+    """
+    if world.rng.random() < 0.5:
+        world.before_a_pause()
+    world.interruptions += 1
+    for _ in range(world.rng.randint(1, 30)):
+        sync_s = world.producer.deadline() or world.bus.now
+        world.bus.run_until(sync_s + world.rng.uniform(0.05, 0.45) * INTERVAL_S)
+        world.bus.send(Frame(SYNC, b""))
+    world.pass_(0.02)
+
+
+def clock_set(world: World) -> None:
+    """The clock of the receive times is ahead for a while."""
+    world.cable.stamp_s = world.rng.choice((0.0, 3600.0))
+
+
+def clock_behind(world: World) -> None:
+    """The clock of the receive times is behind for a while."""
+    world.cable.stamp_s = world.rng.choice((0.0, -3600.0))
+
+
+def stall(world: World) -> None:
+    """The process gets no processor; all frames wait in its socket."""
+    hosted_of(world).stalled_until_s = world.bus.now + world.rng.uniform(0.001, SHORT_STALL_S)
+    world.pass_(2.0 * SHORT_STALL_S)
+
+
+def long_stall(world: World) -> None:
+    """The process gets no processor for so long (or is stopped: SIGSTOP) that its socket overflows."""
+    world.before_a_pause()
+    world.interruptions += 1
+    hosted_of(world).stalled_until_s = world.bus.now + world.rng.uniform(SHORT_STALL_S, LONG_STALL_S)
+    world.pass_(2.0 * LONG_STALL_S)
+
+
+def link_down(world: World) -> None:
+    """`ip link set can0 down`, and up again."""
+    world.before_a_pause()
+    world.interruptions += 1
+    hosted = hosted_of(world)
+    hosted.happen(hosted.bus.down, world.bus.now)
+    world.pass_(world.rng.uniform(0.002, LONGEST_GAP_S))
+    send(world, hosted.happen(hosted.bus.up, world.bus.now))
+
+
+def queue_full(world: World) -> None:
+    """The interface takes no frame for a while: ENOBUFS."""
+    socket = hosted_of(world).bus
+    socket.full = True
+    world.pass_(world.rng.uniform(0.001, 0.3))
+    socket.full = False
+    world.pass_(0.01)
+
+
+def wall_clock_set(world: World) -> None:
+    """By some hours, by a fraction of an interval, or slewed; forward and back."""
+    hosted_of(world).set_s += world.rng.choice((3600.0, -3600.0, 0.3, -0.3, 2e-3, -2e-3, 3e-4, -3e-4))
+    world.pass_(0.02)
+
+
+def hosted_of(world: World) -> Hosted:
+    if world.hosted is None:
+        raise TypeError("the module of this set-up has no process")
+    return world.hosted
+
+
+ALWAYS: tuple[Disturbance, ...] = (
+    *(samples_lost, bus_off, nmt_pause, reset, node_goes, interface_goes, converter_fails),
+    *(eds_by_block, table, save, reading, flood, short_frames, extra_syncs),
+)
+OF_A_PROCESS = (stall, long_stall, link_down, queue_full, wall_clock_set)
+
+
+KNOWN = (clock_behind,)
+"""Of receive times. What they show is known and not mended yet: cycles that are in no counter, positions that
+do not come back. They are left out unless asked for (`--known`)."""
+
+
+def disturbances_of(setup: Setup, *, known: bool = False) -> Mapping[str, Disturbance]:
+    """What can happen to this set-up, by name; with ``known`` what is known to show a defect, too."""
+    chosen = [*ALWAYS]
+    if setup.stamps:
+        chosen += [clock_set, *(KNOWN if known else ())]
+    if setup.hosted:
+        chosen += OF_A_PROCESS
+    if setup.driven:
+        chosen += OF_A_DRIVE
+    return MappingProxyType({one.__name__: one for one in chosen})
+
+
+def world_of(setup: Setup, seed: int) -> World:
+    """Its network, powered on."""
+    return ServoWorld(setup, seed) if setup.driven else World(setup, seed)

@@ -1,0 +1,232 @@
+"""A device in the runner of `canfb run`, in simulated time: what a process, a socket and a clock do to it.
+
+The runner waits for its bus; here that wait ends when the embedded bus has a frame for it, or the time is up.
+So it has a thread of its own, and only one of the two threads runs at a time: every run is the same.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable
+from types import TracebackType
+from typing import Self
+
+from canfb.bus.bus_state import ERROR_BUS_OFF, ERROR_RESTARTED
+from canfb.bus.frame_bus import ERROR, REMOTE, Received
+from canfb.bus.runner import Runner
+from canfb.cia301.frame import Frame
+from canfb.device.hosted import Device
+
+SOCKET_FRAMES = 270  # that wait in a socket of Linux by default, with 212 992 bytes; those beyond are lost
+WALL_S = 1.7e9
+LONGEST_TURN_S = 60.0  # of this computer, from one wait of the runner to the next
+
+
+class _Over(BaseException):
+    """Ends the thread of the runner."""
+
+
+class _Turns:
+    """Two threads of which one runs: that of the embedded bus, and that of the runner."""
+
+    def __init__(self, work: Callable[[], None]) -> None:
+        self._work = work
+        self._world, self._runner = threading.Semaphore(0), threading.Semaphore(0)
+        self._error: BaseException | None = None
+        self._over = False
+        self._thread = threading.Thread(target=self._run, name="runner of the soak", daemon=True)
+
+    def start(self) -> None:
+        """The first turn of the runner."""
+        self._thread.start()
+        self._wait()
+
+    def go_on(self) -> None:
+        """A turn of the runner, until it waits again. What has ended it is raised."""
+        self._runner.release()
+        self._wait()
+
+    def give_back(self) -> None:
+        """The runner waits."""
+        self._world.release()
+        self._runner.acquire()
+        if self._over:
+            raise _Over
+
+    def end(self) -> None:
+        """No turn comes any more."""
+        if self._thread.is_alive():
+            self._over = True
+            self._runner.release()
+            self._thread.join()
+
+    def _wait(self) -> None:
+        if not self._world.acquire(timeout=LONGEST_TURN_S):
+            raise TimeoutError("the runner does not come back to its bus")
+        if self._error is not None:
+            raise self._error
+
+    def _run(self) -> None:
+        try:
+            self._work()
+        except _Over:
+            return
+        except BaseException as error:
+            self._error = error
+        self._world.release()
+
+
+class Hosted:
+    """A device for the embedded bus: another one, in its runner.
+
+    stalled_until_s  the process gets no processor until then; frames wait in its socket
+    set_s            by how much the wall clock, which stamps the frames, was set
+    """
+
+    def __init__(self, device: Device, report: Callable[[str], None]) -> None:
+        self.stalled_until_s = -math.inf
+        self.bus = _Socket(self._wait_for_frames, lambda: WALL_S + self._now + self.set_s)
+        self.set_s = 0.0
+        self._now = 0.0
+        self._wake_s = math.inf
+        self._reading = False
+        self.runner = Runner(
+            self.bus,
+            [device],
+            report=report,
+            clock=lambda: self._now,
+            sleep=lambda seconds: self._park(self._now + seconds),
+            wall=lambda: WALL_S + self._now + self.set_s,
+        )
+        self._turns = _Turns(self.runner.run)
+
+    def close(self) -> None:
+        """End the runner."""
+        self._turns.end()
+
+    def start(self, now: float) -> list[Frame]:
+        """Power on."""
+        self._now = now
+        self._turns.start()
+        return self.bus.taken()
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """A frame into the socket."""
+        self._now = now
+        return self._go_on() if self.bus.put(frame) and self._reading else []
+
+    def deadline(self) -> float:
+        """When the wait of the runner ends."""
+        return max(self._wake_s, self.stalled_until_s)
+
+    def tick(self, now: float) -> list[Frame]:
+        """The wait is over."""
+        self._now = now
+        return self._go_on()
+
+    def happen(self, event: Callable[[], None], now: float) -> list[Frame]:
+        """Something happens to the bus, such as :meth:`_Socket.down`; what is sent then."""
+        self._now = now
+        event()
+        return self._go_on() if self._reading else []
+
+    def _go_on(self) -> list[Frame]:
+        if self._now < self.stalled_until_s:
+            return []
+        self._turns.go_on()
+        return self.bus.taken()
+
+    def _wait_for_frames(self, wait_s: float) -> None:
+        self._reading = True
+        self._park(self._now + wait_s)
+        self._reading = False
+
+    def _park(self, until_s: float) -> None:
+        self._wake_s = until_s
+        self._turns.give_back()
+
+
+class _Socket:
+    """The bus of the runner.
+
+    full     the queue of the interface takes no frame
+    dropped  frames that found SOCKET_FRAMES others
+    """
+
+    def __init__(self, wait: Callable[[float], None], wall: Callable[[], float]) -> None:
+        self.full = False
+        self.dropped = 0
+        self._wait, self._wall = wait, wall
+        self._down = False
+        self._waiting: deque[Received] = deque()
+        self._sent: list[Frame] = []
+        self._heard: frozenset[int] | None = None
+
+    def put(self, frame: Frame) -> bool:
+        """A frame comes over the wire; False if nobody hears it."""
+        if self._down or (self._heard is not None and frame.can_id not in self._heard):
+            return False
+        return self._keep((frame.can_id | (REMOTE if frame.rtr else 0), frame.data, self._wall()))
+
+    def bus_off(self) -> None:
+        """The controller reports it."""
+        self._keep((ERROR | ERROR_BUS_OFF, bytes(8), self._wall()))
+
+    def restarted(self) -> None:
+        """The controller, or the interface, is there again."""
+        self._keep((ERROR | ERROR_RESTARTED, bytes(8), self._wall()))
+
+    def down(self) -> None:
+        """`ip link set can0 down`: what waits in the socket stays there."""
+        self._down = True
+
+    def up(self) -> None:
+        """And up again."""
+        self._down = False
+        self.restarted()
+
+    def taken(self) -> list[Frame]:
+        """What was sent since."""
+        sent, self._sent = self._sent, []
+        return sent
+
+    def _keep(self, received: Received) -> bool:
+        if len(self._waiting) >= SOCKET_FRAMES:
+            self.dropped += 1
+            return False
+        self._waiting.append(received)
+        return True
+
+    def receive(self, wait_s: float) -> list[Received] | None:
+        """See :class:`canfb.bus.frame_bus.FrameBus`."""
+        if wait_s > 0.0 and not self._waiting and not self._down:
+            self._wait(wait_s)
+        if self._down:
+            raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
+        frames = list(self._waiting)
+        self._waiting.clear()
+        return frames or None
+
+    def send(self, can_id: int, data: bytes, remote: bool) -> bool:
+        """See :class:`canfb.bus.frame_bus.FrameBus`."""
+        if self._down:
+            raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
+        if not self.full:
+            self._sent.append(Frame(can_id, data, remote))
+        return not self.full
+
+    def hear(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
+        """See :class:`canfb.bus.frame_bus.FrameBus`."""
+        self._heard = None if can_ids is None else frozenset((*can_ids, *remote_can_ids))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Nothing is open."""

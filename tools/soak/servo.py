@@ -1,0 +1,172 @@
+"""A drive in the soak: the position loop of a CiA 402 drive is closed over the module that is disturbed."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtCommand, NmtState
+from canfb.commissioning.access import NodeAccess
+from canfb.errors import CanfbError
+from canfb.signal.sample import Sample
+from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
+from canfb.simulation.cia402.motor import Motor, MotorConfig
+from canfb.simulation.cia402.plant import Plant, PlantSource
+from canfb.simulation.cia402.state_machine import State
+from canfb.simulation.encoder import Encoder
+from canfb.sources.protocol import SourceError
+from tools.soak.setups import CYCLES, Setup
+from tools.soak.world import INTERVAL_S, MODULE, World
+
+DRIVE, POSITION = 0x30, 0x180 + MODULE
+UNITS, RANGE = 20_480_000, 4_280_320_000  # of 6004h in a revolution, and in all, by default
+TOP_REVOLUTIONS_S, REVOLUTIONS_S2 = 0.75, 1.0
+TURN_REVOLUTIONS, DWELL_S = 0.4, 2.0
+MOST_SPEED_RAD_S = 1.3 * 2.0 * math.pi * TOP_REVOLUTIONS_S
+PER_MILLE = 60  # of the rated torque: 15 rad/s²
+STANDS_RAD_S, RUNS_RAD_S = 1e-6, 0.6 * 2.0 * math.pi * TOP_REVOLUTIONS_S
+MOTOR = MotorConfig(inertia_kg_m2=0.002, coulomb_friction_nm=0.003, rated_torque_nm=0.5, brake_torque_nm=0.1)
+PARAMETERS = {
+    (0x1006, 0): ("I", round(1e6 * INTERVAL_S)),
+    (0x608F, 1): ("I", UNITS),
+    (0x2110, 2): ("H", 1),  # of the status word of the module bit 0, position valid
+    (0x2110, 3): ("H", 1),
+    (0x2110, 8): ("H", 100),
+    (0x6065, 0): ("I", UNITS // 8),
+    (0x6067, 0): ("I", UNITS // 4096),
+    (0x6068, 0): ("H", 20),
+    (0x6072, 0): ("H", PER_MILLE),
+    (0x6081, 0): ("I", round(UNITS * TOP_REVOLUTIONS_S)),
+    (0x6083, 0): ("I", round(UNITS * REVOLUTIONS_S2)),
+    (0x6084, 0): ("I", round(UNITS * REVOLUTIONS_S2)),
+    (0x6060, 0): ("b", 1),
+}
+CONTROLWORD, TARGET = (0x6040, 0), (0x607A, 0)
+SHUTDOWN, SWITCH_ON, ENABLE, RESET_FAULT, NEW_SET_POINT = 0x06, 0x07, 0x0F, 0x80, 0x3F
+NEXT = {
+    State.SWITCH_ON_DISABLED: SHUTDOWN,
+    State.READY_TO_SWITCH_ON: SWITCH_ON,
+    State.SWITCHED_ON: ENABLE,
+    State.QUICK_STOP_ACTIVE: 0,
+}
+
+
+class ServoMachine(PlantSource):
+    """The encoder on the shaft of the motor, as the world knows its machine."""
+
+    def __init__(self, plant: Plant) -> None:
+        super().__init__(Encoder(noise_lsb=0.5), plant, CYCLES)
+        self.broken = False
+
+    @property
+    def sampled_cycles(self) -> float:
+        """Where it was at the last sample."""
+        return self.position_cycles
+
+    def sample_at(self, now: float) -> Sample:
+        """See Machine."""
+        if self.broken:
+            raise SourceError("the converter does not answer")
+        return super().sample_at(now)
+
+
+class ServoWorld(World):
+    """The same network with a drive, whose master lets it turn to and fro, and resets its faults."""
+
+    def __init__(self, setup: Setup, seed: int) -> None:
+        self.plant = Plant(Motor(MOTOR))
+        self.drive = ServoDrive(DRIVE, self.plant, FeedbackModuleLink(node_id=MODULE))
+        self._aim = TURN_REVOLUTIONS
+        self._dwells_until_s = 0.0
+        self._is_turning = False
+        self._published = 0
+        super().__init__(setup, seed, ServoMachine(self.plant), first=[self.plant], last=[self.drive])
+        self.bus.taps.append(self._hear_position)
+        self._drive_access = NodeAccess(self.master, DRIVE, "drive")
+        self.configure_drive()
+
+    def configure_drive(self) -> None:
+        """After its power-on or reset."""
+        with contextlib.suppress(CanfbError):
+            for place, (kind, value) in PARAMETERS.items():
+                self._drive_access.write(*place, kind, value)
+        self.bus.send(Frame(0x000, bytes((NmtCommand.START, DRIVE))))
+
+    def rests(self, spare_s: float) -> bool:
+        """It stands, and is not moved."""
+        stands = abs(self.plant.motor.speed_rad_s) < STANDS_RAD_S
+        return stands and not self._is_turning and self.bus.now + spare_s < self._dwells_until_s
+
+    def is_fast(self) -> bool:
+        """It moves fast."""
+        return abs(self.plant.motor.speed_rad_s) > RUNS_RAD_S
+
+    def care(self) -> None:
+        """One step of the master of the drive; a request that is not answered is tried again."""
+        super().care()
+        with contextlib.suppress(CanfbError):
+            self._care_for_drive()
+
+    def _care_for_drive(self) -> None:
+        drive, now = self.drive, self.bus.now
+        if drive.node.state is not NmtState.OPERATIONAL:
+            self.configure_drive()
+        elif drive.state is State.FAULT:
+            self._is_turning = False
+            self._dwells_until_s = now + DWELL_S
+            if self.valid():
+                self._command(0)
+                self._command(RESET_FAULT)
+        elif drive.state in NEXT:
+            self._command(NEXT[drive.state])
+        elif drive.state is State.OPERATION_ENABLED:
+            self._turn(now)
+
+    def _turn(self, now: float) -> None:
+        reached = bool(self.drive.dictionary.entry(0x6041).value & 1 << 10)
+        if self._is_turning and reached and abs(self.plant.motor.speed_rad_s) < STANDS_RAD_S:
+            self._is_turning, self._dwells_until_s = False, now + DWELL_S
+        elif not self._is_turning and now >= self._dwells_until_s:
+            self._is_turning, self._aim = True, -self._aim
+            target = int(self.drive.dictionary.entry(0x6064).value) + round(self._aim * UNITS)
+            self._drive_access.write(*TARGET, "i", target)
+            self._command(ENABLE)
+            self._command(NEW_SET_POINT)
+            self._command(ENABLE)
+
+    def _command(self, controlword: int) -> None:
+        self._drive_access.write(*CONTROLWORD, "H", controlword)
+        self.bus.run_until(self.bus.now + 2.0 * INTERVAL_S)
+
+    def _hear_position(self, frame: Frame, now: float) -> None:
+        if frame.can_id == POSITION:
+            self._published = int.from_bytes(frame.data[:4], "little")
+
+    def on_sync(self, now: float) -> None:
+        """The drive holds what the module has published, and does not run away."""
+        feedback = self.drive.feedback
+        if not feedback.wrong and self.drive.state is State.OPERATION_ENABLED:
+            self.found.driven += 1
+            if (feedback.position - self._published) % RANGE:
+                self.see_wrong(
+                    f"{now:.3f} s, the drive has {feedback.position}, published was {self._published}"
+                )
+        if abs(self.plant.motor.speed_rad_s) > MOST_SPEED_RAD_S:
+            self.see_wrong(f"{now:.3f} s, the drive turns with {self.plant.motor.speed_rad_s:.1f} rad/s")
+
+
+def drive_goes(world: World) -> None:
+    """NMT stop or reset of the drive, in motion too."""
+    command = world.rng.choice((NmtCommand.STOP, NmtCommand.ENTER_PRE_OPERATIONAL, NmtCommand.RESET_NODE))
+    world.bus.send(Frame(0x000, bytes((command, DRIVE))))
+    world.pass_(world.rng.uniform(0.002, 0.5))
+
+
+def quick_stop(world: World) -> None:
+    """In motion too; the master lets it go on."""
+    world.bus.send(Frame(0x600 + DRIVE, bytes.fromhex("2b40600002000000")))
+    world.pass_(0.5)
+
+
+OF_A_DRIVE = (drive_goes, quick_stop)

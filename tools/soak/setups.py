@@ -1,0 +1,57 @@
+"""The set-ups of the soak: how the module is configured, and what stands between it and the bus."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from canfb.simulation.sync_timing import REGULAR, SyncTiming
+from tools.soak.machine import MAX_ACCELERATION_CYCLES_S2, MAX_JERK_CYCLES_S3
+
+CYCLES = 2500
+RADIANS = 2.0 * math.pi / CYCLES
+SPARE = 1.05  # declared beyond what the machine does
+ACCELERATION = {"max_acceleration_rad_s2": SPARE * MAX_ACCELERATION_CYCLES_S2 * RADIANS}
+JERK = {"prediction_order": 3, "max_jerk_rad_s3": SPARE * MAX_JERK_CYCLES_S3 * RADIANS}
+BRAKED = {"max_acceleration_rad_s2": 100.0}  # of the drive, its brake and its friction: 67
+JITTER = SyncTiming(sync_jitter_us=20.0, sync_drift_ppm=-50.0)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A network.
+
+    config    of the module
+    stamps    frames have receive times
+    coarse    samples have a coarse track, in the same PDO
+    hosted    the module is in the runner of `canfb run`
+    driven    the machine is that of a drive, whose position loop is closed over the module
+    bit_rate  of the bus, bit/s: frames take time and wait for each other; None: they do not
+    timing    of the SYNC
+    """
+
+    name: str
+    config: dict[str, Any] = field(default_factory=dict)
+    stamps: bool = False
+    coarse: bool = False
+    hosted: bool = False
+    driven: bool = False
+    bit_rate: int | None = None
+    timing: SyncTiming = REGULAR
+
+
+SETUPS = (
+    Setup("plain", ACCELERATION),
+    Setup("times", ACCELERATION | {"times": True}),
+    Setup("third order", JERK | {"times": True}),
+    Setup("two samples", ACCELERATION | {"times": True, "samples_per_sync": 2}),
+    Setup("coarse track", ACCELERATION, coarse=True),
+    Setup("predicted", ACCELERATION | {"times": True, "predict": True}),
+    Setup("receive times", ACCELERATION | {"times": True}, stamps=True),
+    Setup("wire", ACCELERATION | {"times": True}, bit_rate=1_000_000, timing=JITTER),
+    Setup("drive", BRAKED | {"times": True}, driven=True),
+    Setup("drive, hosted", BRAKED | {"times": True}, driven=True, hosted=True),
+    Setup("hosted", ACCELERATION, hosted=True),
+    Setup("hosted, times", ACCELERATION | {"times": True}, hosted=True),
+)
