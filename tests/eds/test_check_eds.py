@@ -45,25 +45,19 @@ def swap(old: str, new: str) -> Callable[[str], str]:
     return lambda text: text.replace(old, new, 1)
 
 
-NMT_STARTUP = (
-    "\n[1F80]\nParameterName=NMT startup\nDataType=0x0007\nAccessType=rw\nDefaultValue=1\nPDOMapping=0\n"
-)
 MUTATIONS = [
     # form of the file
     ("DummyUsage", "section is missing", drop("DummyUsage")),
     ("Comments", "section is missing", drop("Comments")),
-    ("6000", "second section header", swap("[6001]", "[6000]")),
-    ("6000", "bad or a second", swap("[6000]", "[6000")),
-    ("6000", "not a new key=value", swap("[6000]\n", "[6000]\nObjectType=0x7\n")),
-    ("6000", "not a new key=value", swap("[6000]\n", "[6000]\nno value here\n")),
-    ("6000", "not ASCII", swap("Operating parameters", "Operating parameters in °")),
-    ("Comments", "longer than 255", put("Comments", "Line1", "x" * 255)),
+    (MODULE, "already exists", swap("[6001]", "[6000]")),
+    (MODULE, "already exists", swap("[6000]\n", "[6000]\nObjectType=0x7\n")),
+    (MODULE, "not an EDS", swap("[6000]\n", "[6000]\nno value here\n")),
+    ("line 6", "is not ASCII", swap("EDSVersion=4.0\n", "EDSVersion=4.0\n;°\n")),
+    ("line 6", "longer than 255", swap("EDSVersion=4.0\n", "EDSVersion=4.0\n" + ";" * 256 + "\n")),
     ("Comments", "Lines is not", put("Comments", "Lines", "1")),
     ("Comments", "line2 is longer than 249", put("Comments", "Line2", "x" * 249 + "y")),
     # FileInfo, DeviceInfo, DummyUsage
     ("FileInfo", "FileVersion is above 255", put("FileInfo", "FileVersion", "256")),
-    ("FileInfo", "none of the calendar", put("FileInfo", "CreationDate", "02-30-2026")),
-    ("FileInfo", "none of the calendar", put("FileInfo", "ModificationTime", "00:10AM")),
     ("FileInfo", "modified before", put("FileInfo", "ModificationDate", "11-20-2026")),
     ("DeviceInfo", "ProductName is missing or longer", put("DeviceInfo", "ProductName", "x" * 244)),
     ("DeviceInfo", "OrderCode is missing or longer", put("DeviceInfo", "OrderCode", "")),
@@ -73,7 +67,6 @@ MUTATIONS = [
     ("DeviceInfo", "are multiplexed PDOs", put("1A03sub0", "DefaultValue", "254")),
     ("DeviceInfo", "no BaudRate", lambda text: re.sub(r"(BaudRate_\d+)=1", r"\1=0", text)),
     ("FileInfo", "FileName is not", put("FileInfo", "FileName", "other.eds")),
-    ("DeviceInfo", "VendorName", drop("DeviceInfo", "VendorName")),
     ("DeviceInfo", "BaudRate_125", put("DeviceInfo", "BaudRate_125", "2")),
     ("DeviceInfo", "Granularity", put("DeviceInfo", "Granularity", "65")),
     ("DeviceInfo", "Granularity is 0 where", put("DeviceInfo", "Granularity", "0")),
@@ -84,7 +77,6 @@ MUTATIONS = [
     ("6004", "but NrOfTXPDO=0", put("DeviceInfo", "NrOfTXPDO", "0")),
     ("DummyUsage", "Dummy0003", drop("DummyUsage", "Dummy0003")),
     # object lists
-    ("OptionalObjects", "not a new key=value", swap("\n3=0x1006\n", "\n2=0x1006\n")),
     ("OptionalObjects", "not in ascending order", swap("2=0x1005\n3=0x1006\n", "2=0x1006\n3=0x1005\n")),
     # objects and entries
     ("2011sub0", "highest sub-index", put("2011sub0", "DefaultValue", "9")),
@@ -126,7 +118,7 @@ MUTATIONS = [
         "there is no 1F80h",
         lambda t: drop("1F80")(put("DeviceInfo", "SimpleBootUpMaster", "1")(t)),
     ),
-    ("1F80", "makes it the NMT master", lambda text: text + NMT_STARTUP),
+    ("1F80", "makes it the NMT master", put("1F80", "DefaultValue", "1")),
     # PDO and COB-ID
     ("1A03", "only one of communication and mapping", drop("1803")),
     ("1803", "sub-index 1 or 2", drop("1803sub2")),

@@ -114,7 +114,7 @@ def name(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def eds(name: str) -> Eds:
-    return read(eds_path(name).read_text(encoding="ascii"), name, NODE_ID)[0]
+    return read(eds_path(name).read_text(encoding="ascii"), name, NODE_ID)
 
 
 @pytest.fixture

@@ -229,7 +229,7 @@ CONTRACT = [
 def test_the_contract_is_kept(name: str, line: str) -> None:
     place, data_type, access, *rest = line.split()
     index, sub = (int(part, 16) for part in place.split(":"))
-    eds, _ = read(TEXTS[name], name, 32)
+    eds = read(TEXTS[name], name, 32)
     entry = eds.entries[index, sub]
     limits = [word for word in rest if ".." in word]
     defaults = [word for word in rest if word not in ("pdo", *limits)]
@@ -272,7 +272,7 @@ def test_versions_agree_with_the_package() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_objects_are_in_order(name: str) -> None:
-    eds, _ = read(TEXTS[name], name, 32)
+    eds = read(TEXTS[name], name, 32)
     for listed in check.LISTS:
         section = eds.section(listed)
         numbers = [section.number(key) for key in section.values if key != "supportedobjects"]
@@ -292,7 +292,7 @@ def test_our_check_finds_nothing(name: str, node_id: int) -> None:
 @pytest.mark.parametrize("node_id", [1, 32, 127])
 def test_canopen_reads_what_we_wrote(name: str, node_id: int, caplog: pytest.LogCaptureFixture) -> None:
     dictionary = canopen.import_od(str(eds_path(name)), node_id)
-    eds, _ = read(TEXTS[name], name, node_id)
+    eds = read(TEXTS[name], name, node_id)
     assert caplog.text == ""
     assert {index for index in dictionary if index >= 0x1000} == set(eds.objects)
     for (index, sub), entry in eds.entries.items():

@@ -24,15 +24,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
 
-try:
-    import can
-    import canopen
-    import numpy as np
+import can
+import canopen
+import numpy as np
 
-    import canfb
-    from canfb.eds_files import eds_path
-except ImportError as error:
-    sys.exit(f"{error}: run `make bench`, or this file with the Python of the virtual environment")
+import canfb
+from canfb.eds_files import eds_path
 
 NODE_ID, ENCODER_INTERFACE = 32, 16
 SYNC, ADC_PDO, POSITION_PDO = 0x080, 0x180 + ENCODER_INTERFACE, 0x180 + NODE_ID

@@ -2,7 +2,6 @@
 
     python -m tools.bench.latency [--cycles N] [--rate HZ] [--rounds N] [--markdown]
     python3 -m tools.vcan run -- .venv/bin/python -m tools.bench.latency --channel vcan0 --rate 100
-    python -m tools.bench.latency --in-process
 
 `canfb run` is a process of its own; this program plays SYNC producer, encoder interface and a load: nothing
 (alone), correction tables by SDO block transfer (sdo), or frames of other nodes up to 1 Mbit/s (full). The
@@ -11,7 +10,6 @@ SYNC is answered by TPDO2 (type 1), each ADC PDO by TPDO1 (type 254). Nodes: `ca
 `floor`, which answers and does nothing else: what machine and bus take. Realtime: SCHED_FIFO, mlockall and a
 processor of its own, as far as the system permits. All combinations are measured, in turns.
 
---in-process takes the time of the calls of the module alone, on the wall and of the processor.
 docs/latency.md says how to read the figures.
 """
 
@@ -31,17 +29,13 @@ from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 
-try:
-    from canfb.bus.realtime import apply_realtime
-    from canfb.configuration import RealtimeConfig
-    from tools.bench.latency_bus import Others
-    from tools.bench.latency_calls import Calls
-    from tools.bench.latency_load import LOADS
-    from tools.bench.latency_node import KINDS, READY
-    from tools.bench.node_process import NodeProcess
-    from tools.bench.percentiles import HEAD, Table, cell
-except ImportError as error:
-    sys.exit(f"{error}: run this file with the Python of the virtual environment")
+from canfb.bus.realtime import apply_realtime
+from canfb.configuration import RealtimeConfig
+from tools.bench.latency_bus import Others
+from tools.bench.latency_load import LOADS
+from tools.bench.latency_node import KINDS, READY
+from tools.bench.node_process import NodeProcess
+from tools.bench.percentiles import HEAD, Table, cell
 
 Combination = tuple[str, str, str]
 PRIORITY = 90  # of this program, above that of the module
@@ -50,7 +44,6 @@ BUS_HEAD = [
     *("load", "node", "realtime"),
     *("SYNC to TPDO2", "ADC PDO to TPDO1", "CPU of a wake-up", "not in time"),
 ]
-CALLS_HEAD = ["load", "node", "call", "calls", "wall", "CPU"]
 
 
 @dataclass
@@ -93,22 +86,6 @@ def measure_bus(
         took_s * 1e6 for at, took_s in zip(stamps_s[::2], stamps_s[1::2], strict=True) if at >= began_s
     ]
     found.not_in_time += times.not_in_time(1.0 / rate_hz)
-
-
-def measure_calls(load: str, kind: str, cycles: int) -> list[list[str]]:
-    """A row for each kind of call."""
-    calls = Calls(LOADS[load]())
-    gc.collect()
-    gc.freeze()
-    try:
-        calls.play(cycles)
-    finally:
-        gc.unfreeze()
-    return [
-        [load, kind, call, str(len(times.wall_us)), cell(times.wall_us), cell(times.processor_us)]
-        for call, times in calls.times.items()
-        if times.wall_us
-    ]
 
 
 def bus_rows(
@@ -163,7 +140,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--loads", default=",".join(LOADS), help=f"of {', '.join(LOADS)}")
     parser.add_argument("--nodes", default=",".join(KINDS), help=f"of {', '.join(KINDS)}")
     parser.add_argument("--realtime", default=",".join(REALTIME), help=f"of {', '.join(REALTIME)}")
-    parser.add_argument("--in-process", action="store_true", help="without a bus")
     parser.add_argument("--markdown", action="store_true", help="as Markdown")
     options = parser.parse_args(arguments)
     if not 1 <= options.rounds <= options.cycles or not 0.1 <= options.rate <= 10_000:
@@ -171,18 +147,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     loads = chosen(parser, options.loads, list(LOADS), "--loads")
     nodes = chosen(parser, options.nodes, KINDS, "--nodes")
     realtime = chosen(parser, options.realtime, REALTIME, "--realtime")
-    if options.in_process:
-        table = Table(CALLS_HEAD)
-        for load, kind in product(loads, nodes):
-            if kind != "floor":
-                with undisturbed(first=False):
-                    table.rows += measure_calls(load, kind, options.cycles)
-    else:
-        if options.channel is not None and not os.path.exists(f"/sys/class/net/{options.channel}"):
-            sys.exit(f"no interface {options.channel}: see docs/vcan.md, or omit --channel")
-        table = Table(BUS_HEAD)
-        combinations = [one for one in product(loads, nodes, realtime) if one[:2] != ("sdo", "floor")]
-        table.rows = bus_rows(combinations, options.channel, options.rate, options.cycles, options.rounds)
+    if options.channel is not None and not os.path.exists(f"/sys/class/net/{options.channel}"):
+        sys.exit(f"no interface {options.channel}: see docs/vcan.md, or omit --channel")
+    table = Table(BUS_HEAD)
+    combinations = [one for one in product(loads, nodes, realtime) if one[:2] != ("sdo", "floor")]
+    table.rows = bus_rows(combinations, options.channel, options.rate, options.cycles, options.rounds)
     print(table.markdown() if options.markdown else table.text())
     print(f"Times in µs: {' / '.join(HEAD)}.")
     return 0

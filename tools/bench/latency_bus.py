@@ -15,14 +15,11 @@ import time
 from collections import deque
 from dataclasses import dataclass, field
 
-try:
-    from canfb.bus.frame_reader import FrameReader
-    from canfb.cia301.frame import frame_bits
-    from tools.bench.bus import ADC_PDO, CAN_FRAME, POSITION_PDO, SYNC, SYNC_FRAME, adc_frame
-    from tools.bench.latency_load import Load, Nothing, TableTransfers
-    from tools.bench.latency_node import SYNCHRONOUS_PDO, UNITS_PER_CYCLE
-except ImportError as error:
-    sys.exit(f"{error}: run this file with the Python of the virtual environment")
+from canfb.bus.frame_reader import FrameReader
+from canfb.cia301.frame import frame_bits
+from tools.bench.bus import ADC_PDO, CAN_FRAME, POSITION_PDO, SYNC, SYNC_FRAME, adc_frame
+from tools.bench.latency_load import Load, Nothing, TableTransfers
+from tools.bench.latency_node import SYNCHRONOUS_PDO, UNITS_PER_CYCLE
 
 STEPS, PERIOD = 11, 100  # hundredths of a cycle from sample to sample: after 100 samples the phase repeats
 STEPS_INVERSE = pow(STEPS, -1, PERIOD)

@@ -9,15 +9,12 @@ from collections import deque
 from collections.abc import Callable, Generator
 from typing import Protocol
 
-try:
-    import numpy as np
+import numpy as np
 
-    from canfb import objects as od
-    from canfb.signal.correction import CorrectionTable
-    from canfb.signal.phase import phase_in_cycle
-    from tools.bench.bus import NODE_ID
-except ImportError as error:
-    raise SystemExit(f"{error}: run this file with the Python of the virtual environment") from error
+from canfb import objects as od
+from canfb.signal.correction import CorrectionTable
+from canfb.signal.phase import phase_in_cycle
+from tools.bench.bus import NODE_ID
 
 SDO_REQUEST, SDO_ANSWER = 0x600 + NODE_ID, 0x580 + NODE_ID
 OTHERS_ID = 0x3A0  # of a PDO that the module does not listen to

@@ -23,18 +23,15 @@ from pathlib import Path
 from types import FrameType
 from typing import TypeVar, cast
 
-try:
-    import canopen
+import canopen
 
-    # Names, not `canfb.FeedbackModule`: what is imported belongs to no walk.
-    import canfb.device.od.template
-    from canfb import CorrectionTable, FeedbackModule, ModuleConfig, StatusBit
-    from canfb.bus.frame_bus import FrameBus, Received
-    from canfb.bus.runner import Runner
-    from canfb.eds_files import eds_path
-    from tools.bench.cycle import ADC_PDO, ENCODER_INTERFACE, INTERVAL_S, NODE_ID, SYNC, seconds
-except ImportError as error:
-    sys.exit(f"{error}: run this file with the Python of the virtual environment")
+# Names, not `canfb.FeedbackModule`: what is imported belongs to no walk.
+import canfb.device.od.template
+from canfb import CorrectionTable, FeedbackModule, ModuleConfig, StatusBit
+from canfb.bus.frame_bus import FrameBus, Received
+from canfb.bus.runner import Runner
+from canfb.eds_files import eds_path
+from tools.bench.cycle import ADC_PDO, ENCODER_INTERFACE, INTERVAL_S, NODE_ID, SYNC, seconds
 
 PACKAGE = Path(canfb.__file__).parent
 SDO = 0x600 + NODE_ID

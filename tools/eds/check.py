@@ -38,6 +38,7 @@ from tools.eds.standard import check_companions, check_standard_entries, standar
 
 FILE_VERSIONS = ("FileVersion", "FileRevision")
 DEVICE_INFO_TEXTS = {"VendorName": 244, "ProductName": 243, "OrderCode": 245}
+LONGEST_LINE = 255
 LONGEST_NAME, LONGEST_COMMENT = 241, 249  # characters: with key and equals sign a line has 255
 IDENTITY = ("VendorNumber", "ProductNumber", "RevisionNumber")  # in the order of 1018h
 DEVICE_INFO_FLAGS = (
@@ -57,6 +58,12 @@ LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
 SECTIONS = ("FileInfo", "DeviceInfo", "DummyUsage", "Comments")
 
 
+def check_lines(eds: Eds) -> Iterator[Finding]:
+    for count, line in enumerate(eds.text.splitlines(), start=1):
+        if not line.isascii() or len(line) > LONGEST_LINE:
+            yield Finding(f"line {count}", f"is not ASCII or longer than {LONGEST_LINE} characters")
+
+
 def check_sections(eds: Eds) -> Iterator[Finding]:
     for name in SECTIONS:
         if name.lower() not in eds.sections:
@@ -71,14 +78,12 @@ def check_file_info(eds: Eds) -> Iterator[Finding]:
         if (info.number(key) or 0) > 0xFF:
             yield Finding(info.name, f"{key} is above 255")
     created, modified = (_time_of(info, event) for event in ("Creation", "Modification"))
-    if created is None or modified is None:
-        yield Finding(info.name, "a date or time is none of the calendar")
-    elif modified < created:
+    if created is not None and modified is not None and modified < created:
         yield Finding(info.name, "modified before it was created")
 
 
 def _time_of(info: Section, event: str) -> datetime | None:
-    """When the file was made or changed, None for a day or an hour that does not exist."""
+    """When the file was made or changed; None for what `eds-validate` refuses."""
     try:
         return datetime.strptime(
             f"{info.text(event + 'Date')} {info.text(event + 'Time')}", "%m-%d-%Y %I:%M%p"
@@ -221,7 +226,7 @@ def _check_values(entry: Entry) -> Iterator[Finding]:
 
 
 CHECKS: tuple[Callable[[Eds], Iterator[Finding]], ...] = (
-    *(check_sections, check_file_info, check_device_info, check_dummy_usage, check_comments),
+    *(check_lines, check_sections, check_file_info, check_device_info, check_dummy_usage, check_comments),
     *(check_lists, check_objects, check_entries, check_standard_entries, check_companions),
     *(check_pdos, check_cob_ids),
 )
@@ -229,10 +234,11 @@ CHECKS: tuple[Callable[[Eds], Iterator[Finding]], ...] = (
 
 def check_text(text: str, file_name: str, node_id: int = 32) -> list[Finding]:
     """All findings of one EDS text. COB-IDs are compared as they are at `node_id` (1..127)."""
-    eds, findings = read(text, file_name, node_id)
-    for check in CHECKS:
-        findings.extend(check(eds))
-    return findings
+    try:
+        eds = read(text, file_name, node_id)
+    except ValueError as error:
+        return [Finding(file_name, str(error))]
+    return [finding for check in CHECKS for finding in check(eds)]
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -1,6 +1,6 @@
 """An EDS file taken apart: sections, objects, entries, numbers and data types (CiA 306).
 
-Reading never raises: what cannot be read becomes a finding, what is missing becomes None.
+What is missing, or is not a number where one is expected, is None.
 """
 
 from __future__ import annotations
@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+
+from canfb.device.od.eds import parse
 
 DOMAIN, VAR, ARRAY, RECORD = 0x2, 0x7, 0x8, 0x9
 """Object types."""
@@ -90,6 +92,7 @@ class Eds:
 
     file_name: str
     node_id: int
+    text: str
     sections: dict[str, Section] = field(default_factory=dict)
     objects: dict[int, Section] = field(default_factory=dict)
     entries: dict[tuple[int, int], Entry] = field(default_factory=dict)
@@ -108,28 +111,15 @@ class Eds:
         }
 
 
-def read(text: str, file_name: str, node_id: int) -> tuple[Eds, list[Finding]]:
-    """Take a file apart; the findings are what is no section header, no `key=value`, or there twice."""
-    eds = Eds(file_name, node_id)
-    findings = []
-    section = Section("line 1")
-    for count, line in enumerate(text.splitlines(), start=1):
-        if not line.isascii() or len(line) > 255:
-            findings.append(Finding(section.name, f"line {count} is not ASCII or longer than 255 characters"))
-        if not line.strip() or line.startswith(";"):
-            continue
-        if line.startswith("["):
-            section = Section(line.strip().strip("[]"))
-            if not line.rstrip().endswith("]") or section.name.lower() in eds.sections:
-                findings.append(Finding(section.name, f"line {count} is a bad or a second section header"))
-            eds.sections[section.name.lower()] = section
-            continue
-        key, equals, value = line.partition("=")
-        if not equals or not key or key != key.strip() or key.lower() in section.values:
-            findings.append(Finding(section.name, f"line {count} is not a new key=value"))
-        section.values[key.strip().lower()] = value.strip()
+def read(text: str, file_name: str, node_id: int) -> Eds:
+    """Take a file apart with the reader of the package. ValueError when it is not an EDS."""
+    parser = parse(text.encode("utf-8"))
+    eds = Eds(file_name, node_id, text)
+    for name in parser.sections():
+        values = {key.lower(): value.strip() for key, value in parser.items(name)}
+        eds.sections[name.lower()] = Section(name, values)
     _find_objects(eds)
-    return eds, findings
+    return eds
 
 
 def _find_objects(eds: Eds) -> None:

@@ -17,7 +17,6 @@ from tools.paper.plant import (
     IDEAL,
     USUAL,
     WRONG_CYCLES,
-    FloatArray,
     Way,
     followed,
 )
@@ -125,8 +124,3 @@ def conventional(effort: Effort) -> Iterator[Claim]:
         ),
         {"below": below, "bears": bears, "bears_extreme": bears_extreme, "beyond": beyond},
     )
-
-
-def shares(encoder: Encoder, shifts: FloatArray, fix: bool, samples: int = 20_000) -> FloatArray:
-    """Parts of wrong positions over the shift, 0..1."""
-    return np.array([wrong_per_million(encoder, 2000.0, s, fix, samples) / MILLION for s in shifts])

@@ -59,7 +59,6 @@ class Accelerated:
     first_flag: int
     first_wrong: int
     end_speed_error: float
-    end_error: float
     steady_residual: float
 
 
@@ -78,7 +77,6 @@ def accelerated(change: float, samples: int = 60, after: int = 40) -> Accelerate
         int(np.argmax(flagged)) if flagged.any() else never,
         int(np.argmax(wrong)) if wrong.any() else never,
         float(error[-1] - error[-2]),
-        float(error[-1]),
         float(np.median(result.residual[len(cruise) + 2 : len(cruise) + samples])),
     )
 

@@ -15,10 +15,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-try:
-    from tools.paper import conventional, detection, phase, tracking
-except ImportError as error:
-    sys.exit(f"{error}: run this file with the Python of the virtual environment (make test makes it)")
+from tools.paper import conventional, detection, phase, tracking
 from tools.paper.claim import FAST, FULL, Claim, Effort, Maker, markdown, plain
 
 # In the order of the paper.

@@ -12,11 +12,9 @@ from tools.paper.claim import Claim, Effort, grouped, verdict
 from tools.paper.plant import (
     CYCLES_PER_REVOLUTION,
     USUAL,
-    FloatArray,
     Way,
     cycles_per_sample,
     followed,
-    sampled,
     score,
 )
 
@@ -220,17 +218,3 @@ def largest_acceleration(
         result = followed(USUAL, way, np.random.default_rng(6)) if converted else track(way.phase)
         low, high = (middle, high) if good(way, result) else (low, middle)
     return low
-
-
-def sample_picture(samples: int) -> tuple[Way, FloatArray, TrackResult]:
-    """A reversal from +2000 to -2000 rpm at 1 kHz: the way, its sine track, and what is made of it."""
-    # Just below 83 1/3 cycles per sample, where the samples would meet three phases only.
-    speed = cycles_per_sample(TOP_RPM, SLOW_RATE_HZ) - 0.0127
-    change = 0.3
-    ramp = np.full(round(speed / change), change)
-    ramp *= speed / ramp.sum()
-    rest = max(0, samples - 1 - 3 * len(ramp)) // 2
-    way = Way.from_steps(np.concatenate([[0.0], ramp, np.zeros(rest), -ramp, -ramp, np.zeros(rest)]))
-    rng = np.random.default_rng(9)
-    sine, _ = sampled(USUAL, way, rng)
-    return way, sine.astype(np.float64), followed(USUAL, way, np.random.default_rng(9))

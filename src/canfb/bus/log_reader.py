@@ -12,7 +12,6 @@ from typing import Any
 
 import can
 
-from canfb.bus.blf_log import BlfFrames
 from canfb.bus.candump_log import candump_frames
 from canfb.bus.log_suffixes import NEEDS_PACKAGE, check_readable
 from canfb.bus.logged import LogCounters
@@ -91,22 +90,14 @@ class BusLogFile:
 
     def _by_python_can(self) -> Iterator[Frame]:
         counters = self.counters
-        reader: Any = BlfFrames(str(self.path)) if self.suffix == ".blf" else can.LogReader(str(self.path))
-        known: set[object] = set()  # channels whose frames are taken
+        reader: Any = can.LogReader(str(self.path))
         with contextlib.ExitStack() as closing:
             closing.callback(reader.stop)
             for message in reader:
                 counters.frames += 1
                 if not counters.frames % LOOK_FRAMES:
                     counters.bytes_read = _place(reader)
-                if type(message) is tuple:  # of BlfFrames
-                    channel, frame = message
-                    if channel in known:
-                        yield frame
-                    elif self._is_taken(channel, frame.can_id):
-                        known.add(channel)
-                        yield frame
-                elif message.is_error_frame:  # some have no channel
+                if message.is_error_frame:  # some have no channel
                     counters.error_frames += 1
                 elif message.is_extended_id or message.is_fd:
                     if self.channel in (None, str(message.channel)):

@@ -12,6 +12,7 @@ import re
 from collections.abc import Iterator
 from configparser import Error, RawConfigParser
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -86,11 +87,7 @@ class ObjectDescriptions:
 
     def __init__(self, path: Path, node_id: int) -> None:
         self.path = path
-        imported = _imported(path, node_id)
-        information = imported.device_information
-        self.product = str(information.product_name or path.name)
-        self.identity = (information.vendor_number, information.product_number)
-        self._entries = {one.place: one for thing in imported.values() for one in _entries(thing)}
+        self.product, self.identity, self._entries = _described(path, node_id, _modified(path))
 
     def __iter__(self) -> Iterator[ObjectDescription]:
         return iter(self._entries.values())
@@ -163,6 +160,30 @@ def _words(text: str) -> str:
 def _listed(names: list[str]) -> str:
     more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
     return ", ".join(names[:MOST_LISTED]) + more
+
+
+def _modified(path: Path) -> tuple[int, int] | None:
+    """Time (ns) and length of the file; None for one that cannot be read, which reading it will say."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size
+
+
+@lru_cache(maxsize=8)
+def _described(
+    path: Path, node_id: int, modified: tuple[int, int] | None
+) -> tuple[str, tuple[Any, Any], dict[Place, ObjectDescription]]:
+    """Product, vendor and product number, and entries; nobody changes them.
+
+    Reading the EDS of the module is most of what a short command computes, and a backup needs it twice.
+    """
+    imported = _imported(path, node_id)
+    information = imported.device_information
+    entries = {one.place: one for thing in imported.values() for one in _entries(thing)}
+    identity = (information.vendor_number, information.product_number)
+    return str(information.product_name or path.name), identity, entries
 
 
 def _imported(path: Path, node_id: int) -> Any:

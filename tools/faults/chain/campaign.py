@@ -19,15 +19,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
 
-try:
-    from tools.faults.chain.classes import CLASSES
-    from tools.faults.chain.clean import CHUNK_SAMPLES, CleanResult, run_clean
-    from tools.faults.chain.judge import judge, play
-    from tools.faults.chain.plant import ALL_SETTINGS, SETTINGS, Setting, Turning, speed_of_group
-except ImportError as error:
-    sys.exit(f"{error}: run this file with the Python of the virtual environment (make test makes it)")
 import numpy as np
 
+from tools.faults.chain.classes import CLASSES
+from tools.faults.chain.clean import CHUNK_SAMPLES, CleanResult, run_clean
+from tools.faults.chain.judge import judge, play
+from tools.faults.chain.plant import ALL_SETTINGS, SETTINGS, Setting, Turning, speed_of_group
 from tools.faults.chain.tally import COLUMNS, IN_SHORT, Tally, markdown, plain
 
 USUAL = tuple(range(len(SETTINGS)))

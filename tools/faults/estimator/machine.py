@@ -22,7 +22,6 @@ Rng = np.random.Generator
 
 TOP_CYCLES = 125.0
 AMPLITUDE_COUNTS = 1600.0
-FULL_SCALE_COUNTS = 2048
 NOISE_COUNTS = 0.5
 MOST_NOISE = 3.0  # standard deviations; the phase error that is declared bounds the error of every sample
 UNCORRECTED = 0.0125  # a smaller phase error than this one needs a table

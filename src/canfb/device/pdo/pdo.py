@@ -24,8 +24,9 @@ PDO_NUMBERS = range(1, 513)
 
 def numbers(dictionary: Dictionary, direction: Direction) -> list[int]:
     """Numbers of the PDOs that the dictionary has, from 1."""
-    first = COMMUNICATION[direction]
-    return [number for number in PDO_NUMBERS if (first + number - 1, 1) in dictionary]
+    before = COMMUNICATION[direction] - 1
+    found = (described.index - before for described in dictionary.objects())
+    return [number for number in found if number in PDO_NUMBERS]
 
 
 def rpdo_with(dictionary: Dictionary, objects: Iterable[tuple[int, int]]) -> int | None:
