@@ -2,11 +2,8 @@
 
 Each time the samples have covered the cycle, the tracks are held against what they were at the reference
 measurement (:mod:`canfb.signal.track_sectors`), and half of the difference goes into the conditioning,
-bounded in rate and in range. So a fault hides behind it by no more than
-
-    (asin(sqrt(2) offset) + asin(gain / 2) + phase) / 2 pi cycles,
-
-which docs/adaptation.md proves. The amplitude of both tracks together is not followed.
+bounded in rate and in range. So no fault hides behind it by more than :attr:`AdaptConfig.hidden_cycles`. The
+amplitude of both tracks together is not followed.
 
 Nothing is learned from a sample that is not valid, and what was taken before it is dropped. At standstill,
 and where the samples meet the same few phases, the cycle is never covered.
@@ -15,6 +12,7 @@ and where the samples meet the same few phases, the cycle is never covered.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -71,9 +69,19 @@ class AdaptConfig:
 
     @property
     def hidden_cycles(self) -> float:
-        """Largest difference that it makes to a position, cycles (docs/adaptation.md)."""
-        offset, gain = math.asin(math.sqrt(2.0) * self.offset), math.asin(0.5 * self.gain)
-        return (offset + gain + self.phase_rad) / (2.0 * math.pi)
+        """Largest difference that it makes to a position, cycles; docs/adaptation.md has the proof."""
+        most, half = 1.0 + 0.5 * self.gain, 0.5 * self.phase_rad
+        turned = math.atan2(most * math.sin(self.phase_rad), 2.0 - most + most * math.cos(self.phase_rad))
+        rest = self.hidden_amplitude - (1.0 - math.cos(half))
+        return (turned + math.asin(rest / math.cos(half))) / (2.0 * math.pi)
+
+    @property
+    def hidden_amplitude(self) -> float:
+        """Largest difference that it makes to an amplitude, as a part of it."""
+        half = 0.5 * self.phase_rad
+        return (
+            math.sqrt(2.0) * self.offset + math.hypot(0.5 * self.gain, math.sin(half)) + 1.0 - math.cos(half)
+        )
 
 
 class FollowedDrift(NamedTuple):
@@ -132,12 +140,16 @@ class Adaptation:
         "at_limit",
         "drift",
         "due",
+        "on_limit",
         "used",
     )
 
     def __init__(self) -> None:
         self._limits: AdaptConfig | None = None
         self._sectors = TrackSectors()
+        self.on_limit: Callable[[], None] | None = None
+        """Called when :attr:`at_limit` has changed."""
+        self.at_limit = False
         self.use(NO_CORRECTION)
 
     @property
@@ -206,14 +218,26 @@ class Adaptation:
             return False
         return self._follow(found.deviation, found.amplitude_counts, seconds)
 
+    def drop(self) -> None:
+        """What was taken since the last result may be wrong."""
+        self._sectors.begin()
+
     def _begin(self, samples: int) -> None:
         """Nothing is taken; the next sample is none before this number."""
         self._sectors.begin()
         self.due = samples
 
     def _forget_result(self) -> None:
-        self.used, self.at_limit, self._recent_until = 0.0, False, -1
+        self._recent_until = -1
         self._sectors.begin()
+        self._judge(0.0)
+
+    def _judge(self, used: float) -> None:
+        """So much of a limit is used."""
+        before, self.used = self.at_limit, used
+        self.at_limit = used >= (HYSTERESIS if before else 1.0)
+        if self.at_limit is not before and self.on_limit is not None:
+            self.on_limit()
 
     def _learn_reference(self, found: CircleDeviation) -> None:
         """The table does not tell what the tracks were at the reference measurement: as they are now."""
@@ -240,7 +264,6 @@ class Adaptation:
                 used = max(used, abs(now + error) / largest)
             step = max(-most, min(GAIN * error, most))
             moved.append(unit * max(-largest, min(now + step, largest)))
-        self.used = used
-        self.at_limit = used >= (HYSTERESIS if self.at_limit else 1.0)
+        self._judge(used)
         before, self.drift = self.drift, FollowedDrift(*moved)
         return self.drift != before

@@ -63,6 +63,11 @@ class UsualStep(SecondListener):
         self._learning_from = NEVER  # the number of the sample
 
     @property
+    def samples(self) -> int:
+        """The number of the last sample, 0 before the first one."""
+        return self._samples
+
+    @property
     def begun(self) -> bool:
         """There was a sample since the start."""
         return self._tracker.started
