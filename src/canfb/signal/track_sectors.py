@@ -21,11 +21,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from canfb.signal.conditioning import HARMONIC_ORDERS
 from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray
 
 SECTORS = 16
 FEWEST = 4  # samples in each sector
+ROUNDS = 8  # each leaves a small part of what the first order has left
 TURN = 2.0 * math.pi
 # A mean over a sector is less than the value in its middle, by this factor.
 LEFT_OF_FIRST, LEFT_OF_SECOND = (math.sin(m * math.pi / SECTORS) * SECTORS / (m * math.pi) for m in (1, 2))
@@ -103,23 +105,29 @@ def deviation_of(correction: Correction) -> CircleDeviation | None:
     """Of the tracks at the reference measurement, with this correction; None: it does not tell.
 
     Without a table the tracks are to be a circle. A table corrects what conditioning and circle have left.
-    The harmonics (2005h) say what of it is z_-1, and with z_2 also what is z_0: to first order the table
-    removes Im (z_2 e^ix + z_0 e^-ix).
+    The harmonics (2005h) say what of it is z_-1, and what is left is z_0: to first order, it and z_2 make the
+    table remove Im (z_2 e^ix + z_0 e^-ix).
     """
     table, conditioning = correction.table, correction.conditioning
     if table is None:
         return NO_DEVIATION
     if not any(conditioning.harmonics):
         return None
-    backward, second = conditioning.harmonics[:2]
     places = (np.arange(8 * SECTORS) + 0.5) / (8 * SECTORS)
     raw = np.arange(len(table)) / len(table)
     phases = table.entries
     phase = np.concatenate((phases - 1.0, phases, phases + 1.0))
     angle = _angle(raw)
     removed = np.interp(places, phase, np.concatenate((angle - 1.0, angle, angle + 1.0))) - places
-    first = complex(np.mean(TURN * removed * np.exp(-1j * TURN * places)))
-    return CircleDeviation((second - 2j * first).conjugate(), backward)
+    turns = np.exp(1j * TURN * places)
+    known = 1.0 + sum(
+        one * turns ** (order - 1) for order, one in zip(HARMONIC_ORDERS, conditioning.harmonics, strict=True)
+    )
+    offset = 0j
+    for _ in range(ROUNDS):
+        left = TURN * removed - np.angle(known + offset / turns)
+        offset += complex(np.mean(left / turns) * -2j).conjugate()
+    return CircleDeviation(offset, conditioning.harmonics[0])
 
 
 def _angle(raw: FloatArray) -> FloatArray:
