@@ -30,6 +30,7 @@ RAMP_CYCLES = 0.25  # per interval squared: to get to the speed, before the narr
 SETTLED_SAMPLES = 20
 # As fast as an adaptation can be: the interval is taken for a longer one, so that it learns from each sample.
 ADAPT, ADAPT_INTERVAL_S = AdaptConfig(rate_per_hour=10.0), 0.01
+ADAPT_SLACK = 0.004  # of a residual: 0.001 cycle of each phase
 # Before the first episode it has followed half of what it may.
 FOLLOWED = FollowedDrift(0.075 * ENCODER.amplitude_counts, -0.075 * ENCODER.amplitude_counts, 0.12, 0.025)
 LONGEST_GLITCH = 3  # of the classes with a number in their name
@@ -68,6 +69,11 @@ class Setting:
     def order(self) -> int:
         """Of the prediction."""
         return 2 if self.jerk is None else 3
+
+    @property
+    def slack(self) -> float:
+        """The chain's phases are those of what it has learned, the judge's those of the truth; cycles."""
+        return ADAPT_SLACK if self.adapt else 0.0
 
     @property
     def chain_limits(self) -> ChainLimits:
