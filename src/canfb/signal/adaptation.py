@@ -36,13 +36,13 @@ from canfb.signal.track_sectors import NO_DEVIATION, CircleDeviation, TrackSecto
 
 FAULTS = AMPLITUDE | CLIPPED | COARSE | COASTING | FROZEN | LOST | MISSED | RESIDUAL | SECOND_POSITION
 NEVER: Final = 1 << 62  # no sample has this number
-EVERY_S = 0.01  # between two samples that are learned
+EVERY_S = 0.02  # between two samples that are learned
 PAUSE_S = 1.0  # after a fault
 RECENT_S = 10.0  # a result of an earlier time is none of now
 MOST_TAKEN = 4096  # samples in which the cycle must be covered
 REFERENCE_BLOCKS = 4
 GAIN = 0.5  # of the difference, each time
-MOST_STEP = 0.002  # at once, of the amplitude, or rad: 0.0003 cycle
+MOST_STEP = 0.004  # at once, of the amplitude, or rad: 0.0006 cycle
 PER_HOUR = 1.0 / 3600.0
 HYSTERESIS = 31.0 / 32.0
 LARGEST = {"offset": 0.25, "gain": 0.5, "phase_rad": 0.25, "rate_per_hour": 10.0}
