@@ -201,7 +201,7 @@ KEYS = ("node_id", "encoder_interface", "cycles_per_revolution", "adc_bits", "am
         "samples_per_sync", "noise_margin", "write_lock", "unlock_code",
         "max_jerk_rad_s3", "second_position", "phase_error_cycles", "bad_samples",
         "doubt_acceleration_cycles",
-        "corner_hz", "cosine_corner_hz", "interval_s",
+        "corner_hz", "cosine_corner_hz", "interval_s", "adapt",
         "max_acceleration_cycles", "max_jerk_cycles")  # fmt: skip
 
 

@@ -36,6 +36,7 @@ CONTRACT = {
 }
 # What these take, give and raise; named in the contract without a place of their own, or added.
 ADDITIONS = {
+    "AdaptConfig",
     "BusError",
     "Calibration",
     "ChainConfig",

@@ -25,6 +25,7 @@ if TYPE_CHECKING:  # what type checkers and readers see; at run time __getattr__
     from canfb.module.module_config import ModuleConfig
     from canfb.module.second_position_config import SecondPositionConfig
     from canfb.objects import StatusBit
+    from canfb.signal.adaptation import AdaptConfig
     from canfb.signal.batch import process
     from canfb.signal.chain import SignalChain
     from canfb.signal.chain_config import ChainConfig
@@ -41,6 +42,7 @@ if TYPE_CHECKING:  # what type checkers and readers see; at run time __getattr__
     from canfb.signal.tracking import track
 
 __all__ = [
+    "AdaptConfig",
     "BusError",
     "Calibration",
     "CalibrationError",
@@ -95,6 +97,7 @@ _PLACES = {
     "module.module_config": ("ModuleConfig",),
     "module.second_position_config": ("SecondPositionConfig",),
     "objects": ("StatusBit",),
+    "signal.adaptation": ("AdaptConfig",),
     "signal.batch": ("process",),
     "signal.chain": ("SignalChain",),
     "signal.chain_config": ("ChainConfig",),

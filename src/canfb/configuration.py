@@ -22,6 +22,7 @@ from canfb.errors import ConfigError
 from canfb.interface.interface_config import InterfaceConfig
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig
 from canfb.module.second_position_config import SecondPositionConfig
+from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.cia402.drive_config import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
@@ -85,6 +86,7 @@ _NESTED: dict[str, type] = {
     "interfaces": InterfaceConfig,
     "realtime": RealtimeConfig,
     "conditioning": Conditioning,
+    "adapt": AdaptConfig,
     "second_position": SecondPositionConfig,
     "simulation": SimulationConfig,
     "encoder": EncoderScenario,
@@ -93,6 +95,7 @@ _NESTED: dict[str, type] = {
     "drive": DriveConfig,
 }
 _LISTS = frozenset({"modules", "interfaces", "harmonics"})
+_OR_FLAG = frozenset({"adapt"})  # or true for its defaults, or false
 
 
 _LONGEST_MESSAGE = 300
@@ -154,7 +157,7 @@ def changed_module(module: ModuleConfig, settings: Sequence[str]) -> ModuleConfi
         loader = _Loader(text)
         try:
             values[key] = loader.get_single_data()
-            if key in _NESTED:
+            if key in _NESTED and not (key in _OR_FLAG and isinstance(values[key], bool)):
                 values[key] = _NESTED[key](**values[key])
         except (yaml.YAMLError, ValueError, TypeError) as error:
             raise ConfigError(f"--set {setting}: {' '.join(str(error).split())}") from None
@@ -280,7 +283,7 @@ class _Reader:
         if is_list and isinstance(node, yaml.SequenceNode):
             self._check_tag(node, "seq", f"'{key}' in {where}")
             return [self._single(item, f"a part of '{key}' in {where}") for item in node.value]
-        if key not in _NESTED:
+        if key not in _NESTED or (key in _OR_FLAG and isinstance(node, yaml.ScalarNode)):
             return self._single(node, f"'{key}' in {where}")
         if key not in _LISTS:
             return self.read(node, _NESTED[key], key)

@@ -110,6 +110,26 @@ CONDITIONING: Final = tuple(
 )
 """2002:01..07 and 2005:01..0E, in the order of the fields of :class:`canfb.Conditioning`."""
 
+ADAPTATION: Final = Multiplexer(0x2002, 8)
+ADAPTATION_OFFSET_LIMIT: Final = Multiplexer(0x2002, 9)
+ADAPTATION_GAIN_LIMIT: Final = Multiplexer(0x2002, 10)
+ADAPTATION_PHASE_LIMIT: Final = Multiplexer(0x2002, 11)
+ADAPTATION_RATE_LIMIT: Final = Multiplexer(0x2002, 12)
+ADAPTATION_STATE: Final = Multiplexer(0x2002, 13)
+ADAPTATION_USED: Final = Multiplexer(0x2002, 14)
+DRIFT: Final = tuple(Multiplexer(0x2002, subindex) for subindex in range(15, 19))
+"""2002:0F..12, in the order of the fields of :class:`canfb.signal.adaptation.FollowedDrift`."""
+
+
+class AdaptationState(IntEnum):
+    """What 2002:0D says."""
+
+    OFF = 0
+    WAITING = 1
+    FOLLOWING = 2
+    AT_LIMIT = 3
+
+
 SCALE_SPEED_MULTIPLIER: Final = Multiplexer(0x2003, 1)
 SCALE_SPEED_DIVISOR: Final = Multiplexer(0x2003, 2)
 SCALE_ACCELERATION_MULTIPLIER: Final = Multiplexer(0x2003, 3)
@@ -244,6 +264,7 @@ class EncoderEmergency(IntEnum):
     AMPLITUDE_LOW = 0xFF11, "low amplitude"
     NOT_REFERENCED = 0xFF15, "zero pulse not yet confirmed"
     SECOND_POSITION = 0xFF1C, "second position disagrees"
+    DRIFT = 0xFF1D, "drift of the tracks at its limit"
 
 
 EMERGENCY_TEXTS: Final = {int(code): code.text for code in EncoderEmergency}

@@ -121,7 +121,7 @@ def test_the_examples_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
     bench.network.send_message(0, b"\x01\x20")
     bench.at(0.25)
     sdo = names["module"].sdo
-    assert (sdo[0x6509].raw, sdo[0x6004].raw, sdo[0x2004][1].raw) == (offset, 1_800_000, 0x1023)
+    assert (sdo[0x6509].raw, sdo[0x6004].raw, sdo[0x2004][1].raw) == (offset, 1_800_000, 0x3023)
 
 
 def test_a_preset_in_pre_operational(bench: Bench) -> None:

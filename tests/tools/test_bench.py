@@ -27,7 +27,7 @@ def test_json_has_machine_and_every_comparison(capsys: pytest.CaptureFixture[str
     floats, counts, stream = cycle.array_goals()
     assert goals == {
         "cycle": 0.6, "cycle, third order": 1.05, "cycle, cosine delay": 1.1, "cycle, delay": 1.1,
-        "cycle, both and corner": None, "cycle, at standstill": None,
+        "cycle, adapt": 1.1, "cycle, both and corner": None, "cycle, at standstill": None,
         "cycle, sample times": None, "cycle, can.Message": None,
         "1000 samples, float64": floats, "1000 samples, int16": counts,
         "1000 samples, supervised": stream,
@@ -70,6 +70,7 @@ def test_markdown_is_a_table(capsys: pytest.CaptureFixture[str]) -> None:
         "| cycle, third order",
         "| cycle, cosine delay",
         "| cycle, delay",
+        "| cycle, adapt",
         "| cycle, both and corner",
         "| cycle, at standstill",
         "| cycle, sample times",

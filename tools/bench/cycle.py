@@ -405,6 +405,7 @@ def comparisons(cycles: int, samples: int) -> list[Comparison]:
     delayed, lagging, attenuated = (
         (f"the same, with {what}", ModuleRun(cycles, **fields)) for what, fields in ANALOG_PATHS.items()
     )
+    adapting = ("the same, with 2002:08", ModuleRun(cycles, adapt=True))
     still = ("the same, the machine stands", ModuleRun(cycles, speed=0.0))
     timed = ("the same, with sample times", TimedRun())
     null_bus = cast(can.BusABC, NullBus())
@@ -415,6 +416,7 @@ def comparisons(cycles: int, samples: int) -> list[Comparison]:
         Comparison("cycle, third order", third, second, unit, scale, goal=1.05),
         Comparison("cycle, cosine delay", delayed, second, unit, scale, goal=1.1),
         Comparison("cycle, delay", lagging, second, unit, scale, goal=1.1),
+        Comparison("cycle, adapt", adapting, second, unit, scale, goal=1.1),
         Comparison("cycle, both and corner", attenuated, second, unit, scale),
         Comparison("cycle, at standstill", still, ("canopen.LocalNode with atan2", frames), unit, scale),
         Comparison(

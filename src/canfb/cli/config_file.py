@@ -40,6 +40,7 @@ modules:                                        # one process serves several nod
     # conditioning:                             # offset, gain and phase error of the tracks; default: none
     #   {sine_offset_counts: 0, cosine_offset_counts: 0, sine_gain: 1, cosine_gain: 1, phase_error_rad: 0}
     #                                           # and cosine_delay_s, delay_s (2002:06, :07)
+    # adapt: true                               # offset, gain and phase are followed slowly (2002:08)
     # corner_hz: 125e3                          # low-pass of the analog path: the amplitude over the speed
 
 simulation:                                     # the machine of canfb simulate

@@ -24,6 +24,7 @@ from canfb.module.interval import SamplingInterval
 from canfb.module.jitter_watch import JitterWatch
 from canfb.module.local_source import LocalSource
 from canfb.module.module_config import ModuleConfig
+from canfb.module.objects.adapting import Adapting
 from canfb.module.objects.calibrating import Calibrating
 from canfb.module.objects.recorder import Recorder
 from canfb.module.objects.sample_input import SampleInput
@@ -94,6 +95,7 @@ class FeedbackModule:
         self._lock = WriteLock(self.node)
         self._limits.apply()
         self._tables.reset()
+        self._adapting.reset()
 
     @property
     def events(self) -> EventWatch:
@@ -138,6 +140,7 @@ class FeedbackModule:
         dictionary, storage = self.dictionary, self.node.storage
         self._tables = TableStore(dictionary, self.chain, storage)
         self._tables.on_in_force = self._on_correction
+        self._adapting = Adapting(dictionary, self.chain, self._limits, storage)
         self._operating_time = OperatingTime(dictionary, storage, lambda: self.node.now)
         CyclicTimer(dictionary, storage)
         self._calibrating = Calibrating(
@@ -375,6 +378,7 @@ class FeedbackModule:
         self._limits.reset()
         self._second.apply()
         self._tables.reset()
+        self._adapting.reset()
         self._recorder.reset()
         self._calibrating.reset()
 

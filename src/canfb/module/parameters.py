@@ -29,6 +29,14 @@ from canfb.view.limits_in_force import limit_settings
 SAME_NARROWED, SAME_ANALOG = 0.02, 2e-4  # of the interval: no reason for new limits, other coefficients
 SAME_NOISE = 0.02  # of it: no reason for new limits
 LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
+ADAPTATION_BOUNDS = {
+    "offset": od.ADAPTATION_OFFSET_LIMIT,
+    "gain": od.ADAPTATION_GAIN_LIMIT,
+    "phase_rad": od.ADAPTATION_PHASE_LIMIT,
+    "rate_per_hour": od.ADAPTATION_RATE_LIMIT,
+}
+"""The fields of :class:`canfb.AdaptConfig`, in units of 0.1 % or 1 mrad."""
+ADAPTATION_UNIT = 1e-3
 
 
 def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
@@ -51,6 +59,7 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         od.ENCODER_CORNER_FREQUENCY: config.corner_hz,
         od.ENCODER_COSINE_CORNER_FREQUENCY: config.cosine_corner_hz,
         **conditioning,
+        **_adaptation(config),
         od.SUPERVISION_RESIDUAL_LIMIT: int(config.residual_limit * LIMIT_UNITS),
         od.SUPERVISION_ACCELERATION: config.max_acceleration_rad_s2,
         od.SUPERVISION_COAST: config.coast_samples,
@@ -71,6 +80,18 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         od.TOTAL_RANGE: resolution * revolutions,
         od.SINGLE_TURN_RESOLUTION: resolution,
         od.DISTINGUISHABLE_REVOLUTIONS: revolutions,
+    }
+
+
+def _adaptation(config: ModuleConfig) -> dict[tuple[int, int], Any]:
+    """2002:08, and its bounds if there are any."""
+    used = config.adaptation
+    if used is None:
+        return {od.ADAPTATION: 0}
+    bounds = {place: getattr(used, name) for name, place in ADAPTATION_BOUNDS.items()}
+    # Not 0, which would turn it off.
+    return {od.ADAPTATION: 1} | {
+        place: max(1, round(value / ADAPTATION_UNIT)) if value else 0 for place, value in bounds.items()
     }
 
 

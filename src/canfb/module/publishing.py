@@ -56,7 +56,9 @@ class Publishing:
             lambda: self.last,
             lambda: parts.expects_pulse,
             lambda: limits.in_force.residual_limit,
+            lambda: chain.adaptation.at_limit,
         )
+        chain.adaptation.on_limit = self.warnings.look_again
         limits.on_applied = self.warnings.limits_changed
         self.prediction = Prediction(dictionary, self.profile, prediction_chosen, chain, interval)
         self.loss = LastLoss(dictionary, limits, chain, lambda: node.now)

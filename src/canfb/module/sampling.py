@@ -226,6 +226,7 @@ class Sampling:
 
     def _withheld(self, feedback: Feedback) -> Feedback:
         """What may be right, but is not confirmed."""
+        self._chain.adaptation.drop()
         if self._usual.unconfirmed:
             self._usual.unconfirmed -= 1
         return feedback._replace(status=feedback.status & ~VALID | COASTING)

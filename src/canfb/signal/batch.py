@@ -33,6 +33,7 @@ DECLARED = (
     "doubt_acceleration_cycles",
     "coast_samples",
     "interval_s",
+    "adapt",
 )
 NO_LIMITS = SampleLimits(1 << 62, 0.0, math.inf)
 
@@ -54,8 +55,8 @@ def process(
     sample, cycles per sample, with an error of less than half a cycle; default: standstill.
     ``prediction_order`` 3 predicts with constant acceleration; ``residual_limit`` then limits the jerk.
     ``declared``: any of max_acceleration_cycles, max_jerk_cycles, phase_error_cycles, bad_samples,
-    doubt_acceleration_cycles, coast_samples and interval_s, as in :class:`canfb.ChainConfig`. A conditioning
-    with cosine_delay_s needs interval_s; its samples are taken one by one.
+    doubt_acceleration_cycles, coast_samples, interval_s and adapt, as in :class:`canfb.ChainConfig`. A
+    conditioning with cosine_delay_s, and adapt, need interval_s; their samples are taken one by one.
 
     The result is bit for bit that of :class:`canfb.SignalChain` one sample after the other,
     without limits on amplitude and converter, which depend on the individual encoder
@@ -88,7 +89,7 @@ def process(
         conditioning=conditioning or IDENTITY,
         **declared,
     )
-    if config.conditioning.cosine_delay_s:
+    if config.conditioning.cosine_delay_s or config.adapt:
         return _one_by_one(sines, cosines, config, table, speed_cycles)
     follower = _Follower(config, speed_cycles)
     result = TrackResult.empty(len(sines))
@@ -113,11 +114,10 @@ def _one_by_one(
     table: CorrectionTable | None,
     speed_cycles: float,
 ) -> TrackResult:
-    """Each phase depends on the speed, and so on the samples before it."""
+    """Each phase depends on the speed, or on a drift, and so on the samples before it."""
     if not config.interval_s:
-        raise ValueError(
-            "a conditioning with cosine_delay_s needs interval_s, the sampling interval in seconds"
-        )
+        what = "adapt" if config.adapt else "a conditioning with cosine_delay_s"
+        raise ValueError(f"{what} needs interval_s, the sampling interval in seconds")
     chain = SignalChain(config, table)
     chain.set_limits(replace(config.chain_limits, sample=NO_LIMITS))
     chain.restart(0, speed_cycles)

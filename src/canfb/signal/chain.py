@@ -72,6 +72,7 @@ class SignalChain(Pauses):
         self._sampling_s = config.interval_s
         self.set_limits(limits)
         self.activate(Correction(table, config.conditioning))
+        self.adapt(config.adaptation)
 
     @property
     def correction(self) -> Correction:
@@ -176,6 +177,7 @@ class SignalChain(Pauses):
         check_table(correction.table)
         self._correction = correction
         self._use_table(correction.table)
+        self.adaptation.use(correction)
         self._use_front_end(correction.conditioning, self._corners)
         self._base_status = 0 if correction.table is None else TABLE_ACTIVE
 
@@ -491,4 +493,6 @@ class SignalChain(Pauses):
             Feedback,
             (s, c, amplitude, raw, cycles, phase, residual, status, speed, acceleration, jump, samples),
         )
+        if self.adaptation.is_on:
+            self._learn(self._last)
         return self._last

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from canfb.checks import integer_in, number_in
+from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.declared import COAST_SAMPLES, DOUBT_ACCELERATION, MOST_BAD_SAMPLES, Declared
 from canfb.signal.harmonics import NO_LOW_PASS, Corners
@@ -126,8 +127,10 @@ class ChainConfig:
                             cannot do harm
     doubt_acceleration_cycles  assumed while in doubt if max_acceleration is not known, 0..0.5 cycles per
                             interval^2 (2010:0B); 0: none, and each gap that leaves two motions is lost
-    interval_s              sampling interval, 0..1000 s, for corner_hz and for the cosine_delay_s of
+    interval_s              sampling interval, 0..1000 s, for corner_hz, adapt and the cosine_delay_s of
                             conditioning; 0: not known
+    adapt                   follow offset, gain and phase of the tracks slowly (2002:08): bounds in rate and
+                            range, or true for the defaults of these; false: not at all
     """
 
     cycles_per_revolution: int = 2500
@@ -148,6 +151,7 @@ class ChainConfig:
     corner_hz: float = 0.0
     cosine_corner_hz: float = 0.0
     interval_s: float = 0.0
+    adapt: AdaptConfig | bool = False
 
     def __post_init__(self) -> None:
         integer_in("cycles_per_revolution", self.cycles_per_revolution, 1, 1048576)
@@ -166,11 +170,18 @@ class ChainConfig:
             raise ValueError("phase_error_cycles must be above 0: no encoder is without")
         if not isinstance(self.conditioning, Conditioning):
             raise ValueError("conditioning must be a Conditioning")
+        if not isinstance(self.adapt, (AdaptConfig, bool)):
+            raise ValueError(f"adapt must be true, false or a mapping with its bounds, not {self.adapt!r}")
         for name in ("amplitude_low_counts", "amplitude_high_counts"):
             if getattr(self, name) is not None:
                 integer_in(name, getattr(self, name), 0, 65535)
         if self.limits.amplitude_low_counts >= self.limits.amplitude_high_counts:
             raise ValueError("amplitude_low_counts must be below amplitude_high_counts")
+
+    @property
+    def adaptation(self) -> AdaptConfig | None:
+        """The bounds of ``adapt``; None: off."""
+        return AdaptConfig() if self.adapt is True else self.adapt or None
 
     @property
     def full_scale_counts(self) -> int:

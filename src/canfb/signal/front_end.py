@@ -58,13 +58,17 @@ class FrontEnd:
 
     def __init__(self, conditioning: Conditioning, corners: Corners) -> None:
         self._conditioning, self._corners = conditioning, corners
-        used = tuple(map(float, conditioning.values))
-        self._offsets, self._gains, self._phase_error = used[:2], used[2:4], used[4]
+        self.use_conditioning(conditioning)
         self._differ = corners.of_cosine_hz != corners.corner_hz
         self._rows = harmonic_rows(conditioning, corners)
         self.varies = self._rows is not None or bool(corners.corner_hz and conditioning.delay_s)
         """More than the coefficients depends on the speed: :meth:`row`, :meth:`lag_intervals`."""
         self.use_interval(0.0)
+
+    def use_conditioning(self, conditioning: Conditioning) -> None:
+        """Offset, gain and phase error of this one from now on; delays and harmonics stay."""
+        used = tuple(map(float, conditioning.values[:5]))
+        self._offsets, self._gains, self._phase_error = used[:2], used[2:4], used[4]
 
     def use_interval(self, unit_s: float) -> None:
         """Speeds are per interval of this length from now on, seconds; 0.0: not known."""

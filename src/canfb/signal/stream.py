@@ -149,8 +149,8 @@ class _Stream:
     def _take_part(self, sine: AnyArray, cosine: AnyArray, result: ChainResult, tracked: TrackResult) -> None:
         """``tracked`` is the same memory as ``result``, with the samples before."""
         samples = len(sine)
-        # At another speed a phase is another one: each needs the samples before it.
-        on_arrays = samples >= SHORTEST_BLOCK and not self._chain.conditions_by_speed
+        # At another speed, or after a drift, a phase is another one: each needs the samples before it.
+        on_arrays = samples >= SHORTEST_BLOCK and not self._chain.conditions_by_past
         bad = self._compute(sine, cosine, result) if on_arrays else []
         k = 0
         for fault in [*bad, samples]:

@@ -11,6 +11,7 @@ import math
 from collections import deque
 from math import sqrt
 
+from canfb.signal.adaptation import NEVER, Adaptation, AdaptConfig, FollowedDrift
 from canfb.signal.conditioning import IDENTITY, Coefficients, Conditioning
 from canfb.signal.correction import CorrectionTable, Lines
 from canfb.signal.estimator import Estimator
@@ -63,6 +64,14 @@ class UsualStep(SecondListener):
         self._sampling_s = 0.0
         self.lag_intervals = 0.0
         """2002:07 in sampling intervals: the position is that of so much earlier."""
+        self.adaptation = Adaptation()
+        """What follows the drift of the tracks; :meth:`adapt` turns it on."""
+        self._learning_from = NEVER  # the number of the sample
+
+    @property
+    def samples(self) -> int:
+        """The number of the last sample, 0 before the first one."""
+        return self._samples
 
     @property
     def begun(self) -> bool:
@@ -85,9 +94,9 @@ class UsualStep(SecondListener):
         raise NotImplementedError
 
     @property
-    def conditions_by_speed(self) -> bool:
+    def conditions_by_past(self) -> bool:
         """Counts alone do not give the phase."""
-        return self._front is not None
+        return self._front is not None or self.adaptation.is_on
 
     def turned_rad(self, speed_cycles: float) -> float:
         """By how much the tracks turn at this speed from the sine of a sample to its cosine."""
@@ -99,8 +108,10 @@ class UsualStep(SecondListener):
 
     @property
     def needs_interval(self) -> bool:
-        """The analog path depends on the speed in cycles per second: :meth:`use_interval` is required."""
-        return self._front is not None or self._conditioning.delay_s != 0.0
+        """The analog path depends on the speed in cycles per second, or the drift is followed by the hour:
+        :meth:`use_interval` is required.
+        """
+        return self._front is not None or self._conditioning.delay_s != 0.0 or self.adaptation.is_on
 
     def use_interval(self, sampling_s: float) -> None:
         """The sampling interval where samples bring no time, seconds; 0.0: not known."""
@@ -115,7 +126,36 @@ class UsualStep(SecondListener):
         self._front = FrontEnd(conditioning, corners) if delayed or corners.are_there else None
         self._coefficients, self._row = conditioning.coefficients(), ()
         self._estimator.phases_keep = not delayed
+        self._remove_drift()
         self._follow_unit()
+
+    def adapt(self, limits: AdaptConfig | None, start_from: FollowedDrift | None = None) -> None:
+        """Follow the drift of the tracks within these limits from the next sample on; None: as calibrated.
+
+        It goes on from the drift that was found, or from another one.
+        """
+        self.adaptation.limits = limits
+        if start_from is not None:
+            self.adaptation.start_from(start_from)
+        self._learning_from = self.adaptation.due
+        self._use_front_end(self._conditioning, self._corners)
+
+    def _learn(self, feedback: Feedback) -> None:
+        """A sample for the adaptation, whose result counts from the next one on."""
+        adaptation = self.adaptation
+        moved = adaptation.take(feedback, self.unit_s or self._sampling_s)
+        self._learning_from = adaptation.due
+        if moved:
+            self._remove_drift()
+            self._turn(feedback.speed_cycles + AHEAD_INTERVALS * feedback.acceleration_cycles)
+
+    def _remove_drift(self) -> None:
+        """Behind the conditioning; the analog path is that of the conditioning."""
+        if self.adaptation.is_on:
+            used = self.adaptation.drift.removed_by(self._conditioning)
+            self._coefficients = used.coefficients()
+            if self._front is not None:
+                self._front.use_conditioning(used)
 
     def _follow_unit(self) -> None:
         """The interval of the speeds may be another one."""
@@ -271,4 +311,6 @@ class UsualStep(SecondListener):
             self._coefficients = front.coefficients(ahead)
             if front.varies:
                 self._vary(front, ahead)
+        if samples >= self._learning_from:
+            self._learn(last)
         return last

@@ -15,7 +15,8 @@ import json
 import multiprocessing
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,6 +41,7 @@ class Group(NamedTuple):
     setting: int
     fault_class: int
     group: int
+    adapt: bool = False
 
 
 class Campaign(NamedTuple):
@@ -68,24 +70,29 @@ class Campaign(NamedTuple):
         return missed
 
 
-def groups(seed: int, episodes: int, settings: Sequence[int] = USUAL) -> Iterator[Group]:
+def groups(seed: int, episodes: int, settings: Sequence[int] = USUAL, adapt: bool = False) -> Iterator[Group]:
     """All groups, in the order of the table."""
     for setting in settings:
         for number, fault_class in enumerate(CLASSES):
             wanted = episodes * (GLITCH_FACTOR if fault_class.is_glitch else 1)
             for group in range(max(1, round(wanted / EPISODES_OF_GROUP))):
-                yield Group(seed, setting, number, group)
+                yield Group(seed, setting, number, group, adapt)
+
+
+@cache
+def _setting(number: int, adapt: bool) -> Setting:
+    return replace(ALL_SETTINGS[number], adapt=adapt)
 
 
 def run_group(group: Group) -> tuple[Group, Tally]:
     """Get the machine to its speed, then one episode after the other from there."""
-    rng = np.random.default_rng(np.random.SeedSequence(group))
-    setting = ALL_SETTINGS[group.setting]
+    rng = np.random.default_rng(np.random.SeedSequence(group[:4]))
+    setting = _setting(group.setting, group.adapt)
     turning = Turning(setting, speed_of_group(group.group + 7 * group.fault_class, rng), rng)
     tally = Tally(false_alarms=turning.flagged)
     for number in range(EPISODES_OF_GROUP):
         episode = play(CLASSES[group.fault_class], turning, rng)
-        tally.add(judge(setting, episode), f"{tuple(group)} episode {number}")
+        tally.add(judge(setting, episode), f"{tuple(group[:4])} episode {number}")
     return group, tally
 
 
@@ -94,17 +101,23 @@ def _run_chunk(chunk: tuple[int, int, int, Sequence[Setting]]) -> CleanResult:
 
 
 def campaign(
-    seed: int, episodes: int, clean: int, processes: int, settings: Sequence[int] = USUAL
+    seed: int,
+    episodes: int,
+    clean: int,
+    processes: int,
+    settings: Sequence[int] = USUAL,
+    adapt: bool = False,
 ) -> Campaign:
     """Run it all; the result depends on all but ``processes``."""
     sizes = [min(CHUNK_SAMPLES, clean - begin) for begin in range(0, clean, CHUNK_SAMPLES)]
-    chosen = [ALL_SETTINGS[one] for one in settings]
+    chosen = [_setting(one, adapt) for one in settings]
     chunks = [(seed, number, size, chosen) for number, size in enumerate(sizes)]
     if processes == 1:
-        return _collect(map(run_group, groups(seed, episodes, settings)), map(_run_chunk, chunks), settings)
+        work = map(run_group, groups(seed, episodes, settings, adapt))
+        return _collect(work, map(_run_chunk, chunks), settings)
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        work = pool.imap(run_group, groups(seed, episodes, settings), chunksize=8)
-        return _collect(work, pool.imap(_run_chunk, chunks), settings)
+        done = pool.imap(run_group, groups(seed, episodes, settings, adapt), chunksize=8)
+        return _collect(done, pool.imap(_run_chunk, chunks), settings)
 
 
 def _collect(
@@ -183,13 +196,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--processes", type=int, default=2, metavar="N")
     names = [one.name for one in ALL_SETTINGS]
     parser.add_argument("--setting", choices=names, help="only this one (default: all without third order)")
+    parser.add_argument(
+        "--adapt", action="store_true", help="with the drift of the tracks followed (2002:08)"
+    )
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the settings side by side")
     parser.add_argument("--json", action="store_true", help="print all sums as JSON instead")
     options = parser.parse_args(argv)
     if options.episodes < 1 or options.clean < 0 or options.seed < 0 or options.processes < 1:
         parser.error("--episodes and --processes must be at least 1, --clean and --seed not negative")
     settings = USUAL if options.setting is None else (names.index(options.setting),)
-    result = campaign(options.seed, options.episodes, options.clean, options.processes, settings)
+    result = campaign(
+        options.seed, options.episodes, options.clean, options.processes, settings, options.adapt
+    )
     print(as_json(result) if options.json else as_text(result))
     if options.markdown is not None:
         try:

@@ -122,7 +122,7 @@ def first_illegal(setting: Setting, samples: Samples, start: int, phases_only: b
         inside &= (amplitude >= limits.amplitude_low_counts) & (amplitude <= limits.amplitude_high_counts)
     c = np.diff(phase, setting.order)
     with np.errstate(invalid="ignore"):
-        inside[setting.order :] &= np.abs(np.rint(c) - c) < setting.residual_limit
+        inside[setting.order :] &= np.abs(np.rint(c) - c) < setting.residual_limit + setting.slack
     illegal = np.flatnonzero(~inside[start:])
     return start + int(illegal[0]) if len(illegal) else None
 

@@ -10,7 +10,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from canfb import CorrectionTable, SignalChain, phase_in_cycle
+from canfb import AdaptConfig, CorrectionTable, SignalChain, phase_in_cycle
+from canfb.calibration.track_harmonics import with_track_harmonics
+from canfb.signal.adaptation import FollowedDrift
 from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.declared import DOUBT_ACCELERATION
@@ -26,6 +28,11 @@ TABLE_ENTRIES = 1024
 TOP_CYCLES = 125.0  # per sample: 3000 rpm, 2500 cycles per revolution, 1 kHz
 RAMP_CYCLES = 0.25  # per interval squared: to get to the speed, before the narrow limits are set
 SETTLED_SAMPLES = 20
+# As fast as an adaptation can be: the interval is taken for a longer one, so that it learns from each sample.
+ADAPT, ADAPT_INTERVAL_S = AdaptConfig(rate_per_hour=10.0), 0.01
+ADAPT_SLACK = 0.004  # of a residual: 0.001 cycle of each phase
+# Before the first episode it has followed half of what it may.
+FOLLOWED = FollowedDrift(0.075 * ENCODER.amplitude_counts, -0.075 * ENCODER.amplitude_counts, 0.12, 0.025)
 LONGEST_GLITCH = 3  # of the classes with a number in their name
 
 # Cycles per sample: standstill, creeping, and locked at whole, half and third cycles per sample.
@@ -46,6 +53,7 @@ class Setting:
     acceleration             largest of the machine, cycles per interval squared
     jerk                     None: eq. 9 predicts; else third-order prediction, and the largest jerk of the
                              machine, cycles per interval cubed
+    adapt                    drift is followed, and half of what is allowed was already
     """
 
     name: str
@@ -55,11 +63,17 @@ class Setting:
     conditioned: bool
     acceleration: float
     jerk: float | None = None
+    adapt: bool = False
 
     @property
     def order(self) -> int:
         """Of the prediction."""
         return 2 if self.jerk is None else 3
+
+    @property
+    def slack(self) -> float:
+        """The chain's phases are those of what it has learned, the judge's those of the truth; cycles."""
+        return ADAPT_SLACK if self.adapt else 0.0
 
     @property
     def chain_limits(self) -> ChainLimits:
@@ -81,6 +95,15 @@ class Setting:
         )
 
     @cached_property
+    def calibrated(self) -> Conditioning:
+        """That of a reference measurement before the drift: with :data:`FOLLOWED` it is that of now."""
+        used = now = self.config.conditioning
+        for _ in range(20):
+            pairs = zip(used.values, now.values, FOLLOWED.removed_by(used).values, strict=True)
+            used = Conditioning(*(one + wanted - got for one, wanted, got in pairs))
+        return used
+
+    @cached_property
     def table(self) -> CorrectionTable:
         """The table that a reference measurement without error would give."""
         truth = np.arange(-8192, 65536 + 8192) / 65536.0
@@ -94,13 +117,16 @@ class Setting:
         low, high = (None, None)
         if self.amplitude is not None:
             low, high = (round(part * ENCODER.amplitude_counts) for part in self.amplitude)
+        tracks = np.array(ENCODER.tracks(np.arange(4096) / 4096))
         return ChainConfig(
             amplitude_low_counts=low,
             amplitude_high_counts=high,
             residual_limit=self.residual_limit,
             frozen_samples=self.frozen_samples,
             prediction_order=self.order,
-            conditioning=self.conditioning,
+            conditioning=with_track_harmonics(self.conditioning, tracks) if self.adapt else self.conditioning,
+            adapt=ADAPT if self.adapt else False,
+            interval_s=ADAPT_INTERVAL_S if self.adapt else 0.0,
             bad_samples=0 if self.order == THIRD else LONGEST_GLITCH,
             # It is not known, but what is assumed while in doubt has to hold for the machine.
             doubt_acceleration_cycles=max(DOUBT_ACCELERATION, min(self.acceleration, 0.5)),
@@ -141,7 +167,7 @@ class Turning:
         while not valid:
             self.flagged += 1
             positions = rng.uniform() + np.cumsum(speeds)
-            self._chain = SignalChain(ChainConfig(conditioning=setting.conditioning), setting.table)
+            self._chain = _chain_of(setting)
             sine, cosine = ENCODER.sample(positions, rng)
             published = [
                 self._chain.step(Sample(s, c)) for s, c in zip(sine.tolist(), cosine.tolist(), strict=True)
@@ -155,6 +181,16 @@ class Turning:
         """A copy of the chain; the table, which nothing changes, is shared."""
         table = self.setting.table
         return copy.deepcopy(self._chain, {id(table): table})
+
+
+def _chain_of(setting: Setting) -> SignalChain:
+    """With wide limits, to get to a speed."""
+    if not setting.adapt:
+        return SignalChain(ChainConfig(conditioning=setting.conditioning), setting.table)
+    config = ChainConfig(conditioning=setting.calibrated, interval_s=ADAPT_INTERVAL_S)
+    chain = SignalChain(config, setting.table)
+    chain.adapt(ADAPT, FOLLOWED)
+    return chain
 
 
 def speed_of_group(group: int, rng: np.random.Generator) -> float:

@@ -11,14 +11,15 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import REFERENCED, SECOND_POSITION, VALID
 
-FREQUENCY, AMPLITUDE_LOW, NOT_REFERENCED, DISAGREES = 1 << 0, 1 << 1, 1 << 5, 1 << 12  # 6505h
-EVERY_SAMPLE = FREQUENCY | AMPLITUDE_LOW
+FREQUENCY, AMPLITUDE_LOW, NOT_REFERENCED, DISAGREES, DRIFT = (1 << n for n in (0, 1, 5, 12, 13))  # 6505h
+EVERY_SAMPLE = FREQUENCY | AMPLITUDE_LOW | DRIFT
 """Warnings that each sample can bring or end."""
 CODES = {
     FREQUENCY: od.EncoderEmergency.FREQUENCY,
     AMPLITUDE_LOW: od.EncoderEmergency.AMPLITUDE_LOW,
     NOT_REFERENCED: od.EncoderEmergency.NOT_REFERENCED,
     DISAGREES: od.EncoderEmergency.SECOND_POSITION,
+    DRIFT: od.EncoderEmergency.DRIFT,
 }
 """EMCY of each warning."""
 REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE
@@ -56,10 +57,16 @@ class Warnings:
         last: Callable[[], Feedback | None],
         expects_pulse: Callable[[], bool],
         residual_limit: Callable[[], float],
+        drift_at_limit: Callable[[], bool],
     ) -> None:
-        """``expects_pulse()``: a zero pulse is wired. ``residual_limit()``: that in force, in cycles."""
+        """``expects_pulse()``: a zero pulse is wired. ``residual_limit()``: that in force, in cycles.
+
+        ``drift_at_limit()``: the tracks have drifted as far as the adaptation may follow; where that changes,
+        :meth:`look_again`.
+        """
         self._reporter, self._last = reporter, last
         self._expects_pulse, self._residual_limit = expects_pulse, residual_limit
+        self._drift_at_limit = drift_at_limit
         self._low = dictionary.entry(*od.ENCODER_LOWEST_AMPLITUDE)
         self._mask = dictionary.entry(*od.WARNINGS_BY_EMCY)
         self._hold_ms = dictionary.entry(*od.WARNING_OVER_TIME)
@@ -121,6 +128,8 @@ class Warnings:
                 warnings |= AMPLITUDE_LOW
             if last.status & SECOND_POSITION:
                 warnings |= DISAGREES
+            if self._drift_at_limit():
+                warnings |= DRIFT
         if self._expects_pulse() and not (last is not None and last.status & REFERENCED):
             warnings |= NOT_REFERENCED
         return warnings

@@ -1,0 +1,269 @@
+"""Following offset, gain and phase of the tracks slowly in operation (``adapt``, 2002:08).
+
+Each time the samples have covered the cycle, the tracks are held against what they were at the reference
+measurement (:mod:`canfb.signal.track_sectors`), and half of the difference goes into the conditioning,
+bounded in rate and in range. So no fault hides behind it by more than :attr:`AdaptConfig.hidden_cycles`. The
+amplitude of both tracks together is not followed.
+
+Nothing is learned from a sample that is not valid, and what was taken before it is dropped. At standstill,
+and where the samples meet the same few phases, the cycle is never covered.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+from canfb.checks import number_in
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import NO_CORRECTION, Correction
+from canfb.signal.feedback import Feedback
+from canfb.signal.supervision import (
+    AMPLITUDE,
+    CLIPPED,
+    COARSE,
+    COASTING,
+    FROZEN,
+    LOST,
+    MISSED,
+    RESIDUAL,
+    SECOND_POSITION,
+    VALID,
+)
+from canfb.signal.track_sectors import NO_DEVIATION, CircleDeviation, TrackSectors, deviation_of
+
+FAULTS = AMPLITUDE | CLIPPED | COARSE | COASTING | FROZEN | LOST | MISSED | RESIDUAL | SECOND_POSITION
+NEVER: Final = 1 << 62  # no sample has this number
+EVERY_S = 0.02  # between two samples that are learned
+PAUSE_S = 1.0  # after a fault
+RECENT_S = 10.0  # a result of an earlier time is none of now
+MOST_TAKEN = 4096  # samples in which the cycle must be covered
+REFERENCE_BLOCKS = 4
+GAIN = 0.5  # of the difference, each time
+MOST_STEP = 0.004  # at once, of the amplitude, or rad: 0.0006 cycle
+PER_HOUR = 1.0 / 3600.0
+HYSTERESIS = 31.0 / 32.0
+LARGEST = {"offset": 0.25, "gain": 0.5, "phase_rad": 0.25, "rate_per_hour": 10.0}
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdaptConfig:
+    """How far and how fast offset, gain and phase of the tracks are followed.
+
+    offset         largest change of an offset, 0..0.25 of the amplitude (2002:09); 0: it is not followed
+    gain           largest change of the ratio of the gains, 0..0.5 (2002:0A); 0: it is not followed
+    phase_rad      largest change of the phase error, 0..0.25 rad (2002:0B); 0: it is not followed
+    rate_per_hour  largest change of each in an hour, 0..10 (2002:0C); 0: they are measured only
+    """
+
+    offset: float = 0.15
+    gain: float = 0.25
+    phase_rad: float = 0.05
+    rate_per_hour: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name, most in LARGEST.items():
+            number_in(name, getattr(self, name), 0.0, most)
+
+    @property
+    def hidden_cycles(self) -> float:
+        """Largest difference that it makes to a position, cycles; docs/adaptation.md has the proof."""
+        most, half = 1.0 + 0.5 * self.gain, 0.5 * self.phase_rad
+        turned = math.atan2(most * math.sin(self.phase_rad), 2.0 - most + most * math.cos(self.phase_rad))
+        rest = self.hidden_amplitude - (1.0 - math.cos(half))
+        return (turned + math.asin(rest / math.cos(half))) / (2.0 * math.pi)
+
+    @property
+    def hidden_amplitude(self) -> float:
+        """Largest difference that it makes to an amplitude, as a part of it."""
+        half = 0.5 * self.phase_rad
+        return (
+            math.sqrt(2.0) * self.offset + math.hypot(0.5 * self.gain, math.sin(half)) + 1.0 - math.cos(half)
+        )
+
+
+class FollowedDrift(NamedTuple):
+    """The change of the conditioned tracks since the reference measurement, as far as it is followed.
+
+    sine_offset_counts, cosine_offset_counts  after conditioning (2002:0F, 2002:10)
+    gain                                      of the sine over that of the cosine, less 1 (2002:11)
+    phase_rad                                 of the phase error (2002:12)
+    """
+
+    sine_offset_counts: float = 0.0
+    cosine_offset_counts: float = 0.0
+    gain: float = 0.0
+    phase_rad: float = 0.0
+
+    def removed_by(self, used: Conditioning) -> Conditioning:
+        """``used`` with this drift removed as well: first that of ``used``, then this one.
+
+        The tracks behind ``used`` are sine_offset + (1 + gain / 2) A sin x and cosine_offset +
+        (1 - gain / 2) A cos(x - phase).
+        """
+        offset_s, gain_s, offset_c, factor_c, skew = used.coefficients()
+        sine, cosine = 1.0 / (1.0 + 0.5 * self.gain), 1.0 / (1.0 - 0.5 * self.gain)
+        factor = factor_c * cosine / math.cos(self.phase_rad)
+        turned = math.atan(skew * cosine / (sine * math.cos(self.phase_rad)) + math.tan(self.phase_rad))
+        return replace(
+            used,
+            sine_offset_counts=offset_s + self.sine_offset_counts / gain_s,
+            cosine_offset_counts=offset_c
+            + (self.cosine_offset_counts + skew * self.sine_offset_counts) / factor_c,
+            sine_gain=gain_s * sine,
+            cosine_gain=factor * math.cos(turned),
+            phase_error_rad=turned,
+        )
+
+
+NO_DRIFT = FollowedDrift()
+
+
+class Adaptation:
+    """Follows the drift of one encoder; off until :attr:`limits` are given.
+
+    ``drift`` is what it has found, ``due`` the number of the sample from which on :meth:`take` need be called
+    with samples that are valid. ``used`` is the largest part of a limit that the drift of the last block has
+    used; 1 and more: it is at its limit, or beyond.
+    """
+
+    __slots__ = (
+        "_blocks",
+        "_known",
+        "_limits",
+        "_recent_until",
+        "_sectors",
+        "_stride",
+        "_sum",
+        "at_limit",
+        "drift",
+        "due",
+        "on_limit",
+        "used",
+    )
+
+    def __init__(self) -> None:
+        self._limits: AdaptConfig | None = None
+        self._sectors = TrackSectors()
+        self.on_limit: Callable[[], None] | None = None
+        """Called when :attr:`at_limit` has changed."""
+        self.at_limit = False
+        self.use(NO_CORRECTION)
+
+    @property
+    def is_on(self) -> bool:
+        """It follows, or waits for samples to follow."""
+        return self._limits is not None
+
+    @property
+    def limits(self) -> AdaptConfig | None:
+        """None: off."""
+        return self._limits
+
+    @limits.setter
+    def limits(self, limits: AdaptConfig | None) -> None:
+        """The drift stays where the new limits allow it; it is zero from now on with None."""
+        was_on, self._limits = self.is_on, limits
+        if limits is None:
+            self.drift, self.due = NO_DRIFT, NEVER
+            self._forget_result()
+        elif not was_on:
+            self._begin(0)
+
+    def use(self, correction: Correction) -> None:
+        """Another calibration: the drift begins at zero."""
+        self.drift = NO_DRIFT
+        self._known = deviation_of(correction)
+        self._sum, self._blocks = NO_DEVIATION, 0
+        self._forget_result()
+        self.due = NEVER
+        if self.is_on:
+            self._begin(0)
+
+    def start_from(self, drift: FollowedDrift) -> None:
+        """This drift was saved, with the correction in use."""
+        if self.is_on and all(map(math.isfinite, drift)):
+            self.drift = drift
+
+    def is_recent(self, samples: int) -> bool:
+        """The last result is one of now, with the number of the last sample: the drift is followed."""
+        return samples <= self._recent_until
+
+    def take(self, feedback: Feedback, interval_s: float) -> bool:
+        """A sample; True if :attr:`drift` has changed. ``interval_s``: sampling interval, 0.0: not known."""
+        samples = feedback.samples
+        if feedback.status & (FAULTS | VALID) != VALID:
+            self._begin(samples + int(PAUSE_S / interval_s) if interval_s > 0.0 else samples)
+            return False
+        if samples < self.due:
+            return False
+        if not interval_s > 0.0:
+            self._begin(samples)
+            return False
+        sectors = self._sectors
+        if not sectors.taken:
+            self._stride = max(1, round(EVERY_S / interval_s)) | 1  # odd: a locked speed shows its phases
+        self.due = samples + self._stride
+        if not sectors.take(feedback.sine, feedback.cosine, feedback.phase):
+            if sectors.taken >= MOST_TAKEN:
+                sectors.begin()
+            return False
+        found, seconds = sectors.found(), sectors.taken * self._stride * interval_s
+        sectors.begin()
+        self._recent_until = samples + int(max(RECENT_S, 4.0 * seconds) / interval_s)
+        if self._known is None:
+            self._learn_reference(found.deviation)
+            return False
+        return self._follow(found.deviation, found.amplitude_counts, seconds)
+
+    def drop(self) -> None:
+        """What was taken since the last result may be wrong."""
+        self._sectors.begin()
+
+    def _begin(self, samples: int) -> None:
+        """Nothing is taken; the next sample is none before this number."""
+        self._sectors.begin()
+        self.due = samples
+
+    def _forget_result(self) -> None:
+        self._recent_until = -1
+        self._sectors.begin()
+        self._judge(0.0)
+
+    def _judge(self, used: float) -> None:
+        """So much of a limit is used."""
+        before, self.used = self.at_limit, used
+        self.at_limit = used >= (HYSTERESIS if before else 1.0)
+        if self.at_limit is not before and self.on_limit is not None:
+            self.on_limit()
+
+    def _learn_reference(self, found: CircleDeviation) -> None:
+        """The table does not tell what the tracks were at the reference measurement: as they are now."""
+        offset, backward = self._sum
+        self._sum = CircleDeviation(offset + found.offset, backward + found.backward)
+        self._blocks += 1
+        if self._blocks >= REFERENCE_BLOCKS:
+            self._known = CircleDeviation(*(one / self._blocks for one in self._sum))
+
+    def _follow(self, found: CircleDeviation, amplitude: float, seconds: float) -> bool:
+        """Half a step towards what was found in so many seconds."""
+        limits, known = self._limits, self._known
+        if limits is None or known is None:
+            return False
+        offset, backward = found.offset - known.offset, found.backward - known.backward
+        left = (2.0 * offset.imag, 2.0 * offset.real, -4.0 * backward.real, 4.0 * backward.imag)
+        most = min(limits.rate_per_hour * PER_HOUR * seconds, MOST_STEP)
+        ranges = (limits.offset, limits.offset, limits.gain, limits.phase_rad)
+        units = (amplitude, amplitude, 1.0, 1.0)
+        used, moved = 0.0, []
+        for present, error, largest, unit in zip(self.drift, left, ranges, units, strict=True):
+            now = present / unit
+            if largest:
+                used = max(used, abs(now + error) / largest)
+            step = max(-most, min(GAIN * error, most))
+            moved.append(unit * max(-largest, min(now + step, largest)))
+        self._judge(used)
+        before, self.drift = self.drift, FollowedDrift(*moved)
+        return self.drift != before

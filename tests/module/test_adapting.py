@@ -1,0 +1,284 @@
+"""Objects 2002:08..12: the drift of the tracks is followed, within bounds that are reported and saved."""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from canopen import SdoAbortedError
+from module_bench import Bench
+
+from canfb.cia301.frame import Frame
+from canfb.configuration import parse_config
+from canfb.device.storage.storage import MemoryStore
+from canfb.errors import ConfigError
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
+from canfb.objects import MISSED_COUNTS
+from canfb.objects import AdaptationState as State
+from canfb.signal.adaptation import AdaptConfig
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.phase import phase_in_cycle
+from folding import each
+
+GRID = np.arange(4096) / 4096
+RAW = phase_in_cycle(np.sin(2 * np.pi * GRID), np.cos(2 * np.pi * GRID))
+TABLE = CorrectionTable(np.interp(np.arange(1024) / 1024, RAW, GRID))
+# The truth of the encoder below. No harmonics are known, so that the first samples are the reference.
+CALIBRATED = Conditioning(40.0, -30.0, 1.0, 1.0, 0.02)
+AMPLITUDE = 1500.0
+DRIFT, CODE, UNITS = 1 << 13, 0xFF1D, 8192
+FAST = AdaptConfig(rate_per_hour=10.0)
+
+
+class Turning(Bench):
+    """A machine that turns, whose tracks drift."""
+
+    def __init__(
+        self, store: MemoryStore | None = None, adapt: AdaptConfig | bool = FAST, **fields: Any
+    ) -> None:
+        super().__init__(store, conditioning=CALIBRATED, adapt=adapt, phase_error_cycles=0.05, **fields)
+        self.place = self.speed = 0.0
+        self.sine_offset = self.cosine_offset = self.gain = 0.0
+        self.rng = np.random.default_rng(1)
+
+    def calibrate(self) -> None:
+        self.module.use_correction(Correction(TABLE, CALIBRATED))
+
+    def pair(self) -> tuple[int, int]:
+        angle = 2.0 * math.pi * (self.place % 1.0)
+        sine = AMPLITUDE * ((1.0 + self.gain) * math.sin(angle) + self.sine_offset) + 40.0
+        cosine = AMPLITUDE * (math.cos(angle - 0.02) + self.cosine_offset) - 30.0
+        noise = self.rng.normal(0.0, 0.5, 2)
+        return round(sine + noise[0]), round(cosine + noise[1])
+
+    def turn(self, samples: int, speed: float = 3.1371) -> list[float]:
+        """Errors of 6004h, cycles, without whole ones; all samples are valid."""
+        errors = []
+        for _ in range(samples):
+            self.speed += max(-0.05, min(speed - self.speed, 0.05))
+            self.place += self.speed
+            self.sync()
+            units, status, _ = self.position(self.counts(*self.pair()))
+            assert status & 1
+            errors.append(units / UNITS - self.place)
+        away = np.array(errors)
+        return list((away + 0.5) % 1.0 - 0.5)
+
+    def drift(self) -> tuple[float, ...]:
+        """2002:0F..12."""
+        return tuple(self.sdo[0x2002][subindex].raw for subindex in range(15, 19))
+
+    def warnings(self) -> list[tuple[int, int]]:
+        """Code and 6505h of each EMCY."""
+        frames = [frame.data for frame in self.heard if frame.can_id == 0xA0]
+        return [(code, bits) for code, _, bits in (struct.unpack_from("<HBH", data) for data in frames)]
+
+
+def machine(store: MemoryStore | None = None, **fields: Any) -> Turning:
+    turning = Turning(store, **fields)
+    turning.start()
+    turning.calibrate()
+    turning.turn(8000)
+    return turning
+
+
+def test_the_drift_is_followed_and_shown() -> None:
+    one = machine()
+    assert one.sdo[0x2002][13].raw == State.FOLLOWING
+    before = np.std(one.turn(500))
+    for step in range(1, 21):
+        one.sine_offset, one.gain = 0.002 * step, -0.002 * step
+        errors = one.turn(1000)
+    errors = one.turn(6000)[-500:]
+    assert np.std(errors) < before + 0.0002
+    sine, cosine, gain, phase = one.drift()
+    assert sine == pytest.approx(0.04 * AMPLITUDE, rel=0.05)
+    assert gain == pytest.approx(-0.04, rel=0.1)
+    assert abs(cosine) < 0.002 * AMPLITUDE
+    assert abs(phase) < 0.002
+    assert one.sdo[0x2002][14].raw == pytest.approx(100 * 0.04 / 0.15, abs=3)
+    # The conditioning is that of the calibration, and the recording has the counts of the converter.
+    assert one.sdo[0x2002][1].raw == 40.0
+    one.sdo[0x2002][8].raw = 0
+    assert one.drift() == (0.0, 0.0, 0.0, 0.0)
+    assert one.sdo[0x2002][13].raw == State.OFF
+    assert np.std(one.turn(500)) > 0.004
+
+
+def test_off_by_default() -> None:
+    module = FeedbackModule(ModuleConfig(node_id=32))
+    assert module.dictionary.entry(0x2002, 8).value == 0
+    assert not module.chain.adaptation.is_on
+
+
+def test_it_is_turned_on_by_sdo_at_any_time() -> None:
+    one = machine(adapt=False)
+    one.sine_offset = 0.01
+    one.turn(4000)
+    assert one.drift() == (0.0, 0.0, 0.0, 0.0)
+    one.sine_offset = 0.0
+    one.sdo[0x2002][12].raw = 10000
+    one.sdo[0x2002][8].raw = 1
+    assert one.sdo[0x2002][13].raw == State.WAITING
+    one.turn(8000)
+    one.sine_offset = 0.01
+    one.turn(12000)
+    assert one.drift()[0] == pytest.approx(0.01 * AMPLITUDE, rel=0.1)
+
+
+def test_the_limit_is_a_warning_until_it_is_not_reached() -> None:
+    one = machine(adapt=AdaptConfig(offset=0.02, rate_per_hour=10.0))
+    one.sdo[0x2004][2].raw = 100
+    one.sine_offset = 0.015
+    one.turn(12000)
+    assert one.sdo[0x6505].raw == 0
+    one.sine_offset = 0.03
+    one.turn(8000)
+    assert one.sdo[0x6505].raw == DRIFT
+    assert one.sdo[0x2002][13].raw == State.AT_LIMIT
+    assert one.sdo[0x2002][14].raw >= 100
+    assert one.warnings() == [(CODE, DRIFT)]
+    one.sine_offset = 0.0
+    one.turn(20000)
+    assert one.sdo[0x6505].raw == 0
+    assert [code for code, _ in one.warnings()] == [CODE, 0]
+
+
+def test_save_keeps_the_drift_and_an_activation_ends_it() -> None:
+    store = MemoryStore()
+    one = machine(store)
+    one.sine_offset = 0.02
+    one.turn(15000)
+    found = one.drift()
+    assert found[0] > 0.015 * AMPLITUDE
+    one.sdo.download(0x1010, 4, b"save")
+    one.turn(10)
+    again = Turning(store, adapt=False)  # saved values take precedence
+    again.start()
+    assert again.drift() == pytest.approx(found, rel=1e-6)
+    assert again.module.chain.correction == Correction(TABLE, CALIBRATED_32)
+    assert again.sdo[0x2002][13].raw == State.WAITING
+    again.sine_offset = 0.02
+    assert np.std(again.turn(600)[100:]) < 0.0008
+    again.sdo[0x2020][3].raw = TABLE.crc32
+    assert again.drift() == (0.0, 0.0, 0.0, 0.0)
+    again.remote.nmt.send_command(0x81)
+    assert again.drift() == pytest.approx(found, rel=1e-6)
+    again.sdo.download(0x1011, 4, b"load")
+    again.remote.nmt.send_command(0x81)
+    assert again.drift() == (0.0, 0.0, 0.0, 0.0)
+
+
+CALIBRATED_32 = Conditioning(40.0, -30.0, 1.0, 1.0, float(np.float32(0.02)))
+
+
+def test_a_reset_without_save_is_as_calibrated() -> None:
+    one = machine()
+    one.sine_offset = 0.02
+    one.turn(6000)
+    assert one.drift()[0] > 0.0
+    one.remote.nmt.send_command(0x81)
+    assert one.drift() == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_the_recording_has_the_counts_of_the_converter() -> None:
+    one = machine()
+    one.sine_offset = 0.02
+    one.turn(8000)
+    one.sdo[0x2050][1].raw = 1
+    taken = []
+    for _ in range(20):
+        one.place += one.speed
+        one.sync()
+        taken.append(one.pair())
+        one.counts(*taken[-1])
+    one.sdo[0x2050][1].raw = 2
+    data = one.sdo.upload(0x2050, 3)
+    assert list(struct.iter_unpack("<hh", data)) == taken
+    assert MISSED_COUNTS not in taken[0]
+
+
+def test_samples_that_nobody_confirms_are_not_learned() -> None:
+    """After a pause the position is withheld, and with it what was taken before."""
+    one = machine(coast_samples=20)
+    sectors = one.module.chain.adaptation
+    one.turn(200, 0.0)
+    one.turn(3)
+    one.remote.nmt.state = "PRE-OPERATIONAL"
+    one.remote.nmt.state = "OPERATIONAL"
+    one.sync()
+    one.counts(*one.pair())
+    assert not one.module.feedback or not one.module.feedback.valid
+    assert sectors._sectors.taken == 0
+
+
+def test_a_lock_keeps_it() -> None:
+    one = machine(write_lock="preop")
+    for subindex in range(8, 13):
+        with pytest.raises(SdoAbortedError) as caught:
+            one.sdo[0x2002][subindex].raw = 1
+        assert caught.value.code == 0x08000022
+
+
+@each("subindex, value", [(8, 2), (9, 251), (10, 501), (11, 251), (12, 10001)])
+def test_bounds_that_are_none_are_refused(subindex: int, value: int) -> None:
+    bench = Bench()
+    with pytest.raises(SdoAbortedError) as caught:
+        bench.sdo[0x2002][subindex].raw = value
+    assert caught.value.code == 0x06090031
+
+
+@each(
+    "text, expected",
+    [
+        ("true", (1, 150, 250, 50, 500)),
+        ("false", (0, 150, 250, 50, 500)),
+        ("{}", (1, 150, 250, 50, 500)),
+        ("{offset: 0.1, gain: 0.0001, phase_rad: 0, rate_per_hour: 2}", (1, 100, 1, 0, 2000)),
+    ],
+)
+def test_the_key(text: str, expected: tuple[int, ...]) -> None:
+    config = parse_config(f"modules:\n- {{node_id: 3, adapt: {text}}}\n")
+    module = FeedbackModule(config.modules[0])
+    assert tuple(module.dictionary.entry(0x2002, n).value for n in range(8, 13)) == expected
+
+
+@each(
+    "text, said",
+    [
+        ("3", "modules[0]: adapt must be true, false or a mapping with its bounds, not 3"),
+        ("{offset: 0.3}", "adapt: offset must be a number 0..0.25, not 0.3"),
+        ("{gain: yes}", "adapt: gain must be a number 0..0.5, not True"),
+        ("{rate: 1}", "unknown key 'rate' in adapt; known: offset, gain, phase_rad, rate_per_hour"),
+        ("[1]", "adapt must be a mapping"),
+    ],
+)
+def test_a_bad_key_is_named(text: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=r"f\.yaml:3: ") as caught:
+        parse_config(f"modules:\n- node_id: 3\n  adapt: {text}\n", "f.yaml")
+    assert said in str(caught.value)
+
+
+def test_several_samples_for_each_sync() -> None:
+    bench = Turning(samples_per_sync=2)
+    bench.start()
+    bench.calibrate()
+
+    def run(syncs: int) -> None:
+        for _ in range(syncs):
+            bench.speed = min(bench.speed + 0.002, 0.6137)
+            bench.place += bench.speed
+            earlier = bench.pair()
+            bench.place += bench.speed
+            bench.sync()
+            bench.sent(Frame(0x190, struct.pack("<hhhh", *bench.pair(), *earlier)))
+
+    run(6000)
+    bench.sine_offset = 0.02
+    run(10000)
+    assert bench.drift()[0] == pytest.approx(0.02 * AMPLITUDE, rel=0.15)
