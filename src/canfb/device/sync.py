@@ -42,7 +42,6 @@ class Sync(Timed):
         self._generates = False
         self._length = 0
         self._length_error = False
-        self._plain = False
         self._window_s = 0.0
         core.window_end = NEVER
         self._counter = 0
@@ -64,30 +63,21 @@ class Sync(Timed):
 
     def handle(self, data: bytes, now: float) -> None:
         """A SYNC from the bus."""
-        if self._plain and not data:
-            self._synchronise(None, now)
-        else:
-            self._handle_any(data, now)
-
-    def _handle_any(self, data: bytes, now: float) -> None:
         if self._generates:
             self._counters.malformed_frames += 1
         elif len(data) != self._length:
-            self._length_error = True
-            self._look()
-            self._counters.malformed_frames += 1
-            self._emergency.report(
-                EmergencyCode.SYNC_LENGTH,
-                ErrorRegister.COMMUNICATION,
-                bytes([len(data)]),
-                now,
-                _SOURCE,
-            )
+            self._refuse(len(data), now)
         else:
             if self._length_error:
                 self._clear_length_error(now)
-                self._look()
             self._take(data[0] if data else None, now)
+
+    def _refuse(self, length: int, now: float) -> None:
+        self._length_error = True
+        self._counters.malformed_frames += 1
+        self._emergency.report(
+            EmergencyCode.SYNC_LENGTH, ErrorRegister.COMMUNICATION, bytes([length]), now, _SOURCE
+        )
 
     def tick(self, now: float) -> None:
         """Produce the SYNC that is due; periods missed by a late tick are left out."""
@@ -128,12 +118,6 @@ class Sync(Timed):
         self._window_s = self._value(self._window) / 1e6
         if not self._window_s:
             self._core.window_end = NEVER
-        self._look()
-
-    def _look(self) -> None:
-        """Whether a SYNC without data is taken as it comes: no counter, no window, no error, not ours."""
-        special = self._generates or self._length or self._window_s or self._length_error
-        self._plain = not special
 
     def _start(self, now: float) -> None:
         self._counter = 0

@@ -32,8 +32,7 @@ class Publishing:
     """Takes each :class:`Feedback` of the chain to all who want to know of it, in this order.
 
     2011h and 2012h (Publication), the encoder profile, the shift to the nominal SYNC (Prediction), EMCY
-    7300h (PositionAlarm), event-driven TPDOs, events and warnings. ``prediction_chosen()`` is called when
-    2013h is written.
+    7300h (PositionAlarm), event-driven TPDOs, events and warnings.
     """
 
     def __init__(
@@ -44,7 +43,6 @@ class Publishing:
         limits: Limits,
         chain: SignalChain,
         parts: SampleInput,
-        prediction_chosen: Callable[[], None],
     ) -> None:
         self.latest = Latest(chain)
         self.on_feedback: Callable[[Feedback, float], None] | None = None
@@ -58,7 +56,7 @@ class Publishing:
             lambda: limits.in_force.residual_limit,
         )
         limits.on_applied = self.warnings.limits_changed
-        self.prediction = Prediction(dictionary, self.profile, prediction_chosen, chain, interval)
+        self.prediction = Prediction(dictionary, self.profile, chain, interval)
         self.loss = LastLoss(dictionary, limits, chain, lambda: node.now)
         self.objects = Publication(dictionary, interval, chain, parts, limits, self.latest, self.loss)
         self.alarm = PositionAlarm(node)
@@ -147,5 +145,6 @@ class Publishing:
         """After a reset of the node: no feedback."""
         self.latest.forget()
         self.events.reset()
+        self.prediction.forget()
         self.profile.reset()
         self.objects.reset()
