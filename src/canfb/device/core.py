@@ -101,6 +101,7 @@ class Core:
         "sdo_timeout_s",
         "state",
         "window_end",
+        "window_s",
     )
 
     emergency: ErrorReports
@@ -131,5 +132,7 @@ class Core:
         self.outbox: list[Frame] = []
         self.emit: Emit = self.outbox.append
         """Sends a frame: with the return of the running call."""
+        self.window_s = 0.0
+        """So long after a SYNC its synchronous RPDOs may come (1007h), seconds; 0.0: always."""
         self.window_end = NEVER
-        """Up to when a synchronous RPDO belongs to the last SYNC (1007h), seconds."""
+        """The end of it for the last SYNC."""

@@ -292,13 +292,16 @@ class FeedbackModule(NodeDevice):
 
     def sync_received(self, counter: int | None, now: float) -> None:
         """The next interval, with ``counter``; with 2013:01 the TPDOs get the position of this SYNC."""
-        extra = self._pairing.extra
-        self._pairing.on_sync(counter, now)
-        if self._prediction.wanted and self._source is None:  # that of a source belongs to this very SYNC
-            if extra:  # no sample belongs to it, and so none is extrapolated to it
-                self._publishing.withhold()
-            else:
-                self._publishing.extrapolate()
+        pairing = self._pairing
+        if self._source is not None or not self._prediction.wanted:
+            pairing.on_sync(counter, now)  # the sample of a source belongs to this very SYNC
+            return
+        extra = pairing.extra
+        pairing.on_sync(counter, now)
+        if extra:  # no sample belongs to it, and so none is extrapolated to it
+            self._publishing.withhold()
+        else:
+            self._publishing.extrapolate()
 
     def tpdos_sampled(self) -> None:
         """The measured position again."""

@@ -174,7 +174,7 @@ class Sampling:
                     self._limits.measured()
         if noise.take(feedback):
             self._limits.measured()
-        self._usual.publish(feedback, now)
+        self._publishing.publish(feedback, now)
         if self._taps.open:
             self._tap(sample, feedback)
 

@@ -14,7 +14,7 @@ class Pdos:
     """The RPDOs and TPDOs, by their numbers."""
 
     def __init__(self, core: Core) -> None:
-        self._application = core.application
+        self._core, self._application = core, core.application
         self.rpdos = {number: Rpdo(core, number) for number in numbers(core.dictionary, Direction.RECEIVE)}
         self.tpdos = {number: Tpdo(core, number) for number in numbers(core.dictionary, Direction.TRANSMIT)}
         self._operational = False
@@ -49,7 +49,9 @@ class Pdos:
 
     def synchronise(self, counter: int | None, now: float) -> None:
         """A SYNC, with its counter if it has one: in OPERATIONAL, and if the program accepts it."""
-        application = self._application
+        core, application = self._core, self._application
+        if core.window_s:
+            core.window_end = now + core.window_s
         if not self._operational:
             application.idle_sync_received(counter)
             return

@@ -68,20 +68,21 @@ class Rpdo(Timed):
         layout = self._layout
         if layout is None:
             return
-        if len(data) < layout.length:
-            self._refuse(len(data), layout.length, now)
-            return
-        if len(data) > layout.length:
+        if len(data) != layout.length:
+            if len(data) < layout.length:
+                self._refuse(len(data), layout.length, now)
+                return
             self._accept_long(len(data), layout.length, now)
         elif self._supervised:
             self._supervise(now)
-        if not self.is_synchronous:
-            self._take(layout, data, now)
-        elif now <= self._core.window_end:
-            self._pending = data
-            self.waiting += 1
-        else:
-            self._counters.late_rpdos += 1
+        if self.is_synchronous:
+            self._keep(data, now)
+            return
+        unpack = layout.unpack
+        refused = unpack(data)
+        if refused:
+            self._counters.refused_rpdo_values += refused
+        self._application.rpdo_received(self.number, now)
 
     def synchronise(self, now: float) -> None:
         """Take over what came since the last SYNC."""
@@ -89,7 +90,8 @@ class Rpdo(Timed):
         self.waiting = 0
         if data is not None and layout is not None:
             self._pending = None
-            self._take(layout, data, now)
+            self._counters.refused_rpdo_values += layout.unpack(data)
+            self._application.rpdo_received(self.number, now)
 
     def tick(self, now: float) -> None:
         """Report that the PDO did not come in time, once."""
@@ -97,11 +99,13 @@ class Rpdo(Timed):
             self.deadline = NEVER
             self._report(EmergencyCode.RPDO_TIMEOUT, bytes([self.number & 0xFF]), now)
 
-    def _take(self, layout: Layout, data: bytes, now: float) -> None:
-        refused = layout.unpack(data)
-        if refused:
-            self._counters.refused_rpdo_values += refused
-        self._application.rpdo_received(self.number, now)
+    def _keep(self, data: bytes, now: float) -> None:
+        """Until the next SYNC."""
+        if now <= self._core.window_end:
+            self._pending = data
+            self.waiting += 1
+        else:
+            self._counters.late_rpdos += 1
 
     def _refuse(self, received: int, mapped: int, now: float) -> None:
         self._counters.short_rpdos += 1
