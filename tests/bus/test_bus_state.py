@@ -182,18 +182,11 @@ def test_two_devices_and_one_that_does_not_want_to_know() -> None:
 def test_the_module_stops_and_says_that_the_bus_is_back() -> None:
     scene = Scene((1.0, BUS_OFF), (1.5, RESTARTED))
     module = FeedbackModule(ModuleConfig(node_id=32, autostart=True))
-    states: list[NmtState] = []
-    told = module.node.on_state
-
-    def on_state(old: NmtState, new: NmtState, now: float) -> None:
-        states.append(new)
-        assert told is not None
-        told(old, new, now)
-
-    module.node.on_state = on_state
+    states: list[object] = []
+    module.events.on_event = lambda event: states.append(event.values.get("state"))
     scene.others = [module]
     scene.run(5.0)
-    assert states == [NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL]
+    assert states == ["PRE-OPERATIONAL", "OPERATIONAL", "PRE-OPERATIONAL"]
     sent = [(sent.arbitration_id, bytes(sent.data).hex()) for _, sent in scene.bus.sent]
     assert (0x0A0, "4081110000000000") in sent
     assert (0x0A0, "0000000000000000") in sent

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from recording_application import RecordingApplication
+
 from canfb.cia301.codes import AbortCode
 from canfb.cia301.frame import Frame
 from canfb.device.node import Node
@@ -24,7 +26,8 @@ class Bench:
         self, dictionary: Dictionary, *, autostart: bool = False, sdo_timeout_s: float = 1.0
     ) -> None:
         self.dictionary = dictionary
-        self.node = Node(dictionary, ID, autostart=autostart, sdo_timeout_s=sdo_timeout_s)
+        self.application = RecordingApplication()
+        self.node = Node(dictionary, ID, self.application, autostart=autostart, sdo_timeout_s=sdo_timeout_s)
         self.now = 0.0
 
     def start(self) -> list[str]:

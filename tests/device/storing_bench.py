@@ -44,8 +44,8 @@ class StoringBench(Bench):
     def __init__(self, path: Path, store: Store | None, node_id: int = 32) -> None:
         super().__init__(Dictionary.load(path, node_id))
         self.faults: list[dict[ParameterGroup, str]] = []
-        self.node = Node(self.dictionary, node_id, store=store)
-        self.node.on_parameter_faults = lambda faults, now: self.faults.append(dict(faults))
+        self.node = Node(self.dictionary, node_id, self.application, store=store)
+        self.application.react(parameters_refused=lambda faults, now: self.faults.append(dict(faults)))
 
     def command(self, index: int, subindex: int, word: int) -> object:
         return self.write(index, subindex, word, 4)

@@ -7,7 +7,7 @@ from copy import deepcopy
 from pathlib import Path
 
 import pytest
-from device_kit import ID, OK, Bench
+from device_kit import ID, OK, Bench, hexes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,13 +24,15 @@ STATES = {1: NmtState.OPERATIONAL, 2: NmtState.STOPPED, 128: NmtState.PRE_OPERAT
 
 
 class Shipped(Bench):
-    """The module's dictionary, and what the hook was told."""
+    """The module's dictionary, and what the application was told."""
 
     def __init__(self) -> None:
         super().__init__(deepcopy(PRISTINE))
-        self.noticed: list[tuple[int, float]] = []
-        self.node.on_duplicate = lambda can_id, now: self.noticed.append((can_id, now))
         self.start()
+
+    @property
+    def noticed(self) -> list[tuple[int, float]]:
+        return self.application.told("duplicate_received")
 
     @property
     def count(self) -> int:
@@ -107,9 +109,10 @@ def test_a_frame_longer_than_any_is_malformed_and_no_more(shipped: Shipped) -> N
     assert (shipped.count, shipped.node.counters.malformed_frames) == (0, 1)
 
 
-def test_without_a_hook(bench: Bench) -> None:
-    assert bench.node.on_duplicate is None
-    assert bench.send(0x720, "00") == emergency(0x720)
+def test_without_an_application() -> None:
+    node = Node(deepcopy(PRISTINE), ID)
+    node.start(0.0)
+    assert hexes(node.receive(Frame(0x720, b"\0"), 0.0)) == emergency(0x720)
 
 
 def set_cob_id(bench: Bench, index: int, subindex: int, value: int) -> None:

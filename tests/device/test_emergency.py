@@ -131,14 +131,14 @@ def test_a_reset_forgets_the_errors(bench: Bench, command: int) -> None:
 
 
 def test_an_error_raised_at_reset_follows_the_boot_up(bench: Bench) -> None:
-    bench.node.on_reset = lambda only, now: bench.node.emergency(SENSOR, 0x20, now=now)
+    bench.application.react(reset_done=lambda only, now: bench.node.emergency(SENSOR, 0x20, now=now))
     assert bench.nmt(129) == ["720#00", "0A0#0073210000000000"]
 
 
 def test_within_a_call_the_time_is_known(bench: Bench) -> None:
     bench.operational()
     bench.write(0x1015, 0, 1000, 2)
-    bench.node.on_rpdo = lambda number, now: bench.node.emergency(SENSOR, 0x20)
+    bench.application.react(rpdo_received=lambda number, now: bench.node.emergency(SENSOR, 0x20))
     bench.now = 2.0
     assert bench.send(0x190, "01000200") == ["0A0#0073210000000000"]
     bench.node.clear_emergency(SENSOR)

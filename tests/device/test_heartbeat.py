@@ -87,7 +87,7 @@ def test_a_lost_heartbeat(bench: Bench) -> None:
 
 def test_the_program_hears_of_the_loss_before_the_state_changes(bench: Bench) -> None:
     heard: list[tuple[float, NmtState]] = []
-    bench.node.on_communication_error = lambda now: heard.append((now, bench.node.state))
+    bench.application.react(communication_failed=lambda now: heard.append((now, bench.node.state)))
     bench.write(0x1016, 1, watch(5, 100), 4)
     bench.operational()
     bench.send(0x705, b"\x05")

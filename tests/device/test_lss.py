@@ -32,9 +32,11 @@ class LssBench(StoringBench):
 
     def __init__(self, path: Path, node_id: int, store: MemoryStore | None = None) -> None:
         super().__init__(path, store, node_id)
-        self.activated: list[tuple[int, float, float]] = []
-        self.node = Node(self.dictionary, node_id, store=store, bit_rates_kbit_s=(125, 500))
-        self.node.on_bit_rate = lambda kbit_s, delay_s, now: self.activated.append((kbit_s, delay_s, now))
+        self.node = Node(self.dictionary, node_id, self.application, store=store, bit_rates_kbit_s=(125, 500))
+
+    @property
+    def activated(self) -> list[tuple[int, float, float]]:
+        return self.application.told("bit_rate_activated")
 
     def lss(self, command: int, *rest: int) -> list[str]:
         """The answers, without their CAN-ID and trailing zero bytes."""
@@ -169,13 +171,11 @@ def test_reset_node_takes_it_over_as_well(bench: LssBench) -> None:
 
 
 def test_every_service_has_the_new_node_id(bench: LssBench) -> None:
-    seen: list[int] = []
-    bench.node.on_rpdo = lambda number, now: seen.append(number)
     bench.configure().lss(0x11, 40)
     bench.nmt(RESET_COMMUNICATION)
     bench.nmt(1, 40)
     assert bench.send(0x190, bytes(4)) == []
-    assert seen == [1]
+    assert bench.application.told("rpdo_received") == [(1, bench.now)]
     bench.node.trigger_tpdo(1, 0.0)
     bench.node.emergency(0x7300, 0x20, now=0.0)
     assert [text[:3] for text in bench.tick()] == ["1A8", "0A8"]
@@ -385,10 +385,9 @@ def test_a_stored_node_id_that_is_none_is_refused(make: Callable[..., LssBench],
     again = make(32, store)
     assert again.first == ["720#00"]  # type: ignore[attr-defined]
     assert list(again.node.storage.faults) == [ParameterGroup.LSS]
-    told: list[object] = []
-    again.node.on_parameter_faults = lambda faults, now: told.append(faults)
+    again.faults.clear()
     assert again.configure().lss(0x17) == ["17"]
-    assert told == [{}]
+    assert again.faults == [{}]
 
 
 # In every state, with any frame.

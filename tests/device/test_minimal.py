@@ -35,10 +35,8 @@ def test_emergencies_use_the_default_can_id() -> None:
 
 def test_sync_uses_the_default_can_id() -> None:
     bench = minimal().operational()
-    seen: list[int | None] = []
-    bench.node.on_sync = lambda counter, now: seen.append(counter)
     bench.sync()
-    assert seen == [None]
+    assert bench.application.told("sync_received") == [(None, bench.now)]
 
 
 def test_without_even_an_error_register() -> None:

@@ -24,7 +24,7 @@ def test_start_sends_the_boot_up(silent: Bench) -> None:
 def test_autostart(sample_path: Path) -> None:
     bench = Bench(Dictionary.load(sample_path, ID), autostart=True)
     states: list[tuple[NmtState, NmtState]] = []
-    bench.node.on_state = lambda old, new, now: states.append((old, new))
+    bench.application.react(state_changed=lambda old, new, now, why: states.append((old, new)))
     assert bench.start() == ["720#00"]
     assert states == [
         (NmtState.INITIALISING, NmtState.PRE_OPERATIONAL),
@@ -99,11 +99,12 @@ def test_a_communication_error_of_the_program(
     """Bus-off, which only the program knows of."""
     bench.write(0x1029, 1, behaviour, 1)
     bench.nmt(command)
-    seen: list[float] = []
-    bench.node.on_state = lambda old, new, now: seen.append(now)
+    bench.application.calls.clear()
     bench.node.communication_error(4.5)
     assert bench.node.state is states[command]
-    assert seen == ([] if states[command] is COMMANDS[command] else [4.5])
+    before, after = COMMANDS[command], states[command]
+    told = [] if after is before else [(before, after, 4.5, "a communication error")]
+    assert bench.application.told("state_changed") == told
 
 
 @pytest.mark.parametrize("subindex", [1, 2])
@@ -118,11 +119,11 @@ def test_the_error_behaviour_takes_0_to_2(bench: Bench, subindex: int, value: in
 @pytest.mark.parametrize("addressed", [0, ID])
 def test_every_command_in_every_state(bench: Bench, state: NmtState, command: int, addressed: int) -> None:
     bench.nmt(STATES[state])
-    changes: list[NmtState] = []
-    bench.node.on_state = lambda old, new, now: changes.append(new)
+    bench.application.calls.clear()
     assert bench.nmt(command, addressed) == []
     assert bench.node.state is COMMANDS[command]
-    assert changes == ([] if COMMANDS[command] is state else [COMMANDS[command]])
+    told = [] if COMMANDS[command] is state else [(state, COMMANDS[command], bench.now, "")]
+    assert bench.application.told("state_changed") == told
 
 
 @pytest.mark.parametrize("state", STATES)
@@ -155,7 +156,9 @@ def test_reset_communication_keeps_the_application(bench: Bench) -> None:
     bench.dictionary.entry(0x2010, 7).value = 99
     bench.write(0x1006, 0, 5000, 4)
     seen: list[object] = []
-    bench.node.on_reset = lambda only, now: seen.append((only, bench.dictionary.entry(0x1006).value))
+    bench.application.react(
+        reset_done=lambda only, now: seen.append((only, bench.dictionary.entry(0x1006).value))
+    )
     bench.nmt(130)
     assert seen == [(True, 0)]
     assert bench.dictionary.entry(0x2010, 7).value == 99
@@ -166,18 +169,18 @@ def test_reset_communication_keeps_the_application(bench: Bench) -> None:
 
 def test_start_keeps_what_was_set_before(silent: Bench) -> None:
     silent.dictionary.entry(0x2010, 7).value = 99
-    seen: list[bool] = []
-    silent.node.on_reset = lambda only, now: seen.append(only)
     silent.start()
-    assert seen == [False]
+    assert silent.application.told("reset_done") == [(False, silent.now)]
     assert silent.dictionary.entry(0x2010, 7).value == 99
 
 
 def test_the_order_of_a_reset(bench: Bench) -> None:
     bench.operational()
     seen: list[object] = []
-    bench.node.on_state = lambda old, new, now: seen.append(new)
-    bench.node.on_reset = lambda only, now: seen.append("reset")
+    bench.application.react(
+        state_changed=lambda old, new, now, why: seen.append(new),
+        reset_done=lambda only, now: seen.append("reset"),
+    )
     bench.nmt(129)
     assert seen == [NmtState.INITIALISING, "reset", NmtState.PRE_OPERATIONAL]
 

@@ -86,7 +86,7 @@ def test_an_exception_of_the_program_loses_no_frame(bench: Bench) -> None:
         bench.node.trigger_tpdo(1, now)
         raise RuntimeError("a mistake in the program")
 
-    bench.node.on_rpdo = broken
+    bench.application.react(rpdo_received=broken)
     with pytest.raises(RuntimeError):
         bench.send(0x190, "01000200")
     assert bench.tick() == ["1A0#0000000000000000"]
@@ -114,14 +114,13 @@ def test_the_sdo_timeout(sample_path: Path, timeout_s: float, given: dict[str, A
 
 def test_a_change_of_other_parameters_is_no_new_configuration(bench: Bench) -> None:
     bench.operational()
-    seen: list[str] = []
-    bench.node.on_configured = lambda: seen.append("configured")
+    bench.application.calls.clear()
     for index, value, size in ((0x1017, 500, 2), (0x1012, 0x80000100, 4), (0x1005, 0x81, 4)):
         assert bench.write(index, 0, value, size) == OK
     assert bench.write(0x1016, 1, 0x00470100, 4) == OK
-    assert seen == []
+    assert bench.application.told("configuration_changed") == []
     assert bench.write(0x1400, 2, 1, 1) == OK
-    assert seen == ["configured"]
+    assert bench.application.told("configuration_changed") == [()]
 
 
 def test_every_entry_is_read_and_written_back(shipped: Bench) -> None:
@@ -173,10 +172,8 @@ def test_a_sweep_of_what_is_not_there(shipped: Bench) -> None:
 def test_the_default_pdos_of_the_module() -> None:
     bench = Bench(Dictionary.load(SHIPPED / "canfb-module.eds", ID), autostart=True)
     bench.start()
-    seen: list[int] = []
-    bench.node.on_rpdo = lambda number, now: seen.append(number)
     bench.send(0x190, "01000200")
-    assert seen == [1]
+    assert bench.application.told("rpdo_received") == [(1, bench.now)]
     bench.node.trigger_tpdo(1, 0.0)
     assert bench.tick() == ["1A0#0000000000000000"]
     assert bench.sync() == ["2A0#0000000000000000"]

@@ -10,6 +10,7 @@ from device_kit import ID
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from recording_application import RecordingApplication
 
 from canfb.cia301 import cob
 from canfb.cia301.codes import SdoAbort
@@ -99,7 +100,7 @@ class NodeModel(RuleBasedStateMachine):
         self.state = NmtState.INITIALISING
         self.toggle = 0
 
-    def on_state(self, old: NmtState, new: NmtState, now: float) -> None:
+    def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
         assert old is not new
         assert now == self.now
 
@@ -126,9 +127,12 @@ class NodeModel(RuleBasedStateMachine):
 
     @initialize(autostart=st.booleans())
     def start(self, autostart: bool) -> None:
-        self.node = Node(deepcopy(PRISTINE), ID, autostart=autostart)
-        self.node.on_state = self.on_state
-        self.node.on_rpdo = lambda number, now: self.node.trigger_tpdo(1, now)
+        application = RecordingApplication()
+        self.node = Node(deepcopy(PRISTINE), ID, application, autostart=autostart)
+        application.react(
+            state_changed=self.state_changed,
+            rpdo_received=lambda number, now: self.node.trigger_tpdo(1, now),
+        )
         assert self.node.receive(Frame(0, bytes([1, ID])), self.now) == []
         assert self.node.start(self.now) == [Frame(ERROR_CONTROL, b"\x00")]
         self.state = NmtState.OPERATIONAL if autostart else NmtState.PRE_OPERATIONAL

@@ -94,11 +94,11 @@ def play(bench: Bench, script: list[tuple[Frame, float]]) -> None:
     node = bench.node
     outputs = [entry for entry in bench.dictionary if entry.index in (0x2010, 0x2011)]
 
-    def on_rpdo(number: int, now: float) -> None:
+    def rpdo_received(number: int, now: float) -> None:
         outputs[1].value = 1
         node.trigger_tpdo(1, now)
 
-    node.on_rpdo = on_rpdo
+    bench.application.react(rpdo_received=rpdo_received)
     for frame, pause in script:
         before = node.state
         sent = node.receive(frame, bench.now)

@@ -15,8 +15,10 @@ def sine(bench: Bench) -> int:
 
 def calls_of(bench: Bench) -> list[object]:
     calls: list[object] = []
-    bench.node.on_rpdo = lambda number, now: calls.append((number, now, sine(bench)))
-    bench.node.on_bad_rpdo = lambda *arguments: calls.append(("bad", *arguments))
+    bench.application.react(
+        rpdo_received=lambda number, now: calls.append((number, now, sine(bench))),
+        rpdo_too_short=lambda *arguments: calls.append(("bad", *arguments)),
+    )
     return calls
 
 
@@ -213,7 +215,7 @@ def test_a_program_error_comes_out(bench: Bench) -> None:
     def broken(number: int, now: float) -> None:
         raise RuntimeError("a mistake in the program")
 
-    bench.node.on_rpdo = broken
+    bench.application.react(rpdo_received=broken)
     with pytest.raises(RuntimeError):
         bench.send(RPDO, "01000200")
 

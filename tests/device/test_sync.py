@@ -8,11 +8,11 @@ from canfb.cia301.codes import AbortCode
 
 def seen_by(bench: Bench) -> list[tuple[int | None, float]]:
     seen: list[tuple[int | None, float]] = []
-    bench.node.on_sync = lambda counter, now: seen.append((counter, now))
+    bench.application.react(sync_received=lambda counter, now: seen.append((counter, now)))
     return seen
 
 
-def test_on_sync_only_in_operational(bench: Bench) -> None:
+def test_sync_received_only_in_operational(bench: Bench) -> None:
     seen = seen_by(bench)
     bench.sync()
     bench.operational()
@@ -24,24 +24,32 @@ def test_on_sync_only_in_operational(bench: Bench) -> None:
 
 
 def test_the_order_within_a_sync(bench: Bench) -> None:
-    """RPDO data, on_rpdo, on_sync, then the TPDO is sampled (CiA 301, 7.2.5)."""
+    """RPDO data, the application, then the TPDO is sampled (CiA 301, 7.2.5)."""
     bench.write(0x1400, 2, 0, 1)
     bench.operational()
     sine, out = bench.dictionary.entry(0x2000, 1), bench.dictionary.entry(0x2010, 1)
     order: list[object] = []
-    bench.node.on_rpdo = lambda number, now: order.append(("rpdo", number, sine.value))
 
-    def on_sync(counter: int | None, now: float) -> None:
+    def accepts_sync(counter: int | None, now: float) -> bool:
+        order.append("accepted")
+        return True
+
+    def sync_received(counter: int | None, now: float) -> None:
         order.append(("sync", sine.value))
         out.value = sine.value * 2
 
-    bench.node.on_sync = on_sync
+    bench.application.react(
+        accepts_sync=accepts_sync,
+        rpdo_received=lambda number, now: order.append(("rpdo", number, sine.value)),
+        sync_received=sync_received,
+        tpdos_sampled=lambda: order.append("sampled"),
+    )
     assert bench.send(0x190, "05000200") == []
     assert sine.value == 0
     assert bench.sync() == ["2A0#0A000000"]
-    assert order == [("rpdo", 1, 5), ("sync", 5)]
+    assert order == ["accepted", ("rpdo", 1, 5), ("sync", 5), "sampled"]
     bench.sync()
-    assert order[2:] == [("sync", 5)]
+    assert order[4:] == ["accepted", ("sync", 5), "sampled"]
 
 
 def test_a_wrong_length_is_no_sync_and_reported_once(bench: Bench) -> None:

@@ -14,7 +14,7 @@ SHIPPED = Path(__file__).parents[2] / "eds"
 
 def times_of(bench: Bench) -> list[tuple[int, int, float]]:
     seen: list[tuple[int, int, float]] = []
-    bench.node.on_time = lambda days, milliseconds, now: seen.append((days, milliseconds, now))
+    bench.application.react(time_received=lambda *told: seen.append(told))
     return seen
 
 
@@ -53,10 +53,6 @@ def test_more_than_a_day(listening: Bench, data: str) -> None:
     listening.send(TIME, data)
     assert seen == []
     assert listening.node.counters.malformed_frames == 1
-
-
-def test_without_a_hook(listening: Bench) -> None:
-    assert listening.send(TIME, "010000000200") == []
 
 
 def test_not_consumed_by_default(bench: Bench) -> None:

@@ -24,12 +24,12 @@ def set_value(bench: Bench, value: int) -> None:
 def test_an_event_within_a_call(bench: Bench) -> None:
     bench.operational()
 
-    def on_rpdo(number: int, now: float) -> None:
+    def rpdo_received(number: int, now: float) -> None:
         for subindex in (1, 2, 3):
             bench.dictionary.entry(0x2010, subindex).value = subindex
         bench.node.trigger_tpdo(1, now)
 
-    bench.node.on_rpdo = on_rpdo
+    bench.application.react(rpdo_received=rpdo_received)
     assert bench.send(0x190, "01000200") == ["1A0#0100000002000300"]
     assert bench.node.deadline() is None
 

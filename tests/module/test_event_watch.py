@@ -235,7 +235,7 @@ def test_without_a_listener_nothing_is_made(monkeypatch: pytest.MonkeyPatch) -> 
     machine.module.events.on_event = None
     monkeypatch.setattr(EventWatch, "_tell", lambda *given, **values: pytest.fail("made for nobody"))
     monkeypatch.setattr(EventWatch, "_changed", lambda *given: pytest.fail("made for nobody"))
-    monkeypatch.setattr(EventWatch, "nmt", lambda *given: None)
+    monkeypatch.setattr(EventWatch, "state_changed", lambda *given: None)
     monkeypatch.setattr(EventWatch, "synced", lambda *given: None)
     machine.run(100)
     machine.run(5, sample=False)

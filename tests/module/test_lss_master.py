@@ -141,7 +141,7 @@ def test_a_stored_node_id_is_there_after_the_power_was_off(bus: Bus, monkeypatch
 def test_the_activation_of_a_bit_rate_reaches_the_program(bus: Bus) -> None:
     module = bus.module(32, 1)
     wanted = []
-    module.node.on_bit_rate = lambda kbit_s, delay_s, now: wanted.append((kbit_s, delay_s))
+    module.on_bit_rate = lambda kbit_s, delay_s, now: wanted.append((kbit_s, delay_s))
     bus.lss.send_switch_state_global(bus.lss.CONFIGURATION_STATE)
     bus.lss.configure_bit_timing(2)
     bus.lss.activate_bit_timing(250)

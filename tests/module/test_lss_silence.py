@@ -29,7 +29,7 @@ class Line:
         self.now = 0.0
         self.heard: list[tuple[float, Frame]] = []
         self.switched: list[tuple[int, float, float]] = []
-        self.module.node.on_bit_rate = lambda *what: self.switched.append(what)
+        self.module.on_bit_rate = lambda *what: self.switched.append(what)
         self._keep(self.module.start(0.0))
         self.sdo("2B17100019000000")  # a heartbeat each 25 ms
         self.send(0, bytes([1, NODE_ID]))

@@ -136,7 +136,7 @@ def test_it_begins_anew_with(event: str) -> None:
     act: dict[str, Callable[[], None]] = {
         "table": lambda: machine.module.use_correction(Correction(None, IDENTITY)),
         "margin off": lambda: write(machine.module, od.SUPERVISION_NOISE_MARGIN, 0),
-        "reset": lambda: machine.module._on_reset(False, 3.0),
+        "reset": lambda: machine.module.reset_done(False, 3.0),
     }
     act[event]()
     assert machine.limit > 0.05

@@ -87,6 +87,7 @@ def bit_rates_of(bus_words: Mapping[str, Any]) -> list[int]:
 
 class _Warning(Served, Protocol):
     on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None
+    on_duplicate: Callable[[int, float], None] | None
     on_source: Callable[[str], None] | None
 
 
@@ -105,7 +106,7 @@ def warn_about(device: _Warning, state_dir: str | None) -> None:
         log.warning(f"{title_of(device)}: another node on the bus uses this node-ID ({can_id:03X}h)")
 
     device.on_parameter_faults = tell
-    device.node.on_duplicate = tell_duplicate
+    device.on_duplicate = tell_duplicate
     device.on_source = lambda text: log.warning(f"node {device.node.node_id}: {text}")
 
 

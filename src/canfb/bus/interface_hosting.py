@@ -38,7 +38,7 @@ class InterfaceHosting(Serving):
         ]
         events = [NodeEvents() for _ in self.interfaces]
         for interface, its in zip(self.interfaces, events, strict=True):
-            its.listen(interface.node)
+            interface.observer = its
         return list(zip(self.interfaces, events, strict=True))
 
     def _at_start(self) -> list[str]:

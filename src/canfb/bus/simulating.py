@@ -59,7 +59,7 @@ class Simulating(OnBus):
         self._intervals = math.inf if seconds is None else seconds * self.network.rate_hz
         node = module.encoder_interface
         self._node = f"{node} ({node:02X}h)"
-        self.network.interface.node.on_duplicate = lambda can_id, now: log.warning(
+        self.network.interface.on_duplicate = lambda can_id, now: log.warning(
             f"encoder interface {self._node}: another node on the bus uses this node-ID ({can_id:03X}h)"
         )
 

@@ -6,14 +6,14 @@ Every service takes the core and finds there what it needs: entries, the time, h
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from typing import Protocol
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.agenda import Agenda
+from canfb.device.application import Application
 from canfb.device.counters import Counters
-from canfb.device.hooks import Hooks
 from canfb.device.moment import NEVER, Emit, Moment
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pending import Pending
@@ -23,7 +23,7 @@ from canfb.device.routing import Routes
 class Reactions(ABC):
     """What follows from what a service notices, beyond the service; `now` in seconds.
 
-    What only the program wants to know goes to its hooks (`Core.hooks`) directly.
+    What only the program wants to know goes to it directly (`Core.application`).
     """
 
     @abstractmethod
@@ -87,14 +87,13 @@ class Core:
 
     __slots__ = (
         "agenda",
+        "application",
         "counters",
         "dictionary",
         "emergency",
         "emit",
-        "hooks",
         "moment",
         "node_id",
-        "on_rpdo",
         "outbox",
         "pending",
         "reactions",
@@ -102,6 +101,7 @@ class Core:
         "sdo_timeout_s",
         "state",
         "window_end",
+        "window_s",
     )
 
     emergency: ErrorReports
@@ -111,7 +111,7 @@ class Core:
         self,
         dictionary: Dictionary,
         node_id: int,
-        hooks: Hooks,
+        application: Application,
         reactions: Reactions,
         *,
         sdo_timeout_s: float,
@@ -119,7 +119,7 @@ class Core:
         self.dictionary = dictionary
         self.node_id = node_id
         """The present node-ID, 255 for none. Services hold for one: they are made again with another."""
-        self.hooks = hooks
+        self.application = application
         self.reactions = reactions
         self.sdo_timeout_s = sdo_timeout_s
         self.state = NmtState.INITIALISING
@@ -132,7 +132,7 @@ class Core:
         self.outbox: list[Frame] = []
         self.emit: Emit = self.outbox.append
         """Sends a frame: with the return of the running call."""
-        self.on_rpdo: Callable[[int, float], None] | None = None
-        """The hook of that name; each RPDO has a copy, which takes less time."""
+        self.window_s = 0.0
+        """So long after a SYNC its synchronous RPDOs may come (1007h), seconds; 0.0: always."""
         self.window_end = NEVER
-        """Up to when a synchronous RPDO belongs to the last SYNC (1007h), seconds."""
+        """The end of it for the last SYNC."""

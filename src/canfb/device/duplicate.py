@@ -14,14 +14,14 @@ class DuplicateWatch:
 
     A CAN controller does not hear itself, so a data frame there comes from another node: one that
     was given the same node-ID, or the same COB-ID (CiA 301, 7.3.5: a CAN-ID has one sender). Each
-    is counted. The first after a reset gives EMCY 8150h, with the CAN-ID in bytes 3 and 4, and goes to
-    the hook `on_duplicate`. The NMT state stays: a single stray frame must not stop a machine.
+    is counted. The first after a reset gives EMCY 8150h, with the CAN-ID in bytes 3 and 4, and is
+    reported to the program. The NMT state stays: a single stray frame must not stop a machine.
     """
 
     def __init__(self, core: Core) -> None:
         self._counters = core.counters
         self._emergency = core.emergency
-        self._hooks = core.hooks
+        self._application = core.application
         self._reported = False
 
     def reset(self) -> None:
@@ -47,5 +47,4 @@ class DuplicateWatch:
             now,
             _SOURCE,
         )
-        if self._hooks.on_duplicate is not None:
-            self._hooks.on_duplicate(can_id, now)
+        self._application.duplicate_received(can_id, now)

@@ -32,7 +32,7 @@ class Emergency(Timed):
         dictionary = core.dictionary
         self.deadline = NEVER
         self._emit = core.emit
-        self._hooks = core.hooks
+        self._application = core.application
         self._counters = core.counters
         self._changed = core.reactions.routes_changed
         self._register = dictionary.find(0x1001)
@@ -103,9 +103,8 @@ class Emergency(Timed):
         while self._waiting and self._allowed and now >= self._not_before:
             data = self._waiting.popleft()
             self._emit(Frame(self._can_id(), data))
-            if self._hooks.on_emergency is not None:
-                code, register, detail = _EMERGENCY.unpack(data)
-                self._hooks.on_emergency(code, register, detail, now)
+            code, register, detail = _EMERGENCY.unpack(data)
+            self._application.emergency_sent(code, register, detail, now)
             inhibit = self._inhibit_s()
             self._not_before = now + inhibit if inhibit else -NEVER
         self.deadline = self._not_before if self._waiting and self._allowed else NEVER

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Protocol, runtime_checkable
 
+from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
+from canfb.device.application import Application, Groups
+from canfb.device.node import Node
+from canfb.device.od.dictionary import Dictionary
 from canfb.device.routing import CanIds
+from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.writing import Store
 
 
 class Device(Protocol):
@@ -82,3 +89,111 @@ class Computing(Protocol):
 
     def job_progress(self, job: Any, part: float) -> None:
         """How far it is, 0..1."""
+
+
+class NodeDevice(Application):
+    """A device that is one node and its application: what a host asks of it goes to the node.
+
+    A subclass overrides what it adds to. What happens in the node goes on to the program that runs it:
+    ``on_parameter_faults`` is called with the groups of stored parameters that were refused, and the
+    reasons; ``on_duplicate`` as (can_id, now) when another node uses this node-ID; ``on_bit_rate`` as
+    (kbit_s, delay_s, now) when LSS changes the bit rate, see :meth:`Application.bit_rate_activated`.
+    """
+
+    register_bits = ErrorRegister.GENERIC
+    """Bits of 1001h while stored parameters are refused."""
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        node_id: int,
+        *,
+        autostart: bool,
+        store: Store | None,
+        bit_rates_kbit_s: Collection[int],
+    ) -> None:
+        self.dictionary = dictionary
+        self.node = Node(
+            dictionary, node_id, self, autostart=autostart, store=store, bit_rates_kbit_s=bit_rates_kbit_s
+        )
+        self.inhibited = self.node.inhibited
+        """By CAN-ID: frames of which the node wants to know when they have left; see :meth:`sent`."""
+        self.observer = Application()
+        """Hears of the NMT state, EMCY and saved parameters as well."""
+        self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None = None
+        self.on_duplicate: Callable[[int, float], None] | None = None
+        self.on_bit_rate: Callable[[int, float, float], None] | None = None
+
+    def start(self, now: float) -> list[Frame]:
+        """Power-on at ``now`` (seconds): the boot-up frame."""
+        return self.node.start(now)
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """Take a frame from the bus; the frames to send."""
+        return self.node.receive(frame, now)
+
+    def tick(self, now: float) -> list[Frame]:
+        """Do what is due at ``now``; the frames to send."""
+        return self.node.tick(now)
+
+    def deadline(self) -> float | None:
+        """When :meth:`tick` is due next, None for not at all."""
+        return self.node.deadline()
+
+    def can_ids(self) -> CanIds:
+        """The CAN-IDs that it listens to: a host need not give it other frames."""
+        return self.node.can_ids()
+
+    def follow_can_ids(self, moved: Callable[[], None]) -> None:
+        """Have ``moved`` called in each call after which :meth:`can_ids` may give others."""
+        self.node.follow_can_ids(moved)
+
+    def sent(self, can_id: int, now: float) -> None:
+        """A frame with this CAN-ID has left at ``now``: inhibit times count from there."""
+        self.node.sent(can_id, now)
+
+    def bus_off(self, now: float) -> list[Frame]:
+        """The bus is lost at ``now``: the reaction of 1029h; the frames to send, if any."""
+        return self.node.bus_off(now)
+
+    def bus_back(self, now: float) -> list[Frame]:
+        """The bus is back at ``now``: EMCY 8140h."""
+        return self.node.bus_back(now)
+
+    # Application: called by the node.
+
+    def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
+        """To the observer."""
+        self.observer.state_changed(old, new, now, why)
+
+    def emergency_sent(self, code: int, register: int, detail: bytes, now: float) -> None:
+        """To the observer."""
+        self.observer.emergency_sent(code, register, detail, now)
+
+    def parameters_saved(self, saved: Groups, forgotten: Groups, now: float) -> None:
+        """To the observer."""
+        self.observer.parameters_saved(saved, forgotten, now)
+
+    def saving_failed(self, groups: Groups, reason: str, now: float) -> None:
+        """To the observer."""
+        self.observer.saving_failed(groups, reason, now)
+
+    def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
+        """EMCY 6310h while stored parameters are refused, with their groups; and to the program."""
+        if faults:
+            groups = bytes(sorted(faults))[:5]
+            self.node.emergency(EmergencyCode.DATA_SET, self.register_bits, groups, now)
+        else:
+            self.node.clear_emergency(EmergencyCode.DATA_SET, now)
+        if self.on_parameter_faults is not None:
+            self.on_parameter_faults(faults)
+
+    def duplicate_received(self, can_id: int, now: float) -> None:
+        """To the program."""
+        if self.on_duplicate is not None:
+            self.on_duplicate(can_id, now)
+
+    def bit_rate_activated(self, kbit_s: int, delay_s: float, now: float) -> None:
+        """To the program."""
+        if self.on_bit_rate is not None:
+            self.on_bit_rate(kbit_s, delay_s, now)

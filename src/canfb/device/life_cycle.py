@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from canfb.cia301.nmt import NmtState
+from canfb.device.application import Application
 from canfb.device.core import Core, Reactions
-from canfb.device.hooks import Hooks
 from canfb.device.lss.lss import REQUEST_ID, UNCONFIGURED, LssSlave
 from canfb.device.nmt_slave import Startup
 from canfb.device.od.dictionary import Dictionary
@@ -29,17 +29,16 @@ class LifeCycle(Reactions):
         self,
         dictionary: Dictionary,
         node_id: int,
-        hooks: Hooks,
+        application: Application,
         *,
         autostart: bool,
         sdo_timeout_s: float,
         store: Store | None,
         bit_rates_kbit_s: Collection[int],
     ) -> None:
-        self.core = core = Core(dictionary, node_id, hooks, self, sdo_timeout_s=sdo_timeout_s)
-        self._hooks = hooks
-        self.reason = ""
-        """Why the NMT state changes in the running call, in words; "" for a command or a start."""
+        self.core = core = Core(dictionary, node_id, application, self, sdo_timeout_s=sdo_timeout_s)
+        self._application = application
+        self._reason = ""  # why the NMT state changes in the running call; "" for a command or a start
         self.storage = Storage(core, store)
         self.startup = Startup(dictionary.find(0x1F80), autostart=autostart)
         self.silence = Silence(core)
@@ -105,8 +104,7 @@ class LifeCycle(Reactions):
         self.enter(NmtState.INITIALISING, now)
         self.services.configure(now)
         self.lss.reset()
-        if self._hooks.on_reset is not None:
-            self._hooks.on_reset(communication_only, now)
+        self._application.reset_done(communication_only, now)
         if self.storage.faults:
             self.storage.report_faults()
         self.services.producer.boot_up(now)
@@ -120,8 +118,7 @@ class LifeCycle(Reactions):
         """Services begin or end with the NMT state."""
         self.services.enter(old, new, now)
         self.pdo_changed()
-        if self._hooks.on_state is not None:
-            self._hooks.on_state(old, new, now)
+        self._application.state_changed(old, new, now, self._reason)
 
     def reset(self, communication_only: bool, now: float) -> None:
         """To the boot-up again, from the defaults and what is stored."""
@@ -136,11 +133,10 @@ class LifeCycle(Reactions):
 
     def communication_error(self, why: str, now: float) -> None:
         """The NMT state that 1029h:01 names; `why` is the reason of the change."""
-        if self._hooks.on_communication_error is not None:
-            self._hooks.on_communication_error(now)
-        self.reason = why
+        self._application.communication_failed(now)
+        self._reason = why
         self.enter(self.services.error_behaviour.reaction(self.core.state), now)
-        self.reason = ""
+        self._reason = ""
 
     def heartbeat_changed(self) -> None:
         """A heartbeat takes the place of guarding."""
@@ -151,8 +147,7 @@ class LifeCycle(Reactions):
     def pdo_changed(self) -> None:
         """Other CAN-IDs, and perhaps other mappings."""
         self.routes_changed()
-        if self._hooks.on_configured is not None:
-            self._hooks.on_configured()
+        self._application.configuration_changed()
 
     def routes_changed(self) -> None:
         """All listeners again; LSS listens in every state."""
@@ -166,8 +161,7 @@ class LifeCycle(Reactions):
             self.silence.begin(now + 2 * delay_s)
             self.services.silenced(now)
             self.routes_changed()
-        if self._hooks.on_bit_rate is not None:
-            self._hooks.on_bit_rate(kbit_s, delay_s, now)
+        self._application.bit_rate_activated(kbit_s, delay_s, now)
 
     def silence_ended(self, now: float) -> None:
         """The node is back."""

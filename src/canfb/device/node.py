@@ -7,8 +7,8 @@ from collections.abc import Callable, Collection
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame
 from canfb.cia301.nmt import NmtState
+from canfb.device.application import Application
 from canfb.device.emergency import check_error
-from canfb.device.hooks import Hooks
 from canfb.device.life_cycle import LifeCycle
 from canfb.device.lss.lss import UNCONFIGURED, is_node_id
 from canfb.device.moment import NEVER
@@ -22,7 +22,7 @@ from canfb.device.storage.writing import Store
 _BUS = "bus"
 
 
-class Node(Hooks):
+class Node:
     """A CiA 301 slave without I/O.
 
     Frames and times go in, frames and the next deadline come out: `start`, `receive` and `tick`
@@ -30,7 +30,7 @@ class Node(Hooks):
     seconds (monotonic) and must not go back. The node is given its object dictionary and takes its
     communication parameters from it; write those by SDO, or before `start`.
 
-    It reports to the program by `Hooks`. No frame from the bus raises by itself.
+    It tells the `application` what happens. No frame from the bus raises by itself.
 
     With the node-ID 255 the device has none yet: it stays in INITIALISING and answers LSS only, until
     a master has given it one. A node-ID from LSS is in force from the next reset on; one that was
@@ -41,6 +41,7 @@ class Node(Hooks):
         self,
         dictionary: Dictionary,
         node_id: int,
+        application: Application | None = None,
         *,
         autostart: bool = False,
         sdo_timeout_s: float = TIMEOUT_S,
@@ -49,20 +50,22 @@ class Node(Hooks):
     ) -> None:
         """Make the node `node_id` (1..127, 255); ValueError for another, or for an impossible EDS.
 
+        Without an `application` nothing happens beside the services of CiA 301.
+
         With `autostart` it goes on to OPERATIONAL after each boot-up without a master: bit 2 of
         1F80h is then 0 by default. `sdo_timeout_s` is how long an SDO client may be silent within a
         transfer, more than 0 s. `store` keeps what 1010h and LSS save; None: nothing is saved.
-        `bit_rates_kbit_s` are those that LSS may choose; they are changed by `on_bit_rate`.
+        `bit_rates_kbit_s` are those that LSS may choose; see
+        `Application.bit_rate_activated`.
         """
         if not is_node_id(node_id):
             raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127, or 255 for none yet")
         if not 0 < sdo_timeout_s < NEVER:
             raise ValueError(f"sdo_timeout_s is {sdo_timeout_s}; give a time in seconds, more than 0")
-        super().__init__()
         self._life = life = LifeCycle(
             dictionary,
             node_id,
-            self,
+            Application() if application is None else application,
             autostart=autostart,
             sdo_timeout_s=sdo_timeout_s,
             store=store,
@@ -92,11 +95,6 @@ class Node(Hooks):
     def state(self) -> NmtState:
         """The NMT state."""
         return self._core.state
-
-    @property
-    def state_reason(self) -> str:
-        """In the hook `on_state`: why the state changes, in words; "" if it was commanded, or a start."""
-        return self._life.reason
 
     @property
     def own_can_ids(self) -> frozenset[int]:
@@ -133,16 +131,6 @@ class Node(Hooks):
     def autostart(self) -> bool:
         """Whether the next boot-up leads to OPERATIONAL without a master (1F80h)."""
         return self._life.startup.autostart
-
-    @property
-    def on_rpdo(self) -> Callable[[int, float], None] | None:
-        """The hook for RPDOs; the RPDOs call it themselves, which takes less time."""
-        return self._core.on_rpdo
-
-    @on_rpdo.setter
-    def on_rpdo(self, hook: Callable[[int, float], None] | None) -> None:
-        self._core.on_rpdo = hook
-        self._life.services.pdos.listen()
 
     def start(self, now: float) -> list[Frame]:
         """Power on: the boot-up message, then PRE-OPERATIONAL.

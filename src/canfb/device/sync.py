@@ -33,7 +33,7 @@ class Sync(Timed):
         self._emit = core.emit
         self._counters = core.counters
         self._emergency = core.emergency
-        self._synchronise = pdos.synchronise
+        self._pdos = pdos
         self._cob_id = dictionary.find(0x1005)
         self._period = dictionary.find(0x1006)
         self._window = dictionary.find(0x1007)
@@ -42,9 +42,7 @@ class Sync(Timed):
         self._generates = False
         self._length = 0
         self._length_error = False
-        self._plain = False
-        self._window_s = 0.0
-        core.window_end = NEVER
+        core.window_s, core.window_end = 0.0, NEVER
         self._counter = 0
         self._install()
         self._read()
@@ -64,30 +62,21 @@ class Sync(Timed):
 
     def handle(self, data: bytes, now: float) -> None:
         """A SYNC from the bus."""
-        if self._plain and not data:
-            self._synchronise(None, now)
-        else:
-            self._handle_any(data, now)
-
-    def _handle_any(self, data: bytes, now: float) -> None:
         if self._generates:
             self._counters.malformed_frames += 1
         elif len(data) != self._length:
-            self._length_error = True
-            self._look()
-            self._counters.malformed_frames += 1
-            self._emergency.report(
-                EmergencyCode.SYNC_LENGTH,
-                ErrorRegister.COMMUNICATION,
-                bytes([len(data)]),
-                now,
-                _SOURCE,
-            )
+            self._refuse(len(data), now)
         else:
             if self._length_error:
                 self._clear_length_error(now)
-                self._look()
-            self._take(data[0] if data else None, now)
+            self._pdos.synchronise(data[0] if data else None, now)
+
+    def _refuse(self, length: int, now: float) -> None:
+        self._length_error = True
+        self._counters.malformed_frames += 1
+        self._emergency.report(
+            EmergencyCode.SYNC_LENGTH, ErrorRegister.COMMUNICATION, bytes([length]), now, _SOURCE
+        )
 
     def tick(self, now: float) -> None:
         """Produce the SYNC that is due; periods missed by a late tick are left out."""
@@ -99,15 +88,10 @@ class Sync(Timed):
         if self._length:
             self._counter = self._counter % self._value(self._overflow) + 1
             self._emit(Frame(self.can_id, bytes([self._counter])))
-            self._take(self._counter, now)
+            self._pdos.synchronise(self._counter, now)
         else:
             self._emit(Frame(self.can_id, b""))
-            self._take(None, now)
-
-    def _take(self, counter: int | None, now: float) -> None:
-        if self._window_s:
-            self._core.window_end = now + self._window_s
-        self._synchronise(counter, now)
+            self._pdos.synchronise(None, now)
 
     def _clear_length_error(self, now: float) -> None:
         self._length_error = False
@@ -125,15 +109,9 @@ class Sync(Timed):
         self.can_id = cob_id & cob.CAN_ID
         self._generates = bool(cob_id & cob.GENERATE) and self._period_s > 0
         self._length = 1 if self._value(self._overflow) > 1 else 0
-        self._window_s = self._value(self._window) / 1e6
-        if not self._window_s:
+        self._core.window_s = self._value(self._window) / 1e6
+        if not self._core.window_s:
             self._core.window_end = NEVER
-        self._look()
-
-    def _look(self) -> None:
-        """Whether a SYNC without data is taken as it comes: no counter, no window, no error, not ours."""
-        special = self._generates or self._length or self._window_s or self._length_error
-        self._plain = not special
 
     def _start(self, now: float) -> None:
         self._counter = 0

@@ -17,7 +17,7 @@ _MILLISECONDS = 0x0FFFFFFF
 
 
 class TimeStamp:
-    """Hears the time of day, for the hook `on_time`: days since 1984-01-01, and milliseconds.
+    """Takes the time of day to the program: days since 1984-01-01, and milliseconds.
 
     A TIME of another length than 6 bytes, or with more milliseconds than a day has, is dropped and
     counted.
@@ -26,7 +26,7 @@ class TimeStamp:
     def __init__(self, core: Core) -> None:
         self._entry = entry = core.dictionary.find(0x1012)
         self._counters = core.counters
-        self._hooks = core.hooks
+        self._application = core.application
         if entry is not None:
             entry.on_check = lambda value: _check(value, entry.value)
             entry.on_written = core.reactions.routes_changed
@@ -44,8 +44,7 @@ class TimeStamp:
         if len(data) != _LENGTH or milliseconds >= MILLISECONDS_PER_DAY:
             self._counters.malformed_frames += 1
             return
-        if self._hooks.on_time is not None:
-            self._hooks.on_time(int.from_bytes(data[4:], "little"), milliseconds, now)
+        self._application.time_received(int.from_bytes(data[4:], "little"), milliseconds, now)
 
 
 def _check(value: int, old: int) -> None:

@@ -6,7 +6,7 @@ the source makes the difference. Time is an argument, and a source never waits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 
 from canfb import objects as od
 from canfb.cia301 import cob
@@ -14,12 +14,10 @@ from canfb.cia301.cob import CAN_ID
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.cia301.pdo_room import mapping_values
-from canfb.device.node import Node
+from canfb.device.hosted import NodeDevice
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.mapping import Direction
 from canfb.device.pdo.pdo import COMMUNICATION, numbers
-from canfb.device.routing import CanIds
-from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.writing import Store
 from canfb.eds_files import eds_path
 from canfb.interface.fast_recording import FastRecorder
@@ -34,7 +32,7 @@ EDS = "encoder-interface"
 PLACES = 65536  # 2000:03 counts the sample interval in 1/65536
 
 
-class EncoderInterface:
+class EncoderInterface(NodeDevice):
     """A CANopen node, sans-I/O, with the ADC channels in 6401h and TPDO1 at each SYNC.
 
     ``source`` gives the samples: a :class:`Machine` at the time at which the SYNC was received, another
@@ -54,7 +52,7 @@ class EncoderInterface:
 
     ``store`` keeps what 1010h and LSS save. A ``node_id`` of 255 is one that an LSS master gives it; it
     knows the device by its ``serial_number``, 0..4294967295. ``bit_rates_kbit_s`` are those that LSS may
-    choose. ``on_parameter_faults`` is called with the groups of stored parameters that were refused.
+    choose.
     """
 
     def __init__(
@@ -72,21 +70,16 @@ class EncoderInterface:
     ) -> None:
         if not 0 <= serial_number <= 0xFFFFFFFF:
             raise ValueError(f"serial_number must be 0..4294967295, not {serial_number}")
-        self.dictionary = Dictionary.load(eds_path(EDS), node_id)
-        serial = self.dictionary.entry(*od.IDENTITY_SERIAL_NUMBER)
+        dictionary = Dictionary.load(eds_path(EDS), node_id)
+        serial = dictionary.entry(*od.IDENTITY_SERIAL_NUMBER)
         serial.default = serial.value = serial_number
         for place, value in _adc_pdos(node_id, times, samples_per_sync).items():
-            parameter = self.dictionary.entry(*place)
+            parameter = dictionary.entry(*place)
             parameter.default = parameter.value = value
-        self.node = Node(
-            self.dictionary, node_id, autostart=autostart, store=store, bit_rates_kbit_s=bit_rates_kbit_s
+        super().__init__(
+            dictionary, node_id, autostart=autostart, store=store, bit_rates_kbit_s=bit_rates_kbit_s
         )
-        self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None = None
         self.on_source: Callable[[str], None] | None = None
-        self.inhibited = self.node.inhibited
-        self.node.on_sync = self._on_sync
-        self.node.on_parameter_faults = self._on_parameter_faults
-        self.node.on_reset = self._on_reset
         for place in (od.RECORDING_COMMAND, od.RECORDING_RATE, od.INTERFACE_MACHINE):  # nothing to keep
             self.node.storage.entries.leave_out(*place)
         self.hearing: Hearing = TRUE_TIME
@@ -131,47 +124,24 @@ class EncoderInterface:
     def start(self, now: float) -> list[Frame]:
         """Power-on at ``now`` (seconds): the boot-up frame."""
         self._now = now
-        return self.node.start(now)
+        return super().start(now)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Take a frame from the bus; the frames to send."""
         self._silent = False
         self._now = now
         self._heard_s = self.hearing.heard_at(frame, now)
-        return self._audible(self.node.receive(frame, now))
+        return self._audible(super().receive(frame, now))
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at ``now``, a SYNC of its own too (1005h bit 30); the frames to send."""
         self._silent = False
         self._now = now
         self._heard_s = self.hearing.at(now)
-        return self._audible(self.node.tick(now))
+        return self._audible(super().tick(now))
 
-    def deadline(self) -> float | None:
-        """When :meth:`tick` is due next, None for not at all."""
-        return self.node.deadline()
-
-    def can_ids(self) -> CanIds:
-        """The CAN-IDs that it listens to: a host need not give it other frames."""
-        return self.node.can_ids()
-
-    def follow_can_ids(self, moved: Callable[[], None]) -> None:
-        """Have ``moved`` called in each call after which :meth:`can_ids` may give others."""
-        self.node.follow_can_ids(moved)
-
-    def sent(self, can_id: int, now: float) -> None:
-        """A frame with this CAN-ID has left at ``now``: inhibit times count from there."""
-        self.node.sent(can_id, now)
-
-    def bus_off(self, now: float) -> list[Frame]:
-        """The bus is gone at ``now``, as 1029h has it; the frames to send, if any."""
-        return self.node.bus_off(now)
-
-    def bus_back(self, now: float) -> list[Frame]:
-        """The bus is back at ``now``: EMCY 8140h."""
-        return self.node.bus_back(now)
-
-    def _on_sync(self, counter: int | None, now: float) -> None:
+    def sync_received(self, counter: int | None, now: float) -> None:
+        """The sample of this SYNC goes into 6401h and 2000h, and out with its TPDOs."""
         sample = self._watch.sample(now)
         if self._watch.failing is not self._reported:
             self._report_source(now)
@@ -219,19 +189,11 @@ class EncoderInterface:
             self._place.value = min(int(pulse * PLACES), PLACES - 1)
         self._flags.value = flags
 
-    def _on_reset(self, communication_only: bool, now: float) -> None:
+    def reset_done(self, communication_only: bool, now: float) -> None:
+        """A source that still fails is reported again; a reset of the node drops the recording."""
         self._reported = False
         if not communication_only:
             self.recorder.reset()
-
-    def _on_parameter_faults(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
-        """Stored parameters were refused, or no longer are."""
-        if faults:
-            self.node.emergency(EmergencyCode.DATA_SET, ErrorRegister.GENERIC, bytes(sorted(faults))[:5], now)
-        else:
-            self.node.clear_emergency(EmergencyCode.DATA_SET, now)
-        if self.on_parameter_faults is not None:
-            self.on_parameter_faults(faults)
 
     def _audible(self, frames: list[Frame]) -> list[Frame]:
         if not self._silent:

@@ -52,14 +52,14 @@ class EventWatch(NodeEvents):
         self._causes = 0
         self._not_valid_s = 0.0
 
-    def nmt(self, old: NmtState, new: NmtState, now: float, why: str = "") -> None:
+    def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
         """A change of the NMT state, and ``why`` if it was not commanded.
 
         The next SYNC and the next sample are the first.
         """
         self._rate_hz = 0.0
         self.reset()
-        super().nmt(old, new, now, why)
+        super().state_changed(old, new, now, why)
 
     def synced(self, interval_s: float, now: float) -> None:
         """SYNCs come as expected, at this interval; not called with each of them."""

@@ -6,12 +6,11 @@ from collections.abc import Callable, Collection, Mapping
 from math import inf
 
 from canfb import objects as od
-from canfb.cia301.codes import EmergencyCode
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
+from canfb.device.hosted import NodeDevice
 from canfb.device.moment import NEVER
-from canfb.device.node import Node
-from canfb.device.routing import CanIds
+from canfb.device.od.entry import Entry
 from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.writing import Store
 from canfb.module.calibration_job import CalibrationJob, Outcome
@@ -45,16 +44,15 @@ from canfb.timing.judge import Judge
 COMMANDS = (od.MEASUREMENT_COMMAND.object_index, od.RECORDING_COMMAND.object_index)
 
 
-class FeedbackModule:
+class FeedbackModule(NodeDevice):
     """ADC sine/cosine PDOs, or the samples of a ``source``, in; a supervised position PDO out.
 
     Time goes in as ``now`` (seconds, monotonic), frames come out; see
     :class:`canfb.device.node.Node` for start, receive, tick and deadline. A frame never
     raises, whatever its content.
 
-    ``store`` holds what 1010h and LSS save; without one nothing is saved. ``on_parameter_faults``
-    is called with the groups of stored parameters that were refused, and the reasons.
-    ``bit_rates_kbit_s`` are those that LSS may choose; see ``on_bit_rate`` of the node.
+    ``store`` holds what 1010h and LSS save; without one nothing is saved. ``bit_rates_kbit_s`` are
+    those that LSS may choose; see ``on_bit_rate``.
 
     A ``source`` provides the sample of each SYNC in OPERATIONAL at that SYNC; RPDO1 is then off.
     ``on_source`` is called with one line when it fails, works again or has ended; ``on_warning``
@@ -63,6 +61,8 @@ class FeedbackModule:
     names a source and none is given; TypeError for a ``config`` that is not a
     :class:`canfb.ModuleConfig`.
     """
+
+    register_bits = REGISTER
 
     def __init__(
         self,
@@ -73,24 +73,19 @@ class FeedbackModule:
         bit_rates_kbit_s: Collection[int] = (),
     ) -> None:
         _check(config, source)
-        self.config = config
-        self.dictionary = delivered_dictionary(config, samples_itself=source is not None)
-        self.chain = SignalChain(ChainConfig())  # limits and correction are those of the dictionary
-        self.node = Node(
-            self.dictionary,
+        super().__init__(
+            delivered_dictionary(config, samples_itself=source is not None),
             config.node_id,
             autostart=config.autostart,
             store=store,
             bit_rates_kbit_s=bit_rates_kbit_s,
         )
-        self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None = None
+        self.config = config
+        self.chain = SignalChain(ChainConfig())  # limits and correction are those of the dictionary
         self.on_source: Callable[[str], None] | None = None
         self.on_warning: Callable[[str], None] | None = None
-        self.inhibited = self.node.inhibited
-        """By CAN-ID: frames of which the node wants to know when they have left; see :meth:`sent`."""
         self._make_chain_around(source)
         self._make_commands()
-        self._listen_to_node()
         self._choose_parameters()
         self._lock = WriteLock(self.node)
         self._limits.apply()
@@ -114,9 +109,9 @@ class FeedbackModule:
         if source is not None:
             self._source = LocalSource(source, dictionary, self._input, self._tell_of_source)
         self._taps = Taps()
-        self._publishing = Publishing(
-            dictionary, node, interval, self._limits, chain, self._input, self._choose_sync_hooks
-        )
+        self._publishing = Publishing(dictionary, node, interval, self._limits, chain, self._input)
+        self._prediction = self._publishing.prediction
+        self.observer = self.events
         self._sampling = Sampling(
             dictionary,
             node,
@@ -129,6 +124,7 @@ class FeedbackModule:
             self._taps,
             self._publishing,
         )
+        self._pairing = self._sampling.pairing
         cycles_per_revolution = dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         cycles_per_revolution.on_written = self._encoder_changed
         self._jitter = JitterWatch(judge.clock, interval, self._limits, cycles_per_revolution, self._warn)
@@ -146,19 +142,6 @@ class FeedbackModule:
         self._calibrating = Calibrating(
             dictionary, self.chain, self._tables, self._taps, self._publishing.objects.calibrating
         )
-
-    def _listen_to_node(self) -> None:
-        node, pairing = self.node, self._sampling.pairing
-        self._choose_rpdo_hook()
-        node.accepts_sync, node.on_idle_sync = pairing.accepts_sync, pairing.on_idle_sync
-        self._choose_sync_hooks()
-        node.on_state = self._on_state
-        node.on_reset = self._on_reset
-        node.on_bad_rpdo = self._on_bad_rpdo
-        node.on_configured = self._on_configured
-        node.on_parameter_faults = self._on_parameter_faults
-        node.on_emergency = self.events.emergency
-        node.on_saved, node.on_save_failed = self.events.saved, self.events.save_failed
 
     @property
     def feedback(self) -> Feedback | None:
@@ -187,7 +170,7 @@ class FeedbackModule:
     @property
     def max_speed_rad_s(self) -> float:
         """What the SYNC jitter measured so far allows, rad/s; inf with sample times and if not known."""
-        return inf if self._sampling.pairing.timed else self._jitter.max_speed_rad_s
+        return inf if self._pairing.timed else self._jitter.max_speed_rad_s
 
     def use_correction(self, correction: Correction) -> None:
         """Put the table and conditioning of ``correction`` in force between two samples, until a reset."""
@@ -205,10 +188,6 @@ class FeedbackModule:
         """
         config = self.config
         return "" if config.times or config.source is not None else self._jitter.in_words()
-
-    def start(self, now: float) -> list[Frame]:
-        """Power-on at ``now``: the boot-up frame."""
-        return self.node.start(now)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Take a frame from the bus; the frames to send.
@@ -235,18 +214,6 @@ class FeedbackModule:
             return due
         return until if due is None or until < due else due
 
-    def can_ids(self) -> CanIds:
-        """The CAN-IDs that it listens to: a host need not give it other frames."""
-        return self.node.can_ids()
-
-    def follow_can_ids(self, moved: Callable[[], None]) -> None:
-        """Have ``moved`` called in each call after which :meth:`can_ids` may give others."""
-        self.node.follow_can_ids(moved)
-
-    def sent(self, can_id: int, now: float) -> None:
-        """A frame with this CAN-ID has left at ``now``: inhibit times count from there."""
-        self.node.sent(can_id, now)
-
     def end(self, now: float) -> None:
         """The program ends at ``now``: the operating time is stored."""
         self._operating_time.keep(now)
@@ -260,10 +227,6 @@ class FeedbackModule:
         if self.state is NmtState.OPERATIONAL:
             self._sampling.uncounted(now)
         return frames
-
-    def bus_back(self, now: float) -> list[Frame]:
-        """The bus is back at ``now``: EMCY 8140h."""
-        return self.node.bus_back(now)
 
     def pending_job(self) -> CalibrationJob | None:
         """A pending computation of several seconds, or None.
@@ -296,37 +259,6 @@ class FeedbackModule:
             if entry.index in COMMANDS and entry.access == "rw":
                 entries.leave_out(entry.index, entry.subindex)
 
-    def _on_sync_predicting(self, counter: int | None, now: float) -> None:
-        pairing = self._sampling.pairing
-        extra = pairing.extra
-        pairing.on_sync(counter, now)
-        if extra:  # no sample belongs to it, and so none is extrapolated to it
-            self._publishing.withhold()
-        else:
-            self._publishing.extrapolate()
-
-    def _choose_sync_hooks(self) -> None:
-        """With or without prediction (2013h). The sample of a source belongs to this very SYNC."""
-        prediction = self._publishing.prediction
-        wanted = prediction.wanted and self._source is None
-        prediction.forget()
-        self.node.on_sync = self._on_sync_predicting if wanted else self._sampling.pairing.on_sync
-        self.node.on_synchronised = prediction.withdraw if wanted else None
-
-    def _choose_rpdo_hook(self) -> None:
-        """With or without a second position. Samples of a source come by no RPDO."""
-        pairing, second = self._sampling.pairing, self._second
-        usual = pairing.on_rpdo if self._source is None else None
-        wanted = self._on_rpdo_with_second if second.mapped else usual
-        if self.node.on_rpdo != wanted:
-            self.node.on_rpdo = wanted
-        pairing.on_interval = second.interval_over if second.mapped else None
-
-    def _on_rpdo_with_second(self, number: int, now: float) -> None:
-        self._second.on_rpdo(number)
-        if self._source is None:
-            self._sampling.pairing.on_rpdo(number, now)
-
     def _on_followed(self, now: float, proved: bool) -> None:
         """SYNCs come as expected, which is an event after a pause, and measures their jitter.
 
@@ -334,7 +266,7 @@ class FeedbackModule:
         """
         self.events.synced(self._judge.clock.period_s, now)
         last = self._publishing.last
-        if proved and last is not None and not self._sampling.pairing.timed:
+        if proved and last is not None and not self._pairing.timed:
             self._jitter.look(last, now)
 
     def _warn(self, text: str) -> None:
@@ -344,16 +276,6 @@ class FeedbackModule:
     def _tell_of_source(self, text: str) -> None:
         if self.on_source is not None:
             self.on_source(text)
-
-    def _on_state(self, old: NmtState, new: NmtState, now: float) -> None:
-        self.events.nmt(old, new, now, self.node.state_reason)
-        if new is NmtState.OPERATIONAL:
-            self._sampling.resume(now)
-        elif old is NmtState.OPERATIONAL:
-            self._sampling.pause(now)
-            self._recorder.stop()
-            self._calibrating.interrupted()
-            self._operating_time.keep(now)
 
     def _on_correction(self, correction: Correction) -> None:
         """Another table and conditioning are in force."""
@@ -365,7 +287,62 @@ class FeedbackModule:
         self._publishing.profile.rescale()
         self._limits.apply()
 
-    def _on_reset(self, communication_only: bool, now: float) -> None:
+    # Application: called by the node.
+
+    def accepts_sync(self, counter: int | None, now: float) -> bool:
+        """Whether a SYNC with this ``counter``, in OPERATIONAL, is there for the first time."""
+        return self._pairing.accepts_sync(counter, now)
+
+    def sync_received(self, counter: int | None, now: float) -> None:
+        """The next interval, with ``counter``; with 2013:01 the TPDOs get the position of this SYNC."""
+        pairing = self._pairing
+        if self._source is not None or not self._prediction.wanted:
+            pairing.on_sync(counter, now)  # the sample of a source belongs to this very SYNC
+            return
+        extra = pairing.extra
+        pairing.on_sync(counter, now)
+        if extra:  # no sample belongs to it, and so none is extrapolated to it
+            self._publishing.withhold()
+        else:
+            self._publishing.extrapolate()
+
+    def tpdos_sampled(self) -> None:
+        """The measured position again."""
+        if self._prediction.measured is not None:
+            self._prediction.withdraw()
+
+    def idle_sync_received(self, counter: int | None) -> None:
+        """A SYNC in PRE-OPERATIONAL, with its ``counter``, measures the interval."""
+        self._pairing.on_idle_sync(counter)
+
+    def rpdo_received(self, number: int, now: float) -> None:
+        """RPDO ``number`` brings a sample or a part of it, or the position of the other sensor."""
+        if number == self._second.number:
+            self._second.value_received()
+        if self._source is None:
+            self._pairing.on_rpdo(number, now)
+
+    def rpdo_too_short(self, number: int, received: int, mapped: int, now: float) -> None:
+        """Counted in 2012:08, whatever ``number``, ``received`` and ``mapped`` are."""
+        self._pairing.count_bad_frame()
+
+    def check_write(self, entry: Entry | None) -> None:
+        """The write lock (2040h) for this ``entry``; None: for LSS."""
+        self._lock.check_write(entry)
+
+    def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
+        """From the NMT state ``old`` to ``new``, and ``why``: samples are counted in OPERATIONAL only."""
+        super().state_changed(old, new, now, why)
+        if new is NmtState.OPERATIONAL:
+            self._sampling.resume(now)
+        elif old is NmtState.OPERATIONAL:
+            self._sampling.pause(now)
+            self._recorder.stop()
+            self._calibrating.interrupted()
+            self._operating_time.keep(now)
+
+    def reset_done(self, communication_only: bool, now: float) -> None:
+        """The dictionary is in force; the position is forgotten unless ``communication_only``."""
         self._operating_time.begin(now)
         self._lock.reset()
         self._publishing.reset_alarms()
@@ -374,7 +351,6 @@ class FeedbackModule:
             return
         self.chain.reset()
         self._publishing.reset()
-        self._choose_sync_hooks()
         self._limits.reset()
         self._second.apply()
         self._tables.reset()
@@ -382,27 +358,20 @@ class FeedbackModule:
         self._recorder.reset()
         self._calibrating.reset()
 
-    def _on_parameter_faults(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
+    def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
+        """Bit 12 of 6503h while there are ``faults``, EMCY 6310h, and the program is told."""
         self._publishing.profile.alarm_parameters(bool(faults))
-        if faults:
-            self.node.emergency(EmergencyCode.DATA_SET, REGISTER, bytes(sorted(faults))[:5], now)
-        else:
-            self.node.clear_emergency(EmergencyCode.DATA_SET, now)
-        if self.on_parameter_faults is not None:
-            self.on_parameter_faults(faults)
+        super().parameters_refused(faults, now)
 
-    def _on_configured(self) -> None:
+    def configuration_changed(self) -> None:
         """A sample comes in whichever RPDOs carry its parts; some TPDOs go out with it."""
         self._input.configure()
-        source, timed = self._source, self._sampling.pairing.timed
+        source, timed = self._source, self._pairing.timed
         per_sync = self._input.samples_per_sync if source is None else source.samples_per_sync
         self._sampling.configured(per_sync, timed or (source is not None and per_sync > 1))
         self._second.configure()
-        self._choose_rpdo_hook()
+        self._pairing.on_interval = None if self._second.number is None else self._second.interval_over
         self._publishing.configured()
-
-    def _on_bad_rpdo(self, number: int, received: int, mapped: int, now: float) -> None:
-        self._sampling.pairing.count_bad_frame()
 
 
 def _check(config: ModuleConfig, source: Source | None) -> None:

@@ -7,13 +7,12 @@ from collections.abc import Callable
 from canfb import objects as od
 from canfb.cia301.codes import emergency_text
 from canfb.cia301.nmt import NmtState
-from canfb.device.hooks import Groups
-from canfb.device.node import Node
+from canfb.device.application import Application, Groups
 from canfb.device.storage.image import ParameterGroup
 from canfb.module.event import Event, EventKind
 
 
-class NodeEvents:
+class NodeEvents(Application):
     """Calls ``on_event`` with each :class:`.Event`; without it nothing is made.
 
     ``detailed``: each EMCY, too.
@@ -23,27 +22,21 @@ class NodeEvents:
         self.on_event: Callable[[Event], None] | None = None
         self.detailed = False
 
-    def listen(self, node: Node) -> None:
-        """Take the hooks of a node that nothing else listens to."""
-        node.on_state = lambda old, new, now: self.nmt(old, new, now, node.state_reason)
-        node.on_emergency = self.emergency
-        node.on_saved, node.on_save_failed = self.saved, self.save_failed
-
-    def nmt(self, old: NmtState, new: NmtState, now: float, why: str = "") -> None:
+    def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
         """A change of the NMT state, and ``why`` if it was not commanded."""
         boot_up = "boot-up, " if old is NmtState.INITIALISING else ""
         name = new.name.replace("_", "-")
         text = f"{boot_up}{name}{': ' if why else ''}{why}"
         self._tell(EventKind.NMT, now, text, state=name, boot_up=bool(boot_up), reason=why or None)
 
-    def emergency(self, code: int, register: int, detail: bytes, now: float) -> None:
+    def emergency_sent(self, code: int, register: int, detail: bytes, now: float) -> None:
         """An EMCY goes out."""
         if self.detailed:
             words = emergency_text(code, od.EMERGENCY_TEXTS)
             text = f"EMCY {code:04X}h sent ({words}), 1001h {register:02X}h, detail {detail.hex(' ')}"
             self._tell(EventKind.EMCY, now, text, code=code, register=register, detail=detail.hex())
 
-    def saved(self, saved: Groups, forgotten: Groups, now: float) -> None:
+    def parameters_saved(self, saved: Groups, forgotten: Groups, now: float) -> None:
         """Parameters were saved, or their defaults loaded."""
         for groups, what in ((saved, "saved"), (forgotten, "dropped, the defaults come with the next reset")):
             names = [group.name.lower() for group in groups if group is not ParameterGroup.OPERATING_TIME]
@@ -51,7 +44,7 @@ class NodeEvents:
                 text = f"parameters {what}: {', '.join(names)}"
                 self._tell(EventKind.SAVED, now, text, groups=names, dropped=groups is forgotten)
 
-    def save_failed(self, groups: Groups, reason: str, now: float) -> None:
+    def saving_failed(self, groups: Groups, reason: str, now: float) -> None:
         """Parameters could not be saved, or their defaults not loaded: the store has what it had."""
         names = [group.name.lower() for group in groups if group is not ParameterGroup.OPERATING_TIME]
         if names:

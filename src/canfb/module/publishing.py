@@ -1,4 +1,9 @@
-"""What becomes of a feedback: objects, alarm, warnings, and the PDOs that go out with it."""
+"""What becomes of a feedback: objects, alarm, warnings, and the PDOs that go out with it.
+
+Nearly each sample is valid, without a fault, after one with the same status word. Then only what the default
+PDOs carry is written here, and all else is computed when it is read (:mod:`canfb.module.objects.publication`,
+:mod:`canfb.module.cia406.profile`). Whatever differs goes on to those who count it, report it or follow it.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +22,7 @@ from canfb.module.interval import SamplingInterval
 from canfb.module.latest import Latest
 from canfb.module.objects.last_loss import LastLoss
 from canfb.module.objects.prediction import Prediction
-from canfb.module.objects.publication import Publication
+from canfb.module.objects.publication import FAULTS, SIXTEEN_BITS, U32, Publication
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.parameters import Limits
 from canfb.signal.chain import SignalChain
@@ -26,14 +31,14 @@ from canfb.signal.supervision import VALID
 
 TPDOS = (1, 2, 3, 4)
 ON_EVENT = EVENT_DRIVEN | {0}  # transmission types; 0 goes out at the SYNC after the event
+FAULTS_AND_VALID = FAULTS | VALID
 
 
 class Publishing:
     """Takes each :class:`Feedback` of the chain to all who want to know of it, in this order.
 
     2011h and 2012h (Publication), the encoder profile, the shift to the nominal SYNC (Prediction), EMCY
-    7300h (PositionAlarm), event-driven TPDOs, events and warnings. ``prediction_chosen()`` is called when
-    2013h is written.
+    7300h (PositionAlarm), event-driven TPDOs, events and warnings.
     """
 
     def __init__(
@@ -44,11 +49,15 @@ class Publishing:
         limits: Limits,
         chain: SignalChain,
         parts: SampleInput,
-        prediction_chosen: Callable[[], None],
     ) -> None:
         self.latest = Latest(chain)
         self.on_feedback: Callable[[Feedback, float], None] | None = None
         self._dictionary, self._node = dictionary, node
+        entry = dictionary.entry
+        self._status, self._residual, self._samples = (
+            entry(*one) for one in (od.FEEDBACK_STATUS, od.FEEDBACK_RESIDUAL, od.FEEDBACK_SAMPLES)
+        )
+        self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
         self.profile = EncoderProfile(dictionary, interval, self.latest)
         self.warnings = Warnings(
             dictionary,
@@ -60,7 +69,7 @@ class Publishing:
         )
         chain.adaptation.on_limit = self.warnings.look_again
         limits.on_applied = self.warnings.limits_changed
-        self.prediction = Prediction(dictionary, self.profile, prediction_chosen, chain, interval)
+        self.prediction = Prediction(dictionary, self.profile, chain, interval)
         self.loss = LastLoss(dictionary, limits, chain, lambda: node.now)
         self.objects = Publication(dictionary, interval, chain, parts, limits, self.latest, self.loss)
         self.alarm = PositionAlarm(node)
@@ -75,25 +84,38 @@ class Publishing:
 
     def publish(self, feedback: Feedback, now: float, send: bool = True) -> None:
         """Into the dictionary, and out if there is something new to say."""
-        self.objects.publish(feedback)
-        self.latest.feedback = feedback
-        if feedback.status & VALID:
-            self.latest.valid = feedback
-        self.profile.publish(feedback)
+        _, _, amplitude, _, cycles, phase, residual, status, _, _, _, samples = feedback
+        latest, objects, warnings, profile = self.latest, self.objects, self.warnings, self.profile
+        good = status == warnings.status and status & FAULTS_AND_VALID == VALID and not self.alarm.active
+        if not good:
+            objects.count(feedback)
+        latest.feedback = feedback
+        if good or status & VALID:
+            latest.valid = feedback
+        self._status.value = status | objects.work
+        self._residual.value = int(residual * SIXTEEN_BITS)
+        self._samples.value = samples & U32
+        if self._chain.lag_intervals:
+            cycles, phase = latest.place(feedback)
+        scale = profile.scale
+        if scale.binary:
+            units = cycles * scale.binary + int(phase * scale.binary_factor)
+        else:
+            units = scale.units(cycles, phase)
+        self._position.value = self._fine.value = position = (units + scale.offset) % scale.total_range
+        if profile.cams.follows and status & VALID:
+            profile.cams.follow(position)
         if self.prediction.follows:
             self.prediction.shift(feedback)
-        status, warnings = feedback.status, self.warnings
-        if self.alarm.active or not status & VALID:
-            self._alarm(status, now)
-            if self.events.detailed:
-                self.events.fault(feedback, now)
+        if not good:
+            self._alarm(feedback, now)
         if send:
             for trigger in self.event_tpdos:
                 trigger(now)
         if (
             status != warnings.status
-            or feedback.residual > warnings.near_cycles
-            or feedback.amplitude < warnings.reserve_counts
+            or residual > warnings.near_cycles
+            or amplitude < warnings.reserve_counts
         ):
             if status != self.events.status:
                 self.events.follow(feedback, now)
@@ -101,15 +123,21 @@ class Publishing:
         if self.on_feedback is not None:
             self.on_feedback(feedback, now)
 
-    def _alarm(self, status: int, now: float) -> None:
-        second = self._chain.second
+    def _alarm(self, feedback: Feedback, now: float) -> None:
+        """6503h, and EMCY 7300h while the position is not valid, unless the other sensor is awaited."""
+        valid, second = bool(feedback.status & VALID), self._chain.second
+        self.profile.alarm_position(not valid)
+        if valid and not self.alarm.active:
+            return
         if self.alarm.active or second is None or not second.is_waiting:
-            self.alarm.report(bool(status & VALID), status, now, self.loss)
+            self.alarm.report(valid, feedback.status, now, self.loss)
+        if self.events.detailed:
+            self.events.fault(feedback, now)
 
     def count(self, between: Sequence[Feedback], now: float) -> None:
         """Samples that were taken before the one to publish, in the same interval of SYNC."""
         for feedback in between:
-            self.objects.count(feedback)
+            self.objects.count_between(feedback)
             if self.events.detailed and not feedback.status & VALID:
                 self.events.fault(feedback, now)
 
@@ -149,5 +177,6 @@ class Publishing:
         """After a reset of the node: no feedback."""
         self.latest.forget()
         self.events.reset()
+        self.prediction.forget()
         self.profile.reset()
         self.objects.reset()

@@ -160,7 +160,7 @@ class Sampling:
         noise = limits.noise
         if feedback[-1] >= noise.due and noise.take(feedback):
             limits.measured()
-        self._usual.publish(feedback, now)
+        self._publishing.publish(feedback, now)
         return True
 
     def _take_timed(
@@ -205,7 +205,7 @@ class Sampling:
                     self._limits.measured()
         if noise.take(feedback):
             self._limits.measured()
-        self._usual.publish(feedback, now)
+        self._publishing.publish(feedback, now)
         if self._taps.open:
             self._tap(sample, feedback)
 

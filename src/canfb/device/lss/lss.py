@@ -134,10 +134,8 @@ class LssSlave:
         self._services[data[0]](data)
 
     def _is_locked(self) -> bool:
-        hook = self._core.hooks.on_write
         try:
-            if hook is not None:
-                hook(None)
+            self._core.application.check_write(None)
         except SdoAbort:
             return True
         return False

@@ -68,8 +68,8 @@ class Layout(Protocol):
     """A compiled mapping: `length` is that of the PDO in bytes.
 
     `pack()` gives the data of the PDO from the current values; ValueError when one does not fit its
-    type. `store(data)` puts data of at least `length` bytes into the dictionary without a check; None
-    where an entry has limits or hooks, so that `unpack` is needed.
+    type. `unpack(data)` puts data of at least `length` bytes into the dictionary, and gives the number
+    of values that were refused.
     """
 
     length: int
@@ -79,11 +79,8 @@ class Layout(Protocol):
         """Packs the current values."""
 
     @property
-    def store(self) -> Callable[[bytes], None] | None:
-        """Stores data without a check."""
-
-    def unpack(self, data: bytes) -> int:
-        """Data of at least `length` bytes into the dictionary; how many values were refused."""
+    def unpack(self) -> Callable[[bytes], int]:
+        """Stores the values."""
 
 
 def compile_layout(slots: Sequence[Slot]) -> Layout:
@@ -96,33 +93,20 @@ def compile_layout(slots: Sequence[Slot]) -> Layout:
 class AlignedLayout:
     """Whole bytes of types that `struct` knows."""
 
-    __slots__ = ("_entries", "_unpack", "length", "pack", "store")
+    __slots__ = ("length", "pack", "unpack")
 
     def __init__(self, slots: Sequence[Slot]) -> None:
         packer = struct.Struct("<" + "".join(_letter(slot) for slot in slots))
         self.length = packer.size
-        self._unpack = packer.unpack_from
-        self._entries = tuple(slot.entry for slot in slots if slot.entry is not None)
-        self.pack = _packer(packer.pack, self._entries)
-        plain = all(_is_plain(entry) for entry in self._entries)
-        self.store = _storer(packer.unpack_from, self._entries) if plain else None
-
-    def unpack(self, data: bytes) -> int:
-        """Data into the dictionary."""
-        if self.store is not None:
-            self.store(data)
-            return 0
-        return sum(
-            not _store(entry, value) for entry, value in zip(self._entries, self._unpack(data), strict=True)
-        )
+        entries = tuple(slot.entry for slot in slots if slot.entry is not None)
+        self.pack = _packer(packer.pack, entries)
+        self.unpack = _unpacker(packer.unpack_from, entries)
 
 
 class BitLayout:
     """Any lengths, one after the other without gaps, least significant bit first."""
 
     __slots__ = ("_places", "length")
-
-    store = None
 
     def __init__(self, slots: Sequence[Slot]) -> None:
         self._places: list[tuple[int, Slot]] = []
@@ -199,26 +183,34 @@ def _unfit(entries: tuple[Entry, ...]) -> ValueError:
     return ValueError(f"the values of {entries} do not fit their types")
 
 
-def _storer(
+def _unpacker(
     unpack: Callable[[bytes], tuple[Any, ...]], entries: tuple[Entry, ...]
-) -> Callable[[bytes], None]:
-    """Stores the values of entries without limits and hooks. Two or three, a sample, without a loop."""
+) -> Callable[[bytes], int]:
+    """Stores the values. Two or three without limits and hooks, a sample, without a loop."""
 
-    def store(data: bytes) -> None:
+    def unpack_any(data: bytes) -> int:
+        return sum(not _store(entry, value) for entry, value in zip(entries, unpack(data), strict=True))
+
+    def unpack_plain(data: bytes) -> int:
         for entry, value in zip(entries, unpack(data), strict=True):
             entry.value = value
+        return 0
 
+    if not all(_is_plain(entry) for entry in entries):
+        return unpack_any
     if len(entries) not in (2, 3):
-        return store
+        return unpack_plain
     first, second, third = (entries * 2)[:3]
 
-    def store_two(data: bytes) -> None:
+    def unpack_two(data: bytes) -> int:
         first.value, second.value = unpack(data)
+        return 0
 
-    def store_three(data: bytes) -> None:
+    def unpack_three(data: bytes) -> int:
         first.value, second.value, third.value = unpack(data)
+        return 0
 
-    return store_two if len(entries) == 2 else store_three
+    return unpack_two if len(entries) == 2 else unpack_three
 
 
 def _is_aligned(slot: Slot) -> bool:

@@ -14,7 +14,7 @@ class Pdos:
     """The RPDOs and TPDOs, by their numbers."""
 
     def __init__(self, core: Core) -> None:
-        self._hooks = core.hooks
+        self._core, self._application = core, core.application
         self.rpdos = {number: Rpdo(core, number) for number in numbers(core.dictionary, Direction.RECEIVE)}
         self.tpdos = {number: Tpdo(core, number) for number in numbers(core.dictionary, Direction.TRANSMIT)}
         self._operational = False
@@ -28,11 +28,6 @@ class Pdos:
             rpdo.enable(operational, now)
         for tpdo in self.tpdos.values():
             tpdo.enable(operational, now)
-
-    def listen(self) -> None:
-        """Take over the hook `on_rpdo`."""
-        for rpdo in self.rpdos.values():
-            rpdo.listen()
 
     def synchronous_rpdo(self, number: int) -> Rpdo | None:
         """RPDO `number` if it is taken over at a SYNC now, else None."""
@@ -54,19 +49,17 @@ class Pdos:
 
     def synchronise(self, counter: int | None, now: float) -> None:
         """A SYNC, with its counter if it has one: in OPERATIONAL, and if the program accepts it."""
-        hooks = self._hooks
-        accepts = hooks.accepts_sync
+        core, application = self._core, self._application
+        if core.window_s:
+            core.window_end = now + core.window_s
         if not self._operational:
-            if hooks.on_idle_sync is not None:
-                hooks.on_idle_sync(counter)
+            application.idle_sync_received(counter)
             return
-        if accepts is not None and not accepts(counter, now):
+        if not application.accepts_sync(counter, now):
             return
         for rpdo in self._sync_rpdos:
             rpdo.synchronise(now)
-        if hooks.on_sync is not None:
-            hooks.on_sync(counter, now)
+        application.sync_received(counter, now)
         for tpdo in self._sync_tpdos:
             tpdo.synchronise(counter, now)
-        if hooks.on_synchronised is not None:
-            hooks.on_synchronised()
+        application.tpdos_sampled()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.device.agenda import Timed
 from canfb.device.core import Core
@@ -18,9 +16,8 @@ ERRORS = (EmergencyCode.RPDO_LENGTH, EmergencyCode.RPDO_LENGTH_EXCEEDED, Emergen
 class Rpdo(Timed):
     """Takes data into the dictionary: at once (types FEh, FFh) or at the next SYNC (0 to F0h).
 
-    The hook `on_rpdo` is called when the data stands in the dictionary, `on_bad_rpdo` for a PDO that was
-    kept out because it is too short (EMCY 8210h). One that is too long is used as far as it is mapped
-    (EMCY 8220h).
+    The application hears of it when the data is in the dictionary, and of a PDO that was dropped because
+    it is too short (EMCY 8210h). One that is too long is used as far as it is mapped (EMCY 8220h).
     Sub-index 5 is the time-out in milliseconds: it runs from the first PDO on and gives EMCY 8250h.
     Each error is reported once; a PDO of the mapped length ends it.
     """
@@ -29,9 +26,9 @@ class Rpdo(Timed):
         self.number = number
         self.deadline = NEVER
         self._core = core
+        self._application = core.application
         self._counters = core.counters
         self._emergency = core.emergency
-        self.listen()
         self._parameters = PdoParameters(core.dictionary, number, Direction.RECEIVE, self._written)
         self._timeout = self._parameters.find(5)
         if self._timeout is not None:
@@ -45,8 +42,6 @@ class Rpdo(Timed):
         self._pending: bytes | None = None
         self.waiting = 0
         """PDOs of a synchronous type that came since the last SYNC; the last one is taken over."""
-        self._store: Callable[[bytes], None] | None = None
-        self._length = 0
 
     @property
     def can_id(self) -> int | None:
@@ -58,11 +53,6 @@ class Rpdo(Timed):
         """The CAN-ID it has, in any NMT state; None while it is not valid."""
         return self._parameters.can_id if self._parameters.is_valid else None
 
-    def listen(self) -> None:
-        """Take over the hook `on_rpdo`."""
-        hook = self._core.on_rpdo
-        self._delivered = _nobody_listens if hook is None else hook
-
     def enable(self, operational: bool, now: float) -> None:
         """Whether the NMT state allows PDOs. The mapping is compiled here."""
         self._operational = operational
@@ -71,18 +61,10 @@ class Rpdo(Timed):
         self._timeout_s = 0.0 if self._timeout is None else self._timeout.value / 1000
         self._pending, self.waiting = None, 0
         self.deadline = NEVER
-        self._supervise_if(self._failed or self._timeout_s > 0)
+        self._supervised = self._failed or self._timeout_s > 0
 
     def handle(self, data: bytes, now: float) -> None:
         """The PDO from the bus."""
-        store = self._store
-        if store is not None and len(data) == self._length:
-            store(data)
-            self._delivered(self.number, now)
-        else:
-            self._handle_any(data, now)
-
-    def _handle_any(self, data: bytes, now: float) -> None:
         layout = self._layout
         if layout is None:
             return
@@ -94,13 +76,13 @@ class Rpdo(Timed):
         elif self._supervised:
             self._supervise(now)
         if self.is_synchronous:
-            if now <= self._core.window_end:
-                self._pending = data
-                self.waiting += 1
-            else:
-                self._counters.late_rpdos += 1
+            self._keep(data, now)
             return
-        self._take(layout, data, now)
+        unpack = layout.unpack
+        refused = unpack(data)
+        if refused:
+            self._counters.refused_rpdo_values += refused
+        self._application.rpdo_received(self.number, now)
 
     def synchronise(self, now: float) -> None:
         """Take over what came since the last SYNC."""
@@ -108,7 +90,8 @@ class Rpdo(Timed):
         self.waiting = 0
         if data is not None and layout is not None:
             self._pending = None
-            self._take(layout, data, now)
+            self._counters.refused_rpdo_values += layout.unpack(data)
+            self._application.rpdo_received(self.number, now)
 
     def tick(self, now: float) -> None:
         """Report that the PDO did not come in time, once."""
@@ -116,18 +99,19 @@ class Rpdo(Timed):
             self.deadline = NEVER
             self._report(EmergencyCode.RPDO_TIMEOUT, bytes([self.number & 0xFF]), now)
 
-    def _take(self, layout: Layout, data: bytes, now: float) -> None:
-        refused = layout.unpack(data)
-        if refused:
-            self._counters.refused_rpdo_values += refused
-        self._delivered(self.number, now)
+    def _keep(self, data: bytes, now: float) -> None:
+        """Until the next SYNC."""
+        if now <= self._core.window_end:
+            self._pending = data
+            self.waiting += 1
+        else:
+            self._counters.late_rpdos += 1
 
     def _refuse(self, received: int, mapped: int, now: float) -> None:
         self._counters.short_rpdos += 1
         self._report(EmergencyCode.RPDO_LENGTH, bytes([self.number & 0xFF, received, mapped]), now)
         self._clear(EmergencyCode.RPDO_LENGTH_EXCEEDED, now)
-        if self._core.hooks.on_bad_rpdo is not None:
-            self._core.hooks.on_bad_rpdo(self.number, received, mapped, now)
+        self._application.rpdo_too_short(self.number, received, mapped, now)
 
     def _accept_long(self, received: int, mapped: int, now: float) -> None:
         """The data is there, and in time; only its length is an error."""
@@ -138,24 +122,15 @@ class Rpdo(Timed):
         self._restart_timeout(now)
 
     def _report(self, code: EmergencyCode, manufacturer: bytes, now: float) -> None:
-        self._failed = True
-        self._supervise_if(True)
+        self._failed = self._supervised = True
         self._emergency.report(code, ErrorRegister.COMMUNICATION, manufacturer, now, self._source)
 
     def _supervise(self, now: float) -> None:
         """A good PDO: errors are over, the time-out restarts."""
         if self._failed:
             self._clear_errors(now)
-            self._supervise_if(self._timeout_s > 0)
+            self._supervised = self._timeout_s > 0
         self._restart_timeout(now)
-
-    def _supervise_if(self, supervised: bool) -> None:
-        """Whether the time and the errors are looked at; else the usual PDO is just stored."""
-        layout = self._layout
-        self._supervised = supervised
-        plain = layout is not None and not supervised and not self.is_synchronous
-        self._store = layout.store if plain and layout is not None else None
-        self._length = 0 if layout is None else layout.length
 
     def _restart_timeout(self, now: float) -> None:
         self.deadline = now + self._timeout_s if self._timeout_s else NEVER
@@ -177,7 +152,3 @@ class Rpdo(Timed):
         self._clear_errors(now)
         self.enable(self._operational, now)
         self._core.reactions.pdo_changed()
-
-
-def _nobody_listens(number: int, now: float) -> None:
-    """In place of a hook that is not there."""

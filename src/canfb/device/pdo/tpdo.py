@@ -101,7 +101,8 @@ class Tpdo(Timed):
         """An event of the application; without effect while the TPDO is not active."""
         pack = self._pack_at_once
         if pack is not None:
-            self._emit(_new(Frame, (self._can_id, pack(), False, None)))
+            emit = self._emit
+            emit(_new(Frame, (self._can_id, pack(), False, None)))
         elif self._event_driven:
             if self._limited and now < self._not_before:
                 self._event = True
@@ -115,7 +116,8 @@ class Tpdo(Timed):
         """A SYNC, with its counter if it has one."""
         pack = self._pack_each_sync
         if pack is not None:
-            self._emit(_new(Frame, (self._can_id, pack(), False, None)))
+            emit = self._emit
+            emit(_new(Frame, (self._can_id, pack(), False, None)))
         elif self._type == 0:
             if self._event:
                 self._event = False

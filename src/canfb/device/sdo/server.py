@@ -138,8 +138,7 @@ class SdoServer(Timed):
         """The entry that a download writes. SdoAbort if it does not exist, or must not be written."""
         entry = self._entry(data)
         entry.check_writable()
-        if self._core.hooks.on_write is not None:
-            self._core.hooks.on_write(entry)
+        self._core.application.check_write(entry)
         return entry
 
     def _download(self, data: bytes) -> Transfer | None:

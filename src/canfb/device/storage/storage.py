@@ -57,8 +57,8 @@ class Storage:
     1010h and 1011h; `entries` knows exceptions.
 
     `faults` says by group why stored parameters were refused; the defaults are used in their
-    place. A fault lasts until the group is saved or its defaults are loaded; the hook
-    `on_parameter_faults` is then called.
+    place. A fault lasts until the group is saved or its defaults are loaded; the
+    program is then told.
 
     A store may write in the background: what is saved counts as kept, and the SDO write is answered, when it
     has done so. A reset before brings the values from before, or those of the save.
@@ -141,9 +141,7 @@ class Storage:
 
     def report_faults(self) -> None:
         """Tell the program which groups were refused, and why; none if there are none."""
-        hook = self._core.hooks.on_parameter_faults
-        if hook is not None:
-            hook(dict(self.faults), self._core.moment.now)
+        self._core.application.parameters_refused(dict(self.faults), self._core.moment.now)
 
     def _identity(self) -> Identity:
         found = (self._dictionary.find(0x1018, subindex) for subindex in (1, 2, 3))
@@ -204,10 +202,9 @@ class Storage:
 
     def _written(self, changes: Changes, done: Done, error: OSError | None) -> None:
         """The store has kept the changes, or has failed with `error`."""
-        now, hooks = self._core.moment.now, self._core.hooks
+        now, application = self._core.moment.now, self._core.application
         if error is not None:
-            if hooks.on_save_failed is not None:
-                hooks.on_save_failed(list(changes), error.strerror or str(error), now)
+            application.saving_failed(list(changes), error.strerror or str(error), now)
             done(error)
             return
         mended = [group for group in changes if self.faults.pop(group, None)]
@@ -218,10 +215,9 @@ class Storage:
                 self._images[group] = image
         if mended:
             self.report_faults()
-        if hooks.on_saved is not None:
-            forgotten = [group for group, image in changes.items() if image is None]
-            saved = [group for group in changes if group not in forgotten]
-            hooks.on_saved(saved, forgotten, now)
+        forgotten = [group for group, image in changes.items() if image is None]
+        saved = [group for group in changes if group not in forgotten]
+        application.parameters_saved(saved, forgotten, now)
         done(None)
 
 

@@ -20,7 +20,6 @@ from canfb.module.cia406.speed import MotionObjects
 from canfb.module.cia406.work_area import WorkArea
 from canfb.module.interval import SamplingInterval
 from canfb.module.latest import Latest
-from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import VALID
 
 ALARM_POSITION, ALARM_PARAMETERS = 1 << 0, 1 << 12  # 6503h
@@ -89,24 +88,15 @@ class EncoderProfile:
     def _moved(self) -> None:
         """Every position has another value now."""
         self.cams.configure(self.scale.total_range)
-        if self._latest.feedback is not None:
-            self.publish(self._latest.feedback)
+        last = self._latest.feedback
+        if last is not None:
+            self._position.value = self._fine.value = self.position_at(*self._latest.place(last))
+            if last.status & VALID:
+                self.cams.follow(self._position.value)
 
-    def publish(self, feedback: Feedback) -> None:
-        """Write the position objects and the alarm."""
-        scale = self.scale
-        cycles, phase = self._latest.place(feedback)
-        if scale.binary:
-            units = cycles * scale.binary + int(phase * scale.binary_factor)
-        else:
-            units = scale.units(cycles, phase)
-        self._position.value = self._fine.value = position = (units + scale.offset) % scale.total_range
-        if feedback.status & VALID:
-            self._alarms.value = self._standing_alarms
-            if self.cams.follows:
-                self.cams.follow(position)
-        else:
-            self._alarms.value = self._standing_alarms | ALARM_POSITION
+    def alarm_position(self, active: bool) -> None:
+        """Bit 0 of 6503h: the position is not valid."""
+        self._alarms.value = self._standing_alarms | (ALARM_POSITION if active else 0)
 
     def alarm_parameters(self, refused: bool) -> None:
         """Bit 12 of 6503h: stored parameters were refused, the defaults are in force."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary
@@ -40,7 +39,7 @@ class Prediction:
     :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled, :meth:`withdraw` after it: whoever
     else reads the objects finds the measured position. Bit 12 of the status word stands for as long as
     the extrapolated position does. Bit 0 is never set by it. While coasting the position goes on at the
-    last valid speed; a lost one stays as eq. 9 counts it. ``chosen()`` is called when 2013h is written.
+    last valid speed; a lost one stays as eq. 9 counts it.
 
     With 2013:02 and sample times the position belongs to the nominal SYNC of its sample, d intervals
     after it: x + v d. :meth:`shift` puts it into the objects for good, once the lock is good enough. From
@@ -52,13 +51,12 @@ class Prediction:
         self,
         dictionary: Dictionary,
         profile: EncoderProfile,
-        chosen: Callable[[], None],
         chain: SignalChain,
         interval: SamplingInterval,
     ) -> None:
         entry = dictionary.entry
         self._kind, self._nominal = entry(*od.PREDICTION_POSITION), entry(*od.PREDICTION_NOMINAL_SYNC)
-        self._kind.on_written = self._nominal.on_written = chosen
+        self._kind.on_written = self._nominal.on_written = self.forget
         self._order = entry(*od.SUPERVISION_ORDER)
         self._chain = chain
         self._interval = interval
@@ -66,13 +64,9 @@ class Prediction:
         self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
         self._status = entry(*od.FEEDBACK_STATUS)
         self._profile = profile
-        self._measured: tuple[int, int, int] | None = None
+        self.measured: tuple[int, int, int] | None = None
+        """6004h, 6008h and 2011:01 of the last sample, while the extrapolated ones stand in their place."""
         self.pause(None)
-
-    @property
-    def wanted(self) -> bool:
-        """2013:01 is not 0."""
-        return bool(self._kind.value != OFF)
 
     def pause(self, last: Feedback | None) -> None:
         """OPERATIONAL begins after ``last``: earlier samples say nothing about the speed now."""
@@ -80,7 +74,9 @@ class Prediction:
         self.forget()
 
     def forget(self) -> None:
-        """No SYNC was seen: it is switched on, or OPERATIONAL begins."""
+        """No SYNC was seen: 2013h was written, the node was reset, or OPERATIONAL begins."""
+        self.wanted = bool(self._kind.value != OFF)
+        """2013:01 is not 0: :meth:`extrapolate` and :meth:`withdraw` are to be called."""
         self._at_sync: int | None = None  # samples up to the last SYNC
         self._speed_cycles = 0.0  # of the last valid sample
         self._valid_samples = 0  # in a row
@@ -120,7 +116,7 @@ class Prediction:
         ):
             return
         cycles, phase = ahead(last.cycles, last.phase, displacement)
-        self._measured = self._position.value, self._fine.value, self._status.value
+        self.measured = self._position.value, self._fine.value, self._status.value
         self._position.value = self._fine.value = self._profile.position_at(cycles, phase)
         self._status.value |= EXTRAPOLATED
         if self._may_bend(last):
@@ -128,9 +124,9 @@ class Prediction:
 
     def withdraw(self) -> None:
         """The TPDOs of the SYNC are sampled: the measured position again."""
-        if self._measured is not None:
-            self._position.value, self._fine.value, self._status.value = self._measured
-            self._measured = None
+        if self.measured is not None:
+            self._position.value, self._fine.value, self._status.value = self.measured
+            self.measured = None
 
     def _may_bend(self, last: Feedback) -> bool:
         """With third-order prediction the acceleration may be whole cycles, and it is not known yet."""

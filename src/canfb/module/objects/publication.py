@@ -50,10 +50,7 @@ NOTHING = Feedback(0.0, 0.0, 0.0, math.nan, 0, 0.0, 0.0, 0, 0.0, 0.0, 0, 0)
 
 
 class Publication:
-    """Puts a :class:`canfb.signal.feedback.Feedback` into 2011h and counts faults in 2012h.
-
-    What the default PDOs do not hold is computed when it is read, because few samples are asked for it.
-    """
+    """2011h but for what the default PDOs hold, which is computed when it is read; faults in 2012h."""
 
     def __init__(
         self,
@@ -66,9 +63,7 @@ class Publication:
         loss: LastLoss,
     ) -> None:
         entry = dictionary.entry
-        self._status, self._residual, self._samples = (
-            entry(*one) for one in (od.FEEDBACK_STATUS, od.FEEDBACK_RESIDUAL, od.FEEDBACK_SAMPLES)
-        )
+        self._status = entry(*od.FEEDBACK_STATUS)
         entry(*od.FEEDBACK_PHASE).on_read = self._phase
         entry(*od.FEEDBACK_CYCLE_COUNT).on_read = self._cycle_count
         entry(*od.FEEDBACK_AMPLITUDE).on_read = self._amplitude
@@ -100,18 +95,13 @@ class Publication:
         """What stands there is not valid any more, until the next sample."""
         self._status.value &= ~VALID
 
-    def publish(self, feedback: Feedback) -> None:
-        """Put it into 2011h, count in 2012h, before it is the latest one."""
-        self._last_raw = self._known_raw()
-        status = feedback.status
-        self._status.value = status | self.work
-        self._residual.value = int(feedback.residual * SIXTEEN_BITS)
-        self._samples.value = feedback.samples & U32
-        if status & FAULTS or self._lost:
-            self._count(feedback)
-
     def count(self, feedback: Feedback) -> None:
-        """Count in 2012h what a sample that is not published shows: another one of its SYNC follows."""
+        """Count its faults in 2012h, before it is the latest one."""
+        self._last_raw = self._known_raw()
+        self.count_between(feedback)
+
+    def count_between(self, feedback: Feedback) -> None:
+        """Count the faults of a sample that is not published: another one of its SYNC follows."""
         if feedback.status & FAULTS or self._lost:
             self._count(feedback)
 

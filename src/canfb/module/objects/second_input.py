@@ -40,18 +40,14 @@ class SecondInput:
             written.on_written = self.apply
         self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         entry(*od.SECOND_DIFFERENCE).on_read = self.difference_revolutions
-        self._number: int | None = None
+        self.number: int | None = None
+        """The RPDO that brings 2000:0E; None: none does."""
         self._values = 0  # since the last SYNC
-
-    @property
-    def mapped(self) -> bool:
-        """An RPDO brings 2000:0E."""
-        return self._number is not None
 
     @property
     def sensor(self) -> SecondSensor | None:
         """The sensor of 2014h, None while it is not in use."""
-        if self._number is None or self._tolerance.value == 0.0:
+        if self.number is None or self._tolerance.value == 0.0:
             return None
         return SecondSensor(
             increments=self._increments.value,
@@ -68,14 +64,14 @@ class SecondInput:
 
     def configure(self) -> None:
         """PDO parameters or the NMT state have changed: which RPDO brings the value."""
-        self._number = self._node.rpdo_with(od.SAMPLE_SECOND_POSITION)
+        self.number = self._node.rpdo_with(od.SAMPLE_SECOND_POSITION)
         second = self._chain.second
         if self.sensor != (None if second is None else second.sensor):
             self.apply()
 
-    def on_rpdo(self, number: int) -> None:
-        """RPDO ``number`` has come, or is taken over at a SYNC."""
-        self._values += number == self._number
+    def value_received(self) -> None:
+        """RPDO :attr:`number` has come, or is taken over at a SYNC."""
+        self._values += 1
 
     def interval_over(self, certain: bool) -> None:
         """At a SYNC, before its sample. ``certain``: the one before it was heard as well."""

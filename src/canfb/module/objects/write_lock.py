@@ -43,7 +43,6 @@ class WriteLock:
         self._given.on_check = self._check_given
         self._given.on_written = self._unlock
         entry(*od.WRITE_LOCK_LOCKED).on_read = lambda: int(self.refusal is not None)
-        node.on_write = self._check
 
     @property
     def refusal(self) -> AbortCode | None:
@@ -59,7 +58,8 @@ class WriteLock:
         """Locked again."""
         self._unlocked = False
 
-    def _check(self, entry: Entry | None) -> None:
+    def check_write(self, entry: Entry | None) -> None:
+        """SdoAbort for an SDO write of this entry, or for LSS (None), that is refused now."""
         place = None if entry is None else (entry.index, entry.subindex)
         if entry is not None and entry.index not in STORES and place not in self._locked_places:
             return

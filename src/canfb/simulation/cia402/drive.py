@@ -8,6 +8,7 @@ from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
+from canfb.device.application import Application
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.pdo import EVENT_DRIVEN
@@ -35,7 +36,7 @@ STOP_TIMEOUT_S = 0.5
 """After a ramp the shaft has this time to come to rest; then the power goes off."""
 
 
-class ServoDrive:
+class ServoDrive(Application):
     """A drive, sans-I/O, that turns the motor of ``plant`` by the positions of a feedback module.
 
     Attach the plant to the bus before the drive. With ``feedback`` RPDO4, the EMCY it listens to and the
@@ -61,7 +62,7 @@ class ServoDrive:
         self.dictionary = Dictionary.load(eds_path(EDS), node_id)
         apply_defaults(self.dictionary, plant.motor.config, feedback, serial_number)
         self.plant = plant
-        self.node = Node(self.dictionary, node_id, autostart=autostart, store=store)
+        self.node = Node(self.dictionary, node_id, self, autostart=autostart, store=store)
         self.inhibited = self.node.inhibited
         self.feedback = FeedbackInput(self.dictionary)
         self.axis = Axis(self.dictionary, self.feedback)
@@ -91,7 +92,8 @@ class ServoDrive:
         self._controlword.on_written = self._controlled
         self._quick_option.on_check = _check_quick_stop_option
         self.axis.on_mode = self._show
-        self._connect()
+        for index, subindex in LIVE:
+            self.node.storage.entries.leave_out(index, subindex)
 
     @property
     def state(self) -> State:
@@ -141,18 +143,6 @@ class ServoDrive:
         times = [time for time in (self.node.deadline(), self._sync_due()) if time is not None]
         return min(times, default=None)
 
-    def _connect(self) -> None:
-        node = self.node
-        for index, subindex in LIVE:
-            node.storage.entries.leave_out(index, subindex)
-        node.on_rpdo = self._on_rpdo
-        node.on_sync = self._on_sync
-        node.on_state = self._on_state
-        node.on_reset = self._on_reset
-        node.on_configured = self._on_configured
-        node.on_communication_error = self._on_communication_error
-        node.on_parameter_faults = self._on_parameter_faults
-
     def _overhear(self, frame: Frame, now: float) -> None:
         """EMCY and boot-up of the feedback module, which no RPDO brings."""
         cob_id = self._emergency_id.value
@@ -166,7 +156,8 @@ class ServoDrive:
             return
         self._supervise(now)
 
-    def _on_sync(self, counter: int | None, now: float) -> None:
+    def sync_received(self, counter: int | None, now: float) -> None:
+        """The trajectory goes on by one interval, and the statusword is that of this SYNC."""
         self._interval.event(self._heard_s)
         self._watched_from_s = now
         self.feedback.sync(self._heard_s)
@@ -180,7 +171,8 @@ class ServoDrive:
             self._end_stop(now)
         self._show()
 
-    def _on_rpdo(self, number: int, now: float) -> None:
+    def rpdo_received(self, number: int, now: float) -> None:
+        """The position of the module: the control loop takes its step."""
         if number != self._rpdo:
             return
         period_s = self.interval_s
@@ -303,11 +295,12 @@ class ServoDrive:
                 self.node.clear_emergency(error, now)
         self._error.value = int(DriveError.NONE)
 
-    def _on_communication_error(self, now: float) -> None:
+    def communication_failed(self, now: float) -> None:
         """The heartbeat of a node of 1016h is lost; its EMCY is out already."""
         self._abort_connection(DriveError.HEARTBEAT, now)
 
-    def _on_state(self, old: NmtState, new: NmtState, now: float) -> None:
+    def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
+        """The feedback is lost with a change; the power goes off with the end of OPERATIONAL."""
         if new is NmtState.OPERATIONAL:
             self.feedback.lose()
             for number in self._events:
@@ -331,7 +324,8 @@ class ServoDrive:
         elif option == 3:
             self._switch(self._machine.quick_stop, now)
 
-    def _on_reset(self, communication_only: bool, now: float) -> None:
+    def reset_done(self, communication_only: bool, now: float) -> None:
+        """Power-on of the drive; after a reset of the communication a fault is announced again."""
         self._interval = SyncInterval()
         self.feedback.reset()
         if not communication_only:
@@ -342,7 +336,8 @@ class ServoDrive:
             self._announce(DriveError(self.error), now)
         self._show()
 
-    def _on_configured(self) -> None:
+    def configuration_changed(self) -> None:
+        """Which RPDO brings the position, and which TPDOs go out with an event."""
         self._rpdo = self.node.rpdo_with(POSITION)
         self._events = [
             number
@@ -351,7 +346,7 @@ class ServoDrive:
             and self.dictionary.entry(0x17FF + number, 2).value in EVENT_DRIVEN | {0}
         ]
 
-    def _on_parameter_faults(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
+    def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
         """Stored parameters were refused, or no longer are."""
         if faults:
             self.node.emergency(EmergencyCode.DATA_SET, ErrorRegister.GENERIC, bytes(sorted(faults))[:5], now)
