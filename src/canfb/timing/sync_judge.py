@@ -417,5 +417,5 @@ class SyncJudge:
         self._advance(passed)
         self._answered = self._before_open = True
         self._high_s = -inf  # the next one is looked at
-        self.until = self.synced_s + 2.0 * period
+        self.until = max(self.synced_s + 2.0 * period, now + period)  # after more than MOST_INTERVALS
         return missed if self.sampled else 0
