@@ -213,3 +213,20 @@ def test_in_slow_motion_the_samples_are_equidistant_however_late_the_sync_is(
     phases = np.arctan2(tracks["sine"], tracks["cosine"]) / (2.0 * np.pi)
     assert len(phases) >= 100
     assert np.abs(np.diff(phases) % 1.0 - 0.55).max() < 2e-3
+
+
+def test_a_sync_that_jitters_on_purpose(config: str) -> None:
+    options = build_parser().parse_args(["simulate", config, "--rate", "200", "--jitter", "0.1"])
+    simulation, _, _ = chosen(options, load_config(config))
+    assert simulation.sync_jitter_us == pytest.approx(500.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [(["--jitter", "0.1"], "only with --rate"), (["--rate", "100", "--jitter", "0.46"], "must be 0 to 0.45")],
+)
+def test_a_jitter_that_cannot_be(
+    options: list[str], why: str, config: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, text = refused([config, *options], capsys)
+    assert why in text

@@ -13,7 +13,8 @@ from canfb.configuration import Config
 from canfb.errors import ConfigError
 from canfb.simulation.fed_module import FedModule
 from canfb.simulation.scenario import PACES, SimulationConfig
-from canfb.simulation.set_up import Play
+from canfb.simulation.set_up import Play, with_jitter
+from canfb.simulation.sync_timing import LARGEST_PART
 from canfb.sources.recording_source import RecordingLayout
 
 TIMES = ("time_column", "gap", "gap_samples")
@@ -28,6 +29,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="HZ",
         help="produce the SYNC at this rate; without it, follow the SYNC of the bus",
     )
+    add_jitter(parser)
     parser.add_argument(
         "--pace",
         choices=PACES,
@@ -73,6 +75,23 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_bus_options(parser)
 
 
+def add_jitter(parser: argparse.ArgumentParser) -> None:
+    """The option of who produces the SYNC."""
+    parser.add_argument(
+        "--jitter",
+        type=float,
+        metavar="PART",
+        help="have the SYNC jitter on purpose, uniformly within +- this part of its period, 0 to 0.45",
+    )
+
+
+def jittering(simulation: SimulationConfig, part: float, rate_hz: float) -> SimulationConfig:
+    """With a SYNC that jitters by ``--jitter``. ConfigError for a bad one."""
+    if not 0.0 <= part <= LARGEST_PART:
+        raise ConfigError(f"--jitter {part:g}: must be 0 to {LARGEST_PART:g}, as part of the period")
+    return with_jitter(simulation, part, rate_hz)
+
+
 def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfig, FedModule, Play]:
     """What is simulated: the configuration, with what the options change. ConfigError for bad ones."""
     module = chosen_module(options, config)
@@ -82,6 +101,8 @@ def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfi
         refuse_idle(options, ("rpm",), "not with --samples: a recording has its own motion")
     if options.rate is not None and not 0.1 <= options.rate <= 100_000:
         raise ConfigError(f"--rate {options.rate:g}: must be 0.1 to 100000 Hz")
+    if options.rate is None:
+        refuse_idle(options, ("jitter",), "only with --rate: the SYNC is that of the bus")
     if options.seconds is not None and not 0.0 < options.seconds <= 1e6:
         raise ConfigError(f"--seconds {options.seconds:g}: must be more than 0, at most 1e6")
     simulation = config.simulation
@@ -95,6 +116,8 @@ def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfi
             simulation = replace(simulation, motion=replace(simulation.motion, rpm=options.rpm))
         except ValueError as error:
             raise ConfigError(f"--rpm {options.rpm:g}: {error}") from None
+    if options.jitter is not None:
+        simulation = jittering(simulation, options.jitter, options.rate)
     play = Play(
         rate_hz=options.rate,
         autostart=options.autostart,

@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import json
 import tempfile
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from canfb.cli.log_printing import printed_as_json
 from canfb.cli.options import Commands, add_command, add_ready_file
 from canfb.cli.parser import build_parser
 from canfb.cli.printing import announce_page, say
+from canfb.cli.simulate_options import add_jitter, jittering
 from canfb.configuration import load_config
 from canfb.errors import ConfigError
 
@@ -37,6 +39,7 @@ def register(commands: Commands) -> None:
     parser.add_argument(
         "--rate", type=float, default=100.0, metavar="HZ", help="of the SYNC, 50 to 1000 (100)"
     )
+    add_jitter(parser)
     parser.add_argument("--no-scope", action="store_true", help="without the page")
     parser.add_argument("--port", metavar="N", type=int, default=ANY_PORT, help="of the page (any free one)")
     parser.add_argument("--json", action="store_true", help="print one JSON object a line, for programs")
@@ -58,7 +61,10 @@ def try_it(options: argparse.Namespace) -> int:
         folder = held.enter_context(tempfile.TemporaryDirectory(prefix="canfb-try-"))
         path = Path(folder, "feedback.yaml")
         path.write_text(EXAMPLE.replace(EXAMPLE_BUS, json.dumps(words)), encoding="utf-8")
-        network = NetworkOnBus(load_config(path), options.rate, first=[START_ALL], events=EventLog())
+        config = load_config(path)
+        if options.jitter is not None:
+            config = replace(config, simulation=jittering(config.simulation, options.jitter, options.rate))
+        network = NetworkOnBus(config, options.rate, first=[START_ALL], events=EventLog())
         with network:
             _serve(options, network, path)
     summary = summary_of(network.module)
