@@ -1,6 +1,6 @@
 """Soak: many cycles in simulated time with everything that happens to a bus, and resources that stay flat.
 
-    python -m tools.soak [--cycles N] [--setup NAME] [--seed N] [--known] [--json]
+    python -m tools.soak [--cycles N] [--setup NAME] [--seed N] [--json]
 
 Module, encoder interface, SYNC at 1 kHz, master, monitor and event log of one network, whose machine moves
 and rests; with a drive in some set-ups, and with the module in the runner of `canfb run` in others. One
@@ -49,7 +49,7 @@ class Resources(NamedTuple):
         )
 
 
-def soak(setup: Setup, cycles: int, seed: int, *, known: bool = False) -> dict[str, Any]:
+def soak(setup: Setup, cycles: int, seed: int) -> dict[str, Any]:
     """One set-up; what came out."""
     world = world_of(setup, seed)
     looks: list[Resources] = []
@@ -61,7 +61,7 @@ def soak(setup: Setup, cycles: int, seed: int, *, known: bool = False) -> dict[s
 
     began = time.perf_counter()
     try:
-        found = world.run(cycles, disturbances_of(setup, known=known), look)
+        found = world.run(cycles, disturbances_of(setup), look)
     finally:
         world.close()
     elapsed_s = time.perf_counter() - began
@@ -130,7 +130,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--cycles", type=int, default=100_000, metavar="N", help="of each set-up")
     parser.add_argument("--setup", choices=names, help="only this one")
     parser.add_argument("--seed", type=int, default=28)
-    parser.add_argument("--known", action="store_true", help="what is known to show a defect, too")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args(argv)
     if options.cycles < 1:
@@ -138,7 +137,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     chosen = [one for one in SETUPS if options.setup in (None, one.name)]
     results = []
     for setup in chosen:
-        results.append(soak(setup, options.cycles, options.seed, known=options.known))
+        results.append(soak(setup, options.cycles, options.seed))
         if not options.json:
             print("\n".join(lines(results[-1])), flush=True)
     if options.json:

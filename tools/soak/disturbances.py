@@ -234,16 +234,11 @@ ALWAYS: tuple[Disturbance, ...] = (
 OF_A_PROCESS = (stall, long_stall, link_down, queue_full, wall_clock_set)
 
 
-KNOWN = (clock_behind,)
-"""Of receive times. What they show is known and not mended yet: cycles that are in no counter, positions that
-do not come back. They are left out unless asked for (`--known`)."""
-
-
-def disturbances_of(setup: Setup, *, known: bool = False) -> Mapping[str, Disturbance]:
-    """What can happen to this set-up, by name; with ``known`` what is known to show a defect, too."""
+def disturbances_of(setup: Setup) -> Mapping[str, Disturbance]:
+    """What can happen to this set-up, by name."""
     chosen = [*ALWAYS]
     if setup.stamps:
-        chosen += [clock_set, *(KNOWN if known else ())]
+        chosen += [clock_set, clock_behind]
     if setup.hosted:
         chosen += OF_A_PROCESS
     if setup.driven:

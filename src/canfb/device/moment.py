@@ -36,10 +36,9 @@ class Moment:
         """The frame of the running call has a time stamp, seconds.
 
         Frames come in order, so one that lies a little before the last is as late as that one. One
-        that lies far before it, or later than now, is of a clock that was set: not used.
+        that lies far before it, or later than now, is of a clock that was set: not used, nor is any
+        other that lies before this call. A clock that was set back is used again when it is right.
         """
-        last, self.stamp = self.stamp, stamp
+        last = self.stamp
         self.proved = last - STAMP_NOISE_S <= stamp <= self.now
-        self.received = self.now
-        if self.proved:
-            self.received = self.stamp = max(last, stamp)
+        self.received = self.stamp = max(last, stamp) if self.proved else self.now
