@@ -7,14 +7,14 @@ import math
 from dataclasses import replace
 
 from canfb.bus.simulating import fed_module
+from canfb.cli.jitter_option import add_jitter, jittered
 from canfb.cli.options import add_bus_options, add_ready_file, chosen_module, refuse_idle, whole_number
 from canfb.commissioning.choices import check_mid_scale, two_columns
 from canfb.configuration import Config
 from canfb.errors import ConfigError
 from canfb.simulation.fed_module import FedModule
 from canfb.simulation.scenario import PACES, SimulationConfig
-from canfb.simulation.set_up import Play, with_jitter
-from canfb.simulation.sync_timing import LARGEST_PART
+from canfb.simulation.set_up import Play
 from canfb.sources.recording_source import RecordingLayout
 
 TIMES = ("time_column", "gap", "gap_samples")
@@ -75,23 +75,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_bus_options(parser)
 
 
-def add_jitter(parser: argparse.ArgumentParser) -> None:
-    """The option of who produces the SYNC."""
-    parser.add_argument(
-        "--jitter",
-        type=float,
-        metavar="PART",
-        help="have the SYNC jitter on purpose, uniformly within +- this part of its period, 0 to 0.45",
-    )
-
-
-def jittering(simulation: SimulationConfig, part: float, rate_hz: float) -> SimulationConfig:
-    """With a SYNC that jitters by ``--jitter``. ConfigError for a bad one."""
-    if not 0.0 <= part <= LARGEST_PART:
-        raise ConfigError(f"--jitter {part:g}: must be 0 to {LARGEST_PART:g}, as part of the period")
-    return with_jitter(simulation, part, rate_hz)
-
-
 def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfig, FedModule, Play]:
     """What is simulated: the configuration, with what the options change. ConfigError for bad ones."""
     module = chosen_module(options, config)
@@ -101,11 +84,9 @@ def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfi
         refuse_idle(options, ("rpm",), "not with --samples: a recording has its own motion")
     if options.rate is not None and not 0.1 <= options.rate <= 100_000:
         raise ConfigError(f"--rate {options.rate:g}: must be 0.1 to 100000 Hz")
-    if options.rate is None:
-        refuse_idle(options, ("jitter",), "only with --rate: the SYNC is that of the bus")
     if options.seconds is not None and not 0.0 < options.seconds <= 1e6:
         raise ConfigError(f"--seconds {options.seconds:g}: must be more than 0, at most 1e6")
-    simulation = config.simulation
+    simulation = jittered(config, options).simulation
     for option in ("samples", "rpm") if simulation.drive is not None else ():
         if getattr(options, option) is not None:
             raise ConfigError(
@@ -116,8 +97,6 @@ def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfi
             simulation = replace(simulation, motion=replace(simulation.motion, rpm=options.rpm))
         except ValueError as error:
             raise ConfigError(f"--rpm {options.rpm:g}: {error}") from None
-    if options.jitter is not None:
-        simulation = jittering(simulation, options.jitter, options.rate)
     play = Play(
         rate_hz=options.rate,
         autostart=options.autostart,

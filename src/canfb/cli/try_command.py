@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import json
 import tempfile
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,11 +16,11 @@ from canfb.bus.opening import describe, group_port
 from canfb.bus.readiness import Readiness
 from canfb.bus.runner import ending_on_signals
 from canfb.bus.trying import START_ALL, NetworkOnBus, end_main, private_bus
+from canfb.cli.jitter_option import add_jitter, jittered
 from canfb.cli.log_printing import printed_as_json
 from canfb.cli.options import Commands, add_command, add_ready_file
 from canfb.cli.parser import build_parser
 from canfb.cli.printing import announce_page, say
-from canfb.cli.simulate_options import add_jitter, jittering
 from canfb.configuration import load_config
 from canfb.errors import ConfigError
 
@@ -36,9 +35,7 @@ def register(commands: Commands) -> None:
     parser = add_command(
         commands, "try", "a module, its encoder and its page on a private bus, in one command", try_it
     )
-    parser.add_argument(
-        "--rate", type=float, default=100.0, metavar="HZ", help="of the SYNC, 50 to 1000 (100)"
-    )
+    parser.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="of SYNC, 50 to 1000 (100)")
     add_jitter(parser)
     parser.add_argument("--no-scope", action="store_true", help="without the page")
     parser.add_argument("--port", metavar="N", type=int, default=ANY_PORT, help="of the page (any free one)")
@@ -58,14 +55,10 @@ def try_it(options: argparse.Namespace) -> int:
         if options.json:
             held.enter_context(printed_as_json())
         words = held.enter_context(private_bus())
-        folder = held.enter_context(tempfile.TemporaryDirectory(prefix="canfb-try-"))
-        path = Path(folder, "feedback.yaml")
+        path = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="canfb-try-")), "feedback.yaml")
         path.write_text(EXAMPLE.replace(EXAMPLE_BUS, json.dumps(words)), encoding="utf-8")
-        config = load_config(path)
-        if options.jitter is not None:
-            config = replace(config, simulation=jittering(config.simulation, options.jitter, options.rate))
-        network = NetworkOnBus(config, options.rate, first=[START_ALL], events=EventLog())
-        with network:
+        config = jittered(load_config(path), options)
+        with NetworkOnBus(config, options.rate, first=[START_ALL], events=EventLog()) as network:
             _serve(options, network, path)
     summary = summary_of(network.module)
     say(json.dumps({"event": "end", "text": summary}) if options.json else summary)
