@@ -152,11 +152,7 @@ class Sampling:
         if feedback is None:
             return False
         self._waited = 0.0
-        instant = time_100ns, received_s, synced_s
-        if feedback.status & VALID:
-            self._timed, self._doubted = instant, None
-        else:
-            self._doubted = instant
+        self._remember(feedback, (time_100ns, received_s, synced_s))
         noise = limits.noise
         if feedback[-1] >= noise.due and noise.take(feedback):
             limits.measured()
@@ -182,19 +178,23 @@ class Sampling:
             return self._chain.crowded
         self._waited = 0.0
         self._interval.timed_s = self._chain.unit_s
-        instant = time_100ns, received_s, synced_s
+        self._remember(feedback, (time_100ns, received_s, synced_s))
         if feedback.status & VALID:
             if sample.earlier:
                 self._grid.sample(time_100ns)
             if self._prediction.follows:
                 self._prediction.sampled(time_100ns)
-            self._timed, self._doubted = instant, None
             if self._usual.unconfirmed:
                 feedback = self._withheld(feedback)
-        else:
-            self._doubted = instant
         self._out(sample, feedback, now)
         return True
+
+    def _remember(self, feedback: Feedback, instant: SampleInstant) -> None:
+        """When the sample was taken: a later one that is in doubt is compared with it in words."""
+        if feedback.status & VALID:
+            self._timed, self._doubted = instant, None
+        else:
+            self._doubted = instant
 
     def _out(self, sample: Sample, feedback: Feedback, now: float) -> None:
         noise = self._limits.noise

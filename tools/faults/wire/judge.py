@@ -153,9 +153,8 @@ class Judge:
     def _is_p8(self) -> bool:
         """A step of SYNC within the noise of receive times: seen after a while, or too small."""
         plan = self._plan
-        if plan.setup.times or plan.note == "P8":
-            return not plan.setup.times
-        return self._last_wrong <= plan.fault + STEP_SYNCS
+        seen_late = plan.note == "P8" or self._last_wrong <= plan.fault + STEP_SYNCS
+        return seen_late and not plan.setup.times
 
     def _is_p7(self) -> bool:
         """A PDO answered another SYNC, and a machine that keeps the limits moves as was shown."""
