@@ -43,7 +43,7 @@ test: $(INSTALLED_TEST) ## Run all checks and all tests
 		"package=$(MAKE) --no-print-directory package"
 
 lint: $(INSTALLED_TEST) ## Check style and format
-	$(PY) -m ruff check
+	$(PY) -m ruff check --no-cache
 	$(PY) -m ruff format --check
 
 types: $(INSTALLED_TEST) ## Check types
@@ -68,7 +68,7 @@ site: $(INSTALLED_TEST) ## Build the documentation site, strictly, in build/site
 lowest: $(LOWEST)/.installed ## Run a part of the tests with the lowest versions that pyproject.toml allows
 	$(LOWEST)/bin/python -m pytest tests/bus/test_opening.py tests/bus/test_runner.py tests/cli/test_main.py \
 		tests/cli/test_config_command.py tests/cli/test_simulate_command.py tests/module/test_feedback_module.py \
-		tests/commissioning/test_calibration_page.py tests/test_exports.py
+		tests/calibrate/test_calibration_page.py tests/test_exports.py
 
 # What watches over the position: a change that no test notices is one that a mistake could be.
 mutate: $(INSTALLED_TEST) ## Change the supervision in one place at a time, and see whether the tests notice

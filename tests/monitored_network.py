@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import canfb
-from canfb.bus.known_modules import assumed_layout, known_layouts
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config
 from canfb.device.hosted import Device
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.monitoring.bus_model import BusModel
+from canfb.monitoring.known_modules import assumed_layout, known_layouts
 from canfb.monitoring.snapshot import ModuleSnapshot
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from canfb.bus.scope_demo import ScopeDemo
 from canfb.cli import printing, scope
 from canfb.cli.main import build_parser
+from canfb.hosting.trying import ScopeDemo
 
-LINES_S = 120.0
+LINES_S = 300.0  # of one test, on a busy machine
 
 
 class Running:
@@ -47,8 +47,9 @@ class Running:
     @contextlib.contextmanager
     def started(self, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         """Its address, with the token."""
-        from canfb.bus import scope_demo, scope_server
         from canfb.cli import scope_parts
+        from canfb.hosting import trying
+        from canfb.scope import scope_server
 
         servers, networks, parts, ready = self.servers, self.networks, self.parts, self.ready
 
@@ -58,7 +59,7 @@ class Running:
                 ready.set()
                 super().run()
 
-        class Network(scope_demo.ScopeDemo):
+        class Network(trying.ScopeDemo):
             def __init__(self) -> None:
                 super().__init__()
                 networks.append(self)
@@ -70,7 +71,7 @@ class Running:
 
         monkeypatch.setattr(scope_server, "ScopeServer", Server)
         monkeypatch.setattr(scope_parts, "ScopeParts", Parts)
-        monkeypatch.setattr(scope_demo, "ScopeDemo", Network)
+        monkeypatch.setattr(trying, "ScopeDemo", Network)
         monkeypatch.setattr(printing, "say", self.said.append)
         monkeypatch.setattr(scope, "ending_on_signals", lambda stop: contextlib.nullcontext())
         self._thread.start()

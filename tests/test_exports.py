@@ -160,7 +160,7 @@ def test_a_refused_measurement_says_why() -> None:
 
 def test_import_is_clean_and_brings_in_no_bus_and_no_pictures() -> None:
     """Importing the package must not warn, open anything, or load what only single commands need."""
-    unwanted = "canfb.bus", "canfb.cli", "canfb.demo", "canfb.report"
+    unwanted = "canfb.bus", "canfb.hosting", "canfb.cli", "canfb.demo", "canfb.report"
     done = python("-c", f"import canfb, sys; print(*(name for name in {unwanted} if name in sys.modules))")
     assert (done.returncode, done.stdout, done.stderr) == (0, "\n", "")
 

@@ -208,7 +208,7 @@ WRONG = {
     "two documents": ("bus: {}\n---\nbus: {}\n", 2, "expected a single document in the stream"),
     "an alias without an anchor": ("modules: *m\n", 1, "this is not YAML: found undefined alias 'm'"),
     "a merge key": ("modules:\n- <<: {adc_bits: 12}\n  node_id: 3\n", 2, "unknown key '<<' in modules[0]"),
-    "an alias of itself": ("modules: &m\n- *m\n", 1, "modules[0] must be a mapping"),
+    "an alias of itself": ("modules: &m\n- *m\n", 3, "the file stands for more than 100000 values"),
     "an object of Python": (
         "modules:\n- !!python/object:os.system {node_id: 3}\n",
         2,
@@ -261,6 +261,5 @@ def test_a_bomb_of_aliases_does_not_go_off() -> None:
     """Each list holds the one before ten times: 10^12 words if anybody wrote them all down."""
     lines = ["a0: &a0 [x]"] + [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]" for n in range(1, 13)]
     bomb = "bus:\n" + "".join(f"  {line}\n" for line in lines)
-    assert len(parse_config(f"{bomb}modules: [{{node_id: 3}}]\n").bus) == 13
-    message = refused(f"{bomb}modules:\n- node_id: *a12\n")
-    assert message.endswith("'node_id' in modules[0] must be a single value")
+    message = refused(f"{bomb}modules: [{{node_id: 3}}]\n")
+    assert message.endswith("the file stands for more than 100000 values")

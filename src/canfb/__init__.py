@@ -12,7 +12,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # what type checkers and readers see; at run time __getattr__ does it
-    from canfb.bus.state_files import StateFiles
     from canfb.calibration.drift import Drift, drift
     from canfb.calibration.from_motion import calibrate_from_motion
     from canfb.calibration.result import Calibration
@@ -21,6 +20,7 @@ if TYPE_CHECKING:  # what type checkers and readers see; at run time __getattr__
     from canfb.configuration import Config, load_config
     from canfb.eds_files import eds_path
     from canfb.errors import BusError, CalibrationError, CanfbError, ConfigError
+    from canfb.hosting.state_files import StateFiles
     from canfb.module.feedback_module import FeedbackModule
     from canfb.module.module_config import ModuleConfig
     from canfb.module.second_position_config import SecondPositionConfig
@@ -84,7 +84,7 @@ __all__ = [
 
 # The same names for __getattr__; a test compares both.
 _PLACES = {
-    "bus.state_files": ("StateFiles",),
+    "hosting.state_files": ("StateFiles",),
     "calibration.drift": ("Drift", "drift"),
     "calibration.from_motion": ("calibrate_from_motion",),
     "calibration.result": ("Calibration",),

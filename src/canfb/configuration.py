@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from canfb.checks import flag, integer_in
+from canfb.checks import flag, integer_in, yaml_size
 from canfb.errors import ConfigError
 from canfb.interface.interface_config import InterfaceConfig
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig
@@ -99,10 +99,18 @@ _OR_FLAG = frozenset({"adapt"})  # or true for its defaults, or false
 
 
 _LONGEST_MESSAGE = 300
+# What SafeLoader lets through for values such as 2001-99-99, 0x_ or !!bool 7.
+_NO_VALUE = (ValueError, KeyError, IndexError, AttributeError, TypeError, RecursionError, OverflowError)
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML 1.1, and numbers such as 1e6, which it takes for text."""
+    """YAML 1.1, and numbers such as 1e6, which it takes for text. ValueError for too many values."""
+
+    def get_single_node(self) -> yaml.Node | None:
+        """The nodes, None for an empty text."""
+        root: yaml.Node | None = super().get_single_node()
+        yaml_size(root)
+        return root
 
 
 _Loader.add_implicit_resolver(
@@ -153,20 +161,17 @@ def changed_module(module: ModuleConfig, settings: Sequence[str]) -> ModuleConfi
         key, equals, text = setting.partition("=")
         if not equals or key not in known:
             why = _Reader.unknown(key, known, "a module") if equals else "write it as KEY=VALUE"
-            raise ConfigError(f"--set {setting}: {why}")
-        loader = _Loader(text)
+            raise ConfigError(_short(f"--set {setting}: {why}"))
         try:
-            values[key] = loader.get_single_data()
+            values[key] = yaml.load(text, _Loader)
             if key in _NESTED and not (key in _OR_FLAG and isinstance(values[key], bool)):
                 values[key] = _NESTED[key](**values[key])
-        except (yaml.YAMLError, ValueError, TypeError) as error:
-            raise ConfigError(f"--set {setting}: {' '.join(str(error).split())}") from None
-        finally:
-            loader.dispose()
+        except (yaml.YAMLError, *_NO_VALUE) as error:
+            raise ConfigError(_short(f"--set {setting}: {error}")) from None
     try:
         return dataclasses.replace(module, **values)
     except (ValueError, TypeError) as error:
-        raise ConfigError(f"--set: {error}") from None
+        raise ConfigError(_short(f"--set: {error}")) from None
 
 
 def line_of(path: str | Path, *keys: str | int, said: str = "") -> int:
@@ -206,16 +211,20 @@ def _compose(text: str, name: str) -> yaml.Node | None:
         raise _config_error(name, mark.line + 1 if mark else 1, f"this is not YAML: {words}") from None
     except RecursionError:
         raise _config_error(name, loader.line + 1, "nested too deeply") from None
+    except ValueError as error:
+        raise _config_error(name, loader.line + 1, str(error)) from None
     finally:
         loader.dispose()
 
 
 def _config_error(name: str, line: int, text: str) -> ConfigError:
     """One line, whatever the configuration holds."""
+    return ConfigError(f"{name}:{line}: {_short(text)}")
+
+
+def _short(text: str) -> str:
     short = " ".join(text.split())
-    if len(short) > _LONGEST_MESSAGE:
-        short = f"{short[:_LONGEST_MESSAGE]} ..."
-    return ConfigError(f"{name}:{line}: {short}")
+    return f"{short[:_LONGEST_MESSAGE]} ..." if len(short) > _LONGEST_MESSAGE else short
 
 
 class _Reader:
@@ -329,8 +338,7 @@ class _Reader:
             return loader.construct_document(node)
         except yaml.MarkedYAMLError as error:
             raise self.fail(node, f"{what} cannot be read: {error.problem}") from None
-        # What SafeLoader lets through for values such as 2001-99-99, 0x_ or !!bool 7.
-        except (ValueError, KeyError, IndexError, AttributeError, TypeError, RecursionError):
+        except _NO_VALUE:
             raise self.fail(node, f"{what} cannot be read: {node.value!r}; quote text values") from None
         finally:
             loader.dispose()

@@ -4,7 +4,7 @@ CanfbError
 ├── ConfigError         an unusable configuration; names key and line
 ├── CalibrationError    a reference measurement that was refused
 ├── BusError            a bus that cannot be opened or has failed permanently
-├── StateDirError       a state_dir that cannot be used (canfb.bus.state_files)
+├── StateDirError       a state_dir that cannot be used (canfb.hosting.state_files)
 ├── SourceError         a source that cannot provide samples (canfb.sources.protocol)
 └── EdsNotFoundError    a missing EDS file (canfb.eds_files)
 """

@@ -7,7 +7,6 @@ from typing import Any
 
 import can
 import pytest
-from fake_bus import FakeBus, FakeClock, FakeDevice, each_kind_of_bus, frame_bus, message  # noqa: F401
 
 from canfb.bus.bus_state import ERROR_BUS_OFF, ERROR_RESTARTED, LASTING_S, RETRY_S, SETTLED_S
 from canfb.bus.runner import Runner
@@ -16,6 +15,7 @@ from canfb.cia301.nmt import NmtState
 from canfb.errors import reason
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from fake_bus import FakeBus, FakeClock, FakeDevice, each_kind_of_bus, frame_bus, message  # noqa: F401
 
 BUS_OFF = message(ERROR_BUS_OFF | 0x200, bytes(8), is_error_frame=True)
 RESTARTED = message(ERROR_RESTARTED, bytes(8), is_error_frame=True)

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from computing_jobs import Crash, Forever, Raise, Sum, Where
-from fake_bus import FakeBus, FakeClock, frame_bus
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canfb.bus.compute_process import Inbox, pack
 from canfb.bus.computing import COMMAND, Computation
-from canfb.bus.messages import Inbox, pack
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from canfb.device.hosted import Computing
@@ -24,6 +23,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample_recording import SampleRecording
 from canfb.simulation.encoder import Encoder
+from fake_bus import FakeBus, FakeClock, frame_bus
 
 PATIENCE_S = 60.0
 LONGEST_POLL_S = 0.25  # a loaded machine; it is below 1 ms

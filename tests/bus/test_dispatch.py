@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import pytest
-from fake_bus import FakeClock
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -21,6 +20,7 @@ from canfb.device.hosted import Device, Selective
 from canfb.device.routing import CanIds
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from fake_bus import FakeClock
 
 NODES, UNCONFIGURED, SERIAL = (32, 33, 34), 255, 4711
 NEW_NODE = 35  # what LSS gives the last module

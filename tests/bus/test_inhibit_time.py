@@ -9,7 +9,6 @@ from typing import Any
 
 import can
 import pytest
-from fake_bus import FakeBus, FakeClock, each_kind_of_bus, frame_bus, message  # noqa: F401
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,6 +16,7 @@ from canfb.bus.runner import Runner
 from canfb.device.hosted import Device, Inhibited
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from fake_bus import FakeBus, FakeClock, each_kind_of_bus, frame_bus, message  # noqa: F401
 
 POSITION, EMCY = 0x1A0, 0xA0
 INHIBIT_S = 0.010

@@ -11,8 +11,8 @@ from typing import Any
 import can
 import pytest
 
-from canfb.bus.master import BusMaster
-from canfb.bus.wall_clock import date_and_time
+from canfb.bus.bus_master import BusMaster
+from canfb.bus.clocks import date_and_time
 from canfb.errors import BusError
 
 CHANNEL = "canfb-master"

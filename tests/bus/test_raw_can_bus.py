@@ -12,15 +12,14 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from fake_bus import CAN_FRAME, FakeClock, FakeDevice
 
-from canfb.bus import frame_reader
+from canfb.bus import raw_can_bus
 from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE
-from canfb.bus.frame_reader import MOST_FRAMES, FrameReader
 from canfb.bus.frame_sender import LONGEST_DELAY_S, LONGEST_QUEUE
-from canfb.bus.raw_can_bus import MOST_FILTERS, RawCanBus
+from canfb.bus.raw_can_bus import MOST_FILTERS, MOST_FRAMES, FrameReader, RawCanBus
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
+from fake_bus import CAN_FRAME, FakeClock, FakeDevice
 
 PATIENCE_S = 10.0
 
@@ -85,7 +84,7 @@ def test_flags_are_those_of_the_frame(wire: Wire, can_id: int) -> None:
 
 
 def test_one_call_has_a_limit_and_the_next_has_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(frame_reader, "MOST_FRAMES", 3)
+    monkeypatch.setattr(raw_can_bus, "MOST_FRAMES", 3)
     wire = Wire()
     with wire.bus, wire.far:
         for number in range(8):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import random
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.bus.receive_times import LARGEST_STEP_S, LONGEST_DELAY_S, ReceiveTimes
+from canfb.bus.receive_times import LARGEST_STEP_S, LEARNED_FRAMES, LONGEST_DELAY_S, ReceiveTimes
 
 RESOLUTION_S = 1e-6  # of a float that holds a time of day
 STEPS = [-3600.0, -1.0, -0.01, -0.001, 0.001, 0.01, 1.0, 3600.0]
@@ -143,3 +146,80 @@ def test_one_undisturbed_look_is_enough_at_the_start(clocks: Clocks, away_s: lis
     assert times.received(clocks.stamp(0.001), clocks.now) == pytest.approx(
         clocks.now - 0.001, abs=RESOLUTION_S
     )
+
+
+class Adapter:
+    """Frames of a USB adapter that stamps them by a clock of its own, which drifts."""
+
+    def __init__(self, starts_s: float = 77.0, drift: float = 1e-4, seed: int = 1) -> None:
+        self.clocks, self.rng = Clocks(), random.Random(seed)
+        self.times = self.clocks.times()
+        self.starts_s, self.rate, self.came_s = starts_s, 1.0 + drift, self.clocks.now
+        self.errors_s: list[float] = []
+
+    def frame(self, late_s: float = 0.0, after_s: float = 1e-3) -> float | None:
+        """One frame, taken so late beyond a delay of 0.1 to 0.2 ms; by how much its time is off."""
+        self.came_s += after_s
+        taken_s = self.came_s + 1e-4 + self.rng.uniform(0.0, 1e-4) + late_s
+        self.clocks.now = max(self.clocks.now, taken_s)
+        got = self.times.received(self.starts_s + (self.came_s - 1000.0) * self.rate, self.clocks.now)
+        if got is None:
+            return None
+        assert got <= self.clocks.now
+        self.errors_s.append(got - self.came_s)
+        return got - self.came_s
+
+    def learned(self, frames: int = 3 * LEARNED_FRAMES) -> Adapter:
+        for _ in range(frames):
+            self.frame()
+        return self
+
+
+@pytest.mark.parametrize("drift", [-1e-4, 0.0, 1e-4])
+def test_the_clock_of_an_adapter_is_mapped(drift: float) -> None:
+    """Its stamps have no jitter; what is left is the drift between two frames that were taken soonest."""
+    adapter = Adapter(drift=drift).learned(5000)
+    assert len(adapter.errors_s) == 5000 - LEARNED_FRAMES
+    assert min(adapter.errors_s) > 0.9e-4  # the least delay stays in
+    assert max(adapter.errors_s) < 1.4e-4
+
+
+@pytest.mark.parametrize("late_s", [1e-3, 0.02, 0.5])
+def test_a_host_that_stalls_does_not_move_it(late_s: float) -> None:
+    adapter = Adapter().learned()
+    for left in range(20, 0, -1):
+        error_s = adapter.frame(late_s * left / 20)
+        assert error_s is not None
+        assert 0.9e-4 < error_s < 1.4e-4 + 2e-4 * late_s
+    assert adapter.frame() is not None
+
+
+@pytest.mark.parametrize("step_s", [-1e4, -5.0, -0.01, 0.002, 0.01, 5.0, 1e4])
+def test_a_clock_that_was_set_is_learned_again(step_s: float) -> None:
+    """No frame has a time that is wrong by the step, but those that a stalled host would give as well."""
+    adapter = Adapter().learned()
+    adapter.starts_s += step_s
+    got = [adapter.frame() for _ in range(3 * LEARNED_FRAMES)]
+    wrong = [one for one in got if one is not None and abs(one - 1.2e-4) > LARGEST_STEP_S]
+    assert not wrong or (step_s < 0.0 and len(wrong) <= 2 * LEARNED_FRAMES)
+    last = got[-1]
+    assert last is not None
+    assert abs(last - 1.2e-4) < 5e-5
+
+
+@given(st.lists(st.floats(-1e6, 1e10) | st.sampled_from([0.0, math.nan, math.inf, -math.inf]), max_size=300))
+def test_any_stamps_give_no_time_after_now(stamps: list[float]) -> None:
+    clocks = Clocks()
+    times = clocks.times()
+    for stamp in stamps:
+        clocks.now += 1e-3
+        got = times.received(stamp, clocks.now)
+        assert got is None or got <= clocks.now
+
+
+def test_stamps_that_stand_still_are_none() -> None:
+    clocks = Clocks()
+    times = clocks.times()
+    for _ in range(5 * LEARNED_FRAMES):
+        clocks.now += 1e-3
+        assert times.received(0.0, clocks.now) is None

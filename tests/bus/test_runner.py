@@ -9,7 +9,6 @@ from typing import Any, cast
 import can
 import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
-from fake_bus import FakeBus, FakeClock, FakeDevice, each_kind_of_bus, frame_bus, message  # noqa: F401
 
 from canfb.bus.bus_state import RETRY_S, SETTLED_S
 from canfb.bus.runner import LONGEST_BLIND_DRAIN_S, LONGEST_WAIT_S, DeviceFailure, Runner
@@ -23,6 +22,7 @@ from canfb.simulation.motion import Motion
 from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_producer import SyncProducer
 from canfb.sources.motion_source import MotionSource
+from fake_bus import FakeBus, FakeClock, FakeDevice, each_kind_of_bus, frame_bus, message  # noqa: F401
 
 WALL_S = 1.8e9  # the time of day minus the clock of the runner
 BROKEN = can.CanOperationError("the cable is off", 5)

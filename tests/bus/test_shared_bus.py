@@ -9,7 +9,7 @@ from uuid import uuid4
 import can
 import pytest
 
-from canfb.bus.master import BusMaster
+from canfb.bus.bus_master import BusMaster
 from canfb.bus.shared_bus import SharedBus
 from canfb.errors import BusError
 

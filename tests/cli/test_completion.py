@@ -30,20 +30,31 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def completed(folder: Path, line: str) -> set[str]:
-    """What canfb gives the shell for this line, with the cursor at its end."""
-    answer = folder / "answer"
+EACH_LINE = """
+import os, sys
+import can, numpy  # once, not for each line
+from canfb.cli.main import main
+for line in sys.argv[1:]:
+    if (pid := os.fork()) == 0:  # argcomplete ends the process
+        os.environ |= {"COMP_LINE": line, "COMP_POINT": str(len(line))}
+        os._exit(main([]))
+    assert os.waitpid(pid, 0)[1] == 0, line
+    with open("answer") as answer:
+        print(*answer.read().split(), flush=True)
+"""
+
+
+def completed(folder: Path, *lines: str) -> list[set[str]]:
+    """What canfb gives the shell for these lines, with the cursor at their ends."""
     environment = {
         "_ARGCOMPLETE": "1",
-        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+        "_ARGCOMPLETE_STDOUT_FILENAME": "answer",
         "_ARGCOMPLETE_IFS": "\n",
         "_ARGCOMPLETE_SUPPRESS_SPACE": "1",
-        "COMP_LINE": line,
-        "COMP_POINT": str(len(line)),
         "COMP_TYPE": "9",
     }
     done = subprocess.run(
-        [sys.executable, "-m", "canfb"],
+        [sys.executable, "-c", EACH_LINE, *lines],
         cwd=folder,
         env=os.environ | environment,
         capture_output=True,
@@ -51,35 +62,47 @@ def completed(folder: Path, line: str) -> set[str]:
         timeout=60,
         check=False,
     )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    words = answer.read_text().split("\n")
-    answer.unlink()
-    return {word.strip() for word in words if word}
+    assert (done.returncode, done.stderr) == (0, "")
+    return [set(line.split()) for line in done.stdout.splitlines()]
 
 
 def test_commands_are_completed(folder: Path) -> None:
-    assert completed(folder, "canfb ") >= {entry.name for entry in COMMANDS}
-    assert completed(folder, "canfb si") == {"simulate"}
+    every, some = completed(folder, "canfb ", "canfb si")
+    assert every >= {entry.name for entry in COMMANDS}
+    assert some == {"simulate"}
 
 
 def test_options_and_parts_of_a_command_are_completed(folder: Path) -> None:
-    assert completed(folder, "canfb demo --") == {"--debug", "--help", "--json", "--out"}
-    assert completed(folder, "canfb config e") == {"example"}
-    assert completed(folder, "canfb run x -i socketcan") == {"socketcan", "socketcand"}
+    options, parts, interfaces = completed(
+        folder, "canfb demo --", "canfb config e", "canfb run x -i socketcan"
+    )
+    assert options == {"--debug", "--help", "--json", "--out"}
+    assert parts == {"example"}
+    assert interfaces == {"socketcan", "socketcand"}
 
 
 def test_files_are_those_that_fit(folder: Path) -> None:
-    assert completed(folder, "canfb run ") >= {"feedback.yaml", "wrong.yaml"}
-    assert "tracks.csv" not in completed(folder, "canfb run ")
-    assert completed(folder, "canfb demo --out ") == {"measured/"}
-    assert "tracks.csv" in completed(folder, "canfb calibrate --samples ")
+    configs, folders, samples = completed(
+        folder, "canfb run ", "canfb demo --out ", "canfb calibrate --samples "
+    )
+    assert configs >= {"feedback.yaml", "wrong.yaml"}
+    assert "tracks.csv" not in configs
+    assert folders == {"measured/"}
+    assert "tracks.csv" in samples
 
 
 def test_nodes_are_those_of_the_configuration(folder: Path) -> None:
-    assert completed(folder, "canfb nmt start --config feedback.yaml ") >= {"all", "0x11", "0x21"}
-    assert completed(folder, "canfb calibrate feedback.yaml --module 0x2") == {"0x21"}
-    assert "0x21" not in completed(folder, "canfb nmt start --config wrong.yaml ")
-    assert "all" not in completed(folder, "canfb calibrate feedback.yaml --module ")
+    every, one, none, module = completed(
+        folder,
+        "canfb nmt start --config feedback.yaml ",
+        "canfb calibrate feedback.yaml --module 0x2",
+        "canfb nmt start --config wrong.yaml ",
+        "canfb calibrate feedback.yaml --module ",
+    )
+    assert every >= {"all", "0x11", "0x21"}
+    assert one == {"0x21"}
+    assert "0x21" not in none
+    assert "all" not in module
 
 
 def test_channels_are_the_can_interfaces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,16 +10,16 @@ import canopen
 import numpy as np
 import pytest
 
-from canfb.bus.saved_configuration import saved_configuration
-from canfb.bus.state_files import StateFiles
 from canfb.cli.main import main
-from canfb.commissioning.module_objects import ModuleObjects
 from canfb.configuration import load_config
 from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.od.concise import decode_concise
 from canfb.device.storage.writing import Store
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
+from canfb.hosting.hosting import saved_configuration
+from canfb.hosting.state_files import StateFiles
+from canfb.master.access import ModuleObjects
 from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

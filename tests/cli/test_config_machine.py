@@ -8,7 +8,7 @@ from pathlib import Path
 import can
 import pytest
 
-from canfb.bus.bus_words import check_words
+from canfb.bus.opening import check_words
 from canfb.cli.main import main
 from canfb.errors import ConfigError
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import re
 import shlex
 from pathlib import Path
@@ -11,13 +10,13 @@ from typing import Any
 import canopen
 import pytest
 
-from canfb.bus.saved_configuration import saved_configuration
 from canfb.cia301.frame import Frame
 from canfb.cli import config_dcf
 from canfb.cli.main import main
 from canfb.configuration import load_config
 from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.device.storage.storage import MemoryStore
+from canfb.hosting.hosting import saved_configuration
 from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
@@ -115,11 +114,3 @@ class _Reading:
 
     def sdo(self, node_id: int) -> Any:
         return self._network[node_id].sdo
-
-
-def test_the_page_names_every_option() -> None:
-    parser = argparse.ArgumentParser()
-    config_dcf.add_options(parser)
-    bus = {"--fd", "--data-bitrate", "--timing", "--bus-kwargs", "--channel", "--interface", "--bitrate"}
-    options = {word for action in parser._actions for word in action.option_strings if word.startswith("--")}
-    assert {word for word in options - bus - {"--help"} if word not in PAGE} == set()

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from canfb.bus import on_bus
 from canfb.cli import main as command_line
 from canfb.cli import run as run_command
 from canfb.cli.main import main
 from canfb.errors import BusError, ConfigError
+from canfb.hosting import serving
 
 GOOD = "bus: {interface: virtual, channel: canfb-cli}\nmodules: [{node_id: 32}]\n"
 
@@ -192,7 +192,7 @@ def test_the_bus_options_replace_the_words_of_the_configuration(
         opened.append(options)
         raise BusError("no")
 
-    monkeypatch.setattr(on_bus, "open_device_bus", refuse)
+    monkeypatch.setattr(serving, "open_device_bus", refuse)
     assert main(["run", config]) == 1
     assert main(["run", config, "-c", "can3", "-b", "500000"]) == 1
     assert main(["run", config, "-i", "socketcan", "--bus-kwargs", "local_loopback=False", "port=7"]) == 1

@@ -10,9 +10,9 @@ from pathlib import Path
 import can
 import pytest
 
-from canfb.bus.watching import Watching
 from canfb.cli import monitor_output
 from canfb.cli.main import main
+from canfb.monitoring.watching import Watching
 from monitored_network import MonitoredNetwork
 
 

@@ -110,7 +110,7 @@ def test_a_drive_its_frames_and_its_torque(tmp_path: Path, capsys: pytest.Captur
 def test_saved_parameters_go_before_the_configuration(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from canfb.bus.state_files import StateFiles
+    from canfb.hosting.state_files import StateFiles
     from canfb.module.feedback_module import FeedbackModule
     from canfb.module.module_config import ModuleConfig
 

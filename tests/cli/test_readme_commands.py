@@ -68,13 +68,6 @@ def test_the_library_snippet_runs_as_pasted_from_the_repository() -> None:
     assert np.all(valid == 1.0)
 
 
-def test_the_commands_have_options_that_there_are() -> None:
-    commands = command_lines()
-    assert {words[0] for words in commands} >= {"run", "simulate", "nmt", "calibrate"}
-    for words in commands:
-        build_parser().parse_args(words)
-
-
 def test_the_recording_is_small_and_plays_for_ten_seconds_without_a_fault() -> None:
     assert (ROOT / RECORDING).stat().st_size < 300_000
     (words,) = [words for words in command_lines(SIMULATION) if words[0] == "simulate" and RECORDING in words]

@@ -14,12 +14,12 @@ import can
 import canopen
 import pytest
 
-from canfb.bus.hosting import make_module
-from canfb.bus.state_files import StateDirError
 from canfb.cia301.frame import Frame
 from canfb.cli.log_printing import printed_log
 from canfb.cli.main import main
 from canfb.eds_files import eds_path
+from canfb.hosting.hosting import make_module
+from canfb.hosting.state_files import StateDirError
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 

@@ -41,7 +41,7 @@ def test_wrong_use(options: str, said: str, capsys: pytest.CaptureFixture[str]) 
 def test_a_missing_library_is_one_line(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in [name for name in sys.modules if name.startswith(("bokeh", "canfb.bus.scope_server"))]:
+    for name in [name for name in sys.modules if name.startswith(("bokeh", "canfb.scope.scope_server"))]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "bokeh", None)
     monkeypatch.delitem(sys.modules, "canfb.scope.scope_page", raising=False)

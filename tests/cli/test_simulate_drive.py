@@ -12,13 +12,13 @@ import pytest
 
 from canfb.bus.python_can_bus import PythonCanBus
 from canfb.bus.runner import Runner
-from canfb.bus.simulating import fed_module
 from canfb.cia301.frame import Frame
 from canfb.cli.main import build_parser, main
 from canfb.cli.simulate_options import chosen
 from canfb.configuration import Config, parse_config
 from canfb.device.hosted import Device
 from canfb.errors import ConfigError
+from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.cia402.drive_config import DriveConfig

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from canfb.bus.simulating import fed_module
 from canfb.configuration import Config, parse_config
+from canfb.hosting.simulating import fed_module
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.set_up import Play, SimulatedNetwork, set_up

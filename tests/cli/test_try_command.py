@@ -16,9 +16,9 @@ from pathlib import Path
 import can
 import pytest
 
-from canfb.bus.trying import NetworkOnBus
 from canfb.cli.config_file import EXAMPLE, EXAMPLE_BUS
 from canfb.cli.main import main
+from canfb.hosting.trying import NetworkOnBus
 from processes import Process
 
 PATIENCE_S = 120.0

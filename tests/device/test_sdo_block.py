@@ -249,13 +249,6 @@ def test_another_size_than_announced(bench: Bench, announced: int, code: AbortCo
     assert bench.dictionary.entry(0x2020).value == b""
 
 
-@pytest.mark.parametrize(("size", "code"), [(1, AbortCode.TOO_SHORT), (3, AbortCode.TOO_LONG)])
-def test_another_size_than_the_object(bench: Bench, size: int, code: AbortCode) -> None:
-    answer = download(bench, bytes(size), multiplexer="171000", announced=None)
-    assert answer == abort("171000", code)[0]
-    assert bench.read(0x1017) == 0
-
-
 def test_the_buffer_is_bounded(bench: Bench) -> None:
     answer = download(bench, bytes(70000), announced=None)
     assert answer == abort(TABLE, AbortCode.OUT_OF_MEMORY)[0]

@@ -66,14 +66,6 @@ def test_expedited_download(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("request_", "multiplexer", "code"),
     [
-        ("2300100001020304", "001000", AbortCode.READ_ONLY),
-        ("40222000", "222000", AbortCode.WRITE_ONLY),
-        ("40001001", "001001", AbortCode.NO_SUBINDEX),
-        ("40041000", "041000", AbortCode.NO_OBJECT),
-        ("E000100000000000", "001000", AbortCode.COMMAND),
-        ("23031000", "031000", AbortCode.TOO_LONG),
-        ("2F05100080", "051000", AbortCode.TOO_SHORT),
-        ("2F031000FF", "031000", AbortCode.INVALID_VALUE),
         ("2F252000C9", "252000", AbortCode.VALUE_TOO_HIGH),
         ("2F25200002", "252000", AbortCode.VALUE_TOO_LOW),
         ("2108100010000000", "081000", AbortCode.READ_ONLY),
@@ -89,14 +81,6 @@ def test_refusals(bench: Bench, request_: str, multiplexer: str, code: AbortCode
     expected = [f"60{multiplexer}00000000"] if code is None else abort(multiplexer, code)
     assert bench.sdo(request_) == expected
     assert bench.node.counters.sdo_aborts == (code is not None)
-
-
-def test_a_segmented_upload_frame_by_frame(bench: Bench) -> None:
-    assert bench.sdo("40081000") == ["4108100010000000"]
-    assert bench.sdo("60") == ["00" + b"a sampl".hex().upper()]
-    assert bench.sdo("70") == ["10" + b"e devic".hex().upper()]
-    assert bench.sdo("60") == ["0B" + b"e!".hex().upper() + "0000000000"]
-    assert bench.node.deadline() is None
 
 
 @pytest.mark.parametrize("text", ["", "12345", "1234567", "12345678", "x" * 700])
@@ -117,12 +101,6 @@ def test_a_domain_of_16_kib_both_ways(bench: Bench, announce: bool) -> None:
     assert upload(bench, "202000") == content[::-1]
 
 
-def test_a_number_by_segments(bench: Bench) -> None:
-    assert bench.sdo("2117100002000000") == ["6017100000000000"]
-    assert bench.sdo("0B3412") == ["2000000000000000"]
-    assert bench.read(0x1017) == 0x1234
-
-
 def test_the_upload_is_a_snapshot(bench: Bench) -> None:
     bench.sdo("40212000")
     bench.dictionary.entry(0x2021).value = "changed meanwhile"
@@ -132,12 +110,6 @@ def test_the_upload_is_a_snapshot(bench: Bench) -> None:
     bench.dictionary.entry(0x2026).value = 0
     assert bench.sdo("60") == ["0001020304050607"]
     assert bench.sdo("70") == ["1D08000000000000"]
-
-
-def test_wrong_toggle_ends_an_upload(bench: Bench) -> None:
-    bench.sdo("40081000")
-    assert bench.sdo("70") == abort("081000", AbortCode.TOGGLE)
-    assert bench.sdo("60")[0].endswith("01000405")
 
 
 def test_wrong_toggle_ends_a_download(bench: Bench) -> None:
@@ -230,10 +202,3 @@ def test_channel_ids_are_not_restricted_ones(bench: Bench, can_id: int) -> None:
 def test_expedited_text_without_a_size(bench: Bench) -> None:
     assert bench.sdo("2221200061626364") == ["6021200000000000"]
     assert bench.dictionary.entry(0x2021).value == "abcd"
-
-
-def test_a_new_request_replaces_the_transfer(bench: Bench) -> None:
-    bench.sdo("2121200009000000")
-    assert bench.sdo("40001000") == ["4300100091010400"]
-    assert bench.sdo("00")[0].endswith("01000405")
-    assert bench.dictionary.entry(0x2021).value == "text"

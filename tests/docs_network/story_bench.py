@@ -7,13 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import master
 import network_file
 
-from canfb.bus.simulating import fed_module
+import master
 from canfb.cia301.frame import Frame
 from canfb.configuration import load_config
 from canfb.demo.embedded_network import EmbeddedNetwork
+from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.background_traffic import BackgroundTraffic

@@ -10,13 +10,13 @@ from typing import Any
 
 import axis
 import configuring
-import master
 import nodes
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from story_bench import FOLDER, DriveNetwork
 
+import master
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.simulation import background_traffic

@@ -1,4 +1,4 @@
-"""The short guides: configurations load, figures are right. tests/commissioning runs their commands."""
+"""The short guides: their figures are right. tests/calibrate runs their commands."""
 
 from __future__ import annotations
 
@@ -8,24 +8,13 @@ from pathlib import Path
 import pytest
 
 from canfb import max_acceleration
-from canfb.configuration import parse_config
 from canfb.simulation.wire import frame_bits
 
 DOCS = Path(__file__).parents[2] / "docs"
-GUIDES = [
-    *("first-hour", "first-encoder", "wiring"),
-    *("several-samples", "realtime", "homing"),
-]
 
 
 def text_of(name: str) -> str:
     return (DOCS / f"{name}.md").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize("name", GUIDES)
-def test_the_configurations_load(name: str) -> None:
-    for block in re.findall(r"```yaml\n(.*?)```", text_of(name), re.DOTALL):
-        assert parse_config(block).modules
 
 
 def test_the_accelerations_are_those_of_the_formula() -> None:

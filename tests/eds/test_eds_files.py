@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[2]
 MODULE, INTERFACE, DRIVE = "canfb-module.eds", "encoder-interface.eds", "drive.eds"
 NAMES = (MODULE, INTERFACE, DRIVE)
 TEXTS = {name: eds_path(name).read_text(encoding="ascii") for name in NAMES}
+FILES = {name: read(text, name, 32) for name, text in TEXTS.items()}
 TYPES = {
     "U8": 0x05,
     "U16": 0x06,
@@ -229,8 +230,7 @@ CONTRACT = [
 def test_the_contract_is_kept(name: str, line: str) -> None:
     place, data_type, access, *rest = line.split()
     index, sub = (int(part, 16) for part in place.split(":"))
-    eds = read(TEXTS[name], name, 32)
-    entry = eds.entries[index, sub]
+    entry = FILES[name].entries[index, sub]
     limits = [word for word in rest if ".." in word]
     defaults = [word for word in rest if word not in ("pdo", *limits)]
     assert entry.data_type == TYPES[data_type]
@@ -272,7 +272,7 @@ def test_versions_agree_with_the_package() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_objects_are_in_order(name: str) -> None:
-    eds = read(TEXTS[name], name, 32)
+    eds = FILES[name]
     for listed in check.LISTS:
         section = eds.section(listed)
         numbers = [section.number(key) for key in section.values if key != "supportedobjects"]

@@ -13,7 +13,6 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import configured_defaults
-from canfb.simulation.scenario import SimulationConfig
 
 DOCS = Path(__file__).parents[2] / "docs"
 INTERFACE = (DOCS / "encoder-interface.md").read_text(encoding="utf-8")
@@ -55,14 +54,6 @@ def test_the_pdos_are_those_of_the_eds() -> None:
     assert re.findall(r"2000h:0(\d)", taken) == ["3", "4", "6", "7"]
     timed = configured_defaults(ModuleConfig(node_id=32, times=True))
     assert (timed[0x1600, 0], timed[0x1600, 3]) == (3, 0x20000520)
-
-
-def test_the_page_names_every_key_of_the_time() -> None:
-    told = set(
-        re.findall(r"`(\w+)`", SIMULATION.partition("| key of `simulation` |")[2].partition("\n\n")[0])
-    )
-    keys = {field.name for field in dataclasses.fields(SimulationConfig)} - {"encoder", "motion", "drive"}
-    assert told == keys
 
 
 def test_the_keys_are_read_and_go_where_they_belong() -> None:

@@ -11,8 +11,8 @@ import pytest
 from emulated_iiod import EmulatedAdc, EmulatedIiod
 from iio_kit import iio_source
 
-from canfb.bus.captured_source import CapturedSource
 from canfb.errors import BusError
+from canfb.hosting.captured_source import CapturedSource
 from canfb.sources.iio_source import IioSourceConfig
 
 

@@ -9,7 +9,7 @@ from functools import partial
 
 from emulated_iiod import EmulatedIiod
 
-from canfb.bus.captured_source import REOPEN_S, CapturedSource
+from canfb.hosting.captured_source import REOPEN_S, CapturedSource
 from canfb.signal.sample import Sample
 from canfb.simulation.scenario import SimulationConfig
 from canfb.sources.iio_source import IioSourceConfig

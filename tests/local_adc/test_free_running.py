@@ -8,8 +8,8 @@ import numpy as np
 from emulated_iiod import EmulatedIiod
 from iio_kit import deliver, reading
 
-from canfb.bus.captured_source import CapturedSource
 from canfb.cia301.frame import Frame
+from canfb.hosting.captured_source import CapturedSource
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.supervision import MISSED, VALID

@@ -12,8 +12,8 @@ import pytest
 from emulated_iiod import Channel, EmulatedAdc, EmulatedIiod, time_stamp, voltage
 from iio_kit import deliver, iio_source, reading, sample, until
 
-from canfb.bus.captured_source import CapturedSource
 from canfb.errors import BusError, ConfigError
+from canfb.hosting.captured_source import CapturedSource
 from canfb.sources.iio_source import IioSourceConfig
 from canfb.sources.protocol import SourceError
 

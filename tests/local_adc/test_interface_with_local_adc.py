@@ -20,10 +20,10 @@ import pytest
 from emulated_iiod import EmulatedAdc, EmulatedIiod
 from iio_kit import LIMIT_S, deliver, reading, until
 
-from canfb.bus.captured_source import CapturedSource
-from canfb.bus.interface_hosting import make_interface
 from canfb.cia301.frame import Frame
 from canfb.configuration import INTERFACES, parse_config
+from canfb.hosting.captured_source import CapturedSource
+from canfb.hosting.hosting import make_interface
 from canfb.interface.encoder_interface import EncoderInterface
 
 Iiod = Callable[..., EmulatedIiod]

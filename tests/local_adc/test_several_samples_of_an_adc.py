@@ -12,12 +12,11 @@ import pytest
 from emulated_iiod import EmulatedIiod
 from iio_kit import LIMIT_S, deliver, reading
 
-from canfb.bus.captured_source import CapturedSource
-from canfb.bus.hosting import open_source
-from canfb.bus.interface_hosting import make_interface
 from canfb.cia301.frame import Frame
 from canfb.configuration import ANY_NODES, parse_config
 from canfb.errors import ConfigError
+from canfb.hosting.captured_source import CapturedSource
+from canfb.hosting.hosting import make_interface, open_source
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.supervision import MISSED, VALID

@@ -13,14 +13,14 @@ import can
 import numpy as np
 import pytest
 
-from canfb.bus.state_files import StateFiles
 from canfb.cli.main import main
-from canfb.commissioning.table_file import as_yaml
 from canfb.device.storage.storage import MemoryStore
+from canfb.hosting.state_files import StateFiles
 from canfb.objects import StatusBit
 from canfb.replay.sample_columns import COLUMNS
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction, CorrectionTable
+from canfb.tables.table_file import as_yaml
 from html_page import Page
 from replay_kit import NODE_ID, POSITION_ID, adc, as_message, contents, live, session, write_log
 

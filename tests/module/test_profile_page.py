@@ -10,7 +10,7 @@ import canopen
 import pytest
 from module_bench import Bench
 
-from canfb.cia301.codes import AbortCode, EmergencyCode
+from canfb.cia301.codes import EmergencyCode
 from canfb.cia301.datatypes import DataType
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.storage.storage import MemoryStore
@@ -71,14 +71,6 @@ def test_a_row_is_that_of_the_eds(places: list[tuple[int, int]], cells: list[str
             assert Bench().module.dictionary.entry(*place).current() == number(default)
 
 
-def test_the_names_of_objects_without_sub_indices_are_those_of_the_eds() -> None:
-    for places, cells in rows():
-        (index, subindex), *more = places
-        if not more and not subindex:
-            name = DICTIONARY.entry(index).name.lower().removesuffix(" in measuring units")
-            assert cells[0] == name
-
-
 def test_the_alarms_and_warnings_are_those_that_are_supported() -> None:
     told: dict[str, dict[int, int]] = {"6503": {}, "6505": {}}
     for index, bit, code in re.findall(
@@ -89,11 +81,6 @@ def test_the_alarms_and_warnings_are_those_that_are_supported() -> None:
     assert told["6503"] == {ALARM_POSITION: EmergencyCode.SENSOR, ALARM_PARAMETERS: EmergencyCode.DATA_SET}
     assert sum(told["6503"]) == DICTIONARY.entry(0x6504).default
     assert sum(told["6505"]) == DICTIONARY.entry(0x6506).default
-
-
-def test_the_aborts_are_those_of_the_program() -> None:
-    told = {int(code, 16) for code in re.findall(r"\b(0[0-9A-F]{7})h\b", PAGE)} - {0x00020302, 0x00040196}
-    assert told == {AbortCode.INVALID_VALUE, AbortCode.DEVICE_STATE, AbortCode.NO_OBJECT}
 
 
 @pytest.mark.parametrize("index", [0x6005, 0x6010, 0x6020, 0x6050, 0x650C])

@@ -300,6 +300,17 @@ def test_what_one_configuration_saves_another_restores(
         assert one == other
 
 
+@pytest.mark.parametrize("cob_id", [0x181, 0x190, 0x57F])
+def test_a_cob_id_of_another_node_does_not_follow_the_node_id(cob_id: int) -> None:
+    """That of the second encoder is of the configuration; saved by node 33 it is the same in node 32."""
+    store = MemoryStore()
+    second = SecondPositionConfig(increments=1, revolutions=1, cob_id=cob_id)
+    Machine(store, node_id=33, second_position=second).save()
+    restored = Machine(store).module
+    assert restored.node.storage.faults == {}
+    assert restored.dictionary.entry(0x1401, 1).value == cob_id
+
+
 def test_the_whole_range_of_32_bits_does_not_fit_6002h() -> None:
     """16 cycles are 2**17 units, and 2**15 revolutions would be 2**32."""
     machine = Machine(None, cycles_per_revolution=16)

@@ -59,8 +59,8 @@ def test_the_master_that_sets_a_node_id(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_the_files_that_the_page_names_are_those_of_the_program() -> None:
-    from canfb.bus import state_files
     from canfb.device.storage.image import ParameterGroup
+    from canfb.hosting import state_files
 
     named = set(re.findall(r"`(\w+\.bin)`", STORAGE))
     made = {f"{group.name.lower()}.bin" for group in ParameterGroup}

@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb import objects as od
-from canfb.bus.known_modules import known_layouts
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.monitoring.bus_model import BusModel
+from canfb.monitoring.known_modules import known_layouts
 from canfb.monitoring.lines import residual_words
 from canfb.monitoring.snapshot import ModuleSnapshot
 from folding import each

@@ -1,26 +1,16 @@
-"""docs/monitor.md: its page is that of the program, its commands are understood, its program runs."""
+"""docs/monitor.md: its page is that of the program, its program runs."""
 
 from __future__ import annotations
 
-import contextlib
-import io
 import re
-import shlex
 from pathlib import Path
 
 import pytest
 from test_monitor_panels import printed
 
-from canfb.cli.main import build_parser
 from monitored_network import MonitoredNetwork
 
 PAGE = (Path(__file__).parents[2] / "docs" / "monitor.md").read_text(encoding="utf-8")
-COMMANDS = [
-    line
-    for block in re.findall(r"```sh\n(.*?)```", PAGE, re.S)
-    for line in block.splitlines()
-    if line.startswith("canfb monitor")
-]
 
 
 def without_figures(text: str) -> str:
@@ -40,21 +30,6 @@ def test_the_page_is_that_of_the_program() -> None:
     shown = re.findall(r"```text\n(.*?)```", PAGE, re.S)[0]
     real = "\n".join(printed(network.model.snapshot(network.bus.now), (80, 24)))
     assert re.sub(r" +", " ", without_figures(shown)) == re.sub(r" +", " ", without_figures(real))
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_the_commands_are_understood(command: str) -> None:
-    words = shlex.split(command.partition(">")[0])
-    options = build_parser().parse_args(words[1:])
-    assert options.command == "monitor"
-
-
-def test_every_option_is_there() -> None:
-    with contextlib.redirect_stdout(io.StringIO()) as out, pytest.raises(SystemExit):
-        build_parser().parse_args(["monitor", "--help"])
-    own = out.getvalue().partition("\noptions:")[2].partition("bus arguments")[0]
-    options = set(re.findall(r"--[a-z-]+", own))
-    assert {option for option in options if option not in PAGE} <= {"--help", "--debug", "--channel"}
 
 
 def test_the_program_runs(capsys: pytest.CaptureFixture[str]) -> None:

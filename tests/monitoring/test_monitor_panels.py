@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from canfb.bus.known_modules import assumed_layout
 from canfb.cia301.frame import Frame
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.drawing import bar, dots, history
+from canfb.monitoring.known_modules import assumed_layout
 from canfb.monitoring.layout import NEEDED
 from canfb.monitoring.lines import plain_lines
 from canfb.monitoring.panels import Page

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from canfb.bus.saved_configuration import saved_configuration
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config
+from canfb.hosting.hosting import saved_configuration
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.device_configuration import DeviceConfiguration
 from canfb.module.feedback_module import FeedbackModule

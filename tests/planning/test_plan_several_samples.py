@@ -10,7 +10,7 @@ import pytest
 from planning_kit import BIT_RATE, RATE_HZ, cycles, jerked, planned, play, up_to_speed
 
 from canfb import objects as od
-from canfb.bus.saved_configuration import saved_configuration
+from canfb.hosting.hosting import saved_configuration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.planning.plan import Plan

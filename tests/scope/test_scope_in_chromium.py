@@ -11,8 +11,8 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from canfb.commissioning.scope_tasks import ModuleTasks
-from canfb.scope.send_rule import READING
+from canfb.scope.scope_tasks import ModuleTasks
+from canfb.scope.scoping import READING
 from canfb.signal.correction import CorrectionTable
 from chromium import Chromium
 from scope_running import Running

@@ -216,3 +216,12 @@ def test_a_measurement_is_drawn_before_and_after_and_in_words() -> None:
     assert page.text("outcome").endswith("<p>Accepted. &lt;b&gt;</p>")
     page.press("Read table")
     assert not page.page._figures.measured.visible
+
+
+def test_a_browser_that_chooses_a_module_that_there_is_not() -> None:
+    page = OpenPage(nodes=(NODE, OTHER))
+    for said in ("inf", "", str(NODE + 5)):
+        page.page._choose("value", "", said)
+        assert page.page._node == NODE
+    page.page._choose("value", "", str(OTHER))
+    assert page.page._node == OTHER

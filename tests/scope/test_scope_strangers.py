@@ -24,6 +24,7 @@ from chromium import Chromium
 from scope_running import LINES_S, Running
 
 SAVED, STAGED = (0x2020, 6), (0x2020, 2)
+PATIENT: Any = {"connect_timeout": LINES_S, "request_timeout": LINES_S}  # a busy machine is no finding
 
 
 class Spy(ThreadingHTTPServer):
@@ -71,7 +72,7 @@ class Intruder:
     async def ticket(self, headers: dict[str, str]) -> str:
         """What the server answers to these headers; empty for a refusal."""
         request = HTTPRequest(
-            f"http://{self.host}/session", "POST", body="", headers={**self.origin, **headers}
+            f"http://{self.host}/session", "POST", body="", headers={**self.origin, **headers}, **PATIENT
         )
         try:
             return (await AsyncHTTPClient().fetch(request)).body.decode()
@@ -84,7 +85,8 @@ class Intruder:
         self, ticket: str, headers: dict[str, str] | None = None
     ) -> WebSocketClientConnection | None:
         """The websocket, None where it is refused."""
-        request = HTTPRequest(f"ws://{self.host}/live/ws", headers={**self.origin, **(headers or {})})
+        headers = {**self.origin, **(headers or {})}
+        request = HTTPRequest(f"ws://{self.host}/live/ws", headers=headers, **PATIENT)
         try:
             return await websocket_connect(request, subprotocols=["bokeh", ticket])
         except HTTPClientError as refused:

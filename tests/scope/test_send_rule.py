@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 import canfb
 from canfb.cia301.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
-from canfb.scope.send_rule import SendRule, send_rule
+from canfb.scope.scoping import SendRule, send_rule
 
 NODE = 0x20
 UPLOAD, DOWNLOAD = bytes.fromhex("4018100100000000"), bytes.fromhex("2310100173617665")

@@ -24,7 +24,7 @@ from canfb.signal.sample import Sample
 from canfb.signal.stream import process_stream
 from canfb.signal.supervision import LOST, VALID
 from tools.faults.estimator.declared import Declared, config_of, limits_of, make_chain
-from tools.faults.estimator.episodes import Episode, chain_for, draw, has_sets, play
+from tools.faults.estimator.episodes import Episode, chain_for, draw, play
 from tools.faults.estimator.judge import judge
 from tools.faults.estimator.kinds import KINDS, Kind, State
 from tools.faults.estimator.machine import AMPLITUDE_COUNTS, positions, table_of
@@ -58,7 +58,6 @@ def pairs_of_covered() -> list:
         for name, machine in MACHINES.items()
         if kind.is_covered(machine)
         and not (machine.samples_per_sync > 1 and (kind.jitter or kind.stall or kind.elapsed))
-        and not (kind.elapsed and not has_sets())
     ]
 
 

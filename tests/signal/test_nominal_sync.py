@@ -15,7 +15,7 @@ from canfb.cia301.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.nominal_sync import FIRST_SYNCS, LEARNED_SYNCS, MEMORY_SYNCS, NominalSync
-from canfb.signal.sample_times import TICKS
+from canfb.signal.sample import TICKS
 from canfb.signal.supervision import EXTRAPOLATED, VALID
 
 NODE, INTERFACE = 0x20, 0x10

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.signal.sample_times import RESTARTED, SUSPECT, TICKS, SampleTimes
+from canfb.signal.sample import TICKS
+from canfb.signal.sample_times import LINE_PART, RESTARTED, SUSPECT, SampleTimes
 from canfb.signal.usual_scatter import (
     BEYOND,
     LEARNED_SAMPLES,
-    MOST_PART,
     START_PART,
     WINDOW_SAMPLES,
     UsualScatter,
@@ -28,8 +28,8 @@ def test_the_limit_is_that_of_the_last_samples(deviations: list[float]) -> None:
     for count, deviation in enumerate(deviations, 1):
         usual.learn(deviation)
         least = START_PART * PERIOD_S if count < LEARNED_SAMPLES else 0.0
-        limit = usual.limit_of(PERIOD_S)
-        most = MOST_PART * PERIOD_S
+        limit = usual.limit_of(PERIOD_S, LINE_PART)
+        most = LINE_PART * PERIOD_S
         assert min(most, max(least, BEYOND * max(deviations[:count][-WINDOW_SAMPLES:]))) <= limit
         assert limit <= min(most, max(least, BEYOND * max(deviations[:count][-2 * WINDOW_SAMPLES :])))
 
@@ -40,9 +40,9 @@ def test_what_was_refused_is_learned_at_the_third_time_only() -> None:
         usual.learn(1e-6)
     usual.refuse(1e-4)
     usual.refuse(2e-4)
-    assert usual.limit_of(PERIOD_S) == 2e-6
+    assert usual.limit_of(PERIOD_S, LINE_PART) == 2e-6
     usual.refuse(1.5e-4)
-    assert usual.limit_of(PERIOD_S) == 4e-4
+    assert usual.limit_of(PERIOD_S, LINE_PART) == 4e-4
 
 
 def test_what_was_refused_long_ago_is_forgotten() -> None:
@@ -51,7 +51,7 @@ def test_what_was_refused_long_ago_is_forgotten() -> None:
         usual.refuse(1e-4)
         for _ in range(WINDOW_SAMPLES):
             usual.learn(1e-6)
-    assert usual.limit_of(PERIOD_S) == 2e-6
+    assert usual.limit_of(PERIOD_S, LINE_PART) == 2e-6
 
 
 def test_before_anything_is_learned_no_error_can_cost_another_cycle() -> None:
@@ -65,22 +65,30 @@ class Clock:
     """Sample times with jitter, after 100 samples that were good; SYNC receptions if they are known."""
 
     def __init__(
-        self, jitter_s: float, heard_s: float | None = None, seed: int = 1, learned: int = 100
+        self,
+        jitter_s: float,
+        heard_s: float | None = None,
+        seed: int = 1,
+        learned: int = 100,
+        proved: bool = True,
     ) -> None:
         self.times, self.rng = SampleTimes(), np.random.default_rng(seed)
         self.times.interval_s = PERIOD_S
         self.jitter_s, self.heard_s, self.at, self.counted = jitter_s, heard_s, 0, 0.0
+        self.proved, self.moved_s = proved, 0.0
         for n in range(learned):
             assert self.next(speed=FAST if n > LEARNED_SAMPLES else 0.0) > 0.0
 
-    def next(self, off_s: float = 0.0, speed: float = FAST) -> float:
-        """What is made of the next time, which is wrong by so much."""
+    def next(self, off_s: float = 0.0, speed: float = FAST, late_s: float = 0.0) -> float:
+        """What is made of the next time, which is wrong by so much; the host takes SYNC so late."""
         self.at += 1
         self.counted += 1.0
-        true_s = self.at * PERIOD_S + float(self.rng.uniform(-1.0, 1.0)) * self.jitter_s
-        synced_s = None if self.heard_s is None else true_s + float(self.rng.uniform(-1, 1)) * self.heard_s
+        true_s = self.moved_s + self.at * PERIOD_S + float(self.rng.uniform(-1.0, 1.0)) * self.jitter_s
+        synced_s = None
+        if self.heard_s is not None:
+            synced_s = true_s + late_s + float(self.rng.uniform(-1, 1)) * self.heard_s
         ticks = round((true_s + off_s) / 1e-7) % TICKS
-        got = self.times.elapsed(ticks, self.counted, synced_s, synced_s, speed)
+        got = self.times.elapsed(ticks, self.counted, synced_s if self.proved else None, synced_s, speed)
         if got > 0.0 or got == RESTARTED:
             self.counted = 0.0
         return got
@@ -157,3 +165,58 @@ def test_gaussian_jitter_is_not_flagged(jitter_s: float) -> None:
     clock = Clock(jitter_s)
     for off in rng.normal(0.0, jitter_s, 20_000).tolist():
         assert clock.next(off) > 0.0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_time_before_does_not_hide_a_wrong_one(seed: int) -> None:
+    """An error of 3.2 times the jitter: from the line at least 2.2, from the time before only 1.2."""
+    clock = Clock(100e-6, seed=seed, learned=400)
+    assert clock.next(320e-6) == SUSPECT
+    assert clock.next() > 0.0
+    assert clock.next(-320e-6) == SUSPECT
+
+
+def test_what_no_sync_was_off_by_and_the_host_contradicts_is_refused() -> None:
+    """A host that may be late makes no time right, and takes none away that SYNC has had before."""
+    clock = Clock(100e-6, 20e-6, proved=False, learned=200)
+    for off_s in (210e-6, -210e-6):
+        got = clock.next(off_s)
+        assert got == SUSPECT or abs(got - 1.0) <= 0.21
+        assert clock.next() > 0.0
+    assert Clock(100e-6, learned=200).next(60e-6) > 0.0
+
+
+@pytest.mark.parametrize("late_s", [1e-3, 15e-3])
+def test_a_host_that_was_late_takes_no_time_away(late_s: float) -> None:
+    clock = Clock(100e-6, 20e-6, proved=False, learned=200)
+    assert all(clock.next(late_s=late_s) > 0.0 for _ in range(400))
+
+
+def test_a_sync_that_moves_by_more_than_receptions_jitter_sets_no_clock() -> None:
+    """A shift that would cost cycles: one sample waits for the second that is off as much."""
+    clock = Clock(0.0, 25e-6)
+    clock.moved_s = 80e-6
+    got = [clock.next() for _ in range(200)]
+    assert [one for one in got if one <= 0.0] in ([], [SUSPECT])
+
+
+@pytest.mark.parametrize("proved", [False, True])
+def test_a_sync_that_was_late_is_witnessed_by_both_clocks(proved: bool) -> None:
+    """A producer that stalls: SYNCs are not sent, one is late, the next one is on its grid again."""
+    clock = Clock(10e-6, 20e-6, proved=proved, learned=300)
+    clock.at += 2
+    clock.moved_s = 0.6e-3
+    assert clock.next() == pytest.approx(3.6, abs=0.05)
+    clock.moved_s = 0.0
+    assert clock.next() == pytest.approx(0.4, abs=0.05)
+    assert all(clock.next() == pytest.approx(1.0, abs=0.05) for _ in range(100))
+
+
+def test_a_host_that_is_always_late_witnesses_nothing() -> None:
+    clock = Clock(10e-6, 3e-3, proved=False, learned=300)
+    assert clock.next(2.6e-3) == SUSPECT
+
+
+def test_a_time_that_is_wrong_by_periods_is_no_sync_that_was_late() -> None:
+    for proved in (False, True):
+        assert Clock(10e-6, 20e-6, proved=proved, learned=300).next(1.7e-3) in (SUSPECT, RESTARTED)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
-from canfb.signal.sample import Sample
-from canfb.signal.sample_times import TICK_S, TICKS
+from canfb.signal.sample import TICK_S, TICKS, Sample
 
 PERIOD_S = 1e-3
 LEARNED = 60  # samples
@@ -23,7 +23,7 @@ jitters_us = st.sampled_from([0.0, 0.1, 5.0, 60.0])
 class Line:
     """An interface on a SYNC that jitters: sample time, and when it and its SYNC were received."""
 
-    def __init__(self, seed: int, jitter_us: float, proved: bool, speed_cycles: float) -> None:
+    def __init__(self, seed: int, jitter_us: float, proved: bool | None, speed_cycles: float) -> None:
         self._seed, self._jitter_us, self._proved, self._speed = seed, jitter_us, proved, speed_cycles
         self.slot = 0
         self.part = 1.0  # of the period
@@ -40,7 +40,9 @@ class Line:
         time = (round(true_s * 1.00004 / TICK_S) + round(add_us * 10.0) + self._seed) % TICKS
         sample = Sample(round(1800 * math.sin(angle)), round(1800 * math.cos(angle)), time_100ns=time)
         late_s = 20e-6 * abs(math.sin(n * 1.3)) + late_us * 1e-6
-        return (sample, true_s + 2e-4 + late_s, true_s + late_s) if self._proved else (sample, None, None)
+        if self._proved is None:
+            return sample, None, None
+        return sample, true_s + 2e-4 + late_s if self._proved else None, true_s + late_s
 
 
 def at_once(chain: SignalChain, sample: Sample, received_s: float | None, synced_s: float | None) -> Feedback:
@@ -53,7 +55,7 @@ def at_once(chain: SignalChain, sample: Sample, received_s: float | None, synced
 @given(
     st.integers(0, TICKS - 1),
     jitters_us,
-    st.booleans(),
+    st.sampled_from([None, False, True]),
     st.floats(-1.0, 1.0),
     st.lists(
         st.tuples(
@@ -91,8 +93,9 @@ def test_same_bits_as_the_close_look(
     assert chains[0].unit_s == chains[1].unit_s
 
 
-def test_most_times_of_a_healthy_machine_are_taken_at_once() -> None:
-    line, chain = Line(5, 5.0, True, 0.1), SignalChain(ChainConfig())
+@pytest.mark.parametrize("proved", [None, False, True])
+def test_most_times_of_a_healthy_machine_are_taken_at_once(proved: bool | None) -> None:
+    line, chain = Line(5, 5.0, proved, 0.1), SignalChain(ChainConfig())
     for _ in range(LEARNED):
         at_once(chain, *line.next())
     taken = 0

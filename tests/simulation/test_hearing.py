@@ -8,10 +8,10 @@ import struct
 
 import pytest
 
-from canfb.bus.simulating import fed_module
 from canfb.cia301.frame import Frame
 from canfb.configuration import parse_config
 from canfb.errors import ConfigError
+from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.interface.hearing import TRUE_TIME
 from canfb.interface.sample_clock import SampleClock

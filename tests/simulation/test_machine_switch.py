@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from canfb.bus.simulating import fed_module
 from canfb.cia301.frame import Frame
 from canfb.configuration import load_config
+from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.objects import MachineCommand
 from canfb.signal.sample import Sample

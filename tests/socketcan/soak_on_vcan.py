@@ -2,7 +2,11 @@
 
 The soak (tools/soak) has 10^7 cycles in simulated time; here is what only a real system has: sockets, `ip
 link`, SIGSTOP, file descriptors. No time is asserted. What would cost the position in motion happens at rest.
-It is not collected with the tests: a minute, and on a busy machine an SDO of it once had no response.
+
+`canfb simulate` hears every frame: its socket (some 554 frames) overflows where it gets no processor during a
+block transfer of another node, and SYNC and SDO requests to it are lost. So the long transfer has no SYNC
+beside it, and requests are repeated. It is not collected with the tests: a machine that takes the processor
+from all of them for 13 s in motion costs the position, and this test does not begin again then.
 
     python3 -m tools.vcan run -- .venv/bin/python -m pytest tests/socketcan/soak_on_vcan.py
 """
@@ -11,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import queue
 import signal
 import subprocess
 import threading
@@ -23,6 +28,7 @@ from urllib.parse import urlsplit
 
 import can
 import canopen
+import pytest
 from network import (
     ADC_COB_ID,
     INTERFACE_ID,
@@ -31,13 +37,12 @@ from network import (
     POSITION_COB_ID,
     SYNC,
     TIMES,
-    Timer,
-    slow_motion,
     wait_for_boot_up,
     write_config,
 )
 from pace import Pace
 
+from canfb.cia301.codes import AbortCode
 from canfb.eds_files import eds_path
 from canfb.objects import StatusBit
 from processes import Process
@@ -45,28 +50,32 @@ from processes import Process
 DRIVE = 0x30
 CYCLES, UNITS_PER_CYCLE = 1024, 8192
 MOTOR_INCREMENTS = 65536
-TURN_REVOLUTIONS, TOP_REVOLUTIONS_S, REVOLUTIONS_S2 = 0.12, 0.2, 0.2
-MODULE = f"{TIMES}    cycles_per_revolution: {CYCLES}\n    max_acceleration_rad_s2: 3.0\n"
+TURN_REVOLUTIONS, TOP_REVOLUTIONS_S, REVOLUTIONS_S2 = 0.03, 0.08, 0.032
+MODULE = f"{TIMES}    cycles_per_revolution: {CYCLES}\n    max_acceleration_rad_s2: 0.48\n"
 STOPPED_S = 0.5
-ASKED = 3  # times: a frame that is lost in a full queue is no fault here
-ANSWER_S = 4.0  # of a module that stands still meanwhile, too
-PERIODS = 255  # 2010:06, at 20 ms or more: a SYNC that waits for the one before may be so late
+GIVEN_UP = (AbortCode.TIMEOUT, AbortCode.COMMAND, AbortCode.SEQUENCE_NUMBER)  # the last two: late answers
+ASKED = 3  # times: a request may be lost in the queue of a socket
+PERIOD_S = 0.05  # of SYNC, and of the simulated machine: samples have times, so a SYNC may be late ...
+PERIODS = 255  # ... by so many of them (2010:06), 13 s in which nothing of this network got a processor
 UNANSWERED_SYNCS = 10
 CLOSE_CYCLES = 0.3  # 65536 increments for 1024 cycles, and their rounding
 MOST_GROWTH_KB = 8192
 MOST_LINES = 60
-BLOCKS = (0x1008, 0x1009, 0x1021, 0x100A)  # names, versions, and the EDS
+BOOT_UP = 0  # among the states of a heartbeat
+BLOCKS, EDS = (0x1008, 0x1009, 0x100A), 0x1021  # names and versions
+SEGMENTS = 16  # of a block: what a master on a busy machine takes in within the module's SDO time-out
 
 
 class Producer(threading.Thread):
-    """SYNC at the period of ``pace``, each when the one before is answered; counts those that left.
+    """SYNC each PERIOD_S, or when the one before is answered if that is later; counts those that left.
 
-    ``waits`` False: whether it is answered or not. A bus that is down is opened again.
+    ``waits`` False: whether it is answered or not. A bus that is down is opened again. The period counts from
+    when a SYNC has left: two that come too close are one for a node, which leaves the second unanswered.
     """
 
     def __init__(self, channel: str, pace: Pace) -> None:
         super().__init__(daemon=True)
-        self._channel, self._timer, self._answer_s = channel, Timer(pace), ANSWER_S
+        self._channel, self._patience_s = channel, pace.patience_s
         self._bus = self._open()
         self._over, self._runs, self._idle = threading.Event(), threading.Event(), threading.Event()
         self.waits = True
@@ -90,24 +99,26 @@ class Producer(threading.Thread):
     def pause(self) -> None:
         """No SYNC until :meth:`resume`; the last one is answered."""
         self._runs.clear()
-        assert self._idle.wait(2.0 * self._answer_s)
+        assert self._idle.wait(2.0 * self._patience_s)
 
     def run(self) -> None:
         while not self._over.is_set():
             if not self._runs.is_set():
                 self._idle.set()
                 self._runs.wait()
-            self._timer.wait()
             try:
                 self._send()
             except can.CanError:
                 self._bus.shutdown()
                 self._bus = self._open()
+            time.sleep(PERIOD_S)
 
     def _send(self) -> None:
+        while self._bus.recv(0.0) is not None:
+            pass  # an answer to a SYNC that was not waited for
         self._bus.send(SYNC)
         self.count += 1
-        end = time.monotonic() + self._answer_s
+        end = time.monotonic() + self._patience_s
         while self.waits and time.monotonic() < end and not self._over.is_set():
             if self._bus.recv(LOOK_S) is not None:
                 return
@@ -201,25 +212,33 @@ def rss_kb(pid: int) -> int:
     return int(line.split()[1])
 
 
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """canopen asks for 127 segments."""
+    monkeypatch.setattr("canopen.sdo.client.BlockUploadStream.blksize", SEGMENTS)
+
+
 def test_a_network_goes_on_whatever_happens_to_its_processes_and_its_bus(
     process: Callable[..., Process], tmp_path: Path, can_channel: str, can_bus: can.BusABC, pace: Pace
 ) -> None:
-    motion = "{standstill_s: 1, ramp_s: 1, rpm: 0}"
-    drive = (
-        f"  drive: {{node_id: {DRIVE}, inertia_kg_m2: 0.002, coulomb_friction_nm: 0.003,"
+    simulation = (
+        f"simulation:\n  pace: sync\n  sync_period_us: {1e6 * PERIOD_S}\n  encoder: {{noise_lsb: 0.5}}\n"
+        f"  drive: {{node_id: {DRIVE}, inertia_kg_m2: 0.0125, coulomb_friction_nm: 0.003,"
         f" rated_torque_nm: 0.5, brake_torque_nm: 0.1, motor_increments: {MOTOR_INCREMENTS}}}\n"
     )
-    simulation = slow_motion(pace, motion, "{noise_lsb: 0.5}").rpartition("  motion:")[0] + drive
     config = write_config(tmp_path, MODULE, simulation)
-    processes = {"run": process("run", config), "simulate": process("simulate", config)}
-    wait_for_boot_up(can_bus, pace, NODE_ID, INTERFACE_ID, DRIVE)
     nodes = ("-i", "socketcan", "-c", can_channel, str(NODE_ID))
-    processes["monitor"] = process("monitor", "--plain", "--rate", "0.5", *nodes)
-    processes["scope"] = process("scope", *nodes)
+    processes = {
+        "run": process("run", config),
+        "simulate": process("simulate", config),
+        "monitor": process("monitor", "--plain", "--rate", "0.5", *nodes),
+        "scope": process("scope", *nodes),
+    }
+    wait_for_boot_up(can_bus, pace, NODE_ID, INTERFACE_ID, DRIVE)
     page = Page(processes["scope"].wait_for("^open http").removeprefix("open "))
     processes["monitor"].wait_for("module 32|node 32|32")
     with Producer(can_channel, pace) as producer, contextlib.closing(Master(can_channel, pace)) as master:
-        configure(master, pace)
+        configure(master)
         producer.resume()
         master.until("a valid position", master.is_valid)
         reference = master.places()
@@ -228,11 +247,11 @@ def test_a_network_goes_on_whatever_happens_to_its_processes_and_its_bus(
         a_turn_under_load(master, producer, processes, page)
         right(master, reference)
         the_interface_stands_still(master, producer, processes["simulate"], can_channel)
-        reference = counted_again(master)
+        reference = counted_again(master, producer)
         master.close()
         the_link_goes_down(producer, processes, can_channel)
         master.connect()
-        come_back(master)
+        come_back(master, producer)
         right(master, reference)
         a_turn_under_load(master, producer, processes, page)
         right(master, reference)
@@ -263,16 +282,16 @@ class Page:
                 assert answer.read()
 
 
-def configure(master: Master, pace: Pace) -> None:
+def configure(master: Master) -> None:
     """The drive holds at bus of any delay, and takes the position of the module."""
     master.module.sdo[0x2010][6].raw = PERIODS
     drive, increments = master.drive.sdo, CYCLES * UNITS_PER_CYCLE
-    drive[0x1006].raw = round(1e6 * pace.period_s)
+    drive[0x1006].raw = round(1e6 * PERIOD_S)
     drive[0x608F][1].raw = increments
     drive[0x2110][2].raw = drive[0x2110][3].raw = 1
     drive[0x2110][8].raw = 0  # SYNCs are late here, and left out
     drive[0x2110][6].raw = 255
-    drive[0x6065].raw, drive[0x6067].raw, drive[0x6068].raw = increments // 4, increments // 1024, 50
+    drive[0x6065].raw, drive[0x6067].raw, drive[0x6068].raw = increments // 4, increments // 1024, 125
     drive[0x6081].raw = round(TOP_REVOLUTIONS_S * increments)
     drive[0x6083].raw = drive[0x6084].raw = round(REVOLUTIONS_S2 * increments)
     drive[0x6072].raw, drive[0x6060].raw = 20, 1
@@ -295,8 +314,18 @@ def enable(master: Master, *, on: bool) -> None:
 
 def upload(master: Master, index: int) -> None:
     """By SDO block transfer, while the machine turns."""
-    with master.module.sdo.open(index, 0, "rb", block_transfer=True) as file:
-        assert file.read()
+    master.until(f"{index:04X}h", partial(uploaded, master, index))
+
+
+def uploaded(master: Master, index: int) -> bool:
+    """Whether the module has not given it up: a master may be silent for longer than its time-out."""
+    try:
+        with master.module.sdo.open(index, 0, "rb", block_transfer=True) as file:
+            return bool(file.read())
+    except canopen.SdoAbortedError as aborted:
+        if aborted.code not in GIVEN_UP:
+            raise
+        return False
 
 
 def shows(drive: Any, mask: int, bits: int) -> bool:
@@ -321,6 +350,7 @@ def a_turn_under_load(master: Master, producer: Producer, processes: dict[str, P
         upload(master, index)
     reached(master)
     after, sent_after = quiet(master, producer)
+    upload(master, EDS)
     assert after["samples"] - before["samples"] == sent_after - sent, "a SYNC without a sample or a counter"
     assert after["lost"] == before["lost"]
     producer.resume()
@@ -377,13 +407,15 @@ def the_interface_stands_still(master: Master, producer: Producer, simulate: Pro
     producer.resume()
 
 
-def counted_again(master: Master) -> tuple[float, float]:
+def counted_again(master: Master, producer: Producer) -> tuple[float, float]:
     """Reset at rest, as docs/lost.md has it: the position begins at 0. The new reference."""
+    producer.pause()  # a module that starts answers no SYNC
+    states = queue.SimpleQueue[int]()  # canopen's wait_for_bootup misses one that comes before it waits
+    master.module.nmt.add_heartbeat_callback(states.put)
     master.module.nmt.state = "RESET"
-    master.module.nmt.wait_for_bootup(master.patience_s)
+    assert states.get(timeout=master.patience_s) == BOOT_UP
     master.module.sdo[0x2010][6].raw = PERIODS
-    master.start()
-    master.until("a valid position", master.is_valid)
+    come_back(master, producer)
     return master.places()
 
 
@@ -399,12 +431,14 @@ def the_link_goes_down(producer: Producer, processes: dict[str, Process], channe
         subprocess.run([*ip, "up"], check=True)
     for one in processes.values():
         one.wait_for("the bus works again")
+    producer.pause()
     producer.waits = True
 
 
-def come_back(master: Master) -> None:
+def come_back(master: Master, producer: Producer) -> None:
     """What a master does after an outage: start all; at rest the position goes on."""
     master.start()
+    producer.resume()
     master.until("a valid position", master.is_valid)
 
 

@@ -209,3 +209,12 @@ def test_a_module_outlives_its_interface(pace: Pace) -> None:
     assert ups.lines[1::2] == ["the bus works again"] * 2
     assert ups.lines[2] in ("the bus fails: Network is down", "the bus fails: No such device")
     assert (0x0A0, bytes.fromhex("4081110000000000")) in ups.heard
+
+
+def test_frames_that_wait_while_the_host_stalls_are_there(
+    raw: RawCanBus, can_bus: can.BusABC, pace: Pace
+) -> None:
+    """More than the 277 that a socket holds as delivered."""
+    for number in range(400):
+        can_bus.send(can.Message(arbitration_id=0x100 + number, is_extended_id=False))
+    assert len(heard(raw, pace, 0x100 + 399)) == 400

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 import canfb.sources
-from canfb.bus.hosting import open_source
 from canfb.cia301.frame import Frame
 from canfb.cli.main import main
 from canfb.configuration import parse_config
 from canfb.errors import ConfigError
+from canfb.hosting.hosting import open_source
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import VALID
 from canfb.sources.registry import source_kinds

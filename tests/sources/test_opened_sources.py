@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from canfb.bus.hosting import make_module, open_source
 from canfb.cia301.frame import Frame
 from canfb.cli.log_printing import printed_log
-from canfb.commissioning.sample_files import write_npz
-from canfb.commissioning.samples import TrackSamples
 from canfb.configuration import parse_config
 from canfb.errors import CanfbError
+from canfb.hosting.hosting import make_module, open_source
+from canfb.master.samples import TrackSamples, write_npz
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import VALID
 from canfb.sources.protocol import Source, SourceEnded

@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 IN_PLACE = """
 import os, sys
-from canfb.bus.state_files import StateFiles
+from canfb.hosting.state_files import StateFiles
 from tools.faults.saving import kills
 
 def write(self, name, data):
@@ -23,6 +23,7 @@ def write(self, name, data):
         file.write(data[100:])
 
 StateFiles._write = write
+kills.COMMANDS = kills.COMMANDS[:1]
 sys.exit(kills.main(["--every", "2000", "--json"]))
 """
 
@@ -61,4 +62,4 @@ GROUPS = ("application", "communication", "manufacturer")
 def test_a_store_that_writes_in_place_is_found_out() -> None:
     status, told = run("-c", IN_PLACE)
     assert (status, told["good"]) == (1, False)
-    assert all(one["neither"] > 0 for one in told["kills"] if one["command"].startswith("save all"))
+    assert [one["neither"] > 0 for one in told["kills"]] == [True]

@@ -153,20 +153,23 @@ def test_truths_are_found_by_the_bytes_themselves_and_are_bounded() -> None:
     assert truths.of(sent[0]) is None
 
 
-def figures(first: Resources, last: Resources, **found: Any) -> dict[str, Any]:
-    return as_figures(BY_NAME["plain"], Findings(cycles=1000, **found), first, last)
+def figures(*looks: Resources, **found: Any) -> dict[str, Any]:
+    return as_figures(BY_NAME["plain"], Findings(cycles=1000, **found), looks)
 
 
 def test_what_grows_is_seen() -> None:
     first = Resources(50_000_000, 10_000, 6)
     assert figures(first, first)["good"]
-    for last, name in (
-        (first._replace(memory_bytes=60_000_000), "memory_bytes"),
-        (first._replace(objects=20_000), "objects"),
-        (first._replace(descriptors=7), "descriptors"),
+    for half, last, name in (
+        (first._replace(memory_bytes=53_000_000), first._replace(memory_bytes=56_000_000), "memory_bytes"),
+        (first._replace(blocks=20_500), first._replace(blocks=31_000), "blocks"),
+        (first, first._replace(descriptors=7), "descriptors"),
     ):
-        assert figures(first, last)["grown"] == [name]
-        assert not figures(first, last)["good"]
+        assert figures(first, half, last)["grown"] == [name]
+        assert not figures(first, half, last)["good"]
+    loaded = first._replace(memory_bytes=60_000_000, blocks=30_000)
+    assert figures(first, loaded, loaded)["good"]
+    assert figures(first, first, loaded)["good"]
     for bad in ("wrong", "uncounted", "not_recovered"):
         assert not figures(first, first, **{bad: 1})["good"]
     assert not figures(first, first, log_lines=1000)["good"]

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from canfb.bus.trying import private_bus
 from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
+from canfb.hosting.trying import private_bus
 from canfb.objects import StatusBit
 from tools.faults.stalls import Judge, Run, TrueMotion, holds, measured, parse, row, runs_of
 

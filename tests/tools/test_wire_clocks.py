@@ -54,7 +54,7 @@ def test_after_a_reset_the_module_counts_from_where_it_starts_and_not_twice() ->
     motion = Motion(start=0.25)
     motion.push(-1.0, 1.0, 7.0)
     plan = Plan(SETUPS[0], Options(), motion, np.random.default_rng(1), [Slot() for _ in range(60)], 40)
-    plan.actions.append((30.5, "nmt", bytes([129])))
+    plan.actions += [(30.5, "nmt", bytes([129])), (33.5, "nmt", bytes([1]))]
     line = lay(plan)
     pdos = [one for one in line.events if one.what == "pdo"]
     base = line.positions[0] - line.positions[0] % 1.0

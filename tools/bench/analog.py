@@ -6,7 +6,7 @@ error is that against the position at the instant of the sample, in cycles: mean
 "compensated" has the path as it is; "--speeds" has what `canfb calibrate --speeds 61,1500,3000` finds of it,
 with the delay (2002:07) given, and with the one that the amplitude tells.
 
-    python -m tools.bench.analog [--markdown] [--check]
+    python -m tools.bench.analog [--check]
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from canfb.signal.harmonics import Corners
 from canfb.signal.sample import Sample
 from canfb.simulation.analog_path import IDEAL_PATH, AnalogPath
 from canfb.simulation.encoder import Encoder, Harmonic
+from tools.site.markdown import table
 
 N = 2500
 INTERVAL_S = 1e-3
@@ -145,7 +146,7 @@ def errors(encoder: Encoder, used: Told, rpm: float, samples: int) -> Error:
     return Error(float(off.mean()), float(off.std()))
 
 
-def table(harmonics: tuple[Harmonic, ...], samples: int) -> Iterator[tuple[Row, dict[str, list[Error]]]]:
+def measured(harmonics: tuple[Harmonic, ...], samples: int) -> Iterator[tuple[Row, dict[str, list[Error]]]]:
     """For each row the errors at each speed, without compensation and with each."""
     for row in ROWS:
         encoder = Encoder(amplitude_counts=1500.0, harmonics=harmonics, noise_lsb=0.5, path=row.path)
@@ -184,24 +185,18 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m tools.bench.analog", description=(__doc__ or "").splitlines()[0]
     )
-    parser.add_argument(
-        "--markdown", action="store_true", help="print the tables of docs/analog-front-end.md"
-    )
     parser.add_argument("--check", action="store_true", help="exit status 1 when a goal is missed")
     parser.add_argument("--samples", type=int, default=SAMPLES, help="samples at each speed")
     options = parser.parse_args(arguments)
     missed = False
-    head, separator, tail = ("| ", " | ", " |") if options.markdown else ("", "  ", "")
     for name, harmonics in HARMONICS.items():
         print(f"\n{name}\n")
-        print(head + separator.join([f"{'':48}", *(f"{rpm:17g}" for rpm in SPEEDS_RPM)]) + tail)
-        if options.markdown:
-            print("|---" * (len(SPEEDS_RPM) + 1) + "|")
-        for row, found in table(harmonics, options.samples):
+        rows = []
+        for row, found in measured(harmonics, options.samples):
             for what, over in found.items():
-                cells = [f"{one.mean:+.4f} / {one.rms:.5f}" for one in over]
-                print(head + separator.join([f"{what:48}", *cells]) + tail, flush=True)
+                rows.append([what, *(f"{one.mean:+.4f} / {one.rms:.5f}" for one in over)])
                 missed = missed or bool(misses(row, what, over))
+        print("\n".join(table(["", *(f"{rpm:g}" for rpm in SPEEDS_RPM)], rows)))
     return 1 if options.check and missed else 0
 
 

@@ -1,185 +1,194 @@
-"""Measure what a cycle costs on a bus, in `canfb run` and in a stock canopen.LocalNode on python-can.
+"""Measure a node on a bus: processor time of a cycle, and how long a position takes after SYNC and ADC PDO.
 
-    python -m tools.bench.bus [--cycles N] [--repeat N] [--rate HZ] [--kinds stock,canfb]
-    python3 -m tools.vcan run -- .venv/bin/python -m tools.bench.bus --channel vcan0
+    python -m tools.bench.bus [--nodes stock,canfb] [--loads alone,sdo,full] [--realtime no,yes]
+                              [--cycles N] [--rounds N] [--rate HZ]
+    python3 -m tools.vcan run -- .venv/bin/python -m tools.bench.bus --channel vcan0 --rate 100
 
-Each node is a process; this program plays SYNC producer and encoder interface: SYNC and ADC PDO, and the
-position PDO comes back. The bus is a pair of datagram sockets that carry struct can_frame, so that what the
-programs need shows without a driver, or with --channel a SocketCAN interface.
+Each node is a process of its own: `canfb` is `canfb run`, `python-can` the same on python-can, `:alone`
+without the second TPDO, `stock` a canopen.LocalNode that answers with atan2, `floor` answers and does nothing
+else: what machine and bus take. This program plays SYNC producer, encoder interface and a load: nothing
+(alone), correction tables by SDO block transfer (sdo), or frames of other nodes up to 1 Mbit/s (full). The
+bus is a pair of datagram sockets that carry struct can_frame, or with --channel a SocketCAN interface. Each
+SYNC is answered by TPDO2 (type 1), each ADC PDO by TPDO1 (type 254). Realtime: SCHED_FIFO, mlockall and a
+processor of its own, as far as the system permits.
 
-Printed are the processor time of a node for one cycle (user and system, of all its threads), at --rate and
-when each cycle begins with the position of the one before, and the cycles per second then: medians of
---repeat rounds in turns, and the medians of their ratios to the first of --kinds.
+All combinations are measured in turns, in --rounds parts. Printed are the processor time of the node for one
+cycle (user and system, of all its threads), its ratio to that of the first row, both as medians of the
+rounds, and percentiles of the times. docs/benchmarks.md and docs/latency.md say how to read the figures.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import math
-import select
+import os
+import signal
 import socket
 import statistics
-import struct
+import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 
-from tools.bench.node_process import PATIENCE_S, NodeProcess
+from canfb.configuration import RealtimeConfig
+from canfb.hosting.realtime import apply_realtime
+from tools.bench.bus_load import LOADS
+from tools.bench.bus_node import READY
+from tools.bench.bus_others import Others
+from tools.site.markdown import table
 
-NODE_ID, ENCODER_INTERFACE = 32, 16
-SYNC, ADC_PDO, POSITION_PDO = 0x080, 0x180 + ENCODER_INTERFACE, 0x180 + NODE_ID
-CAN_FRAME = struct.Struct("=IB3x8s")
-STEP_CYCLES = 0.1
-SAMPLES_BEFORE_REPEAT = 1000  # 100 cycles of the encoder
-WARM_UP = 300
-MOST_MISSED = 0.5  # of the samples, on a machine that is busy with other work
-KINDS = ("stock", "python-can", "canfb", "canfb:alone", "floor")
+Combination = tuple[str, str, str]
+NODES = ("stock", "python-can", "python-can:alone", "canfb", "canfb:alone", "floor")
+REALTIME = ("no", "yes")
+PRIORITY = 90  # of this program, above that of the node
+PATIENCE_S = 20.0
+PARTS = (0.5, 0.99, 0.999, 1.0)
+HEAD = (
+    *("load", "node", "realtime", "CPU of a cycle", "ratio"),
+    *("SYNC to TPDO2", "ADC PDO to TPDO1", "later than a period"),
+)
 
 
-class Node:
-    """A node as a process, and the far end of its bus. ``rate_hz`` is 0 for as fast as it goes."""
+class NodeProcess:
+    """Runs tools.bench.bus_node on a bus until :meth:`end`; the others of the bus use :attr:`bus`."""
 
-    def __init__(self, kind: str, channel: str | None, rate_hz: float) -> None:
-        self.kind = kind
-        self._rate_hz = rate_hz
-        arguments = ["tools.bench.bus_node", kind, *["--true-time"] * bool(rate_hz)]
-        self._process = NodeProcess(arguments, channel, ready="ready")
-        self.bus = self._process.bus
-        if channel is not None:
-            only_position = struct.pack("=II", POSITION_PDO, 0x7FF)
-            self.bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, only_position)
-        self.bus.settimeout(PATIENCE_S)
-        self._clock = self._process.processor_clock
-        self._played = 0
-        self.play(WARM_UP)
+    def __init__(self, arguments: Sequence[str], channel: str | None) -> None:
+        command = [sys.executable, "-m", "tools.bench.bus_node", *arguments]
+        if channel is None:
+            self.bus, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+            command += ["--fd", str(theirs.fileno())]
+        else:
+            theirs = self.bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+            self.bus.bind((channel,))
+            command += ["--channel", channel]
+        self._process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, text=True, pass_fds=[theirs.fileno()]
+        )
+        if theirs is not self.bus:
+            theirs.close()
+        assert self._process.stdout is not None
+        if not any(READY in line for line in iter(self._process.stdout.readline, "")):
+            sys.exit(f"{' '.join(arguments)} did not start")
+        self._clock = (~self._process.pid << 3) | 2  # of the process: clock_getcpuclockid(3)
+
+    def processor_s(self) -> float:
+        """Processor time until now."""
+        return time.clock_gettime(self._clock)
 
     def end(self) -> None:
         """End the process."""
-        self._process.end()
-
-    def play(self, cycles: int) -> tuple[float, float]:
-        """Processor time of the node and time on the wall of so many cycles, seconds for one."""
-        started, used = time.perf_counter(), time.clock_gettime(self._clock)
-        if self._rate_hz:
-            self._play_paced(cycles)
-        else:
-            for _ in range(cycles):
-                self._send_samples()
-                while not _is_position(self._receive()):
-                    pass
-        spent_s = time.clock_gettime(self._clock) - used
-        return spent_s / cycles, (time.perf_counter() - started) / cycles
-
-    def _play_paced(self, cycles: int) -> None:
-        positions, start = 0, time.perf_counter()
-        for cycle in range(cycles):
-            self._send_samples()
-            positions += self._positions_until(start + (cycle + 1) / self._rate_hz)
-        if positions < (1.0 - MOST_MISSED) * cycles:
-            sys.exit(f"the node {self.kind} sent {positions} positions for {cycles} samples")
-
-    def _send_samples(self) -> None:
-        self.bus.send(SYNC_FRAME)
-        self.bus.send(ADC_FRAMES[self._played % SAMPLES_BEFORE_REPEAT])
-        self._played += 1
-
-    def _receive(self) -> bytes:
+        self._process.send_signal(signal.SIGTERM)
         try:
-            return self.bus.recv(CAN_FRAME.size)
-        except TimeoutError:
-            sys.exit(f"the node {self.kind} does not answer")
-
-    def _positions_until(self, moment: float) -> int:
-        positions = 0
-        while (left := moment - time.perf_counter()) > 0:
-            if select.select([self.bus], [], [], left)[0]:
-                positions += _is_position(self.bus.recv(CAN_FRAME.size))
-        return positions
-
-
-def _is_position(frame: bytes) -> bool:
-    return bool(struct.unpack_from("=I", frame) == (POSITION_PDO,))
-
-
-def adc_frame(number: int, step_cycles: float = STEP_CYCLES) -> bytes:
-    """The ADC PDO of one sample of an encoder that turns steadily."""
-    angle = 2.0 * math.pi * step_cycles * number
-    data = struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
-    return CAN_FRAME.pack(ADC_PDO, len(data), data)
-
-
-SYNC_FRAME = CAN_FRAME.pack(SYNC, 0, b"")
-ADC_FRAMES = [adc_frame(number) for number in range(SAMPLES_BEFORE_REPEAT)]
+            self._process.communicate(timeout=PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.communicate()
+        finally:
+            self.bus.close()
 
 
 @dataclass
 class Found:
-    """Of each round: processor time of a cycle, µs, paced and not, and cycles per second when not paced."""
+    """Of one combination: processor time of a cycle in each round, and the times of all rounds, µs."""
 
-    paced_us: list[float] = field(default_factory=list)
-    fast_us: list[float] = field(default_factory=list)
-    fast_hz: list[float] = field(default_factory=list)
+    processor_us: list[float] = field(default_factory=list)
+    from_sync_us: list[float] = field(default_factory=list)
+    from_adc_us: list[float] = field(default_factory=list)
+    late: int = 0
 
-
-def measure(
-    kinds: Sequence[str], channel: str | None, rate_hz: float, cycles: int, repeat: int
-) -> list[Found]:
-    """All kinds in turns, with one node at a time: on one interface they would hear each other."""
-    found = [Found() for _ in kinds]
-    for _ in range(repeat):
-        for rate in (rate_hz, 0.0):
-            for kind, one in zip(kinds, found, strict=True):
-                with contextlib.closing(_Ending(Node(kind, channel, rate))) as played:
-                    processor_s, wall_s = played.node.play(cycles)
-                (one.paced_us if rate else one.fast_us).append(processor_s * 1e6)
-                if not rate:
-                    one.fast_hz.append(1.0 / wall_s)
-    return found
+    def cells(self, first: Found) -> list[str]:
+        """For a row."""
+        # A node that a busy machine has not let run has spent nothing.
+        pairs = zip(self.processor_us, first.processor_us, strict=True)
+        ratio = statistics.median(one / two if two else math.nan for one, two in pairs)
+        return [
+            *(f"{statistics.median(self.processor_us):.0f}", f"{ratio:.2f}"),
+            *(percentiles(self.from_sync_us), percentiles(self.from_adc_us), str(self.late)),
+        ]
 
 
-@dataclass
-class _Ending:
-    node: Node
+def percentiles(values: Sequence[float]) -> str:
+    """p50, p99, p99.9 and the largest; nearest rank, so each is one of the values."""
+    ordered = sorted(values)
+    found = [ordered[math.ceil(part * len(ordered)) - 1] for part in PARTS] if ordered else []
+    return " / ".join(f"{value:.0f}" if value >= 10 else f"{value:.1f}" for value in found) or "-"
 
-    def close(self) -> None:
-        self.node.end()
+
+def measure(found: Found, one: Combination, channel: str | None, rate_hz: float, cycles: int) -> None:
+    """One round of one combination, with one node at a time: on one interface they would hear each other."""
+    load, kind, realtime = one
+    node = NodeProcess([kind.partition(":")[0], *["--realtime"] * (realtime == "yes")], channel)
+    try:
+        with undisturbed(first=channel is None):
+            others = Others(node.bus)
+            others.warm_up(rate_hz, kind)
+            used_s = node.processor_s()
+            times = others.play(cycles, rate_hz, LOADS[load]())
+            used_s = node.processor_s() - used_s
+    finally:
+        node.end()
+    found.processor_us.append(used_s * 1e6 / cycles)
+    found.from_sync_us += times.from_sync_us()
+    found.from_adc_us += times.from_adc_us()
+    found.late += times.not_in_time(1.0 / rate_hz)
 
 
-def _against(ours: list[float], others: list[float]) -> str:
-    # A node that a busy machine has not let run has spent nothing.
-    ratio = statistics.median(one / two if two else math.nan for one, two in zip(ours, others, strict=True))
-    return f"{statistics.median(ours):.0f} | {ratio:.2f}"
+@contextlib.contextmanager
+def undisturbed(*, first: bool) -> Iterator[None]:
+    """No garbage is collected here; ``first``: this program has a processor before others, if permitted."""
+    gc.collect()
+    gc.disable()
+    usual = os.sched_getaffinity(0)
+    if first:
+        apply_realtime(RealtimeConfig(priority=PRIORITY, cpu=min(usual)), report=lambda line: None)
+    try:
+        yield
+    finally:
+        gc.enable()
+        if first:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+            os.sched_setaffinity(0, usual)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure and print."""
+    """Measure and print; times in microseconds."""
     parser = argparse.ArgumentParser(
         prog="python -m tools.bench.bus",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--cycles", type=int, default=2000, help="of one round (2000)")
-    parser.add_argument("--repeat", type=int, default=5, help="rounds (5)")
+    choices = {"nodes": NODES, "loads": tuple(LOADS), "realtime": REALTIME}
+    parser.add_argument("--channel", help="SocketCAN interface (a pair of sockets)")
     parser.add_argument("--rate", type=float, default=1000.0, help="SYNC rate in Hz (1000)")
-    parser.add_argument("--channel", help="a SocketCAN interface (a pair of sockets)")
-    parser.add_argument("--kinds", default=",".join(KINDS), help=f"of {', '.join(KINDS)}")
+    parser.add_argument("--cycles", type=int, default=10_000, help="SYNC periods of each row (10000)")
+    parser.add_argument("--rounds", type=int, default=5, help="in how many parts, in turns (5)")
+    parser.add_argument("--nodes", default=",".join(NODES), help=f"of {', '.join(NODES)} (all)")
+    parser.add_argument("--loads", default="alone", help=f"of {', '.join(LOADS)} (alone)")
+    parser.add_argument("--realtime", default="no", help=f"of {', '.join(REALTIME)} (no)")
     options = parser.parse_args(arguments)
-    kinds = options.kinds.split(",")
-    if not set(kinds) <= set(KINDS) or not 1.0 <= options.rate <= 1e4 or options.cycles < 1:
-        parser.error(f"--kinds: {', '.join(KINDS)}; --rate: 1 to 10000 Hz; --cycles: at least 1")
-    found = measure(kinds, options.channel, options.rate, options.cycles, options.repeat)
-    first = found[0]
-    print(f"| node | CPU µs per cycle at {options.rate:g} Hz | ratio | in turns | ratio | cycles/s | ratio |")
-    print("|---" * 7 + "|")
-    for kind, one in zip(kinds, found, strict=True):
-        cells = (
-            _against(one.paced_us, first.paced_us),
-            _against(one.fast_us, first.fast_us),
-            _against(one.fast_hz, first.fast_hz),
-        )
-        print(f"| {kind} | {' | '.join(cells)} |")
+    if not 1 <= options.rounds <= options.cycles or not 0.1 <= options.rate <= 10_000:
+        parser.error("--rounds must be at least 1, --cycles at least as many, --rate 0.1 to 10000 Hz")
+    chosen = {name: getattr(options, name).split(",") for name in choices}
+    for name, known in choices.items():
+        if not set(chosen[name]) <= set(known):
+            parser.error(f"--{name}: {', '.join(known)}, with commas between them")
+    if options.channel is not None and not os.path.exists(f"/sys/class/net/{options.channel}"):
+        sys.exit(f"no interface {options.channel}: see docs/vcan.md, or omit --channel")
+    found = {
+        one: Found()
+        for one in product(chosen["loads"], chosen["nodes"], chosen["realtime"])
+        if one[0] != "sdo" or one[1] not in ("stock", "floor")  # which have no block transfer
+    }
+    for number, (one, figures) in product(range(options.rounds), found.items()):
+        print(f"round {number + 1} of {options.rounds}: {', '.join(one)}", file=sys.stderr)
+        measure(figures, one, options.channel, options.rate, -(-options.cycles // options.rounds))
+    rows = [[*one, *figures.cells(next(iter(found.values())))] for one, figures in found.items()]
+    print("\n".join(table(HEAD, rows)))
+    print("\nTimes in µs: p50 / p99 / p99.9 / max.")
     return 0
 
 

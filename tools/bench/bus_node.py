@@ -1,36 +1,54 @@
 """A node for tools.bench.bus, in a process of its own: on a socket that is handed down, or on SocketCAN.
 
-    python -m tools.bench.bus_node KIND (--fd N | --channel vcan0)
+    python -m tools.bench.bus_node KIND (--fd N | --channel vcan0) [--realtime]
 
-KIND: `stock` is a canopen.LocalNode that answers with atan2, on python-can; `python-can` is the runner of
-`canfb run` with one module on python-can, `canfb` the same as it is delivered. `alone` after a colon
-(`canfb:alone`) switches the second TPDO of the module off, which the stock node does not have. `floor`
-answers with a constant: what the bus takes. Without --true-time the time of the module passes by the SYNC.
+KIND: `stock` is a canopen.LocalNode that answers with atan2, on python-can; `canfb` is `canfb run`,
+`python-can` the same on python-can; `floor` answers SYNC and ADC PDO as the module does, with an angle and
+without anything else: what machine and bus take. It prints a line with READY when it is on the bus.
 """
 
 from __future__ import annotations
 
 import argparse
-import gc
+import json
 import logging
+import math
+import os
 import signal
 import socket
 import sys
-import time
+import tempfile
 from collections.abc import Callable
-from typing import Any, cast
+from pathlib import Path
+from typing import Any
 
 import can
 import canopen
 from can.interfaces.socketcan import SocketcanBus, socketcan
 
-from canfb.bus.frame_bus import FrameBus, Received
+from canfb.bus.frame_bus import FrameBus
 from canfb.bus.python_can_bus import PythonCanBus
 from canfb.bus.raw_can_bus import RawCanBus
-from canfb.bus.runner import Runner, ending_on_signals
-from tools.bench.cycle import ADC_PDO, INTERVAL_S, POSITION_PDO, SYNC, feedback_module, stock_node
+from canfb.bus.runner import LONGEST_WAIT_S
+from canfb.cli.main import main as canfb
+from canfb.configuration import RealtimeConfig
+from canfb.hosting import serving
+from canfb.hosting.realtime import apply_realtime, outside_collections
+from tools.bench.cycle import (
+    ADC_PDO,
+    ENCODER_INTERFACE,
+    NODE_ID,
+    PAIR,
+    POSITION_PDO,
+    SYNC,
+    UNITS_PER_CYCLE,
+    stock_node,
+)
 
-NO_TPDO2 = 0x8000_0000
+KINDS = ("stock", "python-can", "canfb", "floor")
+READY = "end with Ctrl-C"
+PRIORITY = 80
+SYNCHRONOUS_PDO = 0x280 + NODE_ID
 
 
 def python_can_bus(options: argparse.Namespace) -> can.BusABC:
@@ -48,93 +66,70 @@ def python_can_bus(options: argparse.Namespace) -> can.BusABC:
     return SocketcanBus("given")
 
 
-def serve_stock(options: argparse.Namespace) -> None:
+def raw_bus(options: argparse.Namespace) -> RawCanBus:
+    """That of `canfb run`."""
+    if options.fd is None:
+        return RawCanBus.open(options.channel)
+    return RawCanBus(socket.socket(fileno=options.fd))
+
+
+def serve_stock(bus: can.BusABC, realtime: RealtimeConfig) -> None:
     """Until SIGTERM."""
-    network = canopen.Network(python_can_bus(options))
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    network = canopen.Network(bus)
     stock_node(network)
     network.connect()
-    say_ready()
+    apply_realtime(realtime)
+    print(READY, flush=True)
     signal.sigwait({signal.SIGTERM})
 
 
-def serve_module(options: argparse.Namespace, bus: FrameBus) -> None:
-    """Until SIGTERM."""
-    module = feedback_module()
-    if options.alone:
-        entry = module.dictionary.entry(0x1801, 1)
-        entry.store(entry.value | NO_TPDO2)
-    if options.true_time:
-        runner = Runner(bus, [module])
-    else:
-        timed = ByTheSync(bus)
-        runner = Runner(cast(FrameBus, timed), [module], clock=timed.clock, wall=timed.clock)
-    with ending_on_signals(runner.stop):
-        runner.run(ready=say_ready)
+def serve_floor(bus: RawCanBus, realtime: RealtimeConfig) -> None:
+    """Until SIGTERM, which ends the process."""
+    apply_realtime(realtime)
+    units = bytes(8)
+    with outside_collections():
+        print(READY, flush=True)
+        while True:
+            for can_id, data, _ in bus.receive(LONGEST_WAIT_S) or ():
+                if can_id == SYNC:
+                    bus.send(SYNCHRONOUS_PDO, units, False)
+                elif can_id == ADC_PDO:
+                    angle = math.atan2(*PAIR.unpack(data)) / (2.0 * math.pi)
+                    units = (round(angle * UNITS_PER_CYCLE) % UNITS_PER_CYCLE).to_bytes(8, "little")
+                    bus.send(POSITION_PDO, units, False)
 
 
-class ByTheSync:
-    """A bus whose time passes by 1 ms with each SYNC: the module takes those that come early for doubles."""
-
-    def __init__(self, bus: FrameBus) -> None:
-        self._bus = bus
-        self.send, self.hear = bus.send, bus.hear
-        self.now = 1000.0
-
-    def clock(self) -> float:
-        """Seconds; the true clock is read all the same, for what it costs."""
-        time.monotonic()
-        return self.now
-
-    def receive(self, wait_s: float) -> list[Received] | None:
-        """The next frames."""
-        frames = self._bus.receive(wait_s)
-        if frames is None:
-            return None
-        stamped = []
-        for can_id, data, _ in frames:
-            if can_id == SYNC:
-                self.now += INTERVAL_S
-            stamped.append((can_id, data, self.now))
-        return stamped
-
-
-def serve_constant(bus: FrameBus) -> None:
-    """Until SIGTERM, which ends it."""
-    say_ready()
-    while True:
-        for can_id, _, _ in bus.receive(2 * INTERVAL_S) or ():
-            if can_id == ADC_PDO:
-                bus.send(POSITION_PDO, bytes(8), False)
-
-
-def say_ready() -> None:
-    """For the program that measures."""
-    gc.collect()
-    print("ready", flush=True)
+def serve_module(bus: FrameBus, realtime: dict[str, Any]) -> int:
+    """`canfb run` until SIGTERM."""
+    setattr(serving, "open_device_bus", lambda words: bus)  # noqa: B010
+    module = {"node_id": NODE_ID, "encoder_interface": ENCODER_INTERFACE, "autostart": True}
+    words = {"interface": "socketcan", "channel": "handed-down"}
+    with tempfile.TemporaryDirectory() as folder:
+        config = Path(folder) / "module.yaml"
+        config.write_text(json.dumps({"bus": words, "modules": [module], "realtime": realtime}))
+        return canfb(["run", str(config)])
 
 
 def main() -> int:
     """Serve one node."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("kind")
+    parser.add_argument("kind", choices=KINDS)
     parser.add_argument("--fd", type=int)
     parser.add_argument("--channel")
-    parser.add_argument("--true-time", action="store_true")
+    parser.add_argument("--realtime", action="store_true")
     options = parser.parse_args()
-    kind, _, alone = options.kind.partition(":")
-    options.alone = bool(alone)
-    if kind == "stock":
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
-        serve_stock(options)
-    elif kind == "python-can":
-        serve_module(options, PythonCanBus(python_can_bus(options)))
+    cpu = max(os.sched_getaffinity(0))
+    wishes: dict[str, Any] = {"priority": PRIORITY, "lock_memory": True, "cpu": cpu}
+    realtime = wishes if options.realtime else {}
+    if options.kind == "stock":
+        serve_stock(python_can_bus(options), RealtimeConfig(**realtime))
+    elif options.kind == "floor":
+        serve_floor(raw_bus(options), RealtimeConfig(**realtime))
+    elif options.kind == "python-can":
+        return serve_module(PythonCanBus(python_can_bus(options)), realtime)
     else:
-        given = None if options.fd is None else socket.socket(fileno=options.fd)
-        bus = RawCanBus.open(options.channel) if given is None else RawCanBus(given)
-        if kind == "floor":
-            serve_constant(bus)
-        else:
-            serve_module(options, bus)
+        return serve_module(raw_bus(options), realtime)
     return 0
 
 

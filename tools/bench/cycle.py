@@ -1,6 +1,6 @@
 """Measure what one cycle and what whole arrays cost, each against something everybody knows.
 
-    python -m tools.bench.cycle [--json | --markdown] [--check] [--only TEXT] [--repeat N]
+    python -m tools.bench.cycle [--json] [--check] [--only TEXT] [--repeat N]
 
 Each pair is measured in turns, A B A B, in one run: other work on the machine then meets both alike. Times
 are those of the process, not of the clock on the wall. Printed are the medians, the quartiles, and those of
@@ -30,10 +30,12 @@ import numpy as np
 
 import canfb
 from canfb.eds_files import eds_path
+from tools.site.markdown import table
 
 NODE_ID, ENCODER_INTERFACE = 32, 16
 SYNC, ADC_PDO, POSITION_PDO = 0x080, 0x180 + ENCODER_INTERFACE, 0x180 + NODE_ID
 AMPLITUDE_COUNTS = 1500
+UNITS_PER_CYCLE = 8192  # of 6004h
 STREAM_BLOCK = 65536
 TABLE_ENTRIES = 256
 INTERVAL_S = 0.001
@@ -145,7 +147,7 @@ def stock_node(network: canopen.Network) -> None:
     sent.clear()
     sent.add_variable(0x6004)
     sine, cosine, position = received.map[0], received.map[1], sent.map[0]
-    units_per_radian = 2**32 / (2.0 * math.pi)
+    units_per_radian = UNITS_PER_CYCLE / (2.0 * math.pi)
 
     def answer(message: object) -> None:
         position.raw = int(math.atan2(sine.raw, cosine.raw) * units_per_radian) & 0xFFFFFFFF
@@ -444,25 +446,26 @@ def machine() -> dict[str, str]:
     }
 
 
-def print_text(results: list[Result], repeat: int) -> None:
-    print(", ".join(f"{name} {value}" for name, value in machine().items()))
-    print(f"median [quartiles] of {repeat} repetitions in turns, CPU time")
-    for result in results:
-        print(
-            f"\n{result.name}: ratio {in_words(result.ratio)}{', goal ' * bool(result.goal)}{verdict(result)}"
+def as_text(results: list[Result], repeat: int) -> str:
+    """As in docs/benchmarks.md."""
+    rows = [
+        (
+            one.name,
+            in_words(one.ratio),
+            verdict(one),
+            in_words(one.ours_time),
+            in_words(one.other_time),
+            one.unit,
         )
-        for name, spread in ((result.ours, result.ours_time), (result.other, result.other_time)):
-            print(f"  {in_words(spread):>24} {result.unit:<14} {name}")
-
-
-def print_markdown(results: list[Result], repeat: int) -> None:
-    """The table of docs/benchmarks.md."""
-    print(", ".join(f"{name} {value}" for name, value in machine().items()) + ".")
-    print(f"Median [quartiles] of {repeat} repetitions.\n")
-    print("| name | ratio | goal | ours | the other | unit |\n|---|---|---|---|---|---|")
-    for result in results:
-        times = f"{in_words(result.ours_time)} | {in_words(result.other_time)} | {result.unit}"
-        print(f"| {result.name} | {in_words(result.ratio)} | {verdict(result)} | {times} |")
+        for one in results
+    ]
+    return "\n".join(
+        [
+            ", ".join(f"{name} {value}" for name, value in machine().items()) + ".",
+            f"Median [quartiles] of {repeat} repetitions, processor time.\n",
+            *table(("name", "ratio", "goal", "ours", "the other", "unit"), rows),
+        ]
+    )
 
 
 def verdict(result: Result) -> str:
@@ -480,7 +483,6 @@ def main(arguments: list[str] | None = None) -> int:
         prog="python -m tools.bench.cycle", description=(__doc__ or "").splitlines()[0]
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--markdown", action="store_true", help="print the table of docs/benchmarks.md")
     parser.add_argument("--check", action="store_true", help="exit status 1 when a goal is missed")
     parser.add_argument("--only", default="", metavar="TEXT", help="only what has this text in its name")
     parser.add_argument(
@@ -499,7 +501,7 @@ def main(arguments: list[str] | None = None) -> int:
     if options.json:
         print(json.dumps({"machine": machine(), "results": [asdict(result) for result in results]}, indent=2))
     else:
-        (print_markdown if options.markdown else print_text)(results, options.repeat)
+        print(as_text(results, options.repeat))
     return 1 if options.check and any(result.is_missed for result in results) else 0
 
 

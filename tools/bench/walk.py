@@ -1,6 +1,6 @@
 """Count how far one frame goes through the code: Python calls, and changes from file to file.
 
-    python -m tools.bench.walk [--markdown] [--route NAME]
+    python -m tools.bench.walk [--route NAME]
 
 A call is a function, a lambda or a step of a generator in a file of canfb that begins to run; up to Python
 3.11 also a comprehension. A change of file is a call or a return after which another file of canfb runs.
@@ -32,6 +32,7 @@ from canfb.bus.frame_bus import FrameBus, Received
 from canfb.bus.runner import Runner
 from canfb.eds_files import eds_path
 from tools.bench.cycle import ADC_PDO, ENCODER_INTERFACE, INTERVAL_S, NODE_ID, SYNC, seconds
+from tools.site.markdown import table
 
 PACKAGE = Path(canfb.__file__).parent
 SDO = 0x600 + NODE_ID
@@ -207,22 +208,18 @@ def in_new_process(function: Callable[[], T]) -> T:
         return pool.submit(function).result()
 
 
-def print_text(walks: dict[str, Walk], first: float, second: float, markdown: bool) -> None:
-    row = "| {} | {} | {} | {} |" if markdown else "{:<26}{:>8}{:>8}{:>18}"
-    print(row.format("walk", "calls", "files", "changes of file"))
-    if markdown:
-        print("| --- | --- | --- | --- |")
-    for name, walk in walks.items():
-        print(row.format(name, walk.calls, walk.files, walk.changes))
-    print(f"\nFeedbackModule() over canopen.import_od: first {first:.2f}, second {second:.2f}", end="")
-    print(f" (medians of {REPEAT} processes)")
+def as_text(walks: dict[str, Walk], first: float, second: float) -> str:
+    """As in docs/architecture.md."""
+    rows = [(name, walk.calls, walk.files, walk.changes) for name, walk in walks.items()]
+    lines = table(("walk", "calls", "files", "changes of file"), rows)
+    ratios = f"first {first:.2f}, second {second:.2f} (medians of {REPEAT} processes)"
+    return "\n".join([*lines, "", f"FeedbackModule() over canopen.import_od: {ratios}"])
 
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m tools.bench.walk", description=(__doc__ or "").splitlines()[0]
     )
-    parser.add_argument("--markdown", action="store_true", help="print the table of docs/architecture.md")
     parser.add_argument(
         "--route", metavar="NAME", help="print every call of the walks with this in their name"
     )
@@ -230,7 +227,7 @@ def main(arguments: list[str] | None = None) -> int:
     walks = {**frames(), **in_new_process(start_ups)}
     if options.route is None:
         first, second = zip(*(in_new_process(ratios) for _ in range(REPEAT)), strict=True)
-        print_text(walks, statistics.median(first), statistics.median(second), options.markdown)
+        print(as_text(walks, statistics.median(first), statistics.median(second)))
         return 0
     chosen = [walk for name, walk in walks.items() if options.route in name]
     if not chosen:

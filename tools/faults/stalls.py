@@ -32,9 +32,9 @@ from typing import IO, Any
 import can
 
 from canfb.bus.opening import open_bus
-from canfb.bus.trying import private_bus
 from canfb.cli.config_file import EXAMPLE, EXAMPLE_BUS
 from canfb.configuration import Config, parse_config
+from canfb.hosting.trying import private_bus
 from canfb.module.parameters import configured_defaults
 from canfb.objects import StatusBit
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -65,20 +65,6 @@ def grouped(number: float) -> str:
     return f"{number:,.0f}".replace(",", " ")
 
 
-def markdown(claims: Sequence[Claim]) -> str:
-    """The table in Markdown."""
-    rows = [COLUMNS, tuple("---" for _ in COLUMNS), *map(_cells, claims)]
-    return "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |\n" for row in rows)
-
-
-def plain(claims: Sequence[Claim]) -> str:
-    """The table for a terminal: one claim after the other."""
-    lines = []
-    for claim in claims:
-        place, text, paper, ours, agrees = _cells(claim)
-        lines += [f"{place}: {text}", f"    paper   {paper}", f"    ours    {ours}", f"    agrees  {agrees}"]
-    return "\n".join(lines) + "\n"
-
-
-def _cells(claim: Claim) -> tuple[str, str, str, str, str]:
+def cells(claim: Claim) -> tuple[str, str, str, str, str]:
+    """The row of a claim."""
     return claim.place, claim.claim, claim.paper, claim.ours, claim.verdict.value

@@ -1,11 +1,10 @@
 """Try every claim of the paper, and print a table: what the paper says, what comes out here.
 
-    python -m tools.paper.reproduce [--fast] [--markdown FILE]
+    python -m tools.paper.reproduce [--fast]
 
 The paper is Hoescheler and Szamel, Up-to-date Technique for Easy High-Accuracy Position
 Acquisition with Sinusoidal Incremental Encoders, 1997. --fast takes shorter runs. Exit status
-1 when a claim does not hold, 2 when a file cannot be written.
-docs/paper.md says more.
+1 when a claim does not hold. docs/paper.md says more.
 """
 
 from __future__ import annotations
@@ -13,10 +12,10 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 from tools.paper import conventional, detection, phase, tracking
-from tools.paper.claim import FAST, FULL, Claim, Effort, Maker, markdown, plain
+from tools.paper.claim import COLUMNS, FAST, FULL, Claim, Effort, Maker, cells
+from tools.site.markdown import table
 
 # In the order of the paper.
 MAKERS: tuple[Maker, ...] = (
@@ -41,25 +40,23 @@ def claims(effort: Effort) -> Iterator[Claim]:
         yield from maker(effort)
 
 
+def _rows(effort: Effort, found: list[Claim]) -> Iterator[Sequence[str]]:
+    for claim in claims(effort):
+        found.append(claim)
+        yield cells(claim)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m tools.paper.reproduce", description=(__doc__ or "").partition("\n")[0]
     )
     parser.add_argument("--fast", action="store_true", help="shorter runs")
-    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table as Markdown")
     options = parser.parse_args(argv)
-    found = []
-    for claim in claims(FAST if options.fast else FULL):
-        print(plain([claim]), flush=True)
-        found.append(claim)
-    try:
-        if options.markdown is not None:
-            options.markdown.write_text(markdown(found), encoding="utf-8")
-    except OSError as error:
-        print(f"cannot write {error.filename}: {error.strerror}", file=sys.stderr)
-        return 2
+    found: list[Claim] = []
+    for line in table(COLUMNS, _rows(FAST if options.fast else FULL, found)):
+        print(line, flush=True)
     failed = [claim.key for claim in found if not claim.holds]
-    print(f"{len(found)} claims, {len(failed)} do not hold{': ' if failed else ''}{', '.join(failed)}")
+    print(f"\n{len(found)} claims, {len(failed)} do not hold{': ' if failed else ''}{', '.join(failed)}")
     return 1 if failed else 0
 
 

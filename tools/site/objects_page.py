@@ -6,11 +6,10 @@ from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 
-from canfb.commissioning.object_description import ObjectDescription, ObjectDescriptions
-from canfb.commissioning.object_values import type_name
-from canfb.commissioning.object_words import in_words, words_of
 from canfb.device.od import eds
 from canfb.eds_files import eds_path
+from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions
+from canfb.sdo.object_values import in_words, type_name, words_of
 from tools.site.markdown import plain, table
 
 DEVICES = (

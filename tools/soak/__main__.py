@@ -6,7 +6,7 @@ Module, encoder interface, SYNC at 1 kHz, master, monitor and event log of one n
 and rests; with a drive in some set-ups, and with the module in the runner of `canfb run` in others. One
 disturbance follows the other (disturbances.py). A lost position is brought back by an NMT reset at a rest, as
 docs/lost.md has it. Exit status 1 if a valid position was wrong, a cycle was not counted, the position did
-not come back without a restart of the process, memory, objects or file descriptors grew, or the log was
+not come back without a restart of the process, memory, its blocks or file descriptors grew, or the log was
 longer than it may be; 2 for a wrong option.
 """
 
@@ -28,16 +28,17 @@ from tools.soak.setups import SETUPS, Setup
 from tools.soak.world import INTERVAL_S, Findings
 
 WARM = 0.3  # of the cycles: caches fill
-MOST_GROWTH_BYTES, MOST_GROWTH_OBJECTS = 4 << 20, 2000
+# In each half of the looks: what is loaded once, at the first table or the first save, grows in one of them.
+MOST_GROWTH_BYTES, MOST_GROWTH_BLOCKS = 2 << 20, 10_000
 MOST_LINES_PER_S = 10.0  # of simulated time
 LOOKS = 20
 
 
 class Resources(NamedTuple):
-    """Of this process."""
+    """Of this process. Not gc.get_objects(), which would hold tuples that other threads are building."""
 
     memory_bytes: int
-    objects: int
+    blocks: int
     descriptors: int
 
     @classmethod
@@ -45,7 +46,7 @@ class Resources(NamedTuple):
         gc.collect()
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         return cls(
-            pages * os.sysconf("SC_PAGE_SIZE"), len(gc.get_objects()), len(os.listdir("/proc/self/fd"))
+            pages * os.sysconf("SC_PAGE_SIZE"), sys.getallocatedblocks(), len(os.listdir("/proc/self/fd"))
         )
 
 
@@ -65,9 +66,12 @@ def soak(setup: Setup, cycles: int, seed: int) -> dict[str, Any]:
     finally:
         world.close()
     elapsed_s = time.perf_counter() - began
-    first, last = (looks or [Resources.now()])[0], Resources.now()
-    more = {"cycles_per_s": found.cycles / elapsed_s, "bytes_per_million_cycles": slope(looks, found.cycles)}
-    return as_figures(setup, found, first, last) | more
+    looks.append(Resources.now())
+    more = {
+        "cycles_per_s": found.cycles / elapsed_s,
+        "bytes_per_million_cycles": slope(looks[:-1], found.cycles),
+    }
+    return as_figures(setup, found, looks) | more
 
 
 def slope(looks: list[Resources], cycles: int) -> float:
@@ -81,11 +85,13 @@ def slope(looks: list[Resources], cycles: int) -> float:
     return per_look * LOOKS / (1.0 - WARM) / cycles * 1e6
 
 
-def as_figures(setup: Setup, found: Findings, first: Resources, last: Resources) -> dict[str, Any]:
+def as_figures(setup: Setup, found: Findings, looks: Sequence[Resources]) -> dict[str, Any]:
     """All there is to say of one set-up."""
+    first, half, last = looks[0], looks[len(looks) // 2], looks[-1]
     grown = {
-        "memory_bytes": max(0, last.memory_bytes - first.memory_bytes) > MOST_GROWTH_BYTES,
-        "objects": last.objects - first.objects > MOST_GROWTH_OBJECTS,
+        "memory_bytes": min(half.memory_bytes - first.memory_bytes, last.memory_bytes - half.memory_bytes)
+        > MOST_GROWTH_BYTES,
+        "blocks": min(half.blocks - first.blocks, last.blocks - half.blocks) > MOST_GROWTH_BLOCKS,
         "descriptors": last.descriptors > first.descriptors,
     }
     bounded = found.log_lines <= 50 + MOST_LINES_PER_S * found.cycles * INTERVAL_S
@@ -110,8 +116,8 @@ def lines(one: dict[str, Any]) -> list[str]:
         f"counted {one['uncounted']}, not recovered {one['not_recovered']}, longest recovery "
         f"{one['longest_recovery_s']:.2f} s, {one['lost']} resets of a lost position",
         f"  memory {warm['memory_bytes'] / 1e6:.1f} -> {end['memory_bytes'] / 1e6:.1f} MB "
-        f"({one['bytes_per_million_cycles'] / 1e3:+.0f} kB in 10^6 cycles), objects "
-        f"{warm['objects']} -> {end['objects']}, file descriptors {warm['descriptors']} -> "
+        f"({one['bytes_per_million_cycles'] / 1e3:+.0f} kB in 10^6 cycles), blocks "
+        f"{warm['blocks']} -> {end['blocks']}, file descriptors {warm['descriptors']} -> "
         f"{end['descriptors']}, {one['log_lines']} lines of log",
         *(f"  {what}: {one[what]}" for what in ("first_wrong", "first_uncounted") if one[what]),
         *(

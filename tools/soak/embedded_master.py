@@ -34,7 +34,7 @@ class EmbeddedClient(SdoClient):
 
 
 class EmbeddedMaster:
-    """:class:`canfb.commissioning.access.Master`; an SDO server has ``answer_s`` seconds for its response."""
+    """:class:`canfb.master.access.Master`; an SDO server has ``answer_s`` seconds for its response."""
 
     def __init__(self, bus: EmbeddedBus, answer_s: float) -> None:
         self.bus = bus

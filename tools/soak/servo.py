@@ -7,8 +7,8 @@ import math
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand, NmtState
-from canfb.commissioning.access import NodeAccess
 from canfb.errors import CanfbError
+from canfb.master.access import NodeAccess
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.motor import Motor, MotorConfig
@@ -119,6 +119,7 @@ class ServoWorld(World):
                 self._command(0)
                 self._command(RESET_FAULT)
         elif drive.state in NEXT:
+            self._is_turning = False  # it has forgotten its target, and will not say that it is there
             self._command(NEXT[drive.state])
         elif drive.state is State.OPERATION_ENABLED:
             self._turn(now)

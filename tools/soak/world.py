@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from canfb import objects as od
-from canfb.bus.event_log import EventLog
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand, NmtState
-from canfb.commissioning.access import NodeAccess
 from canfb.device.hosted import Device
 from canfb.errors import CanfbError
+from canfb.hosting.event_log import EventLog
+from canfb.master.access import NodeAccess
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import apply_defaults
 from canfb.monitoring.bus_model import BusModel
@@ -149,7 +149,7 @@ class World:
         self._next_s = self._synced_s = 0.0
         self._suffers = "the start"
         self._events = EventLog()
-        self._log = logging.getLogger("canfb.bus.event_log")
+        self._log = logging.getLogger("canfb.hosting.event_log")
         self._log.setLevel(logging.INFO)
         self._log.propagate = False
         self._log.handlers = [_Lines(self.found)]

@@ -149,5 +149,10 @@ class BusState:
 
 def is_down(error: Exception) -> bool:
     """Whether a failure means that the interface is down, or removed."""
-    code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
-    return code in INTERFACE_DOWN
+    return code_of(error) in INTERFACE_DOWN
+
+
+def code_of(error: Exception) -> int | None:
+    """The errno of a failure, of python-can's too."""
+    code: int | None = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
+    return code

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable
 from typing import IO, Any
 
-from canfb.bus.messages import Inbox
+from canfb.bus.compute_process import Inbox
 from canfb.cia301.frame import Frame
 from canfb.device.hosted import Computing
 

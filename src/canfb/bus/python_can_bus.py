@@ -11,6 +11,7 @@ import can
 from can.interfaces.udp_multicast import UdpMulticastBus
 
 from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE, Received
+from canfb.bus.reception import NamedInterface
 
 # Buses of python-can that hand out what was sent through them, and say so (`is_rx` is false). SocketCAN and
 # Kvaser say it of frames of other processes on the same computer, which are to be heard.
@@ -22,14 +23,19 @@ class PythonCanBus:
 
     def __init__(self, bus: can.BusABC) -> None:
         self._bus = bus
+        self._interface = NamedInterface(bus)
         # Such a bus carries the channel of a message along: it shows which frames are ours.
         self._mark = uuid4().hex if brings_own_frames_back(bus) else None
         self._echoes = marks_own_frames(bus)
 
     def receive(self, wait_s: float) -> list[Received] | None:
-        """One frame, or none of CANopen's; see :class:`.FrameBus`."""
+        """One frame, or none of CANopen's; see :class:`.FrameBus`.
+
+        A SocketCAN interface that was removed and made again is opened again.
+        """
         message = self._bus.recv(wait_s)
         if message is None:
+            self._interface.bind()
             return None
         if message.is_fd or (self._echoes and not message.is_rx):
             return []

@@ -1,14 +1,88 @@
-"""Receive times of the bus, brought onto the clock of the runner."""
+"""Receive times: of a CAN controller onto the time of day, of any clock onto that of the runner."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import nan
+from math import inf, isfinite, nan
+
+WINDOW_S = 0.1  # in which the shortest delay is looked for: 100 ppm are 10 µs then
+LONGEST_LATENCY_S = 0.01  # from the controller to the kernel; more: its clock was set
+
+
+class HardwareTimes:
+    """The clock of a controller counts from any moment, and drifts against that of the computer.
+
+    The kernel sees each frame a little later than the controller: by interrupt, USB and scheduling. The least
+    difference of the two stamps within the last one to two windows is that of the clocks, with the
+    least delay, which is the same for all frames and stays in.
+    """
+
+    def __init__(self) -> None:
+        self._ends_s = -inf  # of the window, by the clock of the controller
+        self._least_s = self._before_s = inf
+
+    def received(self, hardware_s: float, kernel_s: float) -> float:
+        """When a frame with these two stamps was received, by the time of day; never after ``kernel_s``."""
+        difference_s = kernel_s - hardware_s
+        if hardware_s >= self._ends_s or hardware_s < self._ends_s - 2 * WINDOW_S:
+            self._before_s, self._least_s = self._least_s, difference_s
+            self._ends_s = hardware_s + WINDOW_S
+        elif difference_s < self._least_s:
+            self._least_s = difference_s
+        offset_s = min(self._least_s, self._before_s)
+        if difference_s - offset_s > LONGEST_LATENCY_S:  # one of the clocks was set
+            self._before_s = self._least_s = offset_s = difference_s
+        return hardware_s + offset_s
+
 
 LARGEST_STEP_S = 0.0005  # between two looks at both clocks; more is a step of the wall clock
 CLOSE_S = 1e-5  # so much later than the look before: the processor may have been away between the clocks
 LOOKS = 3
 LONGEST_DELAY_S = 60.0  # a time further back is not of the wall clock
+DRIFT = 2e-4  # two crystals of 100 ppm each
+# A host that is late all the time shows nothing of another clock: of so many frames one is taken at once.
+LEARNED_FRAMES = 64
+
+
+class OtherClock:
+    """A clock that counts from any moment, as that of a USB adapter, against the clock of the runner.
+
+    A frame is taken after it came: late by any time, but never early. So the least difference of the two
+    is that of the clocks, with the least delay, which is the same for all frames and stays in. It may rise
+    by DRIFT, and falls with the frame that was taken sooner. It is known once LEARNED_FRAMES have come
+    that do not contradict it: where one is earlier than it allows by LARGEST_STEP_S, or all of so many are
+    later, a clock was set, or the host has been late until now. Then it is learned again.
+    """
+
+    def __init__(self) -> None:
+        self._stamp_s = self._taken_s = -inf  # of the last frame
+        self._offset_s = self._least_s = inf
+        self._left = LEARNED_FRAMES  # until it is looked at how late all of them were
+        self._known = False
+
+    def received(self, stamp_s: float, now: float) -> float | None:
+        """When a frame with this stamp was received, never after ``now``; None: that is not known."""
+        last, self._stamp_s = self._stamp_s, stamp_s
+        passed_s, self._taken_s = now - self._taken_s, now
+        difference_s = now - stamp_s
+        self._offset_s += DRIFT * passed_s
+        late_s = difference_s - self._offset_s
+        if not (isfinite(difference_s) and stamp_s >= last and -LARGEST_STEP_S <= late_s <= LONGEST_DELAY_S):
+            self._learn(difference_s)
+            return None
+        self._offset_s = min(self._offset_s, difference_s)
+        self._least_s = min(self._least_s, difference_s)
+        self._left -= 1
+        if not self._left:
+            if self._least_s - self._offset_s > LARGEST_STEP_S:
+                self._learn(self._least_s)
+                return None
+            self._least_s, self._left, self._known = inf, LEARNED_FRAMES, True
+        return min(now, stamp_s + self._offset_s) if self._known and stamp_s > last else None
+
+    def _learn(self, offset_s: float) -> None:
+        self._offset_s = offset_s if isfinite(offset_s) else inf
+        self._least_s, self._left, self._known = inf, LEARNED_FRAMES, False
 
 
 class ReceiveTimes:
@@ -16,13 +90,15 @@ class ReceiveTimes:
 
     ``clock`` and ``wall`` are the two clocks. A stamp says how long ago a frame came, by the wall clock:
     that is taken off ``now``. When the wall clock is set, the frames that wait may have stamps of before
-    or after: they have none until the queue was empty once. Stamps of another clock are not used.
+    or after: they have none until the queue was empty once. Stamps that are not of the wall clock are
+    those of an :class:`OtherClock`, or not used.
     """
 
     def __init__(self, clock: Callable[[], float], wall: Callable[[], float]) -> None:
         self._clock = clock
         self._wall = wall
         self._stepped = False
+        self._other = OtherClock()
         self._difference_s = self._look()
 
     def emptied(self) -> None:
@@ -51,9 +127,11 @@ class ReceiveTimes:
 
     def of(self, stamp_s: float, now: float) -> float | None:
         """:meth:`received`, where :meth:`compare` was called with this ``now``, or an earlier one."""
-        delay = self._difference_s + now - stamp_s
-        if self._stepped or not -LARGEST_STEP_S <= delay <= LONGEST_DELAY_S:
+        if self._stepped:
             return None
+        delay = self._difference_s + now - stamp_s
+        if not -LARGEST_STEP_S <= delay <= LONGEST_DELAY_S:
+            return self._other.received(stamp_s, now)
         return min(now, now - delay)
 
     def _look(self) -> float:

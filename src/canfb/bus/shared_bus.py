@@ -1,4 +1,4 @@
-"""One bus for several users in a process: one of them receives, each may send."""
+"""One bus for several users in a process: one of them receives, each may send; the thread of one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class SharedBus(can.BusABC):
     """
 
     def __init__(self, bus: can.BusABC, refusal: Refusal = lambda message: "") -> None:
-        self._bus, self._refusal = bus, refusal
+        self.under, self._refusal = bus, refusal
         self._branches: list[_Branch] = []
         self._sending = threading.Lock()
         super().__init__(channel="")
@@ -42,11 +42,11 @@ class SharedBus(can.BusABC):
         """As in python-can; from any thread."""
         _check(self._refusal, msg)
         with self._sending:
-            self._bus.send(msg, timeout)
+            self.under.send(msg, timeout)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         try:
-            message = self._bus.recv(timeout)
+            message = self.under.recv(timeout)
         except Exception as error:
             self._hand_on(error)
             raise
@@ -61,7 +61,7 @@ class SharedBus(can.BusABC):
     def shutdown(self) -> None:
         """The bus itself is shut down, too."""
         super().shutdown()
-        self._bus.shutdown()
+        self.under.shutdown()
 
 
 class _Branch(can.BusABC):
@@ -100,3 +100,35 @@ def _check(refusal: Refusal, message: can.Message) -> None:
     why = refusal(message)
     if why:
         raise can.CanOperationError(why)
+
+
+END_S = 10.0
+
+
+class ListeningThread:
+    """Runs ``listen`` in a thread until it ends; ``ended`` is called then, from that thread."""
+
+    def __init__(self, listen: Callable[[], None], stop: Callable[[], None]) -> None:
+        self._listen, self._stop = listen, stop
+        self._error: Exception | None = None
+        self._ended: Callable[[], None] = lambda: None
+        self._thread = threading.Thread(target=self._work, name="canfb scope listening")
+
+    def begin(self, ended: Callable[[], None]) -> None:
+        """Begin; ``ended`` is called where it fails."""
+        self._ended = ended
+        self._thread.start()
+
+    def end(self) -> None:
+        """Stop it; what it has raised is raised here."""
+        self._stop()
+        self._thread.join(END_S)
+        if self._error is not None:
+            raise self._error
+
+    def _work(self) -> None:
+        try:
+            self._listen()
+        except Exception as error:
+            self._error = error
+            self._ended()

@@ -7,21 +7,20 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from canfb.bus.wall_clock import date_and_time
+from canfb.backup.backup_file import Backup, NodeIdentity, backup_text, read_backup
+from canfb.backup.backup_restoring import Restoring, Wishes
+from canfb.backup.backup_words import backup_figures, backup_lines, restored_figures, restored_lines
+from canfb.bus.clocks import date_and_time
 from canfb.cli import node_options
 from canfb.cli.options import Commands, add_command, node_number
-from canfb.commissioning.access import Master, NodeAccess
-from canfb.commissioning.backup_file import Backup, NodeIdentity, backup_text, read_backup
-from canfb.commissioning.backup_restoring import Restoring, Wishes
-from canfb.commissioning.backup_words import backup_figures, backup_lines, restored_figures, restored_lines
-from canfb.commissioning.module_objects import ModuleObjects
-from canfb.commissioning.object_description import ObjectDescriptions
-from canfb.commissioning.session import IDENTITY
-from canfb.commissioning.whole_file import check_writable, write_whole
 from canfb.eds_files import eds_path
+from canfb.master.access import Master, ModuleObjects, NodeAccess
+from canfb.master.all_or_nothing import check_writable, write_whole
+from canfb.master.session import IDENTITY
 from canfb.module.backup_content import OF_THE_MACHINE, backup_values, restored_configuration
 from canfb.module.delivered import EDS
 from canfb.module.read_configuration import read_configuration
+from canfb.sdo.object_description import ObjectDescriptions
 
 
 def register(commands: Commands) -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 
-from canfb.bus.master import BusMaster
+from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus
 from canfb.cli.node_options import say_result
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options
 from canfb.cli.watch_options import positive
 from canfb.cli.yaml_argument import yaml_file
-from canfb.commissioning.bus_scan import scan
 from canfb.configuration import ANY_NODES, load_config
+from canfb.diagnosis.nodes_on_bus import scan
 
 LISTEN_S = 1.2  # the heartbeat of most nodes comes once a second or more often
 

@@ -5,21 +5,21 @@ from __future__ import annotations
 import argparse
 import json
 
-from canfb.bus.wall_clock import date_and_time
+from canfb.bus.clocks import date_and_time
+from canfb.calibrate.artefacts import prepare
+from canfb.calibrate.calibration_run import Account, CalibrationRun
+from canfb.calibrate.choices import Choices
+from canfb.calibrate.speed_run import SpeedRun
 from canfb.cli.calibrate_options import add_options, choices_of
 from canfb.cli.configured_nodes import nodes_of
 from canfb.cli.node_options import sync_master
 from canfb.cli.options import Commands, add_command, bus_options
 from canfb.cli.printing import report
 from canfb.cli.progress import Progress
-from canfb.commissioning.access import Master
-from canfb.commissioning.artefacts import prepare
-from canfb.commissioning.calibration_run import Account, CalibrationRun
-from canfb.commissioning.choices import Choices
-from canfb.commissioning.guard import Guard
-from canfb.commissioning.speed_run import SpeedRun
 from canfb.configuration import Config, load_config
 from canfb.errors import CalibrationError
+from canfb.master.access import Master
+from canfb.master.all_or_nothing import Guard
 
 
 def register(commands: Commands) -> None:

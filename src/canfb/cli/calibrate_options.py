@@ -7,11 +7,10 @@ from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
+from canfb.calibrate.choices import LEAST_SAMPLES, MODULE, PDO, RECORDING, Choices, refuse_combinations
+from canfb.calibrate.measurement import MOTION, ZERO_CROSSINGS
 from canfb.cli.calibrate_input import add_file, add_speeds
 from canfb.cli.options import BUS_WORDS, add_bus_options, refuse_idle, whole_number
-from canfb.commissioning.choices import LEAST_SAMPLES, MODULE, PDO, RECORDING, Choices
-from canfb.commissioning.combinations import refuse_combinations
-from canfb.commissioning.measurement import MOTION, ZERO_CROSSINGS
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -5,17 +5,17 @@ from __future__ import annotations
 import argparse
 import json
 
-from canfb.bus.wall_clock import date_and_time
+from canfb.bus.clocks import date_and_time
+from canfb.calibrate.artefacts import prepare
 from canfb.cli.commission_options import add_options, configuration_of, nodes_of_choices, wishes_of
 from canfb.cli.node_options import sync_master
 from canfb.cli.options import Commands, add_command, bus_options
 from canfb.cli.printing import report
 from canfb.cli.progress import Progress
-from canfb.commissioning.access import Master
-from canfb.commissioning.artefacts import prepare
-from canfb.commissioning.commission_run import CommissionRun
-from canfb.commissioning.guard import Guard
+from canfb.commission.commission_run import CommissionRun
 from canfb.configuration import Config
+from canfb.master.access import Master
+from canfb.master.all_or_nothing import Guard
 
 
 def register(commands: Commands) -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from canfb.calibrate.choices import Choices
 from canfb.cli.configured_nodes import nodes_of
 from canfb.cli.options import add_bus_options, node_number, refuse_idle, whole_number
-from canfb.commissioning.choices import Choices
-from canfb.commissioning.commission_run import CommissionWishes
+from canfb.commission.commission_run import CommissionWishes
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
 

@@ -6,16 +6,16 @@ import argparse
 import json
 from pathlib import Path
 
-from canfb.bus.master import BusMaster
+from canfb.bus.bus_master import BusMaster
+from canfb.bus.clocks import file_date_and_time
 from canfb.bus.opening import open_bus
-from canfb.bus.saved_configuration import saved_configuration
-from canfb.bus.wall_clock import file_date_and_time
 from canfb.cli.options import add_bus_options, bus_options, chosen_module, refuse_idle, whole_number
 from canfb.cli.printing import report
-from canfb.commissioning.module_objects import ModuleObjects
 from canfb.configuration import Config, load_config
 from canfb.device.od.dcf import Reals
 from canfb.errors import ConfigError
+from canfb.hosting.hosting import saved_configuration
+from canfb.master.access import ModuleObjects
 from canfb.module.configuration_files import ConfigurationFiles, place_names
 from canfb.module.module_config import ModuleConfig
 from canfb.module.read_configuration import read_configuration

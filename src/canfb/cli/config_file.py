@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from canfb.bus.machine_check import check_machine
 from canfb.cli import config_dcf
 from canfb.cli.examples import examples_of
 from canfb.cli.options import Commands, add_command
 from canfb.configuration import ANY_NODES, load_config
+from canfb.hosting.hosting import check_machine
 
 EXAMPLE = """\
 # canfb run CONFIG.yaml, canfb simulate CONFIG.yaml

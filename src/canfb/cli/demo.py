@@ -8,7 +8,7 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
-from canfb.bus.wall_clock import page_date
+from canfb.bus.clocks import page_date
 from canfb.cli.options import Commands, add_command
 from canfb.demo.account import account
 from canfb.demo.demo_network import DemoNetwork

@@ -6,18 +6,17 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from canfb.bus import diagnosis_facts as facts
-from canfb.bus.wall_clock import local_time
+from canfb.bus.clocks import local_time
 from canfb.cli import node_options
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options
 from canfb.cli.watch_options import positive
 from canfb.cli.yaml_argument import node_or_yaml, take_yaml
-from canfb.commissioning.bus_scan import scan
-from canfb.commissioning.node_diagnosis import HeardFrames, node_facts
-from canfb.commissioning.whole_file import check_writable, write_whole
 from canfb.configuration import ANY_NODES, Config, load_config
+from canfb.diagnosis.nodes_on_bus import HeardFrames, node_facts, scan
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import CanfbError
+from canfb.hosting import self_diagnosis as facts
+from canfb.master.all_or_nothing import check_writable, write_whole
 
 LISTEN_S = 2.0
 

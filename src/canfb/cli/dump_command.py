@@ -8,20 +8,20 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from canfb.bus.dumping import Dumping, TimedFrame
-from canfb.bus.known_modules import known_objects
-from canfb.bus.master import BusMaster
+from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, refuse_idle
 from canfb.cli.printing import say
 from canfb.cli.watch_options import positive
 from canfb.cli.yaml_argument import node_or_yaml, take_yaml
-from canfb.commissioning.access import NodeAccess
-from canfb.commissioning.frame_words import FrameWords, read_by_sdo
-from canfb.commissioning.object_description import ObjectDescriptions
 from canfb.configuration import Config, load_config
+from canfb.diagnosis.frame_words import FrameWords, read_by_sdo
 from canfb.eds_files import eds_path
+from canfb.master.access import NodeAccess
+from canfb.monitoring.dumping import Dumping, TimedFrame
+from canfb.monitoring.known_modules import known_objects
+from canfb.sdo.object_description import ObjectDescriptions
 from canfb.view.pdo_map import Read
 
 ANSWER_S = 0.2

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 
-from canfb.bus.interface_hosting import InterfaceHosting
 from canfb.cli.options import Commands, add_command, bus_options
 from canfb.cli.serving_options import add_serving_options, serve
 from canfb.configuration import INTERFACES, load_config
+from canfb.hosting.hosting import InterfaceHosting
 
 
 def register(commands: Commands) -> None:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from canfb.bus.known_modules import assumed_layout, known_layouts
 from canfb.bus.runner import ending_on_signals
-from canfb.bus.watching import Watching
 from canfb.cli.monitor_output import output
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, refuse_idle
 from canfb.cli.watch_options import add_machine_unit, add_watched, bit_rate_of, positive
@@ -14,7 +12,9 @@ from canfb.cli.yaml_argument import take_yaml
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
 from canfb.monitoring.bus_model import BusModel
+from canfb.monitoring.known_modules import assumed_layout, known_layouts
 from canfb.monitoring.sdo_reading import SdoReading
+from canfb.monitoring.watching import Watching
 
 FASTEST_HZ = 50.0
 

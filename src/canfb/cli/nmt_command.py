@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from canfb.bus.master import BusMaster
+from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus
 from canfb.cia301.nmt import NmtCommand
 from canfb.cli.options import Commands, add_bus_options, add_command, bus_options

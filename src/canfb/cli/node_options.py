@@ -8,16 +8,16 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from canfb.bus.master import BusMaster
+from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus, open_sync_bus
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.options import add_bus_options, bus_options, node_number
 from canfb.cli.printing import report
 from canfb.cli.yaml_argument import yaml_file
-from canfb.commissioning.access import Master
-from canfb.commissioning.guard import Guard
 from canfb.configuration import ANY_NODES, load_config
 from canfb.errors import ConfigError
+from canfb.master.access import Master
+from canfb.master.all_or_nothing import Guard
 
 
 def add_node(parser: argparse.ArgumentParser) -> None:

@@ -97,7 +97,7 @@ def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict
 
     ConfigError for an interface that python-can does not have.
     """
-    from canfb.bus.bus_words import check_interface
+    from canfb.bus.opening import check_interface
 
     merged = dict(configured)
     for word in BUS_WORDS:
@@ -109,7 +109,7 @@ def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict
 
 
 def add_ready_file(parser: argparse.ArgumentParser) -> None:
-    """``--ready-file``, for :class:`canfb.bus.readiness.Readiness`."""
+    """``--ready-file``, for :class:`canfb.hosting.readiness.Readiness`."""
     parser.add_argument(
         "--ready-file", metavar="PATH", help="a file that exists while the program is on the bus"
     )

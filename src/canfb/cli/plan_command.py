@@ -6,10 +6,10 @@ import argparse
 import json
 from dataclasses import fields
 
-from canfb.bus.saved_configuration import saved_configuration
 from canfb.cli.options import Commands, add_command, refuse_idle, whole_number
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
+from canfb.hosting.hosting import saved_configuration
 from canfb.planning.plan import Plan
 from canfb.planning.plan_figures import plan_figures
 from canfb.planning.plan_lines import plan_lines

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from typing import TextIO
 
-from canfb.bus.monotonic_clock import now_s
+from canfb.bus.clocks import now_s
 
 WIDTH = 30
 CLEAR = "\r\x1b[K"

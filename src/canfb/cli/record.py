@@ -7,13 +7,13 @@ import math
 import re
 from pathlib import Path
 
-from canfb.bus.bus_log import BusLog
 from canfb.bus.opening import describe, open_bus
-from canfb.bus.readiness import Readiness
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.options import Commands, add_bus_options, add_command, add_ready_file, bus_options
 from canfb.cli.printing import say
 from canfb.configuration import ANY_NODES, load_config
+from canfb.hosting.readiness import Readiness
+from canfb.logs.bus_log import BusLog
 
 UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}
 

@@ -6,12 +6,12 @@ import argparse
 import contextlib
 import json
 
-from canfb.bus.sent_log import SentLog
 from canfb.cli.options import Commands, add_command
 from canfb.cli.progress import Progress
 from canfb.cli.replay_folder import replay_folder
 from canfb.cli.replay_options import add_options, settings_of
 from canfb.errors import ConfigError
+from canfb.logs.bus_log import SentLog
 from canfb.logs.log_replay import LogReplayed, ReplaySettings, replay_log
 from canfb.logs.published_files import PublishedFile, check_place
 from canfb.logs.replay_page import write_page

@@ -7,12 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from canfb.cli.options import chosen_module, refuse_idle, whole_number
-from canfb.commissioning.table_file import read_table
 from canfb.configuration import changed_module, load_config
 from canfb.errors import ConfigError
 from canfb.logs.log_replay import ReplaySettings
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.start_rule import Begin
+from canfb.tables.table_file import read_table
 
 DEFAULT_MODULE = 0x20
 OF_A_FILE = ("frames", "report", "json")

@@ -6,8 +6,8 @@ import argparse
 
 from canfb.cli import node_options
 from canfb.cli.options import Commands, add_command
-from canfb.commissioning.access import NodeAccess
-from canfb.commissioning.restart import reset_module
+from canfb.master.access import NodeAccess
+from canfb.master.node_state import reset_module
 
 
 def register(commands: Commands) -> None:

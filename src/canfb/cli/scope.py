@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 
-from canfb.bus.known_modules import known_layouts
 from canfb.bus.opening import open_bus
-from canfb.bus.readiness import Readiness
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.options import (
     Commands,
@@ -22,7 +20,9 @@ from canfb.cli.watch_options import add_machine_unit, add_watched
 from canfb.cli.yaml_argument import take_yaml
 from canfb.configuration import Config, load_config
 from canfb.errors import CanfbError, ConfigError
-from canfb.scope.send_rule import send_rule
+from canfb.hosting.readiness import Readiness
+from canfb.monitoring.known_modules import known_layouts
+from canfb.scope.scoping import send_rule
 
 ANY_PORT = 0
 LIBRARIES = ("bokeh", "tornado", "jinja2")
@@ -50,11 +50,11 @@ def scope(options: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C, SIGTERM or SIGHUP."""
     _check(options)
     try:
-        from canfb.bus.scope_demo import ScopeDemo
-        from canfb.bus.scope_server import ScopeServer
-        from canfb.bus.scoping import refusal_of
         from canfb.bus.shared_bus import SharedBus
         from canfb.cli.scope_parts import ScopeParts
+        from canfb.hosting.trying import ScopeDemo
+        from canfb.scope.scope_server import ScopeServer
+        from canfb.scope.scoping import refusal_of
     except ImportError as error:
         if (error.name or "").partition(".")[0] not in LIBRARIES:
             raise

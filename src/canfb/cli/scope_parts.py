@@ -7,23 +7,23 @@ import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from canfb.bus.known_modules import assumed_layout
-from canfb.bus.master import BusMaster
-from canfb.bus.scope_server import ScopeServer
-from canfb.bus.scoping import ListeningThread, PausedReading, TaskSteps, TaskThread
-from canfb.bus.shared_bus import SharedBus
-from canfb.bus.wall_clock import date_and_time
-from canfb.bus.watching import Watching
+from canfb.bus.bus_master import BusMaster
+from canfb.bus.clocks import date_and_time
+from canfb.bus.shared_bus import ListeningThread, SharedBus
+from canfb.calibrate.measurement import Measurement
 from canfb.cli.watch_options import bit_rate_of
-from canfb.commissioning.measurement import Measurement
-from canfb.commissioning.scope_tasks import ModuleTasks, TaskDone, outcome_of
 from canfb.configuration import Config
 from canfb.monitoring.bus_model import BusModel
+from canfb.monitoring.known_modules import assumed_layout
 from canfb.monitoring.layout import NodeLayout
 from canfb.monitoring.snapshot import BusSnapshot
+from canfb.monitoring.watching import Watching
 from canfb.scope import desk as tasks
 from canfb.scope.desk import Desk, MeasuredCurves, ScopeTask, TaskResult, Upload, allowed_tasks
 from canfb.scope.scope_page import ScopePage, page_html
+from canfb.scope.scope_server import ScopeServer
+from canfb.scope.scope_tasks import ModuleTasks, TaskDone, outcome_of
+from canfb.scope.scoping import PausedReading, TaskSteps, TaskThread
 from canfb.scope.traces import BusTraces
 
 RATE_HZ = 5.0

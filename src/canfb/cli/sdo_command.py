@@ -8,13 +8,13 @@ from pathlib import Path
 from canfb.cli import node_options
 from canfb.cli.options import Commands, add_command
 from canfb.cli.yaml_argument import is_yaml
-from canfb.commissioning.access import CommissioningError, Master, NodeAccess
-from canfb.commissioning.marked_yaml import read_bytes
-from canfb.commissioning.object_description import ObjectDescriptions
-from canfb.commissioning.sdo_tasks import SdoTasks, described_by, is_lost
-from canfb.commissioning.whole_file import check_writable, write_whole
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import ConfigError
+from canfb.master.access import CommissioningError, Master, NodeAccess
+from canfb.master.all_or_nothing import check_writable, write_whole
+from canfb.master.marked_yaml import read_bytes
+from canfb.sdo.object_description import ObjectDescriptions
+from canfb.sdo.sdo_tasks import SdoTasks, described_by, is_lost
 
 OBJECT = """the name in the EDS or its beginning, in any case ("residual limit", "supervision: residual"), \
 or index:sub as manuals have it, hexadecimal (2010:01)"""

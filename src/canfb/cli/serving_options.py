@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import contextlib
 
-from canfb.bus.readiness import Readiness
 from canfb.bus.runner import ending_on_signals
-from canfb.bus.self_diagnosis import diagnosing_on_signal
-from canfb.bus.serving import Serving
 from canfb.cli.log_printing import printed_as_json, printed_without_waiting
 from canfb.cli.options import add_bus_options, add_ready_file
+from canfb.hosting.readiness import Readiness
+from canfb.hosting.self_diagnosis import diagnosing_on_signal
+from canfb.hosting.serving import Serving
 
 
 def add_serving_options(parser: argparse.ArgumentParser, verbose: str) -> None:

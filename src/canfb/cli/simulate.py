@@ -5,15 +5,15 @@ from __future__ import annotations
 import argparse
 
 from canfb.bus.opening import check_device_bus
-from canfb.bus.readiness import Readiness
 from canfb.bus.runner import ending_on_signals
-from canfb.bus.simulating import Simulating
 from canfb.cli.log_printing import printed_without_waiting
 from canfb.cli.options import Commands, add_command, bus_options
 from canfb.cli.printing import say
 from canfb.cli.simulate_options import add_options, chosen
 from canfb.cli.simulate_record import check_record, write_record
 from canfb.configuration import load_config
+from canfb.hosting.readiness import Readiness
+from canfb.hosting.simulating import Simulating
 
 
 def register(commands: Commands) -> None:

@@ -6,12 +6,12 @@ import argparse
 import math
 from dataclasses import replace
 
-from canfb.bus.simulating import fed_module
+from canfb.calibrate.choices import check_mid_scale, two_columns
 from canfb.cli.jitter_option import add_jitter, jittered
 from canfb.cli.options import add_bus_options, add_ready_file, chosen_module, refuse_idle, whole_number
-from canfb.commissioning.choices import check_mid_scale, two_columns
 from canfb.configuration import Config
 from canfb.errors import ConfigError
+from canfb.hosting.simulating import fed_module
 from canfb.simulation.fed_module import FedModule
 from canfb.simulation.scenario import PACES, SimulationConfig
 from canfb.simulation.set_up import Play

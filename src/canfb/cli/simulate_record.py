@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from canfb.commissioning.sample_files import write_csv, write_npz
-from canfb.commissioning.samples import TrackSamples
 from canfb.errors import CanfbError, ConfigError
+from canfb.master.samples import TrackSamples, write_csv, write_npz
 from canfb.simulation.sample_recorder import SampleRecorder
 
 WRITERS = {".csv": write_csv, ".npz": write_npz}

@@ -5,15 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from canfb.bus.wall_clock import date_and_time
+from canfb.bus.clocks import date_and_time
 from canfb.cli import node_options
 from canfb.cli.options import Commands, add_command, node_number
-from canfb.commissioning.access import NodeAccess
-from canfb.commissioning.table_file import read_table_file
-from canfb.commissioning.table_state import TableState
-from canfb.commissioning.table_tasks import Change, TableTasks
-from canfb.commissioning.whole_file import check_writable
 from canfb.errors import ConfigError
+from canfb.master.access import NodeAccess
+from canfb.master.all_or_nothing import check_writable
+from canfb.tables.table_file import read_table_file
+from canfb.tables.table_state import TableState
+from canfb.tables.table_tasks import Change, TableTasks
 
 FILES = "FILE.yaml, or the bytes of 2020:01 under any other name"
 

@@ -10,12 +10,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from canfb.bus.event_log import EventLog
-from canfb.bus.module_lines import summary_of
 from canfb.bus.opening import describe, group_port
-from canfb.bus.readiness import Readiness
 from canfb.bus.runner import ending_on_signals
-from canfb.bus.trying import START_ALL, NetworkOnBus, end_main, private_bus
 from canfb.cli.jitter_option import add_jitter, jittered
 from canfb.cli.log_printing import printed_as_json
 from canfb.cli.options import Commands, add_command, add_ready_file
@@ -23,6 +19,9 @@ from canfb.cli.parser import build_parser
 from canfb.cli.printing import announce_page, say
 from canfb.configuration import load_config
 from canfb.errors import ConfigError
+from canfb.hosting.event_log import EventLog, summary_of
+from canfb.hosting.readiness import Readiness
+from canfb.hosting.trying import START_ALL, NetworkOnBus, end_main, private_bus
 
 ANY_PORT = 0
 LIBRARIES = ("bokeh", "tornado", "jinja2")  # of the page

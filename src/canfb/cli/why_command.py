@@ -6,8 +6,8 @@ import argparse
 
 from canfb.cli import node_options
 from canfb.cli.options import Commands, add_command
-from canfb.commissioning.access import NodeAccess
-from canfb.commissioning.lost import read_lost_position
+from canfb.diagnosis.lost import read_lost_position
+from canfb.master.access import NodeAccess
 
 
 def register(commands: Commands) -> None:

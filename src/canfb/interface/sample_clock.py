@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from canfb.signal.sample_times import TICKS
+from canfb.signal.sample import TICKS
 
 TICKS_PER_S = 10_000_000  # units of 100 ns
 LARGEST_DRIFT_PPM = 10_000.0

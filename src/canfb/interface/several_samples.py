@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from canfb.interface.sample_clock import TICKS_PER_S
 from canfb.signal.nominal_sync import NominalSync
-from canfb.signal.sample import Sample
-from canfb.signal.sample_times import TICKS
+from canfb.signal.sample import TICKS, Sample
 from canfb.sources.protocol import Machine, Source
 
 LOCK_SYNCS = 4096  # that the clock of the interface is locked to

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from canfb.bus.log_suffixes import is_log
 from canfb.errors import CanfbError, ConfigError, reason
+from canfb.logs.log_files import is_log
 from canfb.logs.log_replay import ReplaySettings
 from canfb.logs.log_rows import COLUMNS, LogJob, Row, job_of, rows_of
 from canfb.logs.parquet import read_rows, write_rows
@@ -111,6 +111,10 @@ def _unfinished(out: Path) -> Path:
     return out.with_name(f"{out.name}.unfinished")
 
 
+def _is_job(log: object, module: object) -> bool:
+    return isinstance(log, str) and isinstance(module, int)
+
+
 def _table_rows(out: Path) -> list[Row]:
     if not out.exists():
         return []
@@ -135,8 +139,8 @@ def _unfinished_rows(out: Path) -> list[Row]:
     for line in lines:
         try:
             row = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             continue
-        if isinstance(row, dict) and set(COLUMNS) <= set(row):
+        if isinstance(row, dict) and set(COLUMNS) <= set(row) and _is_job(row["log"], row["module"]):
             rows.append(row)
     return rows

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from canfb.bus.log_reader import BusLogFile, LogError
-from canfb.bus.saved_parameters import SavedParameters
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CanfbError, ConfigError
+from canfb.hosting.state_files import SavedParameters
+from canfb.logs.log_reader import BusLogFile, LogError
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.drift_of_log import DriftTracks, LogDrift
 from canfb.replay.module_replay import ModuleReplay

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.objects.sample_input import PARTS, PLACES, SAMPLE_INVALID, ZERO_PULSE, SampleInput
-from canfb.signal.sample import Sample
-from canfb.signal.sample_times import TICK_S, TICKS
+from canfb.signal.sample import TICK_S, TICKS, Sample
 from canfb.sources.protocol import Grouped, Source
 from canfb.sources.source_watch import SourceWatch
 

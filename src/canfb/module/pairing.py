@@ -218,7 +218,7 @@ class Pairing:
         if self._stale:
             return
         if number == parts.whole_timed and self._synced:
-            received_s, synced_s = self._receptions() if self._moment.proved else (None, None)
+            received_s, synced_s = self._receptions()
             if self._findings.take_usual_timed(received_s, synced_s, now):
                 self._sample_came = self.sampled = True
                 self.judge.taken()
@@ -289,13 +289,17 @@ class Pairing:
         return came
 
     def _receptions(self) -> tuple[float | None, float | None]:
-        """When the bus received this PDO and the SYNC that it answers, seconds; None: not known."""
+        """When the bus received this PDO and the SYNC that it answers, seconds; None: not known.
+
+        Of a host that may be late only the SYNC, and when that was taken.
+        """
         moment, judge = self._moment, self.judge
-        if not moment.proved or self._input.is_synchronous or self._source is not None:
+        if self._input.is_synchronous or self._source is not None:
             return None, None
-        if self._synced and judge.proved and not judge.extra_came:
-            return moment.received, judge.synced_s
-        return moment.received, None  # which SYNC it answers is open
+        received_s = moment.received if moment.proved else None
+        if self._synced and judge.proved == moment.proved and not judge.extra_came:
+            return received_s, judge.synced_s
+        return received_s, None  # which SYNC it answers is open
 
     def _sample_source(self, source: LocalSource, now: float) -> None:
         """The sample of this very SYNC; without one it is missed, from the first SYNC on."""

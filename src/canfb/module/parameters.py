@@ -26,7 +26,7 @@ from canfb.signal.residual_noise import ResidualNoise
 from canfb.signal.supervision import SampleLimits
 from canfb.view.limits_in_force import limit_settings
 
-SAME_NARROWED, SAME_ANALOG = 0.02, 2e-4  # of the interval: no reason for new limits, other coefficients
+SAME_NARROWED, SAME_ANALOG = 0.002, 2e-4  # of the interval: no reason for new limits, other coefficients
 SAME_NOISE = 0.02  # of it: no reason for new limits
 LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
 ADAPTATION_BOUNDS = {
@@ -139,10 +139,13 @@ def without_adc_pdo(config: ModuleConfig) -> dict[tuple[int, int], Any]:
 
 
 def apply_defaults(dictionary: Dictionary, defaults: dict[tuple[int, int], Any]) -> None:
-    """Replace defaults and values of the dictionary: a reset comes back to these."""
+    """Replace defaults and values of the dictionary: a reset comes back to these.
+
+    They hold whatever the node-ID is: a COB-ID of another node does not move with that of this one.
+    """
     for (index, subindex), value in defaults.items():
         entry = dictionary.entry(index, subindex)
-        entry.default = value
+        entry.default, entry.follows_node_id = value, False
         entry.reset()
 
 

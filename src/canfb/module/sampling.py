@@ -18,9 +18,8 @@ from canfb.module.tap import Taps
 from canfb.module.usual_sample import UsualSample
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
-from canfb.signal.nominal_sync import NominalSync
-from canfb.signal.sample import Sample
-from canfb.signal.sample_times import TICK_S, TICKS
+from canfb.signal.nominal_sync import MEMORY_SYNCS
+from canfb.signal.sample import TICK_S, TICKS, Sample
 from canfb.signal.supervision import COASTING, VALID
 from canfb.timing.judge import USUAL, Judge, Passed
 
@@ -77,9 +76,6 @@ class Sampling:
         self._timed: SampleInstant | None = None  # of the last valid sample with a time
         self._doubted: SampleInstant | None = None  # of the present one, if it is not valid
         publishing.events.unconfirmed = self._why_unconfirmed
-        self._grid = NominalSync(
-            GRID_SYNCS
-        )  # by which an interface takes its samples, if several for each SYNC
         self._waited = 0.0  # intervals since the last sample that were reported as missed
         self._set_waited, self._set_back = 0.0, 0  # those before the last set of intervals; samples since
         self._judge = judge
@@ -179,13 +175,8 @@ class Sampling:
         self._waited = 0.0
         self._interval.timed_s = self._chain.unit_s
         self._remember(feedback, (time_100ns, received_s, synced_s))
-        if feedback.status & VALID:
-            if sample.earlier:
-                self._grid.sample(time_100ns)
-            if self._prediction.follows:
-                self._prediction.sampled(time_100ns)
-            if self._usual.unconfirmed:
-                feedback = self._withheld(feedback)
+        if feedback.status & VALID and self._usual.unconfirmed:
+            feedback = self._withheld(feedback)
         self._out(sample, feedback, now)
         return True
 
@@ -260,7 +251,7 @@ class Sampling:
         0.0: not known yet. 1006h is exact but for the drift of that clock, and so better for a while. What
         was learned stays until the module is reset, or a new lock knows better.
         """
-        grid, nominal_s = self._grid, self._interval.nominal_s
+        grid, nominal_s = self._chain.nominal_sync, self._interval.nominal_s
         if not grid.locked:
             return self._grid_learned_s or nominal_s
         learned_s = grid.period_ticks * TICK_S
@@ -332,12 +323,12 @@ class Sampling:
             self._interval.samples_per_sync, limits.timed = samples_per_sync, timed
             self._interval.timed_s = 0.0
             self._chain.measures_intervals = True
+            self._chain.nominal_sync.memory_syncs = GRID_SYNCS if samples_per_sync > 1 else MEMORY_SYNCS
             limits.noise_changes()
 
     def forget_interval(self) -> None:
         """After a reset another master may send SYNC at another rate."""
         self._judge.forget()
         self._interval.timed_s = 0.0
-        self._grid.forget()
         self._grid_learned_s = 0.0
         self._chain.forget_times()

@@ -27,7 +27,7 @@ from canfb.signal.limits import (
     max_acceleration,
     max_speed,
 )
-from canfb.signal.sample_times import TICK_S
+from canfb.signal.sample import TICK_S
 from canfb.signal.supervision import SampleLimits
 from canfb.view.limits_in_force import MotionBounds
 

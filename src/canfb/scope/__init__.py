@@ -1,1 +1,1 @@
-"""The page of ``canfb scope``: what it shows, who may see it, its tasks; no clock or socket."""
+"""The page of ``canfb scope``: what it shows, who may see it, its tasks, and its server."""

@@ -134,7 +134,7 @@ class ScopePage:
         self._figures.dress(dark=dark)
 
     def _choose(self, name: str, old: Any, new: Any) -> None:
-        self._node = int(new)
+        self._node = {str(node): node for node in self._traces.modules}.get(new, self._node)
         self.update()
 
     def _choose_file(self, name: str, old: Any, new: Any) -> None:

@@ -63,6 +63,8 @@ class SignalChain(Pauses):
         """Of the last interval: what the samples before the newest gave, oldest first."""
         self._was_valid = 0  # the sample before
         self._times = SampleTimes()
+        self.nominal_sync = self._times.nominal_sync
+        """The clock of the encoder interface, by the sample times so far."""
         self.measures_intervals = True
         """Sample times say how long an interval was; False: they only tell new samples from doubled ones."""
         limits = config.chain_limits

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from canfb.checks import LARGEST
 from canfb.signal.blocks import Scratch
 
 Coefficients = tuple[float, float, float, float, float]
@@ -80,7 +81,7 @@ class Conditioning:
 
     def __post_init__(self) -> None:
         for name, value in self.words.items():
-            if not isinstance(value, (int, float)) or not math.isfinite(value):
+            if not isinstance(value, (int, float)) or not abs(value) <= LARGEST:
                 raise ValueError(f"{name} must be a finite number, not {value!r}")
         for name in ("sine_gain", "cosine_gain"):
             if not 1e-3 <= abs(getattr(self, name)) <= 1e3:

@@ -1,90 +1,142 @@
-"""The nominal SYNC: when a SYNC without jitter would have come, by the clock of the encoder interface."""
+"""The nominal SYNC: when a SYNC without jitter would have come, by the clock of the encoder interface.
+
+A timer of a drive locks on SYNC; this is the same lock on sample times (2000:05): the straight line through
+all of them, held at the last ``memory_syncs``. Its gains are those of the least squares line through n + 1
+points. Of the jitter of SYNC 2 / sqrt(memory) of the rms value is left, of the drift of the clock nothing.
+
+The line is the one estimate of that clock: how long an interval is (:mod:`canfb.signal.sample_times`), how
+far a time is off, where the samples within an interval lie, and to which instant 2013:02 moves a position. A
+time is held against the line, and not against the one before: of two times that jitter, only one enters.
+"""
 
 from __future__ import annotations
 
 import itertools
 import statistics
 
-from canfb.signal.sample_times import TICKS
+from canfb.signal.sample import TICKS
 
 MEMORY_SYNCS = 256  # that the lock remembers, about
-LEARNED_SYNCS = 64  # from then on it is used
+LEARNED_SYNCS = 64  # from then on positions are moved by it
 FIRST_SYNCS = 16  # distances, for the first straight line
+BEFORE = 5  # distances as before, beside them: fewer that jitter make no other period
 LEAST_APART = 0.5  # of the period
 MOST_MISSED = 16  # from one sample to the next: beyond that the clock was started again
 
 
 class NominalSync:
-    """Locks on sample times (2000:05) as the timer of a drive locks on SYNC.
-
-    An alpha-beta filter with the gains of a straight line fitted to all sample times so far, held at
-    those of ``memory_syncs`` of them. With 256 the jitter of the SYNC is left with 0.11 of its rms value,
-    the drift of the clock with nothing.
-
-    ``lead_ticks`` is how much later than the last sample its nominal SYNC was, ``period_ticks`` from
-    one nominal SYNC to the next; both in 100 ns of the interface's clock.
+    """``lead_ticks`` is how much later than the last sample its nominal SYNC was, ``period_ticks`` from
+    one nominal SYNC to the next; both in 100 ns of the interface's clock, 0.0 while they are not known.
     """
 
+    __slots__ = (
+        "_before",
+        "_first",
+        "_last",
+        "_phase",
+        "_slope",
+        "first_off_ticks",
+        "lead_ticks",
+        "memory_syncs",
+        "period_ticks",
+        "seen",
+    )
+
     def __init__(self, memory_syncs: int = MEMORY_SYNCS) -> None:
-        self._memory_syncs = memory_syncs
+        self.memory_syncs = memory_syncs
         self.forget()
 
     def forget(self) -> None:
-        """Lock on the next samples."""
-        self._last: int | None = None
-        self._seen = 0  # samples that the lock stands on
-        self._first: list[int] = []  # the first distances, ticks
-        self.lead_ticks = 0.0
+        """Lock on the next samples, of which nothing is known."""
         self.period_ticks = 0.0
+        self.restart()
 
-    @property
-    def seen(self) -> int:
-        """Samples that the lock stands on; it remembers no more than ``memory_syncs``."""
-        return self._seen
+    def restart(self) -> None:
+        """Lock on the next samples; the period stays until they show it."""
+        self._last: int | None = None
+        self._before = [self.period_ticks] * BEFORE if self.period_ticks else []
+        self._first: list[tuple[float, float]] = []  # the first distances, ticks, and SYNCs in them
+        self._phase = self._slope = 0.0  # gains
+        self.lead_ticks = 0.0
+        self.first_off_ticks: list[float] = []
+        """How far the first samples were off the line that began with them."""
+        self.seen = 0
+        """Samples that the line stands on, 0 before there is one; at most ``memory_syncs``."""
 
     @property
     def locked(self) -> bool:
-        """The lock is good enough to be used."""
-        return self._seen >= LEARNED_SYNCS
+        """The lock is good enough to move positions by it."""
+        return self.seen >= LEARNED_SYNCS
+
+    def off_ticks(self, ticks: float, syncs: float) -> float:
+        """By how much a sample ``ticks`` and ``syncs`` after the last one is later than the line has it.
+
+        Before there is a line, than by the period alone.
+        """
+        return ticks - self.lead_ticks - syncs * self.period_ticks
+
+    def take(self, ticks: float, syncs: float) -> None:
+        """A sample was taken so many ticks after the last one, and so many SYNCs, both above 0.
+
+        ``syncs`` may be 0.0 before there is a line: nobody has counted them.
+        """
+        if self.seen:
+            self.follow(self.off_ticks(ticks, syncs), syncs)
+        else:
+            self._begin(ticks, syncs)
+
+    def follow(self, off_ticks: float, syncs: float = 1.0) -> None:
+        """:meth:`take` where there is a line, of a sample that was off it by so much."""
+        if self.seen < self.memory_syncs:
+            self.seen = n = self.seen + 1
+            whole = (n + 1) * (n + 2)
+            self._phase, self._slope = (4 * n + 2) / whole, 6.0 / whole
+        self.lead_ticks = off_ticks * (self._phase - 1.0)
+        self.period_ticks += off_ticks * self._slope / syncs
+
+    def skip(self, ticks: float) -> None:
+        """A sample was taken so long after the last one, at no SYNC of the line, which goes on as it was."""
+        period = self.period_ticks
+        if self.seen and period:
+            self.lead_ticks += round((ticks - self.lead_ticks) / period) * period - ticks
+
+    def _begin(self, ticks: float, syncs: float) -> None:
+        """The median of the first distances; then a line through them."""
+        first = self._first
+        first.append((ticks, syncs))
+        usual = statistics.median([one / (n or 1.0) for one, n in first] + self._before)
+        self.period_ticks = usual
+        if len(first) < FIRST_SYNCS:
+            return
+        counted = (n or max(1.0, round(one / usual)) for one, n in first)
+        places = list(itertools.accumulate(counted, initial=0.0))
+        times = list(itertools.accumulate((one for one, _ in first), initial=0.0))
+        line = statistics.linear_regression(places, times)
+        lead = line.intercept + line.slope * places[-1] - times[-1]
+        if line.slope > 0.0 and abs(lead) <= LEAST_APART * line.slope:
+            self.period_ticks, self.lead_ticks = line.slope, lead
+            self.first_off_ticks = [
+                time - line.intercept - place * line.slope for place, time in zip(places, times, strict=True)
+            ]
+        # Else these times are not those of a SYNC.
+        self.seen = FIRST_SYNCS + 1
+        first.clear()
 
     def sample(self, time_100ns: int) -> None:
-        """A valid sample was taken at this time, 0 .. 2^32 - 1."""
-        last = self._last
+        """A sample was taken at this time, 0 .. 2^32 - 1, for which nobody has counted SYNCs."""
+        last, self._last = self._last, time_100ns
         if last is None:
-            self._last = time_100ns
             return
         ticks = (time_100ns - last) % TICKS
-        if self._seen and ticks - self.lead_ticks < LEAST_APART * self.period_ticks:
-            return  # the answer to a doubled SYNC
-        self._last = time_100ns
-        if not self._seen:
-            self._begin(ticks)
+        if not self.seen:
+            if ticks:
+                self.take(ticks, 0.0)
             return
-        syncs = round((ticks - self.lead_ticks) / self.period_ticks)
-        if not 1 <= syncs <= MOST_MISSED:
+        apart = (ticks - self.lead_ticks) / self.period_ticks
+        if apart < LEAST_APART:  # the answer to a doubled SYNC
+            self._last = last
+        elif apart < MOST_MISSED + LEAST_APART:
+            self.take(ticks, max(1, round(apart)))
+        else:
             self.forget()
             self._last = time_100ns
-            return
-        lead = self.lead_ticks + syncs * self.period_ticks - ticks
-        self._seen = n = min(self._seen + 1, self._memory_syncs)
-        whole = (n + 1) * (n + 2)
-        self.lead_ticks = lead * (1.0 - (4 * n + 2) / whole)
-        self.period_ticks -= lead * 6.0 / whole / syncs
-
-    def _begin(self, ticks: int) -> None:
-        """A straight line through the first times; their median distance says how many SYNCs were missed."""
-        if not ticks:
-            return
-        self._first.append(ticks)
-        if len(self._first) < FIRST_SYNCS:
-            return
-        usual = statistics.median(self._first)
-        syncs = list(itertools.accumulate((max(1, round(one / usual)) for one in self._first), initial=0))
-        times = list(itertools.accumulate(self._first, initial=0))
-        line = statistics.linear_regression(syncs, times)
-        lead = line.intercept + line.slope * syncs[-1] - times[-1]
-        if abs(lead) <= 0.5 * line.slope:
-            self.period_ticks, self.lead_ticks = line.slope, lead
-        else:  # these times are not those of a SYNC
-            self.period_ticks, self.lead_ticks = float(usual), 0.0
-        self._seen = FIRST_SYNCS + 1

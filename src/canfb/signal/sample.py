@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+TICK_S, TICKS = 1e-7, 1 << 32
+"""Sample times are U32 in 100 ns (2000:05)."""
+
 
 class Sample(NamedTuple):
     """One pair of ADC counts with what came with it (objects 2000:01..0D).

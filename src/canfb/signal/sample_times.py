@@ -3,19 +3,18 @@
 The interface's own clock says it exactly, so the jitter of SYNC and the delays of the bus cost nothing.
 Only the ratio of differences enters eq. 9: neither the drift of that clock nor the length of the
 interval matters. But a time may be wrong, of another sample, or of a clock that was started again: it is
-held against the number of intervals that were counted.
+held against the number of intervals that were counted, against the line through the times before it
+(:mod:`canfb.signal.nominal_sync`), and against the receptions.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from statistics import median
 
-from canfb.signal.usual_scatter import LEARNED_SAMPLES, UsualScatter
+from canfb.signal.nominal_sync import NominalSync
+from canfb.signal.sample import TICK_S, TICKS
+from canfb.signal.usual_scatter import BEYOND, LEARNED_SAMPLES, UsualScatter
 
-TICK_S = 1e-7  # 2000:05
-TICKS = 1 << 32
 HALF_TICKS = TICKS // 2
 OLDEST = 64.0  # intervals: a time that lies no further back is that of an earlier sample
 CLOSEST = 0.25  # intervals: samples closer together would give a poor speed
@@ -27,16 +26,19 @@ SPARE_S, SPARE_PART = 0.5e-3, 0.3  # seconds and intervals: a bus and a host del
 # A time may be wrong by no more than this, in cycles at the speed of the machine, without a second opinion:
 # with the residual limit of 1/3 it is less than half a cycle.
 SLIP_CYCLES = 0.15
-MOST_PACES, PACES_TOGETHER = 32, 8  # intervals
-SAME_PACE = 0.02  # of the interval
+# Intervals: a time half an interval from its line is as near to that of another SYNC; receptions of two
+# SYNCs, each nearly half an interval off, are apart by more.
+LINE_PART, HEARD_PART = 0.5, 0.75
+SAME_PACE = 0.002  # of the interval: a limit of acceleration counts with its square
+RELOCK = 6  # times in a row that are off the line, and right: SYNC has another rate, or another phase
 REPEATED, SUSPECT, RESTARTED, CROWDED = -1.0, -2.0, -3.0, -4.0
 
 
 class SampleTimes:
     """Turns sample times into elapsed intervals, and judges them.
 
-    ``interval_s`` is the nominal sampling interval, seconds; while it is 0.0, the median of those that are
-    seen takes its place: the interface knows its pace better than anybody who hears of it.
+    ``interval_s`` is the nominal sampling interval, seconds; while it is 0.0, that of ``nominal_sync`` takes
+    its place: the interface knows its pace better than anybody who hears of it.
     """
 
     __slots__ = (
@@ -47,34 +49,39 @@ class SampleTimes:
         "_jitter",
         "_last",
         "_odd_s",
+        "_off_line",
+        "_on_line",
         "_pace_s",
-        "_paces_s",
         "_received_s",
         "_suspect",
         "_suspected",
         "_synced_s",
-        "_until_pace",
         "interval_s",
+        "nominal_sync",
         "passed",
     )
 
     def __init__(self) -> None:
         self.interval_s = 0.0
+        self.nominal_sync = NominalSync()
+        """The line through the times that were taken."""
         self.passed = 1.0
         """Intervals since the last sample that was taken, by a time that is RESTARTED, if it is right."""
         self.reset()
 
     def reset(self) -> None:
         """:meth:`forget`, and what is usual: it may be another interface, or another bus."""
-        self._jitter = UsualScatter()  # of the sample times
+        self._jitter = UsualScatter()  # of the sample times around their line
+        self._on_line = False  # until there is one, the jitter is that of distances
         self._heard = UsualScatter()  # of the sample times against the receptions of SYNC
-        self._pace_s = 0.0  # the interval, while nobody says how long it is: the median of
-        self._paces_s: deque[float] = deque(maxlen=MOST_PACES)
-        self._until_pace = 0  # samples until it is looked at again
+        self._pace_s = 0.0  # the interval, while nobody says how long it is
+        self.nominal_sync.forget()
         self.forget()
 
     def forget(self) -> None:
         """The next time is the first one."""
+        self.nominal_sync.restart()
+        self._off_line = 0  # times in a row
         self._last: int | None = None
         self._received_s: float | None = None  # when that was received
         self._synced_s: float | None = None  # when its SYNC was
@@ -91,40 +98,41 @@ class SampleTimes:
         return self.interval_s or self._pace_s
 
     def _follow_pace(self) -> None:
-        """With each sample at first, then now and then."""
-        if self._until_pace:
-            self._until_pace -= 1
-        elif self._paces_s:
-            pace_s = median(self._paces_s)
-            known = len(self._paces_s)
-            self._until_pace = known if known == MOST_PACES else PACES_TOGETHER * (known > PACES_TOGETHER)
-            if abs(pace_s - self._pace_s) > SAME_PACE * pace_s:
-                self._pace_s = pace_s
+        """Speeds are in intervals: they get another unit only where the interval is another one."""
+        pace_s = self.nominal_sync.period_ticks * TICK_S
+        if abs(pace_s - self._pace_s) > SAME_PACE * pace_s:
+            self._pace_s = pace_s
 
     def in_turn(self, time_100ns: int, received_s: float | None, synced_s: float | None) -> float:
         """:meth:`elapsed` for the next sample in turn, if there is no need to look closely; else 0.0.
 
-        It deviates by less than usual from one interval, by its own clock and by that of the receptions.
+        It deviates by less than usual from its line, by its own clock and by that of the receptions.
         """
-        last, unit, jitter, heard = self._last, self._pace_s, self._jitter, self._heard
-        if last is None or self.interval_s or not self._until_pace or jitter.learned < LEARNED_SAMPLES:
+        last, line, unit, jitter = self._last, self.nominal_sync, self._pace_s, self._jitter
+        if last is None or self.interval_s or not line.seen or jitter.learned < LEARNED_SAMPLES:
             return 0.0
-        ticks = time_100ns - last
-        if ticks <= 0:
-            return 0.0
+        ticks, period, proved = time_100ns - last, line.period_ticks, received_s is not None
         passed_s = ticks * TICK_S
         intervals = passed_s / unit
-        uneven_s = abs((intervals - 1.0) * unit)
-        if uneven_s > jitter.limit_s or uneven_s > NOMINAL * unit:
+        off = ticks - line.lead_ticks - period
+        off_s = abs(off) * TICK_S
+        if (
+            abs(intervals - 1.0) > NOMINAL
+            or off_s > (jitter.limit_s if proved else jitter.limit_s / BEYOND)
+            or off_s > LINE_PART * unit
+            or abs(period * TICK_S - unit) > SAME_PACE * unit
+        ):
             return 0.0
         if synced_s is not None and self._synced_s is not None:
+            heard = self._heard
             error_s = abs(passed_s - (synced_s - self._synced_s))
-            if heard.learned < LEARNED_SAMPLES or error_s > heard.limit_s:
+            most_s = HEARD_PART * unit if proved else math.inf
+            if heard.learned < LEARNED_SAMPLES or error_s > heard.limit_s or error_s > most_s:
                 return 0.0
             heard.learn(error_s)
-        jitter.learn(uneven_s)
-        self._until_pace -= 1
-        self._paces_s.append(passed_s)
+        jitter.learn(off_s)
+        line.follow(off)
+        self._off_line = 0
         self._last, self._received_s, self._synced_s = time_100ns, received_s, synced_s
         return intervals
 
@@ -140,6 +148,7 @@ class SampleTimes:
 
         ``counted`` intervals have passed by the count of SYNCs; the sample was received at
         ``received_s`` and the SYNC that it answers at ``synced_s``, seconds, None if that is not known.
+        ``synced_s`` alone is when SYNC was taken, by a host that may have been late.
         ``speed_cycles`` is that of the machine, cycles per interval: a time that is off by more than
         usual is a bad one only where this would cost the cycle count. REPEATED: it is that of the last
         sample or of one before. SUSPECT: it fits nothing, the next time must show whether it or the
@@ -158,7 +167,7 @@ class SampleTimes:
             if not 0 < ticks < HALF_TICKS:
                 return REPEATED
             self._pace_s = ticks * TICK_S / counted
-        if not self.interval_s:
+        if not self.interval_s and self.nominal_sync.period_ticks:
             self._follow_pace()
         unit = self.unit_s
         intervals = ticks * TICK_S / unit
@@ -169,17 +178,24 @@ class SampleTimes:
         agrees = error_s <= SPARE_S + SPARE_PART * unit
         nominal = abs(intervals - counted) <= NOMINAL  # also where a simulation is slower than true time
         in_turn = least <= intervals <= counted + SPARE_AFTER and (agrees or nominal or apart is None)
-        if in_turn or (agrees and intervals > counted):  # or there were SYNCs that were not received
-            whole = round(intervals) if agrees and intervals > counted + 0.5 else counted
-            uneven_s = (intervals - whole) * unit
+        if intervals >= CLOSEST and self._is_witnessed(ticks, counted, received_s, synced_s):
             self.passed = intervals
-            odd = self._judge(uneven_s, ticks, synced_s, SLIP_CYCLES * unit, abs(speed_cycles))
-            if odd == RESTARTED and self._is_explained(error_s, SLIP_CYCLES * unit, abs(speed_cycles)):
-                odd = 0.0
-            if odd != SUSPECT:
+            self.nominal_sync.skip(ticks)
+            self._accept(time_100ns, received_s, synced_s)
+            return intervals
+        if in_turn or (agrees and intervals > counted):  # or there were SYNCs that were not received
+            whole = counted
+            if agrees and intervals > counted + 0.5:
+                whole = max(counted, round(self._heard_apart_s(received_s, synced_s) / unit))
+            self.passed = intervals
+            odd = self._judge(ticks, whole, synced_s, received_s is not None, abs(speed_cycles))
+            if odd == RESTARTED:
+                moved = self._is_explained(error_s, SLIP_CYCLES * unit, abs(speed_cycles))
+                self._restart(time_100ns, received_s, synced_s)
+                return intervals if moved else RESTARTED
+            if not odd:
+                self._follow(ticks, whole if self.nominal_sync.seen else counted)
                 self._accept(time_100ns, received_s, synced_s)
-            if not (odd or self.interval_s):
-                self._paces_s.append(ticks * TICK_S / counted)
             return odd or intervals
         if agrees and 0.0 < intervals < CLOSEST:
             return CROWDED
@@ -187,6 +203,36 @@ class SampleTimes:
             return self._repeated(time_100ns, counted, unit, received_s)
         self.passed = intervals
         return self._doubted(time_100ns, counted, unit, received_s)
+
+    def _follow(self, ticks: int, whole: float) -> None:
+        """The line goes on through a time that is right, or begins again where none lies on it any more."""
+        line = self.nominal_sync
+        self._off_line = self._off_line + 1 if self._is_off(ticks, whole) else 0
+        if self._off_line >= RELOCK:
+            self._off_line = 0
+            line.restart()
+        line.take(ticks, whole)
+        if line.first_off_ticks and not self._on_line:
+            self._on_line = True
+            self._jitter = UsualScatter()
+            for off in line.first_off_ticks:
+                self._jitter.learn(abs(off) * TICK_S)
+
+    def _is_off(self, ticks: int, whole: float) -> bool:
+        return abs(self._off_s(ticks, whole)) > self._jitter.limit_of(self.unit_s, LINE_PART)
+
+    def _off_s(self, ticks: int, whole: float) -> float:
+        """How much later a time is than its line has it, ``whole`` intervals after the last one."""
+        line = self.nominal_sync
+        if not line.period_ticks:
+            return ticks * TICK_S - whole * self.unit_s
+        return line.off_ticks(ticks, whole) * TICK_S
+
+    def _heard_apart_s(self, received_s: float | None, synced_s: float | None) -> float:
+        """How long after the last one by the receptions: of both SYNCs, or of the samples."""
+        if synced_s is not None and self._synced_s is not None:
+            return synced_s - self._synced_s
+        return self._apart_s(received_s) or 0.0
 
     def _error_s(self, by_time_s: float, received_s: float | None, synced_s: float | None) -> float:
         """By how much the time contradicts the receptions; a late one of either does not make it wrong."""
@@ -198,45 +244,59 @@ class SampleTimes:
             error_s = min(error_s, abs(by_time_s - (synced_s - self._synced_s)))
         return error_s
 
-    def _is_explained(self, error_s: float, slip: float, speed_cycles: float) -> bool:
-        """Two times in a row contradict the even pace equally, but one of the receptions was as uneven.
+    def _is_witnessed(
+        self, ticks: int, counted: float, received_s: float | None, synced_s: float | None
+    ) -> bool:
+        """The interval is not ``counted`` long, and both clocks say so: SYNC was late, or some were not sent.
 
-        As far as it could cost the count, or within what is usual: the master or the interface was late,
-        and no clock was set.
+        The receptions are further from the count than they ever were from a time, and from this time no
+        further than that. So a host that is late all the time witnesses nothing.
+        """
+        if self._heard.learned < LEARNED_SAMPLES or synced_s is None or self._synced_s is None:
+            return False
+        if not self._is_off(ticks, counted):
+            return False
+        most_s = self._heard.limit_s / BEYOND
+        error_s = abs(ticks * TICK_S - (synced_s - self._synced_s))
+        return error_s <= most_s < abs(ticks * TICK_S - counted * self.unit_s) - error_s
+
+    def _is_explained(self, error_s: float, slip: float, speed_cycles: float) -> bool:
+        """Two times in a row are off the line equally, but the receptions were as uneven: no clock was set.
+
+        As far as it could cost the count, or within what is usual; or the receptions are off the line
+        themselves by more than ever, and from the times by no more than ever.
         """
         usual_s = min(self._jitter.limit_s, self._heard.limit_s)
-        return error_s * speed_cycles <= slip or error_s <= usual_s
+        moved = error_s <= self._heard.limit_s / BEYOND < abs(self._odd_s or 0.0) - error_s
+        return moved or error_s * speed_cycles <= slip or error_s <= usual_s
 
     def _apart_s(self, received_s: float | None) -> float | None:
         """Seconds between the receptions of the last sample that was taken and of this one."""
         return None if received_s is None or self._received_s is None else received_s - self._received_s
 
     def _judge(
-        self, uneven_s: float, ticks: int, synced_s: float | None, slip: float, speed_cycles: float
+        self, ticks: int, whole: float, synced_s: float | None, proved: bool, speed_cycles: float
     ) -> float:
         """Is a time off by more than usual, and would that cost the count? 0.0: no; SUSPECT or RESTARTED.
 
-        By its distance from the last one, ``uneven_s`` from a whole number of intervals, or by the
-        receptions of both SYNCs, whichever is the sharper witness. A second one that is off by as much
-        as the one before: the clock was set.
+        From its line, ``whole`` intervals after the last one, or by the receptions of both SYNCs, whichever
+        is the sharper witness. Receptions that are not ``proved`` may be late, and make no time right. But
+        a time further off than any before, which they contradict, is none of a late SYNC. A second one
+        that is off by as much as the one before: the clock was set. Each witness learns what is usual to it.
         """
-        jitter, heard, before = self._jitter, self._heard, self._odd_s
-        unit = self.unit_s
-        off_s, limit_s, witness = uneven_s, jitter.limit_of(unit), jitter
-        error_s = None
+        jitter, heard, before, unit = self._jitter, self._heard, self._odd_s, self.unit_s
+        off_s, limit_s, witness = self._off_s(ticks, whole), jitter.limit_of(unit, LINE_PART), jitter
         if synced_s is not None and self._synced_s is not None:
             error_s = ticks * TICK_S - (synced_s - self._synced_s)
-            heard_s = heard.limit_of(unit)
+            heard_s = heard.limit_of(unit, HEARD_PART) if proved else heard.limit_of(unit, math.inf)
             # Equally sharp, as at the start: right if one of them agrees; the SYNC or the host may be late.
-            if heard_s < limit_s or (heard_s == limit_s and abs(error_s) < abs(off_s)):
+            sharper = heard_s < limit_s or (heard_s == limit_s and abs(error_s) < abs(off_s))
+            if proved and sharper:
+                jitter.see(off_s, limit_s)
                 off_s, limit_s, witness = error_s, heard_s, heard
-        if not abs(off_s) > limit_s:
-            jitter.learn(abs(uneven_s))
-            if error_s is not None:
-                heard.learn(abs(error_s))
-            return 0.0
-        witness.refuse(abs(off_s))
-        if abs(off_s) * speed_cycles <= slip:
+            elif not heard.see(error_s, heard_s) and not proved:
+                limit_s = max(limit_s, jitter.limit_s) / BEYOND
+        if witness.see(off_s, limit_s) or abs(off_s) * speed_cycles <= SLIP_CYCLES * unit:
             return 0.0
         self._odd_s = off_s
         return RESTARTED if before is not None and abs(off_s - before) <= limit_s else SUSPECT
@@ -244,6 +304,11 @@ class SampleTimes:
     def _accept(self, time_100ns: int, received_s: float | None, synced_s: float | None = None) -> None:
         self._last, self._received_s, self._suspect = time_100ns, received_s, None
         self._synced_s, self._odd_s = synced_s, None
+
+    def _restart(self, time_100ns: int, received_s: float | None, synced_s: float | None = None) -> None:
+        """The clock was started again or set, or SYNC is on another grid: a line begins here."""
+        self.nominal_sync.restart()
+        self._accept(time_100ns, received_s, synced_s)
 
     def _repeated(self, time_100ns: int, counted: float, unit: float, received_s: float | None) -> float:
         """An earlier sample; unless all that come are earlier ones, and as far apart as they are counted."""
@@ -254,7 +319,7 @@ class SampleTimes:
         self._earlier_times = self._earlier_times + 1 if goes_on else 0
         if self._earlier_times < EARLIER_TIMES:
             return REPEATED
-        self._accept(time_100ns, received_s)
+        self._restart(time_100ns, received_s)
         self._earlier_times = 0
         return RESTARTED
 
@@ -267,5 +332,5 @@ class SampleTimes:
         if abs(ticks * TICK_S / unit - since) > SPARE_AFTER:
             return SUSPECT
         # Two times in a row agree with each other and not with the last good one.
-        self._accept(time_100ns, received_s)
+        self._restart(time_100ns, received_s)
         return RESTARTED

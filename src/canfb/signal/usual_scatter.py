@@ -9,9 +9,6 @@ BEYOND = 2.0  # times the largest of the last samples: more than 6 standard devi
 # count within the limit L needs an error of a time that costs 1 - L - A there: (1 - L - A) / 32 A intervals,
 # L = 1/3, A = L / 2. Below it no error of a time does harm before the usual ones are known.
 START_PART = 3.0 / 32.0
-# Intervals: two samples, each nearly half an interval from where it was due, are apart by this much too
-# little or too much. Jitter is not larger, as the count of SYNCs would not hold either.
-MOST_PART = 0.75
 # A deviation that was refused is usual if it is one of BEGUN with less than APART samples from one to the
 # next: jitter begins like that, wrong times are rarer.
 BEGUN, APART = 3, 24
@@ -21,7 +18,7 @@ class UsualScatter:
     """Follows the largest deviation of the last 1024 to 2048 samples.
 
     ``limit_s`` is twice that, seconds; :meth:`limit_of` is what holds for intervals of some length: at most
-    three quarters of it, and until 32 samples have come at least 3/32. What is beyond the limit is not
+    some part of one, and until 32 samples have come at least 3/32. What is beyond the limit is not
     learned, unless it is the third in close succession.
     """
 
@@ -45,12 +42,21 @@ class UsualScatter:
         self._refused, self._refused_s = 0, 0.0  # in close succession, and the largest of them
         self._passed = 0  # samples since the last of them
 
-    def limit_of(self, interval_s: float) -> float:
-        """The limit in force for intervals of this length, seconds."""
+    def limit_of(self, interval_s: float, most_part: float) -> float:
+        """The limit in force for intervals of this length, seconds; at most so much of one."""
         limit_s = self.limit_s
         if self.learned < LEARNED_SAMPLES:
             limit_s = max(limit_s, START_PART * interval_s)
-        return min(limit_s, MOST_PART * interval_s)
+        return min(limit_s, most_part * interval_s)
+
+    def see(self, deviation_s: float, limit_s: float) -> bool:
+        """Whether this one is usual, by the limit in force; it is learned, or refused."""
+        usual = abs(deviation_s) <= limit_s
+        if usual:
+            self.learn(abs(deviation_s))
+        else:
+            self.refuse(abs(deviation_s))
+        return usual
 
     def learn(self, deviation_s: float) -> None:
         """Another sample deviates by so much, seconds, at least 0, and was right."""

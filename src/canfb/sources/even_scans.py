@@ -13,8 +13,7 @@ from __future__ import annotations
 from collections import deque
 from statistics import median
 
-from canfb.signal.sample import Sample
-from canfb.signal.sample_times import TICKS
+from canfb.signal.sample import TICKS, Sample
 from canfb.sources.protocol import SourceError
 
 LEAST_SCANS_PER_SYNC, MOST_SCANS_PER_SYNC = 2, 256

@@ -1,8 +1,8 @@
 """A local ADC through Linux IIO as a source: its keys, and an open device that captures scan after scan.
 
-Nothing here has a thread or a clock; :class:`canfb.bus.captured_source.CapturedSource` waits for the scans.
-One sample for each SYNC is the newest scan; ``scans_per_sync`` makes it one of an even grid, and several of
-them (:mod:`canfb.sources.even_scans`).
+Nothing here has a thread or a clock; :class:`canfb.hosting.captured_source.CapturedSource` waits for the
+scans. One sample for each SYNC is the newest scan; ``scans_per_sync`` makes it one of an even grid, and
+several of them (:mod:`canfb.sources.even_scans`).
 """
 
 from __future__ import annotations

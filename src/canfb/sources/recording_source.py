@@ -16,8 +16,7 @@ import numpy.typing as npt
 from canfb.checks import flag, integer_in, number, text
 from canfb.errors import CanfbError, ConfigError
 from canfb.signal.phase import FloatArray
-from canfb.signal.sample import Sample
-from canfb.signal.sample_times import TICK_S
+from canfb.signal.sample import TICK_S, Sample
 from canfb.sources.protocol import Source, SourceEnded
 from canfb.sources.source_config import SourceConfig, column
 from canfb.sources.surroundings import Surroundings

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from canfb.signal.sample import Sample
-from canfb.signal.sample_times import TICKS
+from canfb.signal.sample import TICKS, Sample
 from canfb.sources.protocol import SourceEnded
 
 SETTLED_S = 1.0  # without a failure, before a source is said to work again

@@ -18,7 +18,7 @@ from canfb.signal.limits import (
     narrowed_residual_limit,
 )
 from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
-from canfb.signal.sample_times import TICK_S
+from canfb.signal.sample import TICK_S
 from canfb.signal.third_order import SECOND, THIRD
 from canfb.view.pdo_map import Read, valid_pdos
 

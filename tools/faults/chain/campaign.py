@@ -1,23 +1,21 @@
 """Fault campaign: inject every class of faults at every kind of speed, and count what the chain sees.
 
-    python -m tools.faults.chain.campaign [--episodes N] [--clean N] [--setting NAME] [--markdown FILE]
+    python -m tools.faults.chain.campaign [--episodes N] [--clean N] [--setting NAME] [--json]
 
 Each episode is a machine turning at up to 3000 rpm with 2500 cycles per revolution, sampled at
 1 kHz with 12 bits, and a fault at a random instant. The result depends on --seed only. Exit status
-1 when a goal is missed, 2 when a file cannot be written. docs/fault-campaign.md says what the columns
-mean and what the goals are, docs/legal-motion.md what no supervision can detect.
+1 when a goal is missed. docs/fault-campaign.md says what the columns mean and what the goals are,
+docs/legal-motion.md what no supervision can detect.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +24,9 @@ from tools.faults.chain.classes import CLASSES
 from tools.faults.chain.clean import CHUNK_SAMPLES, CleanResult, run_clean
 from tools.faults.chain.judge import judge, play
 from tools.faults.chain.plant import ALL_SETTINGS, SETTINGS, Setting, Turning, speed_of_group
-from tools.faults.chain.tally import COLUMNS, IN_SHORT, Tally, markdown, plain
+from tools.faults.chain.tally import IN_SHORT, Tally
+from tools.faults.side_by_side import side_by_side
+from tools.site.markdown import table
 
 USUAL = tuple(range(len(SETTINGS)))
 EPISODES_OF_GROUP = 10
@@ -112,35 +112,13 @@ def campaign(
     sizes = [min(CHUNK_SAMPLES, clean - begin) for begin in range(0, clean, CHUNK_SAMPLES)]
     chosen = [_setting(one, adapt) for one in settings]
     chunks = [(seed, number, size, chosen) for number, size in enumerate(sizes)]
-    if processes == 1:
-        work = map(run_group, groups(seed, episodes, settings, adapt))
-        return _collect(work, map(_run_chunk, chunks), settings)
-    with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        done = pool.imap(run_group, groups(seed, episodes, settings, adapt), chunksize=8)
-        return _collect(done, pool.imap(_run_chunk, chunks), settings)
-
-
-def _collect(
-    work: Iterable[tuple[Group, Tally]], clean: Iterable[CleanResult], settings: Sequence[int]
-) -> Campaign:
     tallies: dict[tuple[int, int], Tally] = {}
-    for group, tally in work:
+    for group, tally in side_by_side(run_group, groups(seed, episodes, settings, adapt), processes):
         tallies.setdefault((group.setting, group.fault_class), Tally()).merge(tally)
     result = CleanResult()
-    for one in clean:
+    for one in side_by_side(_run_chunk, chunks, processes):
         result = result.merged(one)
     return Campaign(tallies, result, settings)
-
-
-def rows_of(result: Campaign, setting: int) -> list[Sequence[str]]:
-    """The table at one setting, and the sum of all classes below."""
-    rows: list[Sequence[str]] = [COLUMNS]
-    total = Tally()
-    for number, fault_class in enumerate(CLASSES):
-        tally = result.tallies[setting, number]
-        rows.append(tally.row(fault_class.name))
-        total.merge(tally)
-    return [*rows, total.row("all")]
 
 
 def clean_line(clean: CleanResult) -> str:
@@ -151,21 +129,10 @@ def clean_line(clean: CleanResult) -> str:
     )
 
 
-def _heading(setting: int) -> str:
-    one = ALL_SETTINGS[setting]
-    limits = one.config.limits
-    return (
-        f"{one.name}: residual limit {one.residual_limit:.3f} cycle, amplitude "
-        f"{limits.amplitude_low_counts} to {limits.amplitude_high_counts} counts, accelerations up to "
-        f"{one.acceleration} cycle per interval squared"
-        + (f", jerks up to {one.jerk} (third-order prediction)" if one.jerk else "")
-    )
-
-
-def as_markdown(result: Campaign) -> str:
-    """The settings side by side, for the documentation."""
+def as_text(result: Campaign) -> str:
+    """The settings side by side, and what was missed."""
     names = [f"{ALL_SETTINGS[n].name}: {head}" for n in result.settings for head in IN_SHORT]
-    rows: list[Sequence[str]] = [("fault", *names)]
+    rows = []
     total = {n: Tally() for n in result.settings}
     for number, fault_class in enumerate(CLASSES):
         tallies = {n: result.tallies[n, number] for n in result.settings}
@@ -173,7 +140,18 @@ def as_markdown(result: Campaign) -> str:
         for n, one in tallies.items():
             total[n].merge(one)
     rows.append(("all", *(cell for one in total.values() for cell in one.in_short())))
-    return f"{markdown(rows)}\n{clean_line(result.clean)}\n"
+    missed = result.misses()
+    seeds = [seed for tally in result.tallies.values() for seed in tally.violations]
+    return "\n".join(
+        [
+            *table(("fault", *names), rows),
+            "",
+            clean_line(result.clean),
+            f"{result.faulty} faulty samples; goals missed: {len(missed)}",
+            *missed,
+            *(f"silent wrong position: (seed, setting, class, group) {seed}" for seed in seeds[:20]),
+        ]
+    )
 
 
 def as_json(result: Campaign) -> str:
@@ -199,7 +177,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--adapt", action="store_true", help="with the drift of the tracks followed (2002:08)"
     )
-    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the settings side by side")
     parser.add_argument("--json", action="store_true", help="print all sums as JSON instead")
     options = parser.parse_args(argv)
     if options.episodes < 1 or options.clean < 0 or options.seed < 0 or options.processes < 1:
@@ -209,27 +186,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         options.seed, options.episodes, options.clean, options.processes, settings, options.adapt
     )
     print(as_json(result) if options.json else as_text(result))
-    if options.markdown is not None:
-        try:
-            options.markdown.write_text(as_markdown(result), encoding="utf-8")
-        except OSError as error:
-            print(f"cannot write {error.filename}: {error.strerror}", file=sys.stderr)
-            return 2
     return 1 if result.misses() else 0
-
-
-def as_text(result: Campaign) -> str:
-    """All tables, and what was missed."""
-    parts = [f"{_heading(n)}\n{plain(rows_of(result, n))}" for n in result.settings]
-    missed = result.misses()
-    seeds = [seed for tally in result.tallies.values() for seed in tally.violations]
-    end = [
-        clean_line(result.clean),
-        f"{result.faulty} faulty samples; goals missed: {len(missed)}",
-        *missed,
-        *(f"silent wrong position: (seed, setting, class, group) {seed}" for seed in seeds[:20]),
-    ]
-    return "\n".join([*parts, *end])
 
 
 if __name__ == "__main__":

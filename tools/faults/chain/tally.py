@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 
 from tools.faults.chain.judge import Verdict
@@ -10,12 +9,6 @@ from tools.faults.chain.judge import Verdict
 DETECTION_GOAL = 0.99
 SOON_SAMPLES = 3
 
-COLUMNS = (
-    "fault", "episodes", "faulty samples", "seen in the same sample", "within 3", "later",
-    "unseen, harmless", "unseen, legal motion", "detected of all that matter", "without legal motions",
-    "wrong valid samples, legal + after a report", "silent wrong samples", "longest run",
-    "cycle lost, legal motion", "cycle lost", "called lost",
-)  # fmt: skip
 IN_SHORT = ("soon", "detected", "lost")  # %, see docs/fault-campaign.md
 
 
@@ -118,22 +111,6 @@ class Tally:
             missed.append(f"{self.cycle_lost} cycles lost")
         return missed
 
-    def row(self, name: str) -> tuple[str, ...]:
-        """The cells of the table."""
-        return (
-            name,
-            *map(str, (self.episodes, self.faulty, self.same, self.soon, self.later)),
-            *map(str, (self.harmless, self.legal)),
-            f"{self.detection:.2%}",
-            f"{self.detection_of_illegal:.2%}",
-            f"{self.wrong_legal} + {self.wrong_reported}",
-            str(self.wrong_silent),
-            str(self.longest_run),
-            str(self.cycle_legal),
-            str(self.cycle_lost),
-            str(self.lost),
-        )
-
     @property
     def soon_part(self) -> float:
         """Part of the flagged episodes that were flagged at most three samples after the first faulty one."""
@@ -149,21 +126,3 @@ class Tally:
         """For a program to read."""
         rates = {"detection": self.detection, "detection_of_illegal": self.detection_of_illegal}
         return asdict(self) | rates | {"misses": self.misses}
-
-
-def markdown(rows: Sequence[Sequence[str]]) -> str:
-    """Rows, the first of them the heads, as a table in Markdown."""
-    lines = [rows[0], ("---", *("---:" for _ in rows[0][1:])), *rows[1:]]
-    return "".join("| " + " | ".join(line) + " |\n" for line in lines)
-
-
-def plain(rows: Sequence[Sequence[str]]) -> str:
-    """The same for a terminal: numbered heads above, so that the lines stay short."""
-    head, *body = rows
-    short = [head[0], *(f"({n})" for n in range(1, len(head)))]
-    widths = [max(len(row[column]) for row in (short, *body)) for column in range(len(head))]
-    lines = [f"  ({n}) {text}" for n, text in enumerate(head) if n]
-    for row in (short, *body):
-        cells = [row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))]
-        lines.append("  ".join(cells))
-    return "\n".join(lines) + "\n"

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -24,9 +23,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tools.faults.estimator.declared import Declared
-from tools.faults.estimator.episodes import Episode, Published, chain_for, draw, has_sets, play
+from tools.faults.estimator.episodes import Episode, Published, chain_for, draw, play
 from tools.faults.estimator.judge import Verdict, judge, proof
 from tools.faults.estimator.kinds import KINDS, NAMES, Kind, State
+from tools.faults.side_by_side import side_by_side
+from tools.site.markdown import table
 
 CHUNK = 100
 BOUNDS = {2: (0.01, 0.05, 0.1, 0.2), 3: (0.02, 0.05)}
@@ -166,14 +167,7 @@ def chunks(
 def run(work: Sequence[Chunk], processes: int) -> dict[Cell, Tally]:
     """Sums of all cells."""
     tallies: dict[Cell, Tally] = {}
-    if processes == 1:
-        return _collect(map(run_chunk, work), tallies)
-    with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        return _collect(pool.imap(run_chunk, work), tallies)
-
-
-def _collect(done: Iterable[tuple[Chunk, Tally]], tallies: dict[Cell, Tally]) -> dict[Cell, Tally]:
-    for chunk, tally in done:
+    for chunk, tally in side_by_side(run_chunk, work, processes):
         tallies.setdefault(chunk.cell, Tally()).merge(tally)
     return tallies
 
@@ -185,16 +179,13 @@ def text_of(cell: Cell, tallies: dict[Cell, Tally]) -> str:
     return text if kind.is_covered(cell.declared) else f"({text})"
 
 
-def table(tallies: dict[Cell, Tally], kinds: Sequence[str], machines: Sequence[Declared]) -> str:
-    """Kinds below each other, machines side by side, as Markdown."""
+def as_text(tallies: dict[Cell, Tally], kinds: Sequence[str], machines: Sequence[Declared]) -> str:
+    """Kinds below each other, machines side by side."""
     head = [
         "fault",
         *(f"{'A' if one.order == 2 else 'J'} = {one.bound:g}, m = {one.bad}" for one in machines),
     ]
-    rows = [head, ["---"] * len(head)]
-    for kind in kinds:
-        cells = [text_of(Cell(kind, one), tallies) for one in machines]
-        rows.append([kind, *cells])
+    rows = [[kind, *(text_of(Cell(kind, one), tallies) for one in machines)] for kind in kinds]
     sums = []
     for one in machines:
         of = [tallies[Cell(kind, one)] for kind in kinds]
@@ -203,8 +194,7 @@ def table(tallies: dict[Cell, Tally], kinds: Sequence[str], machines: Sequence[D
             f"{sum(t.silent for t in covered)} of {sum(t.episodes for t in covered)}, "
             f"{sum(t.silent for t in of)} of {sum(t.episodes for t in of)}"
         )
-    rows.append(["silent: as declared, all", *sums])
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
+    return "\n".join(table(head, [*rows, ["silent: as declared, all", *sums]]))
 
 
 def show(name: str, machine: Declared, on_module: bool = False) -> str:
@@ -295,7 +285,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     cells = [Cell(kind, one) for kind in kinds for one in machines]
     work = list(chunks(cells, options.seed, options.episodes, options.module, options.exceed))
     tallies = run(work, options.processes)
-    print(as_json(tallies) if options.json else table(tallies, kinds, machines))
+    print(as_json(tallies) if options.json else as_text(tallies, kinds, machines))
     for tally in tallies.values():
         for example in tally.examples:
             print(f"silent: {example}", file=sys.stderr)
@@ -306,9 +296,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _can_run(kind: Kind, machine: Declared, on_module: bool) -> bool:
-    """Sets need a chain that takes them; uneven instants are those of one sample for each SYNC."""
+    """Sets of elapsed times and uneven instants are those of one sample for each SYNC."""
     uneven = bool(kind.jitter) or kind.stall is not None
-    if kind.elapsed and (not has_sets() or on_module or machine.samples_per_sync > 1):
+    if kind.elapsed and (on_module or machine.samples_per_sync > 1):
         return False
     return not (uneven and (on_module or machine.samples_per_sync > 1))
 

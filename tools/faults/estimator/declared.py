@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 from canfb import CorrectionTable, SignalChain
 from canfb.signal.chain_config import ChainConfig, ChainLimits
@@ -56,36 +55,19 @@ class Declared:
 
 def config_of(declared: Declared) -> ChainConfig:
     """As far as a :class:`ChainConfig` can say it: the rest is in :func:`limits_of`."""
-    options: dict[str, Any] = {"prediction_order": declared.order, "coast_samples": COAST_SAMPLES}
-    if _config_has_all():
-        options |= {
-            "max_acceleration_cycles": declared.acceleration if declared.order == 2 else 0.0,
-            "max_jerk_cycles": declared.jerk if declared.order == 3 else 0.0,
-            "phase_error_cycles": declared.phase_error,
-            "bad_samples": declared.bad,
-        }
-    else:
-        options["residual_limit"] = declared.residual_limit
-    return ChainConfig(**options)
+    return ChainConfig(
+        prediction_order=declared.order,
+        coast_samples=COAST_SAMPLES,
+        max_acceleration_cycles=declared.acceleration if declared.order == 2 else 0.0,
+        max_jerk_cycles=declared.jerk if declared.order == 3 else 0.0,
+        phase_error_cycles=declared.phase_error,
+        bad_samples=declared.bad,
+    )
 
 
 def limits_of(declared: Declared) -> ChainLimits:
     """All limits, to be given to :meth:`SignalChain.set_limits`."""
-    limits = config_of(declared).chain_limits
-    if not _config_has_all():
-        limits = replace(
-            limits,
-            start_limit=RESIDUAL_LIMIT if declared.order == 3 else None,
-            acceleration=declared.acceleration if declared.order == 2 else None,
-            jerk=declared.jerk if declared.order == 3 else None,
-            phase_error=declared.phase_error,
-        )
-    return replace(limits, samples_per_sync=declared.samples_per_sync)
-
-
-def _config_has_all() -> bool:
-    known = {one.name for one in fields(ChainConfig)}
-    return {"max_acceleration_cycles", "max_jerk_cycles", "phase_error_cycles", "bad_samples"} <= known
+    return replace(config_of(declared).chain_limits, samples_per_sync=declared.samples_per_sync)
 
 
 def make_chain(declared: Declared, table: CorrectionTable | None = None) -> SignalChain:

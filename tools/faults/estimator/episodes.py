@@ -131,11 +131,6 @@ def _faulty(state: npt.NDArray[np.int8], sine: Counts, cosine: Counts, rng: Rng)
     return sine, cosine
 
 
-def has_sets() -> bool:
-    """The chain takes a set of elapsed times, and :meth:`confirm`."""
-    return hasattr(SignalChain, "confirm")
-
-
 def chain_for(episode: Episode, table: CorrectionTable | None = None) -> SignalChain:
     """A chain that knows the speed of the first sample of this episode."""
     chain = make_chain(episode.declared, table_of(episode.declared.phase_error) if table is None else table)

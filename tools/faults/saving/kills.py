@@ -25,10 +25,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from canfb.bus.state_files import StateFiles
 from canfb.cia301.frame import Frame
 from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import PARAMETERS
+from canfb.hosting.state_files import StateFiles
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import CorrectionTable

@@ -248,6 +248,7 @@ def everything_stalls(plan: Plan) -> None:
     limit = float(plan.rng.choice((0.02, 0.05, 0.1)))
     most = max(n for n in range(1, 40) if _cycles_apart(n, limit) <= 1.0)
     machine(plan, a_speed(plan, 0.0, 40.0), 90, limit=limit)
+    plan.options.coast = most + 1
     plan.jitter_us = float(plan.rng.uniform(0.0, 0.05)) * interval_s * 1e6
     plan.gaussian, plan.busy = False, 0.0
     long = float(plan.rng.uniform(1.0, most))

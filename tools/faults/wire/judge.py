@@ -48,7 +48,7 @@ RESIDUAL_LIMIT = 1.0 / 3.0  # 2010:01 as delivered
 LIMIT_MARGIN = 0.06  # cycles/T^2: that of a narrowed limit, and the noise
 MEMORY = 8  # samples whose accelerations 2011:09 may hold
 ACCELERATION_ID = 0x380 + 32
-RESET_NODE = bytes([129])
+START_NODE, RESET_NODE = bytes([1]), bytes([129])
 EMCY_WINDOW_S, EMCY_LIMIT = 0.1, 10
 
 
@@ -91,8 +91,12 @@ class Judge:
         start = line.positions[0] if line.positions else 0.0
         self._base = start - start % 1.0  # the module begins at cycle count 0
         self._rebased = 0.0
-        resets = [at for at, what, data in plan.actions if what == "nmt" and data == RESET_NODE]
-        self._resets = sorted(resets)  # after each the module begins at cycle count 0 again
+        commands = sorted((at, data) for at, what, data in plan.actions if what == "nmt")
+        resets = [place for place, (_, data) in enumerate(commands) if data == RESET_NODE]
+        # From the start after each of them on the module counts from 0 again.
+        self._resets = [at for place in resets for at, data in commands[place:] if data == START_NODE][
+            : len(resets)
+        ]
         syncs = [event for event in line.events if event.what == "sync"]
         self._sync_times, self._sync_slots = (
             [event.time for event in syncs],

@@ -61,6 +61,7 @@ class Options:
     """What one episode sets in the module, beyond its :class:`Setup`."""
 
     interval_s: float = 1e-3
+    coast: int | None = None  # 2010:03; None: as delivered
     limit: float | None = None  # 2010:02 in cycles/T^2; None: not known
     jerk: float | None = None  # 2010:08 in cycles/T^3
     margin: int = 0  # 2010:09
@@ -123,6 +124,8 @@ class Configuration:
         if options.limit is not None:
             per_cycle = TWO_PI / CYCLES_PER_REVOLUTION
             write(0x2010, 2, "f", options.limit * per_cycle / options.interval_s**2)
+        if options.coast is not None:
+            write(0x2010, 3, "B", options.coast)
         if setup.servo:
             self._be_servo(options)
         elif setup.times:

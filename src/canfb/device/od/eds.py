@@ -22,6 +22,7 @@ VAR = 0x07
 ARRAY = 0x08
 RECORD = 0x09
 
+LONGEST_MESSAGE = 200
 _INDEX = re.compile(r"^[0-9A-Fa-f]{4}$")
 _SUBINDEX = re.compile(r"^([0-9A-Fa-f]{4})[Ss]ub([0-9A-Fa-f]+)$")
 _DUMMY = re.compile(r"^Dummy([0-9A-Fa-f]{4})$", re.IGNORECASE)
@@ -48,7 +49,8 @@ def parse(content: bytes) -> RawConfigParser:
     try:
         parser.read_file(io.TextIOWrapper(io.BytesIO(content), encoding="utf-8", errors="replace"))
     except ParserError as error:
-        raise ValueError(f"not an EDS: {error}") from error
+        said = " ".join(str(error).split())[:LONGEST_MESSAGE]  # it tells of every line
+        raise ValueError(f"not an EDS: {said}") from error
     for section in [name for name in parser.sections() if _INDEX.match(name)]:
         _expand_compact(parser, section)
     for section in parser.sections():

@@ -2,7 +2,7 @@
 
 A store that writes at once answers at once. A :class:`BackgroundStore` begins to write and is asked later
 whether it is done: the node goes on meanwhile, and the answer to SDO or LSS follows when the values are kept.
-Time is an argument here; the thread is that of the store (:mod:`canfb.bus.background_store`).
+Time is an argument here; the thread is that of the store (:mod:`canfb.hosting.state_files`).
 """
 
 from __future__ import annotations

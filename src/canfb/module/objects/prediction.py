@@ -10,8 +10,7 @@ from canfb.module.cia406.profile import EncoderProfile
 from canfb.module.interval import SamplingInterval
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
-from canfb.signal.nominal_sync import NominalSync
-from canfb.signal.sample_times import TICK_S
+from canfb.signal.sample import TICK_S
 from canfb.signal.supervision import COASTING, EXTRAPOLATED, VALID
 from canfb.signal.third_order import THIRD
 
@@ -58,9 +57,8 @@ class Prediction:
         self._kind, self._nominal = entry(*od.PREDICTION_POSITION), entry(*od.PREDICTION_NOMINAL_SYNC)
         self._kind.on_written = self._nominal.on_written = self.forget
         self._order = entry(*od.SUPERVISION_ORDER)
-        self._chain = chain
+        self._chain, self._lock = chain, chain.nominal_sync
         self._interval = interval
-        self._lock = NominalSync()
         self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
         self._status = entry(*od.FEEDBACK_STATUS)
         self._profile = profile
@@ -80,13 +78,8 @@ class Prediction:
         self._at_sync: int | None = None  # samples up to the last SYNC
         self._speed_cycles = 0.0  # of the last valid sample
         self._valid_samples = 0  # in a row
-        self._lock.forget()
         self.follows = bool(self._nominal.value)
-        """2013:02 is 1: :meth:`sampled` and :meth:`shift` are to be called."""
-
-    def sampled(self, time_100ns: int) -> None:
-        """A valid sample with its time (2000:05), before :meth:`shift`."""
-        self._lock.sample(time_100ns)
+        """2013:02 is 1: :meth:`shift` is to be called."""
 
     def shift(self, last: Feedback) -> None:
         """``last`` was published: from now on its position is that at its nominal SYNC."""

@@ -1,0 +1,1 @@
+"""All parameters of a module as a file, and back into a module, proven."""

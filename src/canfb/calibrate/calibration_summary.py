@@ -1,0 +1,349 @@
+"""The figures of a reference measurement: for the terminal, the report and programs.
+
+At several speeds with the analog path and the error at each speed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from canfb.calibrate.error_over_speed import ErrorAtSpeed
+from canfb.calibrate.measurement import Measurement, OverSpeeds, SpeedMeasurement
+from canfb.calibrate.procedure import Installation
+from canfb.calibration.path_fit import LowPass
+from canfb.calibration.result import Calibration
+from canfb.master.circumstances import PERCENT, Circumstances, percent, where_words
+from canfb.master.samples import TrackSamples
+from canfb.tables.table_file import conditioning_in_words, conditioning_words, table_words
+
+SAME_DELAY = 1e-3  # relative: REAL32
+LOST = "position lost"
+
+
+def speed_words(hertz: float, where: Circumstances) -> str:
+    """A speed in rpm, or in cycles per second where the encoder is not known."""
+    if not where.cycles_per_revolution:
+        return f"{hertz:.6g} cycles/s"
+    return f"{60.0 * hertz / where.cycles_per_revolution:.4g} rpm"
+
+
+def speed_rows(over: OverSpeeds, where: Circumstances) -> list[tuple[str, str, str]]:
+    """Error at each speed: rms before and after, then the mean."""
+    rows = []
+    for one in over.errors:
+        before = LOST if one.before is None else percent(one.before, where)
+        rows.append((f"{speed_words(one.hertz, where)}, rms", before, percent(one.after, where)))
+    for one in over.errors:
+        before = LOST if one.mean_before is None else percent(one.mean_before, where)
+        rows.append((f"{speed_words(one.hertz, where)}, mean", before, percent(one.mean_after, where)))
+    return rows
+
+
+def path_facts(over: OverSpeeds, where: Circumstances) -> list[tuple[str, str]]:
+    """Delay between the tracks, low-pass, delay; how sure each is."""
+    path = over.path
+    between = f"{path.cosine_delay_s * 1e9:.4g} ± {path.cosine_delay_sigma_s * 1e9:.2g} ns (2002:06)"
+    if not path.cosine_delay_s:
+        between = f"none; ± {path.cosine_delay_sigma_s * 1e9:.2g} ns"
+    return [
+        ("cosine after the sine", between),
+        ("low-pass", _low_pass_words(over, where)),
+        ("delay, by amplitude", delay_words(over.low_pass, where)),
+        ("delay, 2002:07", delay_set_words(over)),
+    ]
+
+
+def delay_words(low_pass: LowPass, where: Circumstances) -> str:
+    """What the amplitude over the speed says of the delay, and how sure that is."""
+    at = speed_words(low_pass.top_hz, where)
+    if low_pass.rises:
+        return "not known: the amplitude rises with the speed"
+    if not low_pass.is_seen:
+        if not math.isfinite(low_pass.delay_sigma_s):
+            return "not known: all measured speeds are of one size"
+        return (
+            f"none is seen up to {at}; one pole would delay by less than "
+            f"{low_pass.delay_sigma_s * 1e6:.2g} µs. A delay of the converter does not show"
+        )
+    words = (
+        f"{low_pass.delay_s * 1e6:.4g} ± {low_pass.delay_sigma_s * 1e6:.1g} µs, "
+        f"{low_pass.delay_cycles(low_pass.top_hz):.3g} ± "
+        f"{low_pass.delay_sigma_cycles(low_pass.top_hz):.1g} cycle at {at}, if the low-pass has one pole; "
+    )
+    if low_pass.may_have_two_poles and low_pass.other is not None:
+        return (
+            f"{words}{low_pass.other.delay_s * 1e6:.3g} µs with two equal poles, which these speeds do not "
+            "rule out: half of the highest speed would. Without the delay of the converter"
+        )
+    if not low_pass.is_one_pole:
+        return (
+            f"{words}but the amplitude is up to {PERCENT * low_pass.misfit:.2g} % away from that of one "
+            "pole: take the delay from data sheets"
+        )
+    return f"{words}the amplitudes agree with that. Without the delay of the converter"
+
+
+def delay_set_words(over: OverSpeeds) -> str:
+    """What 2002:07 is to be, and how to change that."""
+    estimate, delay_s = over.low_pass.delay_s, over.delay_s
+    if delay_s and abs(delay_s - estimate) <= SAME_DELAY * estimate:
+        return f"{delay_s * 1e6:.4g} µs, as estimated"
+    if delay_s:
+        return f"{delay_s * 1e6:.4g} µs, as given"
+    return "0: no delay is removed" + (" (--delay estimate)" if estimate else "")
+
+
+def path_json(over: OverSpeeds) -> dict[str, Any]:
+    """For programs; cycles, seconds, hertz."""
+    path, low_pass, corners = over.path, over.low_pass, over.after.corners
+    seen = low_pass.is_seen
+    sigma_s = low_pass.delay_sigma_s
+    return {
+        "speeds": [_speed_json(one) for one in over.errors],
+        "cosine_delay_s": path.cosine_delay_s,
+        "cosine_delay_uncertainty_s": path.cosine_delay_sigma_s,
+        "corner_hz": corners.corner_hz,
+        "corner_uncertainty_hz": low_pass.corner_sigma_hz if seen else None,
+        "cosine_corner_hz": corners.cosine_corner_hz,
+        "amplitude_left": low_pass.left,
+        "delay_estimate_s": low_pass.delay_s if seen else None,
+        "delay_estimate_uncertainty_s": sigma_s if math.isfinite(sigma_s) else None,
+        "delay_estimate_two_poles_s": (
+            low_pass.other.delay_s if low_pass.may_have_two_poles and low_pass.other else None
+        ),
+        "delay_estimate_one_pole": low_pass.is_one_pole and low_pass.checked,
+        "delay_s": over.delay_s,
+    }
+
+
+def _speed_json(one: ErrorAtSpeed) -> dict[str, Any]:
+    return {
+        "cycles_per_s": one.hertz,
+        "before_rms_cycles": one.before,
+        "after_rms_cycles": one.after,
+        "before_mean_cycles": one.mean_before,
+        "after_mean_cycles": one.mean_after,
+        "held_out_samples": len(one.deviation.error),
+    }
+
+
+def _low_pass_words(over: OverSpeeds, where: Circumstances) -> str:
+    low_pass, corners = over.low_pass, over.after.corners
+    if low_pass.rises:
+        return "none: the amplitude rises with the speed"
+    if not low_pass.is_seen:
+        return "none is seen"
+    words = f"{corners.corner_hz / 1e3:.4g} ± {low_pass.corner_sigma_hz / 1e3:.1g} kHz"
+    if corners.cosine_corner_hz:
+        words += f", cosine {corners.cosine_corner_hz / 1e3:.4g} kHz"
+    left, at = PERCENT * low_pass.left, speed_words(low_pass.top_hz, where)
+    return f"{words} (2001:05, 2001:06): {left:.0f} % of the amplitude at {at}"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the comparison."""
+
+    name: str
+    before: str
+    after: str
+
+
+def comparison(measured: Measurement, done: Installation, where: Circumstances) -> list[Row]:
+    """Before and after, in the words that are printed."""
+    found, calibration, on_samples = measured.found, measured.calibration, measured.on_samples
+    rows = [
+        Row("table", table_words(measured.before), table_words(found)),
+        Row(
+            "conditioning",
+            conditioning_in_words(measured.before.conditioning),
+            conditioning_in_words(found.conditioning),
+        ),
+        Row(
+            "deviation, rms",
+            percent(on_samples.before_rms, where),
+            percent(calibration.residual_rms, where),
+        ),
+        Row(
+            "deviation, peak",
+            percent(on_samples.before_peak, where),
+            percent(calibration.residual_peak, where),
+        ),
+    ]
+    if done.fresh is not None:
+        fresh = done.fresh
+        rows += [
+            Row("on fresh samples, rms", percent(fresh.before_rms, where), percent(fresh.rms, where)),
+            Row("on fresh samples, peak", percent(fresh.before_peak, where), percent(fresh.peak, where)),
+        ]
+    if isinstance(measured, SpeedMeasurement):
+        rows += [Row(*words) for words in speed_rows(measured.over_speeds, where)]
+    return rows
+
+
+def facts(measured: Measurement, done: Installation, where: Circumstances) -> list[tuple[str, str]]:
+    """What else there is to know of the measurement."""
+    calibration, samples = measured.calibration, measured.samples
+    duration = f", {samples.duration_s:.3g} s" if samples.duration_s else ""
+    listed = [
+        ("table is good to", percent(calibration.uncertainty_peak, where)),
+        (
+            "noise of a sample",
+            f"{percent(calibration.noise_cycles, where)}, {calibration.noise_counts:.2f} counts",
+        ),
+        ("samples", f"{len(samples)}{rate_words(samples)}{duration}; {samples.origin}"),
+        (
+            "left out",
+            f"{missed_words(samples, where)}, {calibration.samples_rejected} faulty or not in whole cycles",
+        ),
+        (
+            "coverage",
+            f"{PERCENT * calibration.coverage:.0f} % of the cycle, {moved_words(calibration, where)}"
+            f"{coverage_warning(measured)}",
+        ),
+        ("method", f"{calibration.method}, {len(calibration.table)} entries"),
+    ]
+    if done.fresh is not None:
+        listed.append(("fresh samples", f"{len(done.fresh.error)} used, {done.fresh.faulty} left out"))
+    if done.phase_error_cycles is not None:
+        listed.append(
+            ("phase error, 2010:0C", f"{done.phase_error_cycles:.3g} cycle, at the speed of this motion")
+        )
+    if isinstance(measured, SpeedMeasurement):
+        listed += path_facts(measured.over_speeds, where)
+    if where.meanwhile is not None and where.meanwhile.is_lost:
+        listed.append(("position of the module", "lost; a table does not bring it back (canfb why)"))
+    if calibration.cramer_rao_ratio is not None:
+        listed.append(("error of the table", bound_words(calibration)))
+    return listed
+
+
+def rate_words(samples: TrackSamples) -> str:
+    """The rate of the samples, in the mean where they paused; "" if it is not known."""
+    usual, mean = samples.rate_hz, samples.mean_rate_hz
+    if not usual or not mean:
+        return ""
+    if samples.skipped:
+        return f" at {mean:.4g} Hz in the mean, {usual:.4g} Hz between pauses"
+    return f" at {usual:.6g} Hz"
+
+
+def missed_words(samples: TrackSamples, where: Circumstances) -> str:
+    """How many samples are missing, and how many the module says."""
+    skipped, meanwhile = samples.skipped, where.meanwhile
+    words = f"{samples.missed + skipped} missed"
+    if skipped:
+        words += f" ({samples.missed} SYNCs without a sample, about {skipped} intervals without a SYNC)"
+    if meanwhile is not None and (meanwhile.missed or skipped):
+        words += f", {meanwhile.missed} by the count of the module"
+    return words
+
+
+def moved_words(calibration: Calibration, where: Circumstances) -> str:
+    """How far the machine has moved; from even samples alone that is open by whole cycles per sample."""
+    by_module = None if where.meanwhile is None else where.meanwhile.cycles
+    cycles = max(calibration.cycles_used, by_module or 0)
+    per_turn = where.cycles_per_revolution
+    turns = f" ({cycles / per_turn:.3g} revolutions)" if per_turn else ""
+    return f"at least {cycles:.0f} cycles{turns}"
+
+
+def coverage_warning(measured: Measurement) -> str:
+    """Of samples that crowd at some phase: nothing, or words that begin with a semicolon."""
+    spike = measured.on_samples.spike
+    if spike is None:
+        return ""
+    return f"; spiky: {spike[0]:.1f} times the mean at phase {spike[1]:.2f}, another speed is better"
+
+
+def bound_words(calibration: Calibration) -> str:
+    """The measured error of the table against the Cramer-Rao bound, in words."""
+    ratio, scatter = calibration.cramer_rao_ratio or 0.0, calibration.cramer_rao_scatter or 0.0
+    measured = f"{ratio:.2f} ± {scatter * ratio:.2f} times the Cramér-Rao bound"
+    if ratio * (1.0 - 2.0 * scatter) <= 1.0:
+        return f"{measured}: as small as these samples allow"
+    return f"{measured}: more than the noise of the converter; motion or tracks change"
+
+
+def outcome(measured: Measurement, done: Installation, where: Circumstances) -> str:
+    """One line: what the module computes with now."""
+    if where.module is None:
+        return "measured from a file: nothing was written to a module"
+    if not done.active:
+        return "dry run: nothing was written to the module"
+    saved = f"saved ({done.saved_as})" if done.saved_as else done.save_note
+    return f"table {measured.calibration.table.crc32:08X}h is active and verified on fresh samples; {saved}"
+
+
+def verdict(measured: Measurement, where: Circumstances) -> str:
+    """The verdict in plain words."""
+    if isinstance(measured, SpeedMeasurement):
+        return _verdict_over_speeds(measured, where)
+    calibration, on_samples = measured.calibration, measured.on_samples
+    factor = on_samples.before_rms / calibration.residual_rms if calibration.residual_rms > 0.0 else 0.0
+    if factor > 1.5:
+        change = (
+            f"The error within a cycle falls from {PERCENT * on_samples.before_rms:.2g} % to "
+            f"{PERCENT * calibration.residual_rms:.2g} % of a cycle rms, {factor:.0f} times less; the "
+            "rest is mostly noise of single samples."
+        )
+    else:
+        change = "The previous table is equally good: the encoder has not changed."
+    return f"Accepted. {change} The table itself is good to {PERCENT * calibration.uncertainty_peak:.2g} %."
+
+
+def _verdict_over_speeds(measured: SpeedMeasurement, where: Circumstances) -> str:
+    errors = measured.over_speeds.errors
+    worst = max(errors, key=lambda one: one.after)
+    before = [one.before for one in errors if one.before is not None]
+    falls = f", {PERCENT * max(before):.2g} % before" if len(before) == len(errors) else ""
+    return (
+        f"Accepted. The error within a cycle is at most {PERCENT * worst.after:.2g} % of a cycle rms"
+        f"{falls}, from {speed_words(errors[0].hertz, where)} to {speed_words(errors[-1].hertz, where)}, on "
+        f"samples that were held out. The table itself is good to "
+        f"{PERCENT * measured.calibration.uncertainty_peak:.2g} %."
+    )
+
+
+def as_json(measured: Measurement, done: Installation, where: Circumstances) -> dict[str, Any]:
+    """The figures for programs; cycles, counts, seconds."""
+    calibration, samples, fresh = measured.calibration, measured.samples, done.fresh
+    spike = measured.on_samples.spike
+    return {
+        "accepted": calibration.accepted,
+        "reason": calibration.reason.value,
+        "verdict": calibration.verdict,
+        **where_words(where),
+        "method": calibration.method.value,
+        "samples": len(samples),
+        "samples_missed": samples.missed,
+        "samples_rejected": calibration.samples_rejected,
+        "sample_rate_hz": samples.rate_hz,
+        "mean_rate_hz": samples.mean_rate_hz,
+        "intervals_without_sync": samples.skipped,
+        "module_missed": None if where.meanwhile is None else where.meanwhile.missed,
+        "module_cycles": None if where.meanwhile is None else where.meanwhile.cycles,
+        "module_lost": None if where.meanwhile is None else where.meanwhile.is_lost,
+        "coverage": calibration.coverage,
+        "coverage_spike": None if spike is None else spike[0],
+        "cycles_used": calibration.cycles_used,
+        "crc32_before": f"{measured.before.crc32:08X}",
+        "crc32": f"{calibration.table.crc32:08X}",
+        "entries": len(calibration.table),
+        "conditioning": conditioning_words(calibration.conditioning),
+        "before_rms_cycles": measured.on_samples.before_rms,
+        "before_peak_cycles": measured.on_samples.before_peak,
+        "residual_rms_cycles": calibration.residual_rms,
+        "residual_peak_cycles": calibration.residual_peak,
+        "uncertainty_rms_cycles": calibration.uncertainty_rms,
+        "uncertainty_peak_cycles": calibration.uncertainty_peak,
+        "noise_counts": calibration.noise_counts,
+        "fresh_rms_cycles": None if fresh is None else fresh.rms,
+        "fresh_peak_cycles": None if fresh is None else fresh.peak,
+        "phase_error_cycles": done.phase_error_cycles,
+        "active": done.active,
+        "saved": done.saved_as is not None,
+        **(path_json(measured.over_speeds) if isinstance(measured, SpeedMeasurement) else {}),
+    }

@@ -1,0 +1,235 @@
+"""What ``canfb calibrate`` is asked to do: its options, checked, and what follows from them.
+
+Options that do nothing beside others are refused, not ignored. Times are not: a script may give the same ones
+to a dry run and to the measurement after it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from canfb.calibrate.measurement import ESTIMATE, MOTION, ZERO_CROSSINGS, Settings
+from canfb.errors import ConfigError
+from canfb.master.access import CommissioningError
+from canfb.master.samples import TrackSamples, read_npz
+from canfb.signal.conditioning import LONGEST_DELAY_S
+from canfb.signal.supervision import SampleLimits
+from canfb.sources.recording_source import RecordingLayout, RecordingSource
+
+PDO, RECORDING, MODULE = "pdo", "recording", "module"
+DEFAULT_MODULE = 0x20
+MOST_RPM = 1e6
+RECORDED = "recorded"  # speeds: those that the files of samples have
+LEAST_SAMPLES = 8000
+SECONDS_AT_SPEED = 10.0
+NEAREST = 1.05  # times: speeds to be told from each other as the machine turns
+RANGES = (
+    ("seconds", 0.1, 3600.0),
+    ("verify", 0.1, 600.0),
+    ("least_samples", 0, 10_000_000),
+    ("rate", 0.1, 1e7),
+    ("sync", 0.1, 1e5),
+    ("answer_within", 0.01, 60.0),
+    ("wait", 1.0, 86400.0),
+    ("entries", 16, 4096),
+    ("adc_bits", 4, 16),
+    ("module", 1, 127),
+    ("encoder_interface", 1, 127),
+    ("cycles_per_revolution", 1, 1 << 20),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choices:
+    """The options by their names; None: not given. :meth:`refuse_impossible` checks them."""
+
+    module: int | None = None
+    encoder_interface: int | None = None
+    dry_run: bool = False
+    check: bool = False
+    out: Path | None = None
+    no_save: bool = False
+    method: str = MOTION
+    source: str | None = None
+    recorder: str = "interface"
+    seconds: float | None = None
+    least_samples: int = LEAST_SAMPLES
+    verify: float | None = None
+    conditioning: str = "fit"
+    entries: int = 1024
+    adc_bits: int | None = None
+    rate: float | None = None
+    sync: float | None = None
+    encoder: str = ""
+    answer_within: float = 1.0
+    samples: Path | None = None
+    columns: str = "sine,cosine"
+    mid_scale: float = 0.0
+    time_column: str | None = None
+    table: Path | None = None
+    cycles_per_revolution: int | None = None
+    speeds: str | None = None
+    delay: str | None = None
+    wait: float = 120.0
+    line: str = ""
+    """The command, for the report."""
+
+    @property
+    def samples_from(self) -> str:
+        """Where samples come from: "pdo", "recording" or "module"."""
+        return self.source or (RECORDING if self.method == ZERO_CROSSINGS else PDO)
+
+    @property
+    def collect_s(self) -> float:
+        """How long to collect samples."""
+        usual = SECONDS_AT_SPEED if self.speeds else 4.0 if self._is_fast else 20.0
+        return usual if self.seconds is None else self.seconds
+
+    @property
+    def verify_s(self) -> float:
+        """How long to collect samples for the proof."""
+        return self.verify if self.verify is not None else (1.0 if self._is_fast else 4.0)
+
+    @property
+    def speeds_rpm(self) -> tuple[float, ...]:
+        """Those of ``--speeds``; none for :data:`RECORDED`. ConfigError for what is no list of speeds."""
+        if self.speeds is None or (self.speeds == RECORDED and self.samples is not None):
+            return ()
+        try:
+            found = tuple(float(word) for word in self.speeds.split(","))
+        except ValueError:
+            found = ()
+        sizes = sorted(found)
+        apart = all(b > NEAREST * a if a > 0.0 else b > a / NEAREST for a, b in itertools.pairwise(sizes))
+        if len(found) < 2 or not all(0.0 < abs(one) < MOST_RPM for one in found) or not apart:
+            raise ConfigError(
+                f"--speeds {self.speeds}: two or more different speeds in rpm are required: 61,300,1000,3000"
+            )
+        return found
+
+    @property
+    def delay_to_set(self) -> str | float | None:
+        """2002:07 in seconds, :data:`.ESTIMATE`, None: as it is. ConfigError for anything else."""
+        if self.delay is None or self.delay == ESTIMATE:
+            return self.delay
+        try:
+            value = float(self.delay)
+        except ValueError:
+            value = math.nan
+        if not abs(value) <= LONGEST_DELAY_S:
+            raise ConfigError(
+                f"--delay {self.delay}: seconds, at most {LONGEST_DELAY_S:g}, or {ESTIMATE}, are required"
+            )
+        return value
+
+    @property
+    def _is_fast(self) -> bool:
+        return self.samples_from == RECORDING and self.recorder == "interface"
+
+    def refuse_impossible(self) -> None:
+        """ConfigError for options that cannot be."""
+        for name, low, high in RANGES:
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise ConfigError(f"--{name.replace('_', '-')} {value:g}: must be {low:g} to {high:g}")
+        check_mid_scale(self.mid_scale)
+        two_columns(self.columns)
+        _ = self.speeds_rpm, self.delay_to_set
+        if self.samples_from == MODULE and self.method != MOTION:
+            raise ConfigError("--source module: the module supports --method motion only")
+
+    def settings(self, limits: SampleLimits | None) -> Settings:
+        """How to calibrate; the converter's bits from the module, unless given."""
+        bits = self.adc_bits
+        if bits is None and limits is not None and limits.full_scale_counts.bit_count() == 1:
+            bits = limits.full_scale_counts.bit_length()
+        return Settings(self.method, "fit" if self.conditioning == "fit" else None, self.entries, bits)
+
+    def nodes(self, configured: Iterable[tuple[int, int | None]]) -> tuple[int, int | None]:
+        """Ids of module and encoder interface, None if the module determines it. ConfigError if both are one.
+
+        ``configured`` are those of the configuration, None for the interface of a module with a source.
+        """
+        module, interface = self.module, self.encoder_interface
+        known = [one for one in configured if module in (None, one[0])]
+        if module is None:
+            module = known[0][0] if known else DEFAULT_MODULE
+        if interface is None and known:
+            interface = known[0][1]
+        if module == interface:
+            raise ConfigError(f"--encoder-interface {interface}: must differ from the node-ID of the module")
+        return module, interface
+
+    def samples_of_file(self, path: Path) -> TrackSamples:
+        """Samples of ``--samples``. CanfbError, with file and line, for a file that cannot be used."""
+        if path.suffix == ".npz":
+            found = read_npz(path)
+            return TrackSamples(found.sine, found.cosine, self.rate or found.rate_hz, found.origin)
+        layout = RecordingLayout(two_columns(self.columns), self.mid_scale, self.time_column)
+        recording = RecordingSource(path, layout)
+        try:
+            return TrackSamples.of(*recording.tracks(), self.rate, f"file {path.name}")
+        except ValueError as error:
+            raise CommissioningError(f"{path}: {error}") from None
+
+
+def two_columns(columns: str) -> tuple[str, str]:
+    """The names in ``--columns``, which are given with a comma between. ConfigError unless there are two."""
+    names = [name.strip() for name in columns.split(",")]
+    if len(names) != 2:
+        raise ConfigError(f"--columns {columns}: two columns are required: sine,cosine")
+    return names[0], names[1]
+
+
+def check_mid_scale(mid_scale: float) -> None:
+    """ConfigError unless ``--mid-scale`` is a number."""
+    if not math.isfinite(mid_scale):
+        raise ConfigError(f"--mid-scale {mid_scale:g}: must be a number of counts")
+
+
+Refuse = Callable[[Iterable[str], str], None]
+"""Raises ConfigError if one of these options is given: names, and why it would do nothing."""
+
+_OF_THE_BUS = (
+    "config",
+    "module",
+    "encoder_interface",
+    "source",
+    "recorder",
+    "seconds",
+    "least_samples",
+    "verify",
+    "sync",
+    "answer_within",
+    "dry_run",
+    "no_save",
+    "wait",
+)
+_OF_CSV = ("columns", "mid_scale", "time_column")
+_OF_THE_FILE = (*_OF_CSV, "table", "cycles_per_revolution")
+
+
+def refuse_combinations(choices: Choices, refuse: Refuse, bus_words: Sequence[str]) -> None:
+    """ConfigError for an option that would do nothing; ``bus_words`` are the options of the bus itself."""
+    if choices.samples is not None:
+        words = (*_OF_THE_BUS, *bus_words)
+        refuse(words, "not with --samples, which needs no bus and writes to no module")
+        if choices.samples.suffix == ".npz":
+            refuse(_OF_CSV, f"only for CSV, not for {choices.samples.name}")
+    else:
+        refuse(["table"], "only with --samples; over the bus the table is read from the module")
+        refuse(_OF_THE_FILE, "only with --samples, which it describes")
+    if choices.check:
+        refuse(("dry_run", "no_save"), "not with --check, which writes nothing")
+    elif choices.dry_run:
+        refuse(["no_save"], "not with --dry-run, which writes nothing")
+    if choices.samples_from != "recording":
+        refuse(["recorder"], "only with --source recording")
+    if choices.speeds is None:
+        refuse(("delay", "wait"), "only with --speeds")
+    else:
+        refuse(("check", "method", "source", "conditioning"), "not with --speeds, which measures by motion")

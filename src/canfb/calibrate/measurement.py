@@ -1,0 +1,228 @@
+"""A reference measurement: samples in, a table out, and how much better it is than the one before.
+
+At several speeds: what the module is to compute with, the analog path with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from canfb.calibrate.error_over_speed import ErrorAtSpeed, InForce, SpeedSamples, errors_over_speed
+from canfb.calibration.deviation import Deviation, best_deviation
+from canfb.calibration.from_motion import calibrate_from_motion
+from canfb.calibration.over_speeds import SpeedCalibration, calibrate_over_speeds
+from canfb.calibration.path_fit import LowPass, PathFit
+from canfb.calibration.result import Calibration, Method, Reason
+from canfb.calibration.track_harmonics import without_harmonics
+from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
+from canfb.errors import CalibrationError
+from canfb.master.access import CommissioningError
+from canfb.master.samples import TrackSamples
+from canfb.master.supervision_limits import as_real32
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import Correction
+from canfb.signal.harmonics import Corners
+
+MOTION, ZERO_CROSSINGS = "motion", "zero-crossings"
+METHODS = {MOTION: calibrate_from_motion, ZERO_CROSSINGS: calibrate_from_zero_crossings}
+BLOCK_CYCLES = 4  # of the method of zero crossings
+Heard = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to calibrate.
+
+    method         "motion" or "zero-crossings"
+    conditioning   "fit", or None to leave all to the table
+    entries        of the table, 16..4096
+    adc_bits       4..16, None: found from the samples
+    """
+
+    method: str = MOTION
+    conditioning: str | None = "fit"
+    entries: int = 1024
+    adc_bits: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """A reference measurement, compared with what was active before.
+
+    samples       what it was made of
+    calibration   what it gave
+    before        what was active
+    on_samples    deviation of those samples, with the new and with the old set
+    """
+
+    samples: TrackSamples
+    calibration: Calibration
+    before: Correction
+    on_samples: Deviation
+
+    @property
+    def found(self) -> Correction:
+        """Table and conditioning that were found."""
+        return self.calibration.correction
+
+
+def measure(
+    samples: TrackSamples,
+    settings: Settings,
+    before: Correction,
+    heard: Heard,
+    conditioning: Conditioning | None = None,
+) -> Measurement:
+    """Calibrate; with a ``conditioning``, with this one in place of what the settings say.
+
+    The tracks of ``samples`` are sampled at once (:meth:`TrackSamples.together`). The delays of ``before``
+    stay: they are not to be seen at one speed.
+    CalibrationError for samples that cannot be used, CommissioningError for wrong settings.
+    """
+    if before.conditioning.cosine_delay_s and settings.conditioning is None:
+        raise CommissioningError(
+            "2002:06 is set, and the delay between the tracks is removed behind offset and gain: "
+            "--conditioning fit"
+        )
+    try:
+        calibration = METHODS[settings.method](
+            samples.sine,
+            samples.cosine,
+            settings.conditioning if conditioning is None else conditioning,
+            time_s=samples.time_s,
+            adc_bits=settings.adc_bits,
+            entries=settings.entries,
+            progress=heard,
+        )
+    except ValueError as error:
+        raise CommissioningError(f"the samples cannot be used: {error}") from error
+    kept = calibration.conditioning.with_delays_of(before.conditioning)
+    if samples.at_speed and conditioning is None:
+        kept = without_harmonics(kept)
+    calibration = replace(calibration, conditioning=kept)
+    found = calibration.correction
+    block = block_of(calibration)
+    on_samples = best_deviation(samples.recording(settings.adc_bits), found, before, block)
+    return Measurement(samples, calibration, before, on_samples)
+
+
+def block_of(calibration: Calibration) -> int:
+    """Samples over which to take the motion for smooth."""
+    if calibration.method == Method.MOTION:
+        return calibration.block_samples
+    return BLOCK_CYCLES * calibration.block_samples
+
+
+ESTIMATE = "estimate"
+FIT_PART = 0.8
+WORSE = 1.5  # than before, at any speed: noise, and no more
+
+
+@dataclass(frozen=True, eq=False)
+class OverSpeeds:
+    """What is known beyond one speed.
+
+    samples     all of them, with their speeds
+    path        the analog path
+    before      what was in force
+    after       what is to be
+    errors      at each speed, of samples that were held out
+    """
+
+    samples: tuple[SpeedSamples, ...]
+    path: PathFit
+    before: InForce
+    after: InForce
+    errors: tuple[ErrorAtSpeed, ...]
+
+    @property
+    def low_pass(self) -> LowPass:
+        """That of the sine, which the position is late by."""
+        return self.path.low_pass
+
+    @property
+    def delay_s(self) -> float:
+        """2002:07 as it is to be."""
+        return self.after.correction.conditioning.delay_s
+
+    @property
+    def peak_cycles(self) -> float:
+        """The largest error about the mean, at any speed."""
+        return max(one.deviation.peak for one in self.errors)
+
+    def near(self, hertz: float) -> ErrorAtSpeed:
+        """The error at the speed that is nearest to this one."""
+        return min(self.errors, key=lambda one: abs(one.hertz - hertz))
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedMeasurement(Measurement):
+    """A measurement at the lowest speed, as it is at standstill, and what the others say."""
+
+    over_speeds: OverSpeeds
+
+
+def measure_speeds(
+    samples: Sequence[SpeedSamples],
+    settings: Settings,
+    before: InForce,
+    heard: Heard,
+    delay: str | float | None = None,
+) -> SpeedMeasurement:
+    """Calibrate. ``delay`` is 2002:07 in seconds, or :data:`ESTIMATE`; None: as it is ``before``.
+
+    CalibrationError for samples that cannot be used, CommissioningError for wrong settings.
+    """
+    parts = [one.split() for one in samples]
+    found = calibrate_over_speeds(
+        [fit.tracks for fit, _ in parts],
+        adc_bits=settings.adc_bits,
+        entries=settings.entries,
+        progress=lambda part: heard(FIT_PART * part),
+    )
+    found = found.with_delay(_delay(found, delay, before))
+    corners = Corners(*map(as_real32, (found.path.corners.corner_hz, found.path.corners.cosine_corner_hz)))
+    after = InForce(found.correction, corners)
+    errors = errors_over_speed(
+        [held for _, held in parts],
+        before,
+        after,
+        found.path,
+        found.calibration.block_samples,
+        settings.adc_bits,
+    )
+    heard(1.0)
+    _check_better(errors)
+    over = OverSpeeds(tuple(samples), found.path, before, after, errors)
+    lowest = min(samples, key=lambda one: abs(one.hertz))
+    on_samples = min(errors, key=lambda one: abs(one.hertz))
+    deviation = on_samples.deviation
+    if on_samples.before is not None:
+        deviation = replace(deviation, before_rms=on_samples.before)
+    return SpeedMeasurement(lowest.samples, found.calibration, before.correction, deviation, over)
+
+
+def _delay(found: SpeedCalibration, delay: str | float | None, before: InForce) -> float:
+    if delay is None:
+        return before.correction.conditioning.delay_s
+    if not isinstance(delay, str):
+        return delay
+    low_pass = found.path.low_pass
+    if not low_pass.is_seen:
+        raise CalibrationError(
+            "the amplitude does not fall with the speed, so it tells no delay: --delay SECONDS with that of "
+            "the data sheets, or without --delay",
+            Reason.SPEED,
+        )
+    return low_pass.delay_s
+
+
+def _check_better(errors: Sequence[ErrorAtSpeed]) -> None:
+    for one in errors:
+        if one.before is not None and one.after > WORSE * one.before:
+            raise CalibrationError(
+                f"at {one.hertz:.6g} cycles/s the error would rise from {one.before:.2g} to {one.after:.2g} "
+                "cycle rms: the analog path is not the one of this model",
+                Reason.SPEED,
+            )

@@ -1,0 +1,252 @@
+"""``canfb commission`` from the first sample to the last file.
+
+New limits are written, read back, watched and saved; or those from before are in force again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+
+from canfb import objects as od
+from canfb.calibrate.artefacts import keep_samples
+from canfb.calibrate.calibration_run import Account, Steps
+from canfb.calibrate.supervised_samples import supervise
+from canfb.commission.commission_page import write_page
+from canfb.commission.commission_summary import Commissioned, as_figures, as_lines
+from canfb.commission.limit_choice import choose
+from canfb.commission.machine_seen import LEAST_SAMPLES, Observation, observe
+from canfb.errors import CanfbError, ConfigError
+from canfb.master.access import CommissioningError, Master, NodeAccess
+from canfb.master.active import check_unlocked, save, saving_object
+from canfb.master.all_or_nothing import Guard, all_or_nothing, put_back
+from canfb.master.circumstances import Circumstances
+from canfb.master.listening import UPLOAD_PART, listen, record
+from canfb.master.machine_watch import (
+    SpeedReading,
+    SpeedReadings,
+    check_valid,
+    counted,
+    in_words,
+    read_counters,
+    watch,
+)
+from canfb.master.pdo_layout import coarse_layout
+from canfb.master.samples import TrackSamples
+from canfb.master.session import Session
+from canfb.master.supervision_limits import SupervisionLimits, write_limits
+from canfb.objects import Multiplexer, StatusBit
+
+Values = Mapping[Multiplexer, float]
+
+
+def check_can_save(module: NodeAccess) -> None:
+    """CommissioningError if the module cannot save."""
+    if saving_object(module) is None:
+        raise CommissioningError(
+            f"--save: {module.name} cannot save (1010h; canfb run needs a state_dir for it)"
+        )
+
+
+def set_limits(
+    module: NodeAccess,
+    before: Values,
+    wanted: Values,
+    watched: Callable[[], None],
+    guard: Guard,
+    *,
+    keep: bool = False,
+    step: Callable[[str], None] = lambda text: None,
+) -> str | None:
+    """Write ``wanted``, let ``watched`` see whether that is good, save if ``keep``: the object that saved.
+
+    ``before`` has the values of before of the same objects. CommissioningError if anything does not work,
+    or ``watched`` raises it; these, and an interruption, leave the limits from before, saved as well if
+    saving had begun.
+    """
+    saving = False
+
+    def back() -> None:
+        write_limits(module, before)
+        if saving:
+            save(module)
+
+    def undo() -> str:
+        put_back(module, "the limits from before", back, saving=saving)
+        return f"the limits from before are in force in {module.name}{_position(module)}"
+
+    with all_or_nothing(module, guard, undo):
+        step("writing the limits")
+        write_limits(module, wanted)
+        step("watching the machine with the new limits")
+        watched()
+        if not keep:
+            return None
+        step("saving")
+        saving = True
+        return save(module)
+
+
+def _position(module: NodeAccess) -> str:
+    """A word where its position is lost."""
+    try:
+        status = module.integer(*od.FEEDBACK_STATUS, "H")
+    except CanfbError:
+        return ""
+    return "; its position is lost, start it again at standstill" if status & StatusBit.LOST else ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommissionWishes:
+    """The options of ``canfb commission``.
+
+    seconds        how long the machine is listened to
+    margin         factor beyond what is seen
+    acceleration   one that the machine is known to do, rad/s^2; 0.0: none is given
+    recording      take the samples from the recording of the module (2050h), not from the bus
+    write, save    write the limits; save them
+    watch_s        how long the machine is watched with the new limits
+    out            folder for report and samples
+    line           the command, for the report
+    """
+
+    seconds: float = 60.0
+    margin: float = 2.0
+    acceleration: float = 0.0
+    recording: bool = False
+    write: bool = False
+    save: bool = False
+    watch_s: float = 10.0
+    out: Path | None = None
+    line: str = ""
+
+    def refuse_impossible(self) -> None:
+        """ConfigError for a number that cannot be."""
+        for option, value, low, high in (
+            ("--seconds", self.seconds, 0.1, 3600.0),
+            ("--margin", self.margin, 1.2, 10.0),
+            ("--acceleration", self.acceleration, 0.0, 1e9),
+            ("--watch", self.watch_s, 0.1, 3600.0),
+        ):
+            if not low <= value <= high:
+                raise ConfigError(f"{option} {value:g}: must be {low:g} to {high:g}")
+
+
+class CommissionRun:
+    """One run of the command. ``date`` is ISO 8601, the time of day behind a space."""
+
+    def __init__(self, wishes: CommissionWishes, steps: Steps, date: str) -> None:
+        self._wishes = wishes
+        self._steps = steps
+        self._date = date
+
+    def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Account:
+        """With the nodes of a bus; ``interface`` None if the module is to say it."""
+        wishes, steps = self._wishes, self._steps
+        steps.step("reading the module")
+        session = Session.open(master, module, interface)
+        node = session.module
+        if session.active.table is None:
+            raise CommissioningError(
+                f"{node.name}: no correction table is active, and without one the limits would be those of "
+                "its errors: run canfb calibrate first"
+            )
+        limits = SupervisionLimits.read(node)
+        if wishes.write:
+            check_unlocked(node)
+        if wishes.save:
+            check_can_save(node)
+        check_valid(node)
+        counters, began_s = read_counters(node), master.now()
+        steps.step(f"listening to the machine for {wishes.seconds:g} s: let it do its normal duty")
+        samples, readings = self._collect(session)
+        usual, usual_s = counted(counters, read_counters(node)), master.now() - began_s
+        steps.step(f"calculating from {len(samples)} samples")
+        seen = observe(samples, session.active, limits, readings)
+        choices = choose(seen.seen, limits, wishes.margin, wishes.acceleration)
+        new = limits.changed({one.place: one.value for one in choices})
+        _prove(seen, new)
+        changes = [one for one in choices if one.changes]
+        saved_as = None
+        if wishes.write and changes:
+            saved_as = set_limits(
+                node,
+                {one.place: one.before for one in changes},
+                {one.place: one.value for one in changes},
+                lambda: watch(node, wishes.watch_s, usual, usual_s, steps.part),
+                guard,
+                keep=wishes.save,
+                step=steps.step,
+            )
+        steps.clear()
+        written = bool(wishes.write and changes)
+        done = Commissioned(
+            seen,
+            limits,
+            new,
+            choices,
+            usual,
+            wishes.margin,
+            written,
+            wishes.write,
+            saved_as,
+            self._where(session),
+        )
+        return self._account(done)
+
+    def _collect(self, session: Session) -> tuple[TrackSamples, list[SpeedReading]]:
+        """The samples, and what the module said of its speed meanwhile."""
+        wishes, readings = self._wishes, SpeedReadings(session.module)
+        if not wishes.recording:
+            layout = replace(session.layout(), coarse=coarse_layout(session.module))
+            samples = listen(
+                session.master, layout, wishes.seconds, LEAST_SAMPLES, self._steps.part, readings
+            )
+            return samples, readings.found
+        found: list[SpeedReading] = []
+
+        def heard(part: float) -> None:
+            self._steps.part(part)
+            if part < UPLOAD_PART:  # else the upload is on its way
+                at = session.module.integer(*od.RECORDING_RECORDED, "I")
+                speed = readings.read()
+                if at:
+                    found.append(SpeedReading(at - 1.0, speed))
+
+        return record(session.module, wishes.seconds, None, heard), found
+
+    def _where(self, session: Session) -> Circumstances:
+        day, _, time = self._date.partition(" ")
+        return Circumstances(
+            day,
+            module=session.module.node_id,
+            encoder_interface=None if session.samples_itself else session.interface.node_id,
+            cycles_per_revolution=session.cycles_per_revolution,
+            time=time,
+            version=version("canfb"),
+            command=self._wishes.line,
+            identity=session.identity,
+            interface_identity=session.interface_identity,
+        )
+
+    def _account(self, done: Commissioned) -> Account:
+        figures, lines = as_figures(done), as_lines(done)
+        if self._wishes.out is not None:
+            paths = [write_page(self._wishes.out, done), keep_samples(self._wishes.out, done.seen.samples)]
+            figures["files"] = [str(path) for path in paths]
+            lines += [f"written  {path}" for path in paths]
+        return Account(figures, lines)
+
+
+def _prove(seen: Observation, new: SupervisionLimits) -> None:
+    """The new limits must not flag what the old ones let pass. CommissioningError if they do."""
+    again = supervise(seen.samples, seen.used, new.chain_limits(seen.seen.interval_s), seen.start_speed)
+    before = seen.followed.flagged
+    more = {name: count for name, count in again.flagged.items() if count > before.get(name, 0)}
+    if more:
+        raise CommissioningError(
+            f"the limits would flag samples of this very measurement ({in_words(more)}): set a larger "
+            "--margin, and look at the samples that are far from all others"
+        )

@@ -1,0 +1,301 @@
+"""Each limit of the supervision from what was seen of the machine, with a sentence of why."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from canfb import objects as od
+from canfb.calibration.path_fit import LowPass
+from canfb.commission.motion_seen import MotionSeen
+from canfb.commission.signal_seen import TracksSeen, repeats_of_frozen_input
+from canfb.master.circumstances import PERCENT
+from canfb.master.supervision_limits import CORNER, KINDS, SupervisionLimits, as_real32
+from canfb.objects import Multiplexer
+from canfb.signal.limits import (
+    CALIBRATED_PHASE_ERROR_CYCLES,
+    MOST_PHASE_ERROR_CYCLES,
+    max_acceleration,
+    max_jerk,
+)
+from canfb.signal.third_order import THIRD
+from canfb.signal.tracker import RESIDUAL_LIMIT
+from canfb.view.limits_in_force import LIMIT_UNITS
+
+SAME_CORNER = 0.05  # relative: what is set need not change
+LEAST_AMPLITUDE_SPREAD = 0.2  # temperature, supply and age of an encoder
+MOST_AMPLITUDE_SPREAD = 0.7
+NOISE_SIGMAS = 6.0  # beyond that a sample in 10^9
+LEAST_RESIDUAL_LIMIT = 0.02  # four times a phase error of 0.005: a table of which temperature has taken half
+SPEED_CHANGE_SEEN = 0.5  # of the top speed: less, and a start or a stop was not seen
+STEADY_LIMIT = 1.0 / 6.0  # beyond it, a single missed sample may lose the position
+LEAST_TURNED_CYCLES = 8.0  # with fewer, the same few places of the cycle can come again and again
+LEAST_COARSE_LIMIT = 1.0 / 256.0
+MOST_COARSE_LIMIT = 0.25
+USUAL_PERIODS, MOST_PERIODS = 2, 10
+
+
+@dataclass(frozen=True, eq=False)
+class MachineSeen:
+    """What was seen of a machine.
+
+    motion, tracks       see there
+    interval_s           sampling interval, seconds
+    coarse_spread        from the lowest to the highest difference of the coarse track, revolutions; None: not
+                         known
+    coarse_note          why the coarse track says nothing, else ""
+    longest_pause        the longest time without SYNC or sample, periods; None: not known
+    low_pass             by the amplitude over the speed; None: there were too few speeds
+    jitter_s             rms of the time from SYNC to SYNC as received, or by sample times; None: not known
+    """
+
+    motion: MotionSeen
+    tracks: TracksSeen
+    interval_s: float
+    coarse_spread: float | None = None
+    coarse_note: str = ""
+    longest_pause: float | None = None
+    jitter_s: float | None = None
+    low_pass: LowPass | None = None
+
+    def rad(self, cycles: float, power: int, cycles_per_revolution: int) -> float:
+        """Cycles per interval to this power, as rad per second to this power."""
+        return cycles * 2.0 * math.pi / cycles_per_revolution / self.interval_s**power
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A limit: the value of its object before, the one to write (the same: leave it), and why."""
+
+    place: Multiplexer
+    before: float
+    value: float
+    why: str
+
+    @property
+    def changes(self) -> bool:
+        """False if there is nothing to write."""
+        return self.value != self.before
+
+    @property
+    def name(self) -> str:
+        """Of the object."""
+        return KINDS[self.place].name
+
+
+def choose(
+    seen: MachineSeen, limits: SupervisionLimits, margin: float, known_rad_s2: float = 0.0
+) -> list[Choice]:
+    """All limits in the order of :data:`LIMITS`; that of the jerk with third-order prediction only.
+
+    ``margin`` is the factor beyond what was seen, above 1. ``known_rad_s2`` is an acceleration that the
+    machine is known to do, rad/s^2, 0.0 if there is none.
+    """
+    corner = corner_choice(seen.low_pass, limits)
+    motion = _third_order if limits.prediction_order == THIRD else _motion
+    error = _phase_error(seen, limits, margin)
+    return [
+        *([] if corner is None else [corner]),
+        *_amplitude(seen.tracks, limits, margin),
+        *motion(seen, limits.changed({error.place: error.value}), margin, known_rad_s2),
+        error,
+        _frozen(seen, limits, margin),
+        _coarse(seen, limits, margin),
+        _periods(seen, limits),
+    ]
+
+
+def corner_choice(low_pass: LowPass | None, limits: SupervisionLimits) -> Choice | None:
+    """2001:05 as the amplitude shows it; None where it shows none, and none is set."""
+    before = limits.corners.corner_hz
+    if low_pass is None or (not low_pass.is_seen and not before):
+        return None
+    seen = f"{PERCENT * low_pass.left:.0f} % of the amplitude at the highest speed"
+    if not low_pass.is_seen:
+        return Choice(CORNER.place, before, before, "the amplitude does not fall with the speed")
+    if not low_pass.is_one_pole or not low_pass.checked:
+        why = f"{seen}, which does not fall as by one pole: canfb calibrate --speeds, or data sheets"
+        return Choice(CORNER.place, before, before, why)
+    seen += f": {low_pass.corner_hz / 1e3:.4g} ± {low_pass.corner_sigma_hz / 1e3:.1g} kHz"
+    if limits.motion.corners.cosine_corner_hz or (
+        before and abs(low_pass.corner_hz - before) <= max(SAME_CORNER * before, low_pass.corner_sigma_hz)
+    ):
+        return Choice(CORNER.place, before, before, seen)
+    return Choice(CORNER.place, before, as_real32(float(f"{low_pass.corner_hz:.4g}")), seen)
+
+
+def _choice(limits: SupervisionLimits, place: Multiplexer, value: float | None, why: str) -> Choice:
+    """``value`` None: the limit stays as it is."""
+    before = limits.values[place]
+    return Choice(place, before, before if value is None else value, why)
+
+
+def _amplitude(tracks: TracksSeen, limits: SupervisionLimits, margin: float) -> list[Choice]:
+    places = (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
+    seen = f"{tracks.least:.0f} to {tracks.most:.0f} counts seen, mean {tracks.mean:.0f}"
+    wide = margin * tracks.spread
+    if wide > MOST_AMPLITUDE_SPREAD:
+        why = f"{seen}: it varies too much for a narrow limit; look at the encoder, or calibrate it"
+        return [_choice(limits, place, None, why) for place in places]
+    if wide > LEAST_AMPLITUDE_SPREAD:
+        why = f"{seen}: {margin:g} times the largest deviation of {PERCENT * tracks.spread:.1f} %"
+        part = wide
+    else:
+        why = f"{seen}: ±{PERCENT * LEAST_AMPLITUDE_SPREAD:.0f} % for temperature, supply and age"
+        part = LEAST_AMPLITUDE_SPREAD
+    values = (math.floor((1.0 - part) * tracks.mean), min(65535, math.ceil((1.0 + part) * tracks.mean)))
+    return [_choice(limits, place, value, why) for place, value in zip(places, values, strict=True)]
+
+
+def _motion(
+    seen: MachineSeen, limits: SupervisionLimits, margin: float, known_rad_s2: float
+) -> tuple[Choice, Choice]:
+    """Residual limit and largest acceleration, which belong together."""
+    motion, interval_s, n = seen.motion, seen.interval_s, limits.cycles_per_revolution
+    places = (od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_ACCELERATION)
+    to_rad = seen.rad(1.0, 2, n)
+    known = known_rad_s2 / to_rad
+    change = motion.fastest - motion.slowest
+    if known == 0.0 and (change < SPEED_CHANGE_SEEN * motion.top_speed or motion.acceleration == 0.0):
+        why = (
+            f"the speed changed by {PERCENT * change / motion.top_speed:.0f} % only, so the largest "
+            "acceleration was not seen: let the machine start and stop meanwhile, or set --acceleration"
+        )
+        first, second = (_choice(limits, place, None, why) for place in places)
+        return first, second
+    largest = max(margin * motion.acceleration, known)
+    noise = NOISE_SIGMAS * motion.residual_noise
+    needed = margin * max(motion.residual_peak, motion.acceleration + noise)
+    needed = max(needed, known + margin * noise, LEAST_RESIDUAL_LIMIT)
+    limit = math.ceil(min(needed, RESIDUAL_LIMIT) * LIMIT_UNITS)
+    limit = min(limit, int(RESIDUAL_LIMIT * LIMIT_UNITS))
+    # A smaller acceleration would narrow the limit.
+    largest = max(largest, limit / LIMIT_UNITS - 4.0 * limits.settings.phase_error_cycles)
+    most = max_acceleration(n, 1.0 / interval_s)
+    value = as_real32(min(_rounded_up(largest * to_rad), most))
+    words = f"{motion.acceleration * to_rad:.3g} rad/s² seen"
+    if known > margin * motion.acceleration:
+        words += f", {known_rad_s2:g} given"
+    else:
+        words += f", times {margin:g}"
+    if value >= most * (1.0 - 1e-6):
+        words += "; no more than eq. 10 allows: increase the SYNC rate"
+    elif value / to_rad > STEADY_LIMIT:
+        words += "; above 1/6 cycle a missed sample may lose the position: increase the SYNC rate"
+    return (
+        _choice(limits, places[0], limit, _residual_words(motion, needed, margin, known)),
+        _choice(limits, places[1], value, words),
+    )
+
+
+def _third_order(
+    seen: MachineSeen, limits: SupervisionLimits, margin: float, known_rad_s2: float
+) -> tuple[Choice, Choice, Choice]:
+    """Residual limit and largest jerk, which belong together (docs/legal-motion.md), and the acceleration."""
+    motion, n = seen.motion, limits.cycles_per_revolution
+    places = (od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_ACCELERATION, od.SUPERVISION_JERK)
+    change = motion.fastest - motion.slowest
+    if change < SPEED_CHANGE_SEEN * motion.top_speed or motion.jerk == 0.0 or motion.acceleration == 0.0:
+        why = (
+            f"the speed changed by {PERCENT * change / motion.top_speed:.0f} % only, so the largest jerk was "
+            "not seen: let the machine start and stop meanwhile"
+        )
+        first, second, third = (_choice(limits, place, None, why) for place in places)
+        return first, second, third
+    noise = NOISE_SIGMAS * motion.residual_noise
+    needed = max(margin * max(motion.residual_peak, motion.jerk + noise), LEAST_RESIDUAL_LIMIT)
+    limit = min(math.ceil(needed * LIMIT_UNITS), int(RESIDUAL_LIMIT * LIMIT_UNITS))
+    # A smaller jerk would narrow the limit.
+    largest = max(margin * motion.jerk, limit / LIMIT_UNITS - 8.0 * limits.settings.phase_error_cycles)
+    to_acceleration, to_jerk = seen.rad(1.0, 2, n), seen.rad(1.0, 3, n)
+    most = max_jerk(n, 1.0 / seen.interval_s)
+    jerk = as_real32(min(_rounded_up(largest * to_jerk), most))
+    words = f"{motion.jerk * to_jerk:.3g} rad/s³ seen, times {margin:g}"
+    if jerk >= most * (1.0 - 1e-6):
+        words += "; no more than the widest limit allows: increase the SYNC rate"
+    acceleration = max(margin * motion.acceleration * to_acceleration, known_rad_s2)
+    return (
+        _choice(limits, places[0], limit, _residual_words(motion, needed, margin, 0.0)),
+        _choice(
+            limits,
+            places[1],
+            as_real32(_rounded_up(acceleration)),
+            f"{motion.acceleration * to_acceleration:.3g} rad/s² seen"
+            + (f", {known_rad_s2:g} given" if acceleration == known_rad_s2 else f", times {margin:g}"),
+        ),
+        _choice(limits, places[2], jerk, words),
+    )
+
+
+def _phase_error(seen: MachineSeen, limits: SupervisionLimits, margin: float) -> Choice:
+    """What the phases are off by, as the machine shows it at its own speeds."""
+    place, motion = od.SUPERVISION_PHASE_ERROR, seen.motion
+    if motion.turned < LEAST_TURNED_CYCLES:
+        why = f"the machine moved by {motion.turned:.2g} cycles only, so the phases did not show their errors"
+        return _choice(limits, place, None, why)
+    largest = max(margin * motion.phase_error, CALIBRATED_PHASE_ERROR_CYCLES)
+    why = f"up to {motion.phase_error:.2g} cycle seen, times {margin:g}"
+    if largest == CALIBRATED_PHASE_ERROR_CYCLES:
+        why = (
+            f"up to {motion.phase_error:.2g} cycle seen: {largest:g}, so that the encoder may drift from its "
+            "table"
+        )
+    if largest > MOST_PHASE_ERROR_CYCLES:
+        largest = MOST_PHASE_ERROR_CYCLES
+        why += ", which is more than can be declared: calibrate the encoder"
+    return _choice(limits, place, math.ceil(largest * LIMIT_UNITS), why)
+
+
+def _residual_words(motion: MotionSeen, needed: float, margin: float, known: float) -> str:
+    words = (
+        f"residual up to {motion.residual_peak:.2g} cycle seen, {motion.residual_noise:.2g} rms of it noise"
+    )
+    if needed > RESIDUAL_LIMIT:
+        return f"{words}: the widest limit, at which one bad sample is still safe; increase the SYNC rate"
+    if needed == LEAST_RESIDUAL_LIMIT:
+        return f"{words}: {LEAST_RESIDUAL_LIMIT:g} cycle, so that the encoder may drift from its table"
+    if needed == known + margin * NOISE_SIGMAS * motion.residual_noise:
+        return f"{words}: the acceleration given, and {margin:g} times {NOISE_SIGMAS:g} standard deviations"
+    return f"{words}, times {margin:g}"
+
+
+def _frozen(seen: MachineSeen, limits: SupervisionLimits, margin: float) -> Choice:
+    tracks = seen.tracks
+    repeats = repeats_of_frozen_input(
+        tracks.noise_counts, 1.0 / seen.interval_s, margin, tracks.longest_repeat
+    )
+    noise = f"noise of {tracks.noise_counts:.2f} counts, {tracks.longest_repeat} repeats in a row seen"
+    if not repeats:
+        why = f"off: {noise}; a working converter may repeat itself at whole cycles per sample"
+    else:
+        why = f"{noise}: less than one false alarm in ten years at whole cycles per sample"
+    return _choice(limits, od.SUPERVISION_FROZEN, repeats, why)
+
+
+def _coarse(seen: MachineSeen, limits: SupervisionLimits, margin: float) -> Choice:
+    place = od.SUPERVISION_COARSE_LIMIT
+    if seen.coarse_spread is None:
+        return _choice(limits, place, None, seen.coarse_note or "no coarse track is mapped")
+    wide = max(margin * seen.coarse_spread, LEAST_COARSE_LIMIT)
+    units = math.ceil(min(wide, MOST_COARSE_LIMIT) * LIMIT_UNITS)
+    why = (
+        f"the coarse track differs by up to {360.0 * seen.coarse_spread:.2g}° of the shaft, times {margin:g}"
+    )
+    return _choice(limits, place, units, why)
+
+
+def _periods(seen: MachineSeen, limits: SupervisionLimits) -> Choice:
+    place, pause = od.SUPERVISION_PERIODS, seen.longest_pause
+    if pause is None:
+        return _choice(limits, place, None, "the times of the SYNCs are not known")
+    periods = USUAL_PERIODS if pause <= 1.5 else math.ceil(pause) + 1
+    if periods > MOST_PERIODS:
+        why = f"a pause of {pause:.1f} periods was seen: find its cause rather than allow for it"
+        return _choice(limits, place, None, why)
+    return _choice(limits, place, periods, f"at most {pause:.1f} periods without SYNC or sample were seen")
+
+
+def _rounded_up(value: float) -> float:
+    """To three digits."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return math.ceil(value / step) * step

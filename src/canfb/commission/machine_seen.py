@@ -1,0 +1,189 @@
+"""Figures of a machine from the samples of its duty; or why there are none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from canfb.calibrate.supervised_samples import SupervisedSamples, supervise
+from canfb.commission.limit_choice import MachineSeen, corner_choice
+from canfb.commission.motion_seen import SIGMA_OF_MEDIAN, motion_seen
+from canfb.commission.signal_seen import low_pass_seen, tracks_seen
+from canfb.master.access import CommissioningError
+from canfb.master.machine_watch import SpeedReading, in_words
+from canfb.master.samples import TrackSamples
+from canfb.master.supervision_limits import AMPLITUDES, CORNER, SupervisionLimits
+from canfb.signal.correction import Correction
+from canfb.signal.phase import FloatArray, raw_phases, wrap
+from canfb.signal.recovery.coarse import CoarseTrack
+
+LEAST_SAMPLES = 2000
+MOST_FLAGGED = 0.01
+LEAST_TURNED_CYCLES, LEAST_MOVING = 4.0, 0.01
+AGREES_CYCLES = 0.3
+ROUNDS = 3
+WIDEST_AMPLITUDE = 65535
+MOST_DIFFERENCE = 0.25  # of the coarse track, revolutions
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """Samples of a machine, followed from their start on, and what they show.
+
+    start_speed   at the first sample, cycles per interval
+    followed      the chain's account, with the limits that the module has, and the corner that is chosen
+    """
+
+    samples: TrackSamples
+    used: Correction
+    start_speed: float
+    followed: SupervisedSamples
+    seen: MachineSeen
+
+
+def observe(
+    samples: TrackSamples, used: Correction, limits: SupervisionLimits, readings: Sequence[SpeedReading]
+) -> Observation:
+    """Follow the samples, and look at motion, noise, amplitude and coarse track.
+
+    ``readings`` of the speed meanwhile determine how many whole cycles per interval the machine moves.
+    CommissioningError, with what to do, where the samples say too little.
+    """
+    if not samples.rate_hz:
+        raise CommissioningError("the rate of the samples is not known: are SYNCs received?")
+    interval_s = 1.0 / samples.rate_hz
+    start_speed, followed = _follow(samples, used, limits, readings, interval_s)
+    valid = int(np.count_nonzero(followed.valid))
+    if valid < LEAST_SAMPLES:
+        raise CommissioningError(
+            f"{valid} usable samples of {len(samples)} are too few, at least {LEAST_SAMPLES} are required: "
+            "set a longer --seconds"
+        )
+    flagged = followed.flagged
+    if sum(flagged.values()) > MOST_FLAGGED * len(samples):
+        raise CommissioningError(
+            f"of {len(samples)} samples many are flagged already ({in_words(flagged)}): find the cause first "
+            "(docs/faults.md)"
+        )
+    low_pass = low_pass_seen(followed, interval_s, limits.corners)
+    corner = corner_choice(low_pass, limits)
+    if corner is not None and corner.changes:
+        # With it the amplitude is another one: the limits of before say nothing about that.
+        open_limits = limits.changed({CORNER.place: corner.value, AMPLITUDES[1]: WIDEST_AMPLITUDE})
+        followed = supervise(samples, used, open_limits.chain_limits(interval_s), start_speed)
+    motion = motion_seen(followed, limits.prediction_order)
+    if motion.turned < LEAST_TURNED_CYCLES or motion.moving < LEAST_MOVING:
+        raise CommissioningError(
+            "the machine stands still: nothing can be said of its acceleration; let it do its normal duty "
+            "meanwhile"
+        )
+    gain = math.sqrt(abs(used.conditioning.sine_gain * used.conditioning.cosine_gain))
+    spread, note = _coarse(samples, followed, limits)
+    seen = MachineSeen(
+        motion=motion,
+        tracks=tracks_seen(samples, followed, gain, motion.noise),
+        interval_s=interval_s,
+        coarse_spread=spread,
+        coarse_note=note,
+        longest_pause=_longest_pause(samples, interval_s),
+        jitter_s=_jitter(samples, interval_s),
+        low_pass=low_pass,
+    )
+    return Observation(samples, used, start_speed, followed, seen)
+
+
+def _follow(
+    samples: TrackSamples,
+    used: Correction,
+    limits: SupervisionLimits,
+    readings: Sequence[SpeedReading],
+    interval_s: float,
+) -> tuple[float, SupervisedSamples]:
+    """The speed at the first sample, and the samples followed from there."""
+    if not readings:
+        raise CommissioningError(
+            "the module did not say its speed (2011:07) meanwhile: set a longer --seconds"
+        )
+    to_cycles = limits.cycles_per_revolution * interval_s / (2.0 * math.pi)
+    speed = _near(readings[0].rad_per_s * to_cycles, samples, used, interval_s)
+    for _ in range(ROUNDS):
+        followed = supervise(samples, used, limits.chain_limits(interval_s), speed)
+        off = _off(followed, readings, to_cycles)
+        if abs(off) <= AGREES_CYCLES:
+            return speed, followed
+        if not math.isfinite(off):
+            break
+        speed += round(off)
+    missed = f"; {samples.missed} samples did not come" if samples.missed else ""
+    raise CommissioningError(
+        f"the position is lost in the samples ({in_words(followed.flagged) or 'none flagged'}{missed}): the "
+        "machine accelerates by more than the residual limit, or samples are lost; increase the SYNC rate, "
+        "or let it move more slowly"
+    )
+
+
+def _near(speed: float, samples: TrackSamples, used: Correction, interval_s: float) -> float:
+    """The speed of the first two samples in a row that is nearest to this one, cycles per interval."""
+    at = np.flatnonzero(np.isfinite(samples.sine[1:]) & np.isfinite(samples.sine[:-1]))
+    if not len(at):
+        return speed
+    pair = slice(int(at[0]), int(at[0]) + 2)
+    raw = raw_phases(*used.conditioning.apply(samples.sine[pair], samples.cosine[pair]))
+    phase = raw if used.table is None else used.table.correct_array(raw)
+    elapsed = 1.0 if samples.time_s is None else float(np.diff(samples.time_s[pair])[0]) / interval_s
+    part = float(phase[1] - phase[0])
+    if not math.isfinite(part) or elapsed <= 0.0:
+        return speed
+    return (part + round(speed * elapsed - part)) / elapsed
+
+
+def _off(followed: SupervisedSamples, readings: Sequence[SpeedReading], to_cycles: float) -> float:
+    """By how much the speed of the readings differs, cycles per interval; NaN where none is known."""
+    speed = followed.speed
+    apart = [
+        reading.rad_per_s * to_cycles - speed[min(max(round(reading.at), 0), len(speed) - 1)]
+        for reading in readings
+        if len(speed)
+    ]
+    known = [one for one in apart if math.isfinite(one)]
+    return float(np.median(known)) if known else math.nan
+
+
+def _coarse(
+    samples: TrackSamples, followed: SupervisedSamples, limits: SupervisionLimits
+) -> tuple[float | None, str]:
+    """From the lowest to the highest difference of the coarse track, revolutions; or why it is not known."""
+    if samples.coarse is None:
+        return None, ""
+    n = limits.cycles_per_revolution
+    track = CoarseTrack(n, limits.full_scale_counts, MOST_DIFFERENCE)
+    use = followed.valid & np.isfinite(samples.coarse[0]) & np.isfinite(samples.coarse[1])
+    if not use.any() or np.ptp(followed.position[use]) < n:
+        return None, "the machine moved less than a revolution: the error of the coarse track is not known"
+    pairs = zip(samples.coarse[0][use].tolist(), samples.coarse[1][use].tolist(), strict=True)
+    angles = [track.angle(sine, cosine) for sine, cosine in pairs]
+    if None in angles:
+        return None, "the coarse track has no amplitude in some samples: find the cause first"
+    apart = np.asarray(angles, np.float64) - followed.position[use] / n
+    middle = np.angle(np.mean(np.exp(2j * np.pi * apart))) / (2.0 * np.pi)
+    return float(np.ptp(wrap(np.asarray(apart - middle, np.float64)))), ""
+
+
+def _longest_pause(samples: TrackSamples, interval_s: float) -> float | None:
+    """Between two samples, or two SYNCs, periods; None where the times are not known."""
+    if samples.heard_s is None:
+        return None
+    here = np.flatnonzero(np.isfinite(samples.sine))
+    missing = float(np.max(np.diff(here), initial=1.0))
+    pauses = np.diff(samples.heard_s) / interval_s
+    return max(missing, float(np.max(pauses, initial=1.0)))
+
+
+def _jitter(samples: TrackSamples, interval_s: float) -> float | None:
+    times: FloatArray | None = samples.heard_s if samples.time_s is None else samples.time_s
+    if times is None or len(times) < 2:
+        return None
+    return SIGMA_OF_MEDIAN * float(np.median(np.abs(np.diff(times) - interval_s)))

@@ -1,0 +1,351 @@
+"""Why the position of a module is lost: what happened, what brings it back, and what would have kept it.
+
+All of it is read from the module by SDO, nothing is written: the cause that it keeps (2012:10..16), the
+limits (2010h), and which references it really has mapped: coarse track, zero pulse, second position.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from canfb import objects as od
+from canfb.master.access import NodeAccess, ObjectAbsentError
+from canfb.master.pdo_layout import mapped_objects
+from canfb.objects import LossCause, Multiplexer, PositionState, StatusBit
+from canfb.signal.limits import cycles_per_interval_squared, kept_samples
+from canfb.signal.third_order import SECOND
+
+CYCLE_UNITS = 65536.0  # of a cycle, in 2012:13..15
+RATE_S = 0.25  # over which the rate of the samples is measured
+MISSED = StatusBit.MISSED
+BAD_SIGNAL = StatusBit.AMPLITUDE | StatusBit.CLIPPED
+MOTION = (LossCause.CONTRADICTED, LossCause.JUMP, LossCause.UNDECIDED)
+MOST_MISSED = 255
+
+
+@dataclass(frozen=True)
+class Loss:
+    """2012:10..16, in units of people."""
+
+    cause: LossCause
+    since_s: float
+    bad_samples: int
+    residual_cycles: float
+    limit_cycles: float
+    speed_cycles: float
+    faults: int
+
+
+@dataclass(frozen=True)
+class LostPosition:
+    """State of the position of a module, and its last loss.
+
+    loss                    the last one since its reset; None without one
+    keeps_cause             the module has 2012:10; older ones do not
+    losses, missed, unheard 2012:05, :01 and :0E
+    sample_hz               samples that it processes now; 0.0: none
+    cycles_per_revolution   2001:01
+    acceleration_rad_s2     2010:02, 0: not declared
+    coast_samples           2010:03
+    residual_limit_cycles   2010:01
+    coarse, zero_pulse, second, timed   which parts of a sample its RPDOs bring
+    """
+
+    node_id: int
+    status: int
+    loss: Loss | None
+    keeps_cause: bool
+    losses: int
+    missed: int
+    unheard: int
+    sample_hz: float
+    cycles_per_revolution: int
+    acceleration_rad_s2: float
+    coast_samples: int
+    residual_limit_cycles: float
+    coarse: bool
+    zero_pulse: bool
+    second: bool
+    timed: bool
+
+    @property
+    def name(self) -> str:
+        """The node-ID as messages have it."""
+        return f"module {self.node_id} ({self.node_id:02X}h)"
+
+    def figures(self) -> dict[str, Any]:
+        """For programs."""
+        loss = self.loss
+        return {
+            "node": self.node_id,
+            "position": str(od.position_state(self.status)),
+            "status": self.status,
+            "faults": od.fault_words(self.status),
+            "sample_hz": self.sample_hz,
+            "last_loss": None
+            if loss is None
+            else {
+                "cause": loss.cause.name.lower(),
+                "text": loss.cause.text,
+                "since_s": loss.since_s,
+                "bad_samples": loss.bad_samples,
+                "residual_cycles": loss.residual_cycles,
+                "residual_limit_cycles": loss.limit_cycles,
+                "speed_cycles_per_interval": loss.speed_cycles,
+                "faults": od.fault_words(loss.faults),
+            },
+            "counters": {"losses": self.losses, "missed": self.missed, "syncs_not_heard": self.unheard},
+            "limits": {
+                "acceleration_rad_s2": self.acceleration_rad_s2,
+                "coast_samples": self.coast_samples,
+                "residual_limit_cycles": self.residual_limit_cycles,
+            },
+            "mapped": {
+                "coarse_track": self.coarse,
+                "zero_pulse": self.zero_pulse,
+                "second_position": self.second,
+                "sample_time": self.timed,
+            },
+            "brings_back": self.brings_back(),
+            "would_have_kept": self.would_have_kept(),
+        }
+
+    def lines(self) -> list[str]:
+        """For people."""
+        state = od.position_state(self.status)
+        faults = "".join(f", {words}" for words in od.fault_words(self.status))
+        lines = [f"{self.name}: position {state}{faults}"]
+        lines += [f"  {text}" for text in self._now()]
+        lines += ["last loss", *(f"  {text}" for text in self.happened())]
+        if state is not PositionState.VALID:
+            lines += ["what brings it back", *(f"  {text}" for text in self.brings_back())]
+        if kept := self.would_have_kept():
+            lines += ["what would have kept it", *(f"  {text}" for text in kept)]
+        return lines
+
+    def _now(self) -> Iterator[str]:
+        node = f"{self.node_id:#04x}"
+        if not self.sample_hz:
+            yield (
+                f"no samples are processed now: is it OPERATIONAL (canfb nmt start {node}), does SYNC come, "
+                "does the encoder interface send?"
+            )
+
+    def happened(self) -> list[str]:
+        """Cause and circumstances of the last loss."""
+        loss = self.loss
+        if loss is None:
+            if not self.keeps_cause:
+                losses = _times(self.losses, "loss", "losses")
+                return [f"not known: this module does not keep the cause; {losses} so far"]
+            return ["none since the start"]
+        facts = [f"{age_words(loss.since_s)} ago: {loss.cause.text}"]
+        if loss.bad_samples:
+            facts.append(
+                f"{loss.bad_samples} samples in a row missed or bad{_fault_words(loss.faults)}; "
+                f"2010:03 bridges {self.coast_samples}"
+            )
+        elif loss.faults:
+            facts.append(f"faults since the last valid position: {', '.join(od.fault_words(loss.faults))}")
+        compared = (
+            "nothing to compare" if loss.residual_cycles >= 0.5 else f"{loss.residual_cycles:.3f} cycle"
+        )
+        facts.append(f"residual then: {compared}; limit {loss.limit_cycles:.3f} cycle")
+        facts.append(f"speed then: {self._speed_words(loss.speed_cycles)}")
+        facts.append(
+            f"since the start: {_times(self.losses, 'loss', 'losses')}, {self.missed} missed samples, "
+            f"{self.unheard} SYNCs not heard"
+        )
+        return facts
+
+    def _speed_words(self, cycles: float) -> str:
+        if not self.sample_hz:
+            return f"{cycles:.3g} cycles per interval"
+        rpm = cycles * self.sample_hz / self.cycles_per_revolution * 60.0
+        return f"{cycles:.3g} cycles per interval, {rpm:.3g} rpm"
+
+    def brings_back(self) -> list[str]:
+        """How a lost position becomes valid again, with what this module has."""
+        node = f"{self.node_id:#04x}"
+        return [
+            f"stand still, then canfb reset {node}: the count begins at 0, so reference the machine again",
+            "coarse track: finds the count by itself, in motion too"
+            if self.coarse
+            else "coarse track: not mapped (2000:03 and 2000:04 in an RPDO)",
+            "zero pulse: the next one sets the count right, once coarse track or two pulses know the speed"
+            if self.zero_pulse
+            else "zero pulse: not mapped (2000:06 in an RPDO)",
+            "second position: finds the count by itself if exactly one is within its tolerance"
+            if self.second
+            else "second position: not in use (2000:0E in an RPDO, and a tolerance in 2014:04)",
+        ]
+
+    def would_have_kept(self) -> list[str]:
+        """Settings and measures against this cause, with the present values; empty without a loss."""
+        loss = self.loss
+        return [] if loss is None else list(self._kept(loss))
+
+    def _kept(self, loss: Loss) -> Iterator[str]:
+        cause = loss.cause
+        if cause is LossCause.COASTED:
+            yield from self._longer(loss)
+        if cause in (LossCause.COASTED, LossCause.AMBIGUOUS) and loss.faults & MISSED:
+            yield from self._declared()
+            yield "fewer missed samples: docs/realtime.md, and the priority of SYNC and ADC PDO on the bus"
+        elif cause is LossCause.AMBIGUOUS:
+            yield from self._declared()
+        if loss.faults & BAD_SIGNAL:
+            yield "a signal within 2001:03 to 2001:04: watch it with canfb monitor, check the wiring"
+        if cause in MOTION:
+            yield from self._motion(loss)
+        if cause is LossCause.TIME:
+            if self.timed:
+                yield "a clock of the encoder interface that is not restarted while the module runs"
+            else:
+                yield "sample times from the encoder interface: map 2000:05 (times: true)"
+                yield "a SYNC counter (1019h), and a bus driver with receive times"
+        if cause is LossCause.PAUSE:
+            yield "a machine that stands still before NMT stop or preop, until after NMT start"
+        if cause is LossCause.START:
+            yield "a start at standstill; or a coarse track, which finds the speed of a turning machine"
+        if cause is LossCause.REFERENCE:
+            yield "wiring and scale of coarse track and zero pulse: one contradicted the count (2010:05)"
+        if cause is LossCause.CONFIGURATION:
+            yield "limits, prediction order and PDO mapping written while the position is valid"
+
+    def _longer(self, loss: Loss) -> Iterator[str]:
+        bridged = f", {self.coast_samples / self.sample_hz * 1e3:.3g} ms" if self.sample_hz else ""
+        text = f"2010:03 bridges {self.coast_samples} samples{bridged}"
+        if self.coast_samples >= MOST_MISSED:
+            yield f"{text}, the most that it can"
+            return
+        most = self.longest_gap() if loss.faults & MISSED else None
+        if most is not None and most <= self.coast_samples:
+            yield f"{text}; more would not help at this acceleration (2010:02) and SYNC rate"
+        else:
+            yield f"{text}: a larger value bridges a longer fault"
+
+    def _declared(self) -> Iterator[str]:
+        if not self.acceleration_rad_s2:
+            yield (
+                "2010:02 is 0, not declared: set it to the largest acceleration of the machine, rad/s², "
+                "so that only motions that it can do are considered"
+            )
+            return
+        most = self.longest_gap()
+        said = "" if most is None else f": one motion is certain over {most} missed samples at most"
+        yield (
+            f"2010:02 is {self.acceleration_rad_s2:.4g} rad/s²{said}; a smaller one, if it is true, "
+            "or a faster SYNC, over more"
+        )
+
+    def longest_gap(self) -> int | None:
+        """Missed samples over which 2010:02 leaves one motion (docs/legal-motion.md); None: not known."""
+        if not (self.acceleration_rad_s2 and self.sample_hz):
+            return None
+        largest = cycles_per_interval_squared(
+            self.acceleration_rad_s2, self.cycles_per_revolution, 1.0 / self.sample_hz
+        )
+        return kept_samples(SECOND, largest, largest, phase_error_cycles=0.0, most=MOST_MISSED)
+
+    def _motion(self, loss: Loss) -> Iterator[str]:
+        if self.acceleration_rad_s2 and loss.limit_cycles < self.residual_limit_cycles:
+            yield (
+                f"2010:02 is {self.acceleration_rad_s2:.4g} rad/s², which narrows the residual limit to "
+                f"{loss.limit_cycles:.3f} cycle: is it the largest acceleration, also in a jolt? "
+                "See canfb commission"
+            )
+        if self.sample_hz:
+            largest = (
+                2.0 * math.pi * self.residual_limit_cycles * self.sample_hz**2 / self.cycles_per_revolution
+            )
+            yield (
+                f"the motion must stay below {largest:.4g} rad/s² at {self.sample_hz:.4g} Hz and 2010:01: "
+                "a faster SYNC, or a gentler motion"
+            )
+        yield "a correction table, which removes phase errors: canfb calibrate"
+
+
+def read_lost_position(module: NodeAccess) -> LostPosition:
+    """Read it from the module by SDO, in about half a second. CommissioningError for what does not work."""
+    master = module.master
+    began, first = master.now(), module.integer(*od.FEEDBACK_SAMPLES, "I")
+    status = module.integer(*od.FEEDBACK_STATUS, "H")
+    mapped = mapped_objects(module)
+    tolerance = _read(module, od.SECOND_TOLERANCE, "f")
+    loss, keeps_cause = _read_loss(module)
+    settings = {
+        "losses": int(_read(module, od.COUNTER_LOST, "I")),
+        "missed": int(_read(module, od.COUNTER_MISSED, "I")),
+        "unheard": int(_read(module, od.COUNTER_SYNCS_NOT_HEARD, "I")),
+        "cycles_per_revolution": module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I"),
+        "coast_samples": module.integer(*od.SUPERVISION_COAST, "B"),
+    }
+    acceleration = float(_read(module, od.SUPERVISION_ACCELERATION, "f"))
+    limit = module.integer(*od.SUPERVISION_RESIDUAL_LIMIT, "H") / CYCLE_UNITS
+    master.wait(max(0.0, began + RATE_S - master.now()))
+    samples = module.integer(*od.FEEDBACK_SAMPLES, "I") - first & 0xFFFFFFFF
+    return LostPosition(
+        module.node_id,
+        status,
+        loss,
+        keeps_cause,
+        sample_hz=samples / (master.now() - began) if samples > 1 else 0.0,
+        acceleration_rad_s2=acceleration,
+        residual_limit_cycles=limit,
+        coarse=od.SAMPLE_COARSE_SINE.mapped(16) in mapped and od.SAMPLE_COARSE_COSINE.mapped(16) in mapped,
+        zero_pulse=od.SAMPLE_FLAGS.mapped(8) in mapped,
+        second=od.SAMPLE_SECOND_POSITION.mapped(32) in mapped and tolerance > 0.0,
+        timed=od.SAMPLE_TIME.mapped(32) in mapped,
+        **settings,
+    )
+
+
+def _read_loss(module: NodeAccess) -> tuple[Loss | None, bool]:
+    """The last loss, None without one; and whether the module keeps it."""
+    try:
+        number = module.integer(*od.COUNTER_LOSS_CAUSE, "I")
+    except ObjectAbsentError:
+        return None, False
+    cause = od.loss_cause(number)
+    if cause is None:
+        return None, not number
+    since_ms, bad, residual, limit, speed, faults = (
+        module.integer(*place, "I")
+        for place in (
+            od.COUNTER_LOSS_AGE,
+            od.COUNTER_LOSS_BAD,
+            od.COUNTER_LOSS_RESIDUAL,
+            od.COUNTER_LOSS_LIMIT,
+            od.COUNTER_LOSS_SPEED,
+            od.COUNTER_LOSS_FAULTS,
+        )
+    )
+    residual_cycles, limit_cycles, speed_cycles = (one / CYCLE_UNITS for one in (residual, limit, speed))
+    return Loss(cause, since_ms / 1e3, bad, residual_cycles, limit_cycles, speed_cycles, faults), True
+
+
+def _read(module: NodeAccess, place: Multiplexer, layout: str) -> float:
+    """A number; 0 where the module does not have the object."""
+    try:
+        return module.read(*place, layout)
+    except ObjectAbsentError:
+        return 0
+
+
+def _times(count: int, one: str, several: str) -> str:
+    return f"{count} {one if count == 1 else several}"
+
+
+def _fault_words(faults: int) -> str:
+    return f" ({', '.join(words)})" if (words := od.fault_words(faults)) else ""
+
+
+def age_words(seconds: float) -> str:
+    """0.8 s, 12 min, 3.4 h."""
+    if seconds < 120.0:
+        return f"{seconds:.3g} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"

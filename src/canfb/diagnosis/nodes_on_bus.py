@@ -1,0 +1,205 @@
+"""Who is on a bus, and what a node says of itself.
+
+A scan gives each node with its NMT state and its identity (1018h), with as few frames as can be. A request
+for 1000h goes to all 127 node-IDs at once, and whoever answers is there. The NMT state is that of a
+heartbeat. A node without heartbeat is asked for it by a remote frame (node guarding), unless a master may be
+guarding it (100Ch is not 0), whose toggle bit that would upset. STOPPED nodes answer no SDO: their heartbeat
+shows them.
+
+A diagnosis reads all objects of a node by SDO that can be read.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from canfb import objects as od
+from canfb.cia301 import cob
+from canfb.cia301.datatypes import DataType
+from canfb.cia301.nmt import NmtState
+from canfb.errors import CanfbError
+from canfb.master.access import CommissioningError, Master, NodeAccess, RefusedError
+from canfb.master.node_state import state_in
+from canfb.sdo.object_description import ObjectDescriptions
+from canfb.sdo.sdo_tasks import Reading, described_by
+
+NODES = range(1, 128)
+EVERY = 16  # requests at once: adapters have short queues
+PAUSE_S = 0.005
+GUARD_TIME = (0x100C, 0)
+DEVICE_NAME = (0x1008, 0)
+STATE_S = 0.05  # for the answer to a remote frame
+REQUEST = struct.pack("<BHB4x", 0x40, *od.DEVICE_TYPE)
+
+
+@dataclass(frozen=True)
+class FoundNode:
+    """A node of the bus; None for what is not known.
+
+    state   OPERATIONAL, PRE-OPERATIONAL, STOPPED
+    name    1008h
+    """
+
+    node_id: int
+    state: str | None
+    device_type: int | None = None
+    vendor_id: int | None = None
+    product_code: int | None = None
+    revision: int | None = None
+    serial_number: int | None = None
+    name: str | None = None
+
+    def figures(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "node": self.node_id,
+            "state": self.state,
+            "name": self.name,
+            "device_type": self.device_type,
+            "vendor_id": self.vendor_id,
+            "product_code": self.product_code,
+            "revision": self.revision,
+            "serial_number": self.serial_number,
+        }
+
+    def line(self) -> str:
+        """For people."""
+        head = f"{self.node_id:3} ({self.node_id:02X}h)  {self.state or 'state not known':15}"
+        if self.device_type is None:
+            return f"{head}  answers no SDO"
+        parts = [self.name or f"device type {self.device_type:08X}h"]
+        if self.vendor_id is not None:
+            parts.append(f"vendor {self.vendor_id:X}h product {self.product_code or 0:X}h")
+        if self.revision is not None:
+            parts.append(f"revision {self.revision >> 16}.{self.revision & 0xFFFF}")
+        if self.serial_number is not None:
+            parts.append(f"serial {self.serial_number}")
+        return f"{head}  {', '.join(parts)}"
+
+
+def scan(master: Master, listen_s: float) -> list[FoundNode]:
+    """Who is there; listens ``listen_s`` seconds for answers and heartbeats. CanfbError if the bus fails."""
+    answers: set[int] = set()
+    states: dict[int, NmtState | None] = {}
+
+    def answered(can_id: int, data: bytes, at: float) -> None:
+        answers.add(can_id - cob.SDO_RESPONSE)
+
+    def told(can_id: int, data: bytes, at: float) -> None:
+        if len(data) == 1:
+            states[can_id - cob.ERROR_CONTROL] = state_in(data)
+
+    for node in NODES:
+        master.subscribe(cob.SDO_RESPONSE + node, answered)
+        master.subscribe(cob.ERROR_CONTROL + node, told)
+    try:
+        end = master.now() + listen_s
+        for node in NODES:
+            master.send(cob.SDO_REQUEST + node, REQUEST)
+            if node % EVERY == 0:
+                master.wait(PAUSE_S)
+        master.wait(max(0.0, end - master.now()))
+        for node in NODES:
+            master.unsubscribe(cob.SDO_RESPONSE + node, answered)
+        found = []
+        for node in sorted(answers | set(states)):
+            access = NodeAccess(master, node, "node")
+            if node in answers and node not in states and not _number(access, *GUARD_TIME, "H"):
+                master.request(cob.ERROR_CONTROL + node)
+                master.wait(STATE_S)
+            state = states.get(node)
+            found.append(_described(access, state) if node in answers else FoundNode(node, _state(state)))
+        return found
+    finally:
+        for node in NODES:
+            master.unsubscribe(cob.ERROR_CONTROL + node, told)
+
+
+def _described(node: NodeAccess, state: NmtState | None) -> FoundNode:
+    vendor, product, revision, serial = (
+        _number(node, *place, "I")
+        for place in (
+            od.IDENTITY_VENDOR_ID,
+            od.IDENTITY_PRODUCT_CODE,
+            od.IDENTITY_REVISION_NUMBER,
+            od.IDENTITY_SERIAL_NUMBER,
+        )
+    )
+    device_type = _number(node, *od.DEVICE_TYPE, "I") or 0
+    try:
+        name = node.read_bytes(*DEVICE_NAME).decode("latin-1").rstrip("\0").strip()
+    except CommissioningError:
+        name = ""
+    words = name if name.isprintable() and name else None
+    return FoundNode(node.node_id, _state(state), device_type, vendor, product, revision, serial, words)
+
+
+def _state(state: NmtState | None) -> str | None:
+    return None if state is None else state.name.replace("_", "-")
+
+
+def _number(node: NodeAccess, index: int, subindex: int, layout: str) -> int | None:
+    """The object, None where the node does not have it, or does not answer any more."""
+    try:
+        return node.integer(index, subindex, layout)
+    except CommissioningError:
+        return None
+
+
+Figures = dict[str, Any]
+
+
+def node_facts(master: Master, node_id: int, known: Iterable[Path]) -> Figures:
+    """The objects of a node whose EDS is one of those ``known``, by number; else why not.
+
+    An object that is refused has the reason in its place. Nothing is written.
+    """
+    node = NodeAccess(master, node_id, "node")
+    facts: Figures = {"node_id": node_id}
+    try:
+        described = described_by(node, known, "1000")
+    except CanfbError as error:
+        return facts | {"error": str(error)}
+    objects: Figures = {}
+    facts |= {"product": described.product, "objects": objects}
+    try:
+        _read_all(node, described, objects)
+    except CommissioningError as error:  # it does not answer any more
+        facts["error"] = str(error)
+    return facts
+
+
+def _read_all(node: NodeAccess, described: ObjectDescriptions, objects: Figures) -> None:
+    for entry in described:
+        if not entry.readable or entry.data_type == DataType.DOMAIN:
+            continue
+        try:
+            reading = Reading(entry, node.read_bytes(*entry.place), described.product)
+            objects[entry.number] = reading.figures()["value"]
+        except RefusedError as error:
+            objects[entry.number] = f"refused: {error.code:08X}h"
+
+
+class HeardFrames:
+    """Counts the frames of all CAN-IDs with 11 bits while it listens."""
+
+    def __init__(self) -> None:
+        self._counts: dict[int, int] = {}
+
+    def listen(self, master: Master, seconds: float) -> dict[str, int]:
+        """Frames within ``seconds``, by CAN-ID."""
+        for can_id in range(0x800):
+            master.subscribe(can_id, self._hear)
+        try:
+            master.wait(seconds)
+        finally:
+            for can_id in range(0x800):
+                master.unsubscribe(can_id, self._hear)
+        return {f"{can_id:03X}": count for can_id, count in sorted(self._counts.items())}
+
+    def _hear(self, can_id: int, data: bytes, at: float) -> None:
+        self._counts[can_id] = self._counts.get(can_id, 0) + 1

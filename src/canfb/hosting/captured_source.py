@@ -1,0 +1,126 @@
+"""A converter as a source: a thread waits for its scans, a SYNC takes the newest, or those of a grid."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from canfb.errors import reason
+from canfb.hosting.closing import Closing
+from canfb.hosting.realtime import RealtimeThread
+from canfb.signal.sample import Sample
+from canfb.sources.even_scans import NewestScan
+from canfb.sources.protocol import SourceError
+from canfb.sources.surroundings import Capture, Picked
+
+REOPEN_S = 1.0
+CLOSE_S = 5.0
+
+
+class CapturedSource(Closing):
+    """Gives the scans of a converter that ``picked`` chooses for a SYNC; without it the newest.
+
+    ``opened`` opens it (:class:`canfb.sources.surroundings.Capture`), at once: what it raises goes through.
+    One that fails later is opened again every ``reopen_s``, by the thread called ``name``. With a capture
+    that is fired, :meth:`next` fires it and waits for the scan, at most ``wait_s``; otherwise it never waits.
+    """
+
+    def __init__(
+        self,
+        opened: Callable[[], Capture],
+        name: str,
+        wait_s: float,
+        picked: Picked | None = None,
+        *,
+        reopen_s: float = REOPEN_S,
+    ) -> None:
+        self._opened = opened
+        self._wait_s = wait_s
+        self._reopen_s = reopen_s
+        self._changed = threading.Condition()
+        # All of these under the condition.
+        self._capture: Capture | None = opened()
+        self._picked = NewestScan() if picked is None else picked
+        self._trouble = ""
+        self.scans = 0
+        """Scans that have come, those included that no SYNC took."""
+        self.adc_bits = self._capture.adc_bits
+        """Bits of a count."""
+        self.samples_per_sync = self._picked.per_sync
+        """Pairs of sine and cosine in a sample."""
+        self._stopping = threading.Event()
+        self._thread = RealtimeThread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop capturing; the thread ends."""
+        self._stopping.set()
+        with self._changed:
+            if self._capture is not None:
+                self._capture.cancel()
+        self._thread.join(CLOSE_S)
+
+    def next(self) -> Sample | None:
+        """The scans of this SYNC; None where there are none.
+
+        SourceError while the device does not work, or its scans do not fit.
+        """
+        with self._changed:
+            capture = self._capture
+            if capture is not None and capture.is_fired:
+                self._picked.forget()  # what is of an earlier SYNC, and late
+                before = self.scans
+                self._fire(capture)
+                self._changed.wait_for(lambda: self.scans != before or self._trouble, self._wait_s)
+            sample = self._picked.take()
+            if sample is None and self._trouble:
+                raise SourceError(self._trouble)
+            return sample
+
+    @staticmethod
+    def _fire(capture: Capture) -> None:
+        try:
+            capture.fire()
+        except OSError as error:
+            raise SourceError(f"the trigger cannot be fired: {reason(error)}") from error
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            if self._capture is None:
+                if not self._stopping.wait(self._reopen_s):
+                    self._reopen()
+            else:
+                self._take(self._capture)
+        with self._changed:
+            self._capture = None  # which closes it
+
+    def _take(self, capture: Capture) -> None:
+        """Wait for a scan, and leave it for the next SYNC."""
+        try:
+            scan = capture.refill()
+        except Exception as error:  # a thread that dies would leave no trace
+            with self._changed:
+                self._capture = None
+                self._trouble = reason(error)
+                self._changed.notify()
+            return
+        if scan is not None:
+            with self._changed:
+                self._picked.came(scan)
+                self.scans += 1
+                self._changed.notify()
+
+    def _reopen(self) -> None:
+        try:
+            capture = self._opened()
+            if capture.adc_bits != self.adc_bits:
+                raise SourceError(f"the converter has {capture.adc_bits} bits now, not {self.adc_bits}")
+        except Exception as error:  # as above
+            with self._changed:
+                self._trouble = reason(error)
+            return
+        with self._changed:
+            self._capture, self._trouble = capture, ""
+            self._picked.forget()
+            if self._stopping.is_set():
+                capture.cancel()

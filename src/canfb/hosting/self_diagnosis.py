@@ -1,0 +1,293 @@
+"""A diagnosis of the running process, on SIGUSR1, and what one says of computer, program and bus.
+
+The objects of some hundred entries are read in the loop that serves the bus, some of them at a time, between
+frames: no SYNC waits. What takes longer (versions, the state of the interface, the file) is done by a thread.
+
+Versions, configuration, interface and log are plain data for JSON, without secrets. A part that cannot be had
+says why, in place of it: a diagnosis is made where something is wrong.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import logging
+import math
+import os
+import platform
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import datetime
+from importlib import metadata
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from canfb.bus.clocks import date_and_time
+from canfb.cia301.codes import SdoAbort
+from canfb.cia301.datatypes import DataType
+from canfb.configuration import Config
+from canfb.errors import reason
+from canfb.hosting.event_log import Served, title_of
+
+PACKAGES = ("canfb", "python-can", "canopen", "numpy", "PyYAML", "bokeh", "rich", "pylibiio", "uvloop")
+MOST_LINES = 500
+COMMAND_S = 5.0
+UNITS = ("canfb", "canfb-interface")  # tools/systemd
+SECRET = re.compile(r"pass|secret|token|credential|^key$|_key$", re.IGNORECASE)
+IN_ADDRESS = re.compile(r"//[^/@\s]*@")
+HIDDEN = "(left out)"
+
+
+def versions() -> dict[str, Any]:
+    """Of canfb, Python, what canfb uses, and the system."""
+    packages: dict[str, str] = {}
+    for name in PACKAGES:
+        try:
+            packages[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return {
+        "packages": packages,
+        "python": sys.version.split()[0],
+        "system": f"{platform.system()} {platform.release()}",
+        "machine": platform.machine(),
+    }
+
+
+def configuration_facts(config: Config) -> dict[str, Any]:
+    """All keys with their values, defaults included."""
+    facts: dict[str, Any] = plain(without_secrets(dataclasses.asdict(config)))
+    return facts
+
+
+def without_secrets(value: Any) -> Any:
+    """The same without passwords, keys, and what stands before the @ of an address."""
+    if isinstance(value, Mapping):
+        return {
+            name: HIDDEN if SECRET.search(str(name)) and one is not None else without_secrets(one)
+            for name, one in value.items()
+        }
+    if isinstance(value, (list, tuple)):
+        return [without_secrets(one) for one in value]
+    return IN_ADDRESS.sub(f"//{HIDDEN}@", value) if isinstance(value, str) else value
+
+
+def plain(value: Any) -> Any:
+    """What JSON can hold: bytes in hexadecimal, and null for what is no number."""
+    if isinstance(value, Mapping):
+        return {str(name): plain(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(one) for one in value]
+    if isinstance(value, (bytes, bytearray)):
+        return value.hex()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if value is None or isinstance(value, (bool, int, float, str)) else str(value)
+
+
+def interface_facts(words: Mapping[str, Any]) -> dict[str, Any]:
+    """Of the bus: its words, and for SocketCAN what ``ip`` says of the interface, state and counters."""
+    channel = words.get("channel")
+    facts: dict[str, Any] = {"words": plain(without_secrets(dict(words)))}
+    if words.get("interface") == "socketcan" and isinstance(channel, str):
+        facts["interface"] = _said(["ip", "-details", "-statistics", "link", "show", "dev", channel])
+    return facts
+
+
+def journal(name: str) -> list[str]:
+    """The last lines of the services of this name, canfb@NAME and canfb-interface@NAME."""
+    units = [word for unit in UNITS for word in ("-u", f"{unit}@{name}")]
+    lines = ["-n", str(MOST_LINES), "-o", "short-iso", "--no-hostname", "--no-pager", "-q"]
+    return _said(["journalctl", *units, *lines])
+
+
+def _said(command: list[str]) -> list[str]:
+    """The lines that a command prints; one line that says why not."""
+    program = shutil.which(command[0])
+    if program is None:
+        return [f"{command[0]} is not there"]
+    try:
+        done = subprocess.run(
+            [program, *command[1:]], capture_output=True, text=True, timeout=COMMAND_S, check=False
+        )
+    except (OSError, subprocess.SubprocessError) as error:
+        return [f"{command[0]}: {error}"]
+    return (done.stdout + done.stderr).splitlines()
+
+
+class KeptLines(logging.Handler):
+    """Keeps the last lines of a log."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._lines: deque[tuple[float, str, str]] = deque(maxlen=MOST_LINES)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep it."""
+        self._lines.append((record.created, record.levelname, record.getMessage()))
+
+    def lines(self) -> list[str]:
+        """With the time of day and the level, the oldest first."""
+        return [
+            f"{datetime.fromtimestamp(at).astimezone().isoformat(' ', 'milliseconds')} {level} {text}"
+            for at, level, text in list(self._lines)
+        ]
+
+
+def diagnosis_text(made_by: str, parts: Mapping[str, Any]) -> str:
+    """The file: who made it and when, and then the parts in their order."""
+    whole = {"canfb_diagnosis": 1, "made": date_and_time(), "made_by": made_by, **parts}
+    return json.dumps(plain(whole), indent=1, ensure_ascii=False) + "\n"
+
+
+log = logging.getLogger(__name__)
+
+ENTRIES_AT_ONCE = 10
+SWITCH_S = 2e-4  # how long the thread may keep the interpreter from the loop
+STACK_BYTES = 1 << 18
+
+
+class SelfDiagnosis:
+    """Writes ``canfb-diagnose-PID.json`` into ``folder`` when asked; a later one replaces it.
+
+    ``counters`` gives those of the bus. :meth:`request` may be called by a signal handler; :meth:`step` is
+    called from the loop, some hundred times a second.
+    """
+
+    def __init__(
+        self, config: Config, words: Mapping[str, Any], counters: Callable[[], Any], folder: Path
+    ) -> None:
+        self._config, self._words, self._counters, self._folder = config, words, counters, folder
+        self._kept = KeptLines()
+        self._requested = False
+        self._collecting: Iterator[None] | None = None
+        self._writing: threading.Thread | None = None
+        self._nodes: list[dict[str, Any]] = []
+        self._outcome = ""
+
+    @contextlib.contextmanager
+    def keeping_the_log(self) -> Iterator[None]:
+        """Within this the lines of the loggers ``canfb.*`` are kept."""
+        logger = logging.getLogger("canfb")
+        logger.addHandler(self._kept)
+        try:
+            yield
+        finally:
+            logger.removeHandler(self._kept)
+            if self._writing is not None:
+                self._writing.join()
+
+    def request(self) -> None:
+        """Write a diagnosis soon."""
+        self._requested = True
+
+    def step(self, nodes: Sequence[Served]) -> None:
+        """Go on with what was requested: ten microseconds as a rule, half a millisecond at most."""
+        if self._writing is not None:
+            if self._writing.is_alive():
+                return
+            self._writing = None
+            log.info(self._outcome)
+        if self._collecting is None:
+            if not self._requested:
+                return
+            self._requested = False
+            self._collecting = self._collect(nodes)
+        with contextlib.suppress(StopIteration):
+            next(self._collecting)
+            return
+        self._collecting = None
+        self._begin_writing()
+
+    def _collect(self, nodes: Sequence[Served]) -> Iterator[None]:
+        self._nodes = []
+        for one in nodes:
+            objects: dict[str, Any] = {}
+            node = one.node
+            self._nodes.append(
+                {
+                    "node_id": node.node_id,
+                    "title": title_of(one),
+                    "state": node.state.name,
+                    "counters": dataclasses.asdict(node.counters),
+                    "objects": objects,
+                }
+            )
+            for number, entry in enumerate(list(node.dictionary)):
+                if entry.access == "wo" or entry.data_type == DataType.DOMAIN:
+                    continue
+                if not number % ENTRIES_AT_ONCE:
+                    yield
+                try:
+                    objects[f"{entry.index:04X}:{entry.subindex:02X}"] = entry.current()
+                except SdoAbort as abort:
+                    objects[f"{entry.index:04X}:{entry.subindex:02X}"] = f"refused: {abort}"
+
+    def _begin_writing(self) -> None:
+        counters = dataclasses.asdict(self._counters())
+        before = threading.stack_size(STACK_BYTES)
+        try:
+            self._writing = threading.Thread(
+                target=self._write, args=(counters,), name="canfb-diagnose", daemon=True
+            )
+            self._writing.start()
+        finally:
+            threading.stack_size(before)
+
+    def _write(self, counters: dict[str, int]) -> None:
+        switch_s = sys.getswitchinterval()
+        sys.setswitchinterval(min(SWITCH_S, switch_s))
+        try:
+            parts = {
+                "versions": versions(),
+                "configuration": configuration_facts(self._config),
+                "bus": {**interface_facts(self._words), "counters": counters},
+                "nodes": self._nodes,
+                "log": self._kept.lines(),
+            }
+            path = self._folder / f"canfb-diagnose-{os.getpid()}.json"
+            _replace(path, diagnosis_text(f"process {os.getpid()}", parts))
+            self._outcome = f"diagnosis written: {path}"
+        except Exception as error:  # a thread that dies would leave no trace
+            self._outcome = f"no diagnosis: {reason(error)}"
+        finally:
+            sys.setswitchinterval(switch_s)
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write it whole, readable by its owner alone; a link of this name is not followed."""
+    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.replace(name, path)
+    except OSError:
+        os.unlink(name)
+        raise
+
+
+@contextlib.contextmanager
+def diagnosing_on_signal(request: Callable[[], None]) -> Iterator[None]:
+    """Call ``request`` on SIGUSR1, where the system has it; the handler before is put back at the end."""
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        request()
+
+    number = getattr(signal, "SIGUSR1", None)
+    if number is None:
+        yield
+        return
+    before = signal.signal(number, handle)
+    try:
+        yield
+    finally:
+        signal.signal(number, before)

@@ -1,0 +1,88 @@
+"""A simulated encoder interface, with what moves its encoder, on a bus, as ``canfb simulate`` does it."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from canfb.bus.opening import describe
+from canfb.configuration import RealtimeConfig
+from canfb.device.hosted import Device
+from canfb.hosting.serving import OnBus
+from canfb.module.module_config import ModuleConfig
+from canfb.module.parameters import configured_defaults
+from canfb.simulation.fed_module import FedModule
+from canfb.simulation.scenario import SimulationConfig
+from canfb.simulation.set_up import Play, SimulatedNetwork, set_up
+
+log = logging.getLogger(__name__)
+
+
+def fed_module(config: ModuleConfig) -> FedModule:
+    """The module of the configuration, as the simulation has to know it."""
+    scale = configured_defaults(config)
+    return FedModule(
+        chain=config,
+        node_id=config.node_id,
+        encoder_interface=config.encoder_interface,
+        times=config.times,
+        samples_per_sync=config.samples_per_sync,
+        autostart=config.autostart,
+        increments_per_revolution=scale[0x6001, 0],
+        total_range=scale[0x6002, 0],  # without scaling, too
+    )
+
+
+class Simulating(OnBus):
+    """A simulation on a bus. Use it as a context manager around :meth:`run`.
+
+    ``words`` are python-can's own for the bus. What there is to say goes to the loggers ``canfb.*``.
+    ``seconds`` ends it after this machine time; else the end of a recording does, or
+    :meth:`stop`. ConfigError for a bus on which the interface would hear itself, and for a simulation that
+    cannot be; CanfbError, on entering, for a bus that cannot be opened.
+    """
+
+    def __init__(
+        self,
+        simulation: SimulationConfig,
+        module: FedModule,
+        play: Play,
+        words: Mapping[str, Any],
+        realtime: RealtimeConfig,
+        seconds: float | None = None,
+    ) -> None:
+        super().__init__(words, realtime)
+        self.network: SimulatedNetwork = set_up(simulation, module, play, log.warning)
+        self._intervals = math.inf if seconds is None else seconds * self.network.rate_hz
+        node = module.encoder_interface
+        self._node = f"{node} ({node:02X}h)"
+        self.network.interface.on_duplicate = lambda can_id, now: log.warning(
+            f"encoder interface {self._node}: another node on the bus uses this node-ID ({can_id:03X}h)"
+        )
+
+    def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
+        return list(self.network.devices)
+
+    def run(self, ready: Callable[[], None] = lambda: None) -> None:
+        """Serve the interface until the end. ``ready`` is called when it is on the bus."""
+        if self._runner is None:
+            raise RuntimeError("use Simulating as a context manager: with Simulating(...) as simulating")
+        network = self.network
+
+        def on_the_bus() -> None:
+            log.info(f"encoder interface: node {self._node} on {describe(self.words)}; end with Ctrl-C")
+            if network.axis is not None:
+                log.info(network.axis.describe())
+            if network.demand is not None:
+                log.info(network.demand.describe())
+                warning = network.demand.warning()
+                if warning is not None:
+                    log.warning(warning)
+            ready()
+
+        self._runner.run(
+            lambda: network.interface.ended or len(network.recorder) >= self._intervals, on_the_bus
+        )

@@ -1,0 +1,315 @@
+"""Stored parameters as files: one for each group in a folder, whole after a crash at any instant.
+
+A group alone is written beside its file and renamed over it. A change of several groups is first
+written as one file, ``pending.bin``, whose rename makes it valid, and then copied to the files of
+the groups; what a crash has left of it to do is done by the next save, and until then read from
+there. A file called ``….new`` was never finished and is not looked at.
+
+A running module writes in a thread of its own: no SYNC waits for the disk. Who only reads takes no lock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import struct
+import sys
+import threading
+import zlib
+from collections import deque
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.storage import PARAMETERS
+from canfb.device.storage.writing import Changes, Store
+from canfb.errors import CanfbError
+from canfb.hosting.closing import Closing
+
+LARGEST_FILE = 1 << 20  # bytes; stored parameters are some ten thousand
+PENDING = "pending.bin"
+LOCK = "lock"
+
+_MAGIC = b"CANFBSET"
+_HEADER = struct.Struct("<8sI")
+_PART = struct.Struct("<BBI")  # group, 1 for kept or 0 for forgotten, bytes of the image
+_CRC = struct.Struct("<I")
+
+
+class StateDirError(CanfbError):
+    """A state_dir that cannot be used; the text says which, and why."""
+
+
+class StateFiles(Closing):
+    """A store in a ``folder``, which is made if it is missing: what 1010h and LSS save, in files.
+
+    Give it to :class:`canfb.FeedbackModule` as ``store``. It belongs to one process until :meth:`close`, or
+    to the end of a ``with``. StateDirError when another one has it, or when it cannot be written to.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+        try:
+            if not self.folder.is_dir():
+                os.makedirs(self.folder)
+                _sync_folder(self.folder.parent)
+            self._lock = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as error:
+            raise StateDirError(f"state_dir {self.folder} cannot be used: {error.strerror}") from None
+        try:
+            _lock(self._lock)
+        except OSError as error:
+            os.close(self._lock)
+            in_use = error.errno in (errno.EWOULDBLOCK, errno.EACCES)
+            why = "another process, or another module of this one, uses it" if in_use else error.strerror
+            raise StateDirError(f"state_dir {self.folder} cannot be used: {why}") from None
+
+    def close(self) -> None:
+        """Let other processes have the folder."""
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+    def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
+        """What is kept, by group; an OSError for a group that is there and cannot be read."""
+        kept: dict[ParameterGroup, bytes | OSError] = {}
+        for group in ParameterGroup:
+            try:
+                image = self._read(_file_name(group))
+            except OSError as error:
+                kept[group] = error
+            else:
+                if image is not None:
+                    kept[group] = image
+        try:
+            pending = self._pending()
+        except OSError as error:
+            return kept | dict.fromkeys(PARAMETERS, error)
+        for group, image in pending.items():
+            kept.pop(group, None)
+            if image is not None:
+                kept[group] = image
+        return kept
+
+    def save(self, changes: Changes) -> None:
+        """Keep the groups of ``changes``, forget those that are None: all or, with an OSError, none."""
+        try:
+            self._finish(self._pending())
+        except OSError as error:
+            if error.errno != errno.EBADMSG:
+                raise
+            # What was pending is lost, and the files may be partly older: they are refused for good.
+            changes = dict.fromkeys(PARAMETERS) | dict(changes)
+        if len(changes) == 1:
+            self._copy(changes)
+            return
+        self._write(PENDING, _pack(changes))
+        try:
+            _sync_folder(self.folder)
+        except OSError:
+            self._remove(PENDING)
+            raise
+        with contextlib.suppress(OSError):  # it is kept; the next save tries again
+            self._finish(changes)
+
+    def _pending(self) -> Changes:
+        """The change that is valid, but not yet in the files of its groups; OSError EBADMSG if damaged."""
+        data = self._read(PENDING)
+        return {} if data is None else _unpack(data)
+
+    def _finish(self, changes: Changes) -> None:
+        if changes:
+            self._copy(changes)
+            self._remove(PENDING)
+            _sync_folder(self.folder)
+
+    def _copy(self, changes: Changes) -> None:
+        """Into the files of the groups."""
+        for group, image in changes.items():
+            if image is None:
+                self._remove(_file_name(group))
+            else:
+                self._write(_file_name(group), image)
+        _sync_folder(self.folder)
+
+    def _read(self, name: str) -> bytes | None:
+        """The content of a file, None when there is none."""
+        try:
+            handle = os.open(self.folder / name, os.O_RDONLY)
+        except FileNotFoundError:
+            return None
+        try:
+            return _read_all(handle)
+        finally:
+            os.close(handle)
+
+    def _write(self, name: str, data: bytes) -> None:
+        """The whole file, or what it was before; the folder is still to be synchronised."""
+        path, new = self.folder / name, self.folder / f"{name}.new"
+        handle = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+        try:
+            rest = memoryview(data)
+            while rest:
+                rest = rest[os.write(handle, rest) :]
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+        os.replace(new, path)
+
+    def _remove(self, name: str) -> None:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(self.folder / name)
+
+
+def _file_name(group: ParameterGroup) -> str:
+    return f"{group.name.lower()}.bin"
+
+
+def _read_all(handle: int) -> bytes:
+    data = b""
+    while part := os.read(handle, 1 << 16):
+        data += part
+        if len(data) > LARGEST_FILE:
+            raise OSError(errno.EFBIG, "it is far too large")
+    return data
+
+
+def _pack(changes: Changes) -> bytes:
+    parts = [_HEADER.pack(_MAGIC, len(changes))]
+    for group, image in changes.items():
+        content = b"" if image is None else image
+        parts += [_PART.pack(group, image is not None, len(content)), content]
+    body = b"".join(parts)
+    return body + _CRC.pack(zlib.crc32(body))
+
+
+def _unpack(data: bytes) -> Changes:
+    body = data[: -_CRC.size]
+    good = data.startswith(_MAGIC) and len(data) >= _HEADER.size + _CRC.size
+    if not good or zlib.crc32(body) != _CRC.unpack_from(data, len(body))[0]:
+        raise OSError(errno.EBADMSG, f"{PENDING} is damaged")
+    changes: dict[ParameterGroup, bytes | None] = {}
+    offset = _HEADER.size
+    try:
+        for _ in range(_HEADER.unpack_from(body)[1]):
+            group, kept, size = _PART.unpack_from(body, offset)
+            offset += _PART.size
+            changes[ParameterGroup(group)] = body[offset : offset + size] if kept else None
+            offset += size
+    except (struct.error, ValueError):
+        raise OSError(errno.EBADMSG, f"{PENDING} was written by another version of canfb") from None
+    return changes
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make renames in a folder last."""
+    if sys.platform == "win32":
+        return
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _lock(handle: int) -> None:
+    """Take the lock, or raise OSError when someone has it; it ends with the process, however that ends."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+SWITCH_S = 2e-4
+"""How long a thread may keep the interpreter from the one that serves the bus, seconds; 5 ms are usual.
+System calls of some microseconds give it back too soon for the other one to take it."""
+STACK_BYTES = 1 << 18  # of the thread; a locked memory would hold all of the usual 8 MB
+
+
+class ThreadedStore(Closing):
+    """``store``, written in one thread, a change after the other: a ``BackgroundStore`` of the device.
+
+    The thread begins here, so that a save needs no new one, and waits in system calls of the disk nearly all
+    of its time. :meth:`close`, or the end of a ``with``, waits for what was begun.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._begun: deque[Future[OSError | None]] = deque()
+        self._executor = ThreadPoolExecutor(1, "canfb-save")
+        self._switch_s = sys.getswitchinterval()
+        sys.setswitchinterval(min(SWITCH_S, self._switch_s))
+        before = threading.stack_size(STACK_BYTES)
+        try:
+            self._executor.submit(int).result()
+        finally:
+            threading.stack_size(before)
+
+    def close(self) -> None:
+        """Wait for what was begun, and end the thread."""
+        self._executor.shutdown()
+        sys.setswitchinterval(self._switch_s)
+
+    def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
+        """What is kept, with all that was begun."""
+        return self._executor.submit(self._store.load).result()
+
+    def save(self, changes: Changes) -> None:
+        """Keep ``changes`` behind those that were begun, and wait for it; OSError if that fails."""
+        error = self._executor.submit(self._write, changes).result()
+        if error is not None:
+            raise error
+
+    def begin(self, changes: Changes) -> None:
+        """Begin to keep ``changes``, behind those that were begun."""
+        self._begun.append(self._executor.submit(self._write, changes))
+
+    def ended(self) -> list[OSError | None]:
+        """What has ended since the last call, in order."""
+        ended = []
+        while self._begun and self._begun[0].done():
+            ended.append(self._begun.popleft().result())
+        return ended
+
+    def _write(self, changes: Changes) -> OSError | None:
+        try:
+            self._store.save(changes)
+        except OSError as error:
+            return error
+        return None
+
+
+_MOST_READINGS = 10
+
+
+class SavedParameters(StateFiles):
+    """A store to read from: it takes no lock and makes no folder; where there is none, nothing was saved."""
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+        self._lock = -1
+
+    def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
+        """What is kept, by group. Read until two readings agree, as a save may be in progress."""
+        before = super().load()
+        for _ in range(_MOST_READINGS):
+            again = super().load()
+            if _content(again) == _content(before):
+                break
+            before = again
+        return before
+
+    def save(self, changes: Changes) -> None:
+        """OSError: it is for reading."""
+        raise OSError(errno.EROFS, f"{self.folder} is open for reading only")
+
+
+def _content(kept: Mapping[ParameterGroup, bytes | OSError]) -> dict[ParameterGroup, bytes | str]:
+    """What two readings are compared by: two errors are never equal as objects."""
+    return {group: str(image) if isinstance(image, OSError) else image for group, image in kept.items()}

@@ -1,0 +1,223 @@
+"""A network in simulated time on a bus that other programs can open: what ``canfb try`` and a page show.
+
+Module, encoder interface and SYNC are in one process, on an :class:`.EmbeddedBus` whose frames go to a bus of
+python-can and back. Its time is that of the SYNC, not that of the computer: where that is late the machine
+turns more slowly, and nothing is lost. For the page, to look at it without a bus, the bus is a virtual one.
+"""
+
+from __future__ import annotations
+
+import _thread
+import contextlib
+import os
+import platform
+import socket
+import struct
+import tempfile
+import threading
+import time
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from types import TracebackType
+from typing import Any, Self
+from uuid import uuid4
+
+import can
+
+from canfb import objects as od
+from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE
+from canfb.bus.opening import MULTICAST, group_port, open_device_bus
+from canfb.bus.shared_bus import ListeningThread
+from canfb.cia301 import cob
+from canfb.cia301.frame import HIGHEST_ID, Frame
+from canfb.configuration import Config
+from canfb.errors import BusError, reason
+from canfb.hosting.event_log import EventLog
+from canfb.hosting.hosting import make_module
+from canfb.hosting.simulating import fed_module
+from canfb.module.module_config import ModuleConfig
+from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
+from canfb.simulation.set_up import Play, set_up
+
+START_ALL = Frame(0x000, b"\x01\x00")  # NMT (CiA 301, 7.2.8.3.1)
+LONGEST_LAG_S = 0.5  # a computer that is later than that has a slow machine
+LOOPBACK = "127.0.0.1"
+PRIVATE_GROUPS = 16  # for one user of one computer, side by side
+
+
+@contextlib.contextmanager
+def private_bus() -> Iterator[dict[str, Any]]:
+    """python-can's words for a multicast group that nobody else uses, held for as long as this is entered.
+
+    It depends on the computer and its user: the next time it is the same one, unless another program of the
+    user has it. Its frames stay on this computer. BusError where all groups are taken.
+    """
+    user = f"{platform.node()} {os.getuid() if hasattr(os, 'getuid') else os.environ.get('USERNAME')}"
+    for number in range(PRIVATE_GROUPS):
+        place = zlib.crc32(f"{user} {number}".encode()) % (256 * 254)
+        group = f"239.255.{place // 254}.{place % 254 + 1}"  # the local scope of RFC 2365
+        # A TCP port of the same number shows that the group is taken: it is free again whatever ends us.
+        with socket.socket() as lock:
+            if _bound(lock, group_port(group)):
+                yield {"interface": MULTICAST, "channel": group, "hop_limit": 0}
+                return
+    raise BusError(f"{PRIVATE_GROUPS} private buses of this user are in use; end one of them")
+
+
+def _bound(lock: socket.socket, port: int | None) -> bool:
+    try:
+        lock.bind((LOOPBACK, port))
+    except OSError:
+        return False
+    return True
+
+
+def end_main() -> None:
+    """End the program as Ctrl-C does; from any thread."""
+    _thread.interrupt_main()
+
+
+class NetworkOnBus:
+    """The first module of ``config``, its encoder interface and the SYNC at ``rate_hz``, on its bus.
+
+    It runs in a thread while it is entered. ``first`` are frames that a master sends at the start. What the
+    module saves goes to a folder that is removed at the end. With ``events`` what happens is logged.
+    CanfbError, on entering, for a bus that cannot be opened; on leaving, for one that has failed.
+    """
+
+    def __init__(
+        self, config: Config, rate_hz: float, *, first: Sequence[Frame] = (), events: EventLog | None = None
+    ) -> None:
+        self._held = contextlib.ExitStack()
+        folder = self._held.enter_context(tempfile.TemporaryDirectory(prefix="canfb-"))
+        module = replace(config.modules[0], state_dir=folder)
+        self.config = replace(config, modules=[module])
+        self.module = make_module(module, self._held, config.bus)
+        self.on_end: Callable[[], None] = lambda: None
+        self._first, self._events = first, events
+        self._rate_hz = rate_hz
+        self._network = EmbeddedBus()
+        self._heard: Frame | None = None
+        self._stopped = threading.Event()
+        self._thread = ListeningThread(self._run, self.stop)
+
+    @property
+    def words(self) -> dict[str, Any]:
+        """python-can's for its bus."""
+        return self.config.bus
+
+    def __enter__(self) -> Self:
+        try:
+            self._bus = self._held.enter_context(open_device_bus(self.words))
+            (module,) = self.config.modules
+            play = Play(rate_hz=self._rate_hz, autostart=module.autostart)
+            simulated = set_up(self.config.simulation, fed_module(module), play, lambda text: None)
+            if self._events is not None:
+                self._events.watch(self.module, self.module.events)
+            self._network.taps.append(self._send)
+            for device in (*simulated.devices, self.module):
+                self._network.attach(device)
+            for frame in self._first:
+                self._network.send(frame)
+        except BaseException:
+            self.close()
+            raise
+        if self._events is not None:
+            self._events.begin()
+        self._thread.begin(self._failed)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._thread.end()
+        finally:
+            if self._events is not None:
+                self._events.close(self._network.now)
+            self.close()
+
+    def close(self) -> None:
+        """What it holds, also where it was never entered."""
+        self._held.close()
+
+    def stop(self) -> None:
+        """End it; from any thread, or a signal handler."""
+        self._stopped.set()
+
+    def wait(self) -> None:
+        """Until :meth:`stop`, or until the bus fails."""
+        self._stopped.wait()
+
+    def _failed(self) -> None:
+        self._stopped.set()
+        self.on_end()
+
+    def _run(self) -> None:
+        network, step_s, due = self._network, 1.0 / self._rate_hz, time.monotonic()
+        while not self._stopped.is_set():
+            self._receive(max(0.0, due - time.monotonic()))
+            now = time.monotonic()
+            if now >= due:
+                network.run_until(network.now + step_s)
+                due = max(due + step_s, now - LONGEST_LAG_S)
+                if self._events is not None:
+                    self._events.tick(network.now)
+
+    def _receive(self, wait_s: float) -> None:
+        """Take what other programs send."""
+        try:
+            frames = self._bus.receive(wait_s)
+        except (can.CanError, OSError) as error:
+            raise BusError(f"the bus fails: {reason(error)}") from error
+        for can_id, data, _ in frames or ():
+            if not can_id & (ERROR | EXTENDED):
+                self._heard = Frame(can_id & HIGHEST_ID, data, bool(can_id & REMOTE))
+                self._network.send(self._heard)
+
+    def _send(self, frame: Frame, now: float) -> None:
+        """What the network sends; not what it has heard."""
+        if frame is self._heard:
+            return
+        try:
+            self._bus.send(frame.can_id, bytes(frame.data), frame.rtr)
+        except (can.CanError, OSError) as error:
+            raise BusError(f"the bus fails: {reason(error)}") from error
+
+
+NODE, RATE_HZ = 0x20, 200.0
+# A mediocre encoder, on a machine whose speed varies.
+ENCODER = EncoderScenario(
+    amplitude=0.73,
+    sine_offset=0.04,
+    cosine_offset=-0.03,
+    sine_amplitude=1.03,
+    cosine_amplitude=0.96,
+    phase_error_rad=0.05,
+    harmonics=[HarmonicConfig(order=3, sine=0.012, cosine=0.01)],
+)
+SIMULATION = SimulationConfig(encoder=ENCODER, motion=MotionConfig(rpm=60.0, ripple_rpm=3.0, ripple_hz=0.15))
+
+
+# TPDO3 carries the velocity at each sample: seen from outside it would have the jitter of this computer.
+TPDO3, MAPPING = od.TPDO + 2, od.TPDO_MAPPING + 2
+BYTE, LONG = 0x2F, 0x23  # expedited downloads (CiA 301, 7.2.4.3.3)
+MAPPED = (
+    (LONG, MAPPING, 1, 0x20110720),
+    (BYTE, MAPPING, 0, 1),
+    (BYTE, TPDO3, 2, 254),
+    (LONG, TPDO3, 1, cob.TPDO3 + NODE),
+)
+DOWNLOAD = struct.Struct("<BHBI")
+
+
+class ScopeDemo(NetworkOnBus):
+    """Runs in a thread while it is entered; ``words`` are python-can's for its bus."""
+
+    def __init__(self) -> None:
+        words = {"interface": "virtual", "channel": f"canfb scope {uuid4()}"}
+        module = ModuleConfig(node_id=NODE, autostart=True)
+        first = [Frame(cob.SDO_REQUEST + NODE, DOWNLOAD.pack(*download)) for download in MAPPED]
+        super().__init__(Config(words, [module], simulation=SIMULATION), RATE_HZ, first=first)

@@ -1,0 +1,168 @@
+"""Recording a bus into a log, in the formats of python-can; also what replayed modules send."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import can
+from can.io.generic import MessageWriter
+
+from canfb.bus.python_can_bus import brings_own_frames_back
+from canfb.bus.reception import Reception
+from canfb.cia301.frame import Frame
+from canfb.errors import CanfbError, ConfigError, reason
+from canfb.logs.log_files import NEEDS_PACKAGE, check_writable
+
+log = logging.getLogger(__name__)
+
+LONGEST_WAIT_S = 0.1  # how late a signal or the end may be noticed
+UDP_MULTICAST = "udp_multicast"
+ROTATED = frozenset({".asc", ".blf", ".log"})  # python-can's SizedRotatingLogger
+
+
+@dataclass
+class RecordCounters:
+    """What was written."""
+
+    frames: int = 0
+    error_frames: int = 0
+    bus_failures: int = 0
+
+
+class BusLog:
+    """Writes what a bus receives into a file until :meth:`stop`. Use it as a context manager.
+
+    A bus that fails is tried again, and an interface that was removed and made again is opened.
+
+    ``path`` has the suffix of a format that python-can writes. With ``max_bytes`` a file that has become
+    as large is renamed, with date, time and a number in its name, and the next one begins. ConfigError
+    for a suffix, a size or a place that cannot be, and for a file that is there already unless
+    ``overwrite``; CanfbError when the file fails.
+
+    ``clock`` and ``sleep`` are those of the system, but for tests.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        max_bytes: int = 0,
+        overwrite: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.path = path
+        self.counters = RecordCounters()
+        self._max_bytes = max_bytes
+        self._clock, self._sleep = clock, sleep
+        self._stopped = False
+        self._writer: MessageWriter | None = None
+        suffix = check_writable(path)
+        if max_bytes and "".join(path.suffixes[-1:]).lower() not in ROTATED:
+            raise ConfigError(f"--max-size: python-can divides {', '.join(sorted(ROTATED))}, not {suffix}")
+        if not path.parent.is_dir():
+            raise ConfigError(f"{path}: there is no folder {path.parent}")
+        if path.exists() and (not overwrite or not path.is_file()):
+            raise ConfigError(f"{path}: is there already; take another name, or --force")
+
+    def __enter__(self) -> Self:
+        options: dict[str, Any] = {"max_bytes": self._max_bytes} if self._max_bytes else {}
+        writer: Callable[..., MessageWriter] = can.SizedRotatingLogger if self._max_bytes else can.Logger
+        try:
+            self._writer = writer(str(self.path), **options)
+        except (NotImplementedError, ImportError) as error:
+            raise CanfbError(f"{self.path}: {NEEDS_PACKAGE}") from error
+        except (OSError, ValueError) as error:
+            raise CanfbError(f"{self.path}: cannot be written: {reason(error)}") from error
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        writer, self._writer = self._writer, None
+        if writer is None:
+            return
+        try:
+            writer.stop()
+        except OSError as failure:
+            if error is None:
+                raise CanfbError(f"{self.path}: cannot be written: {reason(failure)}") from failure
+
+    def stop(self) -> None:
+        """End :meth:`record`; may be called from a signal handler or another thread."""
+        self._stopped = True
+
+    def record(self, bus: can.BusABC, seconds: float | None = None) -> None:
+        """Write what comes for so many ``seconds``; None: until :meth:`stop`.
+
+        The frames of udp_multicast, in which each sender names the channel as it likes, get one name.
+        """
+        if self._writer is None:
+            raise RuntimeError("use BusLog as a context manager: with BusLog(path) as bus_log")
+        name = UDP_MULTICAST if brings_own_frames_back(bus) else None
+        reception = Reception(bus, log.warning, self._clock, self._sleep, lasts=True)
+        end = None if seconds is None else self._clock() + seconds
+        while not self._stopped:
+            left = LONGEST_WAIT_S if end is None else end - self._clock()
+            if left <= 0.0:
+                return
+            message = reception.receive(min(left, LONGEST_WAIT_S))
+            self.counters.bus_failures = reception.failures
+            if message is not None:
+                if name is not None:
+                    message.channel = name
+                self.write(message)
+
+    def write(self, message: can.Message) -> None:
+        """One frame."""
+        writer = self._writer
+        assert writer is not None
+        try:
+            writer.on_message_received(message)
+        except OSError as error:
+            # What is in its buffer cannot be written either.
+            with contextlib.suppress(OSError):
+                writer.stop()
+            self._writer = None
+            raise CanfbError(f"{self.path}: cannot be written: {reason(error)}") from error
+        self.counters.frames += 1
+        if message.is_error_frame:
+            self.counters.error_frames += 1
+
+
+CHANNEL = 0
+
+
+class SentLog:
+    """A context manager: give it frames with stamps by :meth:`take`. Errors as those of BusLog."""
+
+    def __init__(self, path: Path) -> None:
+        self._log = BusLog(path, overwrite=True)
+
+    def __enter__(self) -> Self:
+        self._log.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._log.__exit__(kind, error, trace)
+
+    def take(self, frame: Frame) -> None:
+        """One more frame."""
+        self._log.write(
+            can.Message(
+                timestamp=frame.timestamp or 0.0,
+                arbitration_id=frame.can_id,
+                data=frame.data,
+                is_remote_frame=frame.rtr,
+                is_extended_id=False,
+                channel=CHANNEL,
+            )
+        )

@@ -1,0 +1,279 @@
+"""What the tools need of a bus, and the objects of a node over SDO with errors in one line.
+
+Long objects go through the streams of python canopen, which are aborted when anything goes wrong.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import can
+from canopen.sdo.exceptions import SdoAbortedError, SdoError
+
+from canfb import objects as od
+from canfb.cia301.codes import AbortCode
+from canfb.errors import CanfbError
+
+Client = Any  # canopen.sdo.SdoClient, which has no types
+SEGMENT = 7
+
+
+def _fetch(client: Client, index: int, subindex: int, block: bool, heard: Callable[[float], None]) -> bytes:
+    """Upload an object, by block transfer if ``block``; ``heard`` gets 0..1 where the size is known."""
+
+    def take(stream: Any) -> bytes:
+        chunks: list[bytes] = []
+        while chunk := stream.read(SEGMENT):
+            chunks.append(chunk)
+            if stream.size and len(chunks) % 256 == 0:
+                heard(min(1.0, SEGMENT * len(chunks) / stream.size))
+        data = b"".join(chunks)
+        return data[: stream.size] if stream.size else data
+
+    return _through(client, client.open(index, subindex, "rb", buffering=0, block_transfer=block), take)
+
+
+def _store(client: Client, index: int, subindex: int, data: bytes, block: bool) -> bytes:
+    """Download ``data``, by block transfer if ``block``. It gives b"", as what comes back."""
+
+    def give(stream: Any) -> bytes:
+        sent = 0
+        while sent < len(data):
+            sent += stream.write(data[sent : sent + SEGMENT])
+        return b""
+
+    stream = client.open(index, subindex, "wb", size=len(data), buffering=0, block_transfer=block)
+    return _through(client, stream, give)
+
+
+def _through(client: Client, stream: io.RawIOBase, act: Callable[[Any], bytes]) -> bytes:
+    """``act`` on the stream, which is closed after it. When anything goes wrong the transfer is aborted.
+
+    Closing canopen's streams ends the transfer as if all data had been sent: half a table would be
+    taken for a whole one.
+    """
+    try:
+        result = act(stream)
+    except BaseException as error:
+        io.RawIOBase.close(stream)
+        if not isinstance(error, SdoAbortedError):
+            client.abort()
+        raise
+    stream.close()
+    return result
+
+
+Hear = Callable[[int, bytes, float], None]
+ABSENT = (AbortCode.NO_OBJECT, AbortCode.NO_SUBINDEX)
+REALS = frozenset(
+    {
+        od.SUPERVISION_ACCELERATION,
+        od.SUPERVISION_JERK,
+        od.ENCODER_CORNER_FREQUENCY,
+        od.ENCODER_COSINE_CORNER_FREQUENCY,
+    }
+)
+REAL32 = struct.Struct("<f")
+SETTLE_S = 0.05  # for frames of an aborted block transfer that are still in transit
+
+
+class CommissioningError(CanfbError):
+    """A step that did not work; the text says what the state of the module is."""
+
+
+class RefusedError(CommissioningError):
+    """The node has refused an access; ``code`` is the abort code (CiA 301, 7.2.4.3.17)."""
+
+    def __init__(self, text: str, code: int = AbortCode.GENERAL) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+class ObjectAbsentError(RefusedError):
+    """The node does not have the object."""
+
+
+class Master(Protocol):
+    """A bus as the master sees it, see :class:`canfb.bus.bus_master.BusMaster`."""
+
+    def sdo(self, node_id: int) -> Client:
+        """SDO client for a node."""
+
+    def subscribe(self, can_id: int, hear: Hear) -> None:
+        """Call ``hear`` with CAN-ID, data and time stamp (s) of each data frame."""
+
+    def unsubscribe(self, can_id: int, hear: Hear) -> None:
+        """No more of it."""
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a data frame."""
+
+    def request(self, can_id: int) -> None:
+        """Send a remote frame."""
+
+    def now(self) -> float:
+        """Seconds, monotonic."""
+
+    def wait(self, duration_s: float) -> None:
+        """Let time pass."""
+
+
+class NodeAccess:
+    """Objects of one node by SDO. CommissioningError, in one line, for whatever does not work."""
+
+    def __init__(self, master: Master, node_id: int, name: str) -> None:
+        self.master = master
+        self.node_id = node_id
+        self.name = f"{name} {node_id} ({node_id:02X}h)"
+
+    def read(self, index: int, subindex: int, layout: str) -> int | float:
+        """A number; ``layout`` as in struct, without the byte order: B, H, I, h, f ..."""
+        data = self.read_bytes(index, subindex)
+        size = struct.calcsize(f"<{layout}")
+        if len(data) < size:
+            raise CommissioningError(
+                f"{self.name}: {index:04X}:{subindex:02X} has {len(data)} bytes, not {size}"
+            )
+        value: int | float = struct.unpack_from(f"<{layout}", data)[0]
+        return value
+
+    def integer(self, index: int, subindex: int, layout: str) -> int:
+        """:meth:`read` for integers."""
+        return int(self.read(index, subindex, layout))
+
+    def read_known(self, place: od.Multiplexer) -> int | float | None:
+        """A number as :mod:`canfb.view` reads it: None where the node refuses to give it.
+
+        CommissioningError if it does not answer.
+        """
+        try:
+            data = self.read_bytes(*place)
+        except RefusedError:
+            return None
+        if place in REALS and len(data) == REAL32.size:
+            value: float = REAL32.unpack(data)[0]
+            return value
+        return int.from_bytes(data, "little")
+
+    def write(self, index: int, subindex: int, layout: str, value: float) -> None:
+        """Write a number."""
+        self.write_bytes(index, subindex, struct.pack(f"<{layout}", value))
+
+    def write_bytes(
+        self, index: int, subindex: int, data: bytes, answer_within_s: float | None = None
+    ) -> None:
+        """Write by expedited or segmented transfer; with a longer time for the answer, if given."""
+
+        def send(client: Client) -> bytes:
+            usual = client.RESPONSE_TIMEOUT
+            client.RESPONSE_TIMEOUT = max(usual, answer_within_s or 0.0)
+            try:
+                return _store(client, index, subindex, data, False)
+            finally:
+                client.RESPONSE_TIMEOUT = usual
+
+        self._transfer("writing", index, subindex, send)
+
+    def read_bytes(self, index: int, subindex: int) -> bytes:
+        """The bytes of an object, by expedited or segmented transfer."""
+        return self._transfer("reading", index, subindex, lambda client: client.upload(index, subindex))
+
+    def upload_domain(
+        self, index: int, subindex: int, heard: Callable[[float], None] = lambda part: None
+    ) -> bytes:
+        """A DOMAIN, by block transfer where the server has it, else segmented; ``heard`` gets 0..1."""
+        try:
+            return self._transfer(
+                "reading",
+                index,
+                subindex,
+                lambda client: _fetch(client, index, subindex, True, heard),
+            )
+        except ObjectAbsentError:
+            raise
+        except CommissioningError:
+            self.master.wait(SETTLE_S)
+        return self._transfer(
+            "reading",
+            index,
+            subindex,
+            lambda client: _fetch(client, index, subindex, False, heard),
+        )
+
+    def download_domain(self, index: int, subindex: int, data: bytes) -> None:
+        """A DOMAIN, by block transfer where the server has it, else segmented."""
+        try:
+            self._transfer(
+                "writing",
+                index,
+                subindex,
+                lambda client: _store(client, index, subindex, data, True),
+            )
+        except ObjectAbsentError:
+            raise
+        except CommissioningError:
+            # canopen's block download fails on some servers, and some have none.
+            self.master.wait(SETTLE_S)
+            self.write_bytes(index, subindex, data)
+
+    def answers(self) -> bool:
+        """True if the node answers at all."""
+        try:
+            self.read(*od.DEVICE_TYPE, "I")
+        except ObjectAbsentError:
+            return True
+        except CommissioningError:
+            return False
+        return True
+
+    def _transfer(self, doing: str, index: int, subindex: int, act: Callable[[Client], bytes]) -> bytes:
+        what = f"{self.name}: {doing} {index:04X}:{subindex:02X}"
+        try:
+            return act(self.master.sdo(self.node_id))
+        except SdoAbortedError as error:
+            text = f"{what} is refused: {error}"
+            kind = ObjectAbsentError if error.code in ABSENT else RefusedError
+            raise kind(text, error.code) from None
+        except SdoError as error:
+            self.master.wait(0.0)  # says so if it is the bus that has failed
+            said = str(error).rstrip(".")
+            if said == "No SDO response received":
+                said = (
+                    "no answer; is the node on the bus, and is the bit rate right? A STOPPED node answers no "
+                    f"SDO: canfb nmt preop {self.node_id:#04x} (canfb bus scan shows who is there)"
+                )
+            raise CommissioningError(f"{what}: {said}") from None
+        except (can.CanError, OSError) as error:
+            raise CommissioningError(f"{what}: {' '.join(str(error).split())}") from error
+        except (AttributeError, RuntimeError, struct.error) as error:
+            # What canopen's streams come to on answers that they did not expect.
+            raise CommissioningError(f"{what}: the response is invalid ({error})") from error
+
+
+class ModuleObjects:
+    """The node ``node_id``, by SDO (:class:`canfb.module.read_configuration.Objects`)."""
+
+    def __init__(self, master: Master, node_id: int) -> None:
+        self._node = NodeAccess(master, node_id, "node")
+        self.node_id = node_id
+        self.name = self._node.name
+
+    def number(self, index: int, subindex: int, layout: str) -> int | float:
+        """A number, ``layout`` as in struct. CanfbError where the node has no such object."""
+        try:
+            return self._node.read(index, subindex, layout)
+        except ObjectAbsentError as error:
+            raise self._other_version(error) from None
+
+    def data(self, index: int, subindex: int) -> bytes:
+        """The bytes of any object. CanfbError where the node has no such object."""
+        try:
+            return self._node.upload_domain(index, subindex)
+        except ObjectAbsentError as error:
+            raise self._other_version(error) from None
+
+    def _other_version(self, error: ObjectAbsentError) -> CanfbError:
+        return CanfbError(f"{error}: the module runs another version of canfb")

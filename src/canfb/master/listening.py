@@ -1,0 +1,291 @@
+"""Samples over the bus: of the ADC PDO, or of a recording object.
+
+The ADC PDO is listened to, SYNC by SYNC, without a word of its own on the bus. A recording object (2050h) is
+uploaded: of the encoder interface, faster than SYNC, or of the module.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Self
+
+import numpy as np
+
+from canfb import objects as od
+from canfb.master.access import CommissioningError, Master, NodeAccess, ObjectAbsentError
+from canfb.master.pdo_layout import PdoLayout
+from canfb.master.samples import TrackSamples
+from canfb.objects import MISSED_COUNTS
+from canfb.objects import RecordingCommand as Command
+
+PATIENCE_S = 2.0  # for the first SYNC, the first sample, and for either to go on
+LOOK_S = 0.1
+LONGEST = 6.0  # times the duration that was asked for, where SYNCs are rare
+PART_MISSED = 0.5
+MISSED = (MISSED_COUNTS, MISSED_COUNTS)
+Heard = Callable[[float], None]
+
+
+class PdoRecorder:
+    """Puts SYNCs and PDOs together: each SYNC gets one sample, the first that comes before the next SYNC.
+
+    Its methods are called from the receiving thread, in the order of the frames; what came is read when
+    they are no longer called.
+    """
+
+    def __init__(self, layout: PdoLayout) -> None:
+        self._layout = layout
+        self._pairs: list[tuple[int, int]] = []
+        self._times: list[float] = []
+        self._stamps: list[int | None] = []  # sample times, 100 ns
+        self._coarse: list[tuple[int, int] | None] = []
+        self._earlier: list[list[tuple[int, int]]] = []
+        self.samples = 0
+        self.surplus = 0
+        """PDOs beyond one for each SYNC, or too short: not used."""
+
+    @property
+    def syncs(self) -> int:
+        """SYNCs that came."""
+        return len(self._times)
+
+    def hear_sync(self, can_id: int, data: bytes, time_s: float) -> None:
+        """A SYNC: a new interval begins."""
+        self._pairs.append(MISSED)
+        self._times.append(time_s)
+        self._stamps.append(None)
+        self._coarse.append(None)
+        self._earlier.append([MISSED] * len(self._layout.earlier))
+
+    def hear_pdo(self, can_id: int, data: bytes, time_s: float) -> None:
+        """A PDO with a sample."""
+        if not self._pairs:
+            return  # it belongs to a SYNC that was before
+        counts = self._layout.unpack(data)
+        if counts is None or self._pairs[-1] != MISSED:
+            self.surplus += 1
+            return
+        self._pairs[-1] = counts
+        if self._layout.time_byte is not None:
+            self._stamps[-1] = self._layout.sample_time(data)
+        self.samples += 1
+        self.hear_part(can_id, data, time_s)
+
+    def hear_part(self, can_id: int, data: bytes, time_s: float) -> None:
+        """A PDO with earlier pairs, or the sample time."""
+        if not self._pairs:
+            return
+        layout, earlier = self._layout, self._earlier[-1]
+        for place, part in enumerate(layout.earlier):
+            if part.can_id == can_id and earlier[place] == MISSED:
+                earlier[place] = part.unpack(data) or MISSED
+        if layout.timed_by is not None and layout.timed_by.can_id == can_id and self._stamps[-1] is None:
+            self._stamps[-1] = layout.timed_by.sample_time(data)
+
+    def hear_coarse(self, can_id: int, data: bytes, time_s: float) -> None:
+        """A PDO with the coarse track; it may be the one with the sample."""
+        layout = self._layout.coarse
+        if self._coarse and layout is not None and self._coarse[-1] is None:
+            self._coarse[-1] = layout.unpack(data)
+
+    def result(self, origin: str) -> TrackSamples:
+        """What came; the last interval may still be open and is left out."""
+        last, apart = len(self._pairs) - 1, 1 + len(self._layout.earlier)
+        if apart > 1:
+            return self._several(last, apart, origin)
+        pairs = np.array(self._pairs[:last], np.float64).reshape(-1, 2)
+        samples = replace(
+            TrackSamples.of(pairs[:, 0], pairs[:, 1], self._rate_hz(), origin),
+            heard_s=np.array(self._times[:last]),
+        )
+        if self._layout.coarse is not None:
+            coarse = [(np.nan, np.nan) if one is None else one for one in self._coarse[:last]]
+            tracks = np.array(coarse, np.float64).reshape(-1, 2)
+            samples = replace(samples, coarse=(tracks[:, 0], tracks[:, 1]))
+        return samples if self._layout.time_byte is None else samples.timed(self._stamps[:last])
+
+    def _several(self, last: int, per_sync: int, origin: str) -> TrackSamples:
+        """All samples of all intervals, in their order; what belongs to an interval, with its newest."""
+        rate_hz = self._rate_hz()
+        in_order = [
+            pair
+            for newest, earlier in zip(self._pairs[:last], self._earlier, strict=False)
+            for pair in (*earlier[::-1], newest)
+        ]
+        pairs = np.array(in_order, np.float64).reshape(-1, 2)
+        samples = TrackSamples.of(pairs[:, 0], pairs[:, 1], rate_hz and rate_hz * per_sync, origin)
+        newest = np.arange(per_sync - 1, len(pairs), per_sync)
+        if rate_hz:
+            before_s = np.arange(per_sync - 1, -1, -1) / per_sync / rate_hz
+            heard_s = (np.array(self._times[:last])[:, None] - before_s).reshape(-1)
+            samples = replace(samples, heard_s=heard_s)
+        if self._layout.coarse is not None:
+            tracks = np.full((len(pairs), 2), np.nan)
+            tracks[newest] = [(np.nan, np.nan) if one is None else one for one in self._coarse[:last]]
+            samples = replace(samples, coarse=(tracks[:, 0], tracks[:, 1]))
+        if not self._layout.is_timed:
+            return samples
+        stamps: list[int | None] = [None] * len(pairs)
+        stamps[per_sync - 1 :: per_sync] = self._stamps[:last]
+        return samples.timed(stamps)
+
+    def _rate_hz(self) -> float | None:
+        steps = np.diff(self._times)
+        # The median does not mind a pause; the mean of what is near it does not mind late time stamps.
+        if not len(steps) or (middle := float(np.median(steps))) <= 0.0:
+            return None
+        near = steps[np.abs(steps - middle) < 0.5 * middle]
+        return 1.0 / float(near.mean()) if len(near) else None
+
+
+class Listener:
+    """Hears SYNC and PDO while it is entered; :meth:`look` must be called now and then."""
+
+    def __init__(self, master: Master, layout: PdoLayout) -> None:
+        self._master = master
+        self._layout = layout
+        self._recorder = PdoRecorder(layout)
+        self._syncs = self._samples = 0
+        self._began_s: float | None = None
+
+    def __enter__(self) -> Self:
+        self._last_sync_s = self._last_sample_s = self._master.now()
+        self._master.subscribe(self._layout.can_id, self._recorder.hear_pdo)
+        if self._layout.coarse is not None:
+            self._master.subscribe(self._layout.coarse.can_id, self._recorder.hear_coarse)
+        for can_id in self._layout.others:
+            self._master.subscribe(can_id, self._recorder.hear_part)
+        self._master.subscribe(self._layout.sync_id, self._recorder.hear_sync)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._master.unsubscribe(self._layout.sync_id, self._recorder.hear_sync)
+        for can_id in self._layout.others:
+            self._master.unsubscribe(can_id, self._recorder.hear_part)
+        if self._layout.coarse is not None:
+            self._master.unsubscribe(self._layout.coarse.can_id, self._recorder.hear_coarse)
+        self._master.unsubscribe(self._layout.can_id, self._recorder.hear_pdo)
+
+    @property
+    def intervals(self) -> int:
+        """SYNCs that came."""
+        return self._recorder.syncs
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time since the first SYNC."""
+        return 0.0 if self._began_s is None else self._master.now() - self._began_s
+
+    def look(self) -> None:
+        """CommissioningError, with what to do, when SYNC or samples do not come or do not go on."""
+        now, recorder, layout = self._master.now(), self._recorder, self._layout
+        if recorder.syncs > self._syncs:
+            self._syncs, self._last_sync_s = recorder.syncs, now
+            if self._began_s is None:
+                self._began_s = self._last_sample_s = now
+        if recorder.samples > self._samples:
+            self._samples, self._last_sample_s = recorder.samples, now
+        if now - self._last_sync_s > PATIENCE_S:
+            raise CommissioningError(
+                f"no SYNC ({layout.sync_id:03X}h) for {PATIENCE_S:g} s: start the node that produces it, the "
+                "drive or the controller, or let canfb produce it (--sync HZ)"
+            )
+        if self._began_s is not None and now - self._last_sample_s > PATIENCE_S:
+            raise self._no_samples()
+
+    def result(self) -> TrackSamples:
+        """What came. CommissioningError if it is full of gaps."""
+        can_id = self._layout.can_id
+        if not self._recorder.samples:
+            raise self._no_samples()
+        samples = self._recorder.result(f"PDO {can_id:03X}h at each SYNC")
+        if samples.missed > PART_MISSED * len(samples):
+            raise CommissioningError(
+                f"{samples.missed} of {len(samples)} SYNCs were not followed by PDO {can_id:03X}h: "
+                "samples are lost, or the PDO is not sent at each SYNC (transmission type 1 is needed)"
+            )
+        return samples
+
+    def _no_samples(self) -> CommissioningError:
+        return CommissioningError(
+            f"SYNC is received, but not PDO {self._layout.can_id:03X}h with the samples: is the encoder "
+            "interface OPERATIONAL (NMT start), and is its node-ID right?"
+        )
+
+
+def listen(
+    master: Master,
+    layout: PdoLayout,
+    duration_s: float,
+    least_samples: int = 0,
+    heard: Heard = lambda part: None,
+    enough: Callable[[Listener], bool] = lambda listener: False,
+) -> TrackSamples:
+    """Samples of ``duration_s`` seconds from the first SYNC on, and of more for ``least_samples`` intervals.
+
+    ``heard`` gets 0..1 as time goes. It takes no longer than six times ``duration_s``, and ends as soon as
+    ``enough`` is true of what came. CommissioningError, with what to do, when SYNC or samples do not come.
+    """
+    with Listener(master, layout) as listener:
+        while True:
+            master.wait(LOOK_S)
+            listener.look()
+            passed = listener.elapsed_s / duration_s
+            part = min(passed, listener.intervals / least_samples if least_samples else passed)
+            heard(min(1.0, max(part, passed / LONGEST)))
+            if part >= 1.0 or passed >= LONGEST or enough(listener):
+                break
+    return listener.result()
+
+
+RECORDING_LOOK_S = 0.2
+STANDING_S = 1.0  # no more samples for this long: the memory of the node is full
+EMPTY_S = 2.0  # none at all for this long: nothing samples
+UPLOAD_PART = 0.5  # of the progress reported
+
+
+def record(
+    node: NodeAccess, duration_s: float, rate_hz: float | None, heard: Callable[[float], None]
+) -> TrackSamples:
+    """Let ``node`` record for ``duration_s`` seconds and upload what it has; ``heard`` gets 0..1.
+
+    The rate is that of 2050:04 where the node has it, else ``rate_hz``. The recording is stopped in any
+    case. CommissioningError if the node cannot record, or has recorded nothing.
+    """
+    try:
+        node.write(*od.RECORDING_COMMAND, "B", Command.START)
+    except ObjectAbsentError:
+        raise CommissioningError(f"{node.name} cannot record: it has no object 2050h") from None
+    try:
+        _wait(node, duration_s, heard)
+    finally:
+        node.write(*od.RECORDING_COMMAND, "B", Command.STOP)
+    count = node.integer(*od.RECORDING_RECORDED, "I")
+    if not count:
+        raise CommissioningError(f"{node.name} has recorded nothing (2050:02): is it OPERATIONAL?")
+    data = node.upload_domain(
+        *od.RECORDING_SAMPLES, lambda part: heard(UPLOAD_PART + (1.0 - UPLOAD_PART) * part)
+    )
+    return TrackSamples.from_bytes(data, _rate(node) or rate_hz, f"recording 2050h of {node.name}")
+
+
+def _wait(node: NodeAccess, duration_s: float, heard: Callable[[float], None]) -> None:
+    master = node.master
+    began = grown = master.now()
+    count = 0
+    while (passed := master.now() - began) < duration_s:
+        heard(UPLOAD_PART * passed / duration_s)
+        master.wait(min(RECORDING_LOOK_S, duration_s - passed))
+        now_there = node.integer(*od.RECORDING_RECORDED, "I")
+        if now_there != count:
+            count, grown = now_there, master.now()
+        elif master.now() - grown > (STANDING_S if count else EMPTY_S):
+            return  # the memory is full, or nothing samples
+
+
+def _rate(node: NodeAccess) -> float | None:
+    try:
+        return float(node.integer(*od.RECORDING_RATE, "I")) or None
+    except CommissioningError:
+        return None

@@ -1,0 +1,306 @@
+"""Speed, status and counters of the module during a measurement.
+
+Motion that is locked to the samples is seen after a second instead of after the whole measurement.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from canfb import objects as od
+from canfb.calibration.lock import WINDOW, Lock, away_from, find_lock
+from canfb.calibration.result import Reason
+from canfb.errors import CalibrationError
+from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError
+from canfb.master.samples import TrackSamples
+from canfb.objects import PositionState, StatusBit, fault_words, position_state
+from canfb.signal.phase import FloatArray
+
+FIRST_S = 1.0
+STANDSTILL_S = 3.0  # somebody may be about to let the machine turn
+HALF_CYCLE = 0.5
+
+
+class Listening(Protocol):
+    """What is being collected, as :class:`.listening.Listener`."""
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time since the first SYNC."""
+
+    @property
+    def intervals(self) -> int:
+        """SYNCs that came."""
+
+    def result(self) -> TrackSamples:
+        """What came."""
+
+
+class LockWatch:
+    """Looks once, about a second after the first SYNC, whether the motion is locked to the samples.
+
+    ``speed_rad_s`` asks the module for its speed; it is 0.0 where the module could not count. Call it as
+    the samples come: it is True when it makes no sense to continue, and ``found`` says why.
+    """
+
+    def __init__(self, cycles_per_revolution: int, speed_rad_s: Callable[[], float]) -> None:
+        self.found: CalibrationError | None = None
+        self._cycles_per_revolution = cycles_per_revolution
+        self._speed_rad_s = speed_rad_s
+        self._next_s = FIRST_S
+
+    def __call__(self, listening: Listening) -> bool:
+        """True if the collection may end."""
+        if listening.elapsed_s < self._next_s or listening.intervals <= WINDOW:
+            return False
+        samples = listening.result()
+        lock = find_lock(*_latest(samples, self._next_s - FIRST_S))
+        if lock is None:
+            self._next_s = math.inf
+            return False
+        speed = 0.0
+        if samples.rate_hz:
+            speed = self._speed_rad_s() * self._cycles_per_revolution / (2.0 * math.pi) / samples.rate_hz
+            if speed < 0.0:  # backwards is forwards with the tracks exchanged
+                speed, lock = -speed, Lock(-lock.numerator % lock.denominator, lock.denominator)
+        if lock.denominator == 1 and speed < HALF_CYCLE and self._next_s < STANDSTILL_S:
+            self._next_s = STANDSTILL_S
+            return False
+        self.found = self._error(lock, speed, samples.rate_hz)
+        return True
+
+    def raise_found(self) -> None:
+        """CalibrationError, with a speed that would do, if a lock was found."""
+        if self.found is not None:
+            raise self.found
+
+    def _error(self, lock: Lock, speed: float, rate_hz: float | None) -> CalibrationError:
+        """``speed`` in cycles per sample, less than a half where it is not known."""
+        step = away_from(lock.numerator / lock.denominator)
+        rpm = 60.0 * rate_hz / self._cycles_per_revolution if rate_hz else 0.0  # of one cycle per sample
+        faster = f"{step * rpm:.3g} rpm faster" if rpm else f"by {step} of a cycle per sample faster"
+        if lock.denominator == 1 and speed < HALF_CYCLE:
+            return CalibrationError(
+                "the tracks hardly change: the machine is at standstill, or moves a whole number of "
+                f"cycles per sample. Let it turn {faster}",
+                Reason.COVERAGE,
+            )
+        known = "" if speed < HALF_CYCLE else f", for example at {(_near(speed, lock) + step) * rpm:.5g} rpm"
+        count = "a whole number" if lock.denominator == 1 else f"n + {lock.numerator}/{lock.denominator}"
+        return CalibrationError(
+            f"the motion is locked to the samples: {count} of cycles per sample, so that the same phases "
+            f"repeat. Let it turn {faster}{known}",
+            Reason.LOCKED,
+        )
+
+
+def _near(speed: float, lock: Lock) -> float:
+    """The module's speed, averaged over little, put on the lock."""
+    part = lock.numerator / lock.denominator
+    return round(speed - part) + part
+
+
+def _latest(samples: TrackSamples, from_s: float) -> tuple[FloatArray, FloatArray]:
+    """Both tracks from this time on."""
+    first = min(int(from_s * (samples.rate_hz or 0.0)), max(0, len(samples) - WINDOW))
+    return samples.sine[first:], samples.cosine[first:]
+
+
+MISSED, LOST = "missed samples", "position lost"
+COUNTERS = {
+    MISSED: od.COUNTER_MISSED,
+    "residual": od.COUNTER_RESIDUAL,
+    "amplitude": od.COUNTER_AMPLITUDE,
+    "coasting": od.COUNTER_COASTED,
+    LOST: od.COUNTER_LOST,
+    "clipped": od.COUNTER_CLIPPED,
+    "frozen": od.COUNTER_FROZEN,
+    "coarse track": od.COUNTER_COARSE_DISAGREEMENTS,
+}
+"""Counters of 2012h of what is flagged."""
+U32 = 1 << 32
+READINGS_EVERY_S = 0.3
+SHORTEST_S = 1e-6  # a rest of rounding is nothing to wait for
+MORE_THAN_BEFORE = 3.0
+
+
+@dataclass(frozen=True)
+class Look:
+    """The module at one time: status word (2011:01), cycle count (2011:04), counters of 2012h."""
+
+    status: int
+    cycles: int
+    counters: Mapping[str, int]
+
+    @property
+    def is_lost(self) -> bool:
+        """The position is lost."""
+        return position_state(self.status) is PositionState.LOST
+
+
+@dataclass(frozen=True)
+class Meanwhile:
+    """The module before and after samples were collected."""
+
+    before: Look
+    after: Look
+
+    @property
+    def is_lost(self) -> bool:
+        """The position was lost before, or is so now."""
+        return self.before.is_lost or self.after.is_lost
+
+    @property
+    def counted(self) -> dict[str, int]:
+        """What it counted in between, of what it counted at all."""
+        return counted(self.before.counters, self.after.counters)
+
+    @property
+    def missed(self) -> int:
+        """Samples that it missed in between (2012:01)."""
+        return self.counted.get(MISSED, 0)
+
+    @property
+    def cycles(self) -> int | None:
+        """From its position before to that after; None where that is not known to have been valid."""
+        valid = self.before.status & self.after.status & StatusBit.VALID
+        if not valid or LOST in self.counted:
+            return None
+        return abs(self.after.cycles - self.before.cycles)
+
+
+def look_at(module: NodeAccess) -> Look | None:
+    """Status, cycle count and counters of the module; None if it does not say them."""
+    try:
+        return Look(
+            module.integer(*od.FEEDBACK_STATUS, "H"),
+            module.integer(*od.FEEDBACK_CYCLE_COUNT, "q"),
+            read_counters(module),
+        )
+    except CommissioningError:
+        return None
+
+
+def lost_words(module: NodeAccess, status: int) -> str:
+    """That its position is lost, with the cause that the status word has, and who knows more."""
+    causes = fault_words(status)
+    why = f" ({', '.join(causes)})" if causes else ""
+    return (
+        f"the position of {module.name} is lost{why}: canfb why {module.node_id:#04x} says why and what to do"
+    )
+
+
+@dataclass(frozen=True)
+class SpeedReading:
+    """The speed that the module says, rad/s, ``at`` this many intervals after the first sample."""
+
+    at: float
+    rad_per_s: float
+
+
+class SpeedReadings:
+    """Reads the speed of the module while samples are collected.
+
+    CommissioningError from a reading if its position is not valid: its speed says nothing then.
+    """
+
+    def __init__(self, module: NodeAccess) -> None:
+        self._module = module
+        self._next_s = 0.0
+        self.found: list[SpeedReading] = []
+
+    def __call__(self, listening: Listening) -> bool:
+        """Read, if it is time for it. False: the collection goes on."""
+        if listening.elapsed_s < self._next_s or not listening.intervals:
+            return False
+        self._next_s = listening.elapsed_s + READINGS_EVERY_S
+        before = listening.intervals
+        speed = self.read()
+        self.found.append(SpeedReading((before + listening.intervals) / 2.0 - 1.0, speed))
+        return False
+
+    def read(self) -> float:
+        """The speed now, rad/s."""
+        check_valid(self._module)
+        speed = float(self._module.read(*od.FEEDBACK_VELOCITY, "f"))
+        if not math.isfinite(speed):
+            raise CommissioningError(f"{self._module.name}: its speed (2011:07) is {speed}")
+        return speed
+
+
+def check_valid(module: NodeAccess) -> None:
+    """CommissioningError, with what to do, unless the position is valid."""
+    status = module.integer(*od.FEEDBACK_STATUS, "H")
+    if status & StatusBit.LOST:
+        raise CommissioningError(
+            f"{module.name}: the position is lost (2011:01), so its speed is not known: let the machine "
+            "stand still, start the node again (NMT), and see that the present limits hold"
+        )
+    if not status & (StatusBit.VALID | StatusBit.COASTING):
+        raise CommissioningError(
+            f"{module.name} has no valid position (2011:01 is {status:04X}h): it must be OPERATIONAL "
+            f"(NMT start, canfb nmt start {module.node_id:#04x}), and must receive SYNC and samples"
+        )
+
+
+def read_counters(module: NodeAccess) -> dict[str, int]:
+    """The counters of the module, of those that it has."""
+    found = {}
+    for name, place in COUNTERS.items():
+        try:
+            found[name] = module.integer(*place, "I")
+        except ObjectAbsentError:
+            continue
+    return found
+
+
+def counted(before: Mapping[str, int], after: Mapping[str, int]) -> dict[str, int]:
+    """What was counted in between, of what was counted at all."""
+    steps = {name: (after[name] - count) % U32 for name, count in before.items() if name in after}
+    return {name: step for name, step in steps.items() if step}
+
+
+def watch(
+    module: NodeAccess,
+    duration_s: float,
+    usual: Mapping[str, int],
+    usual_s: float,
+    heard: Callable[[float], None] = lambda part: None,
+) -> None:
+    """See for ``duration_s`` seconds that the module flags no more than before.
+
+    ``usual`` was counted in ``usual_s`` seconds before. CommissioningError as soon as it flags more, or
+    processes no samples.
+    """
+    master = module.master
+    began, first = master.now(), read_counters(module)
+    samples = module.integer(*od.FEEDBACK_SAMPLES, "I")
+    while True:
+        passed = master.now() - began
+        more = {}
+        for name, count in counted(first, read_counters(module)).items():
+            known = usual.get(name, 0)
+            expected = known * passed / usual_s
+            if not known or count > MORE_THAN_BEFORE * (expected + 1.0):
+                more[name] = count
+        if more:
+            raise CommissioningError(
+                f"{module.name} flags samples with the new limits that it did not flag before: "
+                f"{in_words(more)}"
+            )
+        heard(min(1.0, passed / duration_s))
+        left = began + duration_s - master.now()
+        if left < SHORTEST_S:
+            break
+        master.wait(min(READINGS_EVERY_S, left))
+    check_valid(module)
+    if module.integer(*od.FEEDBACK_SAMPLES, "I") == samples:
+        raise CommissioningError(f"{module.name} has processed no sample with the new limits (2011:08)")
+
+
+def in_words(counts: Mapping[str, int]) -> str:
+    """3 residual, 1 amplitude."""
+    return ", ".join(f"{count} {name}" for name, count in counts.items())

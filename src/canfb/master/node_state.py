@@ -1,0 +1,224 @@
+"""The NMT state of a node, whether it was restarted meanwhile, and restarting a module.
+
+No object of CiA 301 holds the NMT state. It is in the heartbeat, and in the response to node guarding, which
+only nodes without a heartbeat give. The boot-up, one byte 00h, is the sign of a reset.
+
+A module is restarted at standstill only: one that starts on a turning machine may take it for one at rest, as
+at whole cycles per interval the samples are the same. So they are watched before the reset and after it, and
+a machine that moves is refused.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from canfb import objects as od
+from canfb.cia301 import cob
+from canfb.cia301.nmt import NmtCommand, NmtState
+from canfb.master.access import CommissioningError, NodeAccess
+from canfb.objects import StatusBit
+
+HEARTBEAT_TIME, GUARD_TIME = (0x1017, 0), (0x100C, 0)
+LATE = 1.5  # periods within which a heartbeat, or a response to another master, is heard
+ANSWER_S = 0.1
+ASKED = 3  # times, as a remote frame may be lost
+STEP_S = 0.005
+
+
+def state_in(data: bytes) -> NmtState | None:
+    """The state in a frame with the CAN-ID 700h + id; None if there is none in it.
+
+    A boot-up is followed by PRE-OPERATIONAL. Bit 7 is the toggle bit of node guarding.
+    """
+    if len(data) != 1:
+        return None
+    value = data[0] & 0x7F
+    if not value:
+        return NmtState.PRE_OPERATIONAL
+    return next((state for state in NmtState if state == value), None)
+
+
+def nmt_state(node: NodeAccess) -> NmtState:
+    """The NMT state of a node that answers SDO.
+
+    Waits for the heartbeat (1017h), or for a response to the master that guards the node (100Ch), and asks
+    by a remote frame where neither is heard. CommissioningError if the state is not known then.
+    """
+    heartbeat_s = node.integer(*HEARTBEAT_TIME, "H") / 1000
+    with _hearing(node) as heard:
+        if heartbeat_s:
+            _wait_for(node, heard, LATE * heartbeat_s)
+        else:
+            _wait_for(node, heard, LATE * node.integer(*GUARD_TIME, "H") / 1000)
+            for _ in range(ASKED):
+                if not heard:
+                    node.master.request(cob.ERROR_CONTROL + node.node_id)
+                    _wait_for(node, heard, ANSWER_S)
+    states = [state for data in heard if (state := state_in(data)) is not None]
+    if states:
+        return states[-1]
+    raise CommissioningError(
+        f"{node.name}: its NMT state is not known: neither a heartbeat nor a response to node guarding "
+        f"({cob.ERROR_CONTROL + node.node_id:03X}h) is heard"
+    )
+
+
+@contextlib.contextmanager
+def without_restart(node: NodeAccess) -> Iterator[None]:
+    """CommissioningError at the end if the node was restarted in here: what was written is gone."""
+    with _hearing(node) as heard:
+        yield
+    if b"\0" in heard:
+        raise CommissioningError(f"{node.name} was restarted meanwhile (boot-up heard)")
+
+
+@contextlib.contextmanager
+def _hearing(node: NodeAccess) -> Iterator[list[bytes]]:
+    """The data of all frames with the CAN-ID 700h + id from now on."""
+    heard: list[bytes] = []
+
+    def hear(can_id: int, data: bytes, at: float) -> None:
+        heard.append(bytes(data))
+
+    node.master.subscribe(cob.ERROR_CONTROL + node.node_id, hear)
+    try:
+        yield heard
+    finally:
+        node.master.unsubscribe(cob.ERROR_CONTROL + node.node_id, hear)
+
+
+def _wait_for(node: NodeAccess, heard: list[bytes], within_s: float) -> None:
+    end = node.master.now() + within_s
+    while not heard and node.master.now() < end:
+        node.master.wait(STEP_S)
+
+
+WATCH_S = 0.6
+EVERY_S = 0.005
+LEAST_SAMPLES = 10  # of those in which it is watched
+LARGEST_SPREAD_CYCLES = 0.02  # of the phase at standstill: noise, and a drive that holds its position
+BOOT_UP_S = 5.0
+VALID_S = 5.0  # a position that was lost is valid again after 256 samples at standstill
+UNITS = 65536.0
+
+
+@dataclass(frozen=True)
+class MachineLook:
+    """How a machine looked: the spread of the phase in cycles, samples, and by how much the count moved."""
+
+    spread_cycles: float
+    samples: int
+    counted_cycles: int
+
+    @property
+    def moves(self) -> bool:
+        """It is no standstill."""
+        return self.spread_cycles > LARGEST_SPREAD_CYCLES or self.counted_cycles != 0
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        if self.counted_cycles:
+            return f"it has moved by {self.counted_cycles:+d} cycles in {WATCH_S:g} s"
+        return f"its phase spreads over {self.spread_cycles:.3f} cycle in {self.samples} samples"
+
+
+def watch_standstill(module: NodeAccess) -> MachineLook:
+    """Watch the phase of a module for a moment. CommissioningError if it gets too few samples."""
+    master = module.master
+    began = master.now()
+    first: float | None = None
+    low = high = 0.0
+    seen: set[int] = set()
+    counts: list[int] = []
+    while master.now() - began < WATCH_S:
+        status = module.integer(*od.FEEDBACK_STATUS, "H")
+        number = module.integer(*od.FEEDBACK_SAMPLES, "I")
+        phase = module.integer(*od.FEEDBACK_RAW_PHASE, "H") / UNITS
+        if status & StatusBit.VALID:
+            counts.append(module.integer(*od.FEEDBACK_CYCLE_COUNT, "q"))
+        if not status & StatusBit.MISSED:
+            seen.add(number)
+            first = phase if first is None else first
+            apart = (phase - first + 0.5) % 1.0 - 0.5
+            low, high = min(low, apart), max(high, apart)
+        master.wait(EVERY_S)
+    if len(seen) < LEAST_SAMPLES:
+        raise CommissioningError(
+            f"{module.name}: {len(seen)} samples in {WATCH_S:g} s, so it cannot be seen whether the machine "
+            "stands still: SYNC, encoder interface and module must run (canfb nmt start). --force resets it "
+            "nevertheless"
+        )
+    # A cycle more or less is a phase near 0, which goes to and fro with its noise.
+    moved = counts[-1] - counts[0] if counts else 0
+    return MachineLook(high - low, len(seen), moved if abs(moved) > 1 else 0)
+
+
+def reset_module(module: NodeAccess, *, force: bool = False) -> dict[str, Any]:
+    """Reset a module whose machine stands still, start it, and see that its position is valid.
+
+    ``force``: without a look at the machine. What was done, for programs. CommissioningError if the machine
+    moves, if the module does not come back, and if its position is not valid afterwards.
+    """
+    before = None if force else watch_standstill(module)
+    if before is not None and before.moves:
+        raise CommissioningError(
+            f"{module.name}: the machine moves, {before.text}: not reset. A start in motion may count wrong; "
+            "stop the machine first. --force resets it nevertheless"
+        )
+    _restart(module)
+    status = _wait_for_valid(module)
+    if not status & StatusBit.VALID:
+        words = ", ".join([str(od.position_state(status)), *od.fault_words(status)])
+        raise CommissioningError(
+            f"{module.name}: reset and started, but its position is {words}: canfb why {module.node_id:#04x} "
+            "says why"
+        )
+    after = None if force else watch_standstill(module)
+    if after is not None and after.moves:
+        raise CommissioningError(
+            f"{module.name}: the machine began to move while it was reset, {after.text}: its count may be "
+            "wrong. Stop the machine, and reset it again"
+        )
+    return {
+        "node": module.node_id,
+        "forced": force,
+        "spread_cycles": None if after is None else after.spread_cycles,
+        "position": str(od.position_state(status)),
+    }
+
+
+def _restart(module: NodeAccess) -> None:
+    master, node = module.master, module.node_id
+    booted: list[float] = []
+
+    def hear(can_id: int, data: bytes, at: float) -> None:
+        if data[:1] == b"\x00":
+            booted.append(at)
+
+    master.subscribe(cob.ERROR_CONTROL + node, hear)
+    try:
+        master.send(0x000, struct.pack("BB", NmtCommand.RESET_NODE, node))
+        end = master.now() + BOOT_UP_S
+        while not booted and master.now() < end:
+            master.wait(EVERY_S)
+    finally:
+        master.unsubscribe(cob.ERROR_CONTROL + node, hear)
+    if not booted:
+        raise CommissioningError(f"{module.name}: no boot-up within {BOOT_UP_S:g} s after the reset")
+    master.send(0x000, struct.pack("BB", NmtCommand.START, node))
+
+
+def _wait_for_valid(module: NodeAccess) -> int:
+    """The status word once the position is valid, or after a while."""
+    master = module.master
+    end = master.now() + VALID_S
+    while True:
+        status = module.integer(*od.FEEDBACK_STATUS, "H")
+        if status & StatusBit.VALID or master.now() >= end:
+            return status
+        master.wait(EVERY_S)

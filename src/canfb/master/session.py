@@ -1,0 +1,163 @@
+"""A module and its encoder interface on a bus: what is active, what limits it, where samples come from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from canfb import objects as od
+from canfb.calibration.track_harmonics import counts_at
+from canfb.master.access import CommissioningError, Master, NodeAccess
+from canfb.master.active import read_active
+from canfb.master.listening import Listener, listen, record
+from canfb.master.machine_watch import check_valid
+from canfb.master.pdo_layout import PdoLayout, agreed_layout, module_layout
+from canfb.master.samples import TrackSamples
+from canfb.signal.correction import Correction
+from canfb.signal.harmonics import Corners
+from canfb.signal.supervision import SampleLimits
+
+Heard = Callable[[float], None]
+Source = Callable[[float, int, Heard], TrackSamples]
+"""Collects samples: seconds, least number of samples, and who hears 0..1 as it goes on."""
+IDENTITY = (
+    od.IDENTITY_VENDOR_ID,
+    od.IDENTITY_PRODUCT_CODE,
+    od.IDENTITY_REVISION_NUMBER,
+    od.IDENTITY_SERIAL_NUMBER,
+)
+DEFAULT_INTERFACE = 0x10
+CORNERS = (od.ENCODER_CORNER_FREQUENCY, od.ENCODER_COSINE_CORNER_FREQUENCY)
+
+
+@dataclass(frozen=True)
+class Session:
+    """Both nodes, read once.
+
+    active                  the active table and conditioning of the module
+    cycles_per_revolution   2001:01
+    limits                  2001:02..04
+    samples_itself          the module takes no ADC PDO, and no interface was named
+    named                   an interface was named
+    identity                1018h of the module, as far as it has it
+    interface_identity      that of the encoder interface; None if it does not answer
+    """
+
+    master: Master
+    module: NodeAccess
+    interface: NodeAccess
+    active: Correction
+    cycles_per_revolution: int
+    limits: SampleLimits
+    samples_itself: bool = False
+    named: bool = False
+    identity: tuple[int, ...] | None = None
+    interface_identity: tuple[int, ...] | None = None
+
+    @classmethod
+    def open(cls, master: Master, module_id: int, interface_id: int | None) -> Session:
+        """Read both nodes. CommissioningError if the module does not answer, or is not a feedback module."""
+        module = NodeAccess(master, module_id, "module")
+        active = read_active(module)
+        cycles = module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I")
+        full_scale = module.integer(*od.ENCODER_FULL_SCALE, "H")
+        low = module.integer(*od.ENCODER_LOWEST_AMPLITUDE, "H")
+        high = module.integer(*od.ENCODER_HIGHEST_AMPLITUDE, "H")
+        named = interface_id if interface_id is not None else _interface_of(module)
+        interface = NodeAccess(master, named or DEFAULT_INTERFACE, "encoder interface")
+        limits = SampleLimits(full_scale, low, high)
+        return cls(
+            master,
+            module,
+            interface,
+            active,
+            cycles,
+            limits,
+            samples_itself=named is None,
+            named=interface_id is not None,
+            identity=_identity_of(module),
+            interface_identity=None if named is None else _identity_of(interface),
+        )
+
+    def source(
+        self,
+        kind: str,
+        recorder: str,
+        rate_hz: float | None,
+        enough: Callable[[Listener], bool] = lambda listener: False,
+    ) -> Source:
+        """Where samples come from: "pdo", or the "recording" of "interface" or "module".
+
+        Samples of the PDO end as soon as ``enough`` is true of them.
+        """
+        if kind == "recording":
+            self.check_interface()
+            node = self.module if recorder == "module" else self.interface
+            return lambda seconds, least, heard: record(node, seconds, rate_hz, heard)
+        layout = self.layout()
+        return lambda seconds, least, heard: listen(self.master, layout, seconds, least, heard, enough)
+
+    def speed_rad_s(self) -> float:
+        """What the module says of its speed (2011:07), 0.0 where it says nothing."""
+        try:
+            speed = float(self.module.read(*od.FEEDBACK_VELOCITY, "f"))
+        except CommissioningError:
+            return 0.0
+        return speed if math.isfinite(speed) else 0.0
+
+    @property
+    def corners(self) -> Corners:
+        """2001:05 and 2001:06."""
+        return read_corners(self.module)
+
+    @property
+    def path_is_known(self) -> bool:
+        """Something depends on the speed, and the active table is that of standstill: with harmonics."""
+        conditioning = self.active.conditioning
+        return any(conditioning.harmonics) and bool(conditioning.cosine_delay_s or self.corners.are_there)
+
+    def together(self, samples: TrackSamples) -> TrackSamples:
+        """As if both tracks had been sampled at once, without the delay that the module has (2002:06).
+
+        By the speed that the module says now. CommissioningError where its position is not valid.
+        """
+        delay_s = self.active.conditioning.cosine_delay_s
+        corner_hz = float(self.module.read_known(od.ENCODER_CORNER_FREQUENCY) or 0.0)
+        if not (delay_s or corner_hz):
+            return samples
+        check_valid(self.module)
+        hertz = self.speed_rad_s() * self.cycles_per_revolution / (2.0 * math.pi)
+        at_speed = counts_at(hertz, delay_s, corner_hz)
+        return replace(samples.together(delay_s, hertz), at_speed=at_speed)
+
+    def check_interface(self) -> None:
+        """CommissioningError if the module takes its samples from another interface than the one named."""
+        if self.named and module_layout(self.module) is not None:
+            self.layout()
+
+    def layout(self) -> PdoLayout:
+        """The PDO with the samples; the errors of :func:`.pdo_layout.agreed_layout`."""
+        return agreed_layout(self.module, self.interface)
+
+
+def read_corners(module: NodeAccess) -> Corners:
+    """2001:05 and 2001:06; none where the module does not have them."""
+    return Corners(*(float(module.read_known(place) or 0.0) for place in CORNERS))
+
+
+def _identity_of(node: NodeAccess) -> tuple[int, ...] | None:
+    """Vendor-ID, product code, revision and serial number, as many as it has; None without an answer."""
+    found: list[int] = []
+    for place in IDENTITY:
+        try:
+            found.append(node.integer(*place, "I"))
+        except CommissioningError:
+            break
+    return tuple(found) or None
+
+
+def _interface_of(module: NodeAccess) -> int | None:
+    """The node from which the module takes its samples, by the COB-ID of its RPDO; None without."""
+    layout = module_layout(module)
+    return None if layout is None else layout.sender or DEFAULT_INTERFACE

@@ -1,0 +1,198 @@
+"""The limits of the supervision in a module, 2001h and 2010h: read, written, and put to the chain."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from canfb import objects as od
+from canfb.master.access import CommissioningError, NodeAccess
+from canfb.objects import Multiplexer
+from canfb.signal.chain_config import ChainLimits
+from canfb.signal.harmonics import Corners
+from canfb.signal.supervision import SampleLimits
+from canfb.view.limits_in_force import (
+    LIMIT_UNITS,
+    NOTHING_NARROWS,
+    LimitSettings,
+    MotionBounds,
+    limit_settings,
+)
+
+AMPLITUDES = (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
+
+
+class LimitObject(NamedTuple):
+    """An object that holds a limit: its layout as in struct, its name and the unit of its value."""
+
+    place: Multiplexer
+    layout: str
+    name: str
+    unit: str
+
+
+LIMITS = (
+    LimitObject(od.ENCODER_LOWEST_AMPLITUDE, "H", "lowest amplitude", "counts"),
+    LimitObject(od.ENCODER_HIGHEST_AMPLITUDE, "H", "highest amplitude", "counts"),
+    LimitObject(od.SUPERVISION_RESIDUAL_LIMIT, "H", "residual limit", "1/65536 cycle"),
+    LimitObject(od.SUPERVISION_ACCELERATION, "f", "largest acceleration", "rad/s²"),
+    LimitObject(od.SUPERVISION_JERK, "f", "largest jerk", "rad/s³"),
+    LimitObject(od.SUPERVISION_PHASE_ERROR, "H", "phase error", "1/65536 cycle"),
+    LimitObject(od.SUPERVISION_FROZEN, "B", "equal samples of a frozen input", "samples"),
+    LimitObject(od.SUPERVISION_COARSE_LIMIT, "H", "coarse track limit", "1/65536 revolution"),
+    LimitObject(od.SUPERVISION_PERIODS, "B", "periods without SYNC or sample", "periods"),
+)
+CORNER = LimitObject(od.ENCODER_CORNER_FREQUENCY, "f", "corner frequency", "Hz")
+"""Not a limit, but the limits of the amplitude hold for it; an older module does not have it."""
+KINDS = {one.place: one for one in (*LIMITS, CORNER)}
+
+
+@dataclass(frozen=True)
+class SupervisionLimits:
+    """Values of :data:`LIMITS`, and what the chain has to know beside them.
+
+    values                  by object, in its unit
+    full_scale_counts       2001:02
+    cycles_per_revolution   2001:01
+    coast_samples           2010:03
+    motion                  order of the prediction, noise margin, samples per SYNC, sample times
+    noise_cycles            2011:0B, of the residual; None: not known
+    """
+
+    values: Mapping[Multiplexer, float]
+    full_scale_counts: int
+    cycles_per_revolution: int
+    coast_samples: int
+    motion: LimitSettings = NOTHING_NARROWS
+    noise_cycles: float | None = None
+
+    @classmethod
+    def read(cls, module: NodeAccess) -> SupervisionLimits:
+        """From the module. CommissioningError if an object cannot be read, or holds no number."""
+        values = {}
+        for place, layout, name, _ in LIMITS:
+            values[place] = module.read(*place, layout)
+            if not math.isfinite(values[place]):
+                raise CommissioningError(f"{module.name}: {place_words(place)}, {name}, is {values[place]}")
+        return cls(
+            values,
+            module.integer(*od.ENCODER_FULL_SCALE, "H"),
+            module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I"),
+            module.integer(*od.SUPERVISION_COAST, "B"),
+            limit_settings(module.read_known),
+            (module.read_known(od.FEEDBACK_NOISE) or 0) / LIMIT_UNITS or None,
+        )
+
+    @property
+    def corners(self) -> Corners:
+        """2001:05 and 2001:06."""
+        there = self.motion.corners
+        return Corners(self.values.get(CORNER.place, there.corner_hz), there.cosine_corner_hz)
+
+    @property
+    def settings(self) -> LimitSettings:
+        """All that bounds the motion."""
+        return replace(
+            self.motion,
+            widest_cycles=self.values[od.SUPERVISION_RESIDUAL_LIMIT] / LIMIT_UNITS,
+            acceleration_rad_s2=self.values[od.SUPERVISION_ACCELERATION],
+            jerk_rad_s3=self.values.get(od.SUPERVISION_JERK, 0.0),
+            phase_error_cycles=self.values[od.SUPERVISION_PHASE_ERROR] / LIMIT_UNITS,
+        )
+
+    @property
+    def prediction_order(self) -> int:
+        """2010:07."""
+        return self.motion.prediction_order
+
+    def bounds(self, interval_s: float) -> MotionBounds:
+        """What bounds the motion at this interval from sample to sample."""
+        return self.settings.bounds(self.cycles_per_revolution, interval_s, self.noise_cycles)
+
+    def kept_samples(self, interval_s: float, motion_cycles: float) -> int:
+        """Missed or flagged samples in a row after which the position is certain, at most 2010:03.
+
+        ``motion_cycles`` is the largest acceleration, by third order the largest jerk, of the machine.
+        """
+        return self.chain_limits(interval_s).declared.kept_samples(motion_cycles)
+
+    def changed(self, values: Mapping[Multiplexer, float]) -> SupervisionLimits:
+        """With other values for some of the objects."""
+        return replace(self, values={**self.values, **values})
+
+    def acceleration_cycles(self, interval_s: float) -> float:
+        """2010:02 in cycles per interval squared; 0.0: not known."""
+        return self.bounds(interval_s).acceleration or 0.0
+
+    def residual_limit(self, interval_s: float) -> float:
+        """The residual limit in force, cycles: 2010:01, narrowed by 2010:02 or 2010:08 and 2010:09."""
+        return self.bounds(interval_s).residual
+
+    def chain_limits(self, interval_s: float) -> ChainLimits:
+        """As the module puts them in force, for a chain that gets all samples one by one.
+
+        ``interval_s`` is that from sample to sample.
+        """
+        low, high = (self.values[place] for place in AMPLITUDES)
+        return self.bounds(interval_s).chain_limits(
+            self.prediction_order,
+            self.settings.widest_cycles,
+            sample=SampleLimits(self.full_scale_counts, low, high),
+            cycles_per_revolution=self.cycles_per_revolution,
+            coast_samples=min(self.coast_samples * self.motion.samples_per_sync, 255),
+            frozen_samples=int(self.values[od.SUPERVISION_FROZEN]),
+            coarse_limit_revolutions=self.values[od.SUPERVISION_COARSE_LIMIT] / LIMIT_UNITS,
+            corners=self.corners,
+        )
+
+
+def write_limits(module: NodeAccess, wanted: Mapping[Multiplexer, float]) -> None:
+    """Write these objects and read them back. CommissioningError for what does not read as written.
+
+    The lower amplitude limit stays below the upper one at every moment.
+    """
+    places = [place for place in KINDS if place in wanted]
+    low, high = AMPLITUDES
+    if low in wanted and high in wanted and wanted[low] >= module.integer(*high, "H"):
+        places.remove(low)
+        places.insert(places.index(high) + 1, low)
+    if CORNER.place in wanted:
+        places = _about_the_corner(module, places, wanted)
+    error = od.SUPERVISION_PHASE_ERROR
+    if error in wanted and wanted[error] > module.integer(*error, "H"):  # it widens what the others narrow
+        places.sort(key=lambda place: place != error)
+    for place in places:
+        layout = KINDS[place].layout
+        module.write(*place, layout, wanted[place] if layout == "f" else int(wanted[place]))
+    for place in places:
+        there = module.read(*place, KINDS[place].layout)
+        if there != wanted[place]:
+            raise CommissioningError(
+                f"{module.name}: {place_words(place)} reads {there:g}, not {wanted[place]:g} as written"
+            )
+
+
+def _about_the_corner(
+    module: NodeAccess, places: list[Multiplexer], wanted: Mapping[Multiplexer, float]
+) -> list[Multiplexer]:
+    """The corner between both limits of the amplitude, so that it is within them before and after."""
+    low, high = AMPLITUDES
+    before, after = float(module.read(*CORNER.place, CORNER.layout)), wanted[CORNER.place]
+    rises = after > 0.0 and (before == 0.0 or after < before)
+    order = [high, CORNER.place, low] if rises else [low, CORNER.place, high]
+    first = [place for place in order if place in wanted]
+    return [*first, *(place for place in places if place not in first)]
+
+
+def as_real32(value: float) -> float:
+    """The value that a REAL32 holds in its place."""
+    held: float = struct.unpack("<f", struct.pack("<f", value))[0]
+    return held
+
+
+def place_words(place: Multiplexer) -> str:
+    """2010:01."""
+    return f"{place.object_index:04X}:{place.subindex:02X}"

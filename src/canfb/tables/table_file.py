@@ -1,0 +1,155 @@
+"""Tables as files: YAML for people and version control, the exact bytes of object 2020:01 for programs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from canfb.master.access import CommissioningError
+from canfb.master.marked_yaml import MarkedYaml, read_bytes
+from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.correction import Correction, CorrectionTable
+
+DELAYS = frozenset({"cosine_delay_s", "delay_s"})
+_KNOWN = ", ".join(IDENTITY.words)
+
+
+def as_yaml(used: Correction, meta: dict[str, Any]) -> str:
+    """The set as YAML: what is known of it first, then the entries, in cycles."""
+    table = used.table or CorrectionTable.identity()
+    content = {
+        "canfb_table": 1,
+        **meta,
+        "crc32": f"{table.crc32:08X}",
+        "conditioning": conditioning_words(used.conditioning),
+    }
+    # Nine digits bring every REAL32 back exactly.
+    entries = [float(f"{value:.9g}") for value in table.entries.tolist()]
+    head: str = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+    listed: str = yaml.safe_dump({"entries": entries}, default_flow_style=None, width=100)
+    return (
+        f"# Correction table of canfb: entries[n] is the phase, in cycles, at raw phase n/N.\n{head}{listed}"
+    )
+
+
+def conditioning_words(conditioning: Conditioning) -> dict[str, float]:
+    """Object 2002:01..07 by name, and the harmonics of 2005h that are there."""
+    words = conditioning.words.items()
+    return {name: float(value) for name, value in words if value or not name.startswith("harmonic")}
+
+
+def table_words(used: Correction) -> str:
+    """A table in a word or two."""
+    return "none" if used.table is None else f"{used.crc32:08X}h, {len(used.table)} entries"
+
+
+def conditioning_in_words(conditioning: Conditioning) -> str:
+    """A conditioning in a few words."""
+    if conditioning.is_identity:
+        return "none"
+    words = (
+        f"offset {conditioning.sine_offset_counts:+.1f}/{conditioning.cosine_offset_counts:+.1f}, gain "
+        f"{conditioning.sine_gain:.4f}/{conditioning.cosine_gain:.4f}, phase "
+        f"{conditioning.phase_error_rad:+.4f} rad"
+    )
+    delays = (("cosine later by", conditioning.cosine_delay_s), ("delay", conditioning.delay_s))
+    return ", ".join([words, *(f"{what} {delay_s * 1e6:.4g} µs" for what, delay_s in delays if delay_s)])
+
+
+@dataclass(frozen=True)
+class TableFile:
+    """What a table file holds.
+
+    with_conditioning       False for bytes of 2020:01, which know none
+    with_delays             it says the delays of the analog path, 2002:06 and 2002:07
+    cycles_per_revolution   of the encoder, None if it is not noted
+    """
+
+    path: Path
+    used: Correction
+    with_conditioning: bool
+    cycles_per_revolution: int | None = None
+    with_delays: bool = False
+
+    def for_module(self, active: Conditioning) -> Correction:
+        """Its table and conditioning; what it does not know of 2002h stays as it is ``active``."""
+        if not self.with_conditioning:
+            return Correction(self.used.table, active)
+        if self.with_delays:
+            return self.used
+        return Correction(self.used.table, self.used.conditioning.with_delays_of(active))
+
+
+def read_table(path: str | Path) -> Correction:
+    """A table file, YAML or the bytes of 2020:01 (which know no conditioning).
+
+    CommissioningError, in one line, for anything else.
+    """
+    return read_table_file(path).used
+
+
+def read_table_file(path: str | Path) -> TableFile:
+    """:func:`read_table`, with what else is known of it."""
+    return table_of_bytes(path, read_bytes(Path(path), CommissioningError))
+
+
+def table_of_bytes(path: str | Path, data: bytes) -> TableFile:
+    """:func:`read_table_file` of what is in the file; its name says what it is, and is in messages."""
+    path = Path(path)
+    try:
+        return _from_yaml(path, data) if is_yaml(path) else _from_bytes(path, data)
+    except (ValueError, TypeError) as error:
+        said = " ".join(str(error).split())[:200]
+        raise CommissioningError(f"{path}: this is not a correction table: {said}") from None
+
+
+def is_yaml(path: Path) -> bool:
+    """Whether a table file of this name is YAML; else it has the bytes of 2020:01."""
+    return path.suffix in (".yaml", ".yml")
+
+
+def _from_bytes(path: Path, data: bytes) -> TableFile:
+    return TableFile(path, Correction(CorrectionTable.from_bytes(data), IDENTITY), False)
+
+
+def _from_yaml(path: Path, data: bytes) -> TableFile:
+    marked = MarkedYaml(data)
+    content = marked.content
+    if not isinstance(content, dict) or "entries" not in content:
+        raise ValueError("a mapping with 'entries' is required")
+    try:
+        table = CorrectionTable(content["entries"])
+    except ValueError as error:
+        raise ValueError(f"line {marked.line('entries')}: {error}") from None
+    noted = content.get("crc32")
+    if noted is not None and str(noted).upper() != f"{table.crc32:08X}":
+        raise ValueError(
+            f"line {marked.line('crc32')}: its CRC is {table.crc32:08X}, but the file states {noted}: "
+            "an entry was changed"
+        )
+    words = content.get("conditioning") or {}
+    if not isinstance(words, dict):
+        raise ValueError(f"line {marked.line('conditioning')}: conditioning must be a mapping, not {words!r}")
+    for key in words:
+        if key not in IDENTITY.words:
+            line = marked.line("conditioning", str(key))
+            raise ValueError(f"line {line}: unknown key {key!r} in conditioning; known are {_KNOWN}")
+    cycles = content.get("cycles_per_revolution")
+    return TableFile(
+        path,
+        Correction(table, _conditioning(marked, words)),
+        True,
+        cycles if isinstance(cycles, int) and cycles > 0 else None,
+        not DELAYS.isdisjoint(words),
+    )
+
+
+def _conditioning(marked: MarkedYaml, words: dict[str, float]) -> Conditioning:
+    try:
+        return Conditioning(**words)
+    except ValueError as error:
+        named = [key for key in words if str(error).startswith(key)]
+        raise ValueError(f"line {marked.line('conditioning', *named)}: {error}") from None

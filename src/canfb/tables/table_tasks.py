@@ -1,0 +1,198 @@
+"""What ``canfb table`` does to a module: all of it, or the module is left as it was."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from canfb import objects as od
+from canfb.errors import CanfbError
+from canfb.master.access import CommissioningError, NodeAccess
+from canfb.master.active import (
+    activate,
+    put_in_force,
+    put_in_force_again,
+    read_active,
+    save,
+    saving_object,
+    stage,
+    write_conditioning,
+)
+from canfb.master.all_or_nothing import Guard, all_or_nothing, put_back, write_whole
+from canfb.signal.conditioning import IDENTITY
+from canfb.signal.correction import Correction, CorrectionTable
+from canfb.tables.table_file import TableFile, as_yaml, is_yaml
+from canfb.tables.table_state import TableState, difference
+
+AS_IT_WAS = "the previous table and conditioning"
+AS_BEFORE = "the table and the conditioning from before are in force in"
+
+
+@dataclass(frozen=True)
+class Change:
+    """What came out.
+
+    lines   for people
+    done    for programs: what was done, "staged", "active", "saved"
+    """
+
+    state: TableState
+    lines: list[str]
+    done: dict[str, Any]
+
+    def figures(self) -> dict[str, Any]:
+        """For programs."""
+        return self.state.figures() | self.done
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to do next, in the words of the program that asks; {node} stands for the node-ID."""
+
+    to_stage: str = "canfb table upload stages the table of a file"
+    to_activate: str = "canfb table activate {node}"
+    to_save: str = "--save keeps it"
+
+
+class TableTasks:
+    """The tasks on one module. ``guard`` keeps an interruption away from what puts things back."""
+
+    def __init__(self, module: NodeAccess, guard: Guard, advice: Advice | None = None) -> None:
+        self._module = module
+        self._guard = guard
+        self._advice = advice or Advice()
+
+    def upload(self, file: TableFile, *, active: bool, keep: bool) -> Change:
+        """Stage the table of a file and prove it by its CRC. ``active`` puts it in force, ``keep`` saves it.
+
+        A file that knows no conditioning leaves that of the module as it is. CommissioningError if
+        anything does not work; nothing but a staged table may be left of it, which has no effect.
+        """
+        before, table = read_active(self._module), file.used.table
+        if table is None:
+            raise CommissioningError(
+                f"{file.path}: it has no table; canfb table clear goes back to the identity"
+            )
+        wanted = file.for_module(before.conditioning)
+        if active:
+            done = self._in_force(before, wanted, keep, lambda: put_in_force(self._module, wanted))
+        else:
+            self._staged(before, wanted, table)
+            done = {"staged": True, "active": False, "saved_as": None}
+        source = f"{file.path}: {table.crc32:08X}h, {len(table)} entries"
+        if not file.with_conditioning:
+            source += "; it knows no conditioning, that of the module stays"
+        state = self._state_after(wanted, done)
+        lines = [source, self._moves(state, before, wanted)]
+        if not active:
+            how = self._advice.to_activate.format(node=f"{self._module.node_id:#04x}")
+            lines.append(f"staged in {self._module.name}, not in force yet: {how}")
+        return Change(state, [*lines, *self._outcome(wanted, done)], done)
+
+    def activate(self, *, keep: bool) -> Change:
+        """Put the staged table in force, with the conditioning that 2002h holds."""
+        staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
+        if not staged:
+            raise CommissioningError(f"{self._module.name}: nothing is staged; {self._advice.to_stage}")
+        before = read_active(self._module)
+        done = self._in_force(before, None, keep, lambda: activate(self._module, staged))
+        now = self._state_after(None, done)
+        return Change(now, [self._moves(now, before, now.used), *self._outcome(now.used, done)], done)
+
+    def clear(self, *, conditioning: bool, keep: bool) -> Change:
+        """Back to the identity; the conditioning stays unless ``conditioning``."""
+        before = read_active(self._module)
+        wanted = Correction(None, IDENTITY if conditioning else before.conditioning)
+        done = self._in_force(before, wanted, keep, lambda: put_in_force(self._module, wanted))
+        state = self._state_after(wanted, done)
+        lines = [self._moves(state, before, wanted), *self._outcome(wanted, done)]
+        if not wanted.conditioning.is_identity:
+            lines.append("the conditioning (2002h) stays in force; --conditioning clears it as well")
+        return Change(state, lines, done)
+
+    def download(self, path: Path, date: str) -> Change:
+        """The active table into a file; ``date`` is ISO 8601, the time of day behind a space."""
+        state = TableState.of_module(self._module)
+        table = state.used.table or CorrectionTable.identity()
+        used = Correction(table, state.used.conditioning)
+        day, _, time = date.partition(" ")
+        meta = {
+            "date": day,
+            "time": time,
+            "canfb": version("canfb"),
+            "module": self._module.node_id,
+            "cycles_per_revolution": state.cycles_per_revolution,
+        }
+        write_whole(path, as_yaml(used, meta).encode() if is_yaml(path) else table.to_bytes())
+        what = "the identity: no table is active" if state.used.table is None else "the active table"
+        lines = [f"{path}: {what}, {table.crc32:08X}h, {len(table)} entries"]
+        if not is_yaml(path) and not used.conditioning.is_identity:
+            lines.append(
+                f"note: {path} has the table alone; a name with .yaml keeps the conditioning as well"
+            )
+        return Change(state, lines, {"file": str(path)})
+
+    def _staged(self, before: Correction, wanted: Correction, table: CorrectionTable) -> None:
+        def undo() -> str:
+            put_back(self._module, AS_IT_WAS, lambda: write_conditioning(self._module, before.conditioning))
+            return f"{AS_BEFORE} {self._module.name}"
+
+        with all_or_nothing(self._module, self._guard, undo):
+            write_conditioning(self._module, wanted.conditioning)
+            stage(self._module, table)
+
+    def _in_force(
+        self, before: Correction, wanted: Correction | None, keep: bool, put: Callable[[], None]
+    ) -> dict[str, Any]:
+        """Put it in force, prove it, save it if ``keep``; what was done."""
+        if keep and saving_object(self._module) is None:
+            raise CommissioningError(
+                f"--save: {self._module.name} cannot save (1010h; canfb run needs a state_dir for it)"
+            )
+        saving = False
+
+        def back() -> None:
+            put_in_force_again(self._module, before)
+            if saving:
+                save(self._module)
+
+        def undo() -> str:
+            put_back(self._module, AS_IT_WAS, back, saving=saving)
+            return f"{AS_BEFORE} {self._module.name}"
+
+        with all_or_nothing(self._module, self._guard, undo):
+            put()
+            if wanted is not None and read_active(self._module).crc32 != wanted.crc32:
+                raise CommissioningError(f"{self._module.name}: another table is active than was written")
+            saving = keep
+            saved_as = save(self._module) if keep else None
+        return {"staged": False, "active": True, "saved_as": saved_as}
+
+    def _state_after(self, used: Correction | None, done: dict[str, Any]) -> TableState:
+        """The state after a change. CommissioningError if it cannot be read, which says what was done."""
+        try:
+            return TableState.of_module(self._module)
+        except CanfbError as error:
+            table = "table" if used is None or used.table is None else f"table {used.crc32:08X}h"
+            where = "in force" if done["active"] else "staged"
+            saved = f", saved ({done['saved_as']})" if done["saved_as"] else ""
+            raise CommissioningError(
+                f"done: {table} {where} in {self._module.name}{saved}; but then {error}"
+            ) from error
+
+    def _moves(self, state: TableState, before: Correction, after: Correction) -> str:
+        """By how much a position within the cycle moves with the other table."""
+        _, apart = difference(before.table, after.table)
+        words = f"positions move by at most {state.cycles_in_words(apart)}"
+        same = before.conditioning == after.conditioning
+        return words if same else f"{words}, and with the conditioning, which changes too"
+
+    def _outcome(self, used: Correction, done: dict[str, Any]) -> list[str]:
+        if not done["active"]:
+            return []
+        what = "no table" if used.table is None else f"table {used.crc32:08X}h"
+        saved = f"saved ({done['saved_as']})" if done["saved_as"] else f"not saved: {self._advice.to_save}"
+        return [f"{what} in force in {self._module.name}; {saved}"]

@@ -1,0 +1,393 @@
+"""`canfb backup` and `canfb restore`: what is written is proven, or all is as it was before."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import canopen
+import numpy as np
+import pytest
+
+from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
+from canfb.device.storage.storage import MemoryStore
+from canfb.eds_files import eds_path
+from canfb.master.active import put_in_force
+from canfb.module.device_configuration import configuration_of
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import Correction, CorrectionTable
+from commissioning_kit import MODULE_ID, Bench
+from node_commands import ANSWER, Commands, between, drop_answer, is_write, place_of, refuse_once
+
+NODE = hex(MODULE_ID)
+PHASES = np.arange(64) / 64
+TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
+OTHER = CorrectionTable(PHASES - 0.02 * np.sin(2 * np.pi * PHASES))
+CHANGED: dict[tuple[int, int], tuple[str, float]] = {
+    (0x1017, 0): ("H", 500),
+    (0x2010, 3): ("B", 9),
+    (0x2010, 2): ("f", 12.5),
+    (0x2001, 1): ("I", 1024),
+    (0x6310, 1): ("i", -77),
+}
+"""What makes the module another one than as delivered."""
+
+
+@pytest.fixture
+def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Commands:
+    return Commands(monkeypatch, capsys)
+
+
+def module(store: MemoryStore | None = None, **config: Any) -> Bench:
+    return Bench(sync=False, operational=False, store=store, config=config)
+
+
+def set_up(bench: Bench) -> Bench:
+    """A module that somebody has set up: table, conditioning, parameters, another COB-ID and mapping."""
+    for place, (layout, value) in CHANGED.items():
+        bench.access.write(*place, layout, value)
+    put_in_force(bench.access, Correction(TABLE, Conditioning(3.5, -2.0, 1.0, 1.03125, 0.0078125)))
+    access = bench.access
+    access.write(0x1801, 1, "I", 0x80000000)
+    access.write(0x1A01, 0, "B", 0)
+    access.write(0x1A01, 1, "I", 0x20110420 + 0x20)
+    access.write(0x1A01, 0, "B", 1)
+    access.write(0x1801, 1, "I", 0x2F0)
+    return bench
+
+
+def values(bench: Bench) -> dict[tuple[int, int], Any]:
+    return configuration_of(bench.module).values()
+
+
+@pytest.fixture
+def file(canfb: Commands, tmp_path: Path) -> Path:
+    """The backup of such a module."""
+    path = tmp_path / "backup.yaml"
+    canfb(set_up(module()), "backup", NODE, path)
+    return path
+
+
+def test_a_spare_module_becomes_the_one_of_the_backup(canfb: Commands, tmp_path: Path) -> None:
+    first, path = set_up(module(serial_number=4711)), tmp_path / "backup.yaml"
+    out, _ = canfb(first, "backup", NODE, path)
+    count = len(values(first)) - 2  # without the table and its activation
+    assert f"serial number 4711, {count} parameters, table {TABLE.crc32:08X}h, 64 entries" in out
+    spare = module(MemoryStore(), adc_bits=16, coast_samples=1, serial_number=4712)
+    assert values(spare) != values(first)
+    out, _ = canfb(spare, "restore", path, "--save")
+    assert values(spare) == values(first)
+    assert spare.module.chain.correction == first.module.chain.correction
+    assert "2010:03 Supervision: Samples to coast: 1 -> 9 samples" in out
+    assert f"correction table: none -> {TABLE.crc32:08X}h" in out
+    assert "proven by reading all of them back\nsaved (1010:01)\n" in out
+    assert "note: the backup is of serial number 4711, this module has 4712" in out
+    spare.module.receive(Frame(0, b"\x81\x20"), 1.0)
+    assert values(spare) == values(first), "after a reset"
+    out, _ = canfb(spare, "restore", path)
+    assert "all values are those of" in out
+
+
+def test_the_canopen_client_reads_what_was_restored(canfb: Commands, file: Path) -> None:
+    bench = module()
+    canfb(bench, "restore", file)
+    remote = canopen.RemoteNode(MODULE_ID, str(eds_path("canfb-module")))
+    bench.master.network.add_node(remote)
+    for (index, subindex), (_, value) in CHANGED.items():
+        entry = remote.sdo[index]
+        assert (entry[subindex] if subindex else entry).raw == value
+    assert remote.sdo.upload(0x2020, 1) == TABLE.to_bytes()
+    remote.tpdo.read()
+    assert (remote.tpdo[2].cob_id, [one.index for one in remote.tpdo[2].map]) == (0x2F0, [0x2011])
+    assert remote.tpdo[1].enabled
+
+
+def test_a_person_reads_it(file: Path) -> None:
+    lines = file.read_text().splitlines()
+    for wanted in (
+        "identity: {vendor: 0, product: 1, revision: 1, serial_number: 0}",
+        '  "1801:01": 0x000002F0             # COB-ID used by TPDO',
+        '  "2010:02": 12.5                   # Largest acceleration, rad/s^2',
+        '  "1017:00": 500                    # Producer heartbeat time, ms',
+        '  "6310:01": -77                    # Cam 1 low limit channel 1, measuring units',
+        "  # Supervision",
+    ):
+        assert wanted in lines
+
+
+def test_another_node_id_takes_its_own_can_ids(canfb: Commands, file: Path) -> None:
+    bench = module()
+    before = values(bench)
+    other = Path(str(file).replace("backup", "other"))
+    text = file.read_text().replace("node_id: 32\n", "node_id: 5\n")
+    for ours, theirs in (
+        ("0x400001A0", "0x40000185"),
+        ("0x000000A0", "0x00000085"),
+        ("0xC00003A0", "0xC0000385"),
+    ):
+        assert ours in text
+        text = text.replace(ours, theirs)
+    other.write_text(text)
+    canfb(bench, "restore", other, "--node", NODE)
+    after = values(bench)
+    for place in ((0x1800, 1), (0x1014, 0), (0x1802, 1)):
+        assert after[place] == before[place], "the default of the node"
+    assert after[0x1801, 1] == 0x2F0, "chosen by somebody"
+
+
+def test_dry_run_writes_nothing(canfb: Commands, file: Path) -> None:
+    bench = module()
+    before = values(bench)
+    out, _ = canfb(bench, "restore", file, "--dry-run", "--json")
+    said = json.loads(out)
+    assert said["changed"]["2010:03"] == [3, 9]
+    assert (said["written"], said["saved_as"]) == (False, None)
+    assert values(bench) == before
+    out, _ = canfb(bench, "restore", file, "--dry-run")
+    assert "nothing was written" in out
+
+
+PLACES = [
+    (0x1400, 1),
+    (0x2010, 3),
+    (0x2001, 1),
+    (0x2002, 1),
+    (0x2020, 1),
+    (0x2020, 3),
+    (0x1801, 1),
+    (0x1010, 1),
+]
+
+
+def name(place: tuple[int, int]) -> str:
+    return f"{place[0]:04X}:{place[1]:02X}"
+
+
+@pytest.mark.parametrize("place", PLACES, ids=name)
+def test_a_refused_write_brings_back_what_was(place: tuple[int, int], canfb: Commands, file: Path) -> None:
+    store = MemoryStore()
+    bench = module(store, coast_samples=5)
+    put_in_force(bench.access, Correction(OTHER, Conditioning(sine_gain=1.25)))
+    before, images = values(bench), dict(store.images)
+    refused = refuse_once(bench, place, 2 if place == (0x2020, 1) else 1)
+    _, err = canfb(bench, "restore", file, "--save", code=1)
+    assert refused
+    assert f"writing {name(place)} is refused" in err
+    assert err.endswith("; the parameters and the table from before are in module 32 (20h) again\n")
+    assert values(bench) == before
+    assert bench.module.chain.correction.table == OTHER
+    assert bool(store.images) is (place == (0x1010, 1)), images
+
+
+@pytest.mark.parametrize("place", [(0x1400, 1), (0x2010, 3), (0x2020, 3), (0x1801, 1), (0x1010, 1)], ids=name)
+def test_an_answer_that_is_lost_brings_back_what_was(
+    place: tuple[int, int], canfb: Commands, file: Path
+) -> None:
+    bench = module(MemoryStore(), coast_samples=5)
+    before = values(bench)
+    lost = drop_answer(bench, place)
+    _, err = canfb(bench, "restore", file, "--save", code=1)
+    assert len(lost) == 1
+    assert f"writing {name(place)}: no answer" in err
+    assert values(bench) == before
+
+
+def test_a_value_that_is_taken_and_not_kept_is_found_by_reading(canfb: Commands, file: Path) -> None:
+    bench = module()
+    before = values(bench)
+
+    def swallow(frame: Frame) -> list[Frame] | None:
+        if is_write(frame) and place_of(frame) == (0x2010, 3):
+            return [Frame(ANSWER, b"\x60" + frame.data[1:4] + bytes(4))]
+        return None
+
+    between(bench, swallow)
+    _, err = canfb(bench, "restore", file, code=1)
+    assert "not as written: 2010:03 is 3, not 9; the parameters" in err
+    assert values(bench) == before
+
+
+def test_a_module_that_goes_in_the_middle(canfb: Commands, file: Path) -> None:
+    bench = module()
+    gone: list[bool] = []
+
+    def silent(frame: Frame) -> list[Frame] | None:
+        gone.extend([True] * (is_write(frame) and place_of(frame) == (0x2001, 1)))
+        return [] if gone else None
+
+    between(bench, silent)
+    _, err = canfb(bench, "restore", file, code=1)
+    assert (
+        "no answer; is the node on the bus, and is the bit rate right? A STOPPED node answers no SDO" in err
+    )
+    assert "; what was before could not" in err
+    assert "switch module 32 (20h) off and on, which brings back what is saved in it" in err
+
+
+def test_an_interruption_brings_back_what_was(canfb: Commands, file: Path) -> None:
+    bench = module()
+    before = values(bench)
+    done: list[bool] = []
+
+    def interrupted(frame: Frame) -> list[Frame] | None:
+        if is_write(frame) and place_of(frame) == (0x2001, 1) and not done:
+            done.append(True)
+            raise KeyboardInterrupt
+        return None
+
+    between(bench, interrupted)
+    _, err = canfb(bench, "restore", file, code=130)
+    assert err == "canfb: interrupted; the node is as it was\n"
+    assert values(bench) == before
+
+
+def test_a_machine_that_runs_is_left_alone(canfb: Commands, file: Path) -> None:
+    bench = Bench()
+    bench.bus.run_until(0.2)
+    before = values(bench)
+    _, err = canfb(bench, "restore", file, code=1)
+    assert "module 32 (20h) is in OPERATIONAL: a restore switches its PDOs off meanwhile" in err
+    assert "give --preop (or canfb nmt preop 0x20)" in err
+    assert values(bench) == before
+    assert bench.module.state is NmtState.OPERATIONAL
+    out, _ = canfb(bench, "restore", file, "--preop")
+    assert "note: the node is in PRE-OPERATIONAL: canfb nmt start 0x20" in out
+    assert bench.module.state is NmtState.PRE_OPERATIONAL
+    assert values(bench)[0x2010, 3] == 9
+
+
+def test_a_node_that_does_not_obey(canfb: Commands, file: Path) -> None:
+    bench = Bench()
+    bench.bus.run_until(0.2)
+    receive = bench.module.receive
+    bench.module.receive = lambda frame, now: receive(frame, now) if frame.can_id else []  # type: ignore[method-assign]
+    _, err = canfb(bench, "restore", file, "--preop", code=1)
+    assert "does not go to PRE-OPERATIONAL; nothing was written" in err
+
+
+def edit(file: Path, old: str, new: str) -> int:
+    """Change the file; the number of the line."""
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+    return text[: text.index(old)].count("\n") + 1
+
+
+COAST = "parameters.2010:03: Supervision: Samples to coast must be a whole number 0..255, not"
+BAD = {
+    "another value": ('"2010:03": 9  ', '"2010:03": 900', f"{COAST} 900"),
+    "a type": ('"2010:03": 9  ', '"2010:03": nine', f"{COAST} 'nine'"),
+    "a limit": ('"2010:06": 2 ', '"2010:06": 1 ', "SYNC or sample must be a whole number 2..255, not 1"),
+    "a real": ('"2010:02": 12.5', '"2010:02": fast', "Largest acceleration must be a number, not 'fast'"),
+    "an object": ('"2010:03"', '"2010:63"', "parameters.2010:63: this version has no such parameter"),
+    "no object": ('"2010:03"', '"coast"', "parameters.coast: unknown key: an object such as"),
+    "a double": ('"2010:03"', "2010:02", "key '2010:02' is there already"),
+    "a key": ("device_name:", "device_nam:", "device_nam: unknown key; known are"),
+    "missing": ("device_name:", "# device_name:", "'device_name' is missing"),
+    "identity": ("{vendor: 0, ", "{", "identity: 'vendor' is missing"),
+    "identity type": ("{vendor: 0, ", "{vendor: x, ", "identity.vendor: must be a whole number 0.."),
+    "format": ("canfb_backup: 1", "canfb_backup: 2", "this version reads backups of the format 1, not 2"),
+    "table": ("  entries: [", "  entries: [5.0, ", "table.entries: "),
+    "crc": ("  crc32: ", "  crc32: 1", "an entry was changed"),
+    "no YAML": ("parameters:", "parameters: [", "expected"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_file_names_line_and_key(case: str, canfb: Commands, file: Path) -> None:
+    bench = module()
+    before = values(bench)
+    old, new, words = BAD[case]
+    line = edit(file, old, new)
+    _, err = canfb(bench, "restore", file, code=1)
+    assert words in err
+    assert f"{file}: line " in err
+    if case not in ("missing", "no YAML"):
+        assert f": line {line}: " in err
+    assert values(bench) == before
+    assert [frame for frame in bench.master.sent if frame.can_id] == [], "the bus is not asked"
+
+
+def test_what_is_no_backup(canfb: Commands, file: Path) -> None:
+    edit(file, "canfb_backup", "backup")
+    _, err = canfb(module(), "restore", file, code=1)
+    assert err == f"canfb: {file}: this is not a backup of canfb: 'canfb_backup' is missing\n"
+    _, err = canfb(module(), "restore", file.parent, code=1)
+    assert "cannot be read: Is a directory" in err
+
+
+def test_quotes_are_not_needed(canfb: Commands, file: Path) -> None:
+    edit(file, '"2010:03"', "2010:03")
+    bench = module()
+    canfb(bench, "restore", file)
+    assert values(bench)[0x2010, 3] == 9
+
+
+def test_backups_of_other_devices(canfb: Commands, file: Path) -> None:
+    edit(file, "product: 1", "product: 3")
+    _, err = canfb(module(), "restore", file, "--force", code=1)
+    assert "is product 1 of vendor 0, the backup is of product 3 of vendor 0: it is for another device" in err
+    edit(file, "product: 3", "product: 1")
+    edit(file, "revision: 1", "revision: 65537")
+    bench = module()
+    _, err = canfb(bench, "restore", file, code=1)
+    assert (
+        "has the major revision 0 (1018:03), the backup is of 1: its objects may mean something else" in err
+    )
+    edit(file, '"2010:03"', '"2010:63"')
+    out, _ = canfb(bench, "restore", file, "--force")
+    assert "note: left out, as this version does not know them: 2010:63" in out
+    assert "note: not in the backup, and as before: 2010:03" in out
+    assert (values(bench)[0x2010, 3], values(bench)[0x2010, 2]) == (3, 12.5)
+
+
+def test_a_node_that_is_not_there_or_another_device(canfb: Commands, file: Path) -> None:
+    bench = module()
+    _, err = canfb(bench, "restore", file, "--node", 99, code=1)
+    assert "module 99 (63h): reading 1018:01: no answer" in err
+    _, err = canfb(bench, "backup", "0x10", file, code=1)
+    assert "node 16 (10h) is not a feedback module of canfb" in err
+    assert "2010:03" in file.read_text(), "what was there before"
+
+
+def test_save_is_refused_before_anything_is_written(canfb: Commands, file: Path) -> None:
+    bench = module()
+    before = values(bench)
+    _, err = canfb(bench, "restore", file, "--save", code=1)
+    assert "--save: module 32 (20h) cannot save (1010h" in err
+    assert values(bench) == before
+
+
+def test_a_disk_that_is_full(canfb: Commands) -> None:
+    _, err = canfb(module(), "backup", NODE, "/dev/full", code=1)
+    assert err == "canfb: cannot write /dev/full: No space left on device\n"
+
+
+def test_preset_and_offset_are_noted_and_not_restored(canfb: Commands, tmp_path: Path) -> None:
+    bench, path = module(), tmp_path / "backup.yaml"
+    bench.module.dictionary.entry(0x6509).value = -12
+    out, _ = canfb(bench, "backup", NODE, path)
+    assert "note: 6509:00 (preset, offset) are in it, but not restored: set the preset again" in out
+    assert '  "6509:00": -12 ' in path.read_text()
+    spare = module()
+    out, _ = canfb(spare, "restore", path)
+    assert "all values are those of" in out
+    assert spare.value(0x6509, 0) == 0
+
+
+def test_every_sdo_frame_has_eight_bytes(canfb: Commands, file: Path) -> None:
+    """And the writes come in an order that a module in Pre-operational takes: nothing is refused."""
+    bench = module()
+    aborts: list[bytes] = []
+    bench.bus.taps.append(
+        lambda frame, now: (
+            aborts.append(frame.data) if frame.can_id == ANSWER and frame.data[0] == 0x80 else None
+        )
+    )
+    canfb(bench, "restore", file)
+    assert aborts == []
+    assert {len(frame.data) for frame in bench.master.sent if frame.can_id == 0x620} == {8}
+    assert struct.pack("<BHB", 0x22, 0x2020, 3)[1:] in [frame.data[1:4] for frame in bench.master.sent]

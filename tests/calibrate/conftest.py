@@ -1,0 +1,49 @@
+"""One measurement, calculated once: many tests only need that there is one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from canfb.calibrate.measurement import Measurement, Settings, measure
+from canfb.master.samples import TrackSamples
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
+from commissioning_kit import random_encoder, recorded
+
+SETTINGS = Settings(entries=64, adc_bits=12)
+
+
+@pytest.fixture(scope="session")
+def settings() -> Settings:
+    return SETTINGS
+
+
+@pytest.fixture(scope="session")
+def samples() -> TrackSamples:
+    return recorded(random_encoder(3), 3000)
+
+
+@pytest.fixture(scope="session")
+def fresh() -> TrackSamples:
+    """The same encoder, a minute later."""
+    return recorded(random_encoder(3), 1500, start_s=60.0, seed=9)
+
+
+@pytest.fixture(scope="session")
+def old() -> Correction:
+    """What was active before: some other table and conditioning."""
+    x = np.arange(32) / 32
+    table = CorrectionTable(x + 0.01 * np.sin(2 * np.pi * x))
+    return Correction(table, Conditioning(4.0, -2.5, 1.0, 0.984375, 0.0078125))
+
+
+@pytest.fixture(scope="session")
+def measured(samples: TrackSamples, old: Correction) -> Measurement:
+    return measure(samples, SETTINGS, old, lambda part: None)
+
+
+@pytest.fixture(scope="session")
+def measured_first(samples: TrackSamples) -> Measurement:
+    """The same on a module in which nothing was active."""
+    return measure(samples, SETTINGS, NO_CORRECTION, lambda part: None)

@@ -1,0 +1,268 @@
+"""`canfb calibrate` as a whole on an in-process bus, with encoders drawn at random."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from canfb.calibrate.artefacts import prepare
+from canfb.cli.calibrate import over_bus
+from canfb.cli.main import build_parser
+from canfb.cli.progress import Progress
+from canfb.configuration import Config
+from canfb.device.storage.storage import MemoryStore
+from canfb.errors import CalibrationError
+from canfb.master.access import CommissioningError
+from canfb.master.active import read_active
+from canfb.master.all_or_nothing import Guard
+from canfb.signal.correction import NO_CORRECTION
+from canfb.signal.supervision import TABLE_ACTIVE
+from canfb.simulation.motion import Motion, Ramp, Ripple
+from commissioning_kit import CYCLES, Bench, random_encoder
+
+SHORT = ("--seconds", "1.5", "--least-samples", "1000", "--verify", "0.6")
+
+
+def calibrate(bench: Bench, *arguments: str, progress: Progress | None = None) -> int:
+    options = build_parser().parse_args(["calibrate", *SHORT, *arguments])
+    if options.out:
+        prepare(options.out)
+    quiet = progress or Progress(quiet=True)
+    return over_bus(bench.master, options, Config(), quiet, Guard(), "2026-03-01")
+
+
+def position_errors(bench: Bench, samples: int) -> Any:
+    """Error of the module's position, cycles, against the truth, mean taken off."""
+    errors = []
+    for _ in range(samples):
+        bench.bus.run_until(bench.bus.now + 0.001)
+        feedback = bench.module.feedback
+        assert feedback is not None
+        errors.append(feedback.phase - bench.source.motion.position_cycles)
+    off = np.mod(errors, 1.0)
+    middle = np.angle(np.mean(np.exp(2j * np.pi * off))) / (2 * np.pi)
+    off = (off - middle + 0.5) % 1.0 - 0.5
+    return off - off.mean()
+
+
+@pytest.mark.parametrize(("seed", "conditioning"), [(0, "fit"), (1, "none"), (2, "fit"), (3, "none")])
+def test_the_position_of_the_module_becomes_right(
+    seed: int, conditioning: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rpm = float(np.random.default_rng(seed).uniform(30, 2000))
+    bench = Bench(random_encoder(seed), rpm=rpm, store=MemoryStore())
+    bench.bus.run_until(0.2)
+    before = np.sqrt(np.mean(position_errors(bench, 400) ** 2))
+    assert calibrate(bench, "--json", "--conditioning", conditioning) == 0
+    figures = json.loads(capsys.readouterr().out)
+    after = np.sqrt(np.mean(position_errors(bench, 400) ** 2))
+    noise = bench.encoder.noise_lsb / (2 * np.pi * bench.encoder.amplitude_counts)
+    assert before > 0.004
+    assert 0.7 * noise < after < 2.0 * noise + 5e-5, "noise of single samples, and no more"
+    assert figures["crc32"] == f"{bench.value(0x2020, 4):08X}"
+    assert figures["saved"]
+    assert figures["residual_rms_cycles"] == pytest.approx(after, rel=0.3)
+    assert bench.value(0x2011, 1) & TABLE_ACTIVE
+
+
+def test_the_account_for_people(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    bench = Bench()
+    said = io.StringIO()
+    assert calibrate(bench, "--out", str(tmp_path), "--encoder", "X1", progress=Progress(stream=said)) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[0].split() == ["before", "after"]
+    assert any(line.startswith("deviation, rms") for line in out)
+    assert any(line.startswith("Accepted. The error within a cycle falls from ") for line in out)
+    assert any("not saved: module 32 (20h) cannot save" in line for line in out)
+    assert out[-1] == f"written  {tmp_path / 'report.html'}"
+    assert max(map(len, out)) < 260
+    assert said.getvalue().splitlines() == [
+        "... reading the active table",
+        "... collecting samples for 1.5 s",
+        said.getvalue().splitlines()[2],
+        "... activating the table",
+        "... verifying on fresh samples",
+        "... saving",
+    ]
+    assert "X1" in (tmp_path / "report.html").read_text()
+    assert (tmp_path / "table.bin").read_bytes() == bench.module.chain.correction.table.to_bytes()  # type: ignore[union-attr]
+
+
+def test_the_figures_are_those_of_the_module(capsys: pytest.CaptureFixture[str]) -> None:
+    """Cycles from standstill on, missed samples by its counter, and a position that is not lost."""
+    bench = Bench(motion=Motion((Ramp(0.2, 0.0), Ramp(2.0, 600.0)), (Ripple(10.0, 0.31),)))
+    bench.bus.run_until(2.5)
+    rng = np.random.default_rng(2)
+    bench.source.change = lambda counts: counts if rng.random() > 0.01 else None
+    began, missed, asked = bench.bus.now, bench.value(0x2012, 1), bench.source.motion.position_cycles
+    assert calibrate(bench, "--json", "--dry-run") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["module_lost"] is False
+    assert found["module_missed"] == bench.value(0x2012, 1) - missed
+    assert found["samples_missed"] == pytest.approx(found["module_missed"], abs=2)
+    assert found["samples_missed"] > 5
+    assert found["intervals_without_sync"] == 0
+    moved = bench.source.motion.position_cycles - asked
+    assert 1.5 * 9.0 * CYCLES < moved < 3.0 * 11.0 * CYCLES
+    assert found["module_cycles"] == pytest.approx(moved, rel=0.05)
+    assert found["mean_rate_hz"] == pytest.approx(found["sample_rate_hz"], rel=0.01)
+    assert bench.bus.now - began < 3.0
+    bench.source.change = lambda counts: counts
+    assert calibrate(bench, "--dry-run") == 0
+    (line,) = [one for one in capsys.readouterr().out.splitlines() if one.startswith("coverage")]
+    found_cycles = int(line.split("at least ")[1].split()[0])
+    assert found_cycles == pytest.approx(found["module_cycles"], rel=0.1)
+
+
+def test_a_lost_position_is_said_at_once_and_in_the_account(capsys: pytest.CaptureFixture[str]) -> None:
+    bench = Bench(motion=Motion((Ramp(0.2, 0.0), Ramp(2.0, 600.0)), (Ripple(10.0, 0.31),)))
+    bench.bus.run_until(2.5)
+    bench.source.change = lambda counts: (0, 0)
+    bench.bus.run_until(2.6)
+    bench.source.change = lambda counts: counts
+    bench.bus.run_until(2.7)
+    assert bench.value(0x2011, 1) & 4
+    said = io.StringIO()
+    assert calibrate(bench, "--dry-run", progress=Progress(stream=said)) == 0
+    lines = said.getvalue().splitlines()
+    assert lines[1].startswith("... the position of module 32 (20h) is lost")
+    assert lines[1].endswith(": canfb why 0x20 says why and what to do")
+    assert sum("is lost" in line for line in lines) == 1
+    assert "lost; a table does not bring it back (canfb why)" in capsys.readouterr().out
+    assert calibrate(bench, "--dry-run", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["module_lost"], found["module_cycles"]) == (True, None)
+
+
+def test_a_position_that_is_lost_while_samples_are_collected(capsys: pytest.CaptureFixture[str]) -> None:
+    bench = Bench(motion=Motion((Ramp(0.2, 0.0), Ramp(2.0, 600.0)), (Ripple(10.0, 0.31),)))
+    bench.bus.run_until(2.5)
+    bad = (bench.bus.now + 0.5, bench.bus.now + 0.6)
+    bench.source.change = lambda counts: (0, 0) if bad[0] < bench.bus.now < bad[1] else counts
+    said = io.StringIO()
+    assert calibrate(bench, "--dry-run", progress=Progress(stream=said)) == 0
+    lines = said.getvalue().splitlines()
+    assert lines[2].startswith("... the position of module 32 (20h) is lost")
+    assert "lost; a table does not bring it back" in capsys.readouterr().out
+
+
+def test_a_second_measurement_finds_the_first_one_good(capsys: pytest.CaptureFixture[str]) -> None:
+    bench = Bench()
+    calibrate(bench)
+    capsys.readouterr()
+    calibrate(bench)
+    out = capsys.readouterr().out
+    assert "The previous table is equally good: the encoder has not changed." in out
+
+
+def test_a_dry_run_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    bench = Bench()
+    assert calibrate(bench, "--dry-run") == 0
+    assert "dry run: nothing was written to the module" in capsys.readouterr().out
+    assert read_active(bench.access) == NO_CORRECTION
+    assert {frame.data[0] >> 5 for frame in bench.master.sent if frame.can_id == 0x620} <= {2, 3, 5}, (
+        "uploads only"
+    )
+
+
+def test_drift_is_a_small_number_and_touches_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    bench = Bench()
+    calibrate(bench)
+    active = read_active(bench.access)
+    capsys.readouterr()
+    bench.master.sent.clear()
+
+    def drift() -> dict[str, Any]:
+        assert calibrate(bench, "--check", "--json") == 0
+        found: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return found
+
+    none = drift()
+    assert not none["drift_seen"]
+    assert none["drift_rms_cycles"] < 3e-5
+    bench.source.change = lambda counts: (counts[0] + 12, counts[1])
+    moved = drift()
+    # An offset of d moves the phase by d/A cos(x)/(2 pi): rms d/A/(2 pi sqrt(2)).
+    want = 12 / bench.encoder.amplitude_counts / (2 * np.pi * np.sqrt(2))
+    assert moved["drift_rms_cycles"] == pytest.approx(want, rel=0.15)
+    assert moved["drift_peak_cycles"] == pytest.approx(want * np.sqrt(2), rel=0.2)
+    assert moved["drift_seen"]
+    assert {frame.data[0] >> 5 for frame in bench.master.sent if frame.can_id == 0x620} <= {2, 3, 5}
+    assert read_active(bench.access) == active
+    assert calibrate(bench, "--check") == 0
+    assert "its error now, rms" in capsys.readouterr().out
+
+
+REFUSED = {
+    "standstill": (Motion(()), "coverage", "the tracks hardly change"),
+    "locked": (Motion((), (), 60.0 * 1000.0 * 0.25 / CYCLES), None, "locked"),
+    "clipped": (None, "clipped", "ends of the converter's range"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_bad_measurement_is_refused_and_nothing_changes(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    motion, reason, words = REFUSED[case]
+    bench = Bench(motion=motion)
+    if case == "clipped":
+        bench.source.change = lambda counts: (max(-2048, min(counts[0] * 2, 2047)), counts[1])
+    with pytest.raises(CalibrationError, match=words) as error:
+        calibrate(bench, "--json", "--out", str(tmp_path))
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["accepted"] is False
+    assert figures["reason"] == error.value.reason
+    assert reason is None or figures["reason"] == reason
+    assert read_active(bench.access) == NO_CORRECTION
+    assert {path.name for path in tmp_path.iterdir()} == {"samples.npz", "report.html"}
+    assert "Refused: " in (tmp_path / "report.html").read_text()
+    assert not any(frame.data[0] >> 5 in (1, 6) for frame in bench.master.sent if frame.can_id == 0x620)
+
+
+def test_an_encoder_that_changes_in_between_gets_its_old_table_back() -> None:
+    bench = Bench()
+    bench.bus.run_until(0.1)
+    changed = lambda counts: (counts[0] + 60, counts[1])  # noqa: E731
+
+    def knock(now: float) -> None:
+        if bench.value(0x2020, 4):
+            bench.source.change = changed
+
+    bench.master.on_wait = knock
+    with pytest.raises(CommissioningError, match=r"on fresh samples .*; the previous table and conditioning"):
+        calibrate(bench)
+    assert read_active(bench.access) == NO_CORRECTION
+
+
+def test_the_machine_may_stop_after_the_measurement_and_nothing_is_half_done() -> None:
+    bench = Bench()
+
+    def stop(now: float) -> None:
+        if bench.value(0x2020, 4):
+            bench.source.change = lambda counts: (700, -1200)
+
+    bench.master.on_wait = stop
+    with pytest.raises(CommissioningError, match=r"at standstill.*; the previous table and conditioning"):
+        calibrate(bench)
+    assert read_active(bench.access) == NO_CORRECTION
+
+
+def test_a_node_that_is_no_module() -> None:
+    with pytest.raises(CommissioningError, match=r"module 16 \(10h\) has no correction table \(2020h\)"):
+        calibrate(Bench(), "--module", "16")
+
+
+def test_lost_samples_do_no_harm(capsys: pytest.CaptureFixture[str]) -> None:
+    bench = Bench()
+    rng = np.random.default_rng(1)
+    bench.source.change = lambda counts: None if rng.random() < 0.02 else counts
+    assert calibrate(bench, "--json") == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert 10 < figures["samples_missed"] < 100
+    assert figures["uncertainty_peak_cycles"] < 1e-4

@@ -1,0 +1,276 @@
+"""`canfb calibrate --speeds` as a whole: a machine that goes through its speeds, behind an analog path."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_calibrate_on_a_bus import position_errors
+
+from canfb.calibrate.artefacts import prepare
+from canfb.calibrate.calibration_summary import delay_words
+from canfb.calibrate.choices import Choices
+from canfb.calibration.path_fit import LowPass
+from canfb.cli.calibrate import calibrate as command
+from canfb.cli.calibrate import over_bus
+from canfb.cli.main import build_parser
+from canfb.cli.progress import Progress
+from canfb.configuration import Config
+from canfb.device.storage.storage import MemoryStore
+from canfb.errors import CalibrationError, ConfigError
+from canfb.master.access import CommissioningError
+from canfb.master.active import read_active
+from canfb.master.all_or_nothing import Guard
+from canfb.master.circumstances import Circumstances
+from canfb.master.session import read_corners
+from canfb.master.supervision_limits import SupervisionLimits
+from canfb.signal.correction import NO_CORRECTION
+from canfb.signal.harmonics import NO_LOW_PASS, Corners
+from canfb.simulation.analog_path import AnalogPath
+from canfb.simulation.encoder import Encoder, Harmonic
+from canfb.simulation.motion import Motion, Ramp, Ripple
+from commissioning_kit import CYCLES, MODULE_ID, Bench
+from folding import each
+
+PATH = AnalogPath(sine_corner_hz=250e3, cosine_corner_hz=255e3, cosine_delay_s=1e-7)
+MULTIPLEXER = AnalogPath(cosine_delay_s=1e-6)
+STAY_S = 6.0
+SHORT = ("--seconds", "2", "--least-samples", "2000", "--verify", "0.8", "--wait", "30")
+ALL = "61,703,3001"
+
+
+def encoder(path: AnalogPath) -> Encoder:
+    return Encoder(
+        amplitude_counts=1500.0,
+        sine_offset=0.01,
+        cosine_amplitude=0.96,
+        phase_error_rad=0.05,
+        harmonics=(Harmonic(3, 0.01, 0.01),),
+        noise_lsb=0.5,
+        path=path,
+    )
+
+
+def bench(path: AnalogPath = PATH, rpm: tuple[float, ...] = (61.0, 703.0, 3001.0), **config: Any) -> Bench:
+    """From standstill up to each of these speeds, where it stays for a while; then at the last one."""
+    ramps: list[Ramp] = [Ramp(0.3, 0.0)]
+    for one in rpm:
+        ramps += [Ramp(2.0, one), Ramp(STAY_S, one)]
+    made = Bench(
+        encoder(path),
+        motion=Motion(tuple(ramps), (Ripple(0.3, 0.31), Ripple(0.2, 1.7))),
+        store=MemoryStore(),
+        config=config,
+    )
+    made.bus.run_until(0.2)
+    return made
+
+
+def calibrate(bench: Bench, *arguments: str, speeds: str = ALL, progress: Progress | None = None) -> int:
+    options = build_parser().parse_args(["calibrate", "--speeds", speeds, *SHORT, *arguments])
+    if options.out:
+        prepare(options.out)
+    quiet = progress or Progress(quiet=True)
+    return over_bus(bench.master, options, Config(), quiet, Guard(), "2026-03-01")
+
+
+def test_a_path_is_found_and_removed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    made, said = bench(), io.StringIO()
+    assert calibrate(made, "--json", "--out", str(tmp_path), progress=Progress(stream=said)) == 0
+    found = json.loads(capsys.readouterr().out)
+    used = made.module.chain.correction.conditioning
+    assert used.cosine_delay_s == pytest.approx(1e-7, abs=2e-9)
+    assert used.delay_s == 0.0, "nobody asked for it"
+    corners = read_corners(made.access)
+    assert corners.corner_hz == pytest.approx(250e3, rel=0.01)
+    assert corners.cosine_corner_hz == pytest.approx(255e3, rel=0.01)
+    assert 2e-5 < np.sqrt(np.mean(position_errors(made, 400) ** 2)) < 3e-4
+    assert found["saved"]
+    assert found["delay_estimate_s"] == pytest.approx(1.0 / (2.0 * math.pi * 250e3), rel=0.01)
+    assert 0.0 < found["delay_estimate_uncertainty_s"] < 2e-8
+    assert [round(one["cycles_per_s"] * 60 / CYCLES) for one in found["speeds"]] == [61, 703, 3001]
+    assert all(2e-5 < one["after_rms_cycles"] < 3e-4 for one in found["speeds"])
+    assert all(one["before_rms_cycles"] > 5e-3 for one in found["speeds"])
+    top = found["speeds"][-1]
+    true = -math.atan(top["cycles_per_s"] / 250e3) / (2.0 * math.pi)
+    assert top["after_mean_cycles"] == pytest.approx(true, abs=2e-3)
+    assert "waiting for the machine to turn steadily at 61, 703 or 3001 rpm" in said.getvalue()
+    assert "collecting samples at 3001 rpm for 2 s" in said.getvalue()
+    page = (tmp_path / "report.html").read_text()
+    assert "Error over the speed" in page
+    assert "cosine after the sine" in page
+    # A check at this speed, of the encoder as it was, and of one that has changed.
+    assert check(made, capsys)["drift_rms_cycles"] < 1e-4
+    made.source.change = lambda counts: (counts[0] + 7.5, counts[1] * 1.01)
+    drift = check(made, capsys)
+    assert drift["drift_seen"]
+    assert drift["changed"]["gain"] == pytest.approx(0.01, abs=1e-3)
+    assert drift["changed"]["sine_offset"] == pytest.approx(7.5 / 1470.0, rel=0.1)
+    assert abs(drift["changed"]["cosine_offset"]) < 5e-4
+    assert abs(drift["changed"]["phase_rad"]) < 1e-3
+    # The same from the files, without a bus.
+    assert len(list((tmp_path / "speeds").glob("*.npz"))) == 3
+    again = tmp_path / "again"
+    assert from_files(tmp_path / "speeds", "--speeds", "recorded", "--out", str(again), "--json") == 0
+    files = json.loads(capsys.readouterr().out)
+    assert files["crc32"] == found["crc32"]
+    assert files["conditioning"] == found["conditioning"]
+    assert files["corner_hz"] == found["corner_hz"]
+    assert (again / "table.yaml").exists()
+
+
+def check(bench: Bench, capsys: pytest.CaptureFixture[str]) -> Any:
+    """`canfb calibrate --check` at the speed of now."""
+    options = build_parser().parse_args(["calibrate", *SHORT[:4], "--check", "--json"])
+    assert over_bus(bench.master, options, Config(), Progress(quiet=True), Guard(), "2026-03-01") == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def from_files(folder: Path, *arguments: str) -> int:
+    return command(build_parser().parse_args(["calibrate", "--samples", str(folder), *arguments]))
+
+
+def test_the_account_for_people(capsys: pytest.CaptureFixture[str]) -> None:
+    """Any order of the speeds; the delay as estimated, because it was said."""
+    made = bench(AnalogPath(sine_corner_hz=125e3, cosine_corner_hz=125e3), (3001.0, 1503.0, 61.0))
+    assert calibrate(made, "--delay", "estimate", "--no-save", speeds="61,1503,3001") == 0
+    out = capsys.readouterr().out
+    assert "3001 rpm, rms" in out
+    assert "3001 rpm, mean" in out
+    assert "77 %" not in out
+    assert "71 % of the amplitude at 3001 rpm" in out
+    assert "the amplitudes agree with that" in out
+    assert "as estimated" in out
+    assert "Accepted. The error within a cycle is at most" in out
+    used = made.module.chain.correction.conditioning
+    assert used.delay_s == pytest.approx(1.0 / (2.0 * math.pi * 125e3), rel=0.01)
+    assert used.cosine_delay_s == 0.0
+    assert read_corners(made.access).cosine_corner_hz == 0.0
+
+
+def test_a_multiplexer(capsys: pytest.CaptureFixture[str]) -> None:
+    """A dry run writes nothing; the delay in time is the same, whichever way the machine turns."""
+    made = bench(MULTIPLEXER, (61.0, -1503.0))
+    assert calibrate(made, "--json", "--dry-run", speeds="61,1503") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["cosine_delay_s"] == pytest.approx(1e-6, abs=2e-9)
+    assert found["corner_hz"] == 0.0
+    assert found["delay_estimate_s"] is None
+    assert found["speeds"][0]["after_mean_cycles"] == 0.0
+    assert abs(found["speeds"][0]["before_mean_cycles"]) > 0.01
+    assert not found["active"]
+    assert read_active(made.access) == NO_CORRECTION
+    assert read_corners(made.access) == NO_LOW_PASS
+
+
+def test_what_fails_leaves_everything_as_it_was() -> None:
+    """The encoder changes between measurement and proof."""
+    made = bench()
+    before = read_active(made.access)
+    changed: list[bool] = []
+
+    def change(counts: tuple[float, float]) -> tuple[float, float]:
+        if made.module.chain.correction != before or changed:
+            changed.append(True)
+            return counts[0], counts[1] * 0.97
+        return counts
+
+    made.source.change = change
+    with pytest.raises(
+        CommissioningError, match=r"predicted.*the previous table and conditioning are active"
+    ):
+        calibrate(made)
+    assert changed
+    assert read_active(made.access) == before
+    assert read_corners(made.access) == NO_LOW_PASS
+
+
+def test_a_speed_that_does_not_come() -> None:
+    made = bench(rpm=(61.0, 703.0))
+    with pytest.raises(CommissioningError, match=r"steadily at 3001 rpm within 10 s; it turns at 70"):
+        calibrate(made, "--wait", "10")
+
+
+def test_limits_that_the_true_amplitude_exceeds_are_named() -> None:
+    """Those that were chosen at 3000 rpm, where a third of the amplitude is missing."""
+    low_pass = AnalogPath(sine_corner_hz=125e3, cosine_corner_hz=125e3)
+    made = bench(low_pass, (61.0, 3001.0), amplitude_high_counts=1530)
+    with pytest.raises(CommissioningError, match=r"1530 \(2001:03, 2001:04\)"):
+        calibrate(made, speeds="61,3001")
+    assert read_active(made.access) == NO_CORRECTION
+    assert read_corners(made.access) == NO_LOW_PASS
+
+
+def test_corners_are_read_as_numbers() -> None:
+    made = bench(corner_hz=125e3, cosine_corner_hz=127.5e3)
+    assert read_corners(made.access) == SupervisionLimits.read(made.access).motion.corners
+    assert read_corners(made.access) == Corners(125e3, 127.5e3)
+
+
+def test_speeds_too_close() -> None:
+    made = bench(rpm=(701.0,))
+    began = made.bus.now
+    with pytest.raises(CalibrationError, match=r"too close to tell: .* ns, .* cycle rms"):
+        calibrate(made, speeds="701,790")
+    assert made.bus.now - began < 1.0, "before anything is measured"
+
+
+@each(
+    "arguments",
+    [
+        ["--speeds", "61"],
+        ["--speeds", "61,fast"],
+        ["--speeds", "61,61"],
+        ["--speeds", "1000,1001"],
+        ["--speeds", "0,1000"],
+        ["--speeds", "recorded"],
+        ["--speeds", "61,1000", "--check"],
+        ["--speeds", "61,1000", "--method", "zero-crossings"],
+        ["--speeds", "61,1000", "--conditioning", "none"],
+        ["--speeds", "61,1000", "--source", "module"],
+        ["--speeds", "61,1000", "--delay", "long"],
+        ["--speeds", "61,1000", "--delay", "1"],
+        ["--delay", "1e-6"],
+        ["--wait", "10"],
+        ["--speeds", "61,1000", "--wait", "0"],
+        ["--speeds", "61,1000", "--samples", "here"],
+        ["--speeds", "61,1000", "--samples", "here", "--wait", "10"],
+    ],
+)
+def test_options_that_cannot_be(arguments: list[str]) -> None:
+    with pytest.raises(ConfigError):
+        command(build_parser().parse_args(["calibrate", *arguments]))
+
+
+@each("speeds", ["61,1000", "-300,300", "61,300,1000,3000"])
+def test_speeds_that_can_be(speeds: str) -> None:
+    assert Choices(speeds=speeds).speeds_rpm == tuple(map(float, speeds.split(",")))
+
+
+def test_files_without_speeds(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.csv").write_text("sine,cosine\n1,2\n")
+    with pytest.raises(ConfigError, match="no speed is recorded"):
+        from_files(tmp_path, "--speeds", "recorded")
+    with pytest.raises(ConfigError, match="2 speeds are required"):
+        from_files(tmp_path, "--speeds", "61,300,1000", "--cycles-per-revolution", "2500")
+
+
+@each(
+    "low_pass, words",
+    [
+        (LowPass(0.0, 0.0, 1e5, 1.0, 0.0, True, 1e6), "none is seen up to 2400 rpm"),
+        (LowPass(0.0, 0.0, 1e5, 1.0, 0.0, True, 1e6, rises=True), "the amplitude rises"),
+        (LowPass(0.0, 0.0, 1e5, 1.0, 0.0, False, 0.0), "of one size"),
+        (LowPass(8e-6, 2e-8, 1e5, 0.78, 0.02, True), "away from that of one pole"),
+        (LowPass(8e-6, 2e-8, 1e5, 0.78, 0.0, True), "the amplitudes agree"),
+    ],
+)
+def test_how_sure_the_delay_is(low_pass: LowPass, words: str) -> None:
+    where = Circumstances("", module=MODULE_ID, cycles_per_revolution=CYCLES)
+    assert words in delay_words(low_pass, where)

@@ -1,0 +1,166 @@
+"""The report stands alone, says what it must, and its pictures hold what was measured."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from canfb.calibrate.artefacts import prepare, write, write_refusal
+from canfb.calibrate.calibration_page import refusal_html, report_html
+from canfb.calibrate.calibration_summary import comparison
+from canfb.calibrate.measurement import Measurement, Settings, block_of
+from canfb.calibrate.procedure import Installation
+from canfb.calibration.deviation import deviation
+from canfb.errors import CalibrationError
+from canfb.master.access import CommissioningError
+from canfb.master.circumstances import Circumstances
+from canfb.master.samples import TrackSamples, read_npz
+from canfb.signal.conditioning import IDENTITY
+from canfb.signal.correction import Correction
+from canfb.signal.supervision import SampleLimits
+from canfb.tables.table_file import read_table
+from html_page import Page
+
+WHERE = Circumstances("2026-03-01", 32, 16, "ROD <486> & co", 2500)
+LIMITS = SampleLimits(2048, 600.0, 2300.0)
+
+
+@pytest.fixture(scope="module")
+def done(measured: Measurement, fresh: TrackSamples, settings: Settings) -> Installation:
+    found = deviation(fresh.recording(12), measured.found, measured.before, block_of(measured.calibration))
+    return Installation(found, True, "1010:04")
+
+
+@pytest.fixture(scope="module")
+def text(measured: Measurement, done: Installation) -> str:
+    return report_html(measured, done, WHERE, LIMITS)
+
+
+def test_the_page_stands_alone(text: str) -> None:
+    page = Page(text)
+    assert not {"script", "link", "img", "iframe", "object", "embed", "base"} & set(page.tags)
+    assert not {"src", "href", "data"} & {name for name, _ in page.attributes}
+    assert "http" not in text
+    assert "url(" not in text
+    assert "@import" not in text
+    assert len(text) < 300_000
+
+
+def test_it_shows_every_picture_and_says_the_verdict_first(text: str, measured: Measurement) -> None:
+    page = Page(text)
+    assert page.tags.count("svg") == page.tags.count("figure") == 7
+    assert all(value for name, value in page.attributes if name == "aria-label")
+    assert page.text.index("Accepted.") < page.text.index("Before and after")
+    for wanted in (
+        "encoder ROD <486> & co", "2026-03-01", "module 32 (20h)", "2500 cycles per revolution",
+        f"{measured.calibration.table.crc32:08X}h", "Lissajous figure", "Error over the phase",
+        "Harmonics of the error", "Deviation of single samples", "Coverage", "saved (1010:04)",
+    ):  # fmt: skip
+        assert wanted in page.text
+    assert "nan" not in re.sub(r"[A-Za-z]*nan[A-Za-z]+", "", text)
+
+
+def test_light_and_dark_and_print_have_every_colour(text: str) -> None:
+    defined = [set(re.findall(r"--([a-z]+):", block)) for block in re.findall(r":root \{([^}]*)\}", text)]
+    used = set(re.findall(r"var\(--([a-z]+)\)", text))
+    assert len(defined) == 3
+    assert all(used <= one for one in defined)
+
+
+def test_a_refusal_shows_the_tracks_and_the_reason(samples: TrackSamples) -> None:
+    error = CalibrationError("the tracks <hardly> change", "coverage")
+    page = Page(refusal_html(samples, error, WHERE, LIMITS))
+    assert "Refused: the tracks <hardly> change." in page.text
+    assert "Nothing was written to the module." in page.text
+    assert page.tags.count("svg") == 1
+
+
+def test_a_dry_run_says_so(measured: Measurement) -> None:
+    text = Page(report_html(measured, Installation(), Circumstances("2026-03-01", 32), None)).text
+    assert "Dry run: nothing was written to the module." in text
+    assert "fresh" not in text
+    assert "″)" not in text, "no angle where the cycles per revolution are not known"
+
+
+def test_the_figures_are_those_of_the_measurement(measured: Measurement, done: Installation) -> None:
+    rows = {row.name: row for row in comparison(measured, done, Circumstances("2026-03-01"))}
+    assert rows["table"].before == "0BEE4348h, 32 entries"
+    assert float(rows["deviation, rms"].after.split()[0]) == pytest.approx(
+        100 * measured.calibration.residual_rms, rel=0.01
+    )
+    assert float(rows["deviation, rms"].before.split()[0]) > 20 * float(
+        rows["deviation, rms"].after.split()[0]
+    )
+    arc = Circumstances("2026-03-01", cycles_per_revolution=2500).arc_seconds(0.001)
+    assert arc == pytest.approx(0.001 * 360 * 3600 / 2500)
+
+
+def test_everything_is_written_and_can_be_read_again(
+    measured: Measurement, done: Installation, tmp_path: Path
+) -> None:
+    folder = tmp_path / "a" / "b"
+    prepare(folder)
+    assert list(folder.iterdir()) == []
+    paths = write(folder, measured, done, WHERE, LIMITS)
+    assert [path.name for path in paths] == ["table.yaml", "table.bin", "samples.npz", "report.html"]
+    assert (folder / "table.bin").read_bytes() == measured.calibration.table.to_bytes()
+    assert read_table(folder / "table.yaml") == measured.found
+    assert read_table(folder / "table.bin") == Correction(measured.calibration.table, IDENTITY)
+    again = read_npz(folder / "samples.npz")
+    assert np.array_equal(again.sine, measured.samples.sine, equal_nan=True)
+    assert again.rate_hz == measured.samples.rate_hz
+    head = (folder / "table.yaml").read_text().splitlines()
+    assert head[0].startswith("# Correction table of canfb: ")
+    assert "date: '2026-03-01'" in head
+    assert f"crc32: {measured.calibration.table.crc32:08X}" in [line.replace("'", "") for line in head]
+    refused = CalibrationError("no", "ellipse")
+    assert [path.name for path in write_refusal(folder, measured.samples, refused, WHERE)] == [
+        "samples.npz",
+        "report.html",
+    ]
+    assert not (folder / "table.bin").exists(), (
+        "the table of an earlier run must not pass for that of this one"
+    )
+
+
+def test_a_folder_that_cannot_be_is_told_before_the_work(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(CommissioningError, match=r"cannot write to .*file/out: Not a directory"):
+        prepare(tmp_path / "file" / "out")
+
+
+BAD_TABLES = {
+    "short.bin": b"12345",
+    "empty.yaml": b"",
+    "list.yaml": b"[1, 2]",
+    "words.yaml": b"entries: [a, b]",
+    "few.yaml": b"entries: [0, 0.5]",
+    "tab.yaml": b"entries: [0,\n\t]",
+    "noise.yaml": bytes(range(256)),
+    "other.yaml": b"entries: ["
+    + b", ".join(b"%f" % (n / 16) for n in range(16))
+    + b"]\nconditioning: {gain: 1}",
+}
+
+
+@pytest.mark.parametrize("name", BAD_TABLES)
+def test_what_is_no_table_is_told_in_one_line(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_bytes(BAD_TABLES[name])
+    with pytest.raises(CommissioningError) as error:
+        read_table(path)
+    assert str(error.value).startswith(f"{path}: this is not a correction table: ")
+    assert "\n" not in str(error.value)
+    with pytest.raises(CommissioningError, match="cannot be read: No such file"):
+        read_table(tmp_path / "nothing.bin")
+
+
+def test_a_changed_entry_is_noticed(measured: Measurement, done: Installation, tmp_path: Path) -> None:
+    write(tmp_path, measured, done, WHERE)
+    path = tmp_path / "table.yaml"
+    path.write_text(re.sub(r"entries: \[0.0", "entries: [0.0001", path.read_text()))
+    with pytest.raises(CommissioningError, match="an entry was changed"):
+        read_table(path)

@@ -1,0 +1,210 @@
+"""2002:06, 2002:07 and 2001:05 outlive a calibration, a table, a backup; a calibration knows of them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_calibrate_on_a_bus import calibrate, position_errors
+from test_recordings_and_own_calibration import with_calculator
+
+from canfb.calibration.recording import recording
+from canfb.calibration.simultaneous import sampled_together, speeds
+from canfb.device.storage.storage import MemoryStore
+from canfb.master.access import CommissioningError
+from canfb.master.active import put_in_force, read_active, read_conditioning
+from canfb.master.samples import TrackSamples
+from canfb.signal.conditioning import HARMONIC_ORDERS, Conditioning
+from canfb.signal.correction import Correction, CorrectionTable
+from canfb.simulation.analog_path import AnalogPath
+from canfb.simulation.encoder import Encoder, Harmonic
+from canfb.simulation.motion import Motion, Ramp, Ripple
+from canfb.tables.table_file import as_yaml, read_table_file
+from commissioning_kit import MODULE_ID, Bench, recorded
+from folding import each
+from node_commands import Commands
+
+NODE = hex(MODULE_ID)
+DELAY_S, LAG_S, CORNER_HZ = 2.0**-20, 2.0**-19, 131072.0  # exact in REAL32
+PHASE_ERROR = 0.05
+GRID = np.arange(64) / 64
+TABLE = CorrectionTable(GRID + 0.01 * np.sin(2 * np.pi * GRID))
+DELAYS: dict[str, Any] = {
+    "conditioning": Conditioning(cosine_delay_s=DELAY_S, delay_s=LAG_S),
+    "corner_hz": CORNER_HZ,
+}
+ENCODER = Encoder(
+    amplitude_counts=1500.0,
+    sine_offset=0.03,
+    cosine_amplitude=0.96,
+    phase_error_rad=PHASE_ERROR,
+    harmonics=(Harmonic(3, 0.01, 0.01),),
+    noise_lsb=0.5,
+    path=AnalogPath(cosine_delay_s=DELAY_S),
+)
+
+
+@pytest.fixture
+def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Commands:
+    return Commands(monkeypatch, capsys)
+
+
+def bench_at(rpm: float, **config: Any) -> Bench:
+    """Up to this speed from standstill, and steady but for a ripple: the module knows the speed."""
+    motion = Motion((Ramp(0.3, 0.0), Ramp(2.0, rpm)), (Ripple(0.3, 0.31), Ripple(0.2, 1.7)))
+    bench = Bench(ENCODER, motion=motion, config=DELAYS | {"corner_hz": 0.0} | config)
+    bench.bus.run_until(3.0)
+    return bench
+
+
+def delays(bench: Bench) -> tuple[float, ...]:
+    used = bench.module.chain.correction.conditioning
+    return used.cosine_delay_s, used.delay_s, bench.module.limits.corners.corner_hz
+
+
+@each("rpm", [61.0, 1503.0, 3001.0])
+def test_a_calibration_at_any_speed_finds_the_encoder(rpm: float) -> None:
+    """The phase error is that of the encoder: at 3000 rpm the samples show 0.75 rad more."""
+    bench = bench_at(rpm)
+    assert calibrate(bench) == 0
+    assert delays(bench) == (DELAY_S, LAG_S, 0.0)
+    assert bench.module.chain.correction.conditioning.phase_error_rad == pytest.approx(PHASE_ERROR, abs=3e-3)
+    errors = position_errors(bench, 400)
+    assert np.sqrt(np.mean(errors**2)) < 3e-4
+
+
+@each("rpm", [61.0, 3001.0])
+def test_the_measurement_of_the_module_keeps_them(rpm: float) -> None:
+    bench = with_calculator(bench_at(rpm))
+    assert calibrate(bench, "--source", "module") == 0
+    assert delays(bench) == (DELAY_S, LAG_S, 0.0)
+    assert bench.module.chain.correction.conditioning.phase_error_rad == pytest.approx(PHASE_ERROR, abs=3e-3)
+    assert np.sqrt(np.mean(position_errors(bench, 400) ** 2)) < 3e-4
+
+
+def test_harmonics_are_those_at_low_speed() -> None:
+    """At speed their part of the error is in the table already."""
+    slow, fast = bench_at(61.0), bench_at(3001.0)
+    assert calibrate(slow) == calibrate(fast) == 0
+    used = slow.module.chain.correction.conditioning
+    assert abs(used.harmonics[HARMONIC_ORDERS.index(3)]) == pytest.approx(0.01, rel=0.1)
+    assert not any(fast.module.chain.correction.conditioning.harmonics)
+    put_in_force(fast.access, slow.module.chain.correction)
+    assert np.sqrt(np.mean(position_errors(fast, 400) ** 2)) < 3e-4, "and so they hold at any speed"
+
+
+def test_a_check_sees_no_drift_at_another_speed(capsys: pytest.CaptureFixture[str]) -> None:
+    slow = bench_at(61.0)
+    assert calibrate(slow) == 0
+    fast = bench_at(3001.0)
+    put_in_force(fast.access, slow.module.chain.correction)
+    capsys.readouterr()
+    assert calibrate(fast, "--check", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["drift_rms_cycles"] < 2e-4, (
+        "the third harmonic is delayed, too, and that is no drift"
+    )
+
+
+def test_the_delay_can_be_removed_behind_offset_and_gain_only() -> None:
+    bench = bench_at(61.0)
+    with pytest.raises(CommissioningError, match=r"2002:06 .* --conditioning fit"):
+        calibrate(bench, "--conditioning", "none")
+
+
+def test_without_a_valid_position_the_speed_is_not_known() -> None:
+    bench = bench_at(61.0)
+    bench.module.chain.lose()
+    with pytest.raises(CommissioningError, match="position"):
+        calibrate(bench)
+
+
+def test_a_table_without_them_leaves_them(canfb: Commands, tmp_path: Path) -> None:
+    path = tmp_path / "table.yaml"
+    used = Correction(TABLE, Conditioning(1.0, 2.0, 1.0, 1.0, 0.125))
+    lines = as_yaml(used, {}).splitlines()
+    path.write_text("\n".join(line for line in lines if "delay_s" not in line))
+    bench = Bench(sync=False, config=DELAYS)
+    canfb(bench, "table", "upload", NODE, path, "--activate")
+    assert delays(bench) == (DELAY_S, LAG_S, CORNER_HZ)
+    assert bench.module.chain.correction.conditioning.phase_error_rad == 0.125
+    canfb(bench, "table", "download", NODE, path)
+    assert read_table_file(path).used == bench.module.chain.correction
+    other = Bench(sync=False)
+    canfb(other, "table", "upload", NODE, path, "--activate")
+    assert delays(other) == (DELAY_S, LAG_S, 0.0)
+    canfb(other, "table", "clear", NODE)
+    assert delays(other) == (DELAY_S, LAG_S, 0.0)
+
+
+def test_a_backup_has_them(canfb: Commands, tmp_path: Path) -> None:
+    path = tmp_path / "backup.yaml"
+    bench = Bench(sync=False, config=DELAYS)
+    canfb(bench, "backup", NODE, path)
+    text = path.read_text()
+    assert '"2002:06"' in text
+    assert "# Cosine delay, s" in text
+    assert "# Corner frequency, Hz" in text
+    spare = Bench(sync=False, store=MemoryStore(), operational=False)
+    canfb(spare, "restore", path)
+    assert delays(spare) == (DELAY_S, LAG_S, CORNER_HZ)
+
+
+def test_an_older_module_has_no_delays(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(sync=False)
+    for subindex in (6, 7):
+        entries = bench.module.dictionary
+        monkeypatch.delitem(entries._entries, (0x2002, subindex))
+    wanted = Correction(TABLE, Conditioning(1.0, 2.0, 1.0, 1.0, 0.125))
+    put_in_force(bench.access, wanted)
+    assert read_conditioning(bench.access) == wanted.conditioning
+    assert read_active(bench.access) == wanted
+
+
+# The arithmetic.
+
+
+@each("hertz", [2541.0, 62_543.0, 125_041.0, -125_041.0])
+def test_samples_as_if_taken_at_once(hertz: float) -> None:
+    rng = np.random.default_rng(1)
+    rate, n = 1000.0, 4000
+    time = np.arange(n) / rate
+    turned = hertz * time + 0.3 * np.sin(2.0 * time)
+    speed = hertz + 0.6 * np.cos(2.0 * time)
+    encoder = replace(ENCODER, harmonics=())
+    sine, cosine = encoder.sample(turned, rng, speed)
+    samples = TrackSamples.of(sine, cosine, rate, "a simulated machine")
+    samples.sine[7] = samples.cosine[7] = np.nan
+    together = samples.together(DELAY_S, hertz + 3.0)
+    _, wanted = replace(encoder, path=AnalogPath()).sample(turned)
+    off = together.cosine - wanted
+    assert np.isnan(off[7])
+    assert np.nanstd(off) < 2.0, "half a count of noise in each track"
+    assert np.array_equal(together.sine, samples.sine, equal_nan=True)
+    assert samples.together(0.0, hertz) is samples
+
+
+def test_the_speeds_of_a_sweep() -> None:
+    n = 4000
+    time = np.arange(n, dtype=float)
+    position = 20.0 * time + 0.5 * 5e-3 * time**2
+    sine, cosine = Encoder(noise_lsb=0.5).sample(position, np.random.default_rng(1))
+    record = recording(sine, cosine, None, None, 12)
+    true = 20.0 + 5e-3 * time
+    assert speeds(record, float(true.mean())) == pytest.approx(true, abs=0.03)
+
+
+def test_a_clipped_cosine_stays_clipped() -> None:
+    sine, cosine = ENCODER.sample(np.arange(1000) * 0.37)
+    cosine[100] = 2047
+    record = recording(sine, cosine, None, None, 12)
+    assert sampled_together(record, np.full(1000, 0.3))[100] == 2047
+
+
+def test_samples_without_a_rate_say_so() -> None:
+    samples = replace(recorded(ENCODER, 1000), rate_hz=None)
+    with pytest.raises(CommissioningError, match="rate"):
+        samples.together(DELAY_S, 100.0)

@@ -1,0 +1,257 @@
+"""`canfb commission` as a whole on an in-process bus."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canfb import objects as od
+from canfb.calibrate.artefacts import prepare
+from canfb.cia301.frame import Frame
+from canfb.cli.commission import over_bus
+from canfb.cli.main import build_parser
+from canfb.cli.progress import Progress
+from canfb.configuration import Config
+from canfb.device.storage.storage import MemoryStore
+from canfb.errors import BusError
+from canfb.master.access import CommissioningError
+from canfb.master.active import put_in_force
+from canfb.master.all_or_nothing import Guard
+from canfb.simulation.encoder import Encoder
+from canfb.simulation.motion import Motion, Ramp
+from commissioning_kit import Bench
+from html_page import Page
+from machine_kit import BEFORE, correction_of, duty
+from node_commands import drop_answer, refuse_once
+
+ENCODER = Encoder(amplitude_counts=1400.0, noise_lsb=0.6)
+SHORT = ("--seconds", "2.1", "--watch", "0.3")
+CHANGED = (0x2001, 3), (0x2001, 4), (0x2010, 1), (0x2010, 2), (0x2010, 4)
+
+
+def bench_of(motion: Motion | None = None, table: bool = True, **options: Any) -> Bench:
+    bench = Bench(ENCODER, motion=motion or duty(120, 0.3), **options)
+    if table:
+        put_in_force(bench.access, correction_of(ENCODER))
+    bench.bus.run_until(0.1)
+    bench.master.sent.clear()
+    return bench
+
+
+def commission(bench: Bench, *arguments: str, guard: Guard | None = None) -> int:
+    options = build_parser().parse_args(["commission", "0x20", *SHORT, *arguments])
+    options.line = "canfb commission"
+    if options.out:
+        prepare(options.out)
+    quiet = Progress(quiet=True)
+    return over_bus(bench.master, options, Config(), quiet, guard or Guard(), "2026-03-01")
+
+
+def values(bench: Bench) -> dict[tuple[int, int], float]:
+    return {(place[0], place[1]): bench.value(*place) for place in BEFORE}
+
+
+def is_unwritten(bench: Bench) -> bool:
+    return not any(frame.data[0] >> 5 in (1, 6) for frame in bench.master.sent if frame.can_id == 0x620)
+
+
+def test_without_write_it_proposes_and_writes_nothing(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    bench = bench_of()
+    before = values(bench)
+    assert commission(bench, "--out", str(tmp_path)) == 0
+    out = capsys.readouterr().out
+    assert is_unwritten(bench)
+    assert values(bench) == before
+    assert {frame.can_id for frame in bench.master.sent if frame.can_id != 0x080} == {0x620, 0x610}
+    assert "nothing was written to the module: --write does it" in out
+    for words in ("2010:01 residual limit", "2010:02 largest acceleration", "bad samples", "largest jerk"):
+        assert words in out
+    page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert page.tags.count("svg") == 4
+    assert "Nothing was written to the module" in page.text
+    assert not {"script", "link", "img"} & set(page.tags)
+    assert (tmp_path / "samples.npz").exists()
+    assert "nan" not in page.text.replace("canfb", "")
+
+
+def test_it_writes_watches_and_saves(capsys: pytest.CaptureFixture[str]) -> None:
+    store = MemoryStore()
+    bench = bench_of(store=store)
+    assert commission(bench, "--write", "--save", "--json") == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["written"]
+    assert figures["saved"]
+    proposed = {one["object"]: one["proposed"] for one in figures["limits"]}
+    there = {f"{place[0]:04X}:{place[1]:02X}": value for place, value in values(bench).items()}
+    assert there == proposed
+    true = 120 / 60 * 2500 / 0.3 / 1e6  # cycles per interval squared
+    assert figures["acceleration_cycles"] == pytest.approx(true, rel=0.05)
+    assert 2.0 * true <= proposed["2010:01"] / 65536 < 2.6 * true
+    assert figures["bad_samples_detected"] > figures["bad_samples_detected_before"]
+    bench.bus.run_until(bench.bus.now + 1.0)
+    assert bench.module.feedback is not None
+    assert bench.module.feedback.valid
+    assert bench.value(0x2012, 2) == bench.value(0x2012, 3) == 0
+    again = Bench(ENCODER, store=store, sync=False)
+    assert values(again) == values(bench), "after the power was off"
+
+
+def test_a_second_time_gives_much_the_same(capsys: pytest.CaptureFixture[str]) -> None:
+    bench = bench_of()
+    commission(bench, "--write")
+    first = values(bench)
+    commission(bench, "--write")
+    assert "the limits are in force" in capsys.readouterr().out
+    for place, value in values(bench).items():
+        # The repeats of a frozen input rise steeply where the noise is small.
+        near = 0.4 if place == od.SUPERVISION_FROZEN else 0.15
+        assert value == pytest.approx(first[place], rel=near)
+
+
+@pytest.mark.parametrize("place", CHANGED, ids=lambda one: f"{one[0]:04X}:{one[1]:02X}")
+def test_a_refused_write_undoes_all(place: tuple[int, int]) -> None:
+    bench = bench_of()
+    before = values(bench)
+    refuse_once(bench, place)
+    with pytest.raises(CommissioningError, match="refused") as error:
+        commission(bench, "--write")
+    assert str(error.value).endswith("; the limits from before are in force in module 32 (20h)")
+    assert "\n" not in str(error.value)
+    assert values(bench) == before
+
+
+def test_a_lost_answer_undoes_all_as_well() -> None:
+    bench = bench_of()
+    before = values(bench)
+    assert drop_answer(bench, (0x2010, 1)) == []
+    with pytest.raises(CommissioningError, match="no answer"):
+        commission(bench, "--write")
+    assert values(bench) == before
+
+
+def when_written(bench: Bench, act: Callable[[], None]) -> None:
+    """Once the last limit is in the module."""
+    done: list[float] = []
+
+    def look(now: float) -> None:
+        if not done and bench.value(0x2010, 4):
+            done.append(now)
+            act()
+
+    bench.master.on_wait = look
+
+
+def test_flags_that_were_not_there_before_undo_all() -> None:
+    bench = bench_of(store=MemoryStore())
+    before = values(bench)
+
+    def weaken() -> None:
+        bench.source.change = lambda counts: (int(0.7 * counts[0]), int(0.7 * counts[1]))
+
+    when_written(bench, weaken)
+    with pytest.raises(CommissioningError, match=r"flags samples with the new limits .* amplitude") as error:
+        commission(bench, "--write", "--save")
+    assert "the limits from before are in force in module 32 (20h)" in str(error.value)
+    assert values(bench) == before
+
+
+def test_an_interruption_undoes_all() -> None:
+    bench = bench_of()
+    before, guard = values(bench), Guard()
+    when_written(bench, guard.interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        commission(bench, "--write", guard=guard)
+    assert values(bench) == before
+
+
+def test_a_bus_that_fails_for_a_moment_undoes_all() -> None:
+    bench = bench_of()
+    before = values(bench)
+
+    def fail() -> None:
+        raise BusError("the bus fails: cable")
+
+    when_written(bench, fail)
+    with pytest.raises(CommissioningError, match="the bus fails: cable; the limits from before are in force"):
+        commission(bench, "--write")
+    assert values(bench) == before
+
+
+def test_a_save_that_is_not_possible_is_said_before_anything_is_measured() -> None:
+    bench = bench_of()
+    with pytest.raises(CommissioningError, match="--save: module 32"):
+        commission(bench, "--write", "--save")
+    assert is_unwritten(bench)
+    assert bench.bus.now < 1.0
+
+
+def far_too_fast() -> Motion:
+    """0.45 cycle per interval squared, up to 10 cycles per interval."""
+    return Motion((Ramp(0.5, 0.0), *(Ramp(0.022, 240.0), Ramp(0.022, 0.0)) * 500))
+
+
+REFUSED: dict[str, tuple[Callable[[], Bench], str]] = {
+    "no table": (lambda: bench_of(table=False), r"no correction table is active.*run canfb calibrate first"),
+    "standing": (
+        lambda: bench_of(Motion(())),
+        "the machine stands still: nothing can be said of its acceler",
+    ),
+    "too fast": (lambda: bench_of(far_too_fast()), "the position is lost"),
+    "stopped": (lambda: bench_of(operational=False), r"no valid position \(2011:01 is .*NMT start"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_commissioned_is_refused_in_one_line(case: str) -> None:
+    made, words = REFUSED[case]
+    bench = made()
+    with pytest.raises(CommissioningError, match=words) as error:
+        commission(bench, "--write")
+    assert "\n" not in str(error.value)
+    assert is_unwritten(bench)
+
+
+def test_a_lost_position_is_said() -> None:
+    bench = bench_of()
+    bench.module.chain.lose()
+    bench.bus.run_until(bench.bus.now + 0.05)
+    with pytest.raises(CommissioningError, match=r"the position is lost \(2011:01\)"):
+        commission(bench)
+
+
+def test_a_limit_that_is_no_number_is_said() -> None:
+    bench = bench_of()
+    bench.module.dictionary.entry(*od.SUPERVISION_ACCELERATION).value = float("nan")
+    with pytest.raises(CommissioningError, match="2010:02, largest acceleration, is nan"):
+        commission(bench)
+
+
+def test_a_speed_that_is_no_number_is_said() -> None:
+    bench = bench_of()
+    receive = bench.module.receive
+
+    def spoiled(frame: Frame, now: float) -> list[Frame]:
+        if frame.can_id == 0x620 and frame.data[:4] == b"\x40\x11\x20\x07":
+            return [Frame(0x5A0, b"\x43\x11\x20\x07" + struct.pack("<f", float("nan")))]
+        return receive(frame, now)
+
+    bench.module.receive = spoiled  # type: ignore[method-assign]
+    with pytest.raises(CommissioningError, match=r"its speed \(2011:07\) is nan"):
+        commission(bench)
+
+
+def test_the_recording_of_the_module_serves_as_well(capsys: pytest.CaptureFixture[str]) -> None:
+    bench = bench_of()
+    assert commission(bench, "--source", "recording", "--json") == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["acceleration_cycles"] == pytest.approx(120 / 60 * 2500 / 0.3 / 1e6, rel=0.05)
+    assert figures["jitter_s"] is None
+    writes = {frame.data[1:4] for frame in bench.master.sent if frame.data[:1] in (b"\x2f", b"\x23", b"\x2b")}
+    assert writes == {b"\x50\x20\x01"}, "start and stop of the recording, nothing else"

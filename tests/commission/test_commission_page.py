@@ -1,0 +1,74 @@
+"""docs/commission.md: its commands run on a module, and wrong use is one line."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from test_commission_on_a_bus import SHORT, bench_of
+
+from canfb import objects as od
+from canfb.calibrate.artefacts import prepare
+from canfb.cli.commission import over_bus
+from canfb.cli.commission_options import configuration_of, wishes_of
+from canfb.cli.main import build_parser, main
+from canfb.cli.progress import Progress
+from canfb.device.storage.storage import MemoryStore
+from canfb.errors import ConfigError
+from canfb.master.all_or_nothing import Guard
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "commission.md").read_text(encoding="utf-8")
+(BLOCK,) = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+COMMANDS = [shlex.split(line)[1:] for line in BLOCK.splitlines()]
+CONFIG = "bus: {interface: virtual}\nmodules: [{node_id: 0x20, encoder_interface: 0x10}]\n"
+
+
+def test_the_commands_of_the_page_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("feedback.yaml").write_text(CONFIG)
+    bench = bench_of(store=MemoryStore())
+    for words in COMMANDS:
+        options = build_parser().parse_args([*words, *SHORT])
+        options.line = ""
+        config = configuration_of(options)
+        if options.out:
+            prepare(options.out)
+        assert over_bus(bench.master, options, config, Progress(quiet=True), Guard(), "2026-03-01") == 0
+    assert Path("limits/report.html").exists()
+    assert "saved (1010:04)" in capsys.readouterr().out
+    assert bench.value(*od.SUPERVISION_RESIDUAL_LIMIT) < 3000
+
+
+WRONG = {
+    "canfb commission nothing.yaml": "nothing.yaml: neither a node-ID (1 to 127) nor a file",
+    "canfb commission 0x20 --module 33": "--module 33: the node is 32 already",
+    "canfb commission 0x20 --margin nan": "--margin nan: must be 1.2 to 10",
+    "canfb commission 0x20 --acceleration -1": "--acceleration -1: must be 0 to 1e+09",
+    "canfb commission 0x20 --watch 0": "--watch 0: must be 0.1 to 3600",
+    "canfb commission 0x20 --save": "--save: only with --write, without which nothing is written",
+    "canfb commission 0x20 --encoder-interface 0x20": "must differ from the node-ID of the module",
+    "canfb commission 0x20 --encoder-interface 16 --source recording": "not with --source recording",
+    "canfb commission 0x20 --answer-within 99": "--answer-within 99: must be 0.01 to 60",
+}
+
+
+@pytest.mark.parametrize("line", WRONG)
+def test_wrong_use_is_one_line(line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(shlex.split(line)[1:]) == 2
+    said = capsys.readouterr().err
+    assert WRONG[line] in said
+    assert said.count("\n") == 1
+
+
+def test_a_configuration_named_twice(tmp_path: Path) -> None:
+    path = tmp_path / "feedback.yaml"
+    path.write_text(CONFIG)
+    options = build_parser().parse_args(["commission", str(path), "--config", "other.yaml"])
+    with pytest.raises(ConfigError, match="is a configuration already"):
+        configuration_of(options)
+    assert wishes_of(options).margin == 2.0

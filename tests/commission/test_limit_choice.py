@@ -1,0 +1,257 @@
+"""Limits from simulated machines: they hold, they detect, and they are near what the machine really does."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb import objects as od
+from canfb.calibrate.supervised_samples import supervise
+from canfb.commission.machine_seen import observe
+from canfb.commission.signal_seen import repeats_of_frozen_input
+from canfb.master.access import CommissioningError
+from canfb.master.machine_watch import SpeedReading
+from canfb.master.samples import TrackSamples
+from canfb.master.supervision_limits import SupervisionLimits
+from canfb.signal.chain_config import ChainConfig
+from canfb.signal.limits import max_acceleration, safe_deviation, samples_without_harm
+from canfb.signal.stream import process_stream
+from canfb.simulation.encoder import Encoder
+from canfb.simulation.motion import Motion, Ramp, Ripple
+from machine_kit import RATE_HZ, N, SimulatedMachine, duty
+
+GOOD = Encoder(noise_lsb=0.5)
+COUNT = 6000
+MACHINES = {
+    "quiet": SimulatedMachine(duty(120, 0.5), GOOD),
+    "fast": SimulatedMachine(duty(2000, 0.9), GOOD),
+    "noisy converter of 10 bits": SimulatedMachine(
+        duty(120, 0.5), Encoder(amplitude_counts=380, adc_bits=10, noise_lsb=1.5)
+    ),
+    "vibrating": SimulatedMachine(duty(300, 0.5, ripples=(Ripple(0.8, 130.0),)), GOOD),
+    "converter without noise": SimulatedMachine(duty(120, 0.5), Encoder()),
+    "whole cycles per sample, no noise": SimulatedMachine(
+        Motion((Ramp(0.5, 24.0), Ramp(0.3, 120.0), Ramp(0.6, 120.0)) * 200, (), 24.0), Encoder()
+    ),
+    "amplitude over the revolution": SimulatedMachine(duty(600, 0.5), GOOD, modulation=0.12),
+    "jitter": SimulatedMachine(duty(300, 0.5), GOOD, jitter_s=1e-6),
+}
+
+
+def fresh(name: str) -> SimulatedMachine:
+    """The machine at its start, with its noise."""
+    one = MACHINES[name]
+    return SimulatedMachine(one.motion, one.encoder, modulation=one.modulation, jitter_s=one.jitter_s)
+
+
+def speed_at_start(machine: SimulatedMachine) -> float:
+    """Cycles per interval."""
+    times = machine.start_s + np.array([0.0, 1e-6])
+    return float(np.diff(machine.motion.revolutions_at(times))[0]) / 1e-6 * N / machine.rate_hz
+
+
+def config_of(machine: SimulatedMachine, limits: SupervisionLimits) -> ChainConfig:
+    """The same limits for the chain over arrays."""
+    chain = limits.chain_limits(1.0 / machine.rate_hz)
+    return ChainConfig(
+        adc_bits=machine.encoder.adc_bits,
+        amplitude_low_counts=int(chain.sample.amplitude_low_counts),
+        amplitude_high_counts=int(chain.sample.amplitude_high_counts),
+        residual_limit=chain.residual_limit,
+        frozen_samples=chain.frozen_samples,
+    )
+
+
+def flagged(
+    machine: SimulatedMachine, limits: SupervisionLimits, samples: TrackSamples, speed: float
+) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Which samples were not published as valid."""
+    blocks = [(samples.sine, samples.cosine)]
+    (found,) = process_stream(blocks, config_of(machine, limits), machine.used.table, speed)
+    return ~found.valid
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_the_limits_are_near_the_truth_and_hold_on_ten_times_more_data(name: str) -> None:
+    machine = fresh(name)
+    seen, new, choices = machine.commissioned(COUNT)
+    truth = machine.motion.revolutions_at(np.arange(COUNT) / RATE_HZ) * N
+    true = float(np.abs(np.diff(truth, 2)).max())
+    noise = (
+        math.sqrt(machine.encoder.noise_lsb**2 + 1.0 / 12.0) / machine.encoder.amplitude_counts / 2 / math.pi
+    )
+    motion = seen.seen.motion
+    low = 0.75 if name in ("vibrating", "jitter") else 0.95
+    high = 2.5 if name == "jitter" else 1.05
+    assert low * true <= motion.acceleration <= high * true
+    assert motion.jerk <= high * np.abs(np.diff(truth, 3)).max()
+    if name not in ("vibrating", "jitter"):  # which disturb the phase as noise does
+        assert 0.5 * noise < motion.noise < 1.5 * noise
+    limit = choices[od.SUPERVISION_RESIDUAL_LIMIT].value / 65536
+    assert limit >= max(0.02, 2.0 * true + 6.0 * math.sqrt(6.0) * motion.noise) or limit == 21845 / 65536
+    assert limit <= max(0.0201, 2.0 * (true + 20.0 * motion.noise) + 0.001) or name == "jitter"
+    largest = new.acceleration_cycles(1.0 / RATE_HZ)
+    assert largest >= 0.95 * 2.0 * low * true
+    assert largest <= max(2.1 * high * true, limit - 0.049)
+    assert choices[od.SUPERVISION_ACCELERATION].value <= max_acceleration(N, RATE_HZ) * (1 + 1e-6)
+    speed = speed_at_start(machine)
+    assert not flagged(machine, new, machine.samples(10 * COUNT), speed).any()
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_single_glitches_above_the_limit_are_all_detected(name: str) -> None:
+    machine = fresh(name)
+    _, new, choices = machine.commissioned(COUNT)
+    speed = speed_at_start(machine)
+    interval_s = 1.0 / RATE_HZ
+    # L + a of the machine itself, and what noise may take off.
+    position = machine.positions(COUNT)
+    true = float(np.abs(np.diff(position, 2)).max())
+    noise = (
+        8.0
+        * math.sqrt(6.0)
+        / machine.encoder.amplitude_counts
+        / 2
+        / math.pi
+        * (machine.encoder.noise_lsb + 0.3)
+    )
+    least = new.residual_limit(interval_s) + true + noise
+    if least >= 0.5:
+        pytest.skip("no glitch is larger than that")
+    rng = np.random.default_rng(8)
+    places = np.arange(60, COUNT - 60, 60)
+    glitch = np.zeros(COUNT)
+    glitch[places] = rng.uniform(least, 1.0 - least, len(places))
+    sine, cosine = machine.counts(position + glitch)
+    samples = TrackSamples.of(sine, cosine, RATE_HZ, "with glitches")
+    found = flagged(machine, new, samples, speed)
+    assert all(found[place] or found[place + 1] for place in places)
+    assert choices
+
+
+def test_amplitude_limits_and_frozen_input() -> None:
+    machine = fresh("quiet")
+    _, _, choices = machine.commissioned(COUNT)
+    assert choices[od.ENCODER_LOWEST_AMPLITUDE].value == pytest.approx(0.8 * 1500, abs=2)
+    assert choices[od.ENCODER_HIGHEST_AMPLITUDE].value == pytest.approx(1.2 * 1500, abs=2)
+    assert 16 <= choices[od.SUPERVISION_FROZEN].value <= 80
+    _, _, choices = fresh("amplitude over the revolution").commissioned(COUNT)
+    assert 1050 < choices[od.ENCODER_LOWEST_AMPLITUDE].value < 1500 * (1 - 2 * 0.118)
+    assert 1500 * (1 + 2 * 0.118) < choices[od.ENCODER_HIGHEST_AMPLITUDE].value < 1950
+    for name in ("converter without noise", "whole cycles per sample, no noise"):
+        _, _, choices = fresh(name).commissioned(COUNT)
+        assert choices[od.SUPERVISION_FROZEN].value == 0, "its counts repeat themselves, and it works"
+        assert choices[od.SUPERVISION_FROZEN].why.startswith("off: ")
+
+
+def test_a_vibration_is_no_noise_of_the_converter() -> None:
+    """A converter without noise in a machine that vibrates."""
+    still = SimulatedMachine(duty(300, 0.5, ripples=(Ripple(0.8, 130.0),)), Encoder())
+    seen, _, choices = still.commissioned(COUNT)
+    assert seen.seen.tracks.noise_counts < 0.15
+    assert choices[od.SUPERVISION_FROZEN].value == 0
+
+
+@pytest.mark.parametrize("noise", [0.4, 0.5, 0.8, 1.5])
+def test_frozen_repeats_come_true_in_the_worst_case(noise: float) -> None:
+    """Both tracks in the middle of a count: repeats as long as the formula says, scaled to a short time."""
+    rng = np.random.default_rng(1)
+    samples = 400_000
+    same = np.all(np.diff(np.rint(rng.normal(0.0, noise, (samples, 2))), axis=0) == 0.0, axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
+    longest = int((edges[1::2] - edges[::2]).max())
+    rate_hz = samples / (10.0 * 365.25 * 86400.0)  # so that ten years have as many samples
+    repeats = repeats_of_frozen_input(noise, rate_hz, 2.0, 0)
+    assert longest < repeats or repeats == 0
+    assert repeats_of_frozen_input(noise, 1000.0, 2.0, 0) >= repeats
+    assert repeats_of_frozen_input(noise, 1000.0, 2.0, 200) == 0, "more than seen, or off"
+
+
+def test_quiet_converters_have_no_frozen_check() -> None:
+    assert repeats_of_frozen_input(0.0, 1000.0, 2.0, 0) == 0
+    assert repeats_of_frozen_input(0.1, 1000.0, 2.0, 0) == 0
+    assert repeats_of_frozen_input(100.0, 1000.0, 2.0, 0) == 16
+
+
+def test_a_machine_that_never_stops_keeps_its_limits_of_motion() -> None:
+    machine = SimulatedMachine(Motion((), (Ripple(12, 0.31), Ripple(6, 1.7)), 600.0), GOOD)
+    _, _, choices = machine.commissioned(COUNT)
+    for place in (od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_ACCELERATION):
+        assert not choices[place].changes
+        assert "--acceleration" in choices[place].why
+    assert choices[od.ENCODER_LOWEST_AMPLITUDE].changes
+    _, new, choices = machine.commissioned(COUNT, known=50.0)
+    assert choices[od.SUPERVISION_ACCELERATION].value == pytest.approx(50.0, rel=0.01)
+    limit = new.residual_limit(1.0 / RATE_HZ)
+    assert 50.0 * N / 2 / math.pi / 1e6 < limit < 0.03
+
+
+def test_a_larger_margin_gives_wider_limits() -> None:
+    limits = [fresh("fast").commissioned(COUNT, margin)[1] for margin in (1.2, 2.0, 3.0)]
+    residual = [one.residual_limit(1.0 / RATE_HZ) for one in limits]
+    assert residual == sorted(residual)
+    assert residual[0] < residual[1] < residual[2]
+
+
+def refusal(samples: TrackSamples, machine: SimulatedMachine, readings: list[SpeedReading]) -> str:
+    with pytest.raises(CommissioningError) as error:
+        observe(samples, machine.used, machine.limits, readings)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_what_says_too_little_is_refused() -> None:
+    machine = fresh("quiet")
+    readings = machine.readings(COUNT)
+    samples = machine.samples(COUNT)
+    few = TrackSamples.of(samples.sine[:1500], samples.cosine[:1500], RATE_HZ, "few")
+    assert "1500 usable samples of 1500 are too few" in refusal(few, machine, readings[:10])
+    assert "did not say its speed" in refusal(samples, machine, [])
+    no_rate = TrackSamples.of(samples.sine, samples.cosine, None, "without a rate")
+    assert "rate of the samples is not known" in refusal(no_rate, machine, readings)
+    nothing = np.full(COUNT, np.nan)
+    assert "did not come" in refusal(TrackSamples(nothing, nothing, RATE_HZ, "gone"), machine, readings)
+    noise = np.random.default_rng(1).uniform(-1500, 1500, (2, COUNT))
+    assert "position is lost" in refusal(
+        TrackSamples.of(noise[0], noise[1], RATE_HZ, "noise"), machine, readings
+    )
+    weak = TrackSamples.of(0.2 * samples.sine, 0.2 * samples.cosine, RATE_HZ, "weak")
+    assert "amplitude" in refusal(weak, machine, readings)
+
+
+def test_the_whole_cycles_per_sample_come_from_the_readings() -> None:
+    """A machine that turns already, at 83 cycles per sample."""
+    machine = SimulatedMachine(Motion((Ramp(1.0, 2000.0), Ramp(1.5, 2000.0), Ramp(1.0, 900.0)) * 9), GOOD)
+    machine.start_s = 1.7
+    seen = machine.observed(3000)
+    assert seen.start_speed == pytest.approx(2000 / 60 * N / RATE_HZ, abs=0.01)
+    assert seen.seen.motion.fastest == pytest.approx(2000 / 60 * N / RATE_HZ, abs=0.1)
+
+
+def test_the_account_of_the_chain_is_that_of_the_stream() -> None:
+    machine = fresh("fast")
+    samples = machine.samples(3000)
+    found = supervise(samples, machine.used, machine.limits.chain_limits(1.0 / RATE_HZ), 0.0)
+    config = config_of(machine, machine.limits)
+    (other,) = process_stream([(samples.sine, samples.cosine)], config, machine.used.table)
+    assert np.array_equal(found.status, other.status)
+    origin = other.cycles[0]
+    assert np.array_equal(found.position, (other.cycles - origin) + other.phase)
+
+
+@given(st.integers(1, 40), st.floats(1e-6, 1e-3))
+def test_detection_is_the_bound_of_the_proof(count: int, off: float) -> None:
+    bound = safe_deviation(count)
+    changes = count + 2
+    assert bound * max(changes, changes**2 // 4) == pytest.approx(1.0)
+    assert samples_without_harm(bound) == count
+    assert samples_without_harm(bound * (1.0 + off)) == count - 1
+
+
+def test_detection_table_of_the_page_on_glitches() -> None:
+    assert [safe_deviation(n) for n in (1, 2, 3)] == [1 / 3, 1 / 4, 1 / 6]
+    assert samples_without_harm(0.34) == 0

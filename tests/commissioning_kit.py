@@ -1,0 +1,146 @@
+"""A module, an encoder interface and a SYNC in simulated time, and the master that commissions them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from canfb.cia301.frame import Frame
+from canfb.device.storage.writing import Store
+from canfb.interface.encoder_interface import EncoderInterface
+from canfb.interface.sample_clock import SampleClock
+from canfb.master.access import NodeAccess
+from canfb.master.samples import TrackSamples
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
+from canfb.signal.sample import Sample
+from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.simulation.encoder import Encoder, Harmonic
+from canfb.simulation.motion import Motion, Ripple
+from canfb.simulation.shaft_encoder import ShaftEncoder
+from canfb.simulation.sync_producer import SyncProducer
+from canfb.simulation.sync_timing import REGULAR, SyncTiming
+from canfb.sources.motion_source import MotionSource
+from tools.soak import embedded_master
+
+MODULE_ID, INTERFACE_ID = 0x20, 0x10
+RATE_HZ = 1000.0
+CYCLES = 2500
+ANSWER_S = 0.05
+
+
+def random_encoder(seed: int) -> Encoder:
+    """An encoder of the quality that is bought: drawn anew for each seed."""
+    rng = np.random.default_rng(seed)
+    return Encoder(
+        amplitude_counts=float(rng.uniform(1100, 1700)),
+        sine_offset=float(rng.uniform(-0.06, 0.06)),
+        cosine_offset=float(rng.uniform(-0.06, 0.06)),
+        sine_amplitude=float(rng.uniform(0.93, 1.07)),
+        cosine_amplitude=float(rng.uniform(0.93, 1.07)),
+        phase_error_rad=float(rng.uniform(-0.08, 0.08)),
+        harmonics=(
+            Harmonic(2, *rng.uniform(0.0, 0.006, 2).tolist(), *rng.uniform(-3, 3, 2).tolist()),
+            Harmonic(3, *rng.uniform(0.0, 0.012, 2).tolist(), *rng.uniform(-3, 3, 2).tolist()),
+        ),
+        noise_lsb=float(rng.uniform(0.3, 1.0)),
+    )
+
+
+class ChangingSource:
+    """A motion whose encoder or counts a test may change on the way."""
+
+    def __init__(self, encoder: Encoder, motion: Motion) -> None:
+        self.motion = MotionSource(ShaftEncoder(encoder, CYCLES, seed=7), motion, 1.0 / RATE_HZ)
+        self.change: Callable[[tuple[float, float]], tuple[float, float] | None] = lambda counts: counts
+
+    def next(self) -> Sample | None:
+        counts = self.change(self.motion.next()[:2])
+        return None if counts is None else Sample(*counts)
+
+
+class EmbeddedMaster(embedded_master.EmbeddedMaster):
+    """Notes what a tool sends, and says when it waits."""
+
+    def __init__(self, bus: EmbeddedBus) -> None:
+        super().__init__(bus, ANSWER_S)
+        self.sent: list[Frame] = []
+        self.on_wait: Callable[[float], None] = lambda now: None
+        bus.taps.append(self._note)
+
+    def _note(self, frame: Frame, now: float) -> None:
+        if 0x600 < frame.can_id < 0x680 or frame.can_id in (0x000, 0x080):
+            self.sent.append(frame)
+
+    def wait(self, duration_s: float) -> None:
+        self.on_wait(self.bus.now)
+        super().wait(duration_s)
+
+
+@dataclass
+class Bench:
+    """The network, powered on and operational, SYNC running."""
+
+    encoder: Encoder = field(default_factory=lambda: random_encoder(1))
+    rpm: float = 600.0
+    sync: bool = True
+    operational: bool = True
+    motion: Motion | None = None
+    config: dict[str, Any] = field(default_factory=dict)
+    store: Store | None = None
+    timing: SyncTiming | None = None  # SYNCs that jitter, samples in true time, and their times in the PDO
+
+    def __post_init__(self) -> None:
+        self.bus = EmbeddedBus()
+        timed = self.timing is not None
+        turning = Motion((), (Ripple(0.02 * self.rpm, 0.31), Ripple(0.01 * self.rpm, 1.7)), self.rpm)
+        self.source = ChangingSource(self.encoder, self.motion or turning)
+        self.module = FeedbackModule(
+            ModuleConfig(
+                node_id=MODULE_ID,
+                encoder_interface=INTERFACE_ID,
+                cycles_per_revolution=CYCLES,
+                autostart=self.operational,
+                times=timed,
+                **self.config,
+            ),
+            self.store,
+        )
+        self.interface = EncoderInterface(
+            INTERFACE_ID,
+            self.source.motion if timed else self.source,
+            autostart=self.operational,
+            times=timed,
+            samples_per_sync=self.config.get("samples_per_sync", 1),
+            clock=SampleClock(100.0, 0xFFFF0000),
+        )
+        self.master = EmbeddedMaster(self.bus)
+        for device in (self.module, self.interface):
+            self.bus.attach(device)
+        if self.sync:
+            self.bus.attach(SyncProducer(1.0 / RATE_HZ, self.timing or REGULAR))
+
+        self.access = NodeAccess(self.master, MODULE_ID, "module")
+        self.interface_access = NodeAccess(self.master, INTERFACE_ID, "encoder interface")
+
+    def value(self, index: int, subindex: int) -> Any:
+        return self.module.dictionary.entry(index, subindex).value
+
+
+def recorded(
+    encoder: Encoder,
+    n: int,
+    rpm: float = 600.0,
+    start_s: float = 0.0,
+    rate_hz: float = RATE_HZ,
+    seed: int = 5,
+) -> TrackSamples:
+    """Samples of a machine that turns at about ``rpm``, without a bus."""
+    motion = Motion((), (Ripple(0.02 * rpm, 0.31), Ripple(0.01 * rpm, 1.7)), rpm)
+    times = start_s + np.arange(n) / rate_hz
+    position = np.array([motion.revolutions(float(time)) for time in times]) * CYCLES
+    sine, cosine = encoder.sample(position, np.random.default_rng(seed))
+    return TrackSamples.of(sine, cosine, rate_hz, "a simulated machine")

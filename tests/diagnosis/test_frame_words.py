@@ -1,0 +1,109 @@
+"""Frames in words: PDOs by the mapping of their module, all others by the predefined connection set."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb import objects as od
+from canfb.cia301.frame import Frame
+from canfb.configuration import Config
+from canfb.diagnosis.frame_words import FrameWords, read_by_sdo
+from canfb.eds_files import eds_path
+from canfb.monitoring.known_modules import known_objects
+from canfb.objects import LossCause
+from canfb.sdo.object_description import ObjectDescriptions
+from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench
+from folding import each
+
+EDS = ObjectDescriptions(eds_path("canfb-module"), 1)
+WORDS = FrameWords(EDS, known_objects(Config(), [MODULE_ID]).items())
+
+
+def test_the_position_pdo_has_its_objects_by_name_with_units() -> None:
+    decoded = WORDS.decode(Frame(0x1A0, struct.pack("<IHH", 123456, 0x81, 0x1000)))
+    assert decoded.text == (
+        "TPDO1 of 32: position value 123456 measuring units, status word 129 (valid, table active), "
+        "residual 4096 (0.0625 cycle)"
+    )
+    assert decoded.values == {"6004:00": 123456, "2011:01": 129, "2011:02": 4096}
+    assert decoded.is_pdo
+    assert decoded.line(0.25) == f"(0.250000)  1A0  [8]  40 E2 01 00 81 00 00 10  {decoded.text}"
+
+
+def test_the_samples_are_those_that_the_module_takes() -> None:
+    decoded = WORDS.decode(Frame(0x190, struct.pack("<hh", -700, 1200)))
+    assert decoded.text == "RPDO1 of 32: sine -700 ADC counts, cosine 1200 ADC counts"
+    assert decoded.values == {"2000:01": -700, "2000:02": 1200}
+
+
+def test_a_short_pdo_says_how_long_it_should_be() -> None:
+    assert WORDS.decode(Frame(0x1A0, bytes(3))).text == "TPDO1 of 32: 3 bytes, 8 are mapped"
+
+
+@each(
+    "can_id, data, kind, node, text",
+    [
+        (0x000, b"\x01\x20", "nmt", 32, "NMT start: 32"),
+        (0x000, b"\x82\x00", "nmt", None, "NMT reset communication: all nodes"),
+        (0x080, b"", "sync", None, "SYNC"),
+        (0x080, b"\x07", "sync", None, "SYNC, counter 7"),
+        (0x100, bytes(6), "time", None, "TIME"),
+        (0x720, b"\x00", "heartbeat", 32, "boot-up of 32"),
+        (0x710, b"\x85", "heartbeat", 16, "heartbeat of 16: OPERATIONAL"),
+        (0x620, b"\x40\x11\x20\x01" + bytes(4), "sdo request", 32, "SDO request to 32, 2011:01"),
+        (0x5A0, b"\x80\x11\x20\x01" + bytes(4), "sdo response", 32, "SDO response of 32, 2011:01, abort"),
+        (0x7E5, bytes(8), "lss", None, "LSS, master"),
+        (0x285, bytes(2), "", 5, "PDO, TPDO2 of 5 by its CAN-ID"),
+        (0x0A0, struct.pack("<HB5s", 0x8130, 0x11, b""), "emcy", 32,
+         "EMCY of 32: 8130h heartbeat or life guard error, 1001h 11h"),
+    ],
+)  # fmt: skip
+def test_other_frames(can_id: int, data: bytes, kind: str, node: int | None, text: str) -> None:
+    decoded = WORDS.decode(Frame(can_id, data))
+    assert (decoded.kind, decoded.node, decoded.text) == (kind, node, text)
+    assert decoded.figures(1.0)["node"] == node
+
+
+def test_the_emcy_of_a_loss_has_its_cause() -> None:
+    data = struct.pack("<HB5s", 0x7300, 0x21, bytes((0x44, 0, LossCause.TIME, 3, 0)))
+    text = WORDS.decode(Frame(0x0A0, data)).text
+    assert text.endswith("; lost: the number of intervals that passed is not known")
+
+
+@given(st.integers(0, 0x7FF), st.binary(max_size=8), st.booleans())
+def test_no_frame_raises(can_id: int, data: bytes, rtr: bool) -> None:
+    decoded = WORDS.decode(Frame(can_id, data, rtr))
+    assert decoded.line(0.0)
+    assert decoded.figures(0.0)["data"] == data.hex()
+
+
+def test_the_mapping_of_a_module_that_answers_is_read_from_it() -> None:
+    bench = Bench(sync=False)
+    entry = bench.module.dictionary.entry
+    entry(od.TPDO_MAPPING, 3).value = od.FEEDBACK_AMPLITUDE.mapped(16)
+    read = read_by_sdo(bench.access)
+    assert read is not None
+    words = FrameWords(EDS, [(MODULE_ID, read)])
+    decoded = words.decode(Frame(0x1A0, struct.pack("<IHH", 0, 0, 1400)))
+    assert decoded.values["2011:05"] == 1400
+    assert words.decode(Frame(0x180 + INTERFACE_ID, bytes(4))).kind == "rpdo"
+
+
+def test_a_node_that_does_not_answer_has_none() -> None:
+    bench = Bench(sync=False)
+    bench.module.receive = lambda frame, now: []  # type: ignore[method-assign]
+    assert read_by_sdo(bench.access) is None
+
+
+def test_real_values_and_bits() -> None:
+    mapped = od.FEEDBACK_VELOCITY.mapped(32)
+    values = {(od.TPDO, 1): 0x1A0, (od.TPDO_MAPPING, 0): 1, (od.TPDO_MAPPING, 1): mapped}
+    words = FrameWords(EDS, [(MODULE_ID, lambda place: values.get((place[0], place[1])))])
+    decoded = words.decode(Frame(0x1A0, struct.pack("<f", 6.5)))
+    assert decoded.values["2011:07"] == pytest.approx(6.5)
+    assert "velocity 6.5 rad/s" in decoded.text
+    assert words.decode(Frame(0x1A0, struct.pack("<f", float("nan")))).values["2011:07"] is None

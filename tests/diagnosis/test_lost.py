@@ -1,0 +1,183 @@
+"""`canfb why`: what a module says of its last loss, what brings it back, and what would have kept it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canfb import objects as od
+from canfb.cli.main import build_parser
+from canfb.diagnosis.lost import Loss, LostPosition, age_words, read_lost_position
+from canfb.objects import LossCause, StatusBit
+from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench
+from folding import each
+from node_commands import Commands, abort, between, place_of
+
+NODE = hex(MODULE_ID)
+PAGE = (Path(__file__).parents[2] / "docs" / "lost.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Commands:
+    return Commands(monkeypatch, capsys)
+
+
+def turning(**fields: Any) -> Bench:
+    bench = Bench(**fields)
+    bench.bus.run_until(0.5)
+    return bench
+
+
+def silent(bench: Bench, seconds: float) -> Bench:
+    """No samples for so long."""
+    bench.source.change = lambda counts: None
+    bench.bus.run_until(bench.bus.now + seconds)
+    bench.source.change = lambda counts: counts
+    bench.bus.run_until(bench.bus.now + 0.5)
+    return bench
+
+
+def test_a_module_that_has_lost_nothing(canfb: Commands) -> None:
+    out, _ = canfb(turning(), "why", NODE)
+    assert out == "module 32 (20h): position valid\nlast loss\n  none since the start\n"
+
+
+def test_an_interface_that_was_silent(canfb: Commands) -> None:
+    out, _ = canfb(silent(turning(), 0.05), "why", NODE)
+    lines = out.splitlines()
+    assert lines[0].startswith("module 32 (20h): position lost")
+    assert " s ago: more samples in a row were bad or missing than 2010:03 allows" in lines[2]
+    assert lines[3] == "  4 samples in a row missed or bad (sample missed); 2010:03 bridges 3"
+    assert lines[4] == "  residual then: nothing to compare; limit 0.333 cycle"
+    assert " cycles per interval, " in lines[5]
+    at = lines.index("what brings it back")
+    assert lines[at + 1].startswith("  stand still, then canfb reset 0x20:")
+    assert [line.partition(":")[2][:11] for line in lines[at + 2 : at + 4]] == [" not mapped"] * 2
+    kept = lines[lines.index("what would have kept it") + 1 :]
+    assert kept[0] == "  2010:03 bridges 3 samples, 3 ms: a larger value bridges a longer fault"
+    assert kept[1].startswith("  2010:02 is 0, not declared")
+
+
+def test_the_same_for_programs(canfb: Commands) -> None:
+    out, _ = canfb(silent(turning(), 0.05), "why", NODE, "--json")
+    figures = json.loads(out)
+    assert figures["position"] == "lost"
+    assert figures["last_loss"]["cause"] == "coasted"
+    assert figures["last_loss"]["bad_samples"] == 4
+    assert figures["last_loss"]["faults"] == ["sample missed"]
+    assert figures["sample_hz"] == pytest.approx(RATE_HZ, rel=0.05)
+    assert figures["counters"]["losses"] == 1
+    assert figures["mapped"] == dict.fromkeys(figures["mapped"], False)
+    assert len(figures["brings_back"]) == 4
+
+
+def test_what_the_module_has_mapped_is_what_brings_it_back() -> None:
+    bench = turning()
+    entry = bench.module.dictionary.entry
+    entry(0x1401, 1).value = 0x280 + INTERFACE_ID
+    for sub, place in enumerate((od.SAMPLE_COARSE_SINE, od.SAMPLE_COARSE_COSINE), 1):
+        entry(0x1601, sub).value = place.mapped(16)
+    entry(0x1601, 3).value = od.SAMPLE_FLAGS.mapped(8)
+    entry(0x1601, 0).value = 3
+    found = read_lost_position(bench.access)
+    assert (found.coarse, found.zero_pulse, found.second, found.timed) == (True, True, False, False)
+    said = found.brings_back()
+    assert "not mapped" not in said[1] + said[2]
+    assert "not in use" in said[3]
+
+
+def test_a_module_without_samples_says_so_first(canfb: Commands) -> None:
+    stopped = Bench(sync=False, operational=False)
+    out, _ = canfb(stopped, "why", NODE)
+    assert "no samples are processed now: is it OPERATIONAL (canfb nmt start 0x20)" in out
+
+
+def test_a_module_of_before_keeps_no_cause(canfb: Commands) -> None:
+    bench = turning()
+    between(
+        bench,
+        lambda frame: (
+            abort(frame, 0x06090011) if place_of(frame)[0] == 0x2012 and place_of(frame)[1] >= 0x10 else None
+        ),
+    )
+    assert "not known: this module does not keep the cause; 0 losses so far" in canfb(bench, "why", NODE)[0]
+
+
+def test_sdo_says_what_explains_a_lost_position(canfb: Commands) -> None:
+    bench = silent(turning(), 0.05)
+    assert canfb(bench, "sdo", "read", NODE, "2011:01")[0].endswith(
+        "\nthe position is lost: canfb why 0x20 says why, and what brings it back\n"
+    )
+    assert canfb(bench, "sdo", "read", NODE, "2012:10")[0] == (
+        "2012:10 Counters: Last loss cause: 1 (more samples in a row were bad or missing than 2010:03 "
+        "allows)\n"
+    )
+    assert canfb(bench, "sdo", "read", NODE, "2012:16")[0].endswith(": 64 (missed)\n")
+
+
+LOST = LostPosition(
+    node_id=32,
+    status=int(StatusBit.LOST),
+    loss=Loss(LossCause.AMBIGUOUS, 3.0, 3, 0.2, 0.333, 1.2, int(StatusBit.MISSED)),
+    keeps_cause=True,
+    losses=1,
+    missed=3,
+    unheard=0,
+    sample_hz=100.0,
+    cycles_per_revolution=2500,
+    acceleration_rad_s2=0.25,
+    coast_samples=8,
+    residual_limit_cycles=1 / 3,
+    coarse=False,
+    zero_pulse=False,
+    second=False,
+    timed=False,
+)
+
+
+def test_the_longest_gap_is_that_of_the_page_on_missed_samples() -> None:
+    """The table of docs/legal-motion.md, A = a: 1/6, 1/8 and 1/12 cycle per interval squared."""
+    for missed, largest in ((1, 1 / 6), (2, 1 / 8), (3, 1 / 12)):
+        rad_s2 = largest * 100.0**2 / 2500 * 6.283185307
+        assert replace(LOST, acceleration_rad_s2=0.999 * rad_s2).longest_gap() == missed
+        assert replace(LOST, acceleration_rad_s2=1.01 * rad_s2).longest_gap() == missed - 1
+    assert replace(LOST, acceleration_rad_s2=0.0).longest_gap() is None
+
+
+def test_more_coasting_is_not_proposed_where_it_cannot_help() -> None:
+    coasted = replace(LOST, loss=replace(LOST.loss, cause=LossCause.COASTED), coast_samples=20)  # type: ignore[type-var]
+    assert "more would not help at this acceleration" in coasted.would_have_kept()[0]
+    assert "a larger value" in replace(coasted, coast_samples=3).would_have_kept()[0]
+    assert "the most that it can" in replace(coasted, coast_samples=255).would_have_kept()[0]
+
+
+@each("cause", list(LossCause)[1:])
+def test_each_cause_has_an_advice(cause: LossCause) -> None:
+    lost = replace(LOST, loss=replace(LOST.loss, cause=cause))  # type: ignore[type-var]
+    assert lost.would_have_kept()
+    assert cause.text in "\n".join(lost.lines())
+    assert cause.text in PAGE
+
+
+def test_ages() -> None:
+    assert [age_words(one) for one in (0.8, 90.0, 600.0, 10800.0)] == ["0.8 s", "90 s", "10 min", "3.0 h"]
+
+
+def test_the_page_shows_what_the_command_prints() -> None:
+    (shown,) = re.findall(r"```text\n(.*?)```", PAGE, re.S)
+    loss = Loss(LossCause.COASTED, 12.4, 4, 0.5, 1 / 3, 1.2, int(StatusBit.MISSED))
+    lost = replace(LOST, loss=loss, missed=4, unheard=3, acceleration_rad_s2=0.0, coast_samples=3)
+    assert "\n".join(lost.lines()).startswith(shown.rstrip())
+
+
+def test_the_commands_of_the_page_are_understood() -> None:
+    commands = re.findall(r"^canfb (.*)$", PAGE, re.M) + re.findall(r"`canfb (sdo [^`]*)`", PAGE)
+    assert len(commands) >= 3
+    for command in commands:
+        assert build_parser().parse_args(shlex.split(command)).command

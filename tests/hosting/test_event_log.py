@@ -1,0 +1,125 @@
+"""Events as lines: with time and node, few of many, and as JSON for programs."""
+
+from __future__ import annotations
+
+import json
+import logging
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import canfb
+from canfb.cli.main import main
+from canfb.hosting.event_log import BURST, LONGEST_WINDOW_S, WINDOW_S, EventLog, Throttle
+from canfb.hosting.hosting import Hosting
+from canfb.module.event import Event, EventKind
+
+WALL = datetime(2026, 5, 4, 12, 30, 1, 250000, UTC)
+
+
+@pytest.fixture
+def logged(caplog: pytest.LogCaptureFixture) -> pytest.LogCaptureFixture:
+    caplog.set_level(logging.INFO, "canfb")
+    return caplog
+
+
+def watched(verbose: bool = False) -> tuple[EventLog, canfb.FeedbackModule]:
+    module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=32))
+    log = EventLog(verbose, wall=lambda: WALL)
+    log.watch(module, module.events)
+    log.begin()
+    return log, module
+
+
+def test_a_line_has_time_node_and_text_and_a_program_gets_the_values(
+    logged: pytest.LogCaptureFixture,
+) -> None:
+    log, module = watched()
+    module.start(5.0)
+    assert logged.records == [], "no frame waits for a line"
+    log.tick(5.001)
+    (record,) = logged.records
+    assert record.getMessage() == "2026-05-04 12:30:01.250 node 32 (20h): boot-up, PRE-OPERATIONAL"
+    values = record.event  # type: ignore[attr-defined]
+    assert values["event"] == "nmt"
+    assert (values["node"], values["state"], values["monotonic_s"]) == (32, "PRE-OPERATIONAL", 5.0)
+    assert datetime.fromisoformat(values["time"]) == WALL
+    assert json.loads(json.dumps(values)) == values
+
+
+def test_what_happens_before_the_bus_is_open_waits(logged: pytest.LogCaptureFixture) -> None:
+    module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=32))
+    log = EventLog(wall=lambda: WALL)
+    log.watch(module, module.events)
+    module.start(5.0)
+    assert logged.records == []
+    log.begin()
+    assert [record.event["monotonic_s"] for record in logged.records] == [5.0]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("verbose", [False, True])
+def test_a_fault_at_1_khz_does_not_flood(verbose: bool, logged: pytest.LogCaptureFixture) -> None:
+    log, module = watched(verbose)
+    seconds = 60
+    for k in range(seconds * 1000):
+        now = k * 1e-3
+        log.tick(now)
+        assert module.events.on_event is not None
+        module.events.on_event(Event(EventKind.POSITION, now, f"change {k}"))
+        module.events.on_event(Event(EventKind.FAULT, now, f"fault {k}"))
+    log.close(float(seconds))
+    lines = [record.getMessage() for record in logged.records]
+    assert len(lines) <= (2 if verbose else 1) * (BURST + 10)
+    assert lines[-2 if verbose else -1].endswith(f"the last: change {seconds * 1000 - 1}"), "the end is told"
+    assert any("more in the last 1 s; the last: change" in line for line in lines)
+    told = [record.event for record in logged.records]  # type: ignore[attr-defined]
+    counted = sum(one.get("more", 1) for one in told if one["event"] == "position")
+    assert counted == seconds * 1000, "each is told or counted"
+    assert any(one["event"] == "fault" for one in told) == verbose
+
+
+@given(st.lists(st.tuples(st.integers(0, 2), st.floats(0.0, 30.0)), max_size=200))
+def test_everything_passes_or_is_counted(steps: list[tuple[int, float]]) -> None:
+    throttle: Throttle[int] = Throttle()
+    now, given_, told, last = 0.0, 0, 0, dict[object, int]()
+    for number, (key, pause_s) in enumerate(steps):
+        now += pause_s
+        for held in throttle.ended(now):
+            told += held.count
+            assert last[held.key] == held.last
+        given_ += 1
+        last[key] = number
+        told += throttle.admits(key, number, now)
+    told += sum(held.count for held in throttle.close(now))
+    assert told == given_
+    assert not throttle.close(now)
+
+
+def test_after_a_quiet_time_the_next_one_passes_at_once() -> None:
+    throttle: Throttle[int] = Throttle()
+    passed = [throttle.admits("k", n, n * 1e-3) for n in range(100)]
+    assert sum(passed) == BURST
+    (held,) = throttle.ended(WINDOW_S)
+    assert (held.count, held.last) == (100 - BURST, 99)
+    assert throttle.ended(WINDOW_S + LONGEST_WINDOW_S) == []
+    assert throttle.admits("k", 100, WINDOW_S + LONGEST_WINDOW_S)
+
+
+def test_run_prints_json_for_programs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "one.yaml"
+    path.write_text("bus: {interface: virtual, channel: json}\nmodules: [{node_id: 32, autostart: true}]\n")
+    run = Hosting.run
+    monkeypatch.setattr(Hosting, "run", lambda hosting, *_: run(hosting, hosting.stop))
+    assert main(["run", str(path), "--json"]) == 0
+    out, err = capsys.readouterr()
+    objects = [json.loads(line) for line in out.splitlines()]
+    assert [one["state"] for one in objects if one["event"] == "nmt"] == ["PRE-OPERATIONAL", "OPERATIONAL"]
+    assert any(one["event"] == "message" and one["text"].startswith("running node 32") for one in objects)
+    assert err == ""
+    assert main(["run", str(path)]) == 0
+    assert "node 32 (20h): OPERATIONAL\n" in capsys.readouterr()[0], "lines again"

@@ -1,0 +1,97 @@
+"""Modules of a configuration in a program of one's own: its log has what `canfb run` prints."""
+
+from __future__ import annotations
+
+import logging
+import re
+import signal
+from pathlib import Path
+
+import pytest
+
+from canfb.cli.main import main
+from canfb.configuration import load_config
+from canfb.errors import BusError, ConfigError
+from canfb.hosting.hosting import Hosting
+from canfb.hosting.readiness import Readiness
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    """Two modules; the saved parameters of the first one are damaged."""
+    state = tmp_path / "state"
+    state.mkdir()
+    (state / "manufacturer.bin").write_bytes(b"?")
+    path = tmp_path / "two.yaml"
+    path.write_text(
+        "bus: {interface: virtual, channel: hosting}\n"
+        f"modules: [{{node_id: 32, state_dir: {state}}}, {{node_id: 33, encoder_interface: 17}}]\n"
+    )
+    return path
+
+
+def test_the_log_has_the_lines_of_the_command(
+    config: Path,
+    caplog: pytest.LogCaptureFixture,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    caplog.set_level(logging.INFO, "canfb")
+    hosting = Hosting(load_config(config))
+    with hosting:
+        hosting.run(ready=hosting.stop)
+    records = list(caplog.records)
+    assert capsys.readouterr() == ("", ""), "nothing but the log"
+    events = [record for record in records if record.name == "canfb.hosting.event_log"]
+    assert [record.event["event"] for record in events] == ["nmt", "nmt"]  # type: ignore[attr-defined]
+    records = [record for record in records if record not in events]
+    assert {record.name for record in records} == {"canfb.hosting.hosting", "canfb.hosting.serving"}
+    caplog.clear()
+    monkeypatch.setattr(Readiness, "ready", lambda readiness: signal.raise_signal(signal.SIGTERM))
+    assert main(["run", str(config)]) == 0
+    out, err = capsys.readouterr()
+    told = [record.getMessage() for record in records if record.levelno == logging.INFO]
+    warned = [record.getMessage() for record in records if record.levelno == logging.WARNING]
+    boots = [f"node {node}: boot-up, PRE-OPERATIONAL" for node in ("32 (20h)", "33 (21h)")]
+    assert [line.split(" ", 2)[2] for line in out.splitlines()[2:4]] == boots
+    assert out.splitlines()[:2] + out.splitlines()[4:] == told
+    assert told[0] == "running node 32 (20h), 33 (21h) on virtual hosting; end with Ctrl-C"
+    assert told[1].startswith(
+        "node 32 (20h), 33 (21h): without sample times the jitter of SYNC limits the speed"
+    )
+    assert told[2:] == [
+        f"node {node}: 0 samples; missed 0, residual 0, amplitude 0, coasted 0, lost 0" for node in (32, 33)
+    ]
+    assert err.splitlines() == [f"canfb: {text}" for text in warned]
+    assert len(warned) == 1
+    assert warned[0].startswith("node 32: stored manufacturer parameters in ")
+    assert caplog.records == [], "printed, and not handed on"
+    assert logging.getLogger("canfb").propagate, "as it was"
+
+
+def test_it_is_used_as_a_context_manager(config: Path) -> None:
+    with pytest.raises(RuntimeError, match="context manager"):
+        Hosting(load_config(config)).run()
+
+
+def test_what_it_opened_is_closed_when_something_is_wrong(config: Path) -> None:
+    good = load_config(config)
+    with pytest.raises(ConfigError, match="receive_own_messages"):
+        Hosting(good, good.bus | {"receive_own_messages": True})
+    for _ in range(2):  # the state_dir is free again
+        with pytest.raises(BusError, match="cannot open the bus nowhere"):
+            Hosting(good, {"interface": "nowhere"}).__enter__()
+
+
+def test_the_program_of_the_page_runs(
+    config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "several-modules.md").read_text(encoding="utf-8")
+    (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    run = Hosting.run
+    monkeypatch.setattr(Hosting, "run", lambda hosting: run(hosting, hosting.stop))
+    monkeypatch.setattr(logging, "basicConfig", lambda **keys: None)
+    monkeypatch.chdir(config.parent)
+    config.rename("axes.yaml")
+    exec(compile(program, "several-modules.md", "exec"), {})
+    assert capsys.readouterr() == ("", "")

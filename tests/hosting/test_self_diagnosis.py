@@ -1,0 +1,171 @@
+"""A diagnosis of the running process: what is in it, that no frame waits for it, and SIGUSR1."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import stat
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canfb.configuration import INTERFACES, parse_config
+from canfb.hosting.hosting import Hosting, InterfaceHosting
+from canfb.hosting.self_diagnosis import (
+    KeptLines,
+    SelfDiagnosis,
+    diagnosing_on_signal,
+    plain,
+    versions,
+    without_secrets,
+)
+from canfb.hosting.serving import Serving
+
+LIMIT_S = 60.0
+BUS = "bus: {interface: virtual, channel: diagnosis, password: apple}\n"
+
+
+def served(serving: Serving, folder: Path, ask: Callable[[], None]) -> dict[str, Any]:
+    """Serve until the diagnosis that ``ask`` requests is there."""
+    path = folder / f"canfb-diagnose-{os.getpid()}.json"
+    end = time.monotonic() + LIMIT_S
+
+    def alive(now: float) -> None:
+        if path.exists():
+            serving.stop()
+        assert time.monotonic() < end, "no diagnosis"
+
+    with serving, diagnosing_on_signal(serving.diagnose):
+        serving.run(ask, alive)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    text = path.read_text(encoding="utf-8")
+    assert "apple" not in text
+    found: dict[str, Any] = json.loads(text)
+    assert not [one for one in folder.iterdir() if one.name.startswith(".")]
+    return found
+
+
+def test_a_module_writes_all_it_knows_on_a_signal(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "canfb")
+    text = f"{BUS}modules: [{{node_id: 32, state_dir: {tmp_path}, residual_limit: 0.25}}, {{node_id: 33}}]\n"
+    hosting = Hosting(parse_config(text), {"interface": "virtual", "channel": "diagnosis"})
+    found = served(hosting, tmp_path, lambda: signal.raise_signal(signal.SIGUSR1))
+    assert list(found) == [
+        "canfb_diagnosis",
+        "made",
+        "made_by",
+        "versions",
+        "configuration",
+        "bus",
+        "nodes",
+        "log",
+    ]
+    assert found["versions"]["packages"]["canfb"]
+    assert found["configuration"]["modules"][0]["residual_limit"] == 0.25
+    assert found["configuration"]["bus"]["password"] == "(left out)"
+    assert found["bus"]["counters"]["send_failures"] == 0
+    first, second = found["nodes"]
+    assert (first["node_id"], first["state"], second["node_id"]) == (32, "PRE_OPERATIONAL", 33)
+    assert first["objects"]["2010:01"] == 16384
+    assert first["objects"]["1008:00"] == "canfb drive feedback module"
+    assert "2020:01" not in first["objects"], "a table is not settings in words"
+    assert "1017:00" in first["objects"]
+    assert first["counters"]["sdo_aborts"] == 0
+    assert any("running node 32 (20h), 33 (21h) on virtual diagnosis" in line for line in found["log"])
+
+
+def test_an_interface_does_the_same(tmp_path: Path) -> None:
+    text = f"{BUS}interfaces: [{{node_id: 16, state_dir: {tmp_path}, source: {{kind: motion}}}}]\n"
+    serving = InterfaceHosting(
+        parse_config(text, needs=INTERFACES), {"interface": "virtual", "channel": "diagnosis"}
+    )
+    found = served(serving, tmp_path, serving.diagnose)
+    (node,) = found["nodes"]
+    assert node["objects"]["1000:00"] == 0x00040191
+    assert node["objects"]["6401:01"] == 0
+
+
+class Stepped:
+    """A diagnosis that is stepped by hand."""
+
+    def __init__(self, folder: Path) -> None:
+        config = parse_config("modules: [{node_id: 32}]")
+        hosting = Hosting(config, {"interface": "virtual", "channel": "stepped"})
+        self.diagnosis = SelfDiagnosis(config, {}, hosting._bus_counters, folder)
+        with hosting:
+            self.nodes = list(hosting.modules)
+
+    def steps(self) -> int:
+        """Steps until it is being written."""
+        count = 0
+        while self.diagnosis._writing is None:
+            self.diagnosis.step(self.nodes)
+            count += 1
+        self.diagnosis._writing.join()
+        self.diagnosis.step(self.nodes)
+        return count
+
+
+def test_it_goes_on_in_many_small_steps(tmp_path: Path) -> None:
+    stepped = Stepped(tmp_path)
+    stepped.diagnosis.step(stepped.nodes)
+    assert not list(tmp_path.iterdir()), "nobody has asked"
+    stepped.diagnosis.request()
+    assert stepped.steps() > 30
+    (path,) = tmp_path.iterdir()
+    first = json.loads(path.read_text(encoding="utf-8"))
+    stepped.diagnosis.request()
+    stepped.steps()
+    assert [one.name for one in tmp_path.iterdir()] == [path.name], "it takes the place of the one before"
+    assert json.loads(path.read_text(encoding="utf-8"))["nodes"] == first["nodes"]
+
+
+def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "canfb")
+    stepped = Stepped(tmp_path / "gone")
+    stepped.diagnosis.request()
+    stepped.steps()
+    assert [record.getMessage() for record in caplog.records if "diagnosis" in record.getMessage()] == [
+        "no diagnosis: No such file or directory"
+    ]
+
+
+def test_secrets_are_left_out() -> None:
+    assert without_secrets(
+        {
+            "channel": "tcp://me:apple@host:7",
+            "key": 5,
+            "api_key": "apple",
+            "keys": [{"Password": "apple", "token": None}],
+            "monkey": "banana",
+        }
+    ) == {
+        "channel": "tcp://(left out)@host:7",
+        "key": "(left out)",
+        "api_key": "(left out)",
+        "keys": [{"Password": "(left out)", "token": None}],
+        "monkey": "banana",
+    }
+
+
+def test_whatever_an_object_holds_becomes_json() -> None:
+    values = {"a": b"\x01\xff", "b": float("nan"), "c": (1, 2.5), "d": Path("x"), 4: None}
+    assert plain(values) == {"a": "01ff", "b": None, "c": [1, 2.5], "d": "x", "4": None}
+
+
+def test_the_log_is_bounded() -> None:
+    kept = KeptLines()
+    for n in range(2000):
+        kept.emit(logging.LogRecord("canfb", logging.INFO, "", 0, f"line {n}", None, None))
+    assert len(kept.lines()) == 500
+    assert kept.lines()[-1].endswith(" INFO line 1999")
+
+
+def test_versions_name_what_is_installed() -> None:
+    found = versions()
+    assert {"canfb", "python-can", "canopen", "numpy", "PyYAML"} <= set(found["packages"])

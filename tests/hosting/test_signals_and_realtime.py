@@ -1,0 +1,211 @@
+"""What the process asks of the system: an end on signals, scheduling, memory, processor."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import gc
+import os
+import signal
+import subprocess
+import sys
+import threading
+from typing import Any
+
+import pytest
+
+from canfb.bus.runner import ending_on_signals
+from canfb.configuration import RealtimeConfig
+from canfb.hosting.realtime import (
+    MCL_CURRENT,
+    MCL_FUTURE,
+    RealtimeThread,
+    apply_realtime,
+    outside_collections,
+)
+
+ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+def test_a_signal_stops_and_the_handlers_before_come_back(number: signal.Signals) -> None:
+    before = [signal.getsignal(one) for one in ENDINGS]
+    stops: list[str] = []
+    with ending_on_signals(lambda: stops.append("stop")):
+        signal.raise_signal(number)
+        assert stops == ["stop"]
+        signal.raise_signal(number)
+        assert stops == ["stop", "stop"]
+    assert [signal.getsignal(one) for one in ENDINGS] == before
+
+
+def test_handlers_come_back_after_an_error_too() -> None:
+    def mine(*arguments: object) -> None:
+        """A handler that was there before."""
+
+    def failing() -> None:
+        with ending_on_signals(lambda: None):
+            assert signal.getsignal(signal.SIGTERM) is not mine
+            raise ZeroDivisionError
+
+    before = signal.signal(signal.SIGTERM, mine)
+    try:
+        with pytest.raises(ZeroDivisionError):
+            failing()
+        assert signal.getsignal(signal.SIGTERM) is mine
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_a_hangup_that_is_ignored_already_stays_so() -> None:
+    """As nohup has it: the program outlives its terminal."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with ending_on_signals(lambda: pytest.fail("stopped")):
+            signal.raise_signal(signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+class System:
+    """Stands in for the calls of the system; says yes, or refuses with an error number."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, refuse: int = 0) -> None:
+        self.calls: list[tuple[Any, ...]] = []
+        self.refuse = refuse
+        monkeypatch.setattr(
+            os,
+            "sched_setscheduler",
+            lambda *call: self.take("scheduler", call[0], call[1], call[2].sched_priority),
+        )
+        monkeypatch.setattr(os, "sched_setaffinity", lambda *call: self.take("affinity", *call))
+        monkeypatch.setattr(ctypes, "CDLL", lambda name, use_errno: self)
+        monkeypatch.setattr(ctypes, "get_errno", lambda: refuse)
+
+    def take(self, *call: Any) -> None:
+        self.calls.append(call)
+        if self.refuse:
+            raise OSError(self.refuse, os.strerror(self.refuse))
+
+    def mlockall(self, flags: int) -> int:
+        self.calls.append(("mlockall", flags))
+        return -1 if self.refuse else 0
+
+
+ALL = RealtimeConfig(priority=80, lock_memory=True, cpu=3)
+ALL_CALLS = [
+    ("scheduler", 0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 80),
+    ("mlockall", MCL_CURRENT | MCL_FUTURE),
+    ("affinity", 0, {3}),
+]
+
+
+def test_what_is_granted_is_not_spoken_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    system, lines = System(monkeypatch), list[str]()
+    apply_realtime(ALL, lines.append)
+    assert system.calls == ALL_CALLS
+    assert lines == []
+
+
+def test_what_is_refused_is_reported_each_in_one_line_and_the_rest_is_still_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    system, lines = System(monkeypatch, errno.EPERM), list[str]()
+    apply_realtime(ALL, lines.append)
+    assert system.calls == ALL_CALLS
+    reason = os.strerror(errno.EPERM)
+    python = os.path.realpath(sys.executable)
+    remedies = (
+        f"; sudo setcap cap_sys_nice+ep {python}, or LimitRTPRIO=99 in the systemd unit; "
+        "see docs/realtime.md",
+        f"; sudo setcap cap_ipc_lock+ep {python}, or LimitMEMLOCK=infinity in the systemd unit; "
+        "see docs/realtime.md",
+        "",
+    )
+    assert lines == [
+        f"realtime: {name} could not be set: {reason}{remedy}"
+        for name, remedy in zip(("priority", "lock_memory", "cpu"), remedies, strict=True)
+    ]
+
+
+WITHOUT_RIGHTS = """\
+import ctypes, resource, sys
+from canfb.hosting.realtime import apply_realtime
+from canfb.configuration import RealtimeConfig
+libc = ctypes.CDLL(None, use_errno=True)
+header, none = (ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)()
+assert libc.capset(header, none) == 0, ctypes.get_errno()
+resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+resource.setrlimit(resource.RLIMIT_MEMLOCK, 2 * (int(sys.argv[1]),))
+apply_realtime(RealtimeConfig(priority=80, lock_memory=True), print)
+"""
+
+
+@pytest.mark.parametrize("lockable_bytes", [0, 1 << 16])
+def test_the_real_system_refuses_and_the_remedy_is_named(lockable_bytes: int) -> None:
+    command = [sys.executable, "-c", WITHOUT_RIGHTS, str(lockable_bytes)]
+    lines = subprocess.run(
+        command, capture_output=True, text=True, timeout=60, check=True
+    ).stdout.splitlines()
+    reasons = os.strerror(errno.EPERM), os.strerror(errno.ENOMEM if lockable_bytes else errno.EPERM)
+    rights = ("cap_sys_nice", "LimitRTPRIO=99"), ("cap_ipc_lock", "LimitMEMLOCK=infinity")
+    python = os.path.realpath(sys.executable)
+    assert lines == [
+        f"realtime: {name} could not be set: {reason}; sudo setcap {capability}+ep {python}, "
+        f"or {limit} in the systemd unit; see docs/realtime.md"
+        for name, reason, (capability, limit) in zip(
+            ("priority", "lock_memory"), reasons, rights, strict=True
+        )
+    ]
+
+
+def test_what_is_not_asked_for_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    system, lines = System(monkeypatch), list[str]()
+    apply_realtime(RealtimeConfig(), lines.append)
+    assert system.calls == []
+    assert lines == []
+    apply_realtime(RealtimeConfig(cpu=0), lines.append)
+    assert system.calls == [("affinity", 0, {0})]
+
+
+def test_a_thread_of_the_sync_cycle_gets_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    system, over = System(monkeypatch), threading.Event()
+    threads = [RealtimeThread(target=over.wait), threading.Thread(target=over.wait)]
+    for thread in threads:
+        thread.start()
+    try:
+        apply_realtime(ALL, lambda line: None)
+        native_id = threads[0].native_id
+        first, locked, affinity = ALL_CALLS
+        assert system.calls == [
+            first, ("scheduler", native_id, *first[2:]), locked, affinity, ("affinity", native_id, {3})
+        ]  # fmt: skip
+    finally:
+        over.set()
+        for thread in threads:
+            thread.join()
+
+
+def test_a_system_without_such_calls_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines: list[str] = []
+    monkeypatch.delattr(os, "sched_setscheduler")
+    apply_realtime(RealtimeConfig(priority=1), lines.append)
+    assert len(lines) == 1
+    assert lines[0].startswith("realtime: priority could not be set: ")
+
+
+def test_a_processor_that_there_is_not_is_refused_by_the_real_system() -> None:
+    lines: list[str] = []
+    before = os.sched_getaffinity(0)
+    apply_realtime(RealtimeConfig(cpu=65535), lines.append)
+    assert lines == ["realtime: cpu could not be set: Invalid argument"]
+    assert os.sched_getaffinity(0) == before
+
+
+def test_what_is_there_is_outside_of_collections_until_the_end() -> None:
+    before = gc.get_freeze_count()
+    with outside_collections():
+        assert gc.get_freeze_count() > before + 1000
+        assert len(gc.get_objects()) < 1000
+    assert gc.get_freeze_count() == 0

@@ -1,0 +1,294 @@
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from crashing_disk import FakeDisk, PowerFailure, RealDisk, Trouble
+
+from canfb.device.storage.image import ParameterGroup as Group
+from canfb.errors import CanfbError
+from canfb.hosting import state_files
+from canfb.hosting.state_files import PENDING, StateDirError, StateFiles
+
+COMMUNICATION, APPLICATION, MANUFACTURER = Group.COMMUNICATION, Group.APPLICATION, Group.MANUFACTURER
+OLD = {COMMUNICATION: b"old communication" * 5, APPLICATION: b"old a", MANUFACTURER: b"old table" * 20}
+NEW = {COMMUNICATION: b"new communication" * 6, APPLICATION: b"new a", MANUFACTURER: b"new table" * 19}
+LSS = {Group.LSS: b"node 40"}
+ONE = {MANUFACTURER: b"one table" * 10}
+CHANGES: dict[str, dict[Group, bytes | None]] = {
+    "all are saved": dict(NEW),
+    "all are forgotten": dict.fromkeys(NEW),
+    "one is saved": dict(ONE),
+    "one is forgotten": {APPLICATION: None},
+    "one is saved and one forgotten": {APPLICATION: None, **ONE},
+    "the node-ID is saved": dict(LSS),
+}
+
+
+def changed(before: dict[Group, bytes], changes: dict[Group, bytes | None]) -> dict[Group, bytes]:
+    after: dict[Group, bytes | None] = {**before, **changes}
+    return {group: image for group, image in after.items() if image is not None}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "lib" / "canfb"
+
+
+def test_what_is_saved_is_there_in_the_next_process(folder: Path) -> None:
+    with StateFiles(folder) as store:
+        assert store.load() == {}
+        store.save(OLD)
+        store.save(LSS)
+        assert store.load() == OLD | LSS
+    with StateFiles(folder) as store:
+        assert store.load() == OLD | LSS
+    assert sorted(path.name for path in folder.iterdir()) == [
+        *("application.bin", "communication.bin", "lock", "lss.bin", "manufacturer.bin"),
+    ]
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_change_is_a_change_of_these_groups_alone(folder: Path, name: str) -> None:
+    with StateFiles(folder) as store:
+        store.save(OLD)
+        store.save(CHANGES[name])
+        store.save({})
+        assert store.load() == changed(OLD, CHANGES[name])
+
+
+def test_what_is_not_there_can_be_forgotten(folder: Path) -> None:
+    with StateFiles(folder) as store:
+        store.save({APPLICATION: None})
+        store.save(dict.fromkeys(OLD))
+        assert store.load() == {}
+
+
+def test_an_unfinished_file_is_harmless(folder: Path) -> None:
+    with StateFiles(folder) as store:
+        store.save(OLD)
+        for name in ("communication.bin.new", f"{PENDING}.new"):
+            (folder / name).write_bytes(b"half of it")
+        assert store.load() == OLD
+        store.save(NEW)
+        assert store.load() == NEW
+
+
+# One folder, one process.
+
+
+def test_two_stores_in_one_folder_are_refused_until_the_first_is_closed(folder: Path) -> None:
+    first = StateFiles(folder)
+    with pytest.raises(StateDirError, match=r"state_dir .*canfb cannot be used: another process, or"):
+        StateFiles(folder)
+    first.close()
+    first.close()
+    StateFiles(folder).close()
+
+
+def test_a_second_process_is_refused_and_a_dead_one_leaves_no_lock(folder: Path) -> None:
+    program = (
+        "import os, sys\nfrom canfb.hosting.state_files import StateFiles\n"
+        f"store = StateFiles({str(folder)!r})\nprint('has it', flush=True)\nsys.stdin.read()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-W", "error", "-c", program],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "has it\n"
+        with pytest.raises(StateDirError, match="another process"):
+            StateFiles(folder)
+        process.kill()
+        process.wait()
+    StateFiles(folder).close()
+
+
+def test_a_file_in_its_place_is_a_clear_error(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for folder in (tmp_path / "file", tmp_path / "file" / "deeper"):
+        with pytest.raises(StateDirError, match=r"state_dir .* cannot be used: (File exists|Not a dir)"):
+            StateFiles(folder)
+    assert issubclass(StateDirError, CanfbError)
+
+
+def test_a_folder_without_permission_is_a_clear_error(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> int:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    folder.mkdir(parents=True)
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(StateDirError, match="cannot be used: Permission denied"):
+        StateFiles(folder)
+
+
+# Files that cannot be read.
+
+
+def test_a_group_that_cannot_be_read_is_an_error_of_this_group(folder: Path) -> None:
+    with StateFiles(folder) as store:
+        store.save(OLD)
+        (folder / "application.bin").unlink()
+        (folder / "application.bin").mkdir()
+        kept = dict(store.load())
+        assert isinstance(kept.pop(APPLICATION), OSError)
+        assert kept == {group: OLD[group] for group in (COMMUNICATION, MANUFACTURER)}
+
+
+def test_a_file_that_is_far_too_large_is_not_read_whole(folder: Path) -> None:
+    with StateFiles(folder) as store:
+        with (folder / "application.bin").open("wb") as file:
+            file.truncate(1 << 33)
+        error = store.load()[APPLICATION]
+        assert isinstance(error, OSError)
+        assert error.errno == errno.EFBIG
+
+
+def pending(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the folder as a crash does between the commit of NEW and its copying."""
+    with StateFiles(folder) as store:
+        store.save(OLD)
+        with monkeypatch.context() as patch:
+            patch.setattr(StateFiles, "_copy", lambda *_: (_ for _ in ()).throw(OSError(errno.ENOSPC, "")))
+            store.save(NEW)
+        assert (folder / PENDING).exists()
+
+
+def test_what_is_pending_holds_and_is_finished_by_the_next_save(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pending(folder, monkeypatch)
+    with StateFiles(folder) as store:
+        assert store.load() == NEW
+        store.save(LSS)
+        assert not (folder / PENDING).exists()
+        assert store.load() == NEW | LSS
+
+
+def test_a_damaged_pending_change_is_an_error_of_all_parameters(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pending(folder, monkeypatch)
+    whole = (folder / PENDING).read_bytes()
+    for length in range(0, len(whole), 7):
+        (folder / PENDING).write_bytes(whole[:length])
+        with StateFiles(folder) as store:
+            kept = store.load()
+            assert set(kept) == set(OLD)
+            assert all(isinstance(error, OSError) for error in kept.values())
+    with StateFiles(folder) as store:
+        store.save(ONE)  # no old group comes back beside it
+        assert store.load() == ONE
+    assert not (folder / PENDING).exists()
+
+
+# A crash at any call, on a disk that keeps what was done, and on one that loses it.
+
+
+def calls_of(change: Callable[[Trouble], None]) -> int:
+    trouble = Trouble()
+    change(trouble)
+    return trouble.calls
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_after_a_kill_at_any_call_the_old_or_the_new_set_is_there(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    after = changed(OLD, CHANGES[name])
+    seen: list[object] = []
+
+    def run(trouble: Trouble) -> None:
+        folder = tmp_path / str(len(seen))
+        with StateFiles(folder) as store:
+            store.save(OLD)
+        with StateFiles(folder) as store, monkeypatch.context() as patch:
+            patch.setattr(state_files, "os", RealDisk(trouble))
+            with contextlib.suppress(PowerFailure):
+                store.save(CHANGES[name])
+        with StateFiles(folder) as store:
+            kept = store.load()
+            assert kept in (OLD, after)
+            seen.append(kept)
+            store.save(ONE)
+            assert store.load() == dict(kept) | ONE
+
+    calls = calls_of(run)
+    assert calls > 3
+    for at in range(1, calls + 1):
+        run(Trouble(at))
+    if name != "the node-ID is saved":
+        assert OLD in seen
+    assert after in seen[1:]
+
+
+@pytest.mark.parametrize("name", CHANGES)
+@pytest.mark.parametrize("names_kept", [False, True])
+@pytest.mark.parametrize("data_kept", [False, True])
+def test_after_a_power_failure_at_any_call_the_old_or_the_new_set_is_there(
+    tmp_path: Path, name: str, names_kept: bool, data_kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    after = changed(OLD, CHANGES[name])
+    seen = []
+    monkeypatch.setattr(state_files, "_lock", lambda handle: None)
+
+    def run(trouble: Trouble) -> None:
+        disk = FakeDisk(tmp_path)
+        monkeypatch.setattr(state_files, "os", disk)
+        store = StateFiles(tmp_path)
+        store.save(OLD)
+        disk.trouble = trouble
+        try:
+            store.save(CHANGES[name])
+            finished = True
+        except PowerFailure:
+            finished = False
+        monkeypatch.setattr(state_files, "os", disk.after(names_kept=names_kept, data_kept=data_kept))
+        kept = StateFiles(tmp_path).load()
+        assert kept in (OLD, after)
+        assert not finished or kept == after  # what was acknowledged is there
+        seen.append(kept)
+
+    calls = calls_of(run)
+    for at in range(1, calls + 1):
+        run(Trouble(at))
+    assert OLD in seen
+    assert after in seen
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_an_error_of_the_disk_at_any_call_leaves_the_old_or_the_new_set(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    after = changed(OLD, CHANGES[name])
+    outcomes = []
+    monkeypatch.setattr(state_files, "_lock", lambda handle: None)
+
+    def run(trouble: Trouble) -> None:
+        disk = FakeDisk(tmp_path)
+        monkeypatch.setattr(state_files, "os", disk)
+        store = StateFiles(tmp_path)
+        store.save(OLD)
+        disk.trouble = trouble
+        saved = True
+        try:
+            store.save(CHANGES[name])
+        except OSError:
+            saved = False
+        disk.trouble = Trouble()
+        assert store.load() in ((after,) if saved else (OLD, after))
+        outcomes.append(saved)
+        store.save(NEW | LSS)  # the disk has room again
+        assert store.load() == NEW | LSS
+
+    for at in range(1, calls_of(run) + 1):
+        run(Trouble(at, lambda: OSError(errno.ENOSPC, "No space left on device")))
+    assert False in outcomes

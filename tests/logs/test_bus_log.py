@@ -1,0 +1,157 @@
+"""`canfb record`: what a bus gave stands in the log, in each format, however the recording ends."""
+
+from __future__ import annotations
+
+import errno
+import signal
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+
+from canfb.cli.main import main
+from canfb.errors import CanfbError, ConfigError
+from canfb.hosting.readiness import Readiness
+from canfb.logs.bus_log import BusLog
+from canfb.logs.log_files import is_log, readable, writable
+from fake_bus import FakeBus, FakeClock, message
+
+EPOCH_S = 1_700_000_000.0
+
+
+def frames(number: int) -> list[can.Message]:
+    return [
+        message(0x180 + n % 3, bytes([n % 256, 7]), timestamp=EPOCH_S + n * 1e-3, channel=0)
+        for n in range(number)
+    ]
+
+
+def recorded(path: Path, plan: list[Any], seconds: float = 1.0, **options: Any) -> BusLog:
+    clock = FakeClock()
+    bus = FakeBus(clock, [(0.001 * n, item) for n, item in enumerate(plan)])
+    with BusLog(path, clock=clock, sleep=clock.sleep, **options) as bus_log:
+        bus_log.record(bus, seconds)  # type: ignore[arg-type]
+    assert clock.now - bus.start == pytest.approx(seconds, abs=0.2)
+    return bus_log
+
+
+@pytest.mark.parametrize(
+    "suffix", [".log", ".asc", ".blf", ".trc", ".mf4", ".csv", ".db", ".log.gz", ".asc.gz"]
+)
+def test_python_can_reads_what_was_recorded(tmp_path: Path, suffix: str) -> None:
+    if suffix == ".mf4":
+        pytest.importorskip("asammdf")
+    path = tmp_path / f"bus{suffix}"
+    sent = frames(20)
+    assert recorded(path, sent).counters.frames == 20
+    with can.LogReader(path) as reader:
+        read = list(reader)
+    assert [(one.arbitration_id, bytes(one.data)) for one in read] == [
+        (one.arbitration_id, bytes(one.data)) for one in sent
+    ]
+    apart = [one.timestamp - read[0].timestamp for one in read]
+    assert apart == pytest.approx([n * 1e-3 for n in range(20)], abs=2e-6)
+
+
+def test_a_full_file_is_renamed_and_nothing_is_lost(tmp_path: Path) -> None:
+    recorded(tmp_path / "bus.log", frames(100), max_bytes=1000)
+    files = sorted(tmp_path.glob("bus*.log"), key=lambda path: path.stat().st_mtime_ns)
+    assert len(files) > 3
+    assert all(path.stat().st_size <= 1100 for path in files)
+    read = sorted(one.timestamp for path in files for one in can.LogReader(path))
+    assert read == pytest.approx([EPOCH_S + n * 1e-3 for n in range(100)], abs=2e-6)
+
+
+def test_a_bus_that_fails_is_tried_again(tmp_path: Path) -> None:
+    plan = [*frames(3), can.CanOperationError("gone"), *frames(2)]
+    counters = recorded(tmp_path / "bus.log", plan).counters
+    assert (counters.frames, counters.bus_failures) == (5, 1)
+
+
+@pytest.mark.parametrize("of_udp", [True, False])
+def test_senders_of_udp_multicast_are_one_channel(
+    tmp_path: Path, of_udp: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("canfb.logs.bus_log.brings_own_frames_back", lambda bus: of_udp)
+    plan = [message(0x180 + n, channel=f"sender{n % 3}") for n in range(6)]
+    recorded(tmp_path / "bus.log", plan)
+    channels = {one.channel for one in can.LogReader(tmp_path / "bus.log")}
+    assert channels == ({"udp_multicast"} if of_udp else {"sender0", "sender1", "sender2"})
+
+
+def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(writer: object, msg: can.Message) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(can.CanutilsLogWriter, "on_message_received", full)
+    with pytest.raises(CanfbError, match=r"bus\.log: cannot be written: No space left on device"):
+        recorded(tmp_path / "bus.log", frames(3))
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("bus.xyz", {}, r"unknown suffix '\.xyz'; bus logs end with \.asc, \.blf, "),
+        ("bus", {}, "no suffix; "),
+        ("bus.blf.gz", {}, r"\.blf cannot be compressed with gzip"),
+        ("bus.txt", {}, r"unknown suffix '\.txt'"),
+        ("bus.trc", {"max_bytes": 100}, r"--max-size: python-can divides \.asc, \.blf, \.log, not \.trc"),
+        ("nowhere/bus.log", {}, "there is no folder"),
+        ("there.log", {}, "is there already; take another name, or --force"),
+    ],
+)
+def test_what_cannot_be_is_one_line(tmp_path: Path, name: str, options: dict[str, Any], words: str) -> None:
+    (tmp_path / "there.log").write_text("mine")
+    with pytest.raises(ConfigError, match=words):
+        BusLog(tmp_path / name, **options)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["there.log"]
+    assert (tmp_path / "there.log").read_text() == "mine"
+
+
+def test_it_is_used_as_a_context_manager(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="context manager"):
+        BusLog(tmp_path / "bus.log").record(None)  # type: ignore[arg-type]
+
+
+def test_what_is_written_is_read() -> None:
+    assert set(writable()) <= set(readable())
+    assert is_log(Path("a.b.log.gz"))
+    assert not any(is_log(Path(name)) for name in ("report.csv", "a.html", "a.blf.gz", "log"))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_the_command_cleanly(
+    tmp_path: Path,
+    number: signal.Signals,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with can.Bus(interface="virtual", channel="recorded") as bus:
+
+        def ready(readiness: Readiness) -> None:
+            bus.send(message(0x123, b"\1"))
+            write = BusLog.write
+
+            def last(bus_log: BusLog, *rest: Any) -> None:
+                write(bus_log, *rest)
+                signal.raise_signal(number)
+
+            monkeypatch.setattr(BusLog, "write", last)
+
+        monkeypatch.setattr(Readiness, "ready", ready)
+        path = tmp_path / "bus.log"
+        assert main(["record", str(path), "-i", "virtual", "-c", "recorded"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "1 frames"
+    (read,) = can.LogReader(path)
+    assert (read.arbitration_id, bytes(read.data)) == (0x123, b"\1")
+
+
+@pytest.mark.parametrize(
+    "words", [["--seconds", "0"], ["--seconds", "x"], ["--max-size", "-1"], ["--max-size", "9X"]]
+)
+def test_wrong_options_are_wrong_use(
+    tmp_path: Path, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["record", str(tmp_path / "bus.log"), *words]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1

@@ -1,0 +1,126 @@
+"""Simulated machines for canfb commission: their truth, their samples, and what a module says of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from canfb import objects as od
+from canfb.commission.limit_choice import Choice, choose
+from canfb.commission.machine_seen import Observation, observe
+from canfb.master.machine_watch import SpeedReading
+from canfb.master.samples import TrackSamples
+from canfb.master.supervision_limits import SupervisionLimits
+from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.phase import FloatArray, raw_phases
+from canfb.simulation.encoder import Encoder
+from canfb.simulation.motion import Motion, Ramp, Ripple
+
+N, RATE_HZ = 2500, 1000.0
+FULL_SCALE = 2048
+BEFORE = {
+    od.ENCODER_LOWEST_AMPLITUDE: 410,
+    od.ENCODER_HIGHEST_AMPLITUDE: 2560,
+    od.SUPERVISION_RESIDUAL_LIMIT: 21845,
+    od.SUPERVISION_ACCELERATION: 0.0,
+    od.SUPERVISION_FROZEN: 0,
+    od.SUPERVISION_COARSE_LIMIT: 2048,
+    od.SUPERVISION_PHASE_ERROR: 819,
+    od.SUPERVISION_PERIODS: 2,
+}
+
+
+def duty(top_rpm: float, ramp_s: float, times: int = 40, ripples: tuple[Ripple, ...] = ()) -> Motion:
+    """Standing, running forwards, standing, running backwards, again and again."""
+    one = (
+        Ramp(0.2, 0.0), Ramp(ramp_s, top_rpm), Ramp(0.4, top_rpm), Ramp(ramp_s, 0.0),
+        Ramp(0.2, 0.0), Ramp(ramp_s, -0.7 * top_rpm), Ramp(0.3, -0.7 * top_rpm), Ramp(ramp_s, 0.0),
+    )  # fmt: skip
+    return Motion(one * times, ripples)
+
+
+def correction_of(encoder: Encoder, entries: int = 512) -> Correction:
+    """The table that a perfect reference measurement would give: phase as a function of raw phase."""
+    phase = np.arange(8192) / 8192.0
+    sine, cosine = encoder.tracks(phase)
+    raw = np.unwrap(raw_phases(sine, cosine), period=1.0)
+    raw = np.concatenate([raw - 1.0, raw, raw + 1.0])
+    table = np.interp(np.arange(entries) / entries, raw, np.concatenate([phase - 1.0, phase, phase + 1.0]))
+    return Correction(CorrectionTable(table))
+
+
+@dataclass
+class SimulatedMachine:
+    """A machine with an encoder; time goes on with each recording."""
+
+    motion: Motion
+    encoder: Encoder
+    rate_hz: float = RATE_HZ
+    modulation: float = 0.0  # of the amplitude over the revolution
+    jitter_s: float = 0.0
+    start_s: float = 0.0
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(4))
+
+    @property
+    def used(self) -> Correction:
+        return correction_of(self.encoder)
+
+    def positions(self, count: int) -> FloatArray:
+        times = self.start_s + np.arange(count) / self.rate_hz
+        times = np.maximum(times + self.rng.normal(0.0, self.jitter_s, count), 0.0)
+        return self.motion.revolutions_at(times) * N
+
+    def samples(self, count: int) -> TrackSamples:
+        position = self.positions(count)
+        sine, cosine = self.counts(position)
+        self.start_s += count / self.rate_hz
+        heard = np.arange(count) / self.rate_hz
+        return replace(TrackSamples.of(sine, cosine, self.rate_hz, "a simulated machine"), heard_s=heard)
+
+    def counts(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """As the encoder gives them, its amplitude changing over the revolution."""
+        encoder = self.encoder
+        size = 1.0 + self.modulation * np.sin(2.0 * np.pi * position / N)
+        noise = self.rng.normal(0.0, encoder.noise_lsb, (2, len(position)))
+        full = 1 << (encoder.adc_bits - 1)
+        sine, cosine = (
+            np.clip(np.rint(track * size + off), -full, full - 1)
+            for track, off in zip(encoder.tracks(position), noise, strict=True)
+        )
+        return sine, cosine
+
+    def readings(self, count: int) -> list[SpeedReading]:
+        """What a module would say of its speed during the next samples."""
+        at = np.arange(50, count, 97)
+        times = self.start_s + at / self.rate_hz
+        step = 1e-5
+        speed = (self.motion.revolutions_at(times) - self.motion.revolutions_at(times - step)) / step
+        return [SpeedReading(float(k), 2.0 * math.pi * float(v)) for k, v in zip(at, speed, strict=True)]
+
+    def observed(self, count: int, limits: SupervisionLimits | None = None) -> Observation:
+        readings = self.readings(count)
+        return observe(self.samples(count), self.used, limits or self.limits, readings)
+
+    @property
+    def limits(self) -> SupervisionLimits:
+        full = 1 << (self.encoder.adc_bits - 1)
+        default = {
+            od.ENCODER_LOWEST_AMPLITUDE: round(0.2 * full),
+            od.ENCODER_HIGHEST_AMPLITUDE: round(1.25 * full),
+        }
+        return SupervisionLimits(BEFORE | default, 1 << (self.encoder.adc_bits - 1), N, 3)
+
+    def commissioned(
+        self, count: int, margin: float = 2.0, known: float = 0.0
+    ) -> tuple[Observation, SupervisionLimits, dict[od.Multiplexer, Choice]]:
+        seen = self.observed(count)
+        choices = choose(seen.seen, self.limits, margin, known)
+        new = self.limits.changed({one.place: one.value for one in choices})
+        return seen, new, {one.place: one for one in choices}
+
+
+def wrapped(phase: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    return phase - np.floor(phase + 0.5)

@@ -1,0 +1,149 @@
+"""Objects over SDO: block transfer where there is one, segments else; every failure one clear line."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+
+from canfb.cia301.frame import Frame
+from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError
+from canfb.signal.correction import CorrectionTable
+from commissioning_kit import Bench
+
+TABLE = CorrectionTable.identity(300)
+
+
+def without_blocks(bench: Bench) -> list[int]:
+    """The module refuses block transfers, as canopen's LocalNode does; the commands that came."""
+    receive, commands = bench.module.receive, list[int]()
+
+    def refuse(frame: Frame, now: float) -> list[Frame]:
+        if frame.can_id == 0x620:
+            commands.append(frame.data[0])
+            if frame.data[0] >> 5 in (5, 6):
+                return [Frame(0x5A0, b"\x80" + frame.data[1:4] + struct.pack("<I", 0x05040001))]
+        return receive(frame, now)
+
+    bench.module.receive = refuse  # type: ignore[method-assign]
+    return commands
+
+
+def commands_of(bench: Bench) -> list[int]:
+    return [frame.data[0] for frame in bench.master.sent if frame.can_id == 0x620]
+
+
+@pytest.mark.parametrize("blocks", [True, False])
+def test_a_domain_goes_there_and_back(blocks: bool) -> None:
+    bench = Bench(sync=False)
+    if not blocks:
+        without_blocks(bench)
+    bench.access.download_domain(0x2020, 1, TABLE.to_bytes())
+    assert bench.value(0x2020, 2) == TABLE.crc32
+    bench.access.write(0x2020, 3, "I", TABLE.crc32)
+    heard: list[float] = []
+    assert bench.access.upload_domain(0x2020, 1, heard.append) == TABLE.to_bytes()
+    commands = commands_of(bench)
+    assert (0xC6 in commands, 0xA4 in commands) == (True, True), "block transfer is tried first"
+    assert (0x21 in commands, 0x40 in commands) == (not blocks, not blocks)
+
+
+@pytest.mark.parametrize("length", [1, 4, 5, 7, 64, 1024, 4 * 4096])
+def test_domains_of_any_length(length: int) -> None:
+    bench = Bench(sync=False)
+    entries = max(16, length // 4)
+    data = CorrectionTable(np.arange(entries) / entries).to_bytes()
+    bench.access.download_domain(0x2020, 1, data)
+    assert bench.value(0x2020, 2) == CorrectionTable.from_bytes(data).crc32
+
+
+def test_numbers_of_every_size() -> None:
+    access = Bench(sync=False).access
+    for index, subindex, layout, value in (
+        (0x2001, 1, "I", 1234),
+        (0x2001, 2, "H", 8192),
+        (0x2010, 3, "B", 7),
+        (0x2002, 1, "f", -3.25),
+    ):
+        access.write(index, subindex, layout, value)
+        assert access.read(index, subindex, layout) == value
+    assert access.integer(0x2001, 2, "H") == 8192
+
+
+def test_what_is_refused_is_one_line_with_the_reason() -> None:
+    access = Bench(sync=False).access
+    with pytest.raises(CommissioningError) as error:
+        access.write(0x2020, 3, "I", 12345)
+    assert str(error.value) == (
+        "module 32 (20h): writing 2020:03 is refused: Code 0x06090030, Value range of parameter exceeded"
+    )
+    with pytest.raises(ObjectAbsentError, match="reading 2099:01 is refused"):
+        access.read(0x2099, 1, "I")
+    with pytest.raises(ObjectAbsentError, match="reading 2020:63 is refused"):
+        access.upload_domain(0x2020, 0x63)
+    with pytest.raises(ObjectAbsentError):
+        access.download_domain(0x2099, 1, b"12345678")
+    with pytest.raises(CommissioningError, match=r"2001:02 has 2 bytes, not 4"):
+        access.read(0x2001, 2, "I")
+
+
+def test_a_node_that_is_not_there() -> None:
+    bench = Bench(sync=False)
+    absent = NodeAccess(bench.master, 99, "module")
+    with pytest.raises(
+        CommissioningError, match=r"module 99 \(63h\): reading 1000:00: no answer; is the node on the bus"
+    ):
+        absent.read(0x1000, 0, "I")
+    assert not absent.answers()
+    assert bench.access.answers()
+
+
+class Interrupted(BaseException):
+    """As KeyboardInterrupt, wherever it comes."""
+
+
+@pytest.mark.parametrize("blocks", [True, False])
+@pytest.mark.parametrize("at", [2, 5, 20])
+def test_an_interrupted_download_stages_no_half_table(blocks: bool, at: int) -> None:
+    bench = Bench(sync=False)
+    commands = without_blocks(bench) if not blocks else None
+    send, count = bench.master.network.send_message, [0]
+
+    def interrupted(can_id: int, data: bytes, remote: bool = False) -> None:
+        count[0] += 1
+        if count[0] == at + (not blocks) * 2:
+            raise Interrupted
+        send(can_id, data, remote)
+
+    bench.master.network.send_message = interrupted  # type: ignore[method-assign]
+    with pytest.raises(Interrupted):
+        bench.access.download_domain(0x2020, 1, TABLE.to_bytes())
+    assert bench.value(0x2020, 2) == 0, "nothing is staged"
+    sent = [frame for frame in bench.master.sent if frame.can_id == 0x620]
+    assert sent[-1].data[0] == 0x80, "the transfer is aborted"
+    assert commands is None or 0x21 in commands
+    bench.access.download_domain(0x2020, 1, TABLE.to_bytes())
+    assert bench.value(0x2020, 2) == TABLE.crc32
+
+
+@pytest.mark.parametrize("answer", [bytes(8), b"\xff" * 8, b"\x43", b"", bytes(range(8))])
+@pytest.mark.parametrize("doing", ["upload", "download", "read"])
+def test_nonsense_as_an_answer_is_one_line(answer: bytes, doing: str) -> None:
+    bench = Bench(sync=False)
+    receive = bench.module.receive
+
+    def nonsense(frame: Frame, now: float) -> list[Frame]:
+        return [Frame(0x5A0, answer)] if frame.can_id == 0x620 else receive(frame, now)
+
+    bench.module.receive = nonsense  # type: ignore[method-assign]
+    act: dict[str, Any] = {
+        "upload": lambda: bench.access.upload_domain(0x2020, 1),
+        "download": lambda: bench.access.download_domain(0x2020, 1, TABLE.to_bytes()),
+        "read": lambda: bench.access.read(0x2020, 4, "I"),
+    }
+    with pytest.raises(CommissioningError) as error:
+        act[doing]()
+    assert "\n" not in str(error.value)
+    assert str(error.value).startswith("module 32 (20h): ")

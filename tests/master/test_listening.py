@@ -1,0 +1,236 @@
+"""Samples of the ADC PDO, SYNC by SYNC, and what is said when they do not come."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.cia301.frame import Frame
+from canfb.master.access import CommissioningError, NodeAccess
+from canfb.master.listening import PdoRecorder, listen
+from canfb.master.pdo_layout import PdoLayout, agreed_layout
+from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench, random_encoder
+
+LAYOUT = PdoLayout(0x190)
+
+
+def pdo(sine: int, cosine: int) -> bytes:
+    return struct.pack("<hh", sine, cosine)
+
+
+def heard(*events: bytes | None) -> PdoRecorder:
+    """SYNCs (None) and PDOs, a millisecond apart from SYNC to SYNC."""
+    recorder = PdoRecorder(LAYOUT)
+    time_s = 100.0
+    for event in events:
+        if event is None:
+            time_s += 0.001
+            recorder.hear_sync(0x80, b"", time_s)
+        else:
+            recorder.hear_pdo(0x190, event, time_s + 0.0003)
+    return recorder
+
+
+def test_one_sample_for_each_sync() -> None:
+    recorder = heard(pdo(9, 9), None, pdo(1, 2), None, pdo(3, -4), None, None, pdo(5, 6), pdo(7, 8), None)
+    samples = recorder.result("here")
+    assert samples.sine.tolist()[:2] == [1.0, 3.0]
+    assert math.isnan(samples.sine[2]), "a SYNC without a PDO is a missed sample"
+    assert samples.cosine.tolist()[3] == 6.0, "the first PDO after a SYNC counts"
+    assert (len(samples), samples.missed, recorder.surplus) == (4, 1, 1)
+    assert samples.rate_hz == pytest.approx(1000.0)
+
+
+def test_the_lowest_pair_and_a_short_pdo_are_missed_samples() -> None:
+    samples = heard(None, pdo(-32768, -32768), None, b"\x01\x02\x03", None, pdo(-32768, 5), None).result(
+        "here"
+    )
+    assert np.isnan(samples.sine).tolist() == [True, True, False]
+    assert samples.sine[2] == -32768.0
+
+
+@given(st.lists(st.one_of(st.none(), st.binary(max_size=8)), max_size=40))
+def test_whatever_comes_gives_one_entry_for_each_whole_interval(events: list[bytes | None]) -> None:
+    samples = heard(*events).result("here")
+    assert len(samples) == max(0, events.count(None) - 1)
+
+
+def test_late_time_stamps_and_a_pause_do_not_bend_the_rate() -> None:
+    recorder = PdoRecorder(LAYOUT)
+    rng = np.random.default_rng(1)
+    times = np.arange(1000) * 0.002 + rng.uniform(0.0, 0.0004, 1000)
+    times[500:] += 30.0
+    for time_s in times.tolist():
+        recorder.hear_sync(0x80, b"", time_s)
+    assert recorder.result("here").rate_hz == pytest.approx(500.0, rel=0.002)
+
+
+def test_pauses_of_the_sync_are_in_the_mean_rate_and_in_what_was_skipped() -> None:
+    recorder = PdoRecorder(LAYOUT)
+    rng = np.random.default_rng(1)
+    # Stalls of 20 intervals after every 100 SYNCs, and the late SYNC close before the next one.
+    place = np.concatenate([120.0 * stall + np.arange(100.0) for stall in range(20)])
+    place[100::100] += 0.9
+    times = place * 0.001 + rng.uniform(0.0, 0.0001, len(place))
+    for time_s in times.tolist():
+        recorder.hear_sync(0x80, b"", time_s)
+    samples = recorder.result("here")
+    assert samples.rate_hz == pytest.approx(1000.0, rel=0.01)
+    assert samples.mean_rate_hz == pytest.approx(1000.0 * 100 / 120, rel=0.01)
+    assert samples.duration_s == pytest.approx(2.38, rel=0.01)
+    assert samples.skipped == pytest.approx(19 * 20, rel=0.05)
+    assert heard(*[None] * 500).result("here").skipped == 0
+
+
+def test_listening_takes_what_was_asked_for_and_says_nothing_on_the_bus() -> None:
+    bench = Bench()
+    parts: list[float] = []
+    samples = listen(bench.master, LAYOUT, 0.5, heard=parts.append)
+    assert 490 < len(samples) < 710
+    assert samples.missed == 0
+    assert samples.rate_hz == pytest.approx(RATE_HZ, rel=1e-3)
+    assert bench.master.sent == [frame for frame in bench.master.sent if frame.can_id == 0x080]
+    assert parts == sorted(parts)
+    assert parts[-1] == 1.0
+    assert 0x190 not in bench.master.network.subscribers
+    again = listen(bench.master, LAYOUT, 0.2, least_samples=800)
+    assert 800 <= len(again) < 1000, "longer, for enough samples"
+    assert len(listen(bench.master, LAYOUT, 0.1, least_samples=10**6)) < 800, "and no longer than six times"
+
+
+def test_lost_samples_are_marked() -> None:
+    bench = Bench()
+    count = [0]
+
+    def every_tenth_lost(counts: tuple[float, float]) -> tuple[float, float] | None:
+        count[0] += 1
+        return None if count[0] % 10 == 0 else counts
+
+    bench.source.change = every_tenth_lost
+    samples = listen(bench.master, LAYOUT, 0.5)
+    assert samples.missed == pytest.approx(len(samples) / 10, abs=2)
+
+
+def test_without_a_sync_it_says_who_has_to_produce_it() -> None:
+    with pytest.raises(
+        CommissioningError, match=r"no SYNC \(080h\) for 2 s: start the node .* \(--sync HZ\)"
+    ):
+        listen(Bench(sync=False).master, LAYOUT, 1.0)
+
+
+def test_without_samples_it_says_what_to_look_at() -> None:
+    with pytest.raises(CommissioningError, match=r"SYNC is received, but not PDO 190h .* OPERATIONAL"):
+        listen(Bench(operational=False).master, LAYOUT, 1.0)
+
+
+def test_samples_that_stop_are_told_and_not_waited_for() -> None:
+    bench = Bench()
+    bench.master.on_wait = lambda now: (
+        setattr(bench.source, "change", lambda counts: None) if now > 1 else None
+    )
+    with pytest.raises(CommissioningError, match="SYNC is received, but not PDO 190h"):
+        listen(bench.master, LAYOUT, 60.0)
+    assert bench.bus.now < 5.0
+
+
+def test_more_gaps_than_samples_are_refused() -> None:
+    bench = Bench()
+    count = [0]
+
+    def rare(counts: tuple[float, float]) -> tuple[float, float] | None:
+        count[0] += 1
+        return None if count[0] % 3 else counts
+
+    bench.source.change = rare
+    with pytest.raises(CommissioningError, match="SYNCs were not followed by PDO 190h"):
+        listen(bench.master, LAYOUT, 0.5)
+
+
+def write_mapping(bench: Bench, node: NodeAccess, first: int, entries: list[int]) -> None:
+    """TPDO or RPDO 1 of a node, by SDO as the standard wants it."""
+    cob_id = node.integer(first, 1, "I")
+    node.write(first, 1, "I", cob_id | 1 << 31)
+    node.write(first + 0x200, 0, "B", 0)
+    for n, entry in enumerate(entries, start=1):
+        node.write(first + 0x200, n, "I", entry)
+    node.write(first + 0x200, 0, "B", len(entries))
+    node.write(first, 1, "I", cob_id)
+
+
+def test_the_layout_is_read_from_both_nodes() -> None:
+    bench = Bench(sync=False)
+    assert agreed_layout(bench.access, bench.interface_access) == LAYOUT
+
+
+def test_another_mapping_and_cob_id_are_found() -> None:
+    bench = Bench(sync=False, operational=False)
+    node = bench.interface_access
+    write_mapping(bench, node, 0x1800, [0x64010210, 0x64010310, 0x64010110])
+    node.write(0x1800, 1, "I", 0x80000000 | 0x1C5)
+    node.write(0x1800, 1, "I", 0x1C5)
+    bench.access.write(0x1400, 1, "I", 0x80000000 | 0x1C5)
+    bench.access.write(0x1400, 1, "I", 0x1C5)
+    layout = agreed_layout(bench.access, node)
+    assert layout == PdoLayout(0x1C5, 4, 0)
+    assert layout.unpack(struct.pack("<hhh", 5, 0, -7)) == (-7, 5)
+
+
+def test_a_module_that_listens_elsewhere_is_told() -> None:
+    bench = Bench(sync=False)
+    bench.access.write(0x1400, 1, "I", 0x80000000 | 0x191)
+    bench.access.write(0x1400, 1, "I", 0x191)
+    with pytest.raises(
+        CommissioningError, match=r"receives its samples in PDO 191h, but .* sends them in 190h"
+    ):
+        agreed_layout(bench.access, bench.interface_access)
+
+
+def test_a_pdo_that_is_off_is_told() -> None:
+    bench = Bench(sync=False)
+    bench.interface_access.write(0x1800, 1, "I", 0x80000000 | 0x190)
+    with pytest.raises(CommissioningError, match=r"encoder interface 16 .* has no valid TPDO"):
+        agreed_layout(bench.access, bench.interface_access)
+    bench = Bench(sync=False)
+    bench.access.write(0x1400, 1, "I", 0x80000000 | 0x190)
+    with pytest.raises(CommissioningError, match=r"module 32 .* has no valid RPDO"):
+        agreed_layout(bench.access, bench.interface_access)
+
+
+def test_a_silent_interface_is_taken_as_the_module_expects_it() -> None:
+    bench = Bench(sync=False)
+    bench.bus._participants.remove(bench.interface)
+    assert agreed_layout(bench.access, bench.interface_access) == LAYOUT
+    other = NodeAccess(bench.master, 0x11, "encoder interface")
+    assert agreed_layout(None, other) == PdoLayout(0x191)
+
+
+def test_a_silent_interface_is_not_taken_for_another_node() -> None:
+    bench = Bench(sync=False)
+    other = NodeAccess(bench.master, 0x11, "encoder interface")
+    with pytest.raises(
+        CommissioningError,
+        match=r"interface 17 \(11h\) does not answer, .* from node 16 \(10h, PDO 190h\): set the right",
+    ):
+        agreed_layout(bench.access, other)
+
+
+def test_with_a_cob_id_of_nobody_a_silent_interface_is_believed() -> None:
+    bench = Bench(sync=False)
+    for cob_id in (0x80000000 | 0x500, 0x500):
+        bench.access.write(0x1400, 1, "I", cob_id)
+    other = NodeAccess(bench.master, 0x11, "encoder interface")
+    assert agreed_layout(bench.access, other) == PdoLayout(0x500)
+
+
+def test_frames_of_others_change_nothing() -> None:
+    bench = Bench(encoder=random_encoder(4))
+    bench.bus.taps.append(
+        lambda frame, now: bench.bus.send(Frame(0x191, pdo(1, 2))) if frame.can_id == 0x190 else None
+    )
+    assert listen(bench.master, LAYOUT, 0.3).missed == 0
+    assert (MODULE_ID, INTERFACE_ID) == (0x20, 0x10)

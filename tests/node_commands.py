@@ -1,0 +1,95 @@
+"""The commands that speak to one node, on the bench in place of a bus; and what spoils their requests."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from canfb.cia301.frame import Frame
+from canfb.cli import node_options
+from canfb.cli.main import main
+from commissioning_kit import Bench
+
+REQUEST, ANSWER = 0x620, 0x5A0
+Spoil = Callable[[Frame], list[Frame] | None]
+
+
+class Commands:
+    """Runs `canfb ...` against a bench, and says what it said."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+        self._monkeypatch = monkeypatch
+        self._capsys = capsys
+
+    def __call__(self, bench: Bench, *arguments: Any, code: int = 0) -> tuple[str, str]:
+        @contextlib.contextmanager
+        def master_of(options: Any) -> Iterator[Any]:
+            yield bench.master
+
+        self._monkeypatch.setattr(node_options, "master_of", master_of)
+        self._capsys.readouterr()
+        assert main([str(one) for one in arguments]) == code, self._capsys.readouterr()
+        heard = self._capsys.readouterr()
+        if code:
+            assert heard.err.count("\n") == 1, heard.err
+        return heard.out, heard.err
+
+
+def place_of(frame: Frame) -> tuple[int, int]:
+    """Index and sub-index of an initiating request."""
+    index, subindex = struct.unpack_from("<HB", frame.data, 1)
+    return index, subindex
+
+
+def is_write(frame: Frame) -> bool:
+    return frame.data[0] >> 5 in (1, 6)
+
+
+def abort(frame: Frame, code: int = 0x08000000) -> list[Frame]:
+    return [Frame(ANSWER, b"\x80" + frame.data[1:4] + struct.pack("<I", code))]
+
+
+def between(bench: Bench, spoil: Spoil) -> None:
+    """What ``spoil`` gives for an SDO request takes the place of the module's answer; None: as it is."""
+    receive = bench.module.receive
+
+    def spoiled(frame: Frame, now: float) -> list[Frame]:
+        answer = spoil(frame) if frame.can_id == REQUEST else None
+        return receive(frame, now) if answer is None else answer
+
+    bench.module.receive = spoiled  # type: ignore[method-assign]
+
+
+def refuse_once(bench: Bench, place: tuple[int, int], times: int = 1) -> list[Frame]:
+    """The module refuses the next writes of an object; what it has refused."""
+    refused: list[Frame] = []
+
+    def spoil(frame: Frame) -> list[Frame] | None:
+        if is_write(frame) and place_of(frame) == place and len(refused) < times:
+            refused.append(frame)
+            return abort(frame, 0x06090030)
+        return None
+
+    between(bench, spoil)
+    return refused
+
+
+def drop_answer(bench: Bench, place: tuple[int, int]) -> list[Frame]:
+    """The module takes the next write of an object, and its answer is lost."""
+    lost: list[Frame] = []
+    receive = bench.module.receive
+
+    def spoiled(frame: Frame, now: float) -> list[Frame]:
+        answer = receive(frame, now)
+        is_target = frame.can_id == REQUEST and is_write(frame) and place_of(frame) == place
+        if is_target and not lost:
+            lost.append(frame)
+            return [one for one in answer if one.can_id != ANSWER]
+        return answer
+
+    bench.module.receive = spoiled  # type: ignore[method-assign]
+    return lost

@@ -1,0 +1,21 @@
+"""A backup, restored into a module of the bench and kept, as `canfb restore --save` does it."""
+
+from __future__ import annotations
+
+from canfb.backup.backup_file import Backup
+from canfb.backup.backup_restoring import Restored, Restoring, Wishes
+from canfb.master.access import ModuleObjects
+from canfb.master.all_or_nothing import Guard
+from canfb.module.backup_content import restored_configuration
+from canfb.module.read_configuration import read_configuration
+from commissioning_kit import MODULE_ID, Bench
+
+
+def restore_from(kept: Backup, bench: Bench) -> Restored:
+    """The account of a restore that has succeeded."""
+    read = lambda: read_configuration(ModuleObjects(bench.master, MODULE_ID))  # noqa: E731
+    return Restoring(bench.access, read, Guard()).restore(
+        kept,
+        lambda before: restored_configuration(kept.values, before, kept.table, MODULE_ID, MODULE_ID),
+        Wishes(keep=True),
+    )

@@ -1,0 +1,334 @@
+"""`canfb sdo`: objects by name and number, values by the EDS, aborts in words; and docs/sdo.md."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shlex
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import canopen
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from canfb.cia301 import datatypes
+from canfb.cia301.codes import AbortCode
+from canfb.cia301.datatypes import DataType
+from canfb.cli.main import main
+from canfb.device.storage.storage import MemoryStore
+from canfb.eds_files import eds_path
+from canfb.objects import StatusBit
+from canfb.sdo.object_description import ObjectDescriptions, numbered
+from canfb.sdo.object_values import MODULE, abort_words, in_words, parse_value, short_real, value_range
+from canfb.signal.correction import CorrectionTable
+from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench
+from node_commands import Commands, abort, between, drop_answer, is_write
+
+NODE = hex(MODULE_ID)
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "sdo.md").read_text(encoding="utf-8")
+OF_MODULE = ObjectDescriptions(eds_path("canfb-module"), MODULE_ID)
+
+
+@pytest.fixture
+def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Commands:
+    return Commands(monkeypatch, capsys)
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench(sync=False)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("residual limit", "2010:01 Supervision: Residual limit: 21845 (0.333328 cycle)"),
+        ("RESIDUAL LIM", "2010:01 Supervision: Residual limit: 21845 (0.333328 cycle)"),
+        ("residual", "2011:02 Feedback: Residual: 0 (0 cycle)"),
+        ("supervision: residual", "2010:01 Supervision: Residual limit: 21845 (0.333328 cycle)"),
+        ("recording command", "2050:01 Recording: Command: 0"),
+        ("2010:03", "2010:03 Supervision: Samples to coast: 3 samples"),
+        ("0x2010:3", "2010:03 Supervision: Samples to coast: 3 samples"),
+        ("2002h:03", "2002:03 Conditioning: Sine gain: 1.0"),
+        ("6402:01", "6402:01 Work area high limit: Work area high limit channel 1: -1 measuring units"),
+        ("1800:01", "1800:01 TPDO 1 communication parameter: COB-ID used by TPDO: 0x400001A0"),
+        ("inhibit time emcy", "1015:00 Inhibit time EMCY: 0 x 100 us"),
+        ("1008", "1008:00 Manufacturer device name: canfb drive feedback module"),
+        ("2020:01", "2020:01 Correction table: Staged table: 1024 bytes; --out FILE writes them to a file"),
+        ("crc-32 of the active", "2020:04 Correction table: CRC-32 of the active table: 0x00000000"),
+    ],
+)
+def test_reading_by_name_and_by_number(canfb: Commands, bench: Bench, text: str, line: str) -> None:
+    assert canfb(bench, "sdo", "read", NODE, text)[0] == f"{line}\n"
+
+
+def test_a_record_is_read_as_a_whole(canfb: Commands, bench: Bench) -> None:
+    out = canfb(bench, "sdo", "read", NODE, "supervision")[0]
+    assert [line[:7] for line in out.splitlines()] == [f"2010:{n:02X}" for n in range(1, 13)]
+    assert canfb(bench, "sdo", "read", NODE, "2010")[0] == out
+    mapping = canfb(bench, "sdo", "read", NODE, "1a00")[0].splitlines()
+    assert "Number of mapped objects: 3" in mapping[0]
+    assert "2020:03" not in canfb(bench, "sdo", "read", NODE, "2020")[0], "write only"
+
+
+def test_the_eds_follows_from_the_node(canfb: Commands, bench: Bench) -> None:
+    out = canfb(bench, "sdo", "read", INTERFACE_ID, "sine")[0]
+    assert re.fullmatch(r"6401:01 Read analog input 16-bit: Sine: -?\d+ ADC counts\n", out)
+
+
+def test_bits_and_states_in_words(canfb: Commands) -> None:
+    bench = Bench()
+    bench.bus.run_until(0.2)
+    assert canfb(bench, "sdo", "read", NODE, "status word")[0].endswith(": 1 (valid)\n")
+    out = canfb(bench, "sdo", "write", NODE, "2030:01", "Start")[0]
+    assert out == "2030:01 Reference measurement in the module: Command: 0 -> 1 (start)\n"
+    assert "State: 1 (recording)\n" in canfb(bench, "sdo", "read", NODE, "2030:02")[0]
+    assert "Residual rms: nan cycles\n" in canfb(bench, "sdo", "read", NODE, "residual rms")[0]
+    both = StatusBit.VALID | StatusBit.TABLE_ACTIVE
+    assert in_words(MODULE, (0x2011, 1), int(both)) == "valid, table active"
+    assert in_words(MODULE, (0x2011, 1), 1 << 15 | 1) == "valid, bit 15"
+    assert in_words("another product", (0x2011, 1), 1) == ""
+    assert in_words("another product", (0x1001, 0), 0x11) == "generic, communication"
+
+
+WRITES = [
+    ("samples to coast", "0x10", b"\x10"),
+    ("largest acceleration", "12.5", b"\x00\x00\x48\x41"),
+    ("2002:01", "-3.25", b"\x00\x00\x50\xc0"),
+    ("cam 1 low", "-77", b"\xb3\xff\xff\xff"),
+    ("1017", "500", b"\xf4\x01"),
+]
+
+
+@pytest.mark.parametrize(("text", "value", "data"), WRITES)
+def test_the_canopen_client_reads_what_was_written(
+    canfb: Commands, bench: Bench, text: str, value: str, data: bytes
+) -> None:
+    out = canfb(bench, "sdo", "write", NODE, text, value)[0]
+    assert " -> " in out
+    index, _, subindex = out.partition(" ")[0].partition(":")
+    remote = canopen.RemoteNode(MODULE_ID, canopen.ObjectDictionary())
+    bench.master.network.add_node(remote)
+    assert remote.sdo.upload(int(index, 16), int(subindex, 16)) == data
+
+
+def test_a_domain_goes_by_file(canfb: Commands, bench: Bench, tmp_path: Path) -> None:
+    path = tmp_path / "table.bin"
+    out = canfb(bench, "sdo", "read", NODE, "2020:01", "--out", path)[0]
+    assert out == f"{path}: Correction table: Staged table, 1024 bytes\n"
+    out = canfb(bench, "sdo", "write", NODE, "2020:01", "--file", path)[0]
+    assert out.endswith(", written\n")
+    assert bench.value(0x2020, 2) == CorrectionTable.identity().crc32
+    _, err = canfb(bench, "sdo", "read", NODE, "2020:01", "--out", "/dev/full", code=1)
+    assert err == "canfb: cannot write /dev/full: No space left on device\n"
+
+
+def test_save_is_a_word(canfb: Commands) -> None:
+    store = MemoryStore()
+    bench = Bench(sync=False, store=store)
+    canfb(bench, "sdo", "write", NODE, "save all", "save")
+    assert store.images
+
+
+def test_for_programs(canfb: Commands, bench: Bench) -> None:
+    (found,) = json.loads(canfb(bench, "sdo", "read", NODE, "residual limit", "--json")[0])
+    assert found == {
+        "object": "2010:01",
+        "name": "Supervision: Residual limit",
+        "type": "UNSIGNED16",
+        "value": 21845,
+        "unit": "1/65536 cycle",
+        "words": None,
+        "bytes": "5555",
+    }
+    (nothing,) = json.loads(canfb(bench, "sdo", "read", NODE, "residual rms", "--json")[0])
+    assert nothing["value"] is None
+    said = json.loads(canfb(bench, "sdo", "write", NODE, "2010:03", "9", "--json")[0])
+    assert (said["before"]["value"], said["now"]["value"], said["written"]["value"]) == (3, 9, 9)
+
+
+WRONG = [
+    (("read", "resid"), "'resid' means several objects: 2010:01 Supervision: Residual limit, 2011:02"),
+    (
+        ("read", "command"),
+        "'command' means several objects: 2030:01 Reference measurement in the module: Command",
+    ),
+    (
+        ("read", "largest amplitude"),
+        "has no object of this name; is it one of these: 2001:03 Encoder and ADC",
+    ),
+    (("read", "zebra"), "canfb drive feedback module has no object of this name; canfb-module.eds has"),
+    (("read", "2099"), "2099: canfb drive feedback module has no such object (canfb-module.eds)"),
+    (("read", "2010:77"), "2010:77: canfb drive feedback module has no such sub-index"),
+    (("read", "--", " : "), "a number such as 2010:01, or the name of an object, is required"),
+    (("write", "supervision", "1"), "'supervision' has several entries; which one: 2010:01 Residual limit"),
+    (
+        ("write", "2010:03", "300"),
+        "2010:03 Supervision: Samples to coast must be a whole number 0..255, not 300",
+    ),
+    (("write", "2010:06", "1"), "must be a whole number 2..255, not 1"),
+    (("write", "2010:03", "x"), "Samples to coast must be a whole number, not 'x'"),
+    (("write", "2010:02", "1e99"), "1e+99 is beyond what a REAL32 holds"),
+    (("write", "2030:01", "begin"), "or one of the words start, stop, accept, check, finish"),
+    (("write", "2020:01", "xyz"), "must be bytes in hexadecimal such as 01FF, not 'xyz'"),
+    (("write", "2010:03"), "a VALUE or --file FILE is required, one of them"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), WRONG)
+def test_wrong_use_is_one_line_and_writes_nothing(
+    canfb: Commands, bench: Bench, arguments: tuple[str, ...], words: str
+) -> None:
+    part, *rest = arguments
+    _, err = canfb(bench, "sdo", part, NODE, *rest, code=2)
+    assert words in err
+    sent = [frame for frame in bench.master.sent if frame.can_id == 0x620]
+    assert [frame for frame in sent if is_write(frame)] == []
+
+
+def test_what_the_node_refuses_is_said_in_words(canfb: Commands, bench: Bench) -> None:
+    _, err = canfb(bench, "sdo", "write", NODE, "1010:01", "save", code=1)
+    (example,) = [line for line in PAGE.splitlines() if line.startswith("canfb: node 32")]
+    assert err == f"{example}\n"
+    _, err = canfb(bench, "sdo", "write", NODE, "2011:01", "3", code=1)
+    assert err == "canfb: 2011:01 Feedback: Status word is read only\n"
+    _, err = canfb(bench, "sdo", "read", NODE, "activate", code=1)
+    assert err == "canfb: 2020:03 Correction table: Activate is write only\n"
+    between(bench, lambda frame: abort(frame, 0x06090031) if is_write(frame) else None)
+    _, err = canfb(bench, "sdo", "write", NODE, "2010:06", "7", code=1)
+    assert "is refused: value of parameter written too high (06090031h); the EDS allows 2.." in err
+
+
+def test_an_answer_that_is_lost_and_a_node_that_is_not_there(canfb: Commands, bench: Bench) -> None:
+    drop_answer(bench, (0x2010, 3))
+    _, err = canfb(bench, "sdo", "write", NODE, "2010:03", "9", code=1)
+    assert "writing 2010:03: no answer; is the node on the bus" in err
+    _, err = canfb(bench, "sdo", "read", 99, "2010:03", code=1)
+    assert "node 99 (63h): reading 1018:01: no answer" in err
+
+
+def test_a_node_of_another_maker(canfb: Commands, bench: Bench, tmp_path: Path) -> None:
+    bench.module.dictionary.entry(0x1018, 2).value = 99
+    _, err = canfb(bench, "sdo", "read", NODE, "2010:03", code=2)
+    assert "product 99 of vendor 0, which is none of ours: give its EDS with --eds FILE" in err
+    eds = tmp_path / "their.eds"
+    eds.write_text(
+        "[DeviceInfo]\nProductName=their drive\n"
+        "[2010]\nParameterName=Something\nObjectType=0x9\nSubNumber=2\n"
+        "[2010sub3]\nParameterName=Gain\nDataType=0x0006\nAccessType=rw\nUnit=apples\n"
+        "[2020]\nParameterName=Blob\nObjectType=0x2\n"
+    )
+    out = canfb(bench, "sdo", "read", NODE, "gain", "--eds", eds)[0]
+    assert out == "2010:03 Something: Gain: 03 (1 bytes, the EDS has UNSIGNED16)\n"
+    _, err = canfb(bench, "sdo", "write", NODE, "gain", "3", "--eds", eds, code=1)
+    assert "the type in the EDS is not that of the node: give its own with --eds" in err
+
+
+HEAD = "[DeviceInfo]\nProductName=their drive\n[1000]\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "nonsense", f"{HEAD}ParameterName=x\n", f"{HEAD}ParameterName=x\nDataType=q\nAccessType=ro\n"],
+)
+def test_an_eds_that_is_none(canfb: Commands, bench: Bench, tmp_path: Path, text: str) -> None:
+    path = tmp_path / "bad.eds"
+    path.write_text(text)
+    arguments = ("sdo", "read", NODE, "2010:01", "--eds", path)
+    _, err = canfb(bench, *arguments, code=1)
+    assert "this is not an EDS: " in err
+    _, err = canfb(bench, "sdo", "read", NODE, "2010:01", "--eds", tmp_path / "none.eds", code=1)
+    assert "cannot be read: No such file" in err
+
+
+def test_the_commands_of_the_page_run(
+    canfb: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    bench = Bench(store=MemoryStore())
+    bench.bus.run_until(0.2)
+    Path("drive.eds").write_bytes(eds_path("drive").read_bytes())
+    blocks = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+    said = [canfb(bench, *shlex.split(line)[1:])[0] for line in blocks[0].splitlines()]
+    shown = re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)[0].splitlines()
+    assert [said[0], said[3]] == [f"{shown[0]}\n", f"{shown[2]}\n"]
+    assert said[2].startswith(shown[1].partition("129")[0])
+    _, err = canfb(bench, *shlex.split(blocks[1])[1:], code=1)
+    assert "no answer" in err
+
+
+def test_the_parts_of_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sdo"]) == 2
+    assert "required: read|write" in capsys.readouterr().err
+
+
+def test_every_entry_of_ours_is_found_by_its_full_name() -> None:
+    names = [entry.name for entry in OF_MODULE]
+    for entry in OF_MODULE:
+        if (entry.subindex or not entry.parent) and (entry.parent or names.count(entry.name) == 1):
+            assert entry in OF_MODULE.meant(entry.title)
+
+
+@given(st.integers(0x1000, 0xFFFF), st.integers(0, 255))
+def test_numbers_of_objects(index: int, subindex: int) -> None:
+    for text in (f"{index:04X}:{subindex:02X}", f"0x{index:x}:{subindex:x}", f"{index:04x}h:{subindex:02x}h"):
+        assert numbered(text) == (index, subindex)
+    assert numbered(f"{index:04X}") == (index, None)
+
+
+INTEGERS = sorted(
+    code for code in datatypes.KNOWN if value_range(code)[1] > 1 and code not in {*datatypes.FLOATS, 12, 13}
+)
+
+
+@given(st.data(), st.sampled_from(INTEGERS))
+def test_integers_of_every_type_within_their_range(data: st.DataObject, code: int) -> None:
+    low, high = value_range(code)
+    value = data.draw(st.integers(low, high))
+    for text in (str(value), hex(value)):
+        assert datatypes.decode(code, datatypes.encode(code, parse_value(code, text))) == value
+    for beyond in (low - 1, high + 1):
+        with pytest.raises(ValueError, match="must be a whole number"):
+            parse_value(code, str(beyond))
+
+
+def digits(value: float) -> int:
+    """Significant ones, as it is written."""
+    return len(Decimal(repr(value)).normalize().as_tuple().digits)
+
+
+@given(st.floats(width=32, allow_nan=False))
+@example(999999986991104.0)
+def test_the_short_form_of_a_real32_is_the_same_number(value: float) -> None:
+    short = short_real(value)
+    assert parse_value(DataType.REAL32, str(short)) == value
+    assert digits(short) <= digits(value)
+    assert math.copysign(1, short) == math.copysign(1, value)
+
+
+@given(st.integers(0, 0xFFFFFFFF))
+def test_every_abort_code_has_words(code: int) -> None:
+    for one in (code, *AbortCode):
+        words: Any = abort_words(int(one), None)
+        assert f"({int(one):08X}h)" in words
+        assert "\n" not in words
+
+
+def test_a_preset_in_motion_says_what_it_needs(canfb: Commands) -> None:
+    bench = Bench(rpm=600.0)
+    bench.bus.run_until(0.5)
+    for preset in ("6003", "6009"):
+        _, err = canfb(bench, "sdo", "write", NODE, preset, "0", code=1)
+        assert "(08000022h); a preset needs a valid position at standstill: stop the machine" in err
+        assert "preop" not in err
+
+
+def test_a_node_of_others_keeps_the_general_advice() -> None:
+    entry = OF_MODULE.meant("6003")[0]
+    assert "canfb nmt preop" in abort_words(AbortCode.DEVICE_STATE, entry, "drive of somebody")
+    assert "at standstill" in abort_words(AbortCode.DEVICE_STATE, entry, MODULE)

@@ -1,0 +1,321 @@
+"""`canfb table`: from a file to the module and back; whatever fails leaves the module as it was."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from pathlib import Path
+
+import canopen
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.cli.main import main
+from canfb.device.storage.storage import MemoryStore
+from canfb.eds_files import eds_path
+from canfb.master.active import put_in_force, read_active
+from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
+from canfb.tables.table_file import as_yaml, read_table_file
+from canfb.tables.table_state import difference
+from commissioning_kit import MODULE_ID, Bench
+from node_commands import Commands, drop_answer, refuse_once
+
+NODE = hex(MODULE_ID)
+PHASES = np.arange(64) / 64
+TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
+OTHER = CorrectionTable(PHASES - 0.02 * np.sin(2 * np.pi * PHASES))
+CONDITIONING = Conditioning(3.5, -2.0, 1.0, 1.03125, 0.0078125)
+NEW = Correction(TABLE, CONDITIONING)
+OLD = Correction(OTHER, Conditioning(sine_gain=1.25))
+
+
+@pytest.fixture
+def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Commands:
+    return Commands(monkeypatch, capsys)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "table.yaml"
+    path.write_text(as_yaml(NEW, {"date": "2026-03-01", "cycles_per_revolution": 2500}))
+    return path
+
+
+def bench_with(before: Correction = NO_CORRECTION, store: MemoryStore | None = None) -> Bench:
+    bench = Bench(sync=False, store=store)
+    put_in_force(bench.access, before)
+    return bench
+
+
+def in_force(bench: Bench) -> Correction:
+    """What the module computes with."""
+    return bench.module.chain.correction
+
+
+def test_upload_stages_and_activate_puts_in_force(canfb: Commands, file: Path) -> None:
+    bench = bench_with(OLD, MemoryStore())
+    out, _ = canfb(bench, "table", "upload", NODE, file)
+    assert "staged in module 32 (20h), not in force yet: canfb table activate 0x20" in out
+    assert in_force(bench) == OLD
+    assert bench.value(0x2020, 2) == TABLE.crc32
+    assert "phase +0.0078 rad; in force with the next activation" in canfb(bench, "table", "show", NODE)[0]
+    out, _ = canfb(bench, "table", "activate", NODE, "--save")
+    assert f"table {TABLE.crc32:08X}h in force in module 32 (20h); saved (1010:04)" in out
+    assert in_force(bench) == NEW
+    out, _ = canfb(bench, "table", "clear", NODE)
+    assert "no table in force in module 32 (20h); not saved: --save keeps it" in out
+    assert "the conditioning (2002h) stays" in out
+    assert in_force(bench) == Correction(None, CONDITIONING)
+    canfb(bench, "table", "clear", NODE, "--conditioning")
+    assert in_force(bench) == NO_CORRECTION
+
+
+def test_the_canopen_client_reads_what_was_uploaded(canfb: Commands, file: Path) -> None:
+    bench = bench_with()
+    canfb(bench, "table", "upload", NODE, file, "--activate")
+    remote = canopen.RemoteNode(MODULE_ID, str(eds_path("canfb-module")))
+    bench.master.network.add_node(remote)
+    assert remote.sdo.upload(0x2020, 1) == TABLE.to_bytes()
+    assert [remote.sdo[0x2002][n].raw for n in range(1, 8)] == list(CONDITIONING.values[:7])
+
+
+def test_how_far_the_positions_move_is_said(canfb: Commands, file: Path) -> None:
+    out, _ = canfb(bench_with(OLD), "table", "upload", NODE, file)
+    assert "positions move by at most 0.03 cycle (10.8° of the cycle; 16″ of the shaft)" in out
+    assert "conditioning, which changes too" in out
+
+
+@pytest.mark.parametrize("name", ["copy.yaml", "copy.bin"])
+def test_down_and_up_again_is_the_same(canfb: Commands, tmp_path: Path, name: str) -> None:
+    bench, path = bench_with(NEW), tmp_path / name
+    out, _ = canfb(bench, "table", "download", NODE, path)
+    assert f"the active table, {TABLE.crc32:08X}h, 64 entries" in out
+    assert ("note: " in out) is (name == "copy.bin"), "which has no conditioning"
+    canfb(bench, "table", "clear", NODE)
+    canfb(bench, "table", "upload", NODE, path, "--activate")
+    assert in_force(bench) == NEW, "bytes alone leave the conditioning of the module"
+    assert read_table_file(path).cycles_per_revolution == (2500 if name == "copy.yaml" else None)
+
+
+def test_show_before_and_after_a_save(canfb: Commands, file: Path) -> None:
+    bench = bench_with(store=MemoryStore())
+
+    def saved() -> str:
+        out, _ = canfb(bench, "table", "show", NODE)
+        return next(line.removeprefix("saved").strip() for line in out.splitlines() if "saved" in line)
+
+    assert saved() == "none is saved, none is active"
+    canfb(bench, "table", "upload", NODE, file, "--activate")
+    assert saved() == "no: after a reset the table is none"
+    canfb(bench, "table", "activate", NODE, "--save")
+    assert saved() == "yes"
+    canfb(bench, "table", "clear", NODE)
+    assert saved() == f"no: after a reset the table is {TABLE.crc32:08X}h"
+
+
+def test_show_has_the_figures_of_the_table(canfb: Commands, file: Path) -> None:
+    bench = bench_with(NEW)
+    out, _ = canfb(bench, "table", "show", NODE, "--json")
+    of_module = json.loads(out)
+    rms = float(np.sqrt(np.mean((TABLE.entries - PHASES) ** 2)))
+    assert of_module["deviation_rms_cycles"] == pytest.approx(rms)
+    assert of_module["deviation_peak_degrees"] == pytest.approx(3.6, rel=1e-3)
+    assert (of_module["crc32"], of_module["entries"]) == (f"{TABLE.crc32:08X}", 64)
+    assert (of_module["saved"], of_module["saved_crc32"]) == (False, "00000000")
+    out, _ = canfb(bench, "table", "show", file, "--json")
+    of_file = json.loads(out)
+    same = ("crc32", "entries", "deviation_rms_cycles", "conditioning", "cycles_per_revolution")
+    assert [of_file[key] for key in same] == [of_module[key] for key in same]
+    assert of_file["saved"] is None
+    out, _ = canfb(bench, "table", "show", file)
+    assert out.splitlines()[0] == str(file)
+    assert "deviation, rms   0.00707 cycle (2.55° of the cycle; 3.7″ of the shaft)" in out
+
+
+def test_a_module_that_does_not_say_what_it_has_saved(canfb: Commands) -> None:
+    bench = bench_with(NEW)
+    del bench.module.dictionary._entries[0x2020, 6]
+    out, _ = canfb(bench, "table", "show", NODE)
+    assert "saved            not known: this module does not say it (2020:06)" in out
+
+
+WRITES = [(0x2002, n) for n in (1, 3, 5)] + [(0x2020, 1), (0x2020, 3), (0x1010, 4)]
+
+
+@pytest.mark.parametrize("place", WRITES, ids=lambda one: f"{one[0]:04X}:{one[1]:02X}")
+def test_a_write_that_is_refused_leaves_the_module_as_it_was(
+    place: tuple[int, int], canfb: Commands, file: Path
+) -> None:
+    bench = bench_with(OLD, MemoryStore())
+    canfb(bench, "table", "clear", NODE, "--save")
+    put_in_force(bench.access, OLD)
+    times = 2 if place == (0x2020, 1) else 1  # the block transfer, and the segmented one
+    refused = refuse_once(bench, place, times)
+    _, err = canfb(bench, "table", "upload", NODE, file, "--activate", "--save", code=1)
+    assert len(refused) == times
+    assert "; the table and the conditioning from before are in force in module 32 (20h)" in err
+    assert in_force(bench) == read_active(bench.access) == OLD
+
+
+@pytest.mark.parametrize("place", WRITES, ids=lambda one: f"{one[0]:04X}:{one[1]:02X}")
+def test_an_answer_that_is_lost_leaves_the_module_as_it_was(
+    place: tuple[int, int], canfb: Commands, file: Path
+) -> None:
+    bench = bench_with(OLD, MemoryStore())
+    lost = drop_answer(bench, place)
+    _, err = canfb(
+        bench, "table", "upload", NODE, file, "--activate", "--save", code=0 if place == (0x2020, 1) else 1
+    )
+    assert len(lost) == 1
+    assert in_force(bench) == (NEW if place == (0x2020, 1) else OLD), "a table is sent again in segments"
+    assert ("no answer; is the node on the bus" in err) is (place != (0x2020, 1))
+
+
+def test_a_refused_staging_leaves_the_conditioning(canfb: Commands, file: Path) -> None:
+    bench = bench_with(OLD)
+    refuse_once(bench, (0x2020, 1), 2)
+    _, err = canfb(bench, "table", "upload", NODE, file, code=1)
+    assert read_active(bench.access) == OLD
+    assert "; the table and the conditioning from before are in force" in err
+
+
+def test_save_is_refused_before_anything_is_written(canfb: Commands, file: Path) -> None:
+    bench = bench_with(OLD)
+    _, err = canfb(bench, "table", "upload", NODE, file, "--activate", "--save", code=1)
+    assert "--save: module 32 (20h) cannot save (1010h; canfb run needs a state_dir for it)" in err
+    assert (in_force(bench), bench.value(0x2020, 2)) == (OLD, OTHER.crc32), "as it was put in force here"
+
+
+def test_nothing_staged(canfb: Commands) -> None:
+    _, err = canfb(Bench(sync=False), "table", "activate", NODE, code=1)
+    assert "nothing is staged; canfb table upload stages" in err
+
+
+def test_a_node_that_is_not_there_and_one_that_is_no_module(canfb: Commands) -> None:
+    bench = Bench(sync=False)
+    _, err = canfb(bench, "table", "show", 99, code=1)
+    assert "module 99 (63h): reading 2020:04: no answer; is the node on the bus" in err
+    _, err = canfb(bench, "table", "show", "0x10", code=1)
+    assert "module 16 (10h) has no correction table (2020h)" in err
+
+
+BAD = {
+    "a key": ("sine_gain:", "sine_gian:", "line {line}: unknown key 'sine_gian' in conditioning"),
+    "a type": (
+        "sine_gain: 1.0",
+        "sine_gain: one",
+        "line {line}: sine_gain must be a finite number, not 'one'",
+    ),
+    "a double": (
+        "sine_gain: 1.0",
+        "sine_gain: 1.0\n  sine_gain: 2.0",
+        "line {next}: key 'sine_gain' is there",
+    ),
+    "a number": ("crc32: ", "crc32: 1", "an entry was changed"),
+    "entries": ("entries:", "entries: [one]\nothers:", "line {line}: a correction table is a sequence of"),
+    "no YAML": ("conditioning:", "conditioning: [", "line "),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_file_is_one_line_with_key_and_line(case: str, canfb: Commands, file: Path) -> None:
+    old, new, words = BAD[case]
+    text = file.read_text()
+    assert old in text
+    line = text[: text.index(old)].count("\n") + 1
+    file.write_text(text.replace(old, new, 1))
+    bench = bench_with(OLD)
+    _, err = canfb(bench, "table", "upload", NODE, file, code=1)
+    assert f"{file}: this is not a correction table: " in err
+    assert words.format(line=line, next=line + 1) in err
+    assert read_active(bench.access) == OLD
+
+
+def test_a_disk_that_is_full_leaves_the_old_file(
+    canfb: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench, path = bench_with(NEW), tmp_path / "table.yaml"
+    path.write_text("what was there before")
+    _, err = canfb(bench, "table", "download", NODE, "/dev/full", code=1)
+    assert err == "canfb: cannot write /dev/full: No space left on device\n"
+
+    def full(handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    _, err = canfb(bench, "table", "download", NODE, path, code=1)
+    assert err == f"canfb: cannot write {path}: No space left on device\n"
+    assert path.read_text() == "what was there before"
+    assert [one.name for one in tmp_path.iterdir()] == ["table.yaml"]
+    _, err = canfb(bench, "table", "download", NODE, tmp_path / "no" / "table.yaml", code=1)
+    assert "there is no folder" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("show", "nothing.yaml"), "nothing.yaml: neither a node-ID (1 to 127) nor a file"),
+        (("show", "128"), "128: neither a node-ID"),
+        (("upload", "0x20", "t.yaml", "--save"), "--save: only with --activate"),
+        (("upload", "0", "t.yaml"), "'0' is not a node-ID (1 to 127, or 0x01 to 0x7F); see"),
+        (("clear", "0x20", "--answer-within", "0"), "--answer-within 0: must be 0.01 to 60"),
+        ((), "the following arguments are required: show|upload|download|activate|clear"),
+    ],
+)
+def test_wrong_use_is_one_line(
+    arguments: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["table", *arguments]) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
+
+
+def test_an_interruption_puts_back_what_was(canfb: Commands, file: Path) -> None:
+    bench = bench_with(OLD)
+    send, sent = bench.master.network.send_message, [0]
+
+    def interrupted(can_id: int, data: bytes, remote: bool = False) -> None:
+        sent[0] += 1
+        if sent[0] == 30:
+            raise KeyboardInterrupt
+        send(can_id, data, remote)
+
+    bench.master.network.send_message = interrupted  # type: ignore[method-assign]
+    _, err = canfb(bench, "table", "upload", NODE, file, "--activate", code=130)
+    assert err == "canfb: interrupted; the node is as it was\n"
+    assert in_force(bench) == OLD
+
+
+bumps = st.floats(-0.1875, 0.1875, width=32)
+
+
+@given(st.integers(16, 200), bumps, st.floats(0.5, 2.0, width=32), bumps)
+def test_any_table_file_comes_back(n: int, bump: float, gain: float, offset: float) -> None:
+    raw = np.arange(n) / n
+    used = Correction(
+        CorrectionTable(raw + bump / 7 * np.sin(2 * np.pi * raw)),
+        Conditioning(sine_offset_counts=offset, sine_gain=gain),
+    )
+    text = as_yaml(used, {"cycles_per_revolution": n})
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "table.yaml"
+        path.write_text(text)
+        found = read_table_file(path)
+    assert (found.used, found.with_conditioning, found.cycles_per_revolution) == (used, True, n)
+
+
+@given(st.integers(16, 300), bumps)
+def test_the_deviation_of_a_table(n: int, bump: float) -> None:
+    raw = np.arange(n) / n
+    table = CorrectionTable(raw + bump / 7 * np.sin(2 * np.pi * raw))
+    rms, peak = difference(table, None)
+    assert rms == pytest.approx(abs(bump) / 7 / np.sqrt(2), abs=1e-6)
+    assert rms <= peak + 1e-12
+    assert difference(table, table) == (0.0, 0.0)
+    assert difference(None, table) == pytest.approx((rms, peak))
+    assert IDENTITY.is_identity

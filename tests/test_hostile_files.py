@@ -1,0 +1,182 @@
+"""Files that a fuzzer made: each is refused in one line, or read without what is damaged."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import zipfile
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from canfb.backup.backup_file import read_backup
+from canfb.configuration import changed_module, parse_config
+from canfb.device.od.dictionary import Dictionary
+from canfb.eds_files import eds_path
+from canfb.errors import CanfbError, ConfigError
+from canfb.logs import candump_log
+from canfb.logs.folder_replay import work_of
+from canfb.logs.log_reader import BusLogFile
+from canfb.logs.log_replay import ReplaySettings
+from canfb.logs.log_rows import COLUMNS, job_of
+from canfb.master.samples import read_npz, read_speed
+from canfb.module.module_config import ModuleConfig
+from canfb.sdo.object_description import ObjectDescriptions
+from canfb.signal.conditioning import Conditioning
+from canfb.sources import tracks_file
+from canfb.tables.table_file import read_table
+
+LISTS = [f"&b{n} [{', '.join([f'*b{n - 1}' if n else '0.5'] * 9)}]" for n in range(9)]
+BOMB = "x:\n" + "".join(f"- {one}\n" for one in LISTS)
+SELF = "x: &b8 [*b8]\n"
+HUGE = "9" * 400
+
+
+@pytest.mark.parametrize("begin", [BOMB, SELF], ids=["billion", "itself"])
+def test_aliases_that_stand_for_any_number_of_values(tmp_path: Path, begin: str) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(f"{begin}entries: *b8\n")
+    with pytest.raises(CanfbError, match="more than 100000 values"):
+        read_table(path)
+    path.write_text(f"{begin}canfb_backup: *b8\n")
+    with pytest.raises(CanfbError, match="more than 100000 values"):
+        read_backup(path, ObjectDescriptions(eds_path("canfb-module"), 1))
+    with pytest.raises(ConfigError, match="more than 100000 values"):
+        parse_config(f"{begin}bus: {{channel: *b8}}\nmodules: [{{node_id: 1}}]\n")
+    with pytest.raises(ConfigError):
+        changed_module(ModuleConfig(node_id=1), [f"residual_limit=[{', '.join(LISTS)}]"])
+
+
+def test_an_alias_is_still_a_word_of_a_configuration() -> None:
+    config = parse_config(
+        "modules:\n- {node_id: 1, coast_samples: &n 7}\n- {node_id: 2, coast_samples: *n}\n"
+    )
+    assert [module.coast_samples for module in config.modules] == [7, 7]
+
+
+def test_a_whole_number_that_is_no_float() -> None:
+    with pytest.raises(ValueError, match="delay_s must be a finite number"):
+        Conditioning(delay_s=int(HUGE))
+    source = f"{{kind: recording, file: a.csv, mid_scale: {HUGE}}}"
+    with pytest.raises(ConfigError, match=r":3: source: mid_scale must be a number"):
+        parse_config(f"modules:\n- node_id: 1\n  source: {source}\n")
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        *("conditioning={sine_offset_counts: " + "9" * 5000 + "}", "node\nid=1", "x" * 5000),
+        *("residual_limit='" + "1" * 5000 + "'", "times=!!bool 7", f"adapt=[{'[' * 3000}"),
+        *("node_id=!!int ''", "write_lock=\udcff"),
+    ],
+)
+def test_a_setting_that_cannot_be_is_one_line(setting: str) -> None:
+    with pytest.raises(ConfigError) as raised:
+        changed_module(ModuleConfig(node_id=1), [setting])
+    assert len(str(raised.value).splitlines()) == 1
+    assert len(str(raised.value)) < 400
+
+
+def packed(**arrays: bytes) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in arrays.items():
+            archive.writestr(f"{name}.npy", data)
+    return file.getvalue()
+
+
+def array(*values: float) -> bytes:
+    file = io.BytesIO()
+    np.save(file, np.array(values))
+    return file.getvalue()
+
+
+GOOD = packed(sine=array(*range(500)), cosine=array(*range(500)))
+NEWER = GOOD.replace(b"PK\x03\x04\x14", b"PK\x03\x04\x65").replace(
+    b"PK\x01\x02\x14\x03\x14", b"PK\x01\x02\x14\x03\x65"
+)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        *(GOOD[:300] + bytes(8) + GOOD[308:], NEWER),
+        packed(sine=array(1).replace(b"}", b"("), cosine=array(1)),
+        packed(sine=array(1).replace(b"(1,)", b"(10000000000000,)"), cosine=array(1)),
+        packed(**{"co\nsine": array(1), "sine": array(1)}),
+        packed(sine=array(1), cosine=array(1), rate_hz=array(1, 2)),
+        array(1),
+    ],
+    ids=["deflate", "version", "header", "shape", "name", "rate", "no ZIP"],
+)
+def test_a_recording_that_is_none(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "a.npz"
+    path.write_bytes(data)
+    for read in (read_npz, read_speed):
+        with pytest.raises(CanfbError, match=r"this is not a file of samples: .") as raised:
+            read(path)
+        assert len(str(raised.value).splitlines()) == 1
+
+
+def test_a_recording_that_unpacks_to_any_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.npz"
+    path.write_bytes(GOOD)
+    assert len(read_npz(path).sine) == 500
+    monkeypatch.setattr(tracks_file, "LARGEST_UNPACKED", 8000)
+    with pytest.raises(CanfbError, match=r"its arrays have 8256 bytes; at most 8000"):
+        read_npz(path)
+
+
+def test_a_blf_object_without_a_length(tmp_path: Path) -> None:
+    """python-can reads it again and again."""
+    path = tmp_path / "a.blf"
+    with can.Logger(path, compression_level=0) as writer:
+        for n in range(5):
+            writer.on_message_received(
+                can.Message(timestamp=n, arbitration_id=n, is_extended_id=False, channel=0)
+            )
+    data = path.read_bytes()
+    places = [n for n in range(len(data)) if data.startswith(b"LOBJ", n)][1:]  # the first is the container
+    assert len(places) == 5
+    path.write_bytes(data[: places[3] + 8] + bytes(4) + data[places[3] + 12 :])
+    log = BusLogFile(path)
+    assert [frame.can_id for frame in log] == [0, 1, 2]
+    assert log.trouble == f"{path}: damaged behind frame 3: an object has no length"
+
+
+def test_a_line_of_a_log_that_does_not_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(candump_log, "BLOCK_BYTES", 1000)
+    path = tmp_path / "a.log.gz"
+    path.write_bytes(gzip.compress(b"(1.0) can0 080#\n" + bytes(100_000) + b"\n(2.0) can0 081#\n"))
+    with gzip.open(path) as file:
+        assert max(map(len, candump_log._blocks(file))) <= 2002  # type: ignore[arg-type]
+    log = BusLogFile(path)
+    assert [frame.can_id for frame in log] == [0x80, 0x81]
+    assert log.counters.damaged_lines == 51
+
+
+def test_an_eds_with_many_bad_lines(tmp_path: Path) -> None:
+    path = tmp_path / "a.eds"
+    path.write_text("[1000]\nParameterName=x\n" + "bad\n" * 500)
+    with pytest.raises(ValueError, match="not an EDS: ") as raised:
+        Dictionary.load(path, 1)
+    assert len(str(raised.value).splitlines()) == 1
+    assert len(str(raised.value)) < 400
+
+
+def test_notes_of_a_replay_that_name_no_log(tmp_path: Path) -> None:
+    folder, settings = tmp_path / "logs", ReplaySettings((ModuleConfig(node_id=1),))
+    folder.mkdir()
+    log = folder / "a.log"
+    log.write_bytes(b"(1.0) can0 080#\n")
+    row = dict.fromkeys(COLUMNS) | {"log": "a.log", "module": 1}
+    row["fingerprint"] = job_of(folder, log, settings).fingerprint
+    bad = [row | {"log": ["a.log"]}, row | {"module": {}}, row | {"log": None}, row | {"module": "1"}]
+    notes = tmp_path / "out.parquet.unfinished"
+    notes.write_text("".join(f"{json.dumps(one)}\n" for one in bad) + "[" * 100_000)
+    assert work_of(folder, settings, tmp_path / "out.parquet").done == []
+    notes.write_text(json.dumps(row))
+    assert work_of(folder, settings, tmp_path / "out.parquet").done == [row]

@@ -1,0 +1,155 @@
+"""The other nodes of tools.bench.bus: SYNC producer, encoder interface and a load; the times of frames.
+
+On a pair of sockets a frame that is sent has the time just before the call, on SocketCAN it comes back with
+the time of the kernel. What the node sends has the time of the kernel on both.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import select
+import socket
+import struct
+import sys
+import time
+from collections import deque
+from dataclasses import dataclass, field
+
+from canfb.bus.raw_can_bus import FrameReader
+from canfb.cia301.frame import frame_bits
+from tools.bench.bus_load import Load, SdoClient, set_up
+from tools.bench.bus_node import SYNCHRONOUS_PDO
+from tools.bench.cycle import ADC_PDO, POSITION_PDO, SYNC, UNITS_PER_CYCLE, adc_data
+
+CAN_FRAME = struct.Struct("=IB3x8s")
+STEPS, PERIOD = 11, 100  # hundredths of a cycle from sample to sample: after 100 samples the phase repeats
+STEPS_INVERSE = pow(STEPS, -1, PERIOD)
+SYNC_FRAME = CAN_FRAME.pack(SYNC, 0, b"")
+ADC_FRAMES = [CAN_FRAME.pack(ADC_PDO, len(data), data) for data in adc_data(PERIOD, STEPS / PERIOD)]
+BIT_S = 1e-6
+WARM_UP = 300
+LONGEST_WARM_UP = 100
+LONGEST_LAG = 0.3  # of a period
+ADC_S = frame_bits(4) * BIT_S  # the encoder interface sends at once
+
+
+@dataclass
+class Times:
+    """Of each sample, by its number, in seconds: its SYNC and ADC PDO, and the PDOs with its position.
+
+    That of TPDO1 (type 254) follows the ADC PDO, that of TPDO2 (type 1) the next SYNC.
+    """
+
+    sync_s: dict[int, float] = field(default_factory=dict)
+    adc_s: dict[int, float] = field(default_factory=dict)
+    at_once_s: dict[int, float] = field(default_factory=dict)
+    with_sync_s: dict[int, float] = field(default_factory=dict)
+
+    def from_sync_us(self) -> list[float]:
+        """SYNC to the position PDO that it asks for."""
+        return [(at - self.sync_s[n + 1]) * 1e6 for n, at in self.with_sync_s.items() if n + 1 in self.sync_s]
+
+    def from_adc_us(self) -> list[float]:
+        """ADC PDO to the position PDO with its sample."""
+        return [(at - self.adc_s[n]) * 1e6 for n, at in self.at_once_s.items() if n in self.adc_s]
+
+    def not_in_time(self, period_s: float) -> int:
+        """Samples whose position did not come within a period of their ADC PDO."""
+        return sum(self.at_once_s.get(n, math.inf) > at + period_s for n, at in self.adc_s.items())
+
+
+class Others:
+    """Plays SYNC producer and encoder interface on ``bus``, and a load as far as 1 Mbit/s has room for it."""
+
+    def __init__(self, bus: socket.socket) -> None:
+        self._bus = bus
+        self._comes_back = bus.family != socket.AF_UNIX
+        if self._comes_back:
+            bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_RECV_OWN_MSGS, 1)
+        self._read = FrameReader(bus).read
+        self._load = Load()
+        self._number = -1  # of the newest sample
+        self._position = -1  # the last of TPDO1, in its cycle
+        self._free_s = 0.0  # when the bus has room
+        self._on_the_way: dict[int, deque[int]] = {SYNC: deque(), ADC_PDO: deque()}
+        self._times = Times()
+
+    def warm_up(self, rate_hz: float, kind: str) -> None:
+        """Play until the node answers steadily, a module with a correction table in force."""
+        self.play(WARM_UP, rate_hz, Load())
+        if kind in ("floor", "stock"):
+            return
+        load = SdoClient(set_up(alone=kind.endswith(":alone")))
+        for _ in range(LONGEST_WARM_UP):
+            self.play(WARM_UP, rate_hz, load)
+            if load.done:
+                return
+        sys.exit("the module does not take a table")
+
+    def play(self, cycles: int, rate_hz: float, load: Load) -> Times:
+        """So many SYNC periods with the load beside them."""
+        self._load, self._times = load, Times()
+        next_s = time.monotonic()
+        for _ in range(cycles):
+            self._until(next_s)
+            if time.monotonic() > next_s + LONGEST_LAG / rate_hz:  # no burst of SYNCs that nobody would send
+                next_s = time.monotonic()
+            next_s += 1.0 / rate_hz
+            self._number += 1
+            self._send_part(SYNC, SYNC_FRAME, self._times.sync_s)
+            self._free_s = time.monotonic() + ADC_S
+            self._until(self._free_s)
+            self._send_part(ADC_PDO, ADC_FRAMES[self._number % len(ADC_FRAMES)], self._times.adc_s)
+        self._until(next_s)
+        return self._times
+
+    def _send_part(self, can_id: int, frame: bytes, sent_s: dict[int, float]) -> None:
+        if self._comes_back:
+            self._on_the_way[can_id].append(self._number)
+        else:
+            sent_s[self._number] = time.time()
+        self._bus.send(frame)
+
+    def _until(self, moment_s: float) -> None:
+        """Take what the module sends, and send the load."""
+        while (left_s := moment_s - time.monotonic()) > 0.0:
+            if self._load.waits:
+                busy_s = self._free_s - moment_s + left_s
+                if busy_s <= 0.0:
+                    self._send_load()
+                    continue
+                left_s = min(left_s, busy_s)
+            if select.select([self._bus], [], [], left_s)[0]:
+                for frame in self._read() or ():
+                    self._take(*frame)
+
+    def _send_load(self) -> None:
+        can_id, data = self._load.frame
+        self._free_s = time.monotonic() + frame_bits(len(data)) * BIT_S
+        with contextlib.suppress(BlockingIOError):
+            self._bus.send(CAN_FRAME.pack(can_id, len(data), data), socket.MSG_DONTWAIT)
+            self._load.sent()
+
+    def _take(self, can_id: int, data: bytes, stamp_s: float) -> None:
+        if can_id == POSITION_PDO:
+            self._position = _in_a_cycle(data)
+            self._times.at_once_s.setdefault(self._number_of(self._position), stamp_s)
+        elif can_id == SYNCHRONOUS_PDO:
+            if _in_a_cycle(data) == self._position:  # else it coasts
+                self._times.with_sync_s.setdefault(self._number_of(self._position), stamp_s)
+        elif can_id in self._on_the_way:
+            times = self._times.sync_s if can_id == SYNC else self._times.adc_s
+            times[self._on_the_way[can_id].popleft()] = stamp_s
+        else:
+            self._load.take(can_id, data)
+        self._free_s += frame_bits(len(data)) * BIT_S
+
+    def _number_of(self, position: int) -> int:
+        """The newest sample with this phase; not by the cycle count, which a busy machine may lose."""
+        place = round(position * PERIOD / UNITS_PER_CYCLE)
+        return self._number - (self._number - place * STEPS_INVERSE) % PERIOD
+
+
+def _in_a_cycle(data: bytes) -> int:
+    return int.from_bytes(data[:2], "little") % UNITS_PER_CYCLE
