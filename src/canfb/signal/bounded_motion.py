@@ -42,6 +42,10 @@ MOST_JOINED = (
 )
 MOST_NODES = 32  # in a hole; in a longer one they are further apart, and the junction is wider
 SHORT_INTERVAL = 0.75  # below it the weights of eq. 9 are above 2.3 and 1.3: older samples are asked as well
+HOLE_INTERVALS = 1.5  # from here on samples are missing between two
+# Or SYNC jitters: of 0.1 interval rms it makes one interval in 5000 longer than 1.5, one in 17 million longer
+# than this. Where the window has one count only, it is right however long the interval was.
+LONG_INTERVAL = 1.75
 BASELINES = 5  # so many samples
 ROUNDING_CYCLES = 1e-9  # of the arithmetic here, below any phase error
 

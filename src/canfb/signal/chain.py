@@ -7,10 +7,10 @@ import math
 from canfb.objects import LossCause
 from canfb.signal import speeds
 from canfb.signal.blocks import Scratch
+from canfb.signal.bounded_motion import HOLE_INTERVALS
 from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
 from canfb.signal.correction import Correction, CorrectionTable, check_table
 from canfb.signal.declared import Declared
-from canfb.signal.doubt import HOLE_INTERVALS
 from canfb.signal.estimator import Estimator
 from canfb.signal.estimator_runs import follow_run, successor, take_run
 from canfb.signal.feedback import Feedback

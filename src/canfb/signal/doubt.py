@@ -38,13 +38,19 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from canfb.objects import LossCause
-from canfb.signal.bounded_motion import MOST_JOINED, SHORT_INTERVAL, BoundedMotion, Spot, Window
+from canfb.signal.bounded_motion import (
+    HOLE_INTERVALS,
+    MOST_JOINED,
+    SHORT_INTERVAL,
+    BoundedMotion,
+    Spot,
+    Window,
+)
 
 FALSE_ACCEPTANCE = 1e-5  # probability per decision that random phases pass for a machine
 MOST_CANDIDATES = 256
 MOST_ROWS = 2  # of bad samples within one doubt; a third contradiction shows that nothing can be built on
 MOST_INTERVALS = 32.0  # of doubt with samples: many times what decides (at most some ten samples)
-HOLE_INTERVALS = 1.5  # from here on samples are missing between two
 SAME_TIME = 1e-9  # intervals: rounding
 SPOTS_KEPT = 8  # of a candidate: what a junction and the windows of short intervals need
 NO_RESIDUALS = (0, math.inf, -math.inf)

@@ -23,9 +23,9 @@ from collections.abc import Callable, Sequence
 
 from canfb.objects import LossCause
 from canfb.signal import speeds
-from canfb.signal.bounded_motion import SHORT_INTERVAL, Spot
+from canfb.signal.bounded_motion import HOLE_INTERVALS, LONG_INTERVAL, SHORT_INTERVAL, Spot
 from canfb.signal.declared import Declared
-from canfb.signal.doubt import HOLE_INTERVALS, SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
+from canfb.signal.doubt import SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
 from canfb.signal.speed_set import START_SAMPLES, SpeedVerdict, Starts
 from canfb.signal.speeds import Place
 from canfb.signal.still_phase import STILL_SAMPLES, StillPhase
@@ -273,14 +273,14 @@ class Estimator:
             return self._count_on(phase, options[0])
         self._coasted = 0.0
         bits = 0
-        if self._doubt is None and options[-1] < HOLE_INTERVALS:
+        if self._doubt is None and options[-1] < LONG_INTERVAL:
             counted = self._counted(phase, options)
             if counted is not None:
                 tracker.accept(counted, options[0])
                 self.places.append((counted.cycles, phase, options[0]))
                 return counted, VALID
-            bits = RESIDUAL
-            if self._start_is_assumed:
+            bits = RESIDUAL if options[-1] < HOLE_INTERVALS else 0
+            if bits and self._start_is_assumed:
                 self.lose(LossCause.START)
                 return self._count_on(phase, options[0], LOST | bits)
         return self._decide(phase, options, bits)
@@ -331,7 +331,7 @@ class Estimator:
         than a cycle it holds one count at most.
         """
         last = self.tracker.elapsed
-        if not self._by_line or last < SHORT_INTERVAL or elapsed >= HOLE_INTERVALS or len(self.places) < 2:
+        if not self._by_line or last < SHORT_INTERVAL or elapsed >= LONG_INTERVAL or len(self.places) < 2:
             return 1.0
         error = self._error + self._instant_error * abs(self.tracker.step_cycles)
         return self._largest * elapsed * (elapsed + last) / 2.0 + error * (2.0 + 2.0 * elapsed / last)
@@ -339,7 +339,7 @@ class Estimator:
     def _counted(self, phase: float, options: tuple[float, ...]) -> Track | None:
         """The position of a sample in turn, if it is the only one that the machine can be at."""
         elapsed = options[0]
-        if len(options) > 1 or elapsed >= HOLE_INTERVALS:
+        if len(options) > 1 or elapsed >= LONG_INTERVAL:
             return None
         if elapsed == 1.0 and self.tracker.is_steady and not (self.declared.instant_error or self.searches):
             if len(self.places) > 1:

@@ -13,7 +13,7 @@ import math
 
 from canfb.signal.nominal_sync import NominalSync
 from canfb.signal.sample import TICK_S, TICKS
-from canfb.signal.usual_scatter import BEYOND, LEARNED_SAMPLES, UsualScatter
+from canfb.signal.usual_scatter import BEYOND, DOUBTED, LEARNED_SAMPLES, UsualScatter
 
 HALF_TICKS = TICKS // 2
 OLDEST = 64.0  # intervals: a time that lies no further back is that of an earlier sample
@@ -281,8 +281,9 @@ class SampleTimes:
 
         From its line, ``whole`` intervals after the last one, or by the receptions of both SYNCs, whichever
         is the sharper witness. Receptions that are not ``proved`` may be late, and make no time right. But
-        a time further off than any before, which they contradict, is none of a late SYNC. A second one
-        that is off by as much as the one before: the clock was set. Each witness learns what is usual to it.
+        a time that they contradict, and that is further off than any before by a quarter, is none of a late
+        SYNC. A second one that is off by as much as the one before: the clock was set. Each witness learns
+        what is usual to it.
         """
         jitter, heard, before, unit = self._jitter, self._heard, self._odd_s, self.unit_s
         off_s, limit_s, witness = self._off_s(ticks, whole), jitter.limit_of(unit, LINE_PART), jitter
@@ -295,7 +296,7 @@ class SampleTimes:
                 jitter.see(off_s, limit_s)
                 off_s, limit_s, witness = error_s, heard_s, heard
             elif not heard.see(error_s, heard_s) and not proved:
-                limit_s = max(limit_s, jitter.limit_s) / BEYOND
+                limit_s = max(limit_s, jitter.limit_s) * DOUBTED / BEYOND
         if witness.see(off_s, limit_s) or abs(off_s) * speed_cycles <= SLIP_CYCLES * unit:
             return 0.0
         self._odd_s = off_s

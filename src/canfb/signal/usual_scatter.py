@@ -5,6 +5,9 @@ from __future__ import annotations
 WINDOW_SAMPLES = 1024
 LEARNED_SAMPLES = 32
 BEYOND = 2.0  # times the largest of the last samples: more than 6 standard deviations of Gaussian jitter
+# Times the largest, where another witness is against it, too: of Gaussian jitter one in 114 is beyond after
+# 32 samples (one in 33 is beyond the largest itself), later far fewer.
+DOUBTED = 1.25
 # From standstill a machine has at most 32 A cycles per interval when 32 samples have come. Another cycle
 # count within the limit L needs an error of a time that costs 1 - L - A there: (1 - L - A) / 32 A intervals,
 # L = 1/3, A = L / 2. Below it no error of a time does harm before the usual ones are known.
