@@ -217,6 +217,27 @@ def test_a_host_that_is_always_late_witnesses_nothing() -> None:
     assert clock.next(2.6e-3) == SUSPECT
 
 
+def after_a_stall(seed: int, lost: int, off_s: float = 0.0) -> float:
+    """The host stalls for 12 periods and does not say when frames came; ``lost`` of them are dropped."""
+    clock = Clock(10e-6, 20e-6, seed=seed, proved=False, learned=300)
+    for waits in range(12, 0, -1):
+        assert clock.next(late_s=waits * PERIOD_S) > 0.0
+    clock.at += lost
+    return clock.next(off_s)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_frames_that_waited_for_a_late_host_are_known_to_have_waited(seed: int) -> None:
+    for lost in range(1, 8):
+        assert after_a_stall(seed, lost) == pytest.approx(lost + 1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_wrong_time_behind_a_stall_is_none_of_lost_frames(seed: int) -> None:
+    for lost, wrong in ((0, 1), (0, 3), (2, 2), (5, 1), (5, 7)):
+        assert after_a_stall(seed, lost, wrong * PERIOD_S) == SUSPECT
+
+
 def test_a_time_that_is_wrong_by_periods_is_no_sync_that_was_late() -> None:
     for proved in (False, True):
         assert Clock(10e-6, 20e-6, proved=proved, learned=300).next(1.7e-3) in (SUSPECT, RESTARTED)

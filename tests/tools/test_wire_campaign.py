@@ -21,6 +21,7 @@ from tools.faults.wire.physics import unseen
 from tools.faults.wire.play import Episode, play, play_plan
 from tools.faults.wire.servo import TOP_ACCELERATION
 from tools.faults.wire.setups import RANGE_CYCLES, SDO_TX, SETUPS, TPDO1_ID, UNITS_PER_CYCLE, Options, Setup
+from tools.faults.wire.stalls import WHO, stall, timed_setups
 
 PLAIN = SETUPS[0]
 SPEED = 7.0  # cycles/T
@@ -285,6 +286,15 @@ def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_healthy_machine_at_3000_rpm() -> None:
     result = endurance(3, 1800)
     assert (result.shown, result.not_valid, result.wrong) == (1800, 0, 0)
+
+
+@pytest.mark.parametrize("who", WHO)
+def test_stalls_that_leave_one_motion_are_kept(who: str) -> None:
+    """Their frames have receive times; without them frames that are dropped in a stall still cost it."""
+    setup = timed_setups("times/rx")[0]
+    short, long = stall(who, 500, setup, 1, True), stall(who, 500, setup, 1, False)
+    assert vars(short) == {"short": 8, "kept": 8, "long": 0, "kept_of_long": 0, "wrong": 0}
+    assert (long.long, long.wrong) == (1, 0)
 
 
 def test_one_lost_at_half_the_limit_is_kept_at_constant_acceleration() -> None:

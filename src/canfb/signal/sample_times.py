@@ -30,6 +30,7 @@ SLIP_CYCLES = 0.15
 # SYNCs, each nearly half an interval off, are apart by more.
 LINE_PART, HEARD_PART = 0.5, 0.75
 SAME_PACE = 0.002  # of the interval: a limit of acceleration counts with its square
+DRIFT = 2e-4  # of two clocks, 100 ppm each
 RELOCK = 6  # times in a row that are off the line, and right: SYNC has another rate, or another phase
 REPEATED, SUSPECT, RESTARTED, CROWDED = -1.0, -2.0, -3.0, -4.0
 
@@ -48,6 +49,7 @@ class SampleTimes:
         "_heard",
         "_jitter",
         "_last",
+        "_late_s",
         "_odd_s",
         "_off_line",
         "_on_line",
@@ -85,6 +87,7 @@ class SampleTimes:
         self._last: int | None = None
         self._received_s: float | None = None  # when that was received
         self._synced_s: float | None = None  # when its SYNC was
+        self._late_s = 0.0  # so late that was taken, at least, where it is not known when it was received
         self._odd_s: float | None = None  # a time after that was off by so much
         self._suspect: int | None = None
         self._suspected = 0.0  # intervals counted up to it
@@ -123,17 +126,22 @@ class SampleTimes:
             or abs(period * TICK_S - unit) > SAME_PACE * unit
         ):
             return 0.0
+        late_s = 0.0
         if synced_s is not None and self._synced_s is not None:
             heard = self._heard
-            error_s = abs(passed_s - (synced_s - self._synced_s))
+            later_s = synced_s - self._synced_s + self._late_s - passed_s
+            error_s = abs(later_s)
             most_s = HEARD_PART * unit if proved else math.inf
             if heard.learned < LEARNED_SAMPLES or error_s > heard.limit_s or error_s > most_s:
                 return 0.0
             heard.learn(error_s)
+            if not proved and later_s > 0.0:
+                late_s = later_s - DRIFT * passed_s
         jitter.learn(off_s)
         line.follow(off)
         self._off_line = 0
         self._last, self._received_s, self._synced_s = time_100ns, received_s, synced_s
+        self._late_s = late_s
         return intervals
 
     def elapsed(
@@ -173,15 +181,16 @@ class SampleTimes:
         intervals = ticks * TICK_S / unit
         apart = self._apart_s(received_s)
         error_s = self._error_s(ticks * TICK_S, received_s, synced_s)
+        late_s = self._lateness_s(ticks, received_s, synced_s)
         # The receptions say how long it was even where SYNCs came too near together to count well.
         least = CLOSEST if counted < 1.5 or error_s < CLOSE * unit else counted - SPARE_BEFORE
         agrees = error_s <= SPARE_S + SPARE_PART * unit
         nominal = abs(intervals - counted) <= NOMINAL  # also where a simulation is slower than true time
         in_turn = least <= intervals <= counted + SPARE_AFTER and (agrees or nominal or apart is None)
-        if intervals >= CLOSEST and self._is_witnessed(ticks, counted, received_s, synced_s):
+        if intervals >= CLOSEST and self._is_witnessed(ticks, counted, synced_s):
             self.passed = intervals
             self.nominal_sync.skip(ticks)
-            self._accept(time_100ns, received_s, synced_s)
+            self._accept(time_100ns, received_s, synced_s, late_s)
             return intervals
         if in_turn or (agrees and intervals > counted):  # or there were SYNCs that were not received
             whole = counted
@@ -195,7 +204,7 @@ class SampleTimes:
                 return intervals if moved else RESTARTED
             if not odd:
                 self._follow(ticks, whole if self.nominal_sync.seen else counted)
-                self._accept(time_100ns, received_s, synced_s)
+                self._accept(time_100ns, received_s, synced_s, late_s)
             return odd or intervals
         if agrees and 0.0 < intervals < CLOSEST:
             return CROWDED
@@ -230,9 +239,7 @@ class SampleTimes:
 
     def _heard_apart_s(self, received_s: float | None, synced_s: float | None) -> float:
         """How long after the last one by the receptions: of both SYNCs, or of the samples."""
-        if synced_s is not None and self._synced_s is not None:
-            return synced_s - self._synced_s
-        return self._apart_s(received_s) or 0.0
+        return self._synced_apart_s(synced_s) or self._apart_s(received_s) or 0.0
 
     def _error_s(self, by_time_s: float, received_s: float | None, synced_s: float | None) -> float:
         """By how much the time contradicts the receptions; a late one of either does not make it wrong."""
@@ -240,24 +247,39 @@ class SampleTimes:
         if apart is None:
             return math.inf
         error_s = abs(by_time_s - apart)
-        if synced_s is not None and self._synced_s is not None:
-            error_s = min(error_s, abs(by_time_s - (synced_s - self._synced_s)))
-        return error_s
+        synced_apart_s = self._synced_apart_s(synced_s)
+        return error_s if synced_apart_s is None else min(error_s, abs(by_time_s - synced_apart_s))
 
-    def _is_witnessed(
-        self, ticks: int, counted: float, received_s: float | None, synced_s: float | None
-    ) -> bool:
+    def _synced_apart_s(self, synced_s: float | None) -> float | None:
+        """Seconds between the SYNCs of both; where the last one was taken late, as if it had not been."""
+        if synced_s is None or self._synced_s is None:
+            return None
+        return synced_s - self._synced_s + self._late_s
+
+    def _lateness_s(self, ticks: int, received_s: float | None, synced_s: float | None) -> float:
+        """How late the SYNC of this sample was taken, at least, by a host that does not say when it came.
+
+        By the sample times, since one that was taken in time. So frames that wait for a host that stalls
+        are known to have waited, and the first one behind them is not taken for one after so short a time.
+        """
+        apart_s = self._synced_apart_s(synced_s)
+        if received_s is not None or apart_s is None:
+            return 0.0
+        return max(0.0, apart_s - ticks * TICK_S * (1.0 + DRIFT))
+
+    def _is_witnessed(self, ticks: int, counted: float, synced_s: float | None) -> bool:
         """The interval is not ``counted`` long, and both clocks say so: SYNC was late, or some were not sent.
 
         The receptions are further from the count than they ever were from a time, and from this time no
         further than that. So a host that is late all the time witnesses nothing.
         """
-        if self._heard.learned < LEARNED_SAMPLES or synced_s is None or self._synced_s is None:
+        synced_apart_s = self._synced_apart_s(synced_s)
+        if self._heard.learned < LEARNED_SAMPLES or synced_apart_s is None:
             return False
         if not self._is_off(ticks, counted):
             return False
         most_s = self._heard.limit_s / BEYOND
-        error_s = abs(ticks * TICK_S - (synced_s - self._synced_s))
+        error_s = abs(ticks * TICK_S - synced_apart_s)
         return error_s <= most_s < abs(ticks * TICK_S - counted * self.unit_s) - error_s
 
     def _is_explained(self, error_s: float, slip: float, speed_cycles: float) -> bool:
@@ -287,8 +309,9 @@ class SampleTimes:
         """
         jitter, heard, before, unit = self._jitter, self._heard, self._odd_s, self.unit_s
         off_s, limit_s, witness = self._off_s(ticks, whole), jitter.limit_of(unit, LINE_PART), jitter
-        if synced_s is not None and self._synced_s is not None:
-            error_s = ticks * TICK_S - (synced_s - self._synced_s)
+        synced_apart_s = self._synced_apart_s(synced_s)
+        if synced_apart_s is not None and self._late_s <= unit:  # frames that wait say nothing of the next
+            error_s = ticks * TICK_S - synced_apart_s
             heard_s = heard.limit_of(unit, HEARD_PART) if proved else heard.limit_of(unit, math.inf)
             # Equally sharp, as at the start: right if one of them agrees; the SYNC or the host may be late.
             sharper = heard_s < limit_s or (heard_s == limit_s and abs(error_s) < abs(off_s))
@@ -302,9 +325,11 @@ class SampleTimes:
         self._odd_s = off_s
         return RESTARTED if before is not None and abs(off_s - before) <= limit_s else SUSPECT
 
-    def _accept(self, time_100ns: int, received_s: float | None, synced_s: float | None = None) -> None:
+    def _accept(
+        self, time_100ns: int, received_s: float | None, synced_s: float | None, late_s: float = 0.0
+    ) -> None:
         self._last, self._received_s, self._suspect = time_100ns, received_s, None
-        self._synced_s, self._odd_s = synced_s, None
+        self._synced_s, self._late_s, self._odd_s = synced_s, late_s, None
 
     def _restart(self, time_100ns: int, received_s: float | None, synced_s: float | None = None) -> None:
         """The clock was started again or set, or SYNC is on another grid: a line begins here."""

@@ -21,7 +21,8 @@ from tools.faults.wire.availability import CHUNK, LIMITS, MOTIONS, OneLost, endu
 from tools.faults.wire.classes import CLASSES
 from tools.faults.wire.judge import Verdict
 from tools.faults.wire.play import Episode, play
-from tools.faults.wire.setups import SETUPS
+from tools.faults.wire.setups import SETUPS, Setup
+from tools.faults.wire.stalls import IN_A_ROW, RATES_HZ, WHO, Stalled, stall, timed_setups
 from tools.faults.wire.table import EXAMPLES, HEAD, Tally, markdown, plain
 from tools.faults.wire.trace import trace
 
@@ -129,6 +130,7 @@ def parser() -> argparse.ArgumentParser:
         "--endurance", type=int, metavar="SAMPLES", help="a healthy machine at 3000 rpm only"
     )
     options.add_argument("--one-lost", action="store_true", help="one lost PDO at half the limit only")
+    options.add_argument("--stalls", type=int, metavar="N", help="stalls of 1 to 500 ms only")
     options.add_argument("--episode", metavar="CLASS:SETUP:SEED", help="one episode only")
     options.add_argument("--trace", action="store_true", help="with --episode: every frame")
     options.add_argument("--list", action="store_true", help="the names of classes and set-ups")
@@ -180,6 +182,37 @@ def run_one_lost(options: argparse.Namespace) -> int:
     return 1 if total.wrong or total.kept < total.unique else 0
 
 
+def _stall(case: tuple[str, int, Setup, int, bool]) -> Stalled:
+    return stall(*case)
+
+
+def run_stalls(options: argparse.Namespace) -> int:
+    """Prints what is kept of healthy machines while computers stall, and what is valid and wrong."""
+    table: list[tuple[str, ...]] = [
+        ("stalled", "Hz", "one motion fits", "kept", "longer", "kept", "valid and wrong")
+    ]
+    total = Stalled()
+    setups = timed_setups(options.setup)
+    machines = -(-options.stalls // (len(WHO) * len(RATES_HZ) * max(1, len(setups)) * (IN_A_ROW + 1)))
+    seeds = range(options.seed, options.seed + machines)
+    with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
+        for who in WHO:
+            for rate in RATES_HZ:
+                cases = [
+                    (who, rate, one, seed, short)
+                    for one in setups
+                    for seed in seeds
+                    for short in (True, False)
+                ]
+                count = Stalled()
+                for part in pool.imap(_stall, cases, 4):
+                    count.merge(part)
+                total.merge(count)
+                table.append((who, str(rate), *map(str, vars(count).values())))
+    print(plain([*table, ("all of them", "", *map(str, vars(total).values()))]))
+    return 1 if total.wrong or total.kept < total.short else 0
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     options = parser().parse_args(argv)
     if options.list:
@@ -194,6 +227,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return trace(episode, every=options.trace)
     if options.endurance:
         return run_endurance(options)
+    if options.stalls:
+        return run_stalls(options)
     if options.one_lost:
         return run_one_lost(options)
     tallies = campaign(options)

@@ -246,7 +246,7 @@ def everything_stalls(plan: Plan) -> None:
     """
     plan.options.interval_s = interval_s = float(plan.rng.choice((1e-2, 1e-2, 2e-3, 1e-3)))
     limit = float(plan.rng.choice((0.02, 0.05, 0.1)))
-    most = max(n for n in range(1, 40) if _cycles_apart(n, limit) <= 1.0)
+    most = max(n for n in range(1, 40) if cycles_apart(n, limit) <= 1.0)
     machine(plan, a_speed(plan, 0.0, 40.0), 90, limit=limit)
     plan.options.coast = most + 1
     plan.jitter_us = float(plan.rng.uniform(0.0, 0.05)) * interval_s * 1e6
@@ -261,7 +261,7 @@ def everything_stalls(plan: Plan) -> None:
     plan.stalls.append((begin, end))
 
 
-def _cycles_apart(stall: int, limit: float) -> float:
+def cycles_apart(stall: int, limit: float) -> float:
     """How far two motions through the same phases can part in a stall of so many whole periods."""
     return (stall + 1) ** 2 // 4 * 2.0 * limit + 4.0 * PHASE_ERROR * (stall + 1)
 

@@ -1,0 +1,104 @@
+"""Stalls of a computer, 1 to 500 ms, at 100, 500 and 1000 Hz, with sample times.
+
+What stalls is the module alone, whose frames wait or, beyond its queue, are dropped; the SYNC producer
+alone; or all of them. A stall without dropped frames hides nothing. Else the position has to be kept where
+one motion only fits; where two do it may be lost, but never valid and wrong. A short plan has several
+stalls that are to be kept; after a loss the rest of them would show nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fnmatch import fnmatch
+
+import numpy as np
+
+from tools.faults.wire.clocks import a_speed, cycles_apart, machine
+from tools.faults.wire.draw import draw_plan, torque
+from tools.faults.wire.line import Plan
+from tools.faults.wire.play import declare, play_plan
+from tools.faults.wire.setups import SETUPS, Setup
+
+WHO = ("module", "module, queue", "producer", "all")
+RATES_HZ = (100, 500, 1000)
+SHORTEST_S, LONGEST_S = 1e-3, 0.5
+IN_A_ROW = 8
+BETWEEN = 40  # periods from one stall to the next
+QUEUES = (20, 64, 277)  # frames; a slot is two of them
+LIMITS = (0.02, 0.05, 0.1)  # cycles/T^2
+SPARE = 1.1  # a torque pulse on top of a vibration, which is declared then
+
+
+@dataclass
+class Stalled:
+    """What became of stalls; ``short``: one motion only fits."""
+
+    short: int = 0
+    kept: int = 0
+    long: int = 0
+    kept_of_long: int = 0
+    wrong: int = 0
+
+    def merge(self, other: Stalled) -> None:
+        for name, value in vars(other).items():
+            setattr(self, name, getattr(self, name) + value)
+
+
+def timed_setups(pattern: str) -> list[Setup]:
+    """Those with sample times."""
+    return [one for one in SETUPS if one.times and not one.servo and fnmatch(one.name, pattern)]
+
+
+def stall(who: str, rate_hz: int, setup: Setup, seed: int, is_short: bool) -> Stalled:
+    """One machine, and its stalls."""
+    rng = np.random.default_rng([seed, *who.encode(), rate_hz, *setup.name.encode(), is_short])
+    plan = draw_plan(setup, rng, steady=True)
+    plan.options.interval_s = 1.0 / rate_hz
+    limit = float(rng.choice(LIMITS))
+    bridged = max(n for n in range(1, 40) if cycles_apart(n, limit * SPARE) <= 1.0)
+    lengths = _lengths(rng, who, rate_hz, bridged, is_short)
+    after = int(sum(lengths)) + BETWEEN * (len(lengths) + 1)
+    machine(plan, a_speed(plan, 0.0, 40.0), after, limit=limit)
+    plan.options.coast = min(int(max(lengths)) + 4, 255)
+    plan.jitter_us = float(rng.uniform(0.0, 0.05)) * plan.options.interval_s * 1e6
+    plan.gaussian, plan.busy = False, 0.0
+    begin = plan.fault + 0.7 + float(rng.uniform(0.0, 0.3))
+    for length in lengths:
+        _put(plan, who, begin, begin + length, bridged if is_short else 0)
+        begin = float(int(begin + length) + BETWEEN) + float(rng.uniform(0.0, 1.0))
+    if rng.integers(2):
+        torque(plan)
+    declare(plan)
+    verdict = play_plan(plan).verdict
+    kept = int(verdict.outcome in ("kept", "flagged") and verdict.right_at_end)
+    wrong = int(verdict.wrong > 0)
+    if is_short:
+        return Stalled(short=len(lengths), kept=kept * len(lengths), wrong=wrong)
+    return Stalled(long=len(lengths), kept_of_long=kept * len(lengths), wrong=wrong)
+
+
+def _lengths(rng: np.random.Generator, who: str, rate_hz: int, bridged: int, is_short: bool) -> list[float]:
+    """Of stalls in a row, in periods."""
+    most = LONGEST_S * rate_hz
+    if is_short and who in ("producer", "all"):
+        most = min(most, bridged)
+    least = min(SHORTEST_S * rate_hz, most / 2.0)
+    lengths = np.exp(rng.uniform(np.log(least), np.log(most), IN_A_ROW if is_short else 1))
+    return [float(one) for one in lengths]
+
+
+def _put(plan: Plan, who: str, begin: float, end: float, bridged: int) -> None:
+    """One stall; ``bridged``: so many samples at most are dropped, 0: as many as the queue drops."""
+    first, last = int(begin), int(end - 1.0)  # slot n is due at n + 1
+    if who != "producer":
+        plan.stalls.append((begin, end))
+    if who in ("producer", "all"):
+        for slot in plan.slots[first:last]:
+            slot.produced = False
+        plan.slots[last].late_us = max(0.0, end - (last + 1.0)) / plan.us
+    elif who == "module, queue":
+        heard = first + int(plan.rng.choice(QUEUES)) // 2
+        if bridged:
+            heard = max(heard, last - bridged + 1)
+        for slot in plan.slots[heard:last]:
+            slot.to_module, slot.pdo_lost = False, True
