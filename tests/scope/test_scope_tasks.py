@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from canfb.cia301.frame import Frame
-from canfb.scope.scope_tasks import ModuleTasks, TaskDone, outcome_of
+from canfb.scope.desk import TaskResult
+from canfb.scope.scope_tasks import ModuleTasks, result_of
 from canfb.signal.correction import CorrectionTable
 from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench
 
@@ -40,12 +41,12 @@ def table() -> CorrectionTable:
 def test_a_table_is_staged_and_then_activated() -> None:
     bench = Bench()
     tasks = tasks_of(bench)
-    done = outcome_of(lambda: tasks.upload("new.bin", table().to_bytes()), tasks.module)
+    done = result_of(lambda: tasks.upload("new.bin", table().to_bytes()), tasks.module)
     assert done.worked
     assert bench.value(0x2020, 2) == table().crc32
     assert bench.value(0x2020, 4) == 0
     assert "staged in module 32 (20h), not in force yet: Activate puts it in force" in done.lines
-    done = outcome_of(tasks.activate, tasks.module)
+    done = result_of(tasks.activate, tasks.module)
     assert done.worked
     assert any(line.endswith("not saved: Save keeps it") for line in done.lines)
     assert bench.value(0x2020, 4) == table().crc32
@@ -57,7 +58,7 @@ def test_what_is_no_table_changes_nothing_and_says_so() -> None:
     bench = Bench()
     tasks = tasks_of(bench)
     for name, data in (("new.yaml", b"entries: 7"), ("new.bin", b"\xff" * 64), ("../../etc/x.bin", b"")):
-        done = outcome_of(partial(tasks.upload, name, data), tasks.module)
+        done = result_of(partial(tasks.upload, name, data), tasks.module)
         assert not done.worked
         assert "not a correction table" in done.lines[0]
         assert "/" not in done.lines[0].partition(":")[0]
@@ -67,14 +68,14 @@ def test_what_is_no_table_changes_nothing_and_says_so() -> None:
 
 def test_without_a_staged_table_nothing_is_activated() -> None:
     tasks = tasks_of(Bench())
-    done = outcome_of(tasks.activate, tasks.module)
+    done = result_of(tasks.activate, tasks.module)
     assert not done.worked
     assert done.lines[0] == "module 32 (20h): nothing is staged; upload one first"
 
 
 def test_a_module_that_cannot_save_says_so() -> None:
     tasks = tasks_of(Bench())
-    done = outcome_of(tasks.save, tasks.module)
+    done = result_of(tasks.save, tasks.module)
     assert not done.worked
     assert "state_dir" in done.lines[0]
 
@@ -82,12 +83,12 @@ def test_a_module_that_cannot_save_says_so() -> None:
 def test_the_calibration_reports_before_and_after() -> None:
     bench, heard = Bench(), Heard()
     tasks = tasks_of(bench)
-    done = outcome_of(lambda: tasks.calibrate(heard, dry_run=True), tasks.module)
+    done = result_of(lambda: tasks.calibrate(heard, dry_run=True), tasks.module)
     assert done.worked, done.lines
     assert bench.value(0x2020, 4) == 0
     assert done.measured is not None
-    assert done.measured.on_samples.before_rms > 3.0 * done.measured.calibration.residual_rms
-    done = outcome_of(lambda: tasks.calibrate(heard, dry_run=False), tasks.module)
+    assert done.measured.before.std() > 3.0 * done.measured.after.std()
+    done = result_of(lambda: tasks.calibrate(heard, dry_run=False), tasks.module)
     assert done.worked, done.lines
     assert any("before" in line and "after" in line for line in done.lines)
     assert bench.value(0x2020, 4) != 0
@@ -105,10 +106,10 @@ def test_a_module_that_does_not_answer_has_no_known_state() -> None:
         return silent(frame, now) if frame.can_id == 0x600 + MODULE_ID else receive(frame, now)
 
     bench.module.receive = deaf  # type: ignore[method-assign]
-    done = outcome_of(tasks.activate, tasks.module)
+    done = result_of(tasks.activate, tasks.module)
     assert not done.worked
     assert done.active is None
     assert "the state of the module could not be read" in done.lines[-1]
     assert not any("nothing was" in line for line in done.lines)
-    done = outcome_of(lambda: TaskDone([]), tasks.module)  # reading alone
+    done = result_of(lambda: TaskResult(True, []), tasks.module)  # reading alone
     assert not done.worked

@@ -10,7 +10,6 @@ from typing import Any
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.clocks import date_and_time
 from canfb.bus.shared_bus import ListeningThread, SharedBus
-from canfb.calibrate.measurement import Measurement
 from canfb.cli.watch_options import bit_rate_of
 from canfb.configuration import Config
 from canfb.monitoring.bus_model import BusModel
@@ -19,10 +18,10 @@ from canfb.monitoring.layout import NodeLayout
 from canfb.monitoring.snapshot import BusSnapshot
 from canfb.monitoring.watching import Watching
 from canfb.scope import desk as tasks
-from canfb.scope.desk import Desk, MeasuredCurves, ScopeTask, TaskResult, Upload, allowed_tasks
+from canfb.scope.desk import Desk, ScopeTask, TaskResult, Upload, allowed_tasks
 from canfb.scope.scope_page import ScopePage, page_html
 from canfb.scope.scope_server import ScopeServer
-from canfb.scope.scope_tasks import ModuleTasks, TaskDone, outcome_of
+from canfb.scope.scope_tasks import ModuleTasks, result_of
 from canfb.scope.scoping import PausedReading, TaskSteps, TaskThread
 from canfb.scope.traces import BusTraces
 
@@ -97,20 +96,12 @@ class ScopeParts:
         self, task: ScopeTask, node: int, upload: Upload | None, master: BusMaster, steps: TaskSteps
     ) -> TaskResult:
         module = ModuleTasks(master, node, self._interfaces.get(node), date_and_time())
-        acts: dict[ScopeTask, Callable[[], TaskDone]] = {
-            tasks.READ: lambda: TaskDone([]),
+        acts: dict[ScopeTask, Callable[[], TaskResult]] = {
+            tasks.READ: lambda: TaskResult(True, []),
             tasks.MEASURE: lambda: module.calibrate(steps, dry_run=True),
             tasks.CALIBRATE: lambda: module.calibrate(steps, dry_run=False),
-            tasks.UPLOAD: lambda: module.upload(upload.name, upload.data) if upload else TaskDone([]),
+            tasks.UPLOAD: lambda: module.upload(upload.name, upload.data) if upload else TaskResult(True, []),
             tasks.ACTIVATE: module.activate,
             tasks.SAVE: module.save,
         }
-        done = outcome_of(acts[task], module.module)
-        return TaskResult(done.worked, done.lines, done.active, _curves(done.measured))
-
-
-def _curves(measured: Measurement | None) -> MeasuredCurves | None:
-    if measured is None:
-        return None
-    before = measured.on_samples.mean_over_phase(before=True)
-    return MeasuredCurves(before, measured.calibration.curve.after)
+        return result_of(acts[task], module.module)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import PurePath
 
 from canfb.calibrate.calibration_run import CalibrationRun, Steps
@@ -13,30 +13,12 @@ from canfb.errors import CanfbError
 from canfb.master.access import CommissioningError, Master, NodeAccess
 from canfb.master.active import save
 from canfb.master.all_or_nothing import Guard
-from canfb.signal.correction import Correction
+from canfb.scope.desk import MeasuredCurves, TaskResult
 from canfb.tables.table_file import table_of_bytes
 from canfb.tables.table_state import TableState
 from canfb.tables.table_tasks import Advice, TableTasks
 
 BUTTONS = Advice("upload one first", "Activate puts it in force", "Save keeps it")
-
-
-@dataclass(frozen=True)
-class TaskDone:
-    """Result of a task: text, and measured curves if there are any."""
-
-    lines: list[str]
-    measured: Measurement | None = None
-
-
-@dataclass(frozen=True)
-class TaskOutcome:
-    """Whether it worked, what to say, the active table where it could be read, and what was measured."""
-
-    worked: bool
-    lines: list[str]
-    active: Correction | None
-    measured: Measurement | None = None
 
 
 class ModuleTasks:
@@ -60,7 +42,7 @@ class ModuleTasks:
         self.module = NodeAccess(master, node_id, "module")
         self._tables = TableTasks(self.module, Guard(), BUTTONS)
 
-    def calibrate(self, steps: Steps, *, dry_run: bool) -> TaskDone:
+    def calibrate(self, steps: Steps, *, dry_run: bool) -> TaskResult:
         """A reference measurement; without ``dry_run`` its table activated, verified and saved."""
         choices = Choices(
             module=self._node_id,
@@ -72,37 +54,44 @@ class ModuleTasks:
         )
         run = CalibrationRun(choices, steps, self._date)
         account = run.over_bus(self._master, self._node_id, self._interface, Guard())
-        return TaskDone(account.lines, account.measured)
+        return TaskResult(True, account.lines, measured=_curves(account.measured))
 
-    def upload(self, name: str, data: bytes) -> TaskDone:
+    def upload(self, name: str, data: bytes) -> TaskResult:
         """Stage the table of a file."""
         file = table_of_bytes(PurePath(name).name, data)
-        return TaskDone(self._tables.upload(file, active=False, keep=False).lines)
+        return TaskResult(True, self._tables.upload(file, active=False, keep=False).lines)
 
-    def activate(self) -> TaskDone:
+    def activate(self) -> TaskResult:
         """Put the staged table in force."""
-        return TaskDone(self._tables.activate(keep=False).lines)
+        return TaskResult(True, self._tables.activate(keep=False).lines)
 
-    def save(self) -> TaskDone:
+    def save(self) -> TaskResult:
         """Keep table and parameters over a loss of power."""
         used = save(self.module)
         if used is None:
             raise CommissioningError(
                 f"{self.module.name} cannot save (1010h; canfb run needs a state_dir for it)"
             )
-        return TaskDone([f"saved ({used})"])
+        return TaskResult(True, [f"saved ({used})"])
 
 
-def outcome_of(act: Callable[[], TaskDone], module: NodeAccess) -> TaskOutcome:
+def _curves(measured: Measurement | None) -> MeasuredCurves | None:
+    if measured is None:
+        return None
+    before = measured.on_samples.mean_over_phase(before=True)
+    return MeasuredCurves(before, measured.calibration.curve.after)
+
+
+def result_of(act: Callable[[], TaskResult], module: NodeAccess) -> TaskResult:
     """Do it; whatever comes out, the lines end with the state of the module as it is read back then."""
     try:
-        worked, done = True, act()
+        done = act()
     except CanfbError as error:
-        worked, done = False, TaskDone([str(error)])
+        done = TaskResult(False, [str(error)])
     lines = [*done.lines, ""] if done.lines else []
     try:
         state = TableState.of_module(module)
     except CanfbError as error:
         lines.append(f"the state of the module could not be read: {error}")
-        return TaskOutcome(worked and bool(done.lines), lines, None, done.measured)
-    return TaskOutcome(worked, [*lines, *state.lines()], state.used, done.measured)
+        return replace(done, worked=done.worked and bool(done.lines), lines=lines)
+    return replace(done, lines=[*lines, *state.lines()], active=state.used)
