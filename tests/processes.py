@@ -67,9 +67,12 @@ class Process:
         while self._read(self.patience_s):
             pass
         try:
-            return self._child.wait(self.patience_s)
+            status = self._child.wait(self.patience_s)
         except subprocess.TimeoutExpired:
             pytest.fail(f"still running, silent for {self.patience_s:g} s\n{self}", pytrace=False)
+        while self._read(0.0):  # it was silent for so long, and then said all at its end
+            pass
+        return status
 
     def send(self, number: signal.Signals) -> None:
         """Send it a signal."""
