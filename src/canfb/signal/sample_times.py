@@ -135,8 +135,8 @@ class SampleTimes:
             if heard.learned < LEARNED_SAMPLES or error_s > heard.limit_s or error_s > most_s:
                 return 0.0
             heard.learn(error_s)
-            if not proved and later_s > 0.0:
-                late_s = later_s - DRIFT * passed_s
+            if not proved:  # as in _lateness_s
+                late_s = max(0.0, later_s - DRIFT * passed_s)
         jitter.learn(off_s)
         line.follow(off)
         self._off_line = 0
@@ -265,7 +265,8 @@ class SampleTimes:
         apart_s = self._synced_apart_s(synced_s)
         if received_s is not None or apart_s is None:
             return 0.0
-        return max(0.0, apart_s - ticks * TICK_S * (1.0 + DRIFT))
+        passed_s = ticks * TICK_S
+        return max(0.0, apart_s - passed_s - DRIFT * passed_s)
 
     def _is_witnessed(self, ticks: int, counted: float, synced_s: float | None) -> bool:
         """The interval is not ``counted`` long, and both clocks say so: SYNC was late, or some were not sent.

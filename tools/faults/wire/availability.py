@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -43,8 +44,16 @@ def endurance(seed: int, samples: int, setup: str = "times") -> Verdict:
     return play_plan(plan, fresh=True).verdict
 
 
+class Counts:
+    """Base of a dataclass of numbers that are added up."""
+
+    def merge(self, other: Self) -> None:
+        for name, value in vars(other).items():
+            setattr(self, name, getattr(self, name) + value)
+
+
 @dataclass
-class OneLost:
+class OneLost(Counts):
     """What became of single losses."""
 
     unique: int = 0
@@ -52,10 +61,6 @@ class OneLost:
     two_motions: int = 0
     kept_of_two: int = 0
     wrong: int = 0
-
-    def merge(self, other: OneLost) -> None:
-        for name, value in vars(other).items():
-            setattr(self, name, getattr(self, name) + value)
 
 
 def one_lost(motion: str, limit: float, seed: int, setup: str) -> OneLost:

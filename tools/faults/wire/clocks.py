@@ -246,7 +246,7 @@ def everything_stalls(plan: Plan) -> None:
     """
     plan.options.interval_s = interval_s = float(plan.rng.choice((1e-2, 1e-2, 2e-3, 1e-3)))
     limit = float(plan.rng.choice((0.02, 0.05, 0.1)))
-    most = max(n for n in range(1, 40) if cycles_apart(n, limit) <= 1.0)
+    most = longest_bridged(limit)
     machine(plan, a_speed(plan, 0.0, 40.0), 90, limit=limit)
     plan.options.coast = most + 1
     plan.jitter_us = float(plan.rng.uniform(0.0, 0.05)) * interval_s * 1e6
@@ -254,14 +254,24 @@ def everything_stalls(plan: Plan) -> None:
     long = float(plan.rng.uniform(1.0, most))
     begin = plan.fault + 0.7 + float(plan.rng.uniform(0.0, 0.3))
     end = begin + long
-    last = int(end - 1.0)  # slot n is due at n + 1
-    for slot in plan.slots[plan.fault : last]:
-        slot.produced = False
-    plan.slots[last].late_us = (end - (last + 1.0)) / plan.us
+    producer_stalls(plan, begin, end)
     plan.stalls.append((begin, end))
 
 
-def cycles_apart(stall: int, limit: float) -> float:
+def producer_stalls(plan: Plan, begin: float, end: float) -> None:
+    """SYNCs due meanwhile are not sent but for the last one, at the end."""
+    last = int(end - 1.0)  # slot n is due at n + 1
+    for slot in plan.slots[int(begin) : last]:
+        slot.produced = False
+    plan.slots[last].late_us = max(0.0, end - (last + 1.0)) / plan.us
+
+
+def longest_bridged(limit: float) -> int:
+    """Whole periods of the longest stall in which only one motion is possible."""
+    return max(n for n in range(1, 40) if _cycles_apart(n, limit) <= 1.0)
+
+
+def _cycles_apart(stall: int, limit: float) -> float:
     """How far two motions through the same phases can part in a stall of so many whole periods."""
     return (stall + 1) ** 2 // 4 * 2.0 * limit + 4.0 * PHASE_ERROR * (stall + 1)
 

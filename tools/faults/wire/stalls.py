@@ -13,7 +13,8 @@ from fnmatch import fnmatch
 
 import numpy as np
 
-from tools.faults.wire.clocks import a_speed, cycles_apart, machine
+from tools.faults.wire.availability import Counts
+from tools.faults.wire.clocks import a_speed, longest_bridged, machine, producer_stalls
 from tools.faults.wire.draw import draw_plan, torque
 from tools.faults.wire.line import Plan
 from tools.faults.wire.play import declare, play_plan
@@ -30,7 +31,7 @@ SPARE = 1.1  # a torque pulse on top of a vibration, which is declared then
 
 
 @dataclass
-class Stalled:
+class Stalled(Counts):
     """What became of stalls; ``short``: one motion only fits."""
 
     short: int = 0
@@ -38,10 +39,6 @@ class Stalled:
     long: int = 0
     kept_of_long: int = 0
     wrong: int = 0
-
-    def merge(self, other: Stalled) -> None:
-        for name, value in vars(other).items():
-            setattr(self, name, getattr(self, name) + value)
 
 
 def timed_setups(pattern: str) -> list[Setup]:
@@ -55,7 +52,7 @@ def stall(who: str, rate_hz: int, setup: Setup, seed: int, is_short: bool) -> St
     plan = draw_plan(setup, rng, steady=True)
     plan.options.interval_s = 1.0 / rate_hz
     limit = float(rng.choice(LIMITS))
-    bridged = max(n for n in range(1, 40) if cycles_apart(n, limit * SPARE) <= 1.0)
+    bridged = longest_bridged(limit * SPARE)
     lengths = _lengths(rng, who, rate_hz, bridged, is_short)
     after = int(sum(lengths)) + BETWEEN * (len(lengths) + 1)
     machine(plan, a_speed(plan, 0.0, 40.0), after, limit=limit)
@@ -93,9 +90,7 @@ def _put(plan: Plan, who: str, begin: float, end: float, bridged: int) -> None:
     if who != "producer":
         plan.stalls.append((begin, end))
     if who in ("producer", "all"):
-        for slot in plan.slots[first:last]:
-            slot.produced = False
-        plan.slots[last].late_us = max(0.0, end - (last + 1.0)) / plan.us
+        producer_stalls(plan, begin, end)
     elif who == "module, queue":
         heard = first + int(plan.rng.choice(QUEUES)) // 2
         if bridged:
