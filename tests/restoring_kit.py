@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from canfb.backup.backup_file import Backup
-from canfb.backup.backup_restoring import Restored, Restoring, Wishes
+from canfb.backup.backup_restoring import Restored, RestoreOptions, Restoring
 from canfb.master.access import ModuleObjects
 from canfb.master.all_or_nothing import Guard
 from canfb.module.backup_content import restored_configuration
@@ -17,5 +17,5 @@ def restore_from(kept: Backup, bench: Bench) -> Restored:
     return Restoring(bench.access, read, Guard()).restore(
         kept,
         lambda before: restored_configuration(kept.values, before, kept.table, MODULE_ID, MODULE_ID),
-        Wishes(keep=True),
+        RestoreOptions(keep=True),
     )

@@ -20,7 +20,7 @@ from canfb.errors import CanfbError, ConfigError
 from canfb.logs import candump_log
 from canfb.logs.folder_replay import work_of
 from canfb.logs.log_reader import BusLogFile
-from canfb.logs.log_replay import ReplaySettings
+from canfb.logs.log_replay import ReplayOptions
 from canfb.logs.log_rows import COLUMNS, job_of
 from canfb.master.samples import read_npz, read_speed
 from canfb.module.module_config import ModuleConfig
@@ -168,7 +168,7 @@ def test_an_eds_with_many_bad_lines(tmp_path: Path) -> None:
 
 
 def test_notes_of_a_replay_that_name_no_log(tmp_path: Path) -> None:
-    folder, settings = tmp_path / "logs", ReplaySettings((ModuleConfig(node_id=1),))
+    folder, settings = tmp_path / "logs", ReplayOptions((ModuleConfig(node_id=1),))
     folder.mkdir()
     log = folder / "a.log"
     log.write_bytes(b"(1.0) can0 080#\n")

@@ -14,19 +14,21 @@ PACKAGE = Path(canfb.__file__).parent
 FILES = sorted(PACKAGE.rglob("*.py"))
 LONGEST_FILE = 500
 
-# What every part that speaks CANopen may use.
-WORDS = {"checks", "cia301", "errors", "objects"}
+# What every part that speaks CANopen, or says what it found, may use.
+WORDS = {"checks", "cia301", "errors", "objects", "rows"}
 # What each part may import of canfb, beyond itself. The files beside the folders are parts of their own.
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "checks": set(),
     "cia301": {"checks"},
     "objects": set(),
+    # What a command found, for the terminal, for a page and as JSON.
+    "rows": set(),
     "signal": {"checks", "objects", "errors"},
     # What times prove, and no more: it knows no frame, and nothing of what a sample holds.
     "timing": {"checks", "objects", "errors"},
     "calibration": {"signal", "objects", "errors"},
-    "device": WORDS - {"objects"},
+    "device": WORDS - {"objects", "rows"},
     "eds_files": {"errors"},
     # A source gives samples, the word of signal, and all else comes to it as an argument (Surroundings):
     # the simulated machine, and the threads and clocks of bus. So module, simulation and bus build on it.
@@ -39,26 +41,26 @@ ALLOWED: dict[str, set[str]] = {
     "replay": {"signal", "calibration", "device", "module", "view"} | WORDS,
     "configuration": {"signal", "sources", "module", "interface", "simulation", "checks", "errors"},
     # Pictures need what is measured, and nothing of how: so the demo and every tool on top may use them.
-    "report": {"signal", "calibration"},
+    "report": {"signal", "calibration", "rows"},
     # What a module is, from its objects; whoever reads them. The limits in force are arithmetic of signal.
     "view": {"signal"} | WORDS,
     # What all tools share that are the master of a bus: objects by SDO, samples, changes that are undone.
     "master": {"signal", "calibration", "sources", "view"} | WORDS,
     "tables": {"signal", "calibration", "master"} | WORDS - {"checks", "cia301"},
-    "sdo": {"calibration", "master"} | WORDS - {"checks"},
+    "sdo": {"calibration", "master"} | WORDS - {"checks", "rows"},
     "backup": {"signal", "master", "sdo"} | WORDS - {"checks", "errors"},
     "diagnosis": {"signal", "view", "master", "sdo"} | WORDS - {"checks"},
     "calibrate": {"signal", "calibration", "sources", "report", "view", "master", "tables"} | WORDS,
     "commission": {"signal", "calibration", "report", "view", "master", "calibrate"} | WORDS,
     # What others tell of themselves on the bus; so it may watch modules that are not ours.
-    "monitoring": {"signal", "module", "configuration", "bus", "view"} | WORDS - {"checks"},
+    "monitoring": {"signal", "module", "configuration", "bus", "view"} | WORDS - {"checks", "rows"},
     # What a page shows and lets do, and its server.
     "scope": {"signal", "calibration", "monitoring", "master", "tables", "calibrate", "bus", "view"}
-             | WORDS - {"checks"},
+             | WORDS - {"checks", "rows"},
     # The clock, frames and the runner of any device: it knows nothing of encoders.
-    "bus": {"device"} | WORDS - {"checks", "objects"},
+    "bus": {"device"} | WORDS - {"checks", "objects", "rows"},
     "hosting": {"signal", "sources", "module", "device", "interface", "simulation", "configuration", "bus"}
-               | WORDS - {"checks"},
+               | WORDS - {"checks", "rows"},
     "logs": {"signal", "device", "module", "report", "bus", "hosting", "replay"} | WORDS,
     "demo": {"signal", "calibration", "report", "device", "sources", "module", "interface", "simulation",
              "configuration", "eds_files"} | WORDS,

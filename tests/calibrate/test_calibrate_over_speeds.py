@@ -14,7 +14,7 @@ from test_calibrate_on_a_bus import position_errors
 
 from canfb.calibrate.artefacts import prepare
 from canfb.calibrate.calibration_summary import delay_words
-from canfb.calibrate.choices import Choices
+from canfb.calibrate.choices import CalibrateOptions
 from canfb.calibration.path_fit import LowPass
 from canfb.cli.calibrate import calibrate as command
 from canfb.cli.calibrate import over_bus
@@ -249,7 +249,7 @@ def test_options_that_cannot_be(arguments: list[str]) -> None:
 
 @each("speeds", ["61,1000", "-300,300", "61,300,1000,3000"])
 def test_speeds_that_can_be(speeds: str) -> None:
-    assert Choices(speeds=speeds).speeds_rpm == tuple(map(float, speeds.split(",")))
+    assert CalibrateOptions(speeds=speeds).speeds_rpm == tuple(map(float, speeds.split(",")))
 
 
 def test_files_without_speeds(tmp_path: Path) -> None:

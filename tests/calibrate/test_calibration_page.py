@@ -87,12 +87,12 @@ def test_a_dry_run_says_so(measured: Measurement) -> None:
 
 def test_the_figures_are_those_of_the_measurement(measured: Measurement, done: Installation) -> None:
     rows = {row.name: row for row in comparison(measured, done, Circumstances("2026-03-01"))}
-    assert rows["table"].before == "0BEE4348h, 32 entries"
-    assert float(rows["deviation, rms"].after.split()[0]) == pytest.approx(
+    assert rows["table"].words[0] == "0BEE4348h, 32 entries"
+    assert float(rows["deviation, rms"].words[1].split()[0]) == pytest.approx(
         100 * measured.calibration.residual_rms, rel=0.01
     )
-    assert float(rows["deviation, rms"].before.split()[0]) > 20 * float(
-        rows["deviation, rms"].after.split()[0]
+    assert float(rows["deviation, rms"].words[0].split()[0]) > 20 * float(
+        rows["deviation, rms"].words[1].split()[0]
     )
     arc = Circumstances("2026-03-01", cycles_per_revolution=2500).arc_seconds(0.001)
     assert arc == pytest.approx(0.001 * 360 * 3600 / 2500)

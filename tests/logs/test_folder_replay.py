@@ -14,7 +14,7 @@ import pytest
 from canfb.cli.main import main
 from canfb.errors import CanfbError, ConfigError
 from canfb.logs.folder_replay import InThisProcess, do_work, work_of
-from canfb.logs.log_replay import ReplaySettings
+from canfb.logs.log_replay import ReplayOptions
 from canfb.logs.log_rows import COLUMNS, LogJob, Row
 from canfb.logs.on_dask import DaskPool
 from canfb.logs.parquet import read_rows
@@ -22,7 +22,7 @@ from replay_kit import Planned, adc, config, live, session, write_log
 
 pytest.importorskip("pyarrow")
 
-SETTINGS = ReplaySettings((config(),))
+SETTINGS = ReplayOptions((config(),))
 GOOD = 8
 
 
@@ -91,9 +91,9 @@ def test_a_second_run_does_what_has_changed(folder: Path, tmp_path: Path) -> Non
     assert {row["log"]: row["samples"] for row in rows}["0.log"] == 50
     assert "2.log" not in {row["log"] for row in rows}
     others = [
-        ReplaySettings((config(coast_samples=5),)),
-        ReplaySettings((config(),), channel="can0"),
-        ReplaySettings((config(),), drift=True),
+        ReplayOptions((config(coast_samples=5),)),
+        ReplayOptions((config(),), channel="can0"),
+        ReplayOptions((config(),), drift=True),
     ]
     for other in others:
         assert work_of(folder, other, out).skipped == 0
@@ -105,7 +105,7 @@ class Interrupted:
     def __init__(self, after: int) -> None:
         self.after = after
 
-    def run(self, jobs: Iterable[LogJob], settings: ReplaySettings) -> Iterator[tuple[LogJob, list[Row]]]:
+    def run(self, jobs: Iterable[LogJob], settings: ReplayOptions) -> Iterator[tuple[LogJob, list[Row]]]:
         for number, done in enumerate(InThisProcess().run(jobs, settings)):
             if number == self.after:
                 raise KeyboardInterrupt
@@ -138,7 +138,7 @@ def test_two_processes_of_which_one_is_killed_give_what_one_gives(folder: Path, 
 
         killed = 0
 
-        def run(self, jobs: Iterable[LogJob], settings: ReplaySettings) -> Iterator[tuple[LogJob, list[Row]]]:
+        def run(self, jobs: Iterable[LogJob], settings: ReplayOptions) -> Iterator[tuple[LogJob, list[Row]]]:
             for done in super().run(jobs, settings):
                 if not self.killed:
                     self.killed = self.cluster.workers[0].pid
@@ -195,7 +195,7 @@ def test_settings_that_cannot_be() -> None:
     with pytest.raises(ConfigError, match="must be 1 at least"):
         DaskPool("local", 0)
     with pytest.raises(CanfbError, match="choose it by --module"):
-        ReplaySettings((config(), config()), state_dir=Path())
+        ReplayOptions((config(), config()), state_dir=Path())
 
 
 def test_without_dask_no_table_is_needed(

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
-from canfb.logs.log_replay import ReplaySettings, replay_log
+from canfb.logs.log_replay import ReplayOptions, replay_log
 from canfb.objects import StatusBit
 from canfb.replay.module_replay import ModuleReplay
 from canfb.replay.start_rule import Begin
@@ -129,7 +129,7 @@ def test_through_a_file_of_each_format(tmp_path: Path, suffix: str) -> None:
     log, sent = live(session(200, jitter_s=1e-5))
     path = write_log(tmp_path / f"bus{suffix}", log)
     again: list[Frame] = []
-    found = replay_log(path, ReplaySettings((config(),)), sent=again.append)
+    found = replay_log(path, ReplayOptions((config(),)), sent=again.append)
     assert contents(again) == contents(sent)
     assert found.log.trouble is None
     assert all(one.all_equal for one in found.replays[0].compared.values())

@@ -32,7 +32,7 @@ from canfb.errors import CanfbError
 from canfb.hosting.hosting import saved_configuration
 from canfb.hosting.state_files import StateFiles
 from canfb.logs.folder_replay import InThisProcess, do_work, work_of
-from canfb.logs.log_replay import ReplaySettings, replay_log
+from canfb.logs.log_replay import ReplayOptions, replay_log
 from canfb.logs.log_rows import job_of
 from canfb.master.samples import read_npz, read_speed
 from canfb.module.feedback_module import FeedbackModule
@@ -43,7 +43,7 @@ from canfb.planning.plan_figures import plan_figures
 from canfb.planning.plan_lines import plan_lines
 from canfb.planning.planned_config import numbered
 from canfb.planning.remedies import remedies_of
-from canfb.planning.stated import Stated, situation_of
+from canfb.planning.stated import PlanOptions, situation_of
 from canfb.replay.summary_of_replay import as_json, lines_of
 from canfb.scope.desk import Desk, ScopeTask, allowed_tasks
 from canfb.scope.gate import Gate, GateVerdict, Request
@@ -152,7 +152,7 @@ def _plan(path: Path, data: bytes) -> None:
     config = numbered(load_config(path))
     with body.quick_dictionaries():
         modules = [saved_configuration(one) for one in config.modules[:3]]
-    plan = Plan(situation_of(replace(config, modules=config.modules[:3]), modules, Stated()))
+    plan = Plan(situation_of(replace(config, modules=config.modules[:3]), modules, PlanOptions()))
     remedies = remedies_of(plan)
     plan_lines(plan, remedies, coverage=data[-1:] == b"#")
     json.dumps(plan_figures(plan, remedies), allow_nan=False)
@@ -213,7 +213,7 @@ def _npy(path: Path, data: bytes) -> None:
 def _log(path: Path, data: bytes) -> None:
     """As ``canfb replay`` reads it, through a module."""
     with body.quick_dictionaries():
-        done = replay_log(path, ReplaySettings((ModuleConfig(node_id=NODE_ID),)))
+        done = replay_log(path, ReplayOptions((ModuleConfig(node_id=NODE_ID),)))
     demand("MemoryError" not in (done.log.trouble or ""), "it takes all memory")
     for replay in done.replays:
         lines_of(replay, None, done.left_out(replay))
@@ -241,8 +241,8 @@ def _seal_state(data: bytes) -> bytes:
 
 
 @cache
-def _replay_settings() -> ReplaySettings:
-    return ReplaySettings((ModuleConfig(node_id=NODE_ID),))
+def _replay_settings() -> ReplayOptions:
+    return ReplayOptions((ModuleConfig(node_id=NODE_ID),))
 
 
 def _notes(path: Path, data: bytes) -> None:

@@ -49,7 +49,7 @@ class Configured(Protocol):
 
 
 @dataclass(frozen=True)
-class Wishes:
+class RestoreOptions:
     """The options of ``canfb restore``: save at the end, accept another major revision or what is unknown,
     send the node to PRE-OPERATIONAL first, write nothing.
     """
@@ -73,7 +73,7 @@ class Restored:
     identity: NodeIdentity
     changes: dict[Place, tuple[Any, Any]]
     untouched: list[Place]
-    wishes: Wishes
+    wishes: RestoreOptions
     saved_as: str | None
 
 
@@ -89,7 +89,7 @@ class Restoring:
         self._guard = guard
 
     def restore(
-        self, backup: Backup, made: Callable[[dict[Place, Any]], Configured], wishes: Wishes
+        self, backup: Backup, made: Callable[[dict[Place, Any]], Configured], wishes: RestoreOptions
     ) -> Restored:
         """Write, prove, save. CommissioningError if anything does not work; then all is as it was before.
 

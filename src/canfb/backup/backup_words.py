@@ -10,12 +10,13 @@ from canfb import objects as od
 from canfb.backup.backup_file import Backup
 from canfb.backup.backup_restoring import Restored
 from canfb.cia301 import datatypes
+from canfb.rows import Result
 from canfb.sdo.object_description import ObjectDescriptions, Place, place_text
 from canfb.sdo.object_values import short_real
 
 
-def backup_lines(backup: Backup, path: Path) -> list[str]:
-    """For people."""
+def backup_result(backup: Backup, path: Path) -> Result:
+    """What a backup has."""
     table = f"table {_crc32(backup):08X}h, {len(backup.table) // 4} entries" if backup.table else "no table"
     node, serial = backup.node_id, backup.identity.serial_number
     what = f"module {node} ({node:02X}h), serial number {serial}"
@@ -25,12 +26,7 @@ def backup_lines(backup: Backup, path: Path) -> list[str]:
         lines.append(
             f"note: {', '.join(noted)} (preset, offset) are in it, but not restored: set the preset again"
         )
-    return lines
-
-
-def backup_figures(backup: Backup, path: Path) -> dict[str, Any]:
-    """For programs."""
-    return {
+    figures = {
         "file": str(path),
         "node_id": backup.node_id,
         "identity": backup.identity._asdict(),
@@ -38,10 +34,11 @@ def backup_figures(backup: Backup, path: Path) -> dict[str, Any]:
         "table_crc32": f"{_crc32(backup):08X}",
         "table_entries": len(backup.table) // 4,
     }
+    return Result(figures, lines)
 
 
-def restored_lines(path: Path, backup: Backup, done: Restored, described: ObjectDescriptions) -> list[str]:
-    """For people."""
+def restored_result(path: Path, backup: Backup, done: Restored, described: ObjectDescriptions) -> Result:
+    """What changed in the module, and what the operator should know."""
     name, wishes = done.module.name, done.wishes
     lines = [_change(place, pair, described) for place, pair in done.changes.items()]
     count = f"{len(done.changes)} of {len(backup.values) + 1} values"
@@ -53,13 +50,8 @@ def restored_lines(path: Path, backup: Backup, done: Restored, described: Object
         lines.append(f"{name}: all values are those of {path} already; nothing was written")
     if not wishes.dry_run:
         lines.append(f"saved ({done.saved_as})" if done.saved_as else "not saved: --save keeps it (1010h)")
-    return lines + _notes(backup, done)
-
-
-def restored_figures(path: Path, backup: Backup, done: Restored) -> dict[str, Any]:
-    """For programs."""
     changes = {place_text(place): _plain(list(pair)) for place, pair in done.changes.items()}
-    return {
+    figures = {
         "file": str(path),
         "node_id": done.module.node_id,
         "changed": changes,
@@ -70,6 +62,7 @@ def restored_figures(path: Path, backup: Backup, done: Restored) -> dict[str, An
         "unknown": list(backup.unknown),
         "untouched": [place_text(place) for place in done.untouched],
     }
+    return Result(figures, lines + _notes(backup, done))
 
 
 def _notes(backup: Backup, done: Restored) -> list[str]:

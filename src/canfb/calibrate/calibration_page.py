@@ -32,7 +32,7 @@ def report_html(
 ) -> str:
     """The page. It refers to nothing outside of itself and runs no script."""
     said = [verdict(measured, where), _sentence(outcome(measured, done, where))]
-    rows = [(row.name, row.before, row.after) for row in comparison(measured, done, where)]
+    rows = [(row.name, *row.words) for row in comparison(measured, done, where)]
     tables = comparison_table("Before and after", ("before", "after"), rows)
     tables += facts_table(MEASUREMENT, facts(measured, done, where))
     return _page(

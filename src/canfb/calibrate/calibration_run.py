@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from canfb.calibrate import own_calibration
 from canfb.calibrate.artefacts import keep_samples, write, write_refusal
 from canfb.calibrate.calibration_summary import as_json, comparison, facts, outcome, verdict
-from canfb.calibrate.choices import MODULE, PDO, Choices
+from canfb.calibrate.choices import MODULE, PDO, CalibrateOptions
 from canfb.calibrate.drift_check import (
     check,
     check_at_speed,
@@ -32,6 +32,7 @@ from canfb.master.circumstances import Circumstances
 from canfb.master.machine_watch import LockWatch, Look, Meanwhile, SpeedReadings, look_at, lost_words
 from canfb.master.samples import TrackSamples
 from canfb.master.session import Session, Source
+from canfb.rows import NAME_WIDTH, Result, as_columns
 from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.supervision import SampleLimits
 from canfb.tables.table_file import read_table
@@ -53,11 +54,9 @@ class Steps(Protocol):
 
 
 @dataclass(frozen=True)
-class Account:
-    """What came out: the figures for programs, the lines for people, and the measurement, if any."""
+class CalibrateResult(Result):
+    """With the measurement, if there was one."""
 
-    figures: dict[str, Any]
-    lines: list[str]
     measured: Measurement | None = None
 
 
@@ -70,7 +69,7 @@ class CalibrationRun:
 
     def __init__(
         self,
-        choices: Choices,
+        choices: CalibrateOptions,
         steps: Steps,
         date: str,
         refused: Callable[[CalibrationError], None] = lambda error: None,
@@ -89,7 +88,7 @@ class CalibrationRun:
         self._steps = steps
         self._refused = refused
 
-    def from_file(self, path: Path) -> Account:
+    def from_file(self, path: Path) -> CalibrateResult:
         """Samples of a file: nothing but files can come of it."""
         choices = self._choices
         samples = choices.samples_of_file(path)
@@ -99,7 +98,7 @@ class CalibrationRun:
             return self._drift(samples, before, settings)
         return self._report(self._measured(samples, before, settings), Installation())
 
-    def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Account:
+    def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> CalibrateResult:
         """With the nodes of a bus; ``interface`` None if the module is to say it."""
         choices = self._choices
         session = self._begin(master, module, interface)
@@ -160,13 +159,13 @@ class CalibrationRun:
 
     def _by_module(
         self, session: Session, source: Source, settings: Settings, guard: Guard, before: Look | None
-    ) -> Account:
+    ) -> CalibrateResult:
         """The module measures; what it hears is measured here as well, for the figures and the pictures."""
         self._steps.step("the module measures")
         if self._choices.check:
             session.check_interface()
             drift = own_calibration.let_check(session.module, self._steps.part)
-            return Account(
+            return CalibrateResult(
                 module_drift_json(drift, session.active, self._where),
                 module_drift_lines(drift, session.active, self._where),
             )
@@ -239,7 +238,7 @@ class CalibrationRun:
         rad_s = math.fsum(one.rad_per_s for one in readings.found) / len(readings.found)
         return SpeedSamples(samples, rad_s * session.cycles_per_revolution / (2.0 * math.pi))
 
-    def _check_at_speed(self, session: Session) -> Account:
+    def _check_at_speed(self, session: Session) -> CalibrateResult:
         """How far the encoder has moved away, whatever the analog path does at this speed."""
         choices = self._choices
         self._look(session, None)
@@ -251,21 +250,21 @@ class CalibrationRun:
         )
         if choices.out:
             keep_samples(choices.out, measured.samples)
-        return Account(drift_json(found, self._where), drift_lines(found, self._where))
+        return CalibrateResult(drift_json(found, self._where), drift_lines(found, self._where))
 
-    def _drift(self, samples: TrackSamples, active: Correction, settings: Settings) -> Account:
+    def _drift(self, samples: TrackSamples, active: Correction, settings: Settings) -> CalibrateResult:
         """How far the encoder has moved away from its table."""
         found = self._judged(samples, lambda: check(samples, active, settings, self._steps.part))
         if self._choices.out:
             keep_samples(self._choices.out, samples)
-        return Account(drift_json(found, self._where), drift_lines(found, self._where))
+        return CalibrateResult(drift_json(found, self._where), drift_lines(found, self._where))
 
-    def _report(self, measured: Measurement, done: Installation) -> Account:
+    def _report(self, measured: Measurement, done: Installation) -> CalibrateResult:
         """What came out; the files are written."""
         out = self._choices.out
         paths = write(out, measured, done, self._where, self._limits) if out else []
         figures = as_json(measured, done, self._where) | {"files": [str(path) for path in paths]}
-        return Account(figures, _lines(measured, done, self._where, paths), measured)
+        return CalibrateResult(figures, _lines(measured, done, self._where, paths), measured)
 
     def _judged(self, samples: TrackSamples, act: Callable[[], Any]) -> Any:
         """What ``act`` makes of the samples; what it refuses leaves its samples and a report."""
@@ -286,10 +285,7 @@ class CalibrationRun:
 def _lines(measured: Measurement, done: Installation, where: Circumstances, paths: list[Path]) -> list[str]:
     """The account for people."""
     rows = comparison(measured, done, where)
-    wide = max(len(row.before) for row in rows)
-    lines = [f"{'':24}{'before':{wide}}  after"]
-    lines += [f"{row.name:24}{row.before:{wide}}  {row.after}" for row in rows]
-    lines.append("")
+    lines = [*as_columns(rows, ("", "before", "after"), (NAME_WIDTH - 2,)), ""]
     lines += [f"{name:24}{text}" for name, text in facts(measured, done, where)]
     lines += ["", verdict(measured, where), outcome(measured, done, where)]
     lines += [f"written  {path}" for path in paths]

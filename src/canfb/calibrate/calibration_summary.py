@@ -6,7 +6,6 @@ At several speeds with the analog path and the error at each speed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 from canfb.calibrate.error_over_speed import ErrorAtSpeed
@@ -16,6 +15,7 @@ from canfb.calibration.path_fit import LowPass
 from canfb.calibration.result import Calibration
 from canfb.master.circumstances import PERCENT, Circumstances, percent, where_words
 from canfb.master.samples import TrackSamples
+from canfb.rows import Row
 from canfb.tables.table_file import conditioning_in_words, conditioning_words, table_words
 
 SAME_DELAY = 1e-3  # relative: REAL32
@@ -140,15 +140,6 @@ def _low_pass_words(over: OverSpeeds, where: Circumstances) -> str:
         words += f", cosine {corners.cosine_corner_hz / 1e3:.4g} kHz"
     left, at = PERCENT * low_pass.left, speed_words(low_pass.top_hz, where)
     return f"{words} (2001:05, 2001:06): {left:.0f} % of the amplitude at {at}"
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of the comparison."""
-
-    name: str
-    before: str
-    after: str
 
 
 def comparison(measured: Measurement, done: Installation, where: Circumstances) -> list[Row]:

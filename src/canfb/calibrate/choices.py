@@ -44,7 +44,7 @@ RANGES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choices:
+class CalibrateOptions:
     """The options by their names; None: not given. :meth:`refuse_impossible` checks them."""
 
     module: int | None = None
@@ -213,7 +213,7 @@ _OF_CSV = ("columns", "mid_scale", "time_column")
 _OF_THE_FILE = (*_OF_CSV, "table", "cycles_per_revolution")
 
 
-def refuse_combinations(choices: Choices, refuse: Refuse, bus_words: Sequence[str]) -> None:
+def refuse_combinations(choices: CalibrateOptions, refuse: Refuse, bus_words: Sequence[str]) -> None:
     """ConfigError for an option that would do nothing; ``bus_words`` are the options of the bus itself."""
     if choices.samples is not None:
         words = (*_OF_THE_BUS, *bus_words)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from canfb.calibrate.artefacts import keep_speeds
-from canfb.calibrate.calibration_run import LEAST_FRESH, Account, CalibrationRun
+from canfb.calibrate.calibration_run import LEAST_FRESH, CalibrateResult, CalibrationRun
 from canfb.calibrate.choices import RECORDED
 from canfb.calibrate.error_over_speed import InForce, SpeedSamples, errors_at
 from canfb.calibrate.measurement import Measurement, Settings, SpeedMeasurement, measure_speeds
@@ -93,7 +93,7 @@ RPM_PER_RAD_S = 60.0 / (2.0 * math.pi)
 class SpeedRun(CalibrationRun):
     """One run of the command with ``--speeds``."""
 
-    def from_file(self, path: Path) -> Account:
+    def from_file(self, path: Path) -> CalibrateResult:
         """A folder with the samples of each speed: nothing but files can come of it."""
         choices = self._choices
         samples = self._of_folder(path)
@@ -101,7 +101,7 @@ class SpeedRun(CalibrationRun):
         measured = self._measured_speeds(samples, choices.settings(None), InForce(before))
         return self._report(measured, Installation())
 
-    def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Account:
+    def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> CalibrateResult:
         """With the nodes of a bus; ``interface`` None if the module is to say it."""
         choices, steps = self._choices, self._steps
         session = self._begin(master, module, interface)

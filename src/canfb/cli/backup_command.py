@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from canfb.backup.backup_file import Backup, NodeIdentity, backup_text, read_backup
-from canfb.backup.backup_restoring import Restoring, Wishes
-from canfb.backup.backup_words import backup_figures, backup_lines, restored_figures, restored_lines
+from canfb.backup.backup_restoring import RestoreOptions, Restoring
+from canfb.backup.backup_words import backup_result, restored_result
 from canfb.bus.clocks import date_and_time
 from canfb.cli import node_options
 from canfb.cli.options import Commands, add_command, node_number
@@ -59,9 +59,7 @@ def backup(options: argparse.Namespace) -> int:
     with node_options.master_of(options) as master:
         found = backup_of(master, options.node, date_and_time())
     write_whole(options.file, backup_text(found, described).encode())
-    return node_options.say_result(
-        options, backup_figures(found, options.file), backup_lines(found, options.file)
-    )
+    return node_options.say_result(options, backup_result(found, options.file))
 
 
 def backup_of(master: Master, node_id: int, date: str) -> Backup:
@@ -90,7 +88,7 @@ def restore(options: argparse.Namespace) -> int:
     """From the file to the module."""
     kept = read_backup(options.file, ObjectDescriptions(eds_path(EDS), 1), options.force)
     node = options.node or kept.node_id
-    wishes = Wishes(options.save, options.force, options.preop, options.dry_run)
+    wishes = RestoreOptions(options.save, options.force, options.preop, options.dry_run)
     with node_options.guarded() as guard, node_options.master_of(options) as master:
         restoring = Restoring(
             NodeAccess(master, node, "module"), lambda: read_configuration(ModuleObjects(master, node)), guard
@@ -101,5 +99,4 @@ def restore(options: argparse.Namespace) -> int:
             wishes,
         )
     described = ObjectDescriptions(eds_path(EDS), node)
-    lines = restored_lines(options.file, kept, done, described)
-    return node_options.say_result(options, restored_figures(options.file, kept, done), lines)
+    return node_options.say_result(options, restored_result(options.file, kept, done, described))

@@ -12,6 +12,7 @@ from canfb.cli.watch_options import positive
 from canfb.cli.yaml_argument import yaml_file
 from canfb.configuration import ANY_NODES, load_config
 from canfb.diagnosis.nodes_on_bus import scan
+from canfb.rows import Result
 
 LISTEN_S = 1.2  # the heartbeat of most nodes comes once a second or more often
 
@@ -40,5 +41,4 @@ def bus_scan(options: argparse.Namespace) -> int:
         found = scan(master, options.seconds)
     nobody = "no node answers, and no heartbeat is heard: are the bus, its bit rate and its power right?"
     lines = [one.line() for one in found] or [nobody]
-    say_result(options, [one.figures() for one in found], lines)
-    return 0
+    return say_result(options, Result([one.figures() for one in found], lines))

@@ -7,12 +7,12 @@ import json
 
 from canfb.bus.clocks import date_and_time
 from canfb.calibrate.artefacts import prepare
-from canfb.calibrate.calibration_run import Account, CalibrationRun
-from canfb.calibrate.choices import Choices
+from canfb.calibrate.calibration_run import CalibrationRun
+from canfb.calibrate.choices import CalibrateOptions
 from canfb.calibrate.speed_run import SpeedRun
 from canfb.cli.calibrate_options import add_options, choices_of
 from canfb.cli.configured_nodes import nodes_of
-from canfb.cli.node_options import sync_master
+from canfb.cli.node_options import say_result, sync_master
 from canfb.cli.options import Commands, add_command, bus_options
 from canfb.cli.printing import report
 from canfb.cli.progress import Progress
@@ -20,6 +20,7 @@ from canfb.configuration import Config, load_config
 from canfb.errors import CalibrationError
 from canfb.master.access import Master
 from canfb.master.all_or_nothing import Guard
+from canfb.rows import Result
 
 
 def register(commands: Commands) -> None:
@@ -71,7 +72,9 @@ def over_bus(
     return _say(run.over_bus(master, *choices.nodes(nodes_of(config)), guard), options, progress)
 
 
-def _run(choices: Choices, options: argparse.Namespace, progress: Progress, date: str) -> CalibrationRun:
+def _run(
+    choices: CalibrateOptions, options: argparse.Namespace, progress: Progress, date: str
+) -> CalibrationRun:
     def refused(error: CalibrationError) -> None:
         if options.json:
             refusal = {"accepted": False, "reason": error.reason, "message": str(error)}
@@ -81,8 +84,6 @@ def _run(choices: Choices, options: argparse.Namespace, progress: Progress, date
     return kind(choices, progress, date, refused)
 
 
-def _say(account: Account, options: argparse.Namespace, progress: Progress) -> int:
-    """On standard output, for programs or for people."""
+def _say(result: Result, options: argparse.Namespace, progress: Progress) -> int:
     progress.clear()
-    print(json.dumps(account.figures, indent=2) if options.json else "\n".join(account.lines))
-    return 0
+    return say_result(options, result)

@@ -7,7 +7,14 @@ from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
-from canfb.calibrate.choices import LEAST_SAMPLES, MODULE, PDO, RECORDING, Choices, refuse_combinations
+from canfb.calibrate.choices import (
+    LEAST_SAMPLES,
+    MODULE,
+    PDO,
+    RECORDING,
+    CalibrateOptions,
+    refuse_combinations,
+)
 from canfb.calibrate.measurement import MOTION, ZERO_CROSSINGS
 from canfb.cli.calibrate_input import add_file, add_speeds
 from canfb.cli.options import BUS_WORDS, add_bus_options, refuse_idle, whole_number
@@ -91,10 +98,10 @@ def _add_measurement(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--answer-within", type=float, default=1.0, metavar="S", help="SDO time-out (1)")
 
 
-def choices_of(options: argparse.Namespace) -> Choices:
+def choices_of(options: argparse.Namespace) -> CalibrateOptions:
     """The options, checked. ConfigError for those that cannot be, alone or together."""
-    names = [field.name for field in fields(Choices) if hasattr(options, field.name)]
-    choices = Choices(**{name: getattr(options, name) for name in names})
+    names = [field.name for field in fields(CalibrateOptions) if hasattr(options, field.name)]
+    choices = CalibrateOptions(**{name: getattr(options, name) for name in names})
     refuse_combinations(choices, partial(refuse_idle, options), (*BUS_WORDS, "bus_kwargs"))
     choices.refuse_impossible()
     return choices

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 
 from canfb.bus.clocks import date_and_time
 from canfb.calibrate.artefacts import prepare
 from canfb.cli.commission_options import add_options, configuration_of, nodes_of_choices, wishes_of
-from canfb.cli.node_options import sync_master
+from canfb.cli.node_options import say_result, sync_master
 from canfb.cli.options import Commands, add_command, bus_options
 from canfb.cli.printing import report
 from canfb.cli.progress import Progress
@@ -53,7 +52,6 @@ def over_bus(
 ) -> int:
     """The command on an open bus; the exit code. ``date`` is ISO 8601, the time of day behind a space."""
     run = CommissionRun(wishes_of(options), progress, date)
-    account = run.over_bus(master, *nodes_of_choices(options, config), guard)
+    result = run.over_bus(master, *nodes_of_choices(options, config), guard)
     progress.clear()
-    print(json.dumps(account.figures, indent=2) if options.json else "\n".join(account.lines))
-    return 0
+    return say_result(options, result)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from canfb.calibrate.choices import Choices
+from canfb.calibrate.choices import CalibrateOptions
 from canfb.cli.configured_nodes import nodes_of
 from canfb.cli.options import add_bus_options, node_number, refuse_idle, whole_number
-from canfb.commission.commission_run import CommissionWishes
+from canfb.commission.commission_run import CommissionOptions
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
 
@@ -86,7 +86,7 @@ def configuration_of(options: argparse.Namespace) -> Config:
 
 def nodes_of_choices(options: argparse.Namespace, config: Config) -> tuple[int, int | None]:
     """Node-IDs of module and interface, None if the module says it. ConfigError for impossible ones."""
-    choices = Choices(
+    choices = CalibrateOptions(
         module=options.module,
         encoder_interface=options.encoder_interface,
         sync=options.sync,
@@ -96,13 +96,13 @@ def nodes_of_choices(options: argparse.Namespace, config: Config) -> tuple[int, 
     return choices.nodes(nodes_of(config))
 
 
-def wishes_of(options: argparse.Namespace) -> CommissionWishes:
+def wishes_of(options: argparse.Namespace) -> CommissionOptions:
     """What is asked for, checked. ConfigError for options that cannot be, alone or together."""
     if not options.write:
         refuse_idle(options, ["save"], "only with --write, without which nothing is written")
     if options.source == "recording" and options.encoder_interface is not None:
         raise ConfigError("--encoder-interface: not with --source recording, which is that of the module")
-    wishes = CommissionWishes(
+    wishes = CommissionOptions(
         seconds=options.seconds,
         margin=options.margin,
         acceleration=options.acceleration,

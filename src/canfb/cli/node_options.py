@@ -18,6 +18,7 @@ from canfb.configuration import ANY_NODES, load_config
 from canfb.errors import ConfigError
 from canfb.master.access import Master
 from canfb.master.all_or_nothing import Guard
+from canfb.rows import Result
 
 
 def add_node(parser: argparse.ArgumentParser) -> None:
@@ -74,7 +75,7 @@ def guarded() -> Iterator[Guard]:
         raise
 
 
-def say_result(options: argparse.Namespace, figures: Any, lines: list[str]) -> int:
+def say_result(options: argparse.Namespace, result: Result) -> int:
     """On standard output, for programs or for people; exit code 0."""
-    print(json.dumps(figures, indent=2) if options.json else "\n".join(lines))
+    print(json.dumps(result.figures, indent=2) if options.json else "\n".join(result.lines))
     return 0

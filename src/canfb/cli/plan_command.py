@@ -15,10 +15,10 @@ from canfb.planning.plan_figures import plan_figures
 from canfb.planning.plan_lines import plan_lines
 from canfb.planning.planned_config import modules_alike, numbered
 from canfb.planning.remedies import remedies_of
-from canfb.planning.stated import Stated, situation_of
+from canfb.planning.stated import PlanOptions, situation_of
 
 HOLDS, EXCEEDED = 0, 1
-# Option, field of Stated, word for its value, help.
+# Option, field of PlanOptions, word for its value, help.
 NUMBERS = (
     ("--rate", "rate_hz", "HZ", "SYNC rate (that of sync_period_us, 1000)"),
     ("--jitter", "jitter_us", "US", "jitter of the SYNC at its producer, ± µs"),
@@ -89,7 +89,7 @@ def plan(options: argparse.Namespace) -> int:
     """Print the plan; 0 if it holds, 1 if it does not."""
     try:
         config = _config(options)
-        stated = Stated(**{field.name: getattr(options, field.name) for field in fields(Stated)})
+        stated = PlanOptions(**{field.name: getattr(options, field.name) for field in fields(PlanOptions)})
         found = Plan(situation_of(config, [saved_configuration(one) for one in config.modules], stated))
     except ValueError as error:
         raise ConfigError(_named(str(error))) from None

@@ -12,7 +12,7 @@ from canfb.cli.replay_folder import replay_folder
 from canfb.cli.replay_options import add_options, settings_of
 from canfb.errors import ConfigError
 from canfb.logs.bus_log import SentLog
-from canfb.logs.log_replay import LogReplayed, ReplaySettings, replay_log
+from canfb.logs.log_replay import LogReplayed, ReplayOptions, replay_log
 from canfb.logs.published_files import PublishedFile, check_place
 from canfb.logs.replay_page import write_page
 from canfb.replay.overview import Overview
@@ -40,7 +40,7 @@ def replay(options: argparse.Namespace) -> int:
         progress.clear()
 
 
-def _one_log(options: argparse.Namespace, settings: ReplaySettings, progress: Progress) -> int:
+def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Progress) -> int:
     with contextlib.ExitStack() as files:
         overview = Overview()
         takers = [] if options.report is None else [overview.take]

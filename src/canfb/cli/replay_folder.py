@@ -8,14 +8,14 @@ import contextlib
 from canfb.cli.progress import Progress
 from canfb.errors import ConfigError
 from canfb.logs.folder_replay import InThisProcess, Pool, check_table, do_work, work_of
-from canfb.logs.log_replay import ReplaySettings
+from canfb.logs.log_replay import ReplayOptions
 from canfb.logs.on_dask import LOCAL, DaskPool
 from canfb.replay.fault_list import KINDS
 
 NONE = "none"
 
 
-def replay_folder(options: argparse.Namespace, settings: ReplaySettings, progress: Progress) -> int:
+def replay_folder(options: argparse.Namespace, settings: ReplayOptions, progress: Progress) -> int:
     """Do what is not done yet; 0 when it is: table and lines say which logs could not be done, and why.
 
     In this process (``--scheduler none``) a table is not required: each log is a line then.

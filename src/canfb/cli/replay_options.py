@@ -9,7 +9,7 @@ from pathlib import Path
 from canfb.cli.options import chosen_module, refuse_idle, whole_number
 from canfb.configuration import changed_module, load_config
 from canfb.errors import ConfigError
-from canfb.logs.log_replay import ReplaySettings
+from canfb.logs.log_replay import ReplayOptions
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.start_rule import Begin
 from canfb.tables.table_file import read_table
@@ -60,7 +60,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     folder.add_argument("--workers", type=int, metavar="N", help="processes of this machine (one per CPU)")
 
 
-def settings_of(options: argparse.Namespace) -> ReplaySettings:
+def settings_of(options: argparse.Namespace) -> ReplayOptions:
     """What the options say. ConfigError, in one line, for what cannot be."""
     folder = options.log.is_dir()
     if folder:
@@ -68,7 +68,7 @@ def settings_of(options: argparse.Namespace) -> ReplaySettings:
     else:
         refuse_idle(options, OF_A_FOLDER, "is for a folder of logs")
     modules = _modules(options)
-    return ReplaySettings(
+    return ReplayOptions(
         modules=tuple(modules),
         correction=None if options.table is None else read_table(options.table),
         state_dir=options.state,

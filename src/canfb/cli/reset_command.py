@@ -8,6 +8,7 @@ from canfb.cli import node_options
 from canfb.cli.options import Commands, add_command
 from canfb.master.access import NodeAccess
 from canfb.master.node_state import reset_module
+from canfb.rows import Result
 
 
 def register(commands: Commands) -> None:
@@ -25,4 +26,4 @@ def reset(options: argparse.Namespace) -> int:
         done = reset_module(module, force=options.force)
     seen = "not looked at" if options.force else f"still, within {done['spread_cycles']:.3f} cycle"
     line = f"{module.name}: reset and started; position {done['position']}, machine {seen}"
-    return node_options.say_result(options, done, [line])
+    return node_options.say_result(options, Result(done, [line]))

@@ -13,6 +13,7 @@ from canfb.errors import ConfigError
 from canfb.master.access import CommissioningError, Master, NodeAccess
 from canfb.master.all_or_nothing import check_writable, write_whole
 from canfb.master.marked_yaml import read_bytes
+from canfb.rows import Result
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import SdoTasks, described_by, is_lost
 
@@ -74,13 +75,10 @@ def read(options: argparse.Namespace) -> int:
             raise ConfigError(f"--out: {options.object!r} has several entries; give one of them, index:sub")
         write_whole(options.out, readings[0].data)
     hint = [LOST.format(options.node)] if any(map(is_lost, readings)) else []
-    return node_options.say_result(
-        options,
-        [reading.figures() for reading in readings],
-        [reading.line() for reading in readings] + hint
-        if options.out is None
-        else [f"{options.out}: {readings[0].entry.title}, {len(readings[0].data)} bytes"],
-    )
+    lines = [*(reading.line() for reading in readings), *hint]
+    if options.out is not None:
+        lines = [f"{options.out}: {readings[0].entry.title}, {len(readings[0].data)} bytes"]
+    return node_options.say_result(options, Result([reading.figures() for reading in readings], lines))
 
 
 def write(options: argparse.Namespace) -> int:
@@ -97,4 +95,4 @@ def write(options: argparse.Namespace) -> int:
     else:
         line = f"{written.entry.number} {written.entry.title}: {before.text()} -> {now.text()}"
     figures = {"before": before and before.figures(), "now": now and now.figures()}
-    return node_options.say_result(options, figures | {"written": written.figures()}, [line])
+    return node_options.say_result(options, Result(figures | {"written": written.figures()}, [line]))

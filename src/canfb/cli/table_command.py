@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 from canfb.bus.clocks import date_and_time
@@ -11,9 +12,10 @@ from canfb.cli.options import Commands, add_command, node_number
 from canfb.errors import ConfigError
 from canfb.master.access import NodeAccess
 from canfb.master.all_or_nothing import check_writable
+from canfb.rows import Result
 from canfb.tables.table_file import read_table_file
 from canfb.tables.table_state import TableState
-from canfb.tables.table_tasks import Change, TableTasks
+from canfb.tables.table_tasks import TableTasks
 
 FILES = "FILE.yaml, or the bytes of 2020:01 under any other name"
 
@@ -71,7 +73,7 @@ def show(options: argparse.Namespace) -> int:
     else:
         with node_options.master_of(options) as master:
             state = TableState.of_module(NodeAccess(master, node, "module"))
-    return node_options.say_result(options, state.figures(), state.lines())
+    return node_options.say_result(options, state.result())
 
 
 def upload(options: argparse.Namespace) -> int:
@@ -79,32 +81,26 @@ def upload(options: argparse.Namespace) -> int:
     if options.save and not options.activate:
         raise ConfigError("--save: only with --activate, as a staged table is not saved")
     file = read_table_file(options.file)
-    with node_options.guarded() as guard, node_options.master_of(options) as master:
-        tasks = TableTasks(NodeAccess(master, options.node, "module"), guard)
-        return _say(options, tasks.upload(file, active=options.activate, keep=options.save))
+    return _do(options, lambda tasks: tasks.upload(file, active=options.activate, keep=options.save))
 
 
 def download(options: argparse.Namespace) -> int:
     """From the module to the file."""
     check_writable(options.file)
-    with node_options.guarded() as guard, node_options.master_of(options) as master:
-        tasks = TableTasks(NodeAccess(master, options.node, "module"), guard)
-        return _say(options, tasks.download(options.file, date_and_time()))
+    return _do(options, lambda tasks: tasks.download(options.file, date_and_time()))
 
 
 def activate(options: argparse.Namespace) -> int:
     """The staged table is put in force."""
-    with node_options.guarded() as guard, node_options.master_of(options) as master:
-        tasks = TableTasks(NodeAccess(master, options.node, "module"), guard)
-        return _say(options, tasks.activate(keep=options.save))
+    return _do(options, lambda tasks: tasks.activate(keep=options.save))
 
 
 def clear(options: argparse.Namespace) -> int:
     """No table."""
+    return _do(options, lambda tasks: tasks.clear(conditioning=options.conditioning, keep=options.save))
+
+
+def _do(options: argparse.Namespace, task: Callable[[TableTasks], Result]) -> int:
     with node_options.guarded() as guard, node_options.master_of(options) as master:
-        tasks = TableTasks(NodeAccess(master, options.node, "module"), guard)
-        return _say(options, tasks.clear(conditioning=options.conditioning, keep=options.save))
-
-
-def _say(options: argparse.Namespace, change: Change) -> int:
-    return node_options.say_result(options, change.figures(), change.lines)
+        result = task(TableTasks(NodeAccess(master, options.node, "module"), guard))
+    return node_options.say_result(options, result)

@@ -23,4 +23,4 @@ def why(options: argparse.Namespace) -> int:
     """Read what the module keeps of its last loss, and say what to do."""
     with node_options.master_of(options) as master:
         found = read_lost_position(NodeAccess(master, options.node, "module"))
-    return node_options.say_result(options, found.figures(), found.lines())
+    return node_options.say_result(options, found.result())

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from canfb import objects as od
 from canfb.calibrate.artefacts import keep_samples
-from canfb.calibrate.calibration_run import Account, Steps
+from canfb.calibrate.calibration_run import Steps
 from canfb.calibrate.supervised_samples import supervise
 from canfb.commission.commission_page import write_page
 from canfb.commission.commission_summary import Commissioned, as_figures, as_lines
@@ -38,6 +38,7 @@ from canfb.master.samples import TrackSamples
 from canfb.master.session import Session
 from canfb.master.supervision_limits import SupervisionLimits, write_limits
 from canfb.objects import Multiplexer, StatusBit
+from canfb.rows import Result
 
 Values = Mapping[Multiplexer, float]
 
@@ -99,7 +100,7 @@ def _position(module: NodeAccess) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CommissionWishes:
+class CommissionOptions:
     """The options of ``canfb commission``.
 
     seconds        how long the machine is listened to
@@ -137,12 +138,12 @@ class CommissionWishes:
 class CommissionRun:
     """One run of the command. ``date`` is ISO 8601, the time of day behind a space."""
 
-    def __init__(self, wishes: CommissionWishes, steps: Steps, date: str) -> None:
+    def __init__(self, wishes: CommissionOptions, steps: Steps, date: str) -> None:
         self._wishes = wishes
         self._steps = steps
         self._date = date
 
-    def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Account:
+    def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Result:
         """With the nodes of a bus; ``interface`` None if the module is to say it."""
         wishes, steps = self._wishes, self._steps
         steps.step("reading the module")
@@ -194,7 +195,7 @@ class CommissionRun:
             saved_as,
             self._where(session),
         )
-        return self._account(done)
+        return self._result(done)
 
     def _collect(self, session: Session) -> tuple[TrackSamples, list[SpeedReading]]:
         """The samples, and what the module said of its speed meanwhile."""
@@ -231,13 +232,13 @@ class CommissionRun:
             interface_identity=session.interface_identity,
         )
 
-    def _account(self, done: Commissioned) -> Account:
+    def _result(self, done: Commissioned) -> Result:
         figures, lines = as_figures(done), as_lines(done)
         if self._wishes.out is not None:
             paths = [write_page(self._wishes.out, done), keep_samples(self._wishes.out, done.seen.samples)]
             figures["files"] = [str(path) for path in paths]
             lines += [f"written  {path}" for path in paths]
-        return Account(figures, lines)
+        return Result(figures, lines)
 
 
 def _prove(seen: Observation, new: SupervisionLimits) -> None:

@@ -15,6 +15,7 @@ from canfb import objects as od
 from canfb.master.access import NodeAccess, ObjectAbsentError
 from canfb.master.pdo_layout import mapped_objects
 from canfb.objects import LossCause, Multiplexer, PositionState, StatusBit
+from canfb.rows import Result
 from canfb.signal.limits import cycles_per_interval_squared, kept_samples
 from canfb.signal.third_order import SECOND
 
@@ -112,6 +113,10 @@ class LostPosition:
             "brings_back": self.brings_back(),
             "would_have_kept": self.would_have_kept(),
         }
+
+    def result(self) -> Result:
+        """For ``canfb why``."""
+        return Result(self.figures(), self.lines())
 
     def lines(self) -> list[str]:
         """For people."""

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from canfb.errors import CanfbError, ConfigError, reason
 from canfb.logs.log_files import is_log
-from canfb.logs.log_replay import ReplaySettings
+from canfb.logs.log_replay import ReplayOptions
 from canfb.logs.log_rows import COLUMNS, LogJob, Row, job_of, rows_of
 from canfb.logs.parquet import read_rows, write_rows
 
@@ -20,14 +20,14 @@ PARQUET = ".parquet"
 class Pool(Protocol):
     """Who does the logs."""
 
-    def run(self, jobs: Iterable[LogJob], settings: ReplaySettings) -> Iterator[tuple[LogJob, list[Row]]]:
+    def run(self, jobs: Iterable[LogJob], settings: ReplayOptions) -> Iterator[tuple[LogJob, list[Row]]]:
         """Each log with its rows, in any order."""
 
 
 class InThisProcess:
     """One log after the other."""
 
-    def run(self, jobs: Iterable[LogJob], settings: ReplaySettings) -> Iterator[tuple[LogJob, list[Row]]]:
+    def run(self, jobs: Iterable[LogJob], settings: ReplayOptions) -> Iterator[tuple[LogJob, list[Row]]]:
         """Each log with its rows."""
         for job in jobs:
             yield job, rows_of(job, settings)
@@ -51,7 +51,7 @@ def check_table(out: Path | None) -> Path:
     return out
 
 
-def work_of(folder: Path, settings: ReplaySettings, out: Path | None) -> FolderWork:
+def work_of(folder: Path, settings: ReplayOptions, out: Path | None) -> FolderWork:
     """The logs below ``folder`` whose rows are not in the table ``out``, or in what an interrupted run has
     left beside it; None: no table, all of them.
 
@@ -74,7 +74,7 @@ def work_of(folder: Path, settings: ReplaySettings, out: Path | None) -> FolderW
 
 def do_work(
     work: FolderWork,
-    settings: ReplaySettings,
+    settings: ReplayOptions,
     out: Path | None,
     pool: Pool,
     heard: Callable[[float], None] = lambda part: None,

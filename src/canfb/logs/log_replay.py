@@ -20,7 +20,7 @@ from canfb.signal.correction import Correction
 
 
 @dataclass(frozen=True)
-class ReplaySettings:
+class ReplayOptions:
     """How a log is replayed.
 
     modules      the modules; none with a source of its own
@@ -67,7 +67,7 @@ class LogReplayed:
 
 def replay_log(
     path: Path,
-    settings: ReplaySettings,
+    settings: ReplayOptions,
     takers: Sequence[Callable[[Block], None]] = (),
     sent: Callable[[Frame], None] | None = None,
     heard: Callable[[float], None] = lambda part: None,

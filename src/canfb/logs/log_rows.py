@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from canfb.errors import CanfbError
-from canfb.logs.log_replay import LogReplayed, ReplaySettings, replay_log
+from canfb.logs.log_replay import LogReplayed, ReplayOptions, replay_log
 from canfb.replay.fault_list import KINDS
 from canfb.replay.summary_of_replay import as_json
 
@@ -67,7 +67,7 @@ class LogJob:
     fingerprint: str
 
 
-def job_of(folder: Path, path: Path, settings: ReplaySettings) -> LogJob:
+def job_of(folder: Path, path: Path, settings: ReplayOptions) -> LogJob:
     """The job for a log. OSError if it has gone.
 
     Its fingerprint is of size and time of change of the file, the settings, what is saved in their
@@ -83,7 +83,7 @@ def job_of(folder: Path, path: Path, settings: ReplaySettings) -> LogJob:
     return LogJob(str(path.relative_to(folder)), path, status.st_size, digest)
 
 
-def _in_words(settings: ReplaySettings) -> tuple[str, ...]:
+def _in_words(settings: ReplayOptions) -> tuple[str, ...]:
     used = settings.correction
     table = "" if used is None or used.table is None else used.table.to_bytes().hex()
     conditioning = "" if used is None else repr(used.conditioning)
@@ -98,7 +98,7 @@ def _in_words(settings: ReplaySettings) -> tuple[str, ...]:
     )
 
 
-def rows_of(job: LogJob, settings: ReplaySettings) -> list[Row]:
+def rows_of(job: LogJob, settings: ReplayOptions) -> list[Row]:
     """Its rows, whatever is the matter with it."""
     try:
         replayed = replay_log(job.path, settings)
@@ -109,7 +109,7 @@ def rows_of(job: LogJob, settings: ReplaySettings) -> list[Row]:
     return [_row(job, replayed, place) for place in range(len(replayed.replays))]
 
 
-def failed_rows(job: LogJob, settings: ReplaySettings, why: str) -> list[Row]:
+def failed_rows(job: LogJob, settings: ReplayOptions, why: str) -> list[Row]:
     """Rows of a log that could not be done."""
     empty: Row = dict.fromkeys(COLUMNS)
     return [

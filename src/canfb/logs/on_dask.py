@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from canfb.errors import CanfbError, ConfigError, reason
-from canfb.logs.log_replay import ReplaySettings
+from canfb.logs.log_replay import ReplayOptions
 from canfb.logs.log_rows import LogJob, Row, failed_rows, rows_of
 
 HINT = "Dask is not there: pip install 'canfb[fleet]'; or --scheduler none, in this process alone"
@@ -70,7 +70,7 @@ class DaskPool:
     ) -> None:
         self._opened.close()
 
-    def run(self, jobs: Iterable[LogJob], settings: ReplaySettings) -> Iterator[tuple[LogJob, list[Row]]]:
+    def run(self, jobs: Iterable[LogJob], settings: ReplayOptions) -> Iterator[tuple[LogJob, list[Row]]]:
         """Each log with its rows, as they are done.
 
         A log whose process is killed is done again, a few times. The largest come first: the end is not

@@ -33,7 +33,7 @@ LARGEST_EXTRA = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stated:
+class PlanOptions:
     """Command-line overrides of the configuration. None: as the configuration has it.
 
     bit_rate                   bit/s, 10000..1000000
@@ -103,7 +103,7 @@ class Stated:
             integer_in("noise_margin", self.noise_margin, 0, 255)
 
 
-def situation_of(config: Config, modules: Iterable[DeviceConfiguration], stated: Stated) -> Situation:
+def situation_of(config: Config, modules: Iterable[DeviceConfiguration], stated: PlanOptions) -> Situation:
     """What is planned: ``modules`` are those of ``config`` as they come up, in its order.
 
     ValueError for a bit rate of the configuration that no classic CAN has.
@@ -134,7 +134,7 @@ def situation_of(config: Config, modules: Iterable[DeviceConfiguration], stated:
     )
 
 
-def _planned(config: ModuleConfig, found: DeviceConfiguration, stated: Stated) -> PlannedModule:
+def _planned(config: ModuleConfig, found: DeviceConfiguration, stated: PlanOptions) -> PlannedModule:
     module = PlannedModule(
         node_id=found.node_id,
         values=found.values(with_table=False),
@@ -156,7 +156,7 @@ def _planned(config: ModuleConfig, found: DeviceConfiguration, stated: Stated) -
 
 
 def _motion(
-    simulation: SimulationConfig, config: ModuleConfig, rate_hz: float, stated: Stated
+    simulation: SimulationConfig, config: ModuleConfig, rate_hz: float, stated: PlanOptions
 ) -> StatedMotion:
     """What is stated, else what ``canfb simulate`` plays."""
     speed, acceleration, where = None, None, ""

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import PurePath
 
 from canfb.calibrate.calibration_run import CalibrationRun, Steps
-from canfb.calibrate.choices import LEAST_SAMPLES, Choices
+from canfb.calibrate.choices import LEAST_SAMPLES, CalibrateOptions
 from canfb.calibrate.measurement import Measurement
 from canfb.errors import CanfbError
 from canfb.master.access import CommissioningError, Master, NodeAccess
@@ -44,7 +44,7 @@ class ModuleTasks:
 
     def calibrate(self, steps: Steps, *, dry_run: bool) -> TaskResult:
         """A reference measurement; without ``dry_run`` its table activated, verified and saved."""
-        choices = Choices(
+        choices = CalibrateOptions(
             module=self._node_id,
             encoder_interface=self._interface,
             dry_run=dry_run,
@@ -94,4 +94,4 @@ def result_of(act: Callable[[], TaskResult], module: NodeAccess) -> TaskResult:
     except CanfbError as error:
         lines.append(f"the state of the module could not be read: {error}")
         return replace(done, worked=done.worked and bool(done.lines), lines=lines)
-    return replace(done, lines=[*lines, *state.lines()], active=state.used)
+    return replace(done, lines=[*lines, *state.result().lines], active=state.used)

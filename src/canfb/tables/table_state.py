@@ -12,10 +12,12 @@ from canfb.calibration.evaluate import peak, root_mean
 from canfb.master.access import NodeAccess, ObjectAbsentError
 from canfb.master.active import read_active
 from canfb.master.circumstances import Circumstances
+from canfb.rows import Result, Row, as_figures, as_lines
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.tables.table_file import TableFile, conditioning_in_words, conditioning_words, table_words
 
 DEGREES = 360.0
+WIDTH = 17
 
 
 @dataclass(frozen=True)
@@ -58,36 +60,51 @@ class TableState:
         """Whether a reset brings this very table back; None if that is not known."""
         return None if self.in_file or self.saved_crc32 is None else self.saved_crc32 == self.used.crc32
 
-    def figures(self) -> dict[str, Any]:
-        """For programs: cycles, degrees of the cycle."""
-        rms, high = difference(self.used.table, None)
-        return {
-            "name": self.name,
-            "crc32": f"{self.used.crc32:08X}",
-            "entries": 0 if self.used.table is None else len(self.used.table),
-            "deviation_rms_cycles": rms,
-            "deviation_peak_cycles": high,
-            "deviation_rms_degrees": DEGREES * rms,
-            "deviation_peak_degrees": DEGREES * high,
-            "cycles_per_revolution": self.cycles_per_revolution,
-            "conditioning": conditioning_words(self.used.conditioning),
-            "staged_crc32": None if self.in_file else f"{self.staged_crc32:08X}",
-            "saved_crc32": None if self.saved_crc32 is None else f"{self.saved_crc32:08X}",
-            "saved": self.saved,
-        }
-
-    def lines(self) -> list[str]:
-        """For people."""
-        rms, high = difference(self.used.table, None)
-        rows = [
-            ("table" if self.in_file else "active table", table_words(self.used)),
-            ("deviation, rms", self.cycles_in_words(rms)),
-            ("deviation, peak", self.cycles_in_words(high)),
-            ("conditioning", conditioning_in_words(self.used.conditioning) + self._waiting()),
+    def rows(self) -> list[Row]:
+        """What there is to say of it: cycles, degrees of the cycle."""
+        used, in_module = self.used, not self.in_file
+        rms, high = difference(used.table, None)
+        return [
+            Row(name=self.name, cycles_per_revolution=self.cycles_per_revolution),
+            Row(
+                "active table" if in_module else "table",
+                table_words(used),
+                crc32=f"{used.crc32:08X}",
+                entries=0 if used.table is None else len(used.table),
+            ),
+            Row(
+                "deviation, rms",
+                self.cycles_in_words(rms),
+                deviation_rms_cycles=rms,
+                deviation_rms_degrees=DEGREES * rms,
+            ),
+            Row(
+                "deviation, peak",
+                self.cycles_in_words(high),
+                deviation_peak_cycles=high,
+                deviation_peak_degrees=DEGREES * high,
+            ),
+            Row(
+                "conditioning",
+                conditioning_in_words(used.conditioning) + self._waiting(),
+                conditioning=conditioning_words(used.conditioning),
+            ),
+            Row(
+                "staged",
+                self._staged() if in_module else None,
+                staged_crc32=f"{self.staged_crc32:08X}" if in_module else None,
+            ),
+            Row(
+                "saved",
+                self._saved() if in_module else None,
+                saved_crc32=None if self.saved_crc32 is None else f"{self.saved_crc32:08X}",
+                saved=self.saved,
+            ),
         ]
-        if not self.in_file:
-            rows += [("staged", self._staged()), ("saved", self._saved())]
-        return [self.name, *(f"{name:17}{text}" for name, text in rows)]
+
+    def result(self) -> Result:
+        """For ``canfb table show``."""
+        return Result(as_figures(self.rows()), [self.name, *as_lines(self.rows(), WIDTH)])
 
     def cycles_in_words(self, cycles: float) -> str:
         """A part of a cycle, in degrees as well, and as an angle of the shaft where that is known."""

@@ -22,6 +22,7 @@ from canfb.master.active import (
     write_conditioning,
 )
 from canfb.master.all_or_nothing import Guard, all_or_nothing, put_back, write_whole
+from canfb.rows import Result, as_figures
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.tables.table_file import TableFile, as_yaml, is_yaml
@@ -29,23 +30,6 @@ from canfb.tables.table_state import TableState, difference
 
 AS_IT_WAS = "the previous table and conditioning"
 AS_BEFORE = "the table and the conditioning from before are in force in"
-
-
-@dataclass(frozen=True)
-class Change:
-    """What came out.
-
-    lines   for people
-    done    for programs: what was done, "staged", "active", "saved"
-    """
-
-    state: TableState
-    lines: list[str]
-    done: dict[str, Any]
-
-    def figures(self) -> dict[str, Any]:
-        """For programs."""
-        return self.state.figures() | self.done
 
 
 @dataclass(frozen=True)
@@ -65,7 +49,7 @@ class TableTasks:
         self._guard = guard
         self._advice = advice or Advice()
 
-    def upload(self, file: TableFile, *, active: bool, keep: bool) -> Change:
+    def upload(self, file: TableFile, *, active: bool, keep: bool) -> Result:
         """Stage the table of a file and prove it by its CRC. ``active`` puts it in force, ``keep`` saves it.
 
         A file that knows no conditioning leaves that of the module as it is. CommissioningError if
@@ -90,9 +74,9 @@ class TableTasks:
         if not active:
             how = self._advice.to_activate.format(node=f"{self._module.node_id:#04x}")
             lines.append(f"staged in {self._module.name}, not in force yet: {how}")
-        return Change(state, [*lines, *self._outcome(wanted, done)], done)
+        return _result(state, [*lines, *self._outcome(wanted, done)], done)
 
-    def activate(self, *, keep: bool) -> Change:
+    def activate(self, *, keep: bool) -> Result:
         """Put the staged table in force, with the conditioning that 2002h holds."""
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
         if not staged:
@@ -100,9 +84,9 @@ class TableTasks:
         before = read_active(self._module)
         done = self._in_force(before, None, keep, lambda: activate(self._module, staged))
         now = self._state_after(None, done)
-        return Change(now, [self._moves(now, before, now.used), *self._outcome(now.used, done)], done)
+        return _result(now, [self._moves(now, before, now.used), *self._outcome(now.used, done)], done)
 
-    def clear(self, *, conditioning: bool, keep: bool) -> Change:
+    def clear(self, *, conditioning: bool, keep: bool) -> Result:
         """Back to the identity; the conditioning stays unless ``conditioning``."""
         before = read_active(self._module)
         wanted = Correction(None, IDENTITY if conditioning else before.conditioning)
@@ -111,9 +95,9 @@ class TableTasks:
         lines = [self._moves(state, before, wanted), *self._outcome(wanted, done)]
         if not wanted.conditioning.is_identity:
             lines.append("the conditioning (2002h) stays in force; --conditioning clears it as well")
-        return Change(state, lines, done)
+        return _result(state, lines, done)
 
-    def download(self, path: Path, date: str) -> Change:
+    def download(self, path: Path, date: str) -> Result:
         """The active table into a file; ``date`` is ISO 8601, the time of day behind a space."""
         state = TableState.of_module(self._module)
         table = state.used.table or CorrectionTable.identity()
@@ -133,7 +117,7 @@ class TableTasks:
             lines.append(
                 f"note: {path} has the table alone; a name with .yaml keeps the conditioning as well"
             )
-        return Change(state, lines, {"file": str(path)})
+        return _result(state, lines, {"file": str(path)})
 
     def _staged(self, before: Correction, wanted: Correction, table: CorrectionTable) -> None:
         def undo() -> str:
@@ -196,3 +180,8 @@ class TableTasks:
         what = "no table" if used.table is None else f"table {used.crc32:08X}h"
         saved = f"saved ({done['saved_as']})" if done["saved_as"] else f"not saved: {self._advice.to_save}"
         return [f"{what} in force in {self._module.name}; {saved}"]
+
+
+def _result(state: TableState, lines: list[str], done: dict[str, Any]) -> Result:
+    """Programs get the state of the table, and what was done: "staged", "active", "saved_as"."""
+    return Result(as_figures(state.rows()) | done, lines)
