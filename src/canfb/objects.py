@@ -23,6 +23,11 @@ class Multiplexer(NamedTuple):
         return self.object_index << 16 | self.subindex << 8 | bits
 
 
+def place_text(place: tuple[int, int]) -> str:
+    """2010:01."""
+    return f"{place[0]:04X}:{place[1]:02X}"
+
+
 # Communication profile, CiA 301.
 DEVICE_TYPE: Final = Multiplexer(0x1000)
 SYNC_COB_ID: Final = Multiplexer(0x1005)
@@ -310,6 +315,8 @@ TABLE_ACTIVATE: Final = Multiplexer(0x2020, 3)
 TABLE_ACTIVE_CRC: Final = Multiplexer(0x2020, 4)
 TABLE_ACTIVE_ENTRIES: Final = Multiplexer(0x2020, 5)
 TABLE_SAVED_CRC: Final = Multiplexer(0x2020, 6)
+TABLE_ACTIVE_CONDITIONING: Final = Multiplexer(0x2020, 7)
+"""The values of :data:`CONDITIONING` in force, REAL32 each; 2002h and 2005h: those of the next activation."""
 
 MEASUREMENT_COMMAND: Final = Multiplexer(0x2030, 1)
 MEASUREMENT_STATE: Final = Multiplexer(0x2030, 2)

@@ -391,3 +391,42 @@ def test_every_sdo_frame_has_eight_bytes(canfb: Commands, file: Path) -> None:
     assert aborts == []
     assert {len(frame.data) for frame in bench.master.sent if frame.can_id == 0x620} == {8}
     assert struct.pack("<BHB", 0x22, 0x2020, 3)[1:] in [frame.data[1:4] for frame in bench.master.sent]
+
+
+def test_a_backup_between_upload_and_activation_has_the_set_in_force(canfb: Commands, tmp_path: Path) -> None:
+    """2002h and 2005h hold the conditioning of the table that waits: the pair would be one that never was."""
+    bench, path = set_up(module()), tmp_path / "backup.yaml"
+    before = bench.module.chain.correction
+    bench.access.write(0x2002, 1, "f", -100.0)
+    bench.access.write(0x2005, 3, "f", 0.25)
+    bench.access.download_domain(0x2020, 1, OTHER.to_bytes())
+    canfb(bench, "backup", NODE, path)
+    assert bench.module.chain.correction == before
+    assert bench.access.read(0x2002, 1, "f") == -100.0, "it still waits"
+    spare = module()
+    canfb(spare, "restore", path)
+    assert spare.module.chain.correction == before
+    assert spare.access.read(0x2002, 1, "f") == before.conditioning.sine_offset_counts
+
+
+def test_a_restore_that_fails_puts_nothing_in_force_that_waited(canfb: Commands, file: Path) -> None:
+    bench = module()
+    put_in_force(bench.access, Correction(OTHER, Conditioning(sine_gain=1.25)))
+    before = bench.module.chain.correction
+    bench.access.write(0x2002, 3, "f", 2.0)
+    assert refuse_once(bench, (0x1801, 1), 1) is not None
+    canfb(bench, "restore", file, code=1)
+    assert bench.module.chain.correction == before
+
+
+def test_an_activation_while_the_backup_is_read(canfb: Commands, tmp_path: Path) -> None:
+    bench = set_up(module())
+
+    def activated(frame: Frame) -> list[Frame] | None:
+        if place_of(frame) == (0x2020, 1) and not is_write(frame):
+            bench.module.chain.activate(Correction(TABLE, Conditioning(sine_gain=1.5)))
+        return None
+
+    between(bench, activated)
+    _, err = canfb(bench, "backup", NODE, tmp_path / "backup.yaml", code=1)
+    assert "the table changed while it was read; try again" in err

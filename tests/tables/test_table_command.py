@@ -319,3 +319,60 @@ def test_the_deviation_of_a_table(n: int, bump: float) -> None:
     assert difference(table, table) == (0.0, 0.0)
     assert difference(None, table) == pytest.approx((rms, peak))
     assert IDENTITY.is_identity
+
+
+def test_what_waits_is_not_taken_for_what_is_in_force(canfb: Commands, file: Path, tmp_path: Path) -> None:
+    """Between upload and activation 2002h and 2005h belong to the next table: 2020:07 is the one in force."""
+    bench = bench_with(OLD)
+    harmonics = Conditioning(harmonic_2_forward_real=0.0078125)
+    path = tmp_path / "harmonics.yaml"
+    path.write_text(as_yaml(Correction(TABLE, harmonics), {}))
+    canfb(bench, "table", "upload", NODE, path)
+    assert bench.access.read(0x2005, 3, "f") == harmonics.harmonic_2_forward_real, "2005h is written, too"
+    assert in_force(bench) == read_active(bench.access) == OLD
+    shown = json.loads(canfb(bench, "table", "show", NODE, "--json")[0])
+    assert shown["conditioning"]["sine_gain"] == OLD.conditioning.sine_gain
+    assert shown["conditioning_waiting"]["harmonic_2_forward_real"] == harmonics.harmonic_2_forward_real
+    refuse_once(bench, (0x2020, 3), 1)
+    _, err = canfb(bench, "table", "upload", NODE, file, "--activate", code=1)
+    assert "are in force in module 32 (20h)" in err
+    assert in_force(bench) == OLD, "and not the old table with the conditioning that waited"
+    canfb(bench, "table", "upload", NODE, path)
+    canfb(bench, "table", "clear", NODE)
+    assert in_force(bench) == Correction(None, OLD.conditioning)
+
+
+def test_an_activation_that_fails_leaves_what_waits(canfb: Commands, file: Path) -> None:
+    bench = bench_with(OLD, MemoryStore())
+    canfb(bench, "table", "upload", NODE, file)
+    refuse_once(bench, (0x2020, 3), 1)
+    canfb(bench, "table", "activate", NODE, code=1)
+    assert in_force(bench) == OLD
+    assert json.loads(canfb(bench, "table", "show", NODE, "--json")[0])["conditioning_waiting"] is not None
+    refuse_once(bench, (0x1010, 4), 1)
+    canfb(bench, "table", "activate", NODE, "--save", code=1)
+    assert in_force(bench) == OLD
+    assert bench.value(0x2020, 2) == OTHER.crc32, "the old one went the same way back"
+    assert json.loads(canfb(bench, "table", "show", NODE, "--json")[0])["conditioning_waiting"] is None
+
+
+def test_a_module_that_does_not_report_its_active_conditioning(canfb: Commands) -> None:
+    bench = bench_with(NEW)
+    del bench.module.dictionary._entries[0x2020, 7]
+    assert read_active(bench.access) == NEW, "by 2002h and 2005h"
+
+
+def test_settings_with_which_a_table_was_measured_are_compared_and_left(
+    canfb: Commands, tmp_path: Path
+) -> None:
+    """2001h is no part of a table: it acts at once, and on the limits of the amplitude as well."""
+    path, bench = tmp_path / "table.yaml", bench_with()
+    bench.access.write(0x2001, 5, "f", 20e3)
+    noted = {"cycles_per_revolution": 2500, "corner_hz": 19500.5, "cosine_corner_hz": "unknown"}
+    path.write_text(as_yaml(NEW, noted))
+    out, _ = canfb(bench, "table", "upload", NODE, path)
+    assert out.count("note: it was measured with") == 1
+    assert "2001:05 = 19500.5, module 32 (20h) has 20000: canfb sdo write 0x20 2001:05 19500.5" in out
+    assert bench.access.read(0x2001, 5, "f") == 20e3
+    bench.access.write(0x2001, 5, "f", 19500.5)
+    assert "note:" not in canfb(bench, "table", "upload", NODE, path, "--activate")[0]

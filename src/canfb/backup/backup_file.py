@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from canfb import objects as od
 from canfb.cia301.datatypes import DataType
 from canfb.master.access import CommissioningError
 from canfb.master.marked_yaml import MarkedYaml, read_bytes
@@ -18,7 +19,6 @@ from canfb.sdo.object_description import (
     ObjectDescriptions,
     Place,
     numbered,
-    place_text,
 )
 from canfb.sdo.object_values import check_value, short_real
 from canfb.signal.correction import CorrectionTable
@@ -199,7 +199,7 @@ def _block(values: Mapping[Place, Any], described: ObjectDescriptions) -> list[s
     for place in sorted(values):
         entry = described.find(*place)
         if entry is None:
-            raise KeyError(f"{place_text(place)} is not in {described.path.name}")
+            raise KeyError(f"{od.place_text(place)} is not in {described.path.name}")
         if entry.parent != above and not entry.name.startswith(entry.parent):
             lines.append(f"  # {entry.parent}")
         above = entry.parent

@@ -14,7 +14,7 @@ from canfb.master.active import save, saving_object
 from canfb.master.all_or_nothing import Guard, all_or_nothing, put_back
 from canfb.master.node_state import nmt_state
 from canfb.master.session import IDENTITY
-from canfb.sdo.object_description import Place, place_text
+from canfb.sdo.object_description import Place
 
 STORES = (od.STORE_ALL_PARAMETERS,)
 LEFT_ALONE = (od.TABLE_STAGED,)  # compared by the CRC of the active table
@@ -194,7 +194,7 @@ def differences(one: Configured, other: Configured) -> dict[Place, tuple[Any, An
 def shown(changes: dict[Place, tuple[Any, Any]]) -> str:
     """Differences in a line."""
     texts = [
-        f"{place_text(place)} is {there!r}, not {wanted!r}" for place, (there, wanted) in changes.items()
+        f"{od.place_text(place)} is {there!r}, not {wanted!r}" for place, (there, wanted) in changes.items()
     ]
     more = f" and {len(texts) - MOST_SHOWN} more" if len(texts) > MOST_SHOWN else ""
     return ", ".join(texts[:MOST_SHOWN]) + more

@@ -11,7 +11,7 @@ from canfb.backup.backup_file import Backup
 from canfb.backup.backup_restoring import Restored
 from canfb.cia301 import datatypes
 from canfb.rows import Result
-from canfb.sdo.object_description import ObjectDescriptions, Place, place_text
+from canfb.sdo.object_description import ObjectDescriptions, Place
 from canfb.sdo.object_values import short_real
 
 
@@ -21,7 +21,7 @@ def backup_result(backup: Backup, path: Path) -> Result:
     node, serial = backup.node_id, backup.identity.serial_number
     what = f"module {node} ({node:02X}h), serial number {serial}"
     lines = [f"{path}: {what}, {len(backup.values)} parameters, {table}"]
-    noted = [place_text(place) for place, value in backup.not_restored.items() if value]
+    noted = [od.place_text(place) for place, value in backup.not_restored.items() if value]
     if noted:
         lines.append(
             f"note: {', '.join(noted)} (preset, offset) are in it, but not restored: set the preset again"
@@ -50,7 +50,7 @@ def restored_result(path: Path, backup: Backup, done: Restored, described: Objec
         lines.append(f"{name}: all values are those of {path} already; nothing was written")
     if not wishes.dry_run:
         lines.append(f"saved ({done.saved_as})" if done.saved_as else "not saved: --save keeps it (1010h)")
-    changes = {place_text(place): _plain(list(pair)) for place, pair in done.changes.items()}
+    changes = {od.place_text(place): _plain(list(pair)) for place, pair in done.changes.items()}
     figures = {
         "file": str(path),
         "node_id": done.module.node_id,
@@ -60,7 +60,7 @@ def restored_result(path: Path, backup: Backup, done: Restored, described: Objec
         "serial_number": done.identity.serial_number,
         "serial_number_of_backup": backup.identity.serial_number,
         "unknown": list(backup.unknown),
-        "untouched": [place_text(place) for place in done.untouched],
+        "untouched": [od.place_text(place) for place in done.untouched],
     }
     return Result(figures, lines + _notes(backup, done))
 
@@ -73,7 +73,7 @@ def _notes(backup: Backup, done: Restored) -> list[str]:
     if backup.unknown:
         notes.append(f"left out, as this version does not know them: {', '.join(backup.unknown)}")
     if done.untouched:
-        places = ", ".join(place_text(place) for place in done.untouched)
+        places = ", ".join(od.place_text(place) for place in done.untouched)
         notes.append(f"not in the backup, and as before: {places}")
     if done.wishes.preop and done.changes and not done.wishes.dry_run:
         notes.append(f"the node is in PRE-OPERATIONAL: canfb nmt start {done.module.node_id:#04x}")
@@ -86,7 +86,7 @@ def _change(place: Place, pair: tuple[Any, Any], described: ObjectDescriptions) 
         return f"  correction table: {before} -> {after}"
     entry = described.find(*place)
     if entry is None:
-        return f"  {place_text(place)}: {pair[0]!r} -> {pair[1]!r}"
+        return f"  {od.place_text(place)}: {pair[0]!r} -> {pair[1]!r}"
     real = entry.data_type in datatypes.FLOATS
     before, after = (f"{short_real(value):g}" if real else str(value) for value in pair)
     unit = f" {entry.unit}" if entry.unit else ""

@@ -17,7 +17,6 @@ from canfb.master.machine_watch import in_words
 from canfb.master.supervision_limits import (
     KINDS,
     SupervisionLimits,
-    place_words,
 )
 from canfb.signal.limits import ROUNDING, safe_deviation, samples_without_harm
 from canfb.signal.third_order import THIRD
@@ -165,7 +164,7 @@ def limit_rows(done: Commissioned) -> list[tuple[str, str, str, str]]:
     interval_s, n = done.machine.interval_s, done.new.cycles_per_revolution
     return [
         (
-            f"{place_words(one.place)} {one.name}",
+            f"{od.place_text(one.place)} {one.name}",
             value_words(one, one.before, interval_s, n),
             value_words(one, one.value, interval_s, n) if one.changes else "as it is",
             one.why,
@@ -300,7 +299,7 @@ def as_figures(done: Commissioned) -> dict[str, Any]:
         "notes": notes(done),
         "limits": [
             {
-                "object": place_words(one.place),
+                "object": od.place_text(one.place),
                 "name": one.name,
                 "unit": KINDS[one.place].unit,
                 "before": one.before,

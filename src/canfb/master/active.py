@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import struct
 from collections.abc import Sequence
 
 from canfb import objects as od
@@ -26,7 +27,7 @@ def read_active(module: NodeAccess) -> Correction:
         raise CommissioningError(
             f"{module.name} has no correction table (2020h): not a feedback module; set --module"
         ) from None
-    conditioning = read_conditioning(module)
+    conditioning = active_conditioning(module)
     if crc32 == 0:
         return Correction(None, conditioning)
     try:
@@ -40,8 +41,22 @@ def read_active(module: NodeAccess) -> Correction:
     return Correction(table, conditioning)
 
 
+def active_conditioning(module: NodeAccess) -> Conditioning:
+    """The conditioning in force (2020:07); that of 2002h from an older module, which does not report it."""
+    try:
+        data = module.read_bytes(*od.TABLE_ACTIVE_CONDITIONING)
+    except ObjectAbsentError:
+        return read_conditioning(module)
+    try:
+        return Conditioning(*struct.unpack(f"<{len(od.CONDITIONING)}f", data))
+    except (struct.error, ValueError) as error:
+        raise CommissioningError(f"{module.name}: conditioning (2020:07) cannot be used: {error}") from None
+
+
 def read_conditioning(module: NodeAccess) -> Conditioning:
-    """Object 2002h; the identity where there is none, no delays where an older module has none."""
+    """2002h and 2005h, in force with the next activation; the identity where there is none, no delays where
+    an older module has none.
+    """
     try:
         values = [float(module.read(*place, "f")) for place in od.CONDITIONING[:OLD_CONDITIONING]]
         with contextlib.suppress(ObjectAbsentError):
@@ -87,7 +102,7 @@ def is_active(module: NodeAccess, wanted: Correction) -> bool:
     """True if exactly this is active."""
     return (
         module.integer(*od.TABLE_ACTIVE_CRC, "I") == wanted.crc32
-        and read_conditioning(module) == wanted.conditioning
+        and active_conditioning(module) == wanted.conditioning
     )
 
 

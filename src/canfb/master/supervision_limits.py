@@ -76,7 +76,7 @@ class SupervisionLimits:
         for place, layout, name, _ in LIMITS:
             values[place] = module.read(*place, layout)
             if not math.isfinite(values[place]):
-                raise CommissioningError(f"{module.name}: {place_words(place)}, {name}, is {values[place]}")
+                raise CommissioningError(f"{module.name}: {od.place_text(place)}, {name}, is {values[place]}")
         return cls(
             values,
             module.integer(*od.ENCODER_FULL_SCALE, "H"),
@@ -171,7 +171,7 @@ def write_limits(module: NodeAccess, wanted: Mapping[Multiplexer, float]) -> Non
         there = module.read(*place, KINDS[place].layout)
         if there != wanted[place]:
             raise CommissioningError(
-                f"{module.name}: {place_words(place)} reads {there:g}, not {wanted[place]:g} as written"
+                f"{module.name}: {od.place_text(place)} reads {there:g}, not {wanted[place]:g} as written"
             )
 
 
@@ -191,8 +191,3 @@ def as_real32(value: float) -> float:
     """The value that a REAL32 holds in its place."""
     held: float = struct.unpack("<f", struct.pack("<f", value))[0]
     return held
-
-
-def place_words(place: Multiplexer) -> str:
-    """2010:01."""
-    return f"{place.object_index:04X}:{place.subindex:02X}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import zlib
 from typing import Any, Protocol
 
@@ -15,6 +16,8 @@ from canfb.module.delivered import EDS
 from canfb.module.device_configuration import DeviceConfiguration, configuration_read
 
 IDENTITY = (od.DEVICE_TYPE, od.IDENTITY_VENDOR_ID, od.IDENTITY_PRODUCT_CODE)  # what a module is known by
+ACTIVE_CONDITIONING = struct.Struct(f"<{len(od.CONDITIONING)}f")
+CHANGED = "the table changed while it was read; try again"
 
 
 class Objects(Protocol):
@@ -36,7 +39,11 @@ class Objects(Protocol):
 
 
 def read_configuration(objects: Objects) -> DeviceConfiguration:
-    """The active configuration of a module on a bus. CanfbError if it cannot be read, or is not of canfb."""
+    """The active configuration of a module on a bus. CanfbError if it cannot be read, or is not of canfb.
+
+    Table and conditioning are those in force, one set: between an upload and its activation 2002h and 2005h
+    hold values of another table.
+    """
     dictionary = Dictionary.load(eds_path(EDS), objects.node_id)
     for place in IDENTITY:
         entry = dictionary.entry(*place)
@@ -45,8 +52,19 @@ def read_configuration(objects: Objects) -> DeviceConfiguration:
             what = f"{place[0]:04X}:{place[1]:02X} is {found:X}h, not {entry.value:X}h"
             raise CanfbError(f"{objects.name} is not a feedback module of canfb: {what}")
     serial_number = int(_read(objects, dictionary.entry(*od.IDENTITY_SERIAL_NUMBER)))
+    conditioning = objects.data(*od.TABLE_ACTIVE_CONDITIONING)
     table = _read_table(objects, dictionary)
-    return configuration_read(objects.node_id, lambda entry: _read(objects, entry), serial_number, table)
+    if objects.data(*od.TABLE_ACTIVE_CONDITIONING) != conditioning:
+        raise CanfbError(f"{objects.name}: {CHANGED}")
+    if len(conditioning) != ACTIVE_CONDITIONING.size:
+        raise CanfbError(f"{objects.name}: 2020:07 has {len(conditioning)} bytes: another version of canfb")
+    in_force = dict(zip(od.CONDITIONING, ACTIVE_CONDITIONING.unpack(conditioning), strict=True))
+
+    def value(entry: Entry) -> Any:
+        place = od.Multiplexer(entry.index, entry.subindex)
+        return in_force[place] if place in in_force else _read(objects, entry)
+
+    return configuration_read(objects.node_id, value, serial_number, table)
 
 
 def _read(objects: Objects, entry: Entry) -> Any:
@@ -63,5 +81,5 @@ def _read_table(objects: Objects, dictionary: Dictionary) -> bytes:
         return b""
     table = objects.data(*od.TABLE_STAGED)
     if zlib.crc32(table) != crc32:
-        raise CanfbError(f"{objects.name}: the table changed while it was read; try again")
+        raise CanfbError(f"{objects.name}: {CHANGED}")
     return table

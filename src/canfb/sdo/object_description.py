@@ -18,6 +18,7 @@ from typing import Any
 
 import canopen
 
+from canfb import objects as od
 from canfb.cia301 import datatypes
 from canfb.cia301.datatypes import DataType
 from canfb.errors import ConfigError
@@ -60,7 +61,7 @@ class ObjectDescription:
     @property
     def number(self) -> str:
         """2010:01."""
-        return place_text(self.place)
+        return od.place_text(self.place)
 
     @property
     def title(self) -> str:
@@ -146,11 +147,6 @@ def numbered(text: str) -> tuple[int, int | None] | None:
     if match is None:
         return None
     return int(match[1], 16), None if match[2] is None else int(match[2], 16)
-
-
-def place_text(place: Place) -> str:
-    """2010:01."""
-    return f"{place[0]:04X}:{place[1]:02X}"
 
 
 def _words(text: str) -> str:

@@ -20,7 +20,6 @@ from canfb.sdo.object_description import (
     ObjectDescription,
     ObjectDescriptions,
     numbered,
-    place_text,
 )
 from canfb.sdo.object_values import (
     MODULE,
@@ -192,7 +191,7 @@ def described_by(node: NodeAccess, known: Iterable[Path], text: str) -> ObjectDe
         if _product(path) == (vendor, product):
             return ObjectDescriptions(path, node.node_id)
     place = numbered(text)
-    what = text if place is None else place_text((place[0], place[1] or 0))
+    what = text if place is None else od.place_text((place[0], place[1] or 0))
     raise ConfigError(
         f"{node.name} is product {product} of vendor {vendor}, which is none of ours: give its EDS with "
         f"--eds FILE, so that {what} has a name and a type"

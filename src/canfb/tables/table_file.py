@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from canfb import objects as od
 from canfb.master.access import CommissioningError
 from canfb.master.marked_yaml import MarkedYaml, read_bytes
 from canfb.signal.conditioning import IDENTITY, Conditioning
@@ -15,6 +17,12 @@ from canfb.signal.correction import Correction, CorrectionTable
 
 DELAYS = frozenset({"cosine_delay_s", "delay_s"})
 _KNOWN = ", ".join(IDENTITY.words)
+NOTED = {
+    "cycles_per_revolution": od.ENCODER_CYCLES_PER_REVOLUTION,
+    "corner_hz": od.ENCODER_CORNER_FREQUENCY,
+    "cosine_corner_hz": od.ENCODER_COSINE_CORNER_FREQUENCY,
+}
+"""Keys of a table file that say with which encoder and analog path the table was measured."""
 
 
 def as_yaml(used: Correction, meta: dict[str, Any]) -> str:
@@ -65,14 +73,20 @@ class TableFile:
 
     with_conditioning       False for bytes of 2020:01, which know none
     with_delays             it says the delays of the analog path, 2002:06 and 2002:07
-    cycles_per_revolution   of the encoder, None if it is not noted
+    noted                   values of the objects of :data:`NOTED`, of those that are in it
     """
 
     path: Path
     used: Correction
     with_conditioning: bool
-    cycles_per_revolution: int | None = None
+    noted: Mapping[od.Multiplexer, float] = field(default_factory=dict)
     with_delays: bool = False
+
+    @property
+    def cycles_per_revolution(self) -> int | None:
+        """Of the encoder, None if it is not noted."""
+        cycles = self.noted.get(od.ENCODER_CYCLES_PER_REVOLUTION)
+        return None if cycles is None else int(cycles)
 
     def for_module(self, active: Conditioning) -> Correction:
         """Its table and conditioning; what it does not know of 2002h stays as it is ``active``."""
@@ -137,12 +151,12 @@ def _from_yaml(path: Path, data: bytes) -> TableFile:
         if key not in IDENTITY.words:
             line = marked.line("conditioning", str(key))
             raise ValueError(f"line {line}: unknown key {key!r} in conditioning; known are {_KNOWN}")
-    cycles = content.get("cycles_per_revolution")
+    noted = {place: content.get(key) for key, place in NOTED.items()}
     return TableFile(
         path,
         Correction(table, _conditioning(marked, words)),
         True,
-        cycles if isinstance(cycles, int) and cycles > 0 else None,
+        {place: value for place, value in noted.items() if isinstance(value, (int, float)) and value > 0},
         not DELAYS.isdisjoint(words),
     )
 

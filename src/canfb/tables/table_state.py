@@ -10,9 +10,10 @@ import numpy as np
 from canfb import objects as od
 from canfb.calibration.evaluate import peak, root_mean
 from canfb.master.access import NodeAccess, ObjectAbsentError
-from canfb.master.active import read_active
+from canfb.master.active import read_active, read_conditioning
 from canfb.master.circumstances import Circumstances
 from canfb.rows import Result, Row, as_figures, as_lines
+from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.tables.table_file import TableFile, conditioning_in_words, conditioning_words, table_words
 
@@ -29,6 +30,7 @@ class TableState:
     in_file                 it is that of a file: nothing is staged, active or saved
     staged_crc32            2020:02, 0: nothing is staged
     saved_crc32             2020:06, 0: the identity; None where the module does not say it
+    waiting                 2002h and 2005h where they are not in force: those of the next activation
     """
 
     name: str
@@ -37,6 +39,7 @@ class TableState:
     in_file: bool = False
     staged_crc32: int = 0
     saved_crc32: int | None = None
+    waiting: Conditioning | None = None
 
     @classmethod
     def of_module(cls, module: NodeAccess) -> TableState:
@@ -44,11 +47,13 @@ class TableState:
         used = read_active(module)
         cycles = module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I")
         staged = module.integer(*od.TABLE_STAGED_CRC, "I")
+        written = read_conditioning(module)
+        waiting = None if written == used.conditioning else written
         try:
-            saved = module.integer(*od.TABLE_SAVED_CRC, "I")
+            saved: int | None = module.integer(*od.TABLE_SAVED_CRC, "I")
         except ObjectAbsentError:
-            return cls(module.name, used, cycles, False, staged)
-        return cls(module.name, used, cycles, False, staged, saved)
+            saved = None
+        return cls(module.name, used, cycles, False, staged, saved, waiting)
 
     @classmethod
     def of_file(cls, file: TableFile) -> TableState:
@@ -62,7 +67,7 @@ class TableState:
 
     def rows(self) -> list[Row]:
         """What there is to say of it: cycles, degrees of the cycle."""
-        used, in_module = self.used, not self.in_file
+        used, waiting, in_module = self.used, self.waiting, not self.in_file
         rms, high = difference(used.table, None)
         return [
             Row(name=self.name, cycles_per_revolution=self.cycles_per_revolution),
@@ -86,8 +91,13 @@ class TableState:
             ),
             Row(
                 "conditioning",
-                conditioning_in_words(used.conditioning) + self._waiting(),
+                conditioning_in_words(used.conditioning),
                 conditioning=conditioning_words(used.conditioning),
+            ),
+            Row(
+                "waiting",
+                f"{conditioning_in_words(waiting)}; in force with the next activation" if waiting else None,
+                conditioning_waiting=conditioning_words(waiting) if waiting else None,
             ),
             Row(
                 "staged",
@@ -111,10 +121,6 @@ class TableState:
         arc = Circumstances("", cycles_per_revolution=self.cycles_per_revolution).arc_seconds(cycles)
         shaft = "" if arc is None else f"; {arc:.2g}″ of the shaft"
         return f"{cycles:.3g} cycle ({DEGREES * cycles:.3g}° of the cycle{shaft})"
-
-    def _waiting(self) -> str:
-        """2002h cannot be read as it is in force, only as it will be."""
-        return "" if self.staged_crc32 in (0, self.used.crc32) else "; in force with the next activation"
 
     def _staged(self) -> str:
         if not self.staged_crc32:

@@ -16,12 +16,14 @@ from canfb.master.active import (
     put_in_force,
     put_in_force_again,
     read_active,
+    read_conditioning,
     save,
     saving_object,
     stage,
     write_conditioning,
 )
 from canfb.master.all_or_nothing import Guard, all_or_nothing, put_back, write_whole
+from canfb.master.supervision_limits import as_real32
 from canfb.rows import Result, as_figures
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction, CorrectionTable
@@ -64,20 +66,20 @@ class TableTasks:
         if active:
             done = self._in_force(before, wanted, keep, lambda: put_in_force(self._module, wanted))
         else:
-            self._staged(before, wanted, table)
+            self._staged(wanted, table)
             done = {"staged": True, "active": False, "saved_as": None}
         source = f"{file.path}: {table.crc32:08X}h, {len(table)} entries"
         if not file.with_conditioning:
             source += "; it knows no conditioning, that of the module stays"
         state = self._state_after(wanted, done)
-        lines = [source, self._moves(state, before, wanted)]
+        lines = [source, self._moves(state, before, wanted), *self._other_settings(file)]
         if not active:
             how = self._advice.to_activate.format(node=f"{self._module.node_id:#04x}")
             lines.append(f"staged in {self._module.name}, not in force yet: {how}")
         return _result(state, [*lines, *self._outcome(wanted, done)], done)
 
     def activate(self, *, keep: bool) -> Result:
-        """Put the staged table in force, with the conditioning that 2002h holds."""
+        """Put the staged table in force, with the conditioning that 2002h and 2005h hold."""
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
         if not staged:
             raise CommissioningError(f"{self._module.name}: nothing is staged; {self._advice.to_stage}")
@@ -119,9 +121,26 @@ class TableTasks:
             )
         return _result(state, lines, {"file": str(path)})
 
-    def _staged(self, before: Correction, wanted: Correction, table: CorrectionTable) -> None:
+    def _other_settings(self, file: TableFile) -> list[str]:
+        """Settings of the module that are not those with which the table was measured: left as they are.
+
+        2001h is the encoder and its analog path, acts at once and on the limits as well: it is set up, and
+        no part of a table. The harmonics of 2005h, which are, count with a corner only.
+        """
+        node = f"{self._module.node_id:#04x}"
+        return [
+            f"note: it was measured with {text} = {value:g}, {self._module.name} has {there:g}: "
+            f"canfb sdo write {node} {text} {value:g}, if that is right"
+            for place, value in file.noted.items()
+            for text in [od.place_text(place)]
+            if (there := self._module.read_known(place)) is not None and there != as_real32(value)
+        ]
+
+    def _staged(self, wanted: Correction, table: CorrectionTable) -> None:
+        waiting = read_conditioning(self._module)
+
         def undo() -> str:
-            put_back(self._module, AS_IT_WAS, lambda: write_conditioning(self._module, before.conditioning))
+            put_back(self._module, AS_IT_WAS, lambda: write_conditioning(self._module, waiting))
             return f"{AS_BEFORE} {self._module.name}"
 
         with all_or_nothing(self._module, self._guard, undo):
@@ -131,15 +150,22 @@ class TableTasks:
     def _in_force(
         self, before: Correction, wanted: Correction | None, keep: bool, put: Callable[[], None]
     ) -> dict[str, Any]:
-        """Put it in force, prove it, save it if ``keep``; what was done."""
+        """Put it in force, prove it, save it if ``keep``; what was done.
+
+        What fails leaves ``before`` in force, and a table that is still staged with its own conditioning.
+        """
         if keep and saving_object(self._module) is None:
             raise CommissioningError(
                 f"--save: {self._module.name} cannot save (1010h; canfb run needs a state_dir for it)"
             )
+        staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
+        waiting = read_conditioning(self._module)
         saving = False
 
         def back() -> None:
             put_in_force_again(self._module, before)
+            if self._module.integer(*od.TABLE_STAGED_CRC, "I") == staged:
+                write_conditioning(self._module, waiting)
             if saving:
                 save(self._module)
 

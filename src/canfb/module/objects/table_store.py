@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections.abc import Callable
 from functools import partial
@@ -21,7 +22,8 @@ class TableStore:
     """Object 2020h: a table is staged by 2020:01 and takes effect, with 2002h, by 2020:03.
 
     `save` keeps what is in force: the active table, as the content of 2020:01, and its conditioning; not what
-    2002h holds for the next activation. Both come back with a reset. 2020:06 is the CRC of the table.
+    2002h holds for the next activation. Both come back with a reset. 2020:06 is the CRC of the table, 2020:07
+    the conditioning in force.
     """
 
     def __init__(self, dictionary: Dictionary, chain: SignalChain, storage: Storage) -> None:
@@ -39,6 +41,7 @@ class TableStore:
         staged.on_written = self._stage
         staged.on_read = self._read_active
         dictionary.entry(*od.TABLE_SAVED_CRC).on_read = self._saved_crc
+        dictionary.entry(*od.TABLE_ACTIVE_CONDITIONING).on_read = self._read_conditioning
         activate.on_written = self._activate
         activate.on_download = storage.configuration_changed
         storage.entries.keep(*od.TABLE_STAGED, saved=self._saved)
@@ -86,6 +89,10 @@ class TableStore:
 
     def _read_active(self) -> bytes:
         return (self._chain.correction.table or CorrectionTable.identity()).to_bytes()
+
+    def _read_conditioning(self) -> bytes:
+        values = self._chain.correction.conditioning.values
+        return struct.pack(f"<{len(values)}f", *values)
 
     def _activate(self) -> None:
         crc32 = self._activation.value
