@@ -44,7 +44,7 @@ WRONG = {
     "unknown key, nothing near": (
         "modules: [{node_id: 3}]\nrealtime: {speed: 3}\n",
         2,
-        "unknown key 'speed' in realtime; known: priority, lock_memory, cpu",
+        "unknown key 'speed' in realtime; known: priority, lock_memory, cpu, busy_poll",
     ),
     "unknown key at the top": (
         "module: []\n",
@@ -188,6 +188,17 @@ WRONG = {
         "lock_memory must be true or",
     ),
     "cpu below zero": ("modules: [{node_id: 3}]\nrealtime: {cpu: -1}\n", 2, "cpu must be a whole number 0.."),
+    "busy_poll no truth": ("modules: [{node_id: 3}]\nrealtime: {cpu: 0, busy_poll: 1}\n", 2, "busy_poll"),
+    "busy_poll on any processor": (
+        "modules: [{node_id: 3}]\nrealtime: {busy_poll: true}\n",
+        2,
+        "busy_poll needs a processor of its own: set cpu, for example cpu: 3",
+    ),
+    "busy_poll with priority": (
+        "modules: [{node_id: 3}]\nrealtime: {cpu: 0, priority: 1, busy_poll: true}\n",
+        2,
+        "busy_poll: omit priority; the kernel halts a program with priority that never sleeps",
+    ),
     "cpu a truth": ("modules: [{node_id: 3}]\nrealtime: {cpu: no}\n", 2, "cpu must be a whole number 0.."),
     "seed a truth": ("modules: [{node_id: 3}]\nsimulation: {seed: true}\n", 2, "seed must be a whole number"),
     "order too low": (

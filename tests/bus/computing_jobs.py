@@ -33,6 +33,14 @@ class Where:
 
 
 @dataclass(frozen=True)
+class Processors:
+    """Reports the processors that it may use."""
+
+    def __call__(self, progress: Tell = lambda part: None) -> set[int]:
+        return os.sched_getaffinity(0)
+
+
+@dataclass(frozen=True)
 class Raise:
     """Fails as a program does."""
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from computing_jobs import Crash, Forever, Raise, Sum, Where
+from computing_jobs import Crash, Forever, Processors, Raise, Sum, Where
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -106,6 +106,17 @@ def test_it_is_another_process_that_gives_way(host: Any) -> None:
     assert pid != os.getpid()
     assert niceness == min(os.getpriority(os.PRIO_PROCESS, 0) + 10, 19)
     assert program.endswith("compute_process.py"), "nothing of the program that uses it is run again"
+
+
+def test_it_may_use_the_processors_that_ours_had_before_it_chose_one(host: Any) -> None:
+    device, before = FakeComputer(Processors()), os.sched_getaffinity(0)
+    one = host(device)
+    os.sched_setaffinity(0, {min(before)})
+    try:
+        one.poll_until(lambda: bool(device.results))
+    finally:
+        os.sched_setaffinity(0, before)
+    assert device.results == [before]
 
 
 def test_without_a_job_there_is_no_process(host: Any) -> None:

@@ -39,7 +39,7 @@ class Bench:
     def device(self, **options: Any) -> FakeDevice:
         return FakeDevice(self.clock, **options)
 
-    def run(self, devices: list[Device], duration_s: float) -> Runner:
+    def run(self, devices: list[Device], duration_s: float, **options: Any) -> Runner:
         bus: Any = self.bus
         runner = Runner(
             frame_bus(bus),
@@ -48,6 +48,7 @@ class Bench:
             self.clock,
             self.clock.sleep,
             lambda: self.clock.now + WALL_S,
+            **options,
         )
         self.bus.end_s = duration_s
         runner.run(finished=lambda: self.bus.at >= duration_s)
@@ -244,6 +245,39 @@ def test_a_deadline_in_the_past_waits_for_nothing() -> None:
     runner = Runner(frame_bus(bench.bus), [device], clock=bench.clock)
     runner.run(finished=lambda: len(bench.bus.waits) > 20)
     assert set(bench.bus.waits[2:]) == {0.0}
+
+
+def polling(*plan: tuple[float, can.Message | Exception]) -> Bench:
+    """A bus where a look takes 10 µs."""
+    bench = Bench(*plan)
+    receive = bench.bus.recv
+
+    def takes_time(timeout: float | None = None) -> can.Message | None:
+        bench.clock.now += 1e-5
+        return receive(timeout)
+
+    bench.bus.recv = takes_time  # type: ignore[method-assign]
+    return bench
+
+
+def test_a_runner_that_polls_never_waits_and_keeps_deadlines_and_frames() -> None:
+    stamped = [(n * 0.003, message(0x300, timestamp=WALL_S + 1000.0 + n * 0.003)) for n in range(1, 60)]
+    bench = polling(*stamped)
+    device = bench.device(period_s=0.01)
+    runner = bench.run([device], 0.195, busy_poll=True)
+    assert set(bench.bus.waits) == {0.0}
+    assert len(device.ticked) == 19
+    assert max(device.ticked) <= 2.1e-5, "a look at the bus before a deadline, and one behind it"
+    times_s = [now - 1000.0 for now, _ in device.heard]
+    assert times_s == pytest.approx([at for at, _ in stamped], abs=2.1e-5)
+    assert runner.counters.received == len(stamped)
+    assert bench.clock.slept == []
+
+
+def test_a_runner_that_polls_waits_while_the_bus_fails() -> None:
+    bench = polling(*((0.0, BROKEN) for _ in range(5)))
+    bench.run([bench.device()], 0.9, busy_poll=True)
+    assert bench.clock.slept == [RETRY_S] * 2
 
 
 def test_what_is_no_frame_of_canopen_is_left_out() -> None:

@@ -90,6 +90,15 @@ def test_what_may_be(bus: str, tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert not folder.exists()
 
 
+def test_a_processor_that_all_share_is_not_polled_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    text = f"{MODULES}realtime: {{cpu: 0, busy_poll: true}}\n"
+    want = ":3: busy_poll in realtime: this machine has one processor, which all programs share"
+    assert checked(tmp_path / "feedback.yaml", text, capsys) == (2, want)
+
+
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
 def test_a_folder_that_may_not_be_written_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tmp_path.joinpath("closed").mkdir(mode=0o500)

@@ -187,6 +187,19 @@ def test_a_thread_of_the_sync_cycle_gets_the_same(monkeypatch: pytest.MonkeyPatc
             thread.join()
 
 
+def test_a_program_that_never_sleeps_keeps_its_processor_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread that the cycle waits for would not run there."""
+    system, over = System(monkeypatch), threading.Event()
+    thread = RealtimeThread(target=over.wait)
+    thread.start()
+    try:
+        apply_realtime(RealtimeConfig(cpu=3, busy_poll=True), lambda line: None)
+        assert system.calls == [("affinity", 0, {3})]
+    finally:
+        over.set()
+        thread.join()
+
+
 def test_a_system_without_such_calls_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     lines: list[str] = []
     monkeypatch.delattr(os, "sched_setscheduler")

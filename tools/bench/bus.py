@@ -1,6 +1,6 @@
 """Measure a node on a bus: processor time of a cycle, and how long a position takes after SYNC and ADC PDO.
 
-    python -m tools.bench.bus [--nodes stock,canfb] [--loads alone,sdo,full] [--realtime no,yes]
+    python -m tools.bench.bus [--nodes stock,canfb] [--loads alone,sdo,full] [--realtime no,yes,busy]
                               [--cycles N] [--rounds N] [--rate HZ]
     python3 -m tools.vcan run -- .venv/bin/python -m tools.bench.bus --channel vcan0 --rate 100
 
@@ -10,7 +10,8 @@ else: what machine and bus take. This program plays SYNC producer, encoder inter
 (alone), correction tables by SDO block transfer (sdo), or frames of other nodes up to 1 Mbit/s (full). The
 bus is a pair of datagram sockets that carry struct can_frame, or with --channel a SocketCAN interface. Each
 SYNC is answered by TPDO2 (type 1), each ADC PDO by TPDO1 (type 254). Realtime: SCHED_FIFO, mlockall and a
-processor of its own, as far as the system permits.
+processor of its own, as far as the system permits; busy: the node never
+sleeps, without SCHED_FIFO (not `stock`).
 
 All combinations are measured in turns, in --rounds parts. Printed are the processor time of the node for one
 cycle (user and system, of all its threads), its ratio to that of the first row, both as medians of the
@@ -37,13 +38,12 @@ from itertools import product
 from canfb.configuration import RealtimeConfig
 from canfb.hosting.realtime import apply_realtime
 from tools.bench.bus_load import LOADS
-from tools.bench.bus_node import READY
+from tools.bench.bus_node import READY, REALTIME
 from tools.bench.bus_others import Others
 from tools.site.markdown import table
 
 Combination = tuple[str, str, str]
 NODES = ("stock", "python-can", "python-can:alone", "canfb", "canfb:alone", "floor")
-REALTIME = ("no", "yes")
 PRIORITY = 90  # of this program, above that of the node
 PATIENCE_S = 20.0
 PARTS = (0.5, 0.99, 0.999, 1.0)
@@ -121,7 +121,7 @@ def percentiles(values: Sequence[float]) -> str:
 def measure(found: Found, one: Combination, channel: str | None, rate_hz: float, cycles: int) -> None:
     """One round of one combination, with one node at a time: on one interface they would hear each other."""
     load, kind, realtime = one
-    node = NodeProcess([kind.partition(":")[0], *["--realtime"] * (realtime == "yes")], channel)
+    node = NodeProcess([kind.partition(":")[0], "--realtime", realtime], channel)
     try:
         with undisturbed(first=channel is None):
             others = Others(node.bus)

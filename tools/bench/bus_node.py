@@ -1,6 +1,6 @@
 """A node for tools.bench.bus, in a process of its own: on a socket that is handed down, or on SocketCAN.
 
-    python -m tools.bench.bus_node KIND (--fd N | --channel vcan0) [--realtime]
+    python -m tools.bench.bus_node KIND (--fd N | --channel vcan0) [--realtime yes|busy]
 
 KIND: `stock` is a canopen.LocalNode that answers with atan2, on python-can; `canfb` is `canfb run`,
 `python-can` the same on python-can; `floor` answers SYNC and ADC PDO as the module does, with an angle and
@@ -48,6 +48,7 @@ from tools.bench.cycle import (
 KINDS = ("stock", "python-can", "canfb", "floor")
 READY = "end with Ctrl-C"
 PRIORITY = 80
+REALTIME = ("no", "yes", "busy")
 SYNCHRONOUS_PDO = 0x280 + NODE_ID
 
 
@@ -88,10 +89,11 @@ def serve_floor(bus: RawCanBus, realtime: RealtimeConfig) -> None:
     """Until SIGTERM, which ends the process."""
     apply_realtime(realtime)
     units = bytes(8)
+    wait_s = 0.0 if realtime.busy_poll else LONGEST_WAIT_S
     with outside_collections():
         print(READY, flush=True)
         while True:
-            for can_id, data, _ in bus.receive(LONGEST_WAIT_S) or ():
+            for can_id, data, _ in bus.receive(wait_s) or ():
                 if can_id == SYNC:
                     bus.send(SYNCHRONOUS_PDO, units, False)
                 elif can_id == ADC_PDO:
@@ -117,11 +119,13 @@ def main() -> int:
     parser.add_argument("kind", choices=KINDS)
     parser.add_argument("--fd", type=int)
     parser.add_argument("--channel")
-    parser.add_argument("--realtime", action="store_true")
+    parser.add_argument("--realtime", choices=REALTIME, default="no")
     options = parser.parse_args()
     cpu = max(os.sched_getaffinity(0))
     wishes: dict[str, Any] = {"priority": PRIORITY, "lock_memory": True, "cpu": cpu}
-    realtime = wishes if options.realtime else {}
+    if options.realtime == "busy":
+        wishes = {"lock_memory": True, "cpu": cpu, "busy_poll": True}
+    realtime = {} if options.realtime == "no" else wishes
     if options.kind == "stock":
         serve_stock(python_can_bus(options), RealtimeConfig(**realtime))
     elif options.kind == "floor":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import pickle
@@ -25,7 +26,8 @@ class Computation:
 
     A fresh process, not a fork nor a thread: a fork would take bus and memory along, a thread the
     time of the SYNC cycle. A process that ends without a result is reported to ``report``, and refuses
-    the measurement. ``command`` is what is started, but for tests.
+    the measurement. ``command`` is what is started, but for tests. It may use the processors that were ours
+    when this was made.
     """
 
     def __init__(
@@ -40,6 +42,7 @@ class Computation:
         self._job: Any = None
         self._process: subprocess.Popen[bytes] | None = None
         self._killed: list[subprocess.Popen[bytes]] = []
+        self._cpus = os.sched_getaffinity(0) if sys.platform == "linux" else set()
 
     def poll(self, now: float) -> list[Frame]:
         """Start, feed, hear or end what there is, without waiting; the frames of the device."""
@@ -88,6 +91,9 @@ class Computation:
             env={**os.environ, "PYTHONPATH": path},
             start_new_session=True,  # Ctrl-C is for us; we end it
         )
+        if sys.platform == "linux":  # not beside us, where `cpu` of `realtime:` keeps us
+            with contextlib.suppress(OSError):  # it has ended, which its pipe says
+                os.sched_setaffinity(process.pid, self._cpus)
         for pipe in (process.stdin, process.stdout):
             os.set_blocking(_number(pipe), False)
 

@@ -186,8 +186,11 @@ class RawCanBus:
         """See :class:`.FrameBus`."""
         if self._down:
             return self._came_up()
-        if self._full or 0.0 < wait_s < RESOLUTION_S:
-            ready: list[Any] = select.select(self._sources, self._full, [], wait_s)[0]
+        ready: list[Any] | bool
+        if wait_s == 0.0:
+            ready = True  # reading never waits
+        elif self._full or wait_s < RESOLUTION_S:
+            ready = select.select(self._sources, self._full, [], wait_s)[0]
         else:
             ready = self._poll(int(wait_s * 1000.0))  # less work than select, and milliseconds only
         try:

@@ -71,6 +71,8 @@ class Runner:
     them, and nothing was late then but the runner.
 
     ``meanwhile`` is called now and then with the time, some hundred times a second at most.
+    ``busy_poll``: the bus is read again and again, without a wait. Nothing is to be woken up then, and what a
+    cycle uses stays in the caches; one processor has nothing else to do.
     ``clock``, ``sleep`` and ``wall`` (the time of day) are those of the system, but for tests.
     """
 
@@ -83,8 +85,11 @@ class Runner:
         sleep: Callable[[float], None] = time.sleep,
         wall: Callable[[], float] = time.time,
         meanwhile: Callable[[float], None] = lambda now: None,
+        *,
+        busy_poll: bool = False,
     ) -> None:
         self._bus = bus
+        self._longest_wait_s = 0.0 if busy_poll else LONGEST_WAIT_S
         self._meanwhile = meanwhile
         self._clock = clock
         self._sleep = sleep
@@ -168,7 +173,7 @@ class Runner:
             due = self._keep_deadlines(due)
             asked = self._now
         self._asked_s, self._due_s = asked, due
-        wait = min(due - asked, LONGEST_WAIT_S) if due > asked else 0.0
+        wait = min(due - asked, self._longest_wait_s) if due > asked else 0.0
         if self._sender.waiting:
             wait = min(wait, RETRY_S)
         try:

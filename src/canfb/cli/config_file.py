@@ -51,6 +51,7 @@ simulation:                                     # the machine of canfb simulate
   # drive: {node_id: 0x30}                      # a CiA 402 drive moves the machine instead of `motion`
 
 # realtime: {priority: 80, lock_memory: true, cpu: 3}
+#                                               # or {cpu: 3, busy_poll: true}: it never sleeps
 """
 EXAMPLE_BUS = "{interface: socketcan, channel: vcan0}"  # in it
 

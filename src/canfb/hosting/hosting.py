@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from canfb.bus.opening import check_device_bus, check_words, describe
-from canfb.configuration import Config, NodeConfig, line_of
+from canfb.configuration import Config, NodeConfig, RealtimeConfig, line_of
 from canfb.device.storage.image import ParameterGroup
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.captured_source import CapturedSource
@@ -58,7 +58,7 @@ def check_machine(path: Path, config: Config) -> None:
             if node.source is not None:
                 node.source.check_machine()
         keys = ("realtime", "cpu")
-        _check_cpu(config.realtime.cpu)
+        _check_cpu(config.realtime)
     except ConfigError as error:
         raise ConfigError(f"{path}:{line_of(path, *keys, said=str(error))}: {error}") from None
 
@@ -74,11 +74,14 @@ def _check_state_dir(node: NodeConfig) -> None:
         raise ConfigError(f"state_dir {folder} cannot be used: {there} is not writable")
 
 
-def _check_cpu(cpu: int | None) -> None:
+def _check_cpu(realtime: RealtimeConfig) -> None:
+    cpu = realtime.cpu
     # Not sched_getaffinity: a process may leave the processors that it was started on.
     count = os.cpu_count()
     if cpu is not None and count is not None and cpu >= count:
         raise ConfigError(f"cpu {cpu} in realtime: this machine has {count}, 0 to {count - 1}")
+    if realtime.busy_poll and count == 1:
+        raise ConfigError("busy_poll in realtime: this machine has one processor, which all programs share")
 
 
 log = logging.getLogger(__name__)

@@ -37,7 +37,9 @@ def apply_realtime(config: RealtimeConfig, report: Callable[[str], None] = log.w
         _try("lock_memory", report, _lock_memory)
     if config.cpu is not None:
         cpu = config.cpu
-        _try("cpu", report, lambda: _set_cpu(cpu))
+        # A program that never sleeps leaves no time on its processor for threads that the cycle waits for.
+        threads = [0] if config.busy_poll else _threads()
+        _try("cpu", report, lambda: _set_cpu(cpu, threads))
 
 
 @contextlib.contextmanager
@@ -77,8 +79,8 @@ def _set_fifo(priority: int) -> None:
         os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
 
 
-def _set_cpu(cpu: int) -> None:
-    for thread in _threads():
+def _set_cpu(cpu: int, threads: list[int]) -> None:
+    for thread in threads:
         os.sched_setaffinity(thread, {cpu})
 
 

@@ -53,7 +53,7 @@ class OnBus(ABC):
         with contextlib.ExitStack() as opened:
             devices = self._make_devices(opened)
             bus = opened.enter_context(open_device_bus(self.words))
-            self._runner = Runner(bus, devices, meanwhile=self._meanwhile)
+            self._runner = Runner(bus, devices, meanwhile=self._meanwhile, busy_poll=self._realtime.busy_poll)
             apply_realtime(self._realtime)
             opened.enter_context(outside_collections())
             self._resources = opened.pop_all()
