@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from canfb.cia301.frame import Frame
-from canfb.device.storage.writing import Store
+from canfb.device.storage.storage import Store
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.interface.sample_clock import SampleClock
 from canfb.master.access import NodeAccess

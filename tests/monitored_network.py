@@ -8,7 +8,7 @@ from typing import Any
 import canfb
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config
-from canfb.device.hosted import Device
+from canfb.device.device_protocol import Device
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.known_modules import assumed_layout, known_layouts

@@ -98,7 +98,7 @@ def test_every_file_on_the_page_is_there() -> None:
 
 
 def test_names_in_code_are_there() -> None:
-    """What the page says of a file's content: `Timed` in device/agenda.py."""
+    """What the page says of a file's content: `Timed` in device/core.py."""
     code = "\n".join(file.read_text(encoding="utf-8") for file in PACKAGE.rglob("*.py"))
     names = set(re.findall(r"`(?:[A-Z]\w+\.)?([A-Za-z]\w+_\w+|[A-Z]\w+)(?:\(\w*\))?`", PAGE)) - set(ALLOWED)
     assert {"ModuleConfig", "on_written", "configured_defaults", "from_bytes"} <= names

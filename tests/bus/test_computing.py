@@ -17,7 +17,7 @@ from canfb.bus.compute_process import Inbox, pack
 from canfb.bus.computing import COMMAND, Computation
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
-from canfb.device.hosted import Computing
+from canfb.device.device_protocol import Computing
 from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from canfb.bus.frame_bus import REMOTE, FrameBus, Received
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
-from canfb.device.hosted import Device, Selective
-from canfb.device.routing import CanIds
+from canfb.device.core import CanIds
+from canfb.device.device_protocol import Device, Selective
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from fake_bus import FakeClock

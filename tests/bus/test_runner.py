@@ -13,7 +13,7 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 from canfb.bus.bus_state import RETRY_S, SETTLED_S
 from canfb.bus.runner import LONGEST_BLIND_DRAIN_S, LONGEST_WAIT_S, DeviceFailure, Runner
 from canfb.cia301.frame import Frame
-from canfb.device.hosted import Device
+from canfb.device.device_protocol import Device
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

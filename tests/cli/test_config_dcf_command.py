@@ -13,8 +13,8 @@ import pytest
 from canfb.cli.main import main
 from canfb.configuration import load_config
 from canfb.demo.embedded_network import EmbeddedNetwork
-from canfb.device.od.concise import decode_concise
-from canfb.device.storage.writing import Store
+from canfb.device.od.writes import decode_concise
+from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
 from canfb.hosting.hosting import saved_configuration

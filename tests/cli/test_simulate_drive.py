@@ -16,7 +16,7 @@ from canfb.cia301.frame import Frame
 from canfb.cli.main import build_parser, main
 from canfb.cli.simulate_options import chosen
 from canfb.configuration import Config, parse_config
-from canfb.device.hosted import Device
+from canfb.device.device_protocol import Device
 from canfb.errors import ConfigError
 from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface

@@ -11,7 +11,7 @@ from sample_eds import I16, U8, U32
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.storage.image import ParameterGroup
-from canfb.device.storage.writing import Store
+from canfb.device.storage.storage import Store
 
 SAVE, LOAD, VERIFY = 0x1010, 0x1011, 0x1020
 SAVE_WORD, LOAD_WORD, WRONG_WORD = 0x65766173, 0x64616F6C, 0x776F726E

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.device.od.concise import Write, decode_concise, encode_concise
+from canfb.device.od.writes import Write, decode_concise, encode_concise
 
 WRITES = st.lists(st.builds(Write, st.integers(0, 0xFFFF), st.integers(0, 0xFF), st.binary(max_size=20)))
 

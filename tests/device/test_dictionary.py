@@ -6,8 +6,7 @@ import pytest
 import sample_eds
 
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.od.dictionary import Dictionary, ObjectKind
-from canfb.device.od.entry import Entry
+from canfb.device.od.dictionary import Dictionary, Entry, ObjectKind
 
 SHIPPED = Path(__file__).parents[2] / "eds"
 

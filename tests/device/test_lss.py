@@ -13,7 +13,7 @@ from storing_bench import RESET_COMMUNICATION, RESET_NODE, StoringBench, write_e
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.lss.lss import LssState
+from canfb.device.lss import LssState
 from canfb.device.node import Node
 from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import MemoryStore

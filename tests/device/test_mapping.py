@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from canfb.cia301 import datatypes
 from canfb.cia301.datatypes import DataType
-from canfb.device.od.entry import Entry
+from canfb.device.od.dictionary import Entry
 from canfb.device.pdo.mapping import AlignedLayout, BitLayout, Slot, compile_layout
 
 MAPPABLE = [code for code in DataType if datatypes.bit_length(code)]

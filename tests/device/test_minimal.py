@@ -6,8 +6,7 @@ from device_kit import ID, Bench
 
 from canfb.cia301.codes import AbortCode, EmergencyCode
 from canfb.cia301.nmt import NmtState
-from canfb.device.od.dictionary import Dictionary
-from canfb.device.od.entry import Entry
+from canfb.device.od.dictionary import Dictionary, Entry
 
 
 def minimal() -> Bench:

@@ -9,8 +9,7 @@ from device_kit import ID, OK, Bench
 from canfb.cia301.codes import AbortCode
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.od.dictionary import Dictionary
-from canfb.device.od.entry import READABLE, WRITABLE
+from canfb.device.od.dictionary import READABLE, WRITABLE, Dictionary
 
 SHIPPED = Path(__file__).parents[2] / "eds"
 ONLY_SPECIAL_VALUES = {0x1010, 0x1011, 0x2020}

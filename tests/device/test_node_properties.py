@@ -16,11 +16,10 @@ from canfb.cia301 import cob
 from canfb.cia301.codes import SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.counters import Counters
+from canfb.device.core import Counters
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.pdo import pdo
-from canfb.device.pdo.mapping import LONGEST_BITS, Direction, resolve
+from canfb.device.pdo.mapping import COMMUNICATION, LONGEST_BITS, MAPPING, Direction, numbers, resolve
 
 SHIPPED = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
 PRISTINE = Dictionary.load(SHIPPED, ID)
@@ -296,12 +295,12 @@ class NodeModel(RuleBasedStateMachine):
     def the_pdos_are_possible(self) -> None:
         dictionary = self.node.dictionary
         for direction in Direction:
-            for number in pdo.numbers(dictionary, direction):
-                mapping = pdo.MAPPING[direction] + number - 1
+            for number in numbers(dictionary, direction):
+                mapping = MAPPING[direction] + number - 1
                 count = value_of(dictionary, mapping)
                 mapped = [value_of(dictionary, mapping, sub) for sub in range(1, count + 1)]
                 assert sum(resolve(dictionary, one, direction).bits for one in mapped) <= LONGEST_BITS
-                kind = value_of(dictionary, pdo.COMMUNICATION[direction] + number - 1, 2)
+                kind = value_of(dictionary, COMMUNICATION[direction] + number - 1, 2)
                 assert kind <= 240 or kind >= 252
 
     @invariant()

@@ -13,8 +13,7 @@ from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.pdo import pdo
-from canfb.device.pdo.mapping import LONGEST_BITS, Direction, resolve
+from canfb.device.pdo.mapping import COMMUNICATION, LONGEST_BITS, MAPPING, Direction, numbers, resolve
 
 SHIPPED = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
 SERVER = 0x600 + ID
@@ -67,9 +66,9 @@ steps = st.tuples(frames, st.sampled_from([0.0, 0.0, 0.0001, 0.001, 0.01, 0.3, 2
 def check_pdos(bench: Bench) -> None:
     dictionary = bench.dictionary
     for direction in Direction:
-        for number in pdo.numbers(dictionary, direction):
-            communication = pdo.COMMUNICATION[direction] + number - 1
-            mapping = pdo.MAPPING[direction] + number - 1
+        for number in numbers(dictionary, direction):
+            communication = COMMUNICATION[direction] + number - 1
+            mapping = MAPPING[direction] + number - 1
             cob_id = dictionary.entry(communication, 1).value
             kind = dictionary.entry(communication, 2).value
             assert kind <= 240 or kind >= 252

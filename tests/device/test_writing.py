@@ -10,8 +10,7 @@ import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.device.storage.image import ParameterGroup
-from canfb.device.storage.storage import MemoryStore
-from canfb.device.storage.writing import MOST_WAITING, POLL_S, BackgroundStore, Changes
+from canfb.device.storage.storage import MOST_WAITING, POLL_S, BackgroundStore, Changes, MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from canfb.cia301.frame import Frame
 from canfb.demo.embedded_network import EmbeddedNetwork
-from canfb.device.storage.writing import Store
+from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule

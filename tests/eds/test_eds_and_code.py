@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from canfb import FeedbackModule, Frame, ModuleConfig
-from canfb.device.od.dictionary import Dictionary
-from canfb.device.od.entry import Entry
+from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.sample import Sample

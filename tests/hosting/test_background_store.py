@@ -13,8 +13,7 @@ import pytest
 from crashing_disk import RealDisk, Trouble
 
 from canfb.device.storage.image import ParameterGroup as Group
-from canfb.device.storage.storage import MemoryStore
-from canfb.device.storage.writing import BackgroundStore, Changes
+from canfb.device.storage.storage import BackgroundStore, Changes, MemoryStore
 from canfb.hosting import state_files
 from canfb.hosting.state_files import StateFiles, ThreadedStore
 

@@ -13,8 +13,8 @@ from canfb.cia301 import datatypes
 from canfb.cia301.codes import SdoAbort
 from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import Frame
-from canfb.device.od.concise import Write
-from canfb.device.od.entry import Entry
+from canfb.device.od.dictionary import Entry
+from canfb.device.od.writes import Write
 from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

@@ -16,8 +16,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from module_bench import Bench
 
-from canfb.device.od.concise import Write, encode_concise
 from canfb.device.od.dcf import Commissioning, FileInfo, Reals, dcf_text, real_as_text
+from canfb.device.od.writes import Write, encode_concise
 from canfb.eds_files import eds_path
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of
 from canfb.module.feedback_module import FeedbackModule

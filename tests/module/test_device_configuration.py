@@ -20,7 +20,7 @@ from configuration_kit import (
 from hypothesis import example, given, settings
 from module_bench import Bench
 
-from canfb.device.od.concise import Write, decode_concise, encode_concise
+from canfb.device.od.writes import Write, decode_concise, encode_concise
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of, configuration_read
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

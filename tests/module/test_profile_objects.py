@@ -10,8 +10,7 @@ import pytest
 from canopen import SdoAbortedError
 from module_bench import Bench
 
-from canfb.device.od.dictionary import Dictionary
-from canfb.device.od.entry import Entry
+from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.eds_files import eds_path
 from folding import each
 

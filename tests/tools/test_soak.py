@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from canfb.device.storage.writing import BackgroundStore
+from canfb.device.storage.storage import BackgroundStore
 from canfb.errors import CanfbError
 from canfb.signal.feedback import Feedback
 from tools.soak.__main__ import LOOKS, WARM, Resources, as_figures, main, slope

@@ -26,7 +26,7 @@ from typing import TypeVar, cast
 import canopen
 
 # Names, not `canfb.FeedbackModule`: what is imported belongs to no walk.
-import canfb.device.od.template
+import canfb.device.od.eds
 from canfb import CorrectionTable, FeedbackModule, ModuleConfig, StatusBit
 from canfb.bus.frame_bus import FrameBus, Received
 from canfb.bus.runner import Runner

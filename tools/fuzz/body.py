@@ -19,11 +19,10 @@ from canfb.cia301 import cob
 from canfb.cia301.codes import SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.lss.lss import UNCONFIGURED
+from canfb.device.lss import UNCONFIGURED
 from canfb.device.nmt_slave import COMMUNICATING
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.pdo import pdo
-from canfb.device.pdo.mapping import Direction, resolve_all
+from canfb.device.pdo.mapping import COMMUNICATION, MAPPING, Direction, numbers, resolve_all
 from canfb.device.storage.storage import MemoryStore
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
@@ -246,9 +245,9 @@ class Play:
             with suppress(SdoAbort):  # a live value that is not there
                 entry.encode()
         for direction in Direction:
-            for number in pdo.numbers(self.dictionary, direction):
-                communication = pdo.COMMUNICATION[direction] + number - 1
-                mapping = pdo.MAPPING[direction] + number - 1
+            for number in numbers(self.dictionary, direction):
+                communication = COMMUNICATION[direction] + number - 1
+                mapping = MAPPING[direction] + number - 1
                 cob_id, kind, count = (
                     int(self.dictionary.entry(*place).value)
                     for place in ((communication, 1), (communication, 2), (mapping, 0))

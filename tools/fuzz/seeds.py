@@ -17,8 +17,8 @@ from canfb.backup.backup_file import Backup, NodeIdentity, backup_text
 from canfb.cia301.frame import Frame
 from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import Config
-from canfb.device.od.concise import encode_concise
 from canfb.device.od.dcf import Commissioning, FileInfo, dcf_text
+from canfb.device.od.writes import encode_concise
 from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path

@@ -24,9 +24,9 @@ from tornado.httputil import HTTPHeaders, HTTPInputError
 from canfb.backup.backup_file import backup_text, read_backup
 from canfb.cia301.frame import Frame
 from canfb.configuration import ANY_NODES, changed_module, load_config
-from canfb.device.od.concise import decode_concise
 from canfb.device.od.dcf import dcf_text
 from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.writes import decode_concise
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
 from canfb.hosting.hosting import saved_configuration

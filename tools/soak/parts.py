@@ -7,9 +7,8 @@ from collections import OrderedDict, deque
 from collections.abc import Callable, Collection
 
 from canfb.cia301.frame import Frame
-from canfb.device.hosted import Device
-from canfb.device.storage.storage import MemoryStore
-from canfb.device.storage.writing import Changes, Store
+from canfb.device.device_protocol import Device
+from canfb.device.storage.storage import Changes, MemoryStore, Store
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

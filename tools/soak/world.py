@@ -13,7 +13,7 @@ from typing import Protocol
 from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand, NmtState
-from canfb.device.hosted import Device
+from canfb.device.device_protocol import Device
 from canfb.errors import CanfbError
 from canfb.hosting.event_log import EventLog
 from canfb.master.access import NodeAccess

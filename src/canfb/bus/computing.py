@@ -13,7 +13,7 @@ from typing import IO, Any
 
 from canfb.bus.compute_process import Inbox
 from canfb.cia301.frame import Frame
-from canfb.device.hosted import Computing
+from canfb.device.device_protocol import Computing
 
 log = logging.getLogger(__name__)
 

@@ -7,9 +7,8 @@ from typing import Any
 
 from canfb.bus.frame_bus import FrameBus
 from canfb.cia301.frame import Frame
-from canfb.device.hosted import Device, Inhibited, Selective
-from canfb.device.moment import NEVER
-from canfb.device.routing import CanIds
+from canfb.device.core import NEVER, CanIds
+from canfb.device.device_protocol import Device, Inhibited, Selective
 
 Ports = tuple["Port", ...]
 _NOTHING = CanIds(frozenset(), frozenset(), frozenset(), frozenset())

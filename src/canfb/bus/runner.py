@@ -22,8 +22,8 @@ from canfb.bus.frame_bus import ERROR, EXTENDED, FrameBus, Received
 from canfb.bus.frame_sender import RETRY_S, FrameSender
 from canfb.bus.receive_times import LONGEST_DELAY_S, ReceiveTimes
 from canfb.cia301.frame import HIGHEST_ID, Frame
-from canfb.device.hosted import BusWatching, Computing, Device, Ending
-from canfb.device.moment import NEVER
+from canfb.device.core import NEVER
+from canfb.device.device_protocol import BusWatching, Computing, Device, Ending
 from canfb.errors import CanfbError
 
 log = logging.getLogger(__name__)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from canfb.cia301.nmt import NmtState
-from canfb.device.od.entry import Entry
+from canfb.device.od.dictionary import Entry
 from canfb.device.storage.image import ParameterGroup
 
 Groups = list[ParameterGroup]

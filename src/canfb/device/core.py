@@ -1,29 +1,257 @@
-"""The core of a node: what its services share, and what they ask of the node.
+"""The core of a node: what its services share, and what they ask of it.
 
-Every service takes the core and finds there what it needs: entries, the time, how to send, whom to tell.
+Every service takes the :class:`Core` and finds there what it needs: the entries of the dictionary, the
+times of the running call, how to send a frame (`emit`), whom to tell (`application`, `reactions`), where to
+report an error (`emergency`). Four small things make it up:
+
+- :class:`CallContext`: the times of the running call. A hook of an SDO write gets no time, yet a timer that
+  it starts needs one; and the time stamp of a frame says when a SYNC came, whenever it is read.
+- :class:`Timed` and :class:`Agenda`: a service with a timer has a `deadline`. A host asks for the earliest
+  one after every frame, and few frames move one, so it is kept until a service says that its own has moved.
+- :class:`Routes`: which service listens to which CAN-ID in the present NMT state.
+- :class:`Pending`: an SDO write whose answer waits until its effect has come, as that of `save`.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable
-from typing import Protocol
+from collections.abc import Callable, Hashable, Iterable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
+from canfb.cia301.codes import AbortCode
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.agenda import Agenda
 from canfb.device.application import Application
-from canfb.device.counters import Counters
-from canfb.device.moment import NEVER, Emit, Moment
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.pending import Pending
-from canfb.device.routing import Routes
+
+NEVER = float("inf")
+"""The deadline of a service that waits for nothing, seconds."""
+
+STAMP_NOISE_S = 1e-3
+
+Emit = Callable[[Frame], None]
+"""How a service sends a frame."""
+
+
+class CallContext:
+    """The `now` of the running call, and the time at which its frame was received, seconds.
+
+    The hooks of an SDO write carry no time, yet a timer that such a write starts needs one. The
+    node sets it at each call from its arguments; nothing here reads a clock.
+
+    `received` is the time stamp of the frame if `proved`, else the latest time at which it may have
+    been received: that of the call. `stamp` is the last time stamp that was taken.
+    """
+
+    __slots__ = ("now", "proved", "received", "stamp")
+
+    def __init__(self) -> None:
+        self.now = self.received = 0.0
+        self.stamp = -NEVER
+        self.proved = False
+
+    def stamped(self, stamp: float) -> None:
+        """The frame of the running call has a time stamp, seconds.
+
+        Frames come in order, so one that lies a little before the last is as late as that one. One
+        that lies far before it, or later than now, is of a clock that was set: not used, nor is any
+        other that lies before this call. A clock that was set back is used again when it is right.
+        """
+        last = self.stamp
+        self.proved = last - STAMP_NOISE_S <= stamp <= self.now
+        self.received = self.stamp = max(last, stamp) if self.proved else self.now
+
+
+class Agenda:
+    """The services with a timer, in the order in which they are called when several are due.
+
+    A host asks for the deadline at every frame, and few frames move one: so the earliest is kept
+    until a service says that its own has moved.
+    """
+
+    __slots__ = ("_services", "earliest", "moved")
+
+    def __init__(self) -> None:
+        self._services: tuple[Timed, ...] = ()
+        self.earliest = NEVER
+        """The earliest deadline, seconds, unless one has :attr:`moved` since."""
+        self.moved = True
+
+    def fill(self, services: Iterable[Timed]) -> None:
+        """The services from now on."""
+        self._services = tuple(services)
+        for service in self._services:
+            service.agenda = self
+        self.moved = True
+
+    def due(self) -> float:
+        """The earliest deadline, seconds; NEVER if none waits."""
+        if self.moved:
+            self.earliest = min([service.deadline for service in self._services], default=NEVER)
+            self.moved = False
+        return self.earliest
+
+    def tick(self, now: float) -> None:
+        """Call the services that are due at `now` (seconds, monotonic)."""
+        if self.due() <= now:
+            for service in self._services:
+                if service.deadline <= now:
+                    service.tick(now)
+
+
+class Timed(ABC):
+    """A service with a timer: `deadline` is when `tick` is due, seconds, NEVER for not at all."""
+
+    agenda = Agenda()
+    """Where the service is listed; as long as it is nowhere, one that is never asked."""
+    _deadline = NEVER
+
+    @property
+    def deadline(self) -> float:
+        """Time of the next `tick`, seconds; NEVER: none."""
+        return self._deadline
+
+    @deadline.setter
+    def deadline(self, due: float) -> None:
+        if due != self._deadline:
+            self._deadline = due
+            self.agenda.moved = True
+
+    @abstractmethod
+    def tick(self, now: float) -> None:
+        """Do what is due at `now` (seconds, monotonic) and move the deadline on."""
+
+
+@dataclass(slots=True)
+class Counters:
+    """Frames and values from the bus that had no effect, by reason. Never reset, never wrap."""
+
+    unknown_cob_ids: int = 0
+    """Frames that no service listens to in the present NMT state; frames for others included."""
+    malformed_frames: int = 0
+    """More than 8 bytes, a CAN-ID above 7FFh, or a length or content that the service cannot mean."""
+    remote_frames: int = 0
+    """Remote frames where none is meant, or on a TPDO that allows none."""
+    duplicate_frames: int = 0
+    """Data frames with a CAN-ID that only this node may send: another has its node-ID or COB-ID."""
+    short_rpdos: int = 0
+    """RPDOs shorter than their mapping; the data was kept."""
+    long_rpdos: int = 0
+    """RPDOs longer than their mapping; the mapped part was used."""
+    late_rpdos: int = 0
+    """Synchronous RPDOs after the synchronous window (1007h)."""
+    refused_rpdo_values: int = 0
+    """Mapped values beyond the limits of their entry, or refused by it."""
+    sdo_aborts: int = 0
+    """SDO aborts that were sent."""
+    lost_emergencies: int = 0
+    """EMCY frames dropped for newer ones while sending was not allowed."""
+
+
+Ended = Callable[[AbortCode | None], None]
+
+
+class Pending:
+    """Made by the object (`Core.pending`), taken by the SDO server, which waits for `end`.
+
+    `on_end(code)`: the write is done, or is to be aborted with `code`. None: nobody waits any more.
+    """
+
+    __slots__ = ("code", "ended", "on_end")
+
+    def __init__(self) -> None:
+        self.ended = False
+        self.code: AbortCode | None = None
+        self.on_end: Ended | None = None
+
+    def end(self, code: AbortCode | None) -> None:
+        """The effect has come, or has failed with `code`."""
+        self.ended, self.code = True, code
+        if self.on_end is not None:
+            self.on_end(code)
+
+
+Handler = Callable[[bytes, float], None]
+"""Takes the data of a frame, and the time."""
+RemoteHandler = Callable[[float], None]
+"""Takes a remote frame: the time."""
+
+
+class CanIds(NamedTuple):
+    """CAN-IDs that a node listens to; all other frames are only counted.
+
+    `data` and `remote` are those of data and remote frames now. `any_state` and `any_state_remote` are those
+    with the present parameters in any NMT state: a master that starts the node need not wait before it sends
+    PDOs, so a filter of the bus has to pass them before.
+    """
+
+    data: frozenset[int]
+    remote: frozenset[int]
+    any_state: frozenset[int]
+    any_state_remote: frozenset[int]
+
+
+def _nobody_follows() -> None:
+    """Nobody asked."""
+
+
+class Routes:
+    """The listeners of the present NMT state, by CAN-ID: `data` and `remote` for the two kinds of frames.
+
+    `sent` are those that are notified when a frame of the node itself has left: an inhibit time counts
+    from there. The three tables stay the same objects, whatever they hold. `changes` moves, and `on_change`
+    is called, whenever they are filled again.
+    """
+
+    __slots__ = ("changes", "data", "on_change", "remote", "sent")
+
+    def __init__(self) -> None:
+        self.changes = 0
+        self.on_change: Callable[[], None] = _nobody_follows
+        self.data: dict[int, Handler] = {}
+        self.remote: dict[int, RemoteHandler] = {}
+        self.sent: dict[int | None, Callable[[float], None]] = {}
+
+    def clear(self) -> None:
+        """Nobody listens."""
+        self.changes += 1
+        self.on_change()
+        self.data.clear()
+        self.remote.clear()
+        self.sent.clear()
+
+    def add(self, can_id: int | None, handler: Handler) -> None:
+        """One more listener; None for one that listens to nothing now. Two on one CAN-ID both get it."""
+        if can_id is not None:
+            other = self.data.get(can_id)
+            self.data[can_id] = handler if other is None else _both(other, handler)
+
+    def add_remote(self, can_id: int | None, handler: RemoteHandler) -> None:
+        """Who answers remote frames; None for one that does not now. The last one added does."""
+        if can_id is not None:
+            self.remote[can_id] = handler
+
+    def add_sent(self, can_id: int | None, follow: Callable[[float], None]) -> None:
+        """Observer of the frames that leave: the last one added; None: nothing is sent now."""
+        if can_id is not None:
+            self.sent[can_id] = follow
+
+
+def _both(first: Handler, second: Handler) -> Handler:
+    """Two services on one CAN-ID, which the configuration allows."""
+
+    def handle(data: bytes, now: float) -> None:
+        first(data, now)
+        second(data, now)
+
+    return handle
 
 
 class Reactions(ABC):
     """What follows from what a service notices, beyond the service; `now` in seconds.
 
-    What only the program wants to know goes to it directly (`Core.application`).
+    What concerns only the program goes to it directly (`Core.application`).
     """
 
     @abstractmethod
@@ -76,7 +304,7 @@ class ErrorReports(Protocol):
         *,
         again: bool = False,
     ) -> None:
-        """An error of `source` appeared; nothing if it is active already, unless it is told `again`."""
+        """An error of `source` appeared; nothing if it is active already, unless `again`."""
 
     def clear(self, code: int, now: float, source: Hashable = None) -> None:
         """The error is gone; nothing happens when it was not active."""
@@ -88,11 +316,11 @@ class Core:
     __slots__ = (
         "agenda",
         "application",
+        "call",
         "counters",
         "dictionary",
         "emergency",
         "emit",
-        "moment",
         "node_id",
         "outbox",
         "pending",
@@ -123,7 +351,7 @@ class Core:
         self.reactions = reactions
         self.sdo_timeout_s = sdo_timeout_s
         self.state = NmtState.INITIALISING
-        self.moment = Moment()
+        self.call = CallContext()
         self.counters = Counters()
         self.agenda = Agenda()
         self.routes = Routes()

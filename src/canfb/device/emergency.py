@@ -9,10 +9,8 @@ from collections.abc import Hashable
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
-from canfb.device.agenda import Timed
-from canfb.device.core import Core
-from canfb.device.moment import NEVER
-from canfb.device.od.entry import Entry
+from canfb.device.core import NEVER, Core, Timed
+from canfb.device.od.dictionary import Entry
 
 _EMERGENCY = struct.Struct("<HB5s")
 _WAITING = 8

@@ -1,20 +1,250 @@
-"""From power-on to OPERATIONAL: the NMT state, resets, the node-ID, and what else follows from the bus."""
+"""From power-on to OPERATIONAL: all services of a node, and what follows from what they notice.
+
+    power-on, reset node ──> INITIALISING: defaults, stored values over them, boot-up ──> PRE-OPERATIONAL
+    PRE-OPERATIONAL <──> OPERATIONAL <──> STOPPED        by NMT commands, or 1029h after an error
+
+(CiA 301, 7.3.2.) A reset puts the dictionary back to its defaults, whole or from 1000h to 1FFFh, then what
+is stored over them; each service then reads its parameters again (`configure`). Which services there are
+follows from the NMT state (7.3.2.2.5): `Services.route` lists who listens. :class:`LifeCycle` is the only
+place where a service has an effect on others: the :class:`Reactions`.
+
+All services hold for one node-ID. LSS can give the node another one, from the next reset on: then they are
+all made again (`_make_services`). LSS, storage and silence are there from the first moment.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 
+from canfb.cia301.cob import ERROR_CONTROL
+from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.cia301.nmt import NmtState
 from canfb.device.application import Application
-from canfb.device.core import Core, Reactions
-from canfb.device.lss.lss import REQUEST_ID, UNCONFIGURED, LssSlave
-from canfb.device.nmt_slave import Startup
+from canfb.device.core import NEVER, CanIds, Core, Handler, Reactions, Timed
+from canfb.device.emergency import Emergency
+from canfb.device.error_control import HeartbeatConsumer, HeartbeatProducer, NodeGuarding
+from canfb.device.lss import REQUEST_ID, UNCONFIGURED, LssSlave
+from canfb.device.nmt_slave import COMMUNICATING, ErrorBehaviour, Nmt, Startup
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.routing import CanIds
-from canfb.device.services import Services
-from canfb.device.silence import Silence
-from canfb.device.storage.storage import Storage
-from canfb.device.storage.writing import Store
+from canfb.device.pdo.pdos import Pdos
+from canfb.device.sdo.server import SdoChannel, channel_indices
+from canfb.device.storage.storage import Storage, Store
+from canfb.device.sync import Sync, TimeStamp
+
+
+class Silence(Timed):
+    """Whether the device is silent, and until when.
+
+    `boot_up_pending` is for a boot-up that fell into it: it is sent at the end.
+    """
+
+    def __init__(self, core: Core) -> None:
+        self.active = False
+        self.boot_up_pending = False
+        self.deadline = NEVER
+        self._reactions = core.reactions
+
+    def begin(self, until: float) -> None:
+        """Silent from now on, until this time (seconds); one that is running lasts to the later end."""
+        self.deadline = max(until, self.deadline) if self.active else until
+        self.active = True
+
+    def tick(self, now: float) -> None:
+        """End it when it is over."""
+        if now >= self.deadline:
+            self.deadline = NEVER
+            self.active = False
+            self._reactions.silence_ended(now)
+            self.boot_up_pending = False
+
+
+_DUPLICATE = "duplicate node-ID"
+
+
+class DuplicateWatch:
+    """Listens to the CAN-IDs that this node alone may send.
+
+    A CAN controller does not receive its own frames, so a data frame there comes from another node: one that
+    was given the same node-ID, or the same COB-ID (CiA 301, 7.3.5: a CAN-ID has one sender). Each
+    is counted. The first after a reset gives EMCY 8150h, with the CAN-ID in bytes 3 and 4, and is
+    reported to the program. The NMT state stays: a single stray frame must not stop a machine.
+    """
+
+    def __init__(self, core: Core) -> None:
+        self._counters = core.counters
+        self._emergency = core.emergency
+        self._application = core.application
+        self._reported = False
+
+    def reset(self) -> None:
+        """Report again, after an NMT reset."""
+        self._reported = False
+
+    def handler(self, can_id: int) -> Handler:
+        """Who takes the data frames with this CAN-ID."""
+
+        def handle(data: bytes, now: float) -> None:
+            self._counters.duplicate_frames += 1
+            if not self._reported:
+                self._reported = True
+                self._report(can_id, now)
+
+        return handle
+
+    def _report(self, can_id: int, now: float) -> None:
+        self._emergency.report(
+            EmergencyCode.CAN_ID_COLLISION,
+            ErrorRegister.COMMUNICATION,
+            can_id.to_bytes(2, "little"),
+            now,
+            _DUPLICATE,
+        )
+        self._application.duplicate_received(can_id, now)
+
+
+NMT_COMMAND = 0x000
+
+
+class Services:
+    """All services of one node-ID; made again when it changes.
+
+    `configure` and `enter` follow the NMT state machine, `route` says who listens.
+    """
+
+    def __init__(self, core: Core, silence: Silence) -> None:
+        self._core = core
+        self._silence = silence
+        self._error_control_id = ERROR_CONTROL + core.node_id
+        self.emergency = core.emergency = Emergency(core)  # first: the others report to it
+        self.nmt = Nmt(core)
+        self.error_behaviour = ErrorBehaviour(core.dictionary)
+        self.duplicates = DuplicateWatch(core)
+        self.producer = HeartbeatProducer(core)
+        self.guarding = NodeGuarding(core, self.producer)
+        self.consumer = HeartbeatConsumer(core)
+        self.time_stamp = TimeStamp(core)
+        self.channels = [SdoChannel(core, index) for index in channel_indices(core.dictionary)]
+        self.pdos = Pdos(core)
+        self.sync = Sync(core, self.pdos)
+
+    def timed(self) -> list[Timed]:
+        """Those with a timer, in the order in which they are called."""
+        return [
+            self._silence,
+            self.sync,
+            *self.pdos.rpdos.values(),
+            *self.pdos.tpdos.values(),
+            self.producer,
+            self.guarding,
+            self.consumer,
+            self.emergency,
+            *(channel.server for channel in self.channels),
+        ]
+
+    def configure(self, now: float) -> None:
+        """Restart with the values in the dictionary, after a reset: no error, no timer, no transfer."""
+        self.forget()
+        self.guarding.configure(now)
+        self.consumer.configure(now)
+        self.sync.configure()
+        for channel in self.channels:
+            channel.configure()
+
+    def forget(self) -> None:
+        """No heartbeat until the next boot-up, and no error."""
+        self.producer.stop()
+        self.emergency.reset()
+        self.duplicates.reset()
+
+    def enter(self, old: NmtState, new: NmtState, now: float) -> None:
+        """What a change of the NMT state allows and forbids (CiA 301, 7.3.2.2.5)."""
+        operational = new is NmtState.OPERATIONAL
+        if old is NmtState.INITIALISING:
+            self._silence.boot_up_pending = self._silence.active
+        if operational or old is NmtState.OPERATIONAL:
+            self.pdos.enable(operational, now)
+        if new not in COMMUNICATING:
+            self._drop_transfers()
+        self.sync.enable(new in COMMUNICATING, now)
+        self._allow_emergency(now)
+
+    def silenced(self, now: float) -> None:
+        """The silence has begun: SDO transfers are given up without a word, EMCY waits."""
+        self._drop_transfers()
+        self._allow_emergency(now)
+
+    def silence_ended(self, now: float) -> None:
+        """The silence has ended: a boot-up that fell into it goes out, then EMCY."""
+        if self._silence.boot_up_pending:
+            self.producer.boot_up(now)
+        self._allow_emergency(now)
+
+    def _drop_transfers(self) -> None:
+        for channel in self.channels:
+            channel.server.drop()
+
+    def _allow_emergency(self, now: float) -> None:
+        self.emergency.enable(self._core.state in COMMUNICATING and not self._silence.active, now)
+
+    def route(self) -> None:
+        """Find out who listens to which CAN-ID, in this NMT state and with these COB-IDs."""
+        state, routes = self._core.state, self._core.routes
+        self.pdos.choose()
+        routes.clear()
+        routes.add_sent(self.emergency.can_id, self.emergency.sent)
+        if state is NmtState.INITIALISING:
+            return
+        routes.add(NMT_COMMAND, self.nmt.handle)
+        routes.add_remote(self.guarding.can_id, self.guarding.request)
+        for can_id, handler in self.consumer.routes().items():
+            routes.add(can_id, handler)
+        if state in COMMUNICATING:
+            routes.add(self.sync.can_id, self.sync.handle)
+            routes.add(self.time_stamp.can_id, self.time_stamp.handle)
+            for channel in [] if self._silence.active else self.channels:  # no answer: nothing is written
+                routes.add(channel.request_id, channel.server.handle)
+        if state is NmtState.OPERATIONAL:
+            self.pdos.add_routes(routes)
+        for can_id in self.own_can_ids():
+            routes.add(can_id, self.duplicates.handler(can_id))
+
+    def own_can_ids(self) -> frozenset[int]:
+        """The CAN-IDs that only this node may send, in any NMT state.
+
+        One that the node is also configured to listen to is not among them: there are other senders,
+        and the configuration expects them. Boot-up and heartbeat are always its own.
+        """
+        sent = {
+            *(channel.response_id for channel in self.channels),
+            self.emergency.can_id,
+            *(tpdo.configured_can_id for tpdo in self.pdos.tpdos.values()),
+        }
+        return _without_none(sent - self._received_in_any_state() | {self._error_control_id})
+
+    def can_ids_in_any_state(self) -> frozenset[int]:
+        """The CAN-IDs of data frames that do anything in some NMT state, with the present parameters."""
+        return _without_none(self._received_in_any_state()) | self.own_can_ids()
+
+    def remote_can_ids_in_any_state(self) -> frozenset[int]:
+        """Those of remote frames."""
+        asked = {tpdo.configured_can_id for tpdo in self.pdos.tpdos.values()}
+        return _without_none(asked | {self.guarding.can_id})
+
+    def _received_in_any_state(self) -> set[int | None]:
+        """What is listened to in some NMT state; None for what is not in use."""
+        return {
+            NMT_COMMAND,
+            self.sync.can_id,
+            self.time_stamp.can_id,
+            *self.consumer.routes(),
+            *(channel.request_id for channel in self.channels),
+            *(rpdo.configured_can_id for rpdo in self.pdos.rpdos.values()),
+        }
+
+
+def _without_none(can_ids: Iterable[int | None]) -> frozenset[int]:
+    return frozenset(can_id for can_id in can_ids if can_id is not None)
+
 
 LAST_COMMUNICATION_INDEX = 0x1FFF
 
@@ -141,7 +371,7 @@ class LifeCycle(Reactions):
     def heartbeat_changed(self) -> None:
         """A heartbeat takes the place of guarding."""
         if self.services.producer.is_active:
-            self.services.guarding.configure(self.core.moment.now)
+            self.services.guarding.configure(self.core.call.now)
         self.routes_changed()
 
     def pdo_changed(self) -> None:
@@ -156,7 +386,7 @@ class LifeCycle(Reactions):
 
     def bit_rate_activated(self, kbit_s: int, delay_s: float) -> None:
         """Silence; the program changes the bit rate."""
-        now = self.core.moment.now
+        now = self.core.call.now
         if delay_s:
             self.silence.begin(now + 2 * delay_s)
             self.services.silenced(now)
@@ -165,7 +395,7 @@ class LifeCycle(Reactions):
 
     def silence_ended(self, now: float) -> None:
         """The node is back."""
-        self.services.heard_again(now)
+        self.services.silence_ended(now)
         self.routes_changed()
 
     def lss_left(self, now: float) -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.device.core import Core
-from canfb.device.od.dictionary import Dictionary
-from canfb.device.od.entry import Entry
+from canfb.device.od.dictionary import Dictionary, Entry
 
 COMMUNICATING = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
 """The states with SDO, SYNC and EMCY."""

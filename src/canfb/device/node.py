@@ -1,4 +1,27 @@
-"""The CANopen slave: frames and times in, frames and the next deadline out."""
+"""A CANopen slave (CiA 301) without I/O: frames and times in, frames and the next deadline out.
+
+Nothing here reads a clock, waits, or knows a socket. A host calls
+
+    out  = node.start(now)             power-on: the boot-up
+    out  = node.receive(frame, now)    each frame of the bus, in order
+    out  = node.tick(now)              when `deadline` is over
+    when = node.deadline()             seconds, or None
+
+and sends `out`, in order, before it calls again. So a test drives the time, and a recorded log runs through
+the same code as the bus. What happens inside of one `receive`:
+
+    receive ──> routes by CAN-ID ──> the service: NMT, SYNC, TIME, RPDO, SDO server, heartbeat, LSS
+                                          │ entries of the dictionary, hooks of their owner
+                                          └──> Application: events for the program, and its decisions
+    outbox <── frames of the services, in the order in which they arise
+
+A frame never raises, whatever it holds (7.2.1 leaves unknown CAN-IDs to others): it is counted in
+`counters` and has no other effect. What the application raises comes out of the call: it is a mistake in
+the program.
+
+`now` is monotonic, seconds. `frame.timestamp`, on the same clock, is when the frame was received: it is no
+later than `now`, and is what SYNC periods are measured by.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +31,15 @@ from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.application import Application
+from canfb.device.core import NEVER, CanIds
 from canfb.device.emergency import check_error
 from canfb.device.life_cycle import LifeCycle
-from canfb.device.lss.lss import UNCONFIGURED, is_node_id
-from canfb.device.moment import NEVER
+from canfb.device.lss import UNCONFIGURED, is_node_id
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.pdo import pdo
-from canfb.device.pdo.rpdo import Rpdo
-from canfb.device.routing import CanIds
+from canfb.device.pdo.mapping import rpdo_with
+from canfb.device.pdo.pdos import Rpdo
 from canfb.device.sdo.server import TIMEOUT_S
-from canfb.device.storage.writing import Store
+from canfb.device.storage.storage import Store
 
 _BUS = "bus"
 
@@ -76,7 +98,7 @@ class Node:
         self.storage = life.storage
         self.lss = life.lss
         self.counters = core.counters
-        self.moment = core.moment
+        self.call = core.call
         """The times of the running call."""
         # What every frame needs, without a detour.
         self._agenda = core.agenda
@@ -106,11 +128,11 @@ class Node:
 
     @property
     def route_changes(self) -> int:
-        """How often other CAN-IDs may have become heard or own: ask for them again when it has moved."""
+        """How often the CAN-IDs that are received, or own, may have changed."""
         return self._core.routes.changes
 
     @property
-    def heard_can_ids(self) -> frozenset[int]:
+    def received_can_ids(self) -> frozenset[int]:
         """The CAN-IDs of data frames that do anything now, but for the own ones: the rest is counted only."""
         return frozenset(self._routes) - self.own_can_ids
 
@@ -125,7 +147,7 @@ class Node:
     @property
     def now(self) -> float:
         """The time of the running call, or of the last one, seconds."""
-        return self.moment.now
+        return self.call.now
 
     @property
     def autostart(self) -> bool:
@@ -137,22 +159,22 @@ class Node:
 
         Values stay as they are, but for those that the store keeps.
         """
-        self.moment.now = now
+        self.call.now = now
         self._life.power_on(now)
         return self._sent()
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Take a frame from the bus, whatever it holds; gives what is to be sent."""
-        moment = self.moment
-        moment.now = now
+        call = self.call
+        call.now = now
         can_id, data, rtr, timestamp = frame
         if timestamp is None:
-            moment.received, moment.proved = now, False
-        elif moment.stamp <= timestamp <= now:  # as usual: later than the last
-            moment.received = moment.stamp = timestamp
-            moment.proved = True
+            call.received, call.proved = now, False
+        elif call.stamp <= timestamp <= now:  # as usual: later than the last
+            call.received = call.stamp = timestamp
+            call.proved = True
         else:
-            moment.stamped(timestamp)
+            call.stamped(timestamp)
         handler = self._routes.get(can_id)
         if handler is not None and not rtr and len(data) <= LONGEST_DATA:
             handler(data, now)
@@ -167,16 +189,16 @@ class Node:
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at `now`; gives what is to be sent."""
-        moment = self.moment
-        moment.now = moment.received = now
-        moment.proved = True  # a SYNC of its own goes out now
+        call = self.call
+        call.now = call.received = now
+        call.proved = True  # a SYNC of its own goes out now
         self._agenda.tick(now)
         return self._sent()
 
     def deadline(self) -> float | None:
         """When `tick` is due next, seconds; None when nothing is waiting."""
         if self._outbox:
-            return self.moment.now
+            return self.call.now
         agenda = self._agenda
         due = agenda.due() if agenda.moved else agenda.earliest
         return None if due == NEVER else due
@@ -193,7 +215,7 @@ class Node:
 
     def rpdo_with(self, *objects: tuple[int, int]) -> int | None:
         """Number of the first valid RPDO whose mapping holds all these objects (index, sub-index)."""
-        return pdo.rpdo_with(self.dictionary, objects)
+        return rpdo_with(self.dictionary, objects)
 
     def synchronous_rpdo(self, number: int) -> Rpdo | None:
         """RPDO `number` if it is taken over at the SYNC after it came (types 0 to F0h), else None."""
@@ -205,7 +227,7 @@ class Node:
         Types FEh and FFh are sent, at once or after the inhibit time; type 0 at the next SYNC.
         ValueError when the device has no such TPDO.
         """
-        self.moment.now = now
+        self.call.now = now
         self.tpdo_trigger(number)(now)
 
     def tpdo_trigger(self, number: int) -> Callable[[float], None]:
@@ -258,7 +280,7 @@ class Node:
 
         Nothing without a node-ID.
         """
-        self.moment.now = now
+        self.call.now = now
         if self._core.state is not NmtState.INITIALISING:
             code, emergency = EmergencyCode.BUS_OFF_RECOVERED, self._core.emergency
             emergency.report(code, ErrorRegister.COMMUNICATION, b"", now, _BUS)
@@ -266,13 +288,13 @@ class Node:
         return self._sent()
 
     def _communication_error(self, why: str, now: float) -> None:
-        self.moment.now = now
+        self.call.now = now
         self._life.communication_error(why, now)
 
     def _time(self, now: float | None) -> float:
         if now is not None:
-            self.moment.now = now
-        return self.moment.now
+            self.call.now = now
+        return self.call.now
 
     def _sent(self) -> list[Frame]:
         sent = [] if self._silence.active else self._outbox[:]

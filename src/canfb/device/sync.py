@@ -1,4 +1,25 @@
-"""SYNC consumer and producer: 1005h, 1006h, 1007h, 1019h (CiA 301, 7.2.5)."""
+"""SYNC and TIME: 1005h, 1006h, 1007h, 1019h (CiA 301, 7.2.5), and 1012h (7.2.6).
+
+SYNC is a broadcast of high priority that gives all devices one instant: inputs are sampled when it comes,
+and outputs change together.
+
+      SYNC k                                            SYNC k+1
+    ────┬─────────────────────────────────────────────────┬────
+        │<------- communication cycle period, 1006h ----->│
+        │<-- synchronous window, 1007h -->│
+        │  TPDOs: what was sampled at k                   │
+        │  RPDOs: come now ...                            │ ... and take effect here
+
+It has no data, or with 1019h above 1 one byte: a counter 1 to 1019h, then 1 again. A device that counts can
+say how many SYNCs it has not received; this one leaves that to its application. What a SYNC does to PDOs is
+in :mod:`canfb.device.pdo.pdos`. Without PDOs, in PRE-OPERATIONAL, the application gets it as well
+(`idle_sync_received`), because its period is known then before the first sample.
+
+Rules of 7.5.2.5 to 7.5.2.7 and 7.5.2.22 that are checked here: the CAN-ID does not change while the device
+produces SYNC, the counter does not change while 1006h is not 0, and it is 0 or 2 to 240.
+
+TIME has six bytes: milliseconds since midnight (28 bits), and days since 1984-01-01.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +28,10 @@ from typing import Any
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
-from canfb.device.agenda import Timed
-from canfb.device.core import Core
-from canfb.device.moment import NEVER
+from canfb.device.core import NEVER, Core, Timed
 from canfb.device.pdo.pdos import Pdos
 
-_SOURCE = 0x1005
+_SYNC_OBJECT = 0x1005
 _DEFAULT_COB_ID = 0x080
 _LONGEST_COUNTER = 240
 
@@ -75,7 +94,7 @@ class Sync(Timed):
         self._length_error = True
         self._counters.malformed_frames += 1
         self._emergency.report(
-            EmergencyCode.SYNC_LENGTH, ErrorRegister.COMMUNICATION, bytes([length]), now, _SOURCE
+            EmergencyCode.SYNC_LENGTH, ErrorRegister.COMMUNICATION, bytes([length]), now, _SYNC_OBJECT
         )
 
     def tick(self, now: float) -> None:
@@ -95,7 +114,7 @@ class Sync(Timed):
 
     def _clear_length_error(self, now: float) -> None:
         self._length_error = False
-        self._emergency.clear(EmergencyCode.SYNC_LENGTH, now, _SOURCE)
+        self._emergency.clear(EmergencyCode.SYNC_LENGTH, now, _SYNC_OBJECT)
 
     @property
     def _period_s(self) -> float:
@@ -132,7 +151,7 @@ class Sync(Timed):
 
     def _restart(self) -> None:
         self._read()
-        self._start(self._core.moment.now)
+        self._start(self._core.call.now)
         self._core.reactions.routes_changed()
 
     def _check_cob_id(self, value: int) -> None:
@@ -151,3 +170,50 @@ class Sync(Timed):
             raise SdoAbort(AbortCode.INVALID_VALUE)
         if self._value(self._period) and value != self._value(self._overflow):
             raise SdoAbort(AbortCode.DEVICE_STATE)
+
+
+MILLISECONDS_PER_DAY = 86_400_000
+CONSUME = 1 << 31
+"""Bit 31 of 1012h: the device listens to TIME."""
+PRODUCE = 1 << 30
+"""Bit 30 of 1012h: the device sends TIME, which this one cannot."""
+
+_TIME_LENGTH = 6
+_MILLISECOND_BITS = 0x0FFFFFFF
+
+
+class TimeStamp:
+    """Takes the time of day to the program: days since 1984-01-01, and milliseconds.
+
+    A TIME of another length than 6 bytes, or with more milliseconds than a day has, is dropped and
+    counted.
+    """
+
+    def __init__(self, core: Core) -> None:
+        self._entry = entry = core.dictionary.find(0x1012)
+        self._counters = core.counters
+        self._application = core.application
+        if entry is not None:
+            entry.on_check = lambda value: _check_time_cob_id(value, entry.value)
+            entry.on_written = core.reactions.routes_changed
+
+    @property
+    def can_id(self) -> int | None:
+        """The CAN-ID that it listens to now, None when it does not."""
+        if self._entry is None or not self._entry.value & CONSUME:
+            return None
+        return int(self._entry.value & cob.CAN_ID)
+
+    def handle(self, data: bytes, now: float) -> None:
+        """A TIME from the bus."""
+        milliseconds = int.from_bytes(data[:4], "little") & _MILLISECOND_BITS
+        if len(data) != _TIME_LENGTH or milliseconds >= MILLISECONDS_PER_DAY:
+            self._counters.malformed_frames += 1
+            return
+        self._application.time_received(int.from_bytes(data[4:], "little"), milliseconds, now)
+
+
+def _check_time_cob_id(value: int, old: int) -> None:
+    if value & PRODUCE or cob.is_restricted(value & cob.CAN_ID):
+        raise SdoAbort(AbortCode.INVALID_VALUE)
+    cob.check(value, old, uses_new=bool(value & CONSUME), uses_old=bool(old & CONSUME))

@@ -16,8 +16,8 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 from canfb import objects as od
 from canfb.bus.clocks import local_time
 from canfb.cia301.datatypes import encode
-from canfb.device.lss.lss import UNCONFIGURED
-from canfb.device.moment import NEVER
+from canfb.device.core import NEVER
+from canfb.device.lss import UNCONFIGURED
 from canfb.device.node import Node
 from canfb.module.event import DETAILS, Event
 from canfb.module.feedback_module import FeedbackModule

@@ -17,7 +17,7 @@ from typing import Any, Protocol, Self
 from canfb.bus.opening import check_device_bus, open_device_bus
 from canfb.bus.runner import BusCounters, DeviceFailure, Runner
 from canfb.configuration import Config, RealtimeConfig
-from canfb.device.hosted import Device
+from canfb.device.device_protocol import Device
 from canfb.errors import CanfbError
 from canfb.hosting.event_log import EventLog, Served, title_of
 from canfb.hosting.realtime import apply_realtime, outside_collections

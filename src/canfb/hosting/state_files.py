@@ -23,8 +23,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from canfb.device.storage.image import ParameterGroup
-from canfb.device.storage.storage import PARAMETERS
-from canfb.device.storage.writing import Changes, Store
+from canfb.device.storage.storage import PARAMETERS, Changes, Store
 from canfb.errors import CanfbError
 from canfb.hosting.closing import Closing
 

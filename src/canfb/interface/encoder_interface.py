@@ -14,11 +14,10 @@ from canfb.cia301.cob import CAN_ID
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.cia301.pdo_room import mapping_values
-from canfb.device.hosted import NodeDevice
+from canfb.device.device_protocol import NodeDevice
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.pdo.mapping import Direction
-from canfb.device.pdo.pdo import COMMUNICATION, numbers
-from canfb.device.storage.writing import Store
+from canfb.device.pdo.mapping import COMMUNICATION, Direction, numbers
+from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
 from canfb.interface.fast_recording import FastRecorder
 from canfb.interface.hearing import TRUE_TIME, Hearing

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from canfb.checks import flag, integer_in, text
-from canfb.device.lss.lss import UNCONFIGURED
+from canfb.device.lss import UNCONFIGURED
 from canfb.signal.subsamples import MOST_PER_SYNC
 from canfb.sources.source_config import SourceConfig
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from canfb import objects as od
-from canfb.device.od.concise import encode_concise
 from canfb.device.od.dcf import Commissioning, FileInfo, Place, Reals, dcf_text
+from canfb.device.od.writes import encode_concise
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
 from canfb.module.delivered import EDS

@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 from canfb import objects as od
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import SdoAbort
-from canfb.device.od.concise import Write
 from canfb.device.od.dcf import Place
-from canfb.device.od.entry import Entry
-from canfb.device.od.writing_order import TURNS, switched_off, turn
+from canfb.device.od.dictionary import Entry
+from canfb.device.od.writes import TURNS, Write, switched_off, turn
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 

@@ -8,11 +8,11 @@ from math import inf
 from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.hosted import NodeDevice
-from canfb.device.moment import NEVER
-from canfb.device.od.entry import Entry
+from canfb.device.core import NEVER
+from canfb.device.device_protocol import NodeDevice
+from canfb.device.od.dictionary import Entry
 from canfb.device.storage.image import ParameterGroup
-from canfb.device.storage.writing import Store
+from canfb.device.storage.storage import Store
 from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.cia406.cyclic_timer import CyclicTimer
 from canfb.module.cia406.operating_time import OperatingTime
@@ -279,7 +279,7 @@ class FeedbackModule(NodeDevice):
 
     def _on_correction(self, correction: Correction) -> None:
         """Another table and conditioning are in force."""
-        self.events.table(correction, self.node.moment.now)
+        self.events.table(correction, self.node.call.now)
         self._limits.noise_changes()
 
     def _encoder_changed(self) -> None:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from canfb.checks import flag, integer_in
-from canfb.device.lss.lss import UNCONFIGURED as UNCONFIGURED  # for readers of configurations
+from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for readers of configurations
 from canfb.module.second_position_config import SecondPositionConfig
 from canfb.objects import WriteLockMode
 from canfb.signal.chain_config import ChainConfig

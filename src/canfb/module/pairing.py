@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from canfb import objects as od
-from canfb.device.moment import NEVER
+from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.module.interval import SamplingInterval
@@ -73,7 +73,7 @@ class Pairing:
         findings: Findings,
     ) -> None:
         self.judge = judge
-        self._moment = node.moment
+        self._moment = node.call
         self._interval = interval
         self._overflow, self._periods = (
             dictionary.entry(COUNTER_OVERFLOW),

@@ -13,7 +13,7 @@ from canfb import objects as od
 from canfb.cia301.cob import is_valid
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.pdo.pdo import EVENT_DRIVEN
+from canfb.device.pdo.mapping import EVENT_DRIVEN
 from canfb.module.cia406.position_alarm import PositionAlarm
 from canfb.module.cia406.profile import EncoderProfile
 from canfb.module.cia406.profile_warnings import Warnings

@@ -8,8 +8,7 @@ from typing import Any, Protocol
 
 from canfb import objects as od
 from canfb.cia301 import datatypes
-from canfb.device.od.dictionary import Dictionary
-from canfb.device.od.entry import Entry
+from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
 from canfb.module.delivered import EDS

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from canfb import objects as od
-from canfb.device.moment import NEVER
+from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.interval import SamplingInterval

@@ -11,7 +11,7 @@ from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.frame import frame_bits
 from canfb.device.od.dcf import Place
-from canfb.device.pdo.pdo import EVENT_DRIVEN, SYNCHRONOUS
+from canfb.device.pdo.mapping import EVENT_DRIVEN, SYNCHRONOUS
 from canfb.module.cia406.position_alarm import SHORTEST_S
 from canfb.view.pdo_map import Pdo, valid_pdos
 

@@ -10,8 +10,8 @@ from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand
-from canfb.device.lss.lss import UNCONFIGURED
-from canfb.device.storage.writing import Store
+from canfb.device.lss import UNCONFIGURED
+from canfb.device.storage.storage import Store
 from canfb.module.calibration_job import Outcome
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
@@ -239,7 +239,7 @@ class ModuleReplay:
         node = module.node
         self._emergency_id = module.dictionary.entry(*od.EMCY_COB_ID).value & cob.CAN_ID
         self._routes_seen = node.route_changes
-        self._own, self._heard = node.own_can_ids, node.heard_can_ids
+        self._own, self._heard = node.own_can_ids, node.received_can_ids
         sync = module.dictionary.entry(*od.SYNC_COB_ID).value
         if sync & cob.GENERATE:
             self._own |= {sync & cob.CAN_ID}

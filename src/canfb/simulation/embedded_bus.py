@@ -6,8 +6,8 @@ from collections import deque
 from collections.abc import Callable
 
 from canfb.cia301.frame import Frame, frame_bits
-from canfb.device.hosted import Computing, Device
-from canfb.device.moment import NEVER
+from canfb.device.core import NEVER
+from canfb.device.device_protocol import Computing, Device
 from canfb.simulation.wire import Wire
 
 __all__ = ["EmbeddedBus", "frame_bits"]

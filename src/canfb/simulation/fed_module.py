@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from canfb.device.lss.lss import UNCONFIGURED
+from canfb.device.lss import UNCONFIGURED
 from canfb.signal.chain_config import ChainConfig
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from canfb.device.hosted import Device
+from canfb.device.device_protocol import Device
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.simulation.demand import MotionDemand, of_motion, of_recording
 from canfb.simulation.fed_module import FedModule

@@ -7,7 +7,7 @@ from heapq import heappop, heappush
 from typing import Any
 
 from canfb.cia301.frame import Frame, frame_bits
-from canfb.device.moment import NEVER
+from canfb.device.core import NEVER
 
 INTERFRAME_BITS = 3  # the bus is silent for this long after the end of a frame
 

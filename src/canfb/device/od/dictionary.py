@@ -2,18 +2,225 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
+from typing import Any
 
+from canfb.cia301 import datatypes
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.datatypes import DataType
-from canfb.device.od.entry import Entry
-from canfb.device.od.object_info import ObjectInfo, ObjectKind
+
+
+class ObjectKind(IntEnum):
+    """Object code (CiA 301, 7.4.3)."""
+
+    DOMAIN = 0x02
+    VAR = 0x07
+    ARRAY = 0x08
+    RECORD = 0x09
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectInfo:
+    """What an index holds: its name, its kind and its sub-indices in ascending order."""
+
+    index: int
+    name: str
+    kind: ObjectKind
+    subindices: tuple[int, ...]
+
+
+READABLE = frozenset({"ro", "rw", "rwr", "rww", "const"})
+WRITABLE = frozenset({"wo", "rw", "rwr", "rww"})
+TPDO_ACCESS = frozenset({"ro", "rw", "rwr", "const"})
+RPDO_ACCESS = frozenset({"wo", "rw", "rww"})
+ACCESS = READABLE | WRITABLE
+
+
+class Entry:
+    """A sub-index of the object dictionary (CiA 301, 7.4).
+
+    `value` is a plain Python int, float, bool, str or bytes, and is read and written directly by
+    whoever owns the object; only SDO and PDO go through the checks below. `access` is ro, wo, rw,
+    const, rww (rw, and mappable into an RPDO only) or rwr (rw, and mappable into a TPDO only).
+    `low` and `high` are the limits for values from the bus, None where there is none.
+
+    Hooks: `on_read()` gives a live value (bytes for a DOMAIN) in place of `value`, and may raise
+    SdoAbort. `on_check(value)` runs after all generic checks and raises SdoAbort for a value that the
+    object cannot have; it has no effect. `on_written()` acts on the new `value`; it raises SdoAbort
+    when that is not possible now, and the write is then refused. `on_download()` runs after an SDO has
+    written the entry, and after no other write.
+
+    `follows_node_id`: the node-ID is part of the default ($NODEID in the EDS).
+    """
+
+    __slots__ = (
+        "access",
+        "data_type",
+        "default",
+        "follows_node_id",
+        "high",
+        "index",
+        "low",
+        "name",
+        "on_check",
+        "on_download",
+        "on_read",
+        "on_written",
+        "pdo_mappable",
+        "subindex",
+        "value",
+    )
+
+    # A hot slot of whatever type the object has; each reader knows its own.
+    value: Any
+
+    def __init__(
+        self,
+        index: int,
+        subindex: int,
+        data_type: int,
+        *,
+        name: str = "",
+        access: str = "rw",
+        default: Any = None,
+        low: float | None = None,
+        high: float | None = None,
+        pdo_mappable: bool = False,
+        follows_node_id: bool = False,
+    ) -> None:
+        where = f"{index:04X}h:{subindex:02X}"
+        if data_type not in datatypes.KNOWN:
+            raise ValueError(f"{where} has the unknown data type {data_type:#06x}; see CiA 301, 7.4.7")
+        if access not in ACCESS:
+            raise ValueError(f"{where} has access {access!r}; use one of {', '.join(sorted(ACCESS))}")
+        self.index = index
+        self.subindex = subindex
+        self.name = name
+        self.data_type = int(data_type)
+        self.access = access
+        self.default = default
+        self.low = low
+        self.high = high
+        self.pdo_mappable = pdo_mappable
+        self.follows_node_id = follows_node_id
+        self.on_read: Callable[[], Any] | None = None
+        self.on_check: Callable[[Any], None] | None = None
+        self.on_written: Callable[[], None] | None = None
+        self.on_download: Callable[[], None] | None = None
+        self.reset()
+
+    def __repr__(self) -> str:
+        return f"<Entry {self.index:04X}h:{self.subindex:02X} {self.name!r} = {self.value!r}>"
+
+    def fresh(self) -> Entry:
+        """The same entry of another dictionary: at its default, without hooks."""
+        copy = Entry.__new__(Entry)
+        copy.index = self.index
+        copy.subindex = self.subindex
+        copy.name = self.name
+        copy.data_type = self.data_type
+        copy.access = self.access
+        copy.default = self.default
+        copy.low = self.low
+        copy.high = self.high
+        copy.pdo_mappable = self.pdo_mappable
+        copy.follows_node_id = self.follows_node_id
+        copy.on_read = copy.on_check = copy.on_written = copy.on_download = None
+        copy.reset()
+        return copy
+
+    def reset(self) -> None:
+        """Back to the default, or to zero or empty where there is none. No hook runs."""
+        self.value = datatypes.zero(self.data_type) if self.default is None else self.default
+
+    @property
+    def bit_length(self) -> int:
+        """Length in a PDO, bits; 0 for strings and DOMAIN, which have none."""
+        return datatypes.bit_length(self.data_type)
+
+    @property
+    def byte_length(self) -> int:
+        """Length in an SDO, bytes; 0 for strings and DOMAIN, which have none."""
+        return datatypes.byte_length(self.data_type)
+
+    def current(self) -> Any:
+        """The live value where there is an `on_read`, else `value`."""
+        return self.value if self.on_read is None else self.on_read()
+
+    def encode(self) -> bytes:
+        """Bytes of the current value. ValueError when it does not fit the data type."""
+        value = self.current()
+        try:
+            return datatypes.encode(self.data_type, value)
+        except ValueError as error:
+            raise ValueError(f"{self!r}: {error}") from error
+
+    def decode(self, data: bytes) -> Any:
+        """Value of bytes from the bus. SdoAbort for a wrong size or a value beyond the limits."""
+        size = self.byte_length
+        if size and len(data) != size:
+            raise SdoAbort(AbortCode.TOO_LONG if len(data) > size else AbortCode.TOO_SHORT)
+        value = datatypes.decode(self.data_type, data)
+        self.check_limits(value)
+        return value
+
+    def check_limits(self, value: Any) -> None:
+        """SdoAbort for a value beyond `low` or `high`; a NaN is beyond any limit."""
+        if self.high is not None and not value <= self.high:
+            raise SdoAbort(AbortCode.VALUE_TOO_HIGH if value > self.high else AbortCode.INVALID_VALUE)
+        if self.low is not None and not value >= self.low:
+            raise SdoAbort(AbortCode.VALUE_TOO_LOW if value < self.low else AbortCode.INVALID_VALUE)
+
+    def check(self, value: Any) -> None:
+        """SdoAbort for a value that the object cannot have: limits and `on_check`. No effect."""
+        self.check_limits(value)
+        if self.on_check is not None:
+            self.on_check(value)
+
+    def check_readable(self) -> None:
+        """SdoAbort unless SDO may read the entry."""
+        if self.access not in READABLE:
+            raise SdoAbort(AbortCode.WRITE_ONLY)
+
+    def check_writable(self) -> None:
+        """SdoAbort unless SDO may write the entry."""
+        if self.access not in WRITABLE:
+            raise SdoAbort(AbortCode.READ_ONLY)
+
+    def store(self, value: Any) -> None:
+        """Take over a value from the bus: limits, `on_check`, the value, `on_written`.
+
+        SdoAbort when it is refused; the value is then what it was.
+        """
+        self.check_limits(value)
+        if self.on_check is not None:
+            self.on_check(value)
+        before, self.value = self.value, value
+        if self.on_written is not None:
+            try:
+                self.on_written()
+            except SdoAbort:
+                self.value = before
+                raise
+
+    def upload(self) -> bytes:
+        """What an SDO read gives; SdoAbort when it is refused."""
+        self.check_readable()
+        return self.encode()
+
+    def download(self, data: bytes) -> None:
+        """What an SDO write does; SdoAbort when it is refused, the value then untouched."""
+        self.check_writable()
+        self.store(self.decode(data))
+        if self.on_download is not None:
+            self.on_download()
+
 
 STORE_EDS = 0x1021
 """The EDS of the device, in the format that 1022h names (CiA 301, 7.5.2.24)."""
-
-__all__ = ["Dictionary", "Entry", "ObjectInfo", "ObjectKind"]
 
 
 class Dictionary:
@@ -45,11 +252,11 @@ class Dictionary:
         the file has it, is the file itself. A content is parsed once in a process; each dictionary has
         entries of its own.
         """
-        from canfb.device.od import template  # with canopen: loaded by the first dictionary, no sooner
+        from canfb.device.od import eds  # with canopen: loaded by the first dictionary, no sooner
 
         if not (1 <= node_id <= 127 or node_id == 255):
             raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127, or 255 for none yet")
-        described = template.load(Path(path), node_id)
+        described = eds.load(Path(path), node_id)
         dictionary = cls(described.fresh_entries(), described.objects, described.dummies)
         stored = dictionary.find(STORE_EDS)
         if stored is not None and stored.data_type == DataType.DOMAIN:

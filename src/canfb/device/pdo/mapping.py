@@ -1,18 +1,28 @@
-"""PDO mapping (CiA 301, 7.5.2.36): from mapping entries to a compiled packer."""
+"""PDO parameters and mapping (CiA 301, 7.5.2.35 to 7.5.2.38): what may be written when, and the compiled
+packer.
+
+A mapping entry is index, sub-index and length in bits. The PDO is the mapped objects one after the other,
+least significant bit first, without gaps. That is worked out once, when the PDO becomes active:
+`compile_layout` makes one function that packs the values of the entries, or stores them; a PDO in operation
+looks nothing up.
+
+The procedure of 7.5.2.36: the PDO is made not valid (bit 31 of its COB-ID), the number of mapped objects is
+set to 0, the entries are written, then their number, then the COB-ID. Each step is checked by the
+`on_check` of the entry that it writes, so it holds for SDO, for a restored value and for a DCF alike.
+"""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from enum import Enum
 from typing import Any, NamedTuple, Protocol
 
-from canfb.cia301 import datatypes
+from canfb.cia301 import cob, datatypes
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.datatypes import DataType
 from canfb.cia301.pdo_room import LONGEST_BITS as LONGEST_BITS
-from canfb.device.od.dictionary import Dictionary
-from canfb.device.od.entry import RPDO_ACCESS, TPDO_ACCESS, Entry
+from canfb.device.od.dictionary import RPDO_ACCESS, TPDO_ACCESS, Dictionary, Entry
 
 UNFIT = (struct.error, OverflowError)
 """What `struct` raises for a value that does not fit."""
@@ -232,3 +242,153 @@ def _store(entry: Entry, value: Any) -> bool:
     except SdoAbort:
         return False
     return True
+
+
+SYNCHRONOUS = range(241)
+"""Transmission types that act at a SYNC."""
+SYNC_REMOTE = 0xFC
+EVENT_REMOTE = 0xFD
+EVENT_DRIVEN = frozenset({0xFE, 0xFF})
+REMOTE_ONLY = frozenset({SYNC_REMOTE, EVENT_REMOTE})
+
+COMMUNICATION = {Direction.RECEIVE: 0x1400, Direction.TRANSMIT: 0x1800}
+MAPPING = {Direction.RECEIVE: 0x1600, Direction.TRANSMIT: 0x1A00}
+PDO_NUMBERS = range(1, 513)
+
+
+def numbers(dictionary: Dictionary, direction: Direction) -> list[int]:
+    """Numbers of the PDOs that the dictionary has, from 1."""
+    before = COMMUNICATION[direction] - 1
+    found = (described.index - before for described in dictionary.objects())
+    return [number for number in found if number in PDO_NUMBERS]
+
+
+def rpdo_with(dictionary: Dictionary, objects: Iterable[tuple[int, int]]) -> int | None:
+    """Number of the first valid RPDO whose mapping holds all these objects (index, sub-index)."""
+    required = {index << 8 | subindex for index, subindex in objects}
+    for number in numbers(dictionary, Direction.RECEIVE):
+        mapping = MAPPING[Direction.RECEIVE] + number - 1
+        count = dictionary.entry(mapping).value
+        mapped = {dictionary.entry(mapping, place).value >> 8 for place in range(1, count + 1)}
+        cob_id = dictionary.entry(COMMUNICATION[Direction.RECEIVE] + number - 1, 1).value
+        if required <= mapped and cob.is_valid(cob_id):
+            return number
+    return None
+
+
+class PdoParameters:
+    """14xxh and 16xxh, or 18xxh and 1Axxh, of one PDO (CiA 301, 7.5.2.35 to 7.5.2.38).
+
+    Installs the checks of the procedure: mapping is changed only while the PDO is not valid
+    (COB-ID bit 31) and its number of mapped objects is 0; a valid PDO keeps its CAN-ID. While it is
+    not valid each communication parameter is checked alone, so that they can be written in any order;
+    whether they go together is checked when bit 31 is cleared, and on each change from then on.
+    `changed` is called after each change that was accepted.
+    """
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        number: int,
+        direction: Direction,
+        changed: Callable[[], None],
+    ) -> None:
+        self._dictionary = dictionary
+        self._direction = direction
+        self._communication = COMMUNICATION[direction] + number - 1
+        self._mapping = MAPPING[direction] + number - 1
+        self.cob_id = dictionary.entry(self._communication, 1)
+        self.type = dictionary.entry(self._communication, 2)
+        self.count = dictionary.entry(self._mapping, 0)
+        self.mapped = [entry for entry in dictionary if entry.index == self._mapping and entry.subindex]
+        self._install(changed)
+        self._slots()
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether the PDO exists: bit 31 of its COB-ID is 0."""
+        return cob.is_valid(self.cob_id.value)
+
+    @property
+    def can_id(self) -> int:
+        """CAN-ID of the PDO."""
+        return int(self.cob_id.value & cob.CAN_ID)
+
+    @property
+    def allows_remote(self) -> bool:
+        """Whether a remote frame asks for the TPDO: bit 30 of its COB-ID is 0."""
+        return not self.cob_id.value & cob.NO_RTR
+
+    def find(self, subindex: int) -> Entry | None:
+        """A further communication parameter, None when the device does not have it."""
+        return self._dictionary.find(self._communication, subindex)
+
+    def layout(self) -> Layout | None:
+        """The compiled mapping, None while the PDO is not valid or maps nothing.
+
+        ValueError when the mapping is impossible, which only the program can have brought about.
+        """
+        if not self.is_valid or not self.count.value:
+            return None
+        return compile_layout(self._slots())
+
+    def refuse_while_valid(self, value: int) -> None:
+        """The check of a parameter that is fixed while the PDO is valid: 06090030h."""
+        if self.is_valid:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+
+    def _install(self, changed: Callable[[], None]) -> None:
+        self.cob_id.on_check = self._check_cob_id
+        self.type.on_check = self._check_type
+        self.count.on_check = self._check_count
+        for entry in self.mapped:
+            entry.on_check = self._check_mapping
+        for entry in (self.cob_id, self.type):
+            entry.on_written = changed
+
+    def _check_cob_id(self, value: int) -> None:
+        valid = cob.is_valid(value)
+        cob.check(value, self.cob_id.value, uses_new=valid, uses_old=self.is_valid)
+        if valid:
+            self._check_combination(value, self.type.value)
+
+    def _check_type(self, value: int) -> None:
+        if value not in SYNCHRONOUS and value not in EVENT_DRIVEN:
+            if value not in REMOTE_ONLY or self._direction is Direction.RECEIVE:
+                raise SdoAbort(AbortCode.INVALID_VALUE)
+            if self.is_valid:
+                self._check_combination(self.cob_id.value, value)
+
+    def _check_combination(self, cob_id: int, kind: int) -> None:
+        """Refuse a valid PDO that nothing could ever ask for: on remote frames only, and none allowed.
+
+        CiA 301 refuses a type that is not supported (06090030h), at any time; it is silent on this pair.
+        """
+        if kind in REMOTE_ONLY and cob_id & cob.NO_RTR:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+
+    def _check_count(self, value: int) -> None:
+        if self.is_valid:
+            raise SdoAbort(AbortCode.UNSUPPORTED_ACCESS)
+        if value > len(self.mapped):
+            raise SdoAbort(AbortCode.PDO_LENGTH)
+        mappings = [entry.value for entry in self.mapped[:value]]
+        if not all(mappings):
+            raise SdoAbort(AbortCode.NOT_MAPPABLE)
+        resolve_all(self._dictionary, mappings, self._direction)
+
+    def _check_mapping(self, value: int) -> None:
+        if self.is_valid or self.count.value:
+            raise SdoAbort(AbortCode.UNSUPPORTED_ACCESS)
+        if value:  # 0 empties the place
+            resolve(self._dictionary, value, self._direction)
+
+    def _slots(self) -> list[Slot]:
+        where = f"mapping {self._mapping:04X}h"
+        if self.count.value > len(self.mapped):
+            raise ValueError(f"{where} counts {self.count.value} objects, but has {len(self.mapped)}")
+        try:
+            mappings = [entry.value for entry in self.mapped[: self.count.value]]
+            return resolve_all(self._dictionary, mappings, self._direction)
+        except SdoAbort as abort:
+            raise ValueError(f"{where} is impossible: {abort}; correct the EDS") from abort

@@ -6,8 +6,8 @@ from binascii import crc_hqx
 from enum import Enum, auto
 
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.moment import NEVER
-from canfb.device.od.entry import Entry
+from canfb.device.core import NEVER
+from canfb.device.od.dictionary import Entry
 from canfb.device.sdo.transfer import (
     ABORT_COMMAND,
     BLOCK_DOWNLOAD,

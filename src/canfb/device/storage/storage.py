@@ -1,14 +1,21 @@
-"""Saving and restoring of parameters: 1010h, 1011h and 1020h (CiA 301, 7.5.2.13, 7.5.2.14, 7.5.2.23)."""
+"""Saving and restoring of parameters: 1010h, 1011h and 1020h (CiA 301, 7.5.2.13, 7.5.2.14, 7.5.2.23).
+
+A store takes its time, some milliseconds on a flash or a disk. One that writes at once answers at once. A
+:class:`BackgroundStore` begins to write and is asked later whether it is done: the node goes on meanwhile,
+and the answer to SDO or LSS follows when the values are kept. Time is an argument here; the thread is that
+of the store (:mod:`canfb.hosting.state_files`).
+"""
 
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Protocol, runtime_checkable
 
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.core import Core
-from canfb.device.pending import Pending
+from canfb.device.core import NEVER, Core, Pending, Timed
 from canfb.device.storage.image import (
     Identity,
     ImageError,
@@ -17,9 +24,79 @@ from canfb.device.storage.image import (
     decode_image,
     encode_image,
 )
-from canfb.device.storage.kept import KeptEntries
-from canfb.device.storage.restoring import restore
-from canfb.device.storage.writing import Changes, Done, Store, Writing
+from canfb.device.storage.kept import KeptEntries, restore
+
+POLL_S = 0.002  # from one question whether it is done to the next
+MOST_WAITING = 4  # changes that a store may have before it; a peer that sends more is refused
+
+Changes = Mapping[ParameterGroup, bytes | None]
+Done = Callable[[OSError | None], None]
+"""Called when a change is kept, or with the reason why it is not."""
+
+
+class Store(Protocol):
+    """Memory that outlives the power. What it keeps are bytes, which the device makes and checks."""
+
+    def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
+        """What is kept, by group; an OSError for a group that is there and cannot be read."""
+
+    def save(self, changes: Changes) -> None:
+        """Keep these groups, or forget those that are None: all of them or, with an OSError, none."""
+
+
+@runtime_checkable
+class BackgroundStore(Store, Protocol):
+    """A store that writes while the device goes on."""
+
+    def begin(self, changes: Changes) -> None:
+        """Begin to keep `changes`, as `save`, behind those that were begun before. It does not wait."""
+
+    def ended(self) -> Sequence[OSError | None]:
+        """What has ended since the last call, in order: None for kept, or why it was not."""
+
+
+class Writing(Timed):
+    """Gives changes to a store, one after the other, and says when each is kept.
+
+    `now()` is the time of the running call, seconds.
+    """
+
+    def __init__(self, store: Store, now: Callable[[], float]) -> None:
+        self.deadline = NEVER
+        self._store = store
+        self._background = store if isinstance(store, BackgroundStore) else None
+        self._now = now
+        self._waiting: deque[Done] = deque()
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a change is on its way."""
+        return bool(self._waiting)
+
+    def write(self, changes: Changes, done: Done) -> None:
+        """Keep `changes` and call `done`, in this call or in a later :meth:`tick`. EBUSY if too many wait."""
+        if self._background is not None:
+            if len(self._waiting) >= MOST_WAITING:
+                done(OSError(errno.EBUSY, "the store is still writing"))
+                return
+            self._background.begin(changes)
+            self._waiting.append(done)
+            self.deadline = self._now() + POLL_S
+            return
+        try:
+            self._store.save(changes)
+        except OSError as error:
+            done(error)
+        else:
+            done(None)
+
+    def tick(self, now: float) -> None:
+        """Ask the store whether it is done."""
+        ended = () if self._background is None else self._background.ended()
+        for error in ended:
+            self._waiting.popleft()(error)
+        self.deadline = now + POLL_S if self._waiting else NEVER
+
 
 SAVE, LOAD, VERIFY = 0x1010, 0x1011, 0x1020
 ALL_PARAMETERS = 1
@@ -58,7 +135,7 @@ class Storage:
 
     `faults` says by group why stored parameters were refused; the defaults are used in their
     place. A fault lasts until the group is saved or its defaults are loaded; the
-    program is then told.
+    program is then notified.
 
     A store may write in the background: what is saved counts as kept, and the SDO write is answered, when it
     has done so. A reset before brings the values from before, or those of the save.
@@ -73,7 +150,7 @@ class Storage:
         self.entries = KeptEntries(dictionary, self.configuration_changed)
         self.faults: dict[ParameterGroup, str] = {}
         self._store = store
-        self.writing = None if store is None else Writing(store, lambda: core.moment.now)
+        self.writing = None if store is None else Writing(store, lambda: core.call.now)
         self._images: dict[ParameterGroup, bytes] = {}
         found = (dictionary.find(VERIFY, subindex) for subindex in (1, 2))
         self._verify = [entry for entry in found if entry is not None]
@@ -141,7 +218,7 @@ class Storage:
 
     def report_faults(self) -> None:
         """Tell the program which groups were refused, and why; none if there are none."""
-        self._core.application.parameters_refused(dict(self.faults), self._core.moment.now)
+        self._core.application.parameters_refused(dict(self.faults), self._core.call.now)
 
     def _identity(self) -> Identity:
         found = (self._dictionary.find(0x1018, subindex) for subindex in (1, 2, 3))
@@ -202,7 +279,7 @@ class Storage:
 
     def _written(self, changes: Changes, done: Done, error: OSError | None) -> None:
         """The store has kept the changes, or has failed with `error`."""
-        now, application = self._core.moment.now, self._core.application
+        now, application = self._core.call.now, self._core.application
         if error is not None:
             application.saving_failed(list(changes), error.strerror or str(error), now)
             done(error)

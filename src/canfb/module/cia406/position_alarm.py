@@ -7,7 +7,7 @@ The cause is 0 until the position is lost; a loss that comes later is reported w
 from __future__ import annotations
 
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
-from canfb.device.moment import NEVER
+from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.module.objects.last_loss import LastLoss
 from canfb.signal.supervision import LOST

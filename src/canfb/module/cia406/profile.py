@@ -6,8 +6,7 @@ from functools import partial
 
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.od.dictionary import Dictionary
-from canfb.device.od.entry import Entry
+from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.module.cia406.cams import Cams
 from canfb.module.cia406.position import (
     CODE_SEQUENCE,

@@ -9,8 +9,7 @@ from functools import partial
 
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.od.dictionary import Dictionary
-from canfb.device.od.entry import Entry
+from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import Storage
 from canfb.signal.chain import SignalChain

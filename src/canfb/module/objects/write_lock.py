@@ -9,9 +9,9 @@ from __future__ import annotations
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.nmt import NmtState
-from canfb.device.moment import NEVER
+from canfb.device.core import NEVER
 from canfb.device.node import Node
-from canfb.device.od.entry import Entry
+from canfb.device.od.dictionary import Entry
 from canfb.objects import WriteLockMode
 
 RETRY_S = 1.0  # after a wrong code none is accepted

@@ -6,8 +6,7 @@ import math
 from collections.abc import Callable
 
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.od.dictionary import Dictionary
-from canfb.device.od.entry import Entry
+from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.simulation.cia402.feedback_input import FeedbackInput
 from canfb.simulation.cia402.loop import Demand, Gains, PositionLoop, chosen_gains
 from canfb.simulation.cia402.scaling import Scaling, nearest, saturated, wrapped

@@ -11,9 +11,9 @@ from canfb.cia301.nmt import NmtState
 from canfb.device.application import Application
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.pdo.pdo import EVENT_DRIVEN
+from canfb.device.pdo.mapping import EVENT_DRIVEN
 from canfb.device.storage.image import ParameterGroup
-from canfb.device.storage.writing import Store
+from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
 from canfb.interface.hearing import TRUE_TIME, Hearing
 from canfb.simulation.cia402.axis import Axis

@@ -1,4 +1,8 @@
-"""What a host asks of a device: the runner on a real bus, and the embedded bus."""
+"""What a host asks of a device: the runner on a real bus, and the embedded bus.
+
+:class:`Device` is all that a device must have; each further protocol is one thing that it may have as well.
+:class:`NodeDevice` has all of them but `Computing`: a device that is one node and its application.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +13,11 @@ from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.application import Application, Groups
+from canfb.device.core import CanIds
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.routing import CanIds
 from canfb.device.storage.image import ParameterGroup
-from canfb.device.storage.writing import Store
+from canfb.device.storage.storage import Store
 
 
 class Device(Protocol):
@@ -117,9 +121,9 @@ class NodeDevice(Application):
             dictionary, node_id, self, autostart=autostart, store=store, bit_rates_kbit_s=bit_rates_kbit_s
         )
         self.inhibited = self.node.inhibited
-        """By CAN-ID: frames of which the node wants to know when they have left; see :meth:`sent`."""
+        """By CAN-ID: frames that the node has to follow until they have left; see :meth:`sent`."""
         self.observer = Application()
-        """Hears of the NMT state, EMCY and saved parameters as well."""
+        """Gets the NMT state, EMCY and saved parameters as well."""
         self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None = None
         self.on_duplicate: Callable[[int, float], None] | None = None
         self.on_bit_rate: Callable[[int, float, float], None] | None = None

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 import sample_eds
 
-from canfb.device.od import template
-from canfb.device.od.dictionary import Dictionary
-from canfb.device.od.entry import Entry
+from canfb.device.od import eds
+from canfb.device.od.dictionary import Dictionary, Entry
 
 SHIPPED = sorted((Path(__file__).parents[2] / "eds").glob("*.eds"))
 HOOKS = ("on_read", "on_check", "on_written", "on_download")
@@ -27,15 +26,15 @@ def all_facts(dictionary: Dictionary) -> list[tuple[object, ...]]:
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """Which files canopen has parsed, from empty templates on."""
     made: list[object] = []
-    real = template.import_od
+    real = eds.import_od
 
     def counted(*arguments: object) -> object:
         made.append(arguments[0])
         return real(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(template, "import_od", counted)
-    template._file.cache_clear()
-    template._template.cache_clear()
+    monkeypatch.setattr(eds, "import_od", counted)
+    eds._file.cache_clear()
+    eds._template.cache_clear()
     return made
 
 
