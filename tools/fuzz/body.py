@@ -8,20 +8,19 @@ serves the next client.
 
 from __future__ import annotations
 
-import copy
 import itertools
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
-from unittest.mock import patch
+from contextlib import suppress
+from functools import lru_cache
+from typing import NamedTuple
 
 from canfb.cia301 import cob
 from canfb.cia301.codes import SdoAbort
+from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.nmt_slave import COMMUNICATING
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.entry import Entry
 from canfb.device.pdo.mapping import COMMUNICATION, MAPPING, Direction, numbers, resolve_all
 from canfb.device.storage.storage import MemoryStore
 from canfb.interface.encoder_interface import EncoderInterface
@@ -30,15 +29,19 @@ from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from tools.fuzz.client import Follower
 from tools.fuzz.inputs import LSS, NODE_ID, SERVER, Reader, Step, steps
-from tools.fuzz.watch import SdoWatcher, demand
+from tools.fuzz.watch import Broken, SdoWatcher, demand
 
 Device = FeedbackModule | EncoderInterface
 
 QUIET = frozenset({NmtState.INITIALISING, NmtState.STOPPED})
-ERROR_CONTROL, LSS_ANSWER, FIRST_ANSWER, SECOND_CHANNEL = 0x700, 0x7E4, 0x580, 0x1201
+ERROR_CONTROL, LSS_ANSWER, FIRST_ANSWER = 0x700, 0x7E4, 0x580
+TPDOS, EMERGENCY, SYNC = tuple((index, 1) for index in range(0x1800, 0x1804)), (0x1014, 0), (0x1005, 0)
+SECOND_CHANNEL = (0x1201, 1), (0x1201, 2)
 UNSTARTED, SAVING, DAMAGED = 0x80, 0x40, 0x20
 """In the first byte of an input: the frames come before the power is on; the device has a store, and is
 switched off and on at the end; what it saved is damaged meanwhile."""
+NEVER: frozenset[NmtState] = frozenset()
+_ABSENT = Entry(0, 0, DataType.UNSIGNED32, default=cob.NOT_VALID)
 MOST_FRAMES = 160
 """Sent in one call: a block of an SDO upload, and what else may be due."""
 MOST_TICKS = 50
@@ -58,32 +61,35 @@ class Turning:
         return None if count % 7 == 6 else Sample(count * 300 % 4096 - 2048, count * 500 % 4096 - 2048)
 
 
-_templates: dict[Path, Dictionary] = {}
-_load = Dictionary.load
-
-
-def _fresh(path: str | Path, node_id: int) -> Dictionary:
-    """A dictionary as from the file, which is read once: that takes longer than a whole input."""
-    path = Path(path)
-    if path not in _templates:
-        _templates[path] = _load(path, node_id)
-    template = _templates[path]
-    return Dictionary(map(copy.copy, template), template.objects(), template.dummies)
-
-
-@contextmanager
-def quick_dictionaries() -> Iterator[None]:
-    """Devices made within this take their dictionaries from memory."""
-    with patch.object(Dictionary, "load", _fresh):
-        yield
-
-
 def make(choice: int, store: MemoryStore | None = None) -> Device:
     """One of the devices: the module, the module that starts by itself, the encoder interface."""
-    with quick_dictionaries():
-        if choice % 3 == 2:
-            return EncoderInterface(NODE_ID, Turning(), store=store)
-        return FeedbackModule(ModuleConfig(node_id=NODE_ID, autostart=choice % 3 == 1), store)
+    if choice % 3 == 2:
+        return EncoderInterface(NODE_ID, Turning(), store=store)
+    return FeedbackModule(ModuleConfig(node_id=NODE_ID, autostart=choice % 3 == 1), store)
+
+
+class Services(NamedTuple):
+    """What a device may send: by CAN-ID the NMT states in which it may; the answers of its SDO servers."""
+
+    ids: dict[int, frozenset[NmtState]]
+    answer: int
+    second: tuple[int, int] | None  # request and answer of the second server, while it is there
+
+    @staticmethod
+    @lru_cache(maxsize=1024)
+    def of(node_id: int, *cob_ids: int) -> Services:
+        """Those of a node-ID and of the values of TPDOS, EMERGENCY, SYNC and SECOND_CHANNEL."""
+        everywhere, operational = frozenset(COMMUNICATING), frozenset({NmtState.OPERATIONAL})
+        *tpdos, emergency, sync, request, answer = cob_ids
+        both = cob.is_valid(request) and cob.is_valid(answer)
+        second = (request & cob.CAN_ID, answer & cob.CAN_ID) if both else None
+        ids = {LSS_ANSWER: frozenset(NmtState)}
+        if node_id != UNCONFIGURED:
+            ids[ERROR_CONTROL + node_id] = frozenset(NmtState)
+            ids |= {value & cob.CAN_ID: operational for value in tpdos if cob.is_valid(value)}
+            ids |= {value & cob.CAN_ID: everywhere for value in [emergency] if cob.is_valid(value)}
+            ids |= {value & cob.CAN_ID: everywhere for value in [sync] if value & cob.GENERATE}
+        return Services(ids, FIRST_ANSWER + node_id, second)
 
 
 class Play:
@@ -95,7 +101,8 @@ class Play:
         self.now = 0.0
         self._first, self._second = SdoWatcher(), SdoWatcher()
         self._client = Follower()
-        self._answers: set[int] = set()
+        places = (*TPDOS, EMERGENCY, SYNC, *SECOND_CHANNEL)
+        self._cob_ids = [self.dictionary.find(*place) or _ABSENT for place in places]
 
     @property
     def state(self) -> NmtState:
@@ -118,24 +125,22 @@ class Play:
 
     def receive(self, frame: Frame) -> list[Frame]:
         """A frame from the bus."""
-        before, ids, second = self.state, self._own_ids(), self._second_channel()
-        self._answers = {FIRST_ANSWER + self.node_id}
-        if before in COMMUNICATING and not frame.rtr:
+        state, may = self.state, self._services()
+        if state in COMMUNICATING and not frame.rtr:
             if frame.can_id == 0x600 + self.node_id:
                 self._first.request(frame.data)
-            if second is not None and frame.can_id == second[0]:
+            if may.second is not None and frame.can_id == may.second[0]:
                 self._second.request(frame.data)
         sent = self.device.receive(frame, self.now)
-        self._check_sent(sent, before, ids, second)
+        self._check_sent(sent, state, may)
         return sent
 
     def tick(self) -> None:
         """The time is up."""
-        before, ids, second = self.state, self._own_ids(), self._second_channel()
-        self._answers = {FIRST_ANSWER + self.node_id}
+        state, may = self.state, self._services()
         self._first.waiting()
         self._second.waiting()
-        self._check_sent(self.device.tick(self.now), before, ids, second)
+        self._check_sent(self.device.tick(self.now), state, may)
         self._check_deadline()
 
     def wait(self, pause_s: float, *, punctual: bool) -> None:
@@ -177,64 +182,35 @@ class Play:
     def _is_boot_up(self, frame: Frame) -> bool:
         return frame.can_id == ERROR_CONTROL + self.node_id and frame.data == b"\x00"
 
-    def _value(self, index: int, subindex: int) -> int | None:
-        entry = self.dictionary.find(index, subindex)
-        return None if entry is None else int(entry.value)
+    def _services(self) -> Services:
+        return Services.of(self.device.node.node_id, *[entry.value for entry in self._cob_ids])
 
-    def _second_channel(self) -> tuple[int, int] | None:
-        """CAN-IDs of the second SDO server, while it is there."""
-        request, answer = self._value(SECOND_CHANNEL, 1), self._value(SECOND_CHANNEL, 2)
-        if request is None or answer is None or not (cob.is_valid(request) and cob.is_valid(answer)):
-            return None
-        return request & cob.CAN_ID, answer & cob.CAN_ID
-
-    def _own_ids(self) -> dict[int, frozenset[NmtState]]:
-        """CAN-IDs that the device may send with now, and in which states; without those of SDO."""
-        everywhere, operational = frozenset(COMMUNICATING), frozenset({NmtState.OPERATIONAL})
-        ids = {LSS_ANSWER: frozenset(NmtState)}
-        if not self._is_configured:
-            return ids
-        ids[ERROR_CONTROL + self.node_id] = frozenset(NmtState)
-        for index in range(0x1800, 0x1804):
-            value = self._value(index, 1)
-            if value is not None and cob.is_valid(value):
-                ids[value & cob.CAN_ID] = operational
-        emergency, sync = self._value(0x1014, 0), self._value(0x1005, 0)
-        if emergency is not None and cob.is_valid(emergency):
-            ids[emergency & cob.CAN_ID] = everywhere
-        if sync is not None and sync & cob.GENERATE:
-            ids[sync & cob.CAN_ID] = everywhere
-        return ids
-
-    def _check_sent(
-        self,
-        sent: list[Frame],
-        before: NmtState,
-        ids_before: dict[int, frozenset[NmtState]],
-        second_before: tuple[int, int] | None,
-    ) -> None:
-        after, ids_after, second_after = self.state, self._own_ids(), self._second_channel()
+    def _check_sent(self, sent: list[Frame], before: NmtState, may_before: Services) -> None:
+        after, may_after = self.state, self._services()
+        if not sent and after is before and may_after is may_before and after not in QUIET:
+            return
         demand(len(sent) <= MOST_FRAMES, f"{len(sent)} frames at once")
         reset = any(map(self._is_boot_up, sent))
         states = {before, after} | (set(NmtState) if reset else set())
-        answers = self._answers | {FIRST_ANSWER + self.node_id}
+        seconds = [may.second[1] for may in (may_before, may_after) if may.second is not None]
         for frame in sent:
-            demand(0 < frame.can_id <= 0x7FF and len(frame.data) <= 8, f"impossible frame {frame}")
-            demand(not frame.rtr or frame.can_id > 0x700, f"a remote frame {frame}")
-            may = ids_before.get(frame.can_id, frozenset()) | ids_after.get(frame.can_id, frozenset())
-            channels = [channel for channel in (second_before, second_after) if channel is not None]
-            if frame.can_id in answers:
+            if not 0 < frame.can_id <= 0x7FF or len(frame.data) > 8:
+                raise Broken(f"impossible frame {frame}")
+            if frame.rtr and frame.can_id <= 0x700:
+                raise Broken(f"a remote frame {frame}")
+            may = may_before.ids.get(frame.can_id, NEVER) | may_after.ids.get(frame.can_id, NEVER)
+            if frame.can_id in (may_before.answer, may_after.answer):
                 demand(states & COMMUNICATING, f"an SDO answer in {before.name}")
                 self._first.answer(frame.data)
                 self._client.heard(frame.data)
-            elif not may and any(frame.can_id == answer for _, answer in channels):
+            elif not may and frame.can_id in seconds:
                 demand(states & COMMUNICATING, f"an SDO answer in {before.name}")
                 self._second.answer(frame.data)
-            else:
-                demand(may & states, f"{frame} in {before.name}, which has no such service")
+            elif not may & states:
+                raise Broken(f"{frame} in {before.name}, which has no such service")
         if after in QUIET or reset:
             self._first.reset()
-        if after in QUIET or reset or second_before != second_after:
+        if after in QUIET or reset or may_before.second != may_after.second:
             self._second.reset()
 
     def check_values(self) -> None:
@@ -270,7 +246,7 @@ class Play:
         demand(self.state is NmtState.PRE_OPERATIONAL, f"NMT does not lead out of {self.state.name}")
         self.wait(3.0, punctual=False)
         sent = self.receive(self._addressed(Frame(SERVER, b"\x40\x00\x10\x00" + bytes(4))))
-        answers = [frame.data[:4] for frame in sent if frame.can_id in self._answers]
+        answers = [frame.data[:4] for frame in sent if frame.can_id == self._services().answer]
         demand(answers == [b"\x43\x00\x10\x00"], f"1000h is answered by {answers}")
 
 

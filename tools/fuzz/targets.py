@@ -133,10 +133,9 @@ def _concise(path: Path, data: bytes) -> None:
 def _configuration(path: Path, data: bytes) -> None:
     """As all commands read it; the devices of it are made."""
     config = load_config(path, ANY_NODES)
-    with body.quick_dictionaries():
-        for module in config.modules[:3]:
-            device = FeedbackModule(module, source=None if module.source is None else _Silent())
-            device.start(0.0)
+    for module in config.modules[:3]:
+        device = FeedbackModule(module, source=None if module.source is None else _Silent())
+        device.start(0.0)
     source = config.simulation.source(12, 2500, 1e-3)
     for _ in range(SAMPLES):
         source.next()
@@ -150,8 +149,7 @@ class _Silent:
 def _plan(path: Path, data: bytes) -> None:
     """As ``canfb plan``; ValueError of what it computes is told as one of its options."""
     config = numbered(load_config(path))
-    with body.quick_dictionaries():
-        modules = [saved_configuration(one) for one in config.modules[:3]]
+    modules = [saved_configuration(one) for one in config.modules[:3]]
     plan = Plan(situation_of(replace(config, modules=config.modules[:3]), modules, PlanOptions()))
     remedies = remedies_of(plan)
     plan_lines(plan, remedies, coverage=data[-1:] == b"#")
@@ -212,8 +210,7 @@ def _npy(path: Path, data: bytes) -> None:
 
 def _log(path: Path, data: bytes) -> None:
     """As ``canfb replay`` reads it, through a module."""
-    with body.quick_dictionaries():
-        done = replay_log(path, ReplayOptions((ModuleConfig(node_id=NODE_ID),)))
+    done = replay_log(path, ReplayOptions((ModuleConfig(node_id=NODE_ID),)))
     demand("MemoryError" not in (done.log.trouble or ""), "it takes all memory")
     for replay in done.replays:
         lines_of(replay, None, done.left_out(replay))
@@ -227,7 +224,7 @@ def _state(path: Path, data: bytes) -> None:
     for name in seeds.STATE_FILES:
         (folder / name).unlink(missing_ok=True)
     (folder / seeds.STATE_FILES[data[0] % len(seeds.STATE_FILES) if data else 0]).write_bytes(data[1:])
-    with StateFiles(folder) as files, body.quick_dictionaries():
+    with StateFiles(folder) as files:
         run = body.Play(FeedbackModule(ModuleConfig(node_id=NODE_ID), files))
         run.start()
         run.check_values()
@@ -256,8 +253,7 @@ def _notes(path: Path, data: bytes) -> None:
     out = path.parent / "out.parquet"
     out.unlink(missing_ok=True)
     Path(f"{out}.unfinished").write_bytes(data.replace(b"$FINGERPRINT", known.encode()))
-    with body.quick_dictionaries():
-        do_work(work_of(folder, settings, out), settings, None, InThisProcess())
+    do_work(work_of(folder, settings, out), settings, None, InThisProcess())
 
 
 def _request(path: Path, data: bytes) -> None:
