@@ -32,6 +32,7 @@ LOCKED = [
     (0x2040, 1, "B"),
     (0x2040, 3, "I"),
     (0x6001, 0, "I"),
+    (0x6200, 0, "H"),
 ]
 FREE = [(0x1003, 0, "B"), (0x2050, 1, "B"), (0x2000, 1, "h"), (0x6003, 0, "I")]
 
@@ -178,6 +179,30 @@ def test_lss_is_locked_as_well() -> None:
     assert lss(0x5E) == [bytes((0x5E, 32))]
     assert machine.unlock() == ""
     assert lss(0x11, 40) == [b"\x11\x00"]
+
+
+@pytest.mark.parametrize(("begin", "segment"), [(0x21, 0x0B), (0xC2, 0x81)], ids=["segmented", "block"])
+def test_a_download_that_began_before_the_lock(begin: int, segment: int) -> None:
+    machine = Locked(write_lock="preop")
+    before = machine.value(0x1017)
+    assert machine.ask(struct.pack("<BHBI", begin, 0x1017, 0, 2)) == ""
+    machine.nmt(1)
+    assert machine.ask(bytes((segment, 0x12, 0x34)).ljust(8, b"\0")) == STATE
+    assert machine.value(0x1017) == before
+
+
+def test_nothing_else_is_free() -> None:
+    """Each entry that SDO can write is locked, or is one of those that docs/security.md lists."""
+    machine = Locked(write_lock="preop")
+    machine.nmt(1)
+    writable = [entry for entry in machine.module.dictionary if entry.access not in ("ro", "const")]
+    free = {
+        f"{entry.index:04X}:{entry.subindex:02X}"
+        for entry in writable
+        if machine.begin(0x20, entry.index, entry.subindex) != STATE
+    }
+    process_data = {f"2000:{sub:02X}" for sub in range(1, 15)}
+    assert free == process_data | {"1003:00", "2030:0A", "2040:02", "2050:01", "6003:00", "6009:00"}
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.nmt_slave import COMMUNICATING
-from canfb.device.od.entry import Entry
+from canfb.device.od.dictionary import Entry
 from canfb.device.pdo.mapping import COMMUNICATION, MAPPING, Direction, numbers, resolve_all
 from canfb.device.storage.storage import MemoryStore
 from canfb.interface.encoder_interface import EncoderInterface

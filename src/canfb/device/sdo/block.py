@@ -70,6 +70,8 @@ UPLOAD_EXPECTS = {
 class BlockUpload:
     """Server to client. The data is what it was at the first frame."""
 
+    target = None
+
     def __init__(
         self, multiplexer: bytes, data: bytes, block_size: int, *, with_crc: bool, reply: Reply
     ) -> None:
@@ -162,7 +164,7 @@ class BlockDownload(Quiet):
         if announced is not None:
             check_size(entry, announced)
         self.multiplexer = multiplexer
-        self._entry = entry
+        self.target = entry
         self._announced = announced
         self._with_crc = with_crc
         self._reply = reply
@@ -194,7 +196,7 @@ class BlockDownload(Quiet):
             self._sequence = sequence
             self._received += content
             # the last segment may be unused in part, or whole where there is no data
-            check_received(self._entry, len(self._received) - _SEGMENT, self._announced)
+            check_received(self.target, len(self._received) - _SEGMENT, self._announced)
             self._complete = last
         if last or sequence == DOWNLOAD_BLOCK:
             self._reply(bytes([_DOWNLOAD_ACKNOWLEDGE, self._sequence, DOWNLOAD_BLOCK]))
@@ -204,7 +206,7 @@ class BlockDownload(Quiet):
         content = bytes(self._received[: len(self._received) - unused])
         if self._with_crc and crc != crc16(content):
             raise SdoAbort(AbortCode.CRC)
-        finish_download(self._entry, content, self._announced)
+        finish_download(self.target, content, self._announced)
         self._reply(bytes([_DOWNLOAD_END]))
 
 

@@ -75,6 +75,8 @@ class SdoServer(Timed):
         self._multiplexer = data[1:4] if transfer is None else transfer.multiplexer
         try:
             if transfer is not None and transfer.accepts(data[0]):
+                if transfer.target is not None:  # a lock may have closed since the transfer began
+                    self._core.application.check_write(transfer.target)
                 if transfer.handle(data):
                     self._transfer = transfer
             elif data[0] >> 5 != ABORT:

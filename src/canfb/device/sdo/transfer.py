@@ -37,6 +37,10 @@ class Transfer(Protocol):
     multiplexer: bytes
     pause: float
 
+    @property
+    def target(self) -> Entry | None:
+        """The entry that a download writes; None for an upload."""
+
     def accepts(self, command: int) -> bool:
         """Whether a frame with this first byte belongs to the transfer."""
 
@@ -101,6 +105,8 @@ _LAST = 0x01
 class SegmentedUpload(Quiet):
     """Server to client. The data is what it was at the first frame."""
 
+    target = None
+
     def __init__(self, multiplexer: bytes, data: bytes, reply: Reply) -> None:
         self.multiplexer = multiplexer
         self._data = data
@@ -133,7 +139,7 @@ class SegmentedDownload(Quiet):
         if announced is not None:
             check_size(entry, announced)
         self.multiplexer = multiplexer
-        self._entry = entry
+        self.target = entry
         self._announced = announced
         self._reply = reply
         self._received = bytearray()
@@ -151,10 +157,10 @@ class SegmentedDownload(Quiet):
             raise SdoAbort(AbortCode.TOGGLE)
         unused = command >> 1 & 0x07
         self._received += data[1 : 1 + _SEGMENT - unused]
-        check_received(self._entry, len(self._received), self._announced)
+        check_received(self.target, len(self._received), self._announced)
         last = bool(command & _LAST)
         if last:
-            finish_download(self._entry, bytes(self._received), self._announced)
+            finish_download(self.target, bytes(self._received), self._announced)
         self._reply(bytes([0x20 | self._toggle]))
         self._toggle ^= _TOGGLE
         return not last

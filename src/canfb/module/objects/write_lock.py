@@ -12,6 +12,7 @@ from canfb.cia301.nmt import NmtState
 from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Entry
+from canfb.module.cia406.cyclic_timer import CYCLIC_TIMER
 from canfb.objects import WriteLockMode
 
 RETRY_S = 1.0  # after a wrong code none is accepted
@@ -23,8 +24,9 @@ class WriteLock:
     """Refuses SDO writes of parameters, and LSS, while it is locked: 08000022h, with a code 08000021h.
 
     Parameters are what a backup holds, table, calibration in the module, `save`, `load`, and the lock itself.
-    Process data, preset, recording and the clearing of errors stay free. A right code unlocks until a reset,
-    or until 0 is written. The lock is saved with the parameters (1010h), but is in no backup.
+    Process data, preset, recording, the length of a measurement and the clearing of errors stay free. A
+    transfer that began before the lock closed is aborted at its next segment. A right code unlocks until a
+    reset, or until 0 is written. The lock is saved with the parameters (1010h), but is in no backup.
     """
 
     def __init__(self, node: Node) -> None:
@@ -35,7 +37,7 @@ class WriteLock:
         for place in (od.WRITE_LOCK_MODE, od.WRITE_LOCK_NEW_UNLOCK_CODE):
             entries.keep(*place)
         self._locked_places = {(one.index, one.subindex) for one in entries.settings()}
-        self._locked_places |= {od.WRITE_LOCK_MODE, *COMMANDS}
+        self._locked_places |= {od.WRITE_LOCK_MODE, (CYCLIC_TIMER, 0), *COMMANDS}
         self._unlocked = False
         self._retry_s = -NEVER
         self._mode.on_check = self._check_mode
