@@ -10,7 +10,7 @@ import pytest
 
 from canfb import objects as od
 from canfb.calibrate.supervised_samples import supervise
-from canfb.commission.commission_summary import Commissioned, as_lines, detection_rows
+from canfb.commission.commission_summary import Commissioned, detection_rows, lines
 from canfb.commission.limit_choice import choose
 from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.circumstances import Circumstances
@@ -94,7 +94,7 @@ def test_a_machine_that_only_third_order_follows_gets_limits_of_its_jerk() -> No
     assert done.deviation(new) == pytest.approx(limit + 2.0 * motion.jerk, rel=0.02)
     assert done.without_harm(before) == 0
     assert done.without_harm(new) == (done.deviation(new) <= 0.25)
-    text = "\n".join(as_lines(done))
+    text = "\n".join(lines(done))
     assert "L + j at most" in text
     assert "rad/s³ (" in text
     assert f"jerks up to {done.largest_motion:.3g} cycle per interval³" in text
@@ -108,8 +108,8 @@ def test_a_glitch_is_judged_by_the_prediction_that_the_module_has() -> None:
     new = before.changed({one.place: one.value for one in choose(seen.seen, before, 2.0)})
     done = Commissioned(seen, before, new, [], {}, 2.0, False, False, None, Circumstances("2026-03-01"))
     assert done.without_harm(new) == 1
-    assert [row[0] for row in detection_rows(done)] == ["1", "2"]
-    assert detection_rows(done)[1][2:] == ("not for sure", "not for sure")
+    assert [row.name for row in detection_rows(done)] == ["1", "2"]
+    assert detection_rows(done)[1].words[1:] == ("not for sure", "not for sure")
 
 
 def test_a_noise_margin_narrows_the_limit_that_is_judged() -> None:

@@ -57,9 +57,18 @@ def test_every_sample_is_in_the_picture(runs: list[ServoRun]) -> None:
 
 def test_what_is_said(runs: list[ServoRun]) -> None:
     facts = servo_facts(Story(servo=runs))
-    assert facts[0] == ("servo", "0 to 3000 rpm in 50 ms: 7850 rad/s^2, 785000 rad/s^3")
-    assert facts[1][1].startswith("order 3, two samples for each SYNC: counted exactly, largest residual 0.0")
-    assert facts[3][1] == f"order 2, one sample for each SYNC: lost, {abs(runs[2].cycles_off)} cycles off"
+    assert (facts[0].name, *facts[0].words) == (
+        "servo",
+        "0 to 3000 rpm in 50 ms: 7850 rad/s^2, 785000 rad/s^3",
+    )
+    assert (
+        facts[1]
+        .words[0]
+        .startswith("order 3, two samples for each SYNC: counted exactly, largest residual 0.0")
+    )
+    assert (
+        facts[3].words[0] == f"order 2, one sample for each SYNC: lost, {abs(runs[2].cycles_off)} cycles off"
+    )
     assert runs[0].figures()["counted_exactly"] is True
 
 

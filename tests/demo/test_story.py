@@ -12,6 +12,7 @@ import pytest
 from canfb.cia301.frame import Frame
 from canfb.demo import story as story_module
 from canfb.demo.account import account
+from canfb.demo.account import figures as figures_of
 from canfb.demo.demo_network import (
     BIT_RATE,
     CYCLES_PER_REVOLUTION,
@@ -27,7 +28,6 @@ from canfb.demo.story import (
     REFERENCE_HZ,
     RUN_UP_SAMPLES,
     Story,
-    as_json,
     tell,
 )
 from canfb.objects import StatusBit
@@ -201,7 +201,7 @@ def test_time_is_that_of_a_real_bus() -> None:
 
 
 def test_the_figures_for_programs_are_plain_and_complete(case: Told) -> None:
-    figures = json.loads(json.dumps(as_json(case.story)))
+    figures = json.loads(json.dumps(figures_of(case.story)))
     assert figures["held"] is True
     assert figures["checks"] == case.story.checks
     assert figures["wrong_cycle_counts"] == 0
@@ -230,7 +230,7 @@ def test_with_an_encoder_too_noisy_the_story_does_not_hold_and_says_so() -> None
     failed = {name for name, held in story.checks.items() if not held}
     assert failed == {"error at least 50 times smaller", "error below 0.05 % of a cycle"}
     assert account(story).count("  FAILED  ") == 2
-    assert as_json(story)["held"] is False
+    assert figures_of(story)["held"] is False
 
 
 def test_with_a_module_that_calls_everything_valid_the_story_does_not_hold(

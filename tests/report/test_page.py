@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 
 from canfb.report import style
-from canfb.report.page import beside, comparison_table, facts_table, figure, gallery, page
+from canfb.report.page import beside, figure, gallery, page, table
+from canfb.rows import Row
 from html_page import Page
 
 NASTY = "<b>&\"'"
@@ -13,8 +14,8 @@ NASTY = "<b>&\"'"
 
 def whole() -> str:
     picture = figure(NASTY, NASTY, "<svg></svg>")
-    tables = facts_table(NASTY, [(NASTY, NASTY)], "origin")
-    tables += comparison_table(NASTY, (NASTY, NASTY), [(NASTY, NASTY, NASTY)])
+    tables = table(NASTY, [Row(NASTY, NASTY)], style="origin")
+    tables += table(NASTY, [Row(NASTY, NASTY, NASTY)], (NASTY, NASTY))
     body = beside(tables, picture) + gallery(NASTY, [picture, picture])
     return page(NASTY, NASTY, [NASTY, NASTY], body, NASTY, good=False)
 

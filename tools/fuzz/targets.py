@@ -44,7 +44,7 @@ from canfb.planning.plan_lines import plan_lines
 from canfb.planning.planned_config import numbered
 from canfb.planning.remedies import remedies_of
 from canfb.planning.stated import PlanOptions, situation_of
-from canfb.replay.summary_of_replay import as_json, lines_of
+from canfb.replay import summary_of_replay
 from canfb.scope.desk import Desk, ScopeTask, allowed_tasks
 from canfb.scope.gate import Gate, GateVerdict, Request
 from canfb.scope.scope_page import LARGEST_FILE, ScopePage
@@ -213,8 +213,8 @@ def _log(path: Path, data: bytes) -> None:
     done = replay_log(path, ReplayOptions((ModuleConfig(node_id=NODE_ID),)))
     demand("MemoryError" not in (done.log.trouble or ""), "it takes all memory")
     for replay in done.replays:
-        lines_of(replay, None, done.left_out(replay))
-        json.dumps(as_json(replay, None, done.left_out(replay)), allow_nan=False)
+        summary_of_replay.lines(replay, None, done.left_out(replay))
+        json.dumps(summary_of_replay.figures(replay, None, done.left_out(replay)), allow_nan=False)
 
 
 def _state(path: Path, data: bytes) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from canfb.calibrate.calibration_page import refusal_html, report_html
-from canfb.calibrate.calibration_summary import as_json
+from canfb.calibrate.calibration_summary import figures as figures_of
 from canfb.calibrate.measurement import Measurement
 from canfb.calibrate.procedure import Installation
 from canfb.errors import CalibrationError
@@ -65,7 +65,7 @@ def write(
     limits: SampleLimits | None = None,
 ) -> list[Path]:
     """Write everything; the paths. CommissioningError if that does not work."""
-    figures = as_json(measured, done, where)
+    figures = figures_of(measured, done, where)
     meta = {key: figures[key] for key in META if figures.get(key) is not None}
     try:
         (folder / TABLE_YAML).write_text(as_yaml(measured.found, meta), encoding="utf-8")

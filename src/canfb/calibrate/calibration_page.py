@@ -15,7 +15,8 @@ from canfb.master.circumstances import Circumstances, origins
 from canfb.master.samples import TrackSamples
 from canfb.report import pictures
 from canfb.report.lissajous import is_dense, lissajous
-from canfb.report.page import beside, comparison_table, facts_table, figure, gallery, page
+from canfb.report.page import beside, figure, gallery, page, table
+from canfb.rows import Row
 from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.supervision import SampleLimits
 
@@ -32,9 +33,8 @@ def report_html(
 ) -> str:
     """The page. It refers to nothing outside of itself and runs no script."""
     said = [verdict(measured, where), _sentence(outcome(measured, done, where))]
-    rows = [(row.name, *row.words) for row in comparison(measured, done, where)]
-    tables = comparison_table("Before and after", ("before", "after"), rows)
-    tables += facts_table(MEASUREMENT, facts(measured, done, where))
+    tables = table("Before and after", comparison(measured, done, where), ("before", "after"))
+    tables += table(MEASUREMENT, facts(measured, done, where))
     return _page(
         where,
         said,
@@ -50,8 +50,8 @@ def refusal_html(
 ) -> str:
     """The page of a measurement that was refused: why, and what the tracks look like."""
     said = [f"Refused: {refused}.", "Nothing was written to the module."]
-    rows = [("samples", f"{len(samples)}; {samples.origin}"), ("missed", str(samples.missed))]
-    tables = facts_table(MEASUREMENT, rows)
+    rows = [Row("samples", f"{len(samples)}; {samples.origin}"), Row("missed", str(samples.missed))]
+    tables = table(MEASUREMENT, rows)
     body = beside(tables, _lissajous(samples, NO_CORRECTION, limits)) + _origins(where)
     return _page(where, said, body, good=False)
 
@@ -79,7 +79,7 @@ def _sentence(text: str) -> str:
 
 
 def _origins(where: Circumstances) -> str:
-    return facts_table("Origin", origins(where), "origin") if origins(where) else ""
+    return table("Origin", origins(where), style="origin") if origins(where) else ""
 
 
 def _lissajous(samples: TrackSamples, used: Correction, limits: SampleLimits | None) -> str:

@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol
 
 from canfb.calibrate import own_calibration
 from canfb.calibrate.artefacts import keep_samples, write, write_refusal
-from canfb.calibrate.calibration_summary import as_json, comparison, facts, outcome, verdict
+from canfb.calibrate.calibration_summary import CalibrateResult, result
 from canfb.calibrate.choices import MODULE, PDO, CalibrateOptions
-from canfb.calibrate.drift_check import (
-    check,
-    check_at_speed,
-    drift_json,
-    drift_lines,
-    module_drift_json,
-    module_drift_lines,
-)
+from canfb.calibrate.drift_check import check, check_at_speed, drift_result, module_drift_result
 from canfb.calibrate.error_over_speed import InForce, SpeedSamples
 from canfb.calibrate.measurement import Measurement, Settings, measure
 from canfb.calibrate.procedure import Installation, install
@@ -32,7 +25,6 @@ from canfb.master.circumstances import Circumstances
 from canfb.master.machine_watch import LockWatch, Look, Meanwhile, SpeedReadings, look_at, lost_words
 from canfb.master.samples import TrackSamples
 from canfb.master.session import Session, Source
-from canfb.rows import NAME_WIDTH, Result, as_columns
 from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.supervision import SampleLimits
 from canfb.tables.table_file import read_table
@@ -51,13 +43,6 @@ class Steps(Protocol):
 
     def clear(self) -> None:
         """There is something else to say."""
-
-
-@dataclass(frozen=True)
-class CalibrateResult(Result):
-    """With the measurement, if there was one."""
-
-    measured: Measurement | None = None
 
 
 class CalibrationRun:
@@ -165,10 +150,7 @@ class CalibrationRun:
         if self._choices.check:
             session.check_interface()
             drift = own_calibration.let_check(session.module, self._steps.part)
-            return CalibrateResult(
-                module_drift_json(drift, session.active, self._where),
-                module_drift_lines(drift, session.active, self._where),
-            )
+            return module_drift_result(drift, session.active, self._where)
         samples = own_calibration.let_measure(session.module, session.layout(), self._steps.part)
         samples = session.together(samples)
         self._look(session, before)
@@ -250,27 +232,26 @@ class CalibrationRun:
         )
         if choices.out:
             keep_samples(choices.out, measured.samples)
-        return CalibrateResult(drift_json(found, self._where), drift_lines(found, self._where))
+        return drift_result(found, self._where)
 
     def _drift(self, samples: TrackSamples, active: Correction, settings: Settings) -> CalibrateResult:
         """How far the encoder has moved away from its table."""
         found = self._judged(samples, lambda: check(samples, active, settings, self._steps.part))
         if self._choices.out:
             keep_samples(self._choices.out, samples)
-        return CalibrateResult(drift_json(found, self._where), drift_lines(found, self._where))
+        return drift_result(found, self._where)
 
     def _report(self, measured: Measurement, done: Installation) -> CalibrateResult:
         """What came out; the files are written."""
         out = self._choices.out
         paths = write(out, measured, done, self._where, self._limits) if out else []
-        figures = as_json(measured, done, self._where) | {"files": [str(path) for path in paths]}
-        return CalibrateResult(figures, _lines(measured, done, self._where, paths), measured)
+        return result(measured, done, self._where, paths)
 
     def _judged(self, samples: TrackSamples, act: Callable[[], Any]) -> Any:
         """What ``act`` makes of the samples; what it refuses leaves its samples and a report."""
         self._steps.step(f"calculating from {len(samples)} samples")
         try:
-            result = act()
+            found = act()
         except CalibrationError as error:
             out = self._choices.out
             if out:
@@ -279,14 +260,4 @@ class CalibrationRun:
             raise
         finally:
             self._steps.clear()
-        return result
-
-
-def _lines(measured: Measurement, done: Installation, where: Circumstances, paths: list[Path]) -> list[str]:
-    """The account for people."""
-    rows = comparison(measured, done, where)
-    lines = [*as_columns(rows, ("", "before", "after"), (NAME_WIDTH - 2,)), ""]
-    lines += [f"{name:24}{text}" for name, text in facts(measured, done, where)]
-    lines += ["", verdict(measured, where), outcome(measured, done, where)]
-    lines += [f"written  {path}" for path in paths]
-    return lines
+        return found

@@ -6,6 +6,9 @@ At several speeds with the analog path and the error at each speed.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from canfb.calibrate.error_over_speed import ErrorAtSpeed
@@ -15,11 +18,18 @@ from canfb.calibration.path_fit import LowPass
 from canfb.calibration.result import Calibration
 from canfb.master.circumstances import PERCENT, Circumstances, percent, where_words
 from canfb.master.samples import TrackSamples
-from canfb.rows import Row
+from canfb.rows import NAME_WIDTH, Result, Row, as_columns, as_figures, as_lines
 from canfb.tables.table_file import conditioning_in_words, conditioning_words, table_words
 
 SAME_DELAY = 1e-3  # relative: REAL32
 LOST = "position lost"
+
+
+@dataclass(frozen=True)
+class CalibrateResult(Result):
+    """With the measurement, if there was one."""
+
+    measured: Measurement | None = None
 
 
 def speed_words(hertz: float, where: Circumstances) -> str:
@@ -29,29 +39,50 @@ def speed_words(hertz: float, where: Circumstances) -> str:
     return f"{60.0 * hertz / where.cycles_per_revolution:.4g} rpm"
 
 
-def speed_rows(over: OverSpeeds, where: Circumstances) -> list[tuple[str, str, str]]:
+def speed_rows(over: OverSpeeds, where: Circumstances) -> list[Row]:
     """Error at each speed: rms before and after, then the mean."""
-    rows = []
-    for one in over.errors:
-        before = LOST if one.before is None else percent(one.before, where)
-        rows.append((f"{speed_words(one.hertz, where)}, rms", before, percent(one.after, where)))
-    for one in over.errors:
-        before = LOST if one.mean_before is None else percent(one.mean_before, where)
-        rows.append((f"{speed_words(one.hertz, where)}, mean", before, percent(one.mean_after, where)))
+    errors = over.errors
+    rms = [(one.hertz, "rms", one.before, one.after) for one in errors]
+    mean = [(one.hertz, "mean", one.mean_before, one.mean_after) for one in errors]
+    rows = [Row(speeds=[_speed_json(one) for one in errors])]
+    for hertz, what, before, after in (*rms, *mean):
+        words = LOST if before is None else percent(before, where)
+        rows.append(Row(f"{speed_words(hertz, where)}, {what}", words, percent(after, where)))
     return rows
 
 
-def path_facts(over: OverSpeeds, where: Circumstances) -> list[tuple[str, str]]:
-    """Delay between the tracks, low-pass, delay; how sure each is."""
-    path = over.path
+def path_rows(over: OverSpeeds, where: Circumstances) -> list[Row]:
+    """Delay between the tracks, low-pass, delay; how sure each is. Seconds, hertz."""
+    path, low_pass, corners = over.path, over.low_pass, over.after.corners
+    seen, sigma_s = low_pass.is_seen, low_pass.delay_sigma_s
     between = f"{path.cosine_delay_s * 1e9:.4g} ± {path.cosine_delay_sigma_s * 1e9:.2g} ns (2002:06)"
     if not path.cosine_delay_s:
         between = f"none; ± {path.cosine_delay_sigma_s * 1e9:.2g} ns"
+    two_poles = low_pass.other if low_pass.may_have_two_poles else None
     return [
-        ("cosine after the sine", between),
-        ("low-pass", _low_pass_words(over, where)),
-        ("delay, by amplitude", delay_words(over.low_pass, where)),
-        ("delay, 2002:07", delay_set_words(over)),
+        Row(
+            "cosine after the sine",
+            between,
+            cosine_delay_s=path.cosine_delay_s,
+            cosine_delay_uncertainty_s=path.cosine_delay_sigma_s,
+        ),
+        Row(
+            "low-pass",
+            _low_pass_words(over, where),
+            corner_hz=corners.corner_hz,
+            corner_uncertainty_hz=low_pass.corner_sigma_hz if seen else None,
+            cosine_corner_hz=corners.cosine_corner_hz,
+            amplitude_left=low_pass.left,
+        ),
+        Row(
+            "delay, by amplitude",
+            delay_words(low_pass, where),
+            delay_estimate_s=low_pass.delay_s if seen else None,
+            delay_estimate_uncertainty_s=sigma_s if math.isfinite(sigma_s) else None,
+            delay_estimate_two_poles_s=None if two_poles is None else two_poles.delay_s,
+            delay_estimate_one_pole=low_pass.is_one_pole and low_pass.checked,
+        ),
+        Row("delay, 2002:07", delay_set_words(over), delay_s=over.delay_s),
     ]
 
 
@@ -95,29 +126,6 @@ def delay_set_words(over: OverSpeeds) -> str:
     return "0: no delay is removed" + (" (--delay estimate)" if estimate else "")
 
 
-def path_json(over: OverSpeeds) -> dict[str, Any]:
-    """For programs; cycles, seconds, hertz."""
-    path, low_pass, corners = over.path, over.low_pass, over.after.corners
-    seen = low_pass.is_seen
-    sigma_s = low_pass.delay_sigma_s
-    return {
-        "speeds": [_speed_json(one) for one in over.errors],
-        "cosine_delay_s": path.cosine_delay_s,
-        "cosine_delay_uncertainty_s": path.cosine_delay_sigma_s,
-        "corner_hz": corners.corner_hz,
-        "corner_uncertainty_hz": low_pass.corner_sigma_hz if seen else None,
-        "cosine_corner_hz": corners.cosine_corner_hz,
-        "amplitude_left": low_pass.left,
-        "delay_estimate_s": low_pass.delay_s if seen else None,
-        "delay_estimate_uncertainty_s": sigma_s if math.isfinite(sigma_s) else None,
-        "delay_estimate_two_poles_s": (
-            low_pass.other.delay_s if low_pass.may_have_two_poles and low_pass.other else None
-        ),
-        "delay_estimate_one_pole": low_pass.is_one_pole and low_pass.checked,
-        "delay_s": over.delay_s,
-    }
-
-
 def _speed_json(one: ErrorAtSpeed) -> dict[str, Any]:
     return {
         "cycles_per_s": one.hertz,
@@ -143,72 +151,121 @@ def _low_pass_words(over: OverSpeeds, where: Circumstances) -> str:
 
 
 def comparison(measured: Measurement, done: Installation, where: Circumstances) -> list[Row]:
-    """Before and after, in the words that are printed."""
+    """Before and after; cycles."""
     found, calibration, on_samples = measured.found, measured.calibration, measured.on_samples
+    before, fresh = measured.before, done.fresh
+
+    def pair(one: float, other: float) -> tuple[str, str]:
+        return percent(one, where), percent(other, where)
+
     rows = [
-        Row("table", table_words(measured.before), table_words(found)),
+        Row(
+            "table",
+            table_words(before),
+            table_words(found),
+            crc32_before=f"{before.crc32:08X}",
+            crc32=f"{calibration.table.crc32:08X}",
+            entries=len(calibration.table),
+        ),
         Row(
             "conditioning",
-            conditioning_in_words(measured.before.conditioning),
+            conditioning_in_words(before.conditioning),
             conditioning_in_words(found.conditioning),
+            conditioning=conditioning_words(calibration.conditioning),
         ),
         Row(
             "deviation, rms",
-            percent(on_samples.before_rms, where),
-            percent(calibration.residual_rms, where),
+            *pair(on_samples.before_rms, calibration.residual_rms),
+            before_rms_cycles=on_samples.before_rms,
+            residual_rms_cycles=calibration.residual_rms,
         ),
         Row(
             "deviation, peak",
-            percent(on_samples.before_peak, where),
-            percent(calibration.residual_peak, where),
+            *pair(on_samples.before_peak, calibration.residual_peak),
+            before_peak_cycles=on_samples.before_peak,
+            residual_peak_cycles=calibration.residual_peak,
+        ),
+        Row(
+            "on fresh samples, rms",
+            *(() if fresh is None else pair(fresh.before_rms, fresh.rms)),
+            fresh_rms_cycles=fresh and fresh.rms,
+        ),
+        Row(
+            "on fresh samples, peak",
+            *(() if fresh is None else pair(fresh.before_peak, fresh.peak)),
+            fresh_peak_cycles=fresh and fresh.peak,
         ),
     ]
-    if done.fresh is not None:
-        fresh = done.fresh
-        rows += [
-            Row("on fresh samples, rms", percent(fresh.before_rms, where), percent(fresh.rms, where)),
-            Row("on fresh samples, peak", percent(fresh.before_peak, where), percent(fresh.peak, where)),
-        ]
     if isinstance(measured, SpeedMeasurement):
-        rows += [Row(*words) for words in speed_rows(measured.over_speeds, where)]
+        rows += speed_rows(measured.over_speeds, where)
     return rows
 
 
-def facts(measured: Measurement, done: Installation, where: Circumstances) -> list[tuple[str, str]]:
+def facts(measured: Measurement, done: Installation, where: Circumstances) -> list[Row]:
     """What else there is to know of the measurement."""
-    calibration, samples = measured.calibration, measured.samples
+    calibration, samples, fresh = measured.calibration, measured.samples, done.fresh
+    spike, meanwhile = measured.on_samples.spike, where.meanwhile
     duration = f", {samples.duration_s:.3g} s" if samples.duration_s else ""
-    listed = [
-        ("table is good to", percent(calibration.uncertainty_peak, where)),
-        (
+    moved = f"{PERCENT * calibration.coverage:.0f} % of the cycle, {moved_words(calibration, where)}"
+    error = done.phase_error_cycles
+    is_lost = meanwhile is not None and meanwhile.is_lost
+    return [
+        Row(
+            "table is good to",
+            percent(calibration.uncertainty_peak, where),
+            uncertainty_rms_cycles=calibration.uncertainty_rms,
+            uncertainty_peak_cycles=calibration.uncertainty_peak,
+        ),
+        Row(
             "noise of a sample",
             f"{percent(calibration.noise_cycles, where)}, {calibration.noise_counts:.2f} counts",
+            noise_counts=calibration.noise_counts,
         ),
-        ("samples", f"{len(samples)}{rate_words(samples)}{duration}; {samples.origin}"),
-        (
+        Row(
+            "samples",
+            f"{len(samples)}{rate_words(samples)}{duration}; {samples.origin}",
+            samples=len(samples),
+            sample_rate_hz=samples.rate_hz,
+            mean_rate_hz=samples.mean_rate_hz,
+        ),
+        Row(
             "left out",
             f"{missed_words(samples, where)}, {calibration.samples_rejected} faulty or not in whole cycles",
+            samples_missed=samples.missed,
+            samples_rejected=calibration.samples_rejected,
+            intervals_without_sync=samples.skipped,
+            module_missed=meanwhile and meanwhile.missed,
         ),
-        (
+        Row(
             "coverage",
-            f"{PERCENT * calibration.coverage:.0f} % of the cycle, {moved_words(calibration, where)}"
-            f"{coverage_warning(measured)}",
+            moved + coverage_warning(measured),
+            coverage=calibration.coverage,
+            coverage_spike=spike and spike[0],
+            cycles_used=calibration.cycles_used,
+            module_cycles=meanwhile and meanwhile.cycles,
         ),
-        ("method", f"{calibration.method}, {len(calibration.table)} entries"),
+        Row(
+            "method",
+            f"{calibration.method}, {len(calibration.table)} entries",
+            method=calibration.method.value,
+        ),
+        Row("fresh samples", f"{len(fresh.error)} used, {fresh.faulty} left out" if fresh else None),
+        Row(
+            "phase error, 2010:0C",
+            None if error is None else f"{error:.3g} cycle, at the speed of this motion",
+            phase_error_cycles=error,
+        ),
+        *(path_rows(measured.over_speeds, where) if isinstance(measured, SpeedMeasurement) else ()),
+        Row(
+            "position of the module",
+            "lost; a table does not bring it back (canfb why)" if is_lost else None,
+            module_lost=meanwhile and meanwhile.is_lost,
+        ),
+        Row(
+            "error of the table",
+            None if calibration.cramer_rao_ratio is None else bound_words(calibration),
+        ),
     ]
-    if done.fresh is not None:
-        listed.append(("fresh samples", f"{len(done.fresh.error)} used, {done.fresh.faulty} left out"))
-    if done.phase_error_cycles is not None:
-        listed.append(
-            ("phase error, 2010:0C", f"{done.phase_error_cycles:.3g} cycle, at the speed of this motion")
-        )
-    if isinstance(measured, SpeedMeasurement):
-        listed += path_facts(measured.over_speeds, where)
-    if where.meanwhile is not None and where.meanwhile.is_lost:
-        listed.append(("position of the module", "lost; a table does not bring it back (canfb why)"))
-    if calibration.cramer_rao_ratio is not None:
-        listed.append(("error of the table", bound_words(calibration)))
-    return listed
 
 
 def rate_words(samples: TrackSamples) -> str:
@@ -298,43 +355,31 @@ def _verdict_over_speeds(measured: SpeedMeasurement, where: Circumstances) -> st
     )
 
 
-def as_json(measured: Measurement, done: Installation, where: Circumstances) -> dict[str, Any]:
-    """The figures for programs; cycles, counts, seconds."""
-    calibration, samples, fresh = measured.calibration, measured.samples, done.fresh
-    spike = measured.on_samples.spike
-    return {
-        "accepted": calibration.accepted,
-        "reason": calibration.reason.value,
-        "verdict": calibration.verdict,
+def figures(measured: Measurement, done: Installation, where: Circumstances) -> dict[str, Any]:
+    """For programs; cycles, counts, seconds."""
+    calibration = measured.calibration
+    judged = Row(
+        accepted=calibration.accepted,
+        reason=calibration.reason.value,
+        verdict=calibration.verdict,
         **where_words(where),
-        "method": calibration.method.value,
-        "samples": len(samples),
-        "samples_missed": samples.missed,
-        "samples_rejected": calibration.samples_rejected,
-        "sample_rate_hz": samples.rate_hz,
-        "mean_rate_hz": samples.mean_rate_hz,
-        "intervals_without_sync": samples.skipped,
-        "module_missed": None if where.meanwhile is None else where.meanwhile.missed,
-        "module_cycles": None if where.meanwhile is None else where.meanwhile.cycles,
-        "module_lost": None if where.meanwhile is None else where.meanwhile.is_lost,
-        "coverage": calibration.coverage,
-        "coverage_spike": None if spike is None else spike[0],
-        "cycles_used": calibration.cycles_used,
-        "crc32_before": f"{measured.before.crc32:08X}",
-        "crc32": f"{calibration.table.crc32:08X}",
-        "entries": len(calibration.table),
-        "conditioning": conditioning_words(calibration.conditioning),
-        "before_rms_cycles": measured.on_samples.before_rms,
-        "before_peak_cycles": measured.on_samples.before_peak,
-        "residual_rms_cycles": calibration.residual_rms,
-        "residual_peak_cycles": calibration.residual_peak,
-        "uncertainty_rms_cycles": calibration.uncertainty_rms,
-        "uncertainty_peak_cycles": calibration.uncertainty_peak,
-        "noise_counts": calibration.noise_counts,
-        "fresh_rms_cycles": None if fresh is None else fresh.rms,
-        "fresh_peak_cycles": None if fresh is None else fresh.peak,
-        "phase_error_cycles": done.phase_error_cycles,
-        "active": done.active,
-        "saved": done.saved_as is not None,
-        **(path_json(measured.over_speeds) if isinstance(measured, SpeedMeasurement) else {}),
-    }
+    )
+    state = Row(active=done.active, saved=done.saved_as is not None)
+    return as_figures([judged], comparison(measured, done, where), facts(measured, done, where), [state])
+
+
+def result(
+    measured: Measurement, done: Installation, where: Circumstances, paths: Sequence[Path]
+) -> CalibrateResult:
+    """What ``canfb calibrate`` says; ``paths`` are the files that it has written."""
+    lines = [
+        *as_columns(comparison(measured, done, where), ("", "before", "after"), (NAME_WIDTH - 2,)),
+        "",
+        *as_lines(facts(measured, done, where)),
+        "",
+        verdict(measured, where),
+        outcome(measured, done, where),
+        *(f"written  {path}" for path in paths),
+    ]
+    files = {"files": [str(path) for path in paths]}
+    return CalibrateResult(figures(measured, done, where) | files, lines, measured)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from canfb.calibrate.calibration_summary import CalibrateResult
 from canfb.calibrate.error_over_speed import InForce, SpeedSamples, errors_at
 from canfb.calibrate.measurement import Heard, Settings, measure
 from canfb.calibrate.own_calibration import ModuleDrift
@@ -16,6 +17,7 @@ from canfb.calibration.path_fit import NO_PATH
 from canfb.calibration.result import Calibration
 from canfb.master.circumstances import PERCENT, Circumstances, percent, where_words
 from canfb.master.samples import TrackSamples
+from canfb.rows import Row, as_figures, as_lines
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
 from canfb.tables.table_file import table_words
@@ -100,64 +102,54 @@ def _change(fresh: Calibration, active: Conditioning) -> EllipseChange | None:
     )
 
 
-def module_drift_lines(found: ModuleDrift, active: Correction, where: Circumstances) -> list[str]:
-    """The check by the module itself, as text."""
+def module_drift_result(found: ModuleDrift, active: Correction, where: Circumstances) -> CalibrateResult:
+    """The check by the module itself; cycles."""
+    rows = [
+        Row(**where_words(where)),
+        *_error_rows(found.rms, found.peak, active, where),
+        Row(
+            "noise of a sample",
+            f"{percent(found.residual_rms, where)} rms",
+            new_table_rms_cycles=found.residual_rms,
+        ),
+        Row("coverage", f"{PERCENT * found.coverage:.0f} %", coverage=found.coverage),
+    ]
+    return CalibrateResult(as_figures(rows), as_lines(rows))
+
+
+def drift_result(found: DriftCheck, where: Circumstances) -> CalibrateResult:
+    """The check from samples; cycles."""
+    fresh, change = found.calibration, found.change
+    now_rms, new_rms = found.on_samples.before_rms, fresh.residual_rms
+    changed = change and (
+        f"offset {PERCENT * change.sine_offset:+.2g} / {PERCENT * change.cosine_offset:+.2g} % of the "
+        f"amplitude, gain of the cosine {PERCENT * change.gain:+.2g} %, phase {change.phase_rad:+.2g} rad"
+    )
+    rows = [
+        Row(**where_words(where)),
+        *_error_rows(found.rms, found.peak, found.active, where),
+        Row(
+            "uncertainty, peak",
+            f"{percent(fresh.uncertainty_peak, where)} of a cycle",
+            uncertainty_rms_cycles=fresh.uncertainty_rms,
+            uncertainty_peak_cycles=fresh.uncertainty_peak,
+        ),
+        Row(
+            "deviation of samples",
+            f"{percent(now_rms, where)} rms now, {percent(new_rms, where)} with a new table",
+            active_rms_cycles=now_rms,
+            new_table_rms_cycles=new_rms,
+        ),
+        Row("changed since", changed, changed=change and change._asdict()),
+        Row(drift_seen=found.seen, coverage=fresh.coverage, samples=fresh.samples_used),
+    ]
+    nothing = [] if found.seen else ["no drift within the uncertainty of this measurement"]
+    return CalibrateResult(as_figures(rows), [*as_lines(rows), *nothing])
+
+
+def _error_rows(rms: float, peak: float, active: Correction, where: Circumstances) -> list[Row]:
     return [
-        f"{'active table':24}{table_words(active)}",
-        f"{'its error now, rms':24}{percent(found.rms, where)} of a cycle",
-        f"{'its error now, peak':24}{percent(found.peak, where)} of a cycle",
-        f"{'noise of a sample':24}{percent(found.residual_rms, where)} rms",
-        f"{'coverage':24}{100 * found.coverage:.0f} %",
+        Row("active table", table_words(active), crc32=f"{active.crc32:08X}"),
+        Row("its error now, rms", f"{percent(rms, where)} of a cycle", drift_rms_cycles=rms),
+        Row("its error now, peak", f"{percent(peak, where)} of a cycle", drift_peak_cycles=peak),
     ]
-
-
-def module_drift_json(found: ModuleDrift, active: Correction, where: Circumstances) -> dict[str, Any]:
-    """The same for programs; cycles."""
-    return {
-        **where_words(where),
-        "crc32": f"{active.crc32:08X}",
-        "drift_rms_cycles": found.rms,
-        "drift_peak_cycles": found.peak,
-        "new_table_rms_cycles": found.residual_rms,
-        "coverage": found.coverage,
-    }
-
-
-def drift_lines(found: DriftCheck, where: Circumstances) -> list[str]:
-    """For people."""
-    lines = [
-        f"{'active table':24}{table_words(found.active)}",
-        f"{'its error now, rms':24}{percent(found.rms, where)} of a cycle",
-        f"{'its error now, peak':24}{percent(found.peak, where)} of a cycle",
-        f"{'uncertainty, peak':24}{percent(found.calibration.uncertainty_peak, where)} of a cycle",
-        f"{'deviation of samples':24}{percent(found.on_samples.before_rms, where)} rms now, "
-        f"{percent(found.calibration.residual_rms, where)} with a new table",
-    ]
-    if found.change is not None:
-        change, part = found.change, PERCENT
-        lines.append(
-            f"{'changed since':24}offset {part * change.sine_offset:+.2g} / "
-            f"{part * change.cosine_offset:+.2g} % of the amplitude, gain of the cosine "
-            f"{part * change.gain:+.2g} %, phase {change.phase_rad:+.2g} rad"
-        )
-    if not found.seen:
-        lines.append("no drift within the uncertainty of this measurement")
-    return lines
-
-
-def drift_json(found: DriftCheck, where: Circumstances) -> dict[str, Any]:
-    """For programs; cycles."""
-    return {
-        **where_words(where),
-        "crc32": f"{found.active.crc32:08X}",
-        "drift_rms_cycles": found.rms,
-        "drift_peak_cycles": found.peak,
-        "drift_seen": found.seen,
-        "uncertainty_rms_cycles": found.calibration.uncertainty_rms,
-        "uncertainty_peak_cycles": found.calibration.uncertainty_peak,
-        "active_rms_cycles": found.on_samples.before_rms,
-        "new_table_rms_cycles": found.calibration.residual_rms,
-        "coverage": found.calibration.coverage,
-        "samples": found.calibration.samples_used,
-        "changed": None if found.change is None else found.change._asdict(),
-    }

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from canfb.calibrate.artefacts import keep_speeds
-from canfb.calibrate.calibration_run import LEAST_FRESH, CalibrateResult, CalibrationRun
+from canfb.calibrate.calibration_run import LEAST_FRESH, CalibrationRun
+from canfb.calibrate.calibration_summary import CalibrateResult
 from canfb.calibrate.choices import RECORDED
 from canfb.calibrate.error_over_speed import InForce, SpeedSamples, errors_at
 from canfb.calibrate.measurement import Measurement, Settings, SpeedMeasurement, measure_speeds

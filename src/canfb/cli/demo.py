@@ -10,10 +10,10 @@ from pathlib import Path
 
 from canfb.bus.clocks import page_date
 from canfb.cli.options import Commands, add_command
-from canfb.demo.account import account
+from canfb.demo.account import account, figures
 from canfb.demo.demo_network import DemoNetwork
 from canfb.demo.demo_page import prepare, write_files
-from canfb.demo.story import as_json, tell
+from canfb.demo.story import tell
 
 
 def register(commands: Commands) -> None:
@@ -41,8 +41,8 @@ def demo(options: argparse.Namespace) -> int:
     if options.out:
         pictures, page = write_files(network, story, options.out, version("canfb"), date)
     if options.json:
-        figures = as_json(story) | {"figures": [str(path) for path in pictures]}
-        print(json.dumps(figures | ({"report": str(page)} if page else {}), indent=2))
+        files = {"figures": [str(path) for path in pictures]} | ({"report": str(page)} if page else {})
+        print(json.dumps(figures(story) | files, indent=2))
     else:
         print(account(story))
         for path in pictures:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
+from pathlib import Path
 
+from canfb.cli.node_options import say_result
 from canfb.cli.options import Commands, add_command
 from canfb.cli.progress import Progress
 from canfb.cli.replay_folder import replay_folder
@@ -15,8 +16,10 @@ from canfb.logs.bus_log import SentLog
 from canfb.logs.log_replay import LogReplayed, ReplayOptions, replay_log
 from canfb.logs.published_files import PublishedFile, check_place
 from canfb.logs.replay_page import write_page
+from canfb.replay import summary_of_replay as summary
 from canfb.replay.overview import Overview
-from canfb.replay.summary_of_replay import as_json, lines_of, log_facts
+from canfb.replay.summary_of_replay import log_facts
+from canfb.rows import Result, as_figures, as_lines
 
 
 def register(commands: Commands) -> None:
@@ -51,35 +54,19 @@ def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Pro
         if options.report is not None:
             write_page(options.report, replayed, overview)
     progress.clear()
-    print(_json(replayed) if options.json else _text(replayed))
-    if not options.json:
-        for path in (options.out, options.frames, options.report):
-            if path is not None:
-                print(f"written  {path}")
-    return 0
+    written = [path for path in (options.out, options.frames, options.report) if path is not None]
+    return say_result(options, _result(replayed, written))
 
 
-def _json(replayed: LogReplayed) -> str:
+def _result(replayed: LogReplayed, written: list[Path]) -> Result:
     log = replayed.log
-    figures = {
-        "log": str(log.path),
-        "frames": log.counters.frames,
-        "damaged_lines": log.counters.damaged_lines,
-        "trouble": log.trouble,
-        "channels": sorted(log.counters.channels),
-        "left_out": {name: sum(one.values()) for name, one in sorted(log.counters.left_out.items())},
-        "modules": [
-            as_json(one, drift, replayed.left_out(one))
-            for one, drift in zip(replayed.replays, replayed.drifts, strict=True)
-        ],
-    }
-    return json.dumps(figures, indent=2)
-
-
-def _text(replayed: LogReplayed) -> str:
-    lines = [f"{name:24}{text}" for name, text in log_facts(replayed.log.counters, replayed.log.trouble)]
+    about, modules = log_facts(log.counters, log.trouble), []
+    lines = as_lines(about)
     for one, drift in zip(replayed.replays, replayed.drifts, strict=True):
         node_id, seconds = one.module.node.node_id, one.counters.last_s - one.counters.first_s
+        left_out = replayed.left_out(one)
+        modules.append(summary.figures(one, drift, left_out))
         lines.append(f"module {node_id} ({node_id:02X}h): {one.counters.frames} frames, {seconds:.3f} s")
-        lines += lines_of(one, drift, replayed.left_out(one))
-    return "\n".join(lines)
+        lines += summary.lines(one, drift, left_out)
+    figures = {"log": str(log.path), **as_figures(about), "modules": modules}
+    return Result(figures, [*lines, *(f"written  {path}" for path in written)])

@@ -23,7 +23,7 @@ from canfb.master.all_or_nothing import write_whole
 from canfb.master.circumstances import origins
 from canfb.report import limit_pictures
 from canfb.report.lissajous import lissajous
-from canfb.report.page import comparison_table, facts_table, figure, gallery, page
+from canfb.report.page import figure, gallery, page, table
 
 FOOTER = (
     "Made by canfb commission. L is the residual limit in force, a the largest acceleration, j the largest "
@@ -47,15 +47,15 @@ def commission_html(done: Commissioned) -> str:
         *notes(done),
     ]
     body = (
-        comparison_table("Limits", ("before", "proposed", "why"), limit_rows(done), listed=True)
-        + facts_table("The machine", machine_facts(done))
-        + comparison_table(
+        table("Limits", limit_rows(done), ("before", "proposed", "why"), style="listed")
+        + table("The machine", machine_facts(done))
+        + table(
             "Bad samples in a row that cannot falsify the cycle count unseen",
-            (f"{sum_words(done)}, cycle", "before", "proposed"),
             detection_rows(done),
+            (f"{sum_words(done)}, cycle", "before", "proposed"),
         )
         + gallery("Pictures", _pictures(done))
-        + facts_table("Origin", origins(done.where), "origin")
+        + table("Origin", origins(done.where), style="origin")
     )
     return page("Limits of the supervision", place_line(done.where), said, body, FOOTER)
 

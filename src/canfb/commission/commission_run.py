@@ -15,7 +15,7 @@ from canfb.calibrate.artefacts import keep_samples
 from canfb.calibrate.calibration_run import Steps
 from canfb.calibrate.supervised_samples import supervise
 from canfb.commission.commission_page import write_page
-from canfb.commission.commission_summary import Commissioned, as_figures, as_lines
+from canfb.commission.commission_summary import Commissioned, result
 from canfb.commission.limit_choice import choose
 from canfb.commission.machine_seen import LEAST_SAMPLES, Observation, observe
 from canfb.errors import CanfbError, ConfigError
@@ -195,7 +195,8 @@ class CommissionRun:
             saved_as,
             self._where(session),
         )
-        return self._result(done)
+        out = self._wishes.out
+        return result(done, [write_page(out, done), keep_samples(out, done.seen.samples)] if out else [])
 
     def _collect(self, session: Session) -> tuple[TrackSamples, list[SpeedReading]]:
         """The samples, and what the module said of its speed meanwhile."""
@@ -231,14 +232,6 @@ class CommissionRun:
             identity=session.identity,
             interface_identity=session.interface_identity,
         )
-
-    def _result(self, done: Commissioned) -> Result:
-        figures, lines = as_figures(done), as_lines(done)
-        if self._wishes.out is not None:
-            paths = [write_page(self._wishes.out, done), keep_samples(self._wishes.out, done.seen.samples)]
-            figures["files"] = [str(path) for path in paths]
-            lines += [f"written  {path}" for path in paths]
-        return Result(figures, lines)
 
 
 def _prove(seen: Observation, new: SupervisionLimits) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from canfb import objects as od
 from canfb.calibrate.calibration_summary import delay_words
-from canfb.calibration.path_fit import LowPass
 from canfb.commission.limit_choice import Choice, MachineSeen
 from canfb.commission.machine_seen import Observation
 from canfb.master.circumstances import Circumstances, where_words
@@ -18,6 +18,7 @@ from canfb.master.supervision_limits import (
     KINDS,
     SupervisionLimits,
 )
+from canfb.rows import Result, Row, as_columns, as_figures, as_lines
 from canfb.signal.limits import ROUNDING, safe_deviation, samples_without_harm
 from canfb.signal.third_order import THIRD
 from canfb.view.limits_in_force import LIMIT_UNITS
@@ -27,6 +28,8 @@ MOST_ROWS = 12
 SAFE_THIRD_ORDER = 0.25  # L + j at which one bad sample is without harm, and never two (docs/legal-motion.md)
 
 LEAST_JITTER_S = 1e-8
+WIDTH = 21  # of the names, characters
+LEAST_WIDTHS = (11, 13, 12)  # of the columns of detection
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,36 +95,79 @@ class Commissioned:
         return samples_without_harm(self.deviation(limits))
 
 
-def machine_facts(done: Commissioned) -> list[tuple[str, str]]:
-    """What was seen of the machine."""
+def machine_facts(done: Commissioned) -> list[Row]:
+    """What was measured of the machine; units in the keys, intervals are those of the samples."""
     machine, n = done.machine, done.new.cycles_per_revolution
     motion, tracks, samples = machine.motion, machine.tracks, done.seen.samples
-    slowest, fastest = (_rpm(machine, speed, n) for speed in (motion.slowest, motion.fastest))
+    slowest, fastest = (
+        machine.rad(speed, 1, n) * 60.0 / (2.0 * math.pi) for speed in (motion.slowest, motion.fastest)
+    )
+    acceleration, jerk = machine.rad(motion.acceleration, 2, n), machine.rad(motion.jerk, 3, n)
+    low_pass = machine.low_pass if machine.low_pass is not None and machine.low_pass.is_seen else None
     return [
-        ("samples", f"{len(samples)} at {samples.rate_hz:.6g} Hz, {samples.missed} missed; {samples.origin}"),
-        ("speed", f"{slowest:.4g} to {fastest:.4g} rpm; at most {motion.top_speed:.3g} cycles per sample"),
-        ("distance", f"{motion.turned / n:.3g} revolutions from the lowest to the highest position"),
-        (
+        Row(
+            "samples",
+            f"{len(samples)} at {samples.rate_hz:.6g} Hz, {samples.missed} missed; {samples.origin}",
+            samples=len(samples),
+            samples_missed=samples.missed,
+            sample_rate_hz=samples.rate_hz,
+        ),
+        Row(
+            "speed",
+            f"{slowest:.4g} to {fastest:.4g} rpm; at most {motion.top_speed:.3g} cycles per sample",
+            speed_least_rpm=slowest,
+            speed_most_rpm=fastest,
+        ),
+        Row(
+            "distance",
+            f"{motion.turned / n:.3g} revolutions from the lowest to the highest position",
+            turned_revolutions=motion.turned / n,
+        ),
+        Row(
             "largest acceleration",
-            f"{_rounded(machine.rad(motion.acceleration, 2, n))} rad/s², "
-            f"{motion.acceleration:.3g} cycle per interval²",
+            f"{_rounded(acceleration)} rad/s², {motion.acceleration:.3g} cycle per interval²",
+            acceleration_rad_s2=acceleration,
+            acceleration_cycles=motion.acceleration,
         ),
-        (
+        Row(
             "largest jerk",
-            f"{_rounded(machine.rad(motion.jerk, 3, n))} rad/s³, {motion.jerk:.3g} cycle per interval³",
+            f"{_rounded(jerk)} rad/s³, {motion.jerk:.3g} cycle per interval³",
+            jerk_rad_s3=jerk,
+            jerk_cycles=motion.jerk,
         ),
-        (
+        Row(
             "jitter",
             "not known" if machine.jitter_s is None else f"{_jitter(machine.jitter_s)} from SYNC to SYNC",
+            jitter_s=machine.jitter_s,
         ),
-        ("residual", f"{motion.residual_rms:.3g} cycle rms, at most {motion.residual_peak:.3g}"),
-        (
+        Row(
+            "residual",
+            f"{motion.residual_rms:.3g} cycle rms, at most {motion.residual_peak:.3g}",
+            residual_rms_cycles=motion.residual_rms,
+            residual_peak_cycles=motion.residual_peak,
+        ),
+        Row(
             "of that noise",
             f"{motion.residual_noise:.3g} cycle rms; converter {tracks.noise_counts:.2f} counts rms",
+            phase_noise_cycles=motion.noise,
+            converter_noise_counts=tracks.noise_counts,
         ),
-        ("amplitude", f"mean {tracks.mean:.0f}, {tracks.least:.0f} to {tracks.most:.0f} counts"),
-        ("low-pass", _low_pass_words(done)),
-        ("flagged meanwhile", in_words(done.usual) or "nothing"),
+        Row(
+            "amplitude",
+            f"mean {tracks.mean:.0f}, {tracks.least:.0f} to {tracks.most:.0f} counts",
+            amplitude_mean_counts=tracks.mean,
+            amplitude_least_counts=tracks.least,
+            amplitude_most_counts=tracks.most,
+        ),
+        Row(
+            "low-pass",
+            _low_pass_words(done),
+            corner_hz=low_pass and low_pass.corner_hz,
+            corner_uncertainty_hz=low_pass and low_pass.corner_sigma_hz,
+            delay_estimate_s=low_pass and low_pass.delay_s,
+            delay_estimate_uncertainty_s=low_pass and low_pass.delay_sigma_s,
+        ),
+        Row("flagged meanwhile", in_words(done.usual) or "nothing", flagged_meanwhile=dict(done.usual)),
     ]
 
 
@@ -159,15 +205,22 @@ def notes(done: Commissioned) -> list[str]:
     return said
 
 
-def limit_rows(done: Commissioned) -> list[tuple[str, str, str, str]]:
-    """Object and name, before, proposed, why."""
+def limit_rows(done: Commissioned) -> list[Row]:
+    """Object and name; before, proposed, why."""
     interval_s, n = done.machine.interval_s, done.new.cycles_per_revolution
     return [
-        (
+        Row(
             f"{od.place_text(one.place)} {one.name}",
             value_words(one, one.before, interval_s, n),
             value_words(one, one.value, interval_s, n) if one.changes else "as it is",
             one.why,
+            object=od.place_text(one.place),
+            name=one.name,
+            unit=KINDS[one.place].unit,
+            before=one.before,
+            proposed=one.value,
+            changes=one.changes,
+            why=one.why,
         )
         for one in done.choices
     ]
@@ -194,12 +247,12 @@ def value_words(choice: Choice, value: float, interval_s: float, cycles_per_revo
     return f"{value:.0f} {KINDS[choice.place].unit}"
 
 
-def detection_rows(done: Commissioned) -> list[tuple[str, str, str, str]]:
+def detection_rows(done: Commissioned) -> list[Row]:
     """Bad samples in a row: at most so much L + a, whether it holds before and with the new limits."""
     last = 2 if done.is_third_order else min(MOST_ROWS, max(ROWS, done.without_harm(done.new) + 1))
     words = {True: "detected", False: "not for sure"}
     return [
-        (
+        Row(
             str(count),
             f"{done.safe(count):.3g}",
             words[done.deviation(done.before) <= done.safe(count)],
@@ -253,83 +306,46 @@ def outcome(done: Commissioned) -> str:
     return "nothing was written to the module: --write does it"
 
 
-def as_lines(done: Commissioned) -> list[str]:
+def lines(done: Commissioned) -> list[str]:
     """For people."""
-    lines = [f"{name:21}{text}" for name, text in machine_facts(done)]
-    lines += [f"note: {text}" for text in notes(done)]
-    rows = [("", "before", "proposed"), *(row[:3] for row in limit_rows(done))]
-    first, second = (max(len(row[k]) for row in rows) for k in (0, 1))
-    lines.append("")
-    for row, choice in zip(rows, [None, *done.choices], strict=True):
-        lines.append(f"{row[0]:{first}}  {row[1]:{second}}  {row[2]}".rstrip())
-        if choice is not None:
-            lines.append(f"    {choice.why}")
-    lines += ["", f"{'bad samples':13}{sum_words(done):15}{'before':14}proposed"]
-    lines += [f"{row[0]:13}{row[1]:15}{row[2]:14}{row[3]}" for row in detection_rows(done)]
-    return [*lines, "", detection_words(done), kept_words(done), outcome(done)]
+    head, *limits = as_columns(limit_rows(done), ("", "before", "proposed"))
+    heads = ("bad samples", sum_words(done), "before", "proposed")
+    return [
+        *as_lines(machine_facts(done), WIDTH),
+        *(f"note: {text}" for text in notes(done)),
+        "",
+        head,
+        *(text for line, one in zip(limits, done.choices, strict=True) for text in (line, f"    {one.why}")),
+        "",
+        *as_columns(detection_rows(done), heads, LEAST_WIDTHS),
+        "",
+        detection_words(done),
+        kept_words(done),
+        outcome(done),
+    ]
 
 
-def as_figures(done: Commissioned) -> dict[str, Any]:
+def figures(done: Commissioned) -> dict[str, Any]:
     """For programs; units in the names, intervals are those of the samples."""
-    machine, n = done.machine, done.new.cycles_per_revolution
-    motion, tracks = machine.motion, machine.tracks
-    return {
-        **where_words(done.where),
-        "samples": len(done.seen.samples),
-        "samples_missed": done.seen.samples.missed,
-        "sample_rate_hz": done.seen.samples.rate_hz,
-        "speed_least_rpm": _rpm(machine, motion.slowest, n),
-        "speed_most_rpm": _rpm(machine, motion.fastest, n),
-        "turned_revolutions": motion.turned / n,
-        "acceleration_rad_s2": machine.rad(motion.acceleration, 2, n),
-        "acceleration_cycles": motion.acceleration,
-        "jerk_rad_s3": machine.rad(motion.jerk, 3, n),
-        "jerk_cycles": motion.jerk,
-        "jitter_s": machine.jitter_s,
-        "phase_noise_cycles": motion.noise,
-        "residual_rms_cycles": motion.residual_rms,
-        "residual_peak_cycles": motion.residual_peak,
-        "converter_noise_counts": tracks.noise_counts,
-        "amplitude_mean_counts": tracks.mean,
-        "amplitude_least_counts": tracks.least,
-        "amplitude_most_counts": tracks.most,
-        **_low_pass_json(machine.low_pass),
-        "flagged_meanwhile": dict(done.usual),
-        "margin": done.margin,
-        "notes": notes(done),
-        "limits": [
-            {
-                "object": od.place_text(one.place),
-                "name": one.name,
-                "unit": KINDS[one.place].unit,
-                "before": one.before,
-                "proposed": one.value,
-                "changes": one.changes,
-                "why": one.why,
-            }
-            for one in done.choices
-        ],
-        "residual_limit_in_force_cycles": done.new.residual_limit(machine.interval_s),
-        "deviation_cycles": done.deviation(done.new),
-        "deviation_before_cycles": done.deviation(done.before),
-        "bad_samples_detected": done.without_harm(done.new),
-        "bad_samples_detected_before": done.without_harm(done.before),
-        "missed_samples_kept": done.new.kept_samples(machine.interval_s, done.largest_motion),
-        "missed_samples_kept_before": done.before.kept_samples(machine.interval_s, done.largest_motion),
-        "written": done.written,
-        "saved": done.saved_as is not None,
-    }
+    interval_s, motion = done.machine.interval_s, done.largest_motion
+    verdict = Row(
+        margin=done.margin,
+        notes=notes(done),
+        limits=[row.figures for row in limit_rows(done)],
+        residual_limit_in_force_cycles=done.new.residual_limit(interval_s),
+        deviation_cycles=done.deviation(done.new),
+        deviation_before_cycles=done.deviation(done.before),
+        bad_samples_detected=done.without_harm(done.new),
+        bad_samples_detected_before=done.without_harm(done.before),
+        missed_samples_kept=done.new.kept_samples(interval_s, motion),
+        missed_samples_kept_before=done.before.kept_samples(interval_s, motion),
+        written=done.written,
+        saved=done.saved_as is not None,
+    )
+    return as_figures([Row(**where_words(done.where))], machine_facts(done), [verdict])
 
 
-def _low_pass_json(low_pass: LowPass | None) -> dict[str, float | None]:
-    seen = low_pass is not None and low_pass.is_seen
-    return {
-        "corner_hz": low_pass.corner_hz if low_pass and seen else None,
-        "corner_uncertainty_hz": low_pass.corner_sigma_hz if low_pass and seen else None,
-        "delay_estimate_s": low_pass.delay_s if low_pass and seen else None,
-        "delay_estimate_uncertainty_s": low_pass.delay_sigma_s if low_pass and seen else None,
-    }
-
-
-def _rpm(machine: MachineSeen, speed: float, cycles_per_revolution: int) -> float:
-    return machine.rad(speed, 1, cycles_per_revolution) * 60.0 / (2.0 * math.pi)
+def result(done: Commissioned, paths: Sequence[Path]) -> Result:
+    """What ``canfb commission`` says; ``paths`` are the files that it has written, if it was to."""
+    files = {"files": [str(path) for path in paths]} if paths else {}
+    return Result(figures(done) | files, [*lines(done), *(f"written  {path}" for path in paths)])

@@ -9,9 +9,10 @@ from canfb.demo.demo_network import DemoNetwork
 from canfb.demo.demo_pictures import error_after, error_before, residual, servo, tracks
 from canfb.demo.story import Story, peak, rms
 from canfb.errors import CanfbError
-from canfb.report.page import beside, comparison_table, facts_table, figure, gallery, page
+from canfb.report.page import beside, figure, gallery, page, table
 from canfb.report.picture_file import svg_file
 from canfb.report.plot import Plot
+from canfb.rows import Row
 
 REPORT = "report.html"
 FOOTER = "Made by canfb demo: a simulation with fixed seeds; its figures are the same each time."
@@ -69,13 +70,13 @@ def demo_page(story: Story, made: str, pictures: tuple[Plot, Plot, Plot, Plot, P
     seen, before, after, faults, moved = pictures
     sizes = story.error_before, story.error_after
     rows = [
-        (name, *(f"{100 * size(error):.4f}" for error in sizes))
+        Row(name, *(f"{100 * size(error):.4f}" for error in sizes))
         for name, size in (("peak", peak), ("rms", rms))
     ]
-    tables = comparison_table("Position error, % of a cycle", ("before the table", "with the table"), rows)
-    tables += facts_table("Run", [*run_facts(story), *fault_facts(story)])
-    act = facts_table("A move of a servo", servo_facts(story))
-    checks = facts_table("Checks", [(name, verdict(held)) for name, held in story.checks.items()])
+    tables = table("Position error, % of a cycle", rows, ("before the table", "with the table"))
+    tables += table("Run", [*run_facts(story), *fault_facts(story)])
+    act = table("A move of a servo", servo_facts(story))
+    checks = table("Checks", [Row(name, verdict(held)) for name, held in story.checks.items()])
     finer = peak(story.error_before) / peak(story.error_after)
     return page(
         "canfb demo",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +12,7 @@ from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.result import Calibration
 from canfb.demo.demo_network import (
     BIT_RATE,
-    CLOCK_DRIFT_PPM,
     SYNC_PERIOD_S,
-    TIMING,
     UNITS_PER_REVOLUTION,
     DemoNetwork,
     Fault,
@@ -216,31 +213,6 @@ def _move_servo(network: DemoNetwork, story: Story) -> None:
         f"servo residuals below {MOST_RESIDUAL_CYCLES:g} cycle": bool(
             two_samples.largest_residual < MOST_RESIDUAL_CYCLES
         ),
-    }
-
-
-def as_json(story: Story) -> dict[str, Any]:
-    """The figures of the story, for programs."""
-    calibration = story.calibration
-    return {
-        "held": story.held,
-        "checks": story.checks,
-        "samples": story.samples,
-        "cycles_per_sample": story.cycles_per_sample,
-        "wrong_cycle_counts": story.wrong_counts,
-        "error_peak_before_cycles": peak(story.error_before),
-        "error_peak_after_cycles": peak(story.error_after),
-        "error_rms_before_cycles": rms(story.error_before),
-        "error_rms_after_cycles": rms(story.error_after),
-        "table_crc32": f"{story.table_crc32:08X}",
-        "table_uncertainty_peak_cycles": None if calibration is None else calibration.uncertainty_peak,
-        "faults_provoked": story.faults.provoked,
-        "faults_flagged_in_the_same_sample": story.faults.flagged_at_once,
-        "wrong_positions_called_valid": story.faults.wrong_and_valid,
-        "bus_load": story.bus_load,
-        "servo_move": {run.name: run.figures() for run in story.servo},
-        "sync_jitter_us": TIMING.sync_jitter_us,
-        "clock_drift_ppm": CLOCK_DRIFT_PPM,
     }
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from canfb.errors import CanfbError
 from canfb.logs.log_replay import LogReplayed, ReplayOptions, replay_log
 from canfb.replay.fault_list import KINDS
-from canfb.replay.summary_of_replay import as_json
+from canfb.replay.summary_of_replay import figures as figures_of
 
 MARGINS = {
     "residual": "residual_cycles",
@@ -120,7 +120,7 @@ def failed_rows(job: LogJob, settings: ReplayOptions, why: str) -> list[Row]:
 
 def _row(job: LogJob, replayed: LogReplayed, place: int) -> Row:
     replay, counters = replayed.replays[place], replayed.log.counters
-    figures = as_json(replay, replayed.drifts[place], replayed.left_out(replay))
+    figures = figures_of(replay, replayed.drifts[place], replayed.left_out(replay))
     faults, margins, drift = figures["faults"], figures["margins"], figures["drift"] or {}
     pairs = figures["compared"].values()
     row: Row = {

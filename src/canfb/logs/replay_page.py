@@ -21,7 +21,8 @@ from canfb.replay.summary_of_replay import (
 )
 from canfb.report.lissajous import lissajous
 from canfb.report.over_time import Curve, over_time
-from canfb.report.page import beside, facts_table, figure, gallery, page
+from canfb.report.page import beside, figure, gallery, page, table
+from canfb.rows import Row
 
 FOOTER = "Made by canfb replay, with the module of this version. Margin: what is left of a limit."
 MOST_FAULTS = 40
@@ -41,17 +42,17 @@ def replay_html(replayed: LogReplayed, overview: Overview) -> str:
     good = whole and faultless and all(one.all_equal for one in replay.compared.values())
     facts = [*margin_facts(replay), *other_facts(replay, drift)]
     facts += log_facts(log.counters, log.trouble)
-    tables = facts_table("Margins", facts)
+    tables = table("Margins", facts)
     compared = comparison_facts(replay)
     if compared:
-        tables += facts_table("The recorded module and the replay", compared)
+        tables += table("The recorded module and the replay", compared)
     body = beside(tables, _lissajous(replay, overview)) + gallery("Over time", _pictures(replay, overview))
     words = fault_words(replay)
     if words:
-        rows = [(f"{n}", text) for n, text in enumerate(words[:MOST_FAULTS], 1)]
+        rows = [Row(f"{n}", text) for n, text in enumerate(words[:MOST_FAULTS], 1)]
         if sum(replay.faults.times.values()) > MOST_FAULTS:
-            rows.append(("", f"and {sum(replay.faults.times.values()) - MOST_FAULTS} more"))
-        body += facts_table("Faults", rows)
+            rows.append(Row("", f"and {sum(replay.faults.times.values()) - MOST_FAULTS} more"))
+        body += table("Faults", rows)
     return page(f"Replay of {log.path.name}", place, _said(replay, left_out), body, FOOTER, good)
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from canfb.master.machine_watch import Meanwhile
+from canfb.rows import Row
 
 ARC_SECONDS = 360.0 * 3600.0
 PERCENT = 100.0
@@ -45,18 +46,16 @@ class Circumstances:
         return cycles * ARC_SECONDS / self.cycles_per_revolution if self.cycles_per_revolution else None
 
 
-def origins(where: Circumstances) -> list[tuple[str, str]]:
+def origins(where: Circumstances) -> list[Row]:
     """With what it was measured: nodes by their identity, program, command."""
-    listed = []
-    if where.module is not None:
-        listed.append(("module", _node(where.module, where.identity)))
-    if where.encoder_interface is not None:
-        listed.append(("encoder interface", _node(where.encoder_interface, where.interface_identity)))
-    if where.version:
-        listed.append(("program", f"canfb {where.version}"))
-    if where.command:
-        listed.append(("command", where.command))
-    return listed
+    module, interface = where.module, where.encoder_interface
+    rows = [
+        Row("module", None if module is None else _node(module, where.identity)),
+        Row("encoder interface", None if interface is None else _node(interface, where.interface_identity)),
+        Row("program", f"canfb {where.version}" if where.version else None),
+        Row("command", where.command or None),
+    ]
+    return [row for row in rows if row.words]
 
 
 def _node(node_id: int, identity: tuple[int, ...] | None) -> str:

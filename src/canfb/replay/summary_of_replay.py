@@ -10,62 +10,38 @@ from canfb.replay.drift_of_log import LogDrift
 from canfb.replay.fault_list import KINDS
 from canfb.replay.margins import Extreme
 from canfb.replay.module_replay import ModuleReplay
+from canfb.rows import Row, as_figures, as_lines
 
 RPM = 60.0 / (2.0 * math.pi)
-WIDTH = 24
 SHOWN_FAULTS = 10
 SHOWN_CHANNELS = 6
 PERCENT = 100.0
+PER_INTERVAL = "cycles per interval²"
 
 
-def as_json(replay: ModuleReplay, drift: LogDrift | None, left_out: int = 0) -> dict[str, Any]:
+def figures(replay: ModuleReplay, drift: LogDrift | None, left_out: int = 0) -> dict[str, Any]:
     """All figures; None for what is not known. Times are stamps of the log, seconds.
 
     ``left_out``: frames of this module on channels of the log that were not taken.
     """
-    counters, times, margins = replay.counters, replay.times, replay.margins
-    table = replay.module.chain.correction
-    return {
-        "node_id": replay.module.node.node_id,
-        "first_s": counters.first_s,
-        "last_s": counters.last_s,
-        "left_out": left_out,
-        "samples": replay.samples.rows - replay.faults.samples["missed"],
-        "faults": {
+    counters = replay.counters
+    head = Row(
+        node_id=replay.module.node.node_id,
+        first_s=counters.first_s,
+        last_s=counters.last_s,
+        left_out=left_out,
+        samples=replay.samples.rows - replay.faults.samples["missed"],
+        faults={
             kind: {"times": replay.faults.times[kind], "samples": replay.faults.samples[kind]}
             for kind in KINDS
         },
-        "emergencies": replay.faults.emergencies_sent,
-        "margins": {
-            "residual": _extreme(margins.residual),
-            "amplitude_low": _extreme(margins.amplitude_low),
-            "amplitude_high": _extreme(margins.amplitude_high),
-            "acceleration_cycles": _extreme(margins.acceleration),
-            "machine_acceleration_cycles": _extreme(margins.machine_acceleration),
-            "speed_rad_s": _extreme(margins.speed_rad_s),
-        },
-        "acceleration_rad_s2": margins.acceleration_rad_s2,
-        "drift": None if drift is None else _drift(drift),
-        "table_crc32": f"{table.crc32:08X}",
-        "sent": counters.sent,
-        "compared": {f"{can_id:03X}h": _compared(replay, can_id) for can_id in replay.compared},
-        "restarts": counters.restarts,
-        "steps_back": times.steps_back,
-        "gaps": times.gaps,
-    }
-
-
-def _extreme(found: Extreme) -> dict[str, float | None]:
-    return {name: _known(getattr(found, name)) for name in ("value", "limit", "margin", "time_s")}
-
-
-def _drift(found: LogDrift) -> dict[str, Any]:
-    return {
-        "rms_cycles": _known(found.rms),
-        "peak_cycles": _known(found.peak),
-        "uncertainty_rms_cycles": _known(found.uncertainty_rms),
-        "reason": found.reason,
-    }
+        table_crc32=f"{replay.module.chain.correction.crc32:08X}",
+        sent=counters.sent,
+        compared={f"{can_id:03X}h": _compared(replay, can_id) for can_id in replay.compared},
+        acceleration_rad_s2=replay.margins.acceleration_rad_s2,
+        margins=as_figures(margin_facts(replay)),
+    )
+    return as_figures([head], other_facts(replay, drift))
 
 
 def _known(value: float) -> float | None:
@@ -95,7 +71,7 @@ def _compared(replay: ModuleReplay, can_id: int) -> dict[str, Any]:
 def verdict(replay: ModuleReplay, left_out: int = 0) -> str:
     """One line: is it the position of the recorded module, and were there faults?
 
-    ``left_out`` as for :func:`as_json`: then it is not known whether there were none.
+    ``left_out`` as for :func:`figures`: then it is not known whether there were none.
     """
     missing = f"; {left_out} frames with CAN-IDs of this module were left out (--channel)" if left_out else ""
     samples = replay.samples.rows - replay.faults.samples["missed"]
@@ -106,17 +82,14 @@ def verdict(replay: ModuleReplay, left_out: int = 0) -> str:
     return f"{samples} samples; faults: {found}{missing}"
 
 
-def lines_of(replay: ModuleReplay, drift: LogDrift | None, left_out: int = 0) -> list[str]:
-    """For the terminal; ``left_out`` as for :func:`as_json`."""
-    lines = [f"{'samples':{WIDTH}}{verdict(replay, left_out)}"]
-    lines += [f"{name:{WIDTH}}{text}" for name, text in margin_facts(replay)]
-    lines += [f"{name:{WIDTH}}{text}" for name, text in other_facts(replay, drift)]
-    faults = replay.faults.in_order()
-    lines += [f"{'fault':{WIDTH}}{text}" for text in fault_words(replay)[:SHOWN_FAULTS]]
+def lines(replay: ModuleReplay, drift: LogDrift | None, left_out: int = 0) -> list[str]:
+    """For the terminal; ``left_out`` as for :func:`figures`."""
+    faults = fault_words(replay)
+    rows = [Row("samples", verdict(replay, left_out)), *margin_facts(replay), *other_facts(replay, drift)]
+    rows += [Row("fault", text) for text in faults[:SHOWN_FAULTS]]
     if len(faults) > SHOWN_FAULTS:
-        lines.append(f"{'':{WIDTH}}... and {sum(replay.faults.times.values()) - SHOWN_FAULTS} more")
-    lines += [f"{name:{WIDTH}}{text}" for name, text in comparison_facts(replay)]
-    return lines
+        rows.append(Row("", f"... and {sum(replay.faults.times.values()) - SHOWN_FAULTS} more"))
+    return as_lines([*rows, *comparison_facts(replay)])
 
 
 def fault_words(replay: ModuleReplay) -> list[str]:
@@ -129,26 +102,37 @@ def fault_words(replay: ModuleReplay) -> list[str]:
     ]
 
 
-def margin_facts(replay: ModuleReplay) -> list[tuple[str, str]]:
+def margin_facts(replay: ModuleReplay) -> list[Row]:
     """How near it came to each limit, and when (seconds from the beginning of the log)."""
-    margins = replay.margins
+    margins, first_s = replay.margins, replay.counters.first_s
     rows = [
-        ("residual", margins.residual, "cycles", 1.0, ".4f"),
-        ("lowest amplitude", margins.amplitude_low, "counts", 1.0, ".0f"),
-        ("highest amplitude", margins.amplitude_high, "counts", 1.0, ".0f"),
-        ("acceleration", margins.acceleration, "cycles per interval²", 1.0, ".4f"),
-        ("acceleration (2010:02)", margins.machine_acceleration, "cycles per interval²", 1.0, ".4f"),
-        ("speed", margins.speed_rad_s, "rpm", RPM, ".1f"),
+        ("residual", "residual", margins.residual, "cycles", 1.0, ".4f"),
+        ("lowest amplitude", "amplitude_low", margins.amplitude_low, "counts", 1.0, ".0f"),
+        ("highest amplitude", "amplitude_high", margins.amplitude_high, "counts", 1.0, ".0f"),
+        ("acceleration", "acceleration_cycles", margins.acceleration, PER_INTERVAL, 1.0, ".4f"),
+        (
+            "acceleration (2010:02)",
+            "machine_acceleration_cycles",
+            margins.machine_acceleration,
+            PER_INTERVAL,
+            1.0,
+            ".4f",
+        ),
+        ("speed", "speed_rad_s", margins.speed_rad_s, "rpm", RPM, ".1f"),
     ]
-    first = replay.counters.first_s
     return [
-        (name, _margin_words(one, unit, factor, form, first))
-        for name, one, unit, factor, form in rows
-        if not math.isnan(one.value)
+        Row(name, _margin_words(one, unit, factor, form, first_s), **{key: _extreme(one)})
+        for name, key, one, unit, factor, form in rows
     ]
 
 
-def _margin_words(found: Extreme, unit: str, factor: float, form: str, first_s: float) -> str:
+def _extreme(found: Extreme) -> dict[str, float | None]:
+    return {name: _known(getattr(found, name)) for name in ("value", "limit", "margin", "time_s")}
+
+
+def _margin_words(found: Extreme, unit: str, factor: float, form: str, first_s: float) -> str | None:
+    if math.isnan(found.value):
+        return None
     value = f"{found.value * factor:{form}}"
     when = f"at {found.time_s - first_s:.3f} s"
     if not math.isfinite(found.limit):
@@ -156,18 +140,36 @@ def _margin_words(found: Extreme, unit: str, factor: float, form: str, first_s: 
     return f"{value} of {found.limit * factor:{form}} {unit} {when}; margin {PERCENT * found.margin:.0f} %"
 
 
-def other_facts(replay: ModuleReplay, drift: LogDrift | None) -> list[tuple[str, str]]:
+def other_facts(replay: ModuleReplay, drift: LogDrift | None) -> list[Row]:
     """Drift, and what was odd about the log."""
     times, counters = replay.times, replay.counters
-    odd = {
-        "restarts": (counters.restarts, "power-ups of the recorded module within the log"),
-        "clock": (times.steps_back, "times the clock of the log was set back"),
-        "gaps": (times.gaps, "silences of more than a minute, each replayed as one of a minute"),
-        "time stamps": (times.bad, "that are no numbers"),
-        "EMCY": (replay.faults.emergencies_sent, "sent"),
+    odd = (
+        ("restarts", "restarts", counters.restarts, "power-ups of the recorded module within the log"),
+        ("clock", "steps_back", times.steps_back, "times the clock of the log was set back"),
+        ("gaps", "gaps", times.gaps, "silences of more than a minute, each replayed as one of a minute"),
+        ("time stamps", None, times.bad, "that are no numbers"),
+        ("EMCY", "emergencies", replay.faults.emergencies_sent, "sent"),
+    )
+    return [
+        Row(
+            "drift from the table",
+            None if drift is None else _drift_words(drift),
+            drift=drift and _drift(drift),
+        ),
+        *(
+            Row(name, f"{count} {text}" if count else None, **({key: count} if key else {}))
+            for name, key, count, text in odd
+        ),
+    ]
+
+
+def _drift(drift: LogDrift) -> dict[str, Any]:
+    return {
+        "rms_cycles": _known(drift.rms),
+        "peak_cycles": _known(drift.peak),
+        "uncertainty_rms_cycles": _known(drift.uncertainty_rms),
+        "reason": drift.reason,
     }
-    rows = [] if drift is None else [("drift from the table", _drift_words(drift))]
-    return rows + [(name, f"{n} {text}") for name, (n, text) in odd.items() if n]
 
 
 def _drift_words(drift: LogDrift) -> str:
@@ -179,9 +181,9 @@ def _drift_words(drift: LogDrift) -> str:
     )
 
 
-def comparison_facts(replay: ModuleReplay) -> list[tuple[str, str]]:
+def comparison_facts(replay: ModuleReplay) -> list[Row]:
     """What the recorded module sent against the replay, by CAN-ID."""
-    rows: list[tuple[str, str]] = []
+    rows: list[Row] = []
     for can_id, found in replay.compared.items():
         words = [f"{found.equal} equal"]
         words += [
@@ -193,29 +195,39 @@ def comparison_facts(replay: ModuleReplay) -> list[tuple[str, str]]:
             )
             if number
         ]
-        rows.append((f"recorded {can_id:03X}h", ", ".join(words)))
+        rows.append(Row(f"recorded {can_id:03X}h", ", ".join(words)))
         if found.first is not None:
             at = found.first.time_s - replay.counters.first_s
             first = f"{found.first.recorded.hex()} recorded, {found.first.replayed.hex()} replayed"
-            rows.append(("", f"first at {at:.6f} s: {first}"))
+            rows.append(Row("", f"first at {at:.6f} s: {first}"))
         fields = replay.fields(can_id)
         for one in [] if fields is None else fields.differences:
             if one.pairs:
                 how = f"by {one.least:g}" if one.is_constant else f"by {one.least:g} to {one.most:g}"
-                rows.append(("", f"{one.name} differs {how}"))
+                rows.append(Row("", f"{one.name} differs {how}"))
     return rows
 
 
-def log_facts(counters: Any, trouble: str | None) -> list[tuple[str, str]]:
-    """What was left out of the log and why, for people; the channels first."""
-    rows = [("log", text) for text in channel_facts(counters)]
-    facts = [
-        (counters.damaged_lines, f"damaged lines left out, the first is line {counters.first_damaged_line}"),
+def log_facts(counters: Any, trouble: str | None) -> list[Row]:
+    """What was left out of the log and why; the channels first."""
+    left_out = {name: sum(one.values()) for name, one in sorted(counters.left_out.items())}
+    damaged = f"damaged lines left out, the first is line {counters.first_damaged_line}"
+    counted = (
+        (counters.damaged_lines, damaged),
         (counters.error_frames, "error frames left out"),
         (counters.not_canopen, "frames with 29-bit identifiers or CAN FD left out"),
+    )
+    return [
+        Row(
+            frames=counters.frames,
+            damaged_lines=counters.damaged_lines,
+            channels=sorted(counters.channels),
+            left_out=left_out,
+        ),
+        *(Row("log", text) for text in channel_facts(counters)),
+        *(Row("log", f"{number} {text}") for number, text in counted if number),
+        Row("log", trouble, trouble=trouble),
     ]
-    rows += [("log", f"{number} {text}") for number, text in facts if number]
-    return rows + ([("log", trouble)] if trouble else [])
 
 
 def channel_facts(counters: Any) -> list[str]:

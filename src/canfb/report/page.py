@@ -6,7 +6,8 @@ import re
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from canfb.report import style
+from canfb.report import style as css
+from canfb.rows import Row
 
 
 def page(title: str, place: str, said: Sequence[str], body: str, footer: str, good: bool = True) -> str:
@@ -21,7 +22,7 @@ def page(title: str, place: str, said: Sequence[str], body: str, footer: str, go
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>{style.COLOURS}{style.DRAWING}{style.PAGE}</style>\n</head>\n"
+        f"<title>{escape(title)}</title>\n<style>{css.COLOURS}{css.DRAWING}{css.PAGE}</style>\n</head>\n"
         f'<body>\n<h1>{escape(title)}</h1>\n<p class="where">{escape(place)}</p>\n'
         f'<div class="verdict{"" if good else " bad"}"><p><strong>{first}</strong></p>'
         f"{''.join(f'<p>{line}</p>' for line in others)}</div>\n"
@@ -50,29 +51,23 @@ def figure(name: str, text: str, picture: str) -> str:
     return f"<figure>{caption}{picture}</figure>\n"
 
 
-def facts_table(title: str, facts: Iterable[tuple[str, str]], style: str = "") -> str:
-    """Names and what there is to say of each; ``style`` is a CSS class."""
-    rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>\n" for name, text in facts)
-    table = f'<table class="{style}">' if style else "<table>"
-    return f"<h2>{escape(title)}</h2>\n{table}<tbody>\n{rows}</tbody></table>\n"
+def table(title: str, rows: Iterable[Row], heads: Sequence[str] = (), style: str = "") -> str:
+    """The rows that have words: their names, and the words in columns, below ``heads`` if there are any.
 
-
-def comparison_table(
-    title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], *, listed: bool = False
-) -> str:
-    """One column for each head behind the names; each row begins with its name.
-
-    ``listed``, for cells with much text: on a narrow screen it is a list, each name with its cells below.
+    ``style`` is a CSS class; "listed", for cells with much text: on a narrow screen it is a list, each name
+    with its cells below.
     """
-    head = "".join(f"<th>{escape(one)}</th>" for one in heads)
-    body = "".join(f"<tr><th>{escape(name)}</th>{_cells(heads, cells)}</tr>\n" for name, *cells in rows)
-    shape = ' class="listed"' if listed else ""
-    return (
-        f"<h2>{escape(title)}</h2>\n<table{shape}><thead><tr><th></th>{head}</tr></thead>"
-        f"<tbody>\n{body}</tbody></table>\n"
+    top = "".join(f"<th>{escape(head)}</th>" for head in heads)
+    body = "".join(
+        f"<tr><th>{escape(row.name)}</th>{_cells(heads, row.words)}</tr>\n" for row in rows if row.words
     )
+    head = f"<thead><tr><th></th>{top}</tr></thead>" if heads else ""
+    shape = f' class="{style}"' if style else ""
+    return f"<h2>{escape(title)}</h2>\n<table{shape}>{head}<tbody>\n{body}</tbody></table>\n"
 
 
-def _cells(heads: Sequence[str], cells: Sequence[str]) -> str:
-    pairs = zip(heads, cells, strict=True)
-    return "".join(f'<td data-head="{escape(head)}">{escape(cell)}</td>' for head, cell in pairs)
+def _cells(heads: Sequence[str], words: Sequence[str]) -> str:
+    if not heads:
+        return "".join(f"<td>{escape(word)}</td>" for word in words)
+    pairs = zip(heads, words, strict=True)
+    return "".join(f'<td data-head="{escape(head)}">{escape(word)}</td>' for head, word in pairs)
