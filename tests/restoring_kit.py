@@ -6,8 +6,7 @@ from canfb.backup.backup_file import Backup
 from canfb.backup.backup_restoring import Restored, RestoreOptions, Restoring
 from canfb.master.access import ModuleObjects
 from canfb.master.all_or_nothing import Guard
-from canfb.module.backup_content import restored_configuration
-from canfb.module.read_configuration import read_configuration
+from canfb.module.device_configuration import read_configuration, restored_configuration
 from commissioning_kit import MODULE_ID, Bench
 
 

@@ -22,8 +22,7 @@ if TYPE_CHECKING:  # what type checkers and readers see; at run time __getattr__
     from canfb.errors import BusError, CalibrationError, CanfbError, ConfigError
     from canfb.hosting.state_files import StateFiles
     from canfb.module.feedback_module import FeedbackModule
-    from canfb.module.module_config import ModuleConfig
-    from canfb.module.second_position_config import SecondPositionConfig
+    from canfb.module.module_config import ModuleConfig, SecondPositionConfig
     from canfb.objects import StatusBit
     from canfb.signal.adaptation import AdaptConfig
     from canfb.signal.batch import process
@@ -94,8 +93,7 @@ _PLACES = {
     "eds_files": ("eds_path",),
     "errors": ("BusError", "CalibrationError", "CanfbError", "ConfigError"),
     "module.feedback_module": ("FeedbackModule",),
-    "module.module_config": ("ModuleConfig",),
-    "module.second_position_config": ("SecondPositionConfig",),
+    "module.module_config": ("ModuleConfig", "SecondPositionConfig"),
     "objects": ("StatusBit",),
     "signal.adaptation": ("AdaptConfig",),
     "signal.batch": ("process",),

@@ -20,8 +20,7 @@ import yaml
 from canfb.checks import flag, integer_in, yaml_size
 from canfb.errors import ConfigError
 from canfb.interface.interface_config import InterfaceConfig
-from canfb.module.module_config import UNCONFIGURED, ModuleConfig
-from canfb.module.second_position_config import SecondPositionConfig
+from canfb.module.module_config import UNCONFIGURED, ModuleConfig, SecondPositionConfig
 from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.cia402.drive_config import DriveConfig

@@ -18,9 +18,9 @@ from canfb.bus.computing import COMMAND, Computation
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from canfb.device.device_protocol import Computing
-from canfb.module.calibration_job import CalibrationJob, Outcome
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from canfb.module.objects.calibrating import CalibrationJob, Outcome
 from canfb.signal.sample_recording import SampleRecording
 from canfb.simulation.encoder import Encoder
 from fake_bus import FakeBus, FakeClock, frame_bus

@@ -20,10 +20,9 @@ from canfb.errors import CanfbError
 from canfb.hosting.hosting import saved_configuration
 from canfb.hosting.state_files import StateFiles
 from canfb.master.access import ModuleObjects
-from canfb.module.device_configuration import configuration_of
+from canfb.module.device_configuration import configuration_of, read_configuration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.module.read_configuration import read_configuration
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.simulation.embedded_bus import EmbeddedBus

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from story_bench import DriveNetwork
 
-from canfb.module.event import Event, EventKind
+from canfb.module.events import Event, EventKind
 from canfb.objects import StatusBit
 
 CYCLES = 1024

@@ -15,7 +15,7 @@ import canfb
 from canfb.cli.main import main
 from canfb.hosting.event_log import BURST, LONGEST_WINDOW_S, WINDOW_S, EventLog, Throttle
 from canfb.hosting.hosting import Hosting
-from canfb.module.event import Event, EventKind
+from canfb.module.events import Event, EventKind
 
 WALL = datetime(2026, 5, 4, 12, 30, 1, 250000, UTC)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from canfb.module.event import DETAILS, EventKind
+from canfb.module.events import DETAILS, EventKind
 
 PAGE = (
     (Path(__file__).parents[2] / "docs" / "service.md")

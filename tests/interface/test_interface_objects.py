@@ -8,7 +8,7 @@ import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.interface.sample_clock import SampleClock
+from canfb.interface.sample_instants import SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.interface.sample_clock import SampleClock
+from canfb.interface.sample_instants import SampleClock
 
 WRAP = 1 << 32
 drifts = st.floats(-10_000, 10_000)

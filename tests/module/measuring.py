@@ -10,7 +10,7 @@ import numpy as np
 from module_bench import Bench
 
 from canfb.calibration.result import Reason
-from canfb.module.calibration_job import CalibrationJob, Outcome
+from canfb.module.objects.calibrating import CalibrationJob, Outcome
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
 from canfb.objects import StatusBit

@@ -29,8 +29,8 @@ from canfb.calibration.drift import drift
 from canfb.calibration.result import Reason
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
-from canfb.module.calibration_job import Outcome
 from canfb.module.objects import calibrating
+from canfb.module.objects.calibrating import Outcome
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
 from canfb.objects import StatusBit

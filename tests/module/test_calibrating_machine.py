@@ -14,7 +14,7 @@ from measuring import DEVICE_STATE, Measuring, good_outcome
 
 from canfb.calibration.result import Calibration, Reason
 from canfb.cia301.frame import Frame
-from canfb.module.calibration_job import CalibrationJob, Outcome
+from canfb.module.objects.calibrating import CalibrationJob, Outcome
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
 from canfb.signal.conditioning import IDENTITY, Conditioning

@@ -21,8 +21,7 @@ from canfb.device.od.writes import Write, encode_concise
 from canfb.eds_files import eds_path
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of
 from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
-from canfb.module.second_position_config import SecondPositionConfig
+from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
 
 TABLE = table(256, 0.015)

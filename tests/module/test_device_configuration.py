@@ -23,8 +23,7 @@ from module_bench import Bench
 from canfb.device.od.writes import Write, decode_concise, encode_concise
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of, configuration_read
 from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
-from canfb.module.second_position_config import SecondPositionConfig
+from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.objects import StatusBit
 from canfb.signal.conditioning import Conditioning
 

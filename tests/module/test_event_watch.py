@@ -12,8 +12,7 @@ from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand
 from canfb.device.storage.storage import MemoryStore
-from canfb.module.event import Event, EventKind
-from canfb.module.event_watch import EventWatch
+from canfb.module.events import Event, EventKind, EventWatch
 from canfb.module.sampling import doubt_words
 from canfb.signal.feedback import Feedback
 
@@ -233,7 +232,7 @@ def test_table_and_saving_are_told() -> None:
 def test_without_a_listener_nothing_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
     machine = Machine()
     machine.module.events.on_event = None
-    monkeypatch.setattr(EventWatch, "_tell", lambda *given, **values: pytest.fail("made for nobody"))
+    monkeypatch.setattr(EventWatch, "_report", lambda *given, **values: pytest.fail("made for nobody"))
     monkeypatch.setattr(EventWatch, "_changed", lambda *given: pytest.fail("made for nobody"))
     monkeypatch.setattr(EventWatch, "state_changed", lambda *given: None)
     monkeypatch.setattr(EventWatch, "synced", lambda *given: None)

@@ -7,9 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from module_bench import Bench
 
-from canfb.module.cia406.cams import Cam
-from canfb.module.cia406.limit_values import limit_position
-from canfb.module.cia406.work_area import OUT_OF_RANGE, OVERFLOW, UNDERFLOW, work_area_state
+from canfb.module.cia406.cams import OUT_OF_RANGE, OVERFLOW, UNDERFLOW, Cam, limit_position, work_area_state
 
 RANGE = 1000
 

@@ -12,8 +12,7 @@ from module_bench import Bench
 
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
-from canfb.module.cia406.position import PositionScale
-from canfb.module.cia406.speed import MotionObjects, saturated
+from canfb.module.cia406.position import MotionObjects, PositionScale, saturated
 from canfb.module.interval import SamplingInterval
 from canfb.module.objects.publication import NOTHING
 from canfb.timing.sync_clock import SyncClock

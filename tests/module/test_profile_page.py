@@ -15,7 +15,7 @@ from canfb.cia301.datatypes import DataType
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
-from canfb.module.cia406 import profile_warnings
+from canfb.module.cia406.alarms import CODES
 from canfb.module.cia406.profile import ALARM_PARAMETERS, ALARM_POSITION
 from folding import each
 
@@ -77,7 +77,7 @@ def test_the_alarms_and_warnings_are_those_that_are_supported() -> None:
         r"^\| (650[35])h \| (\d+) \| [^|]* \| ([0-9A-F]{4})h", section("Alarms and warnings"), re.M
     ):
         told[index][1 << int(bit)] = int(code, 16)
-    assert told["6505"] == {bit: int(code) for bit, code in profile_warnings.CODES.items()}
+    assert told["6505"] == {bit: int(code) for bit, code in CODES.items()}
     assert told["6503"] == {ALARM_POSITION: EmergencyCode.SENSOR, ALARM_PARAMETERS: EmergencyCode.DATA_SET}
     assert sum(told["6503"]) == DICTIONARY.entry(0x6504).default
     assert sum(told["6505"]) == DICTIONARY.entry(0x6506).default

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame
-from canfb.module.cia406.profile_warnings import CODES
+from canfb.module.cia406.alarms import CODES
 
 FREQUENCY, AMPLITUDE, REFERENCE = 0xFF10, 0xFF11, 0xFF15
 LOW, GOOD, BAD = 430.0, 1500.0, 10.0  # amplitudes; 400 is the lowest accepted one

@@ -18,8 +18,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
-from canfb.module.second_position_config import SecondPositionConfig
+from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.sample import Sample

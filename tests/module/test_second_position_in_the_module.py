@@ -11,10 +11,9 @@ from canopen import SdoAbortedError
 from module_bench import SYNC, Bench
 
 from canfb.cia301.frame import Frame
-from canfb.module.event import Event, EventKind
+from canfb.module.events import Event, EventKind
 from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
-from canfb.module.second_position_config import SecondPositionConfig
+from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.objects import StatusBit
 from canfb.signal.sample import Sample
 from folding import each

@@ -10,8 +10,7 @@ import pytest
 from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
-from canfb.module.backup_content import backup_values
-from canfb.module.device_configuration import configuration_of
+from canfb.module.device_configuration import backup_values, configuration_of
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 

@@ -13,8 +13,7 @@ from canfb.configuration import parse_config
 from canfb.errors import ConfigError
 from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.interface.hearing import TRUE_TIME
-from canfb.interface.sample_clock import SampleClock
+from canfb.interface.sample_instants import TRUE_TIME, SampleClock
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp
@@ -37,7 +36,7 @@ def slow(interval_s: float = 1e-3) -> tuple[EmbeddedBus, EncoderInterface, SlowM
     """An interface in slow motion, in OPERATIONAL, and the PDOs that it sends."""
     interface = EncoderInterface(NODE, turning(), autostart=True, times=True, clock=SampleClock())
     hearing = SlowMotion(interface.dictionary, interval_s)
-    interface.hearing = hearing
+    interface.time_base = hearing
     bus, sent = EmbeddedBus(), []
     bus.taps.append(lambda frame, now: sent.append(frame) if frame.can_id == TPDO1 else None)
     bus.attach(hearing)
@@ -67,7 +66,7 @@ def test_in_slow_motion_each_sync_is_one_interval_however_late() -> None:
 
 def test_in_true_time_a_late_sync_finds_the_machine_further_on() -> None:
     bus, interface, _, sent = slow()
-    interface.hearing = TRUE_TIME
+    interface.time_base = TRUE_TIME
     for at in LATE_S:
         bus.run_until(at)
         bus.send(SYNC)
@@ -107,7 +106,7 @@ def test_the_plant_turns_one_interval_with_each_sync() -> None:
     assert axis is not None
     interface = EncoderInterface(NODE, axis.source, autostart=True)
     hearing = SlowMotion(interface.dictionary, 0.01)
-    interface.hearing = axis.plant.hearing = axis.drive.hearing = hearing
+    interface.time_base = axis.plant.time_base = axis.drive.time_base = hearing
     bus = EmbeddedBus()
     for device in (hearing, axis.plant, interface, axis.drive):
         bus.attach(device)

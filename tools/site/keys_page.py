@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 from canfb.configuration import Config, RealtimeConfig
 from canfb.interface.interface_config import InterfaceConfig
-from canfb.module.module_config import ModuleConfig
-from canfb.module.second_position_config import SecondPositionConfig
+from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.cia402.drive_config import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig

@@ -1,7 +1,8 @@
-"""A CAN frame: what goes in and comes out of a node."""
+"""A CAN frame, what goes in and comes out of a node; and how objects fill the frames of PDOs."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple, Self
 
 HIGHEST_ID = 0x7FF
@@ -50,3 +51,25 @@ def frame_bits(data_bytes: int, *, extended: bool = False) -> int:
     """
     stuffed = (54 if extended else 34) + 8 * data_bytes
     return stuffed + 13 + (stuffed - 1) // 4
+
+
+LONGEST_BITS = 64
+
+
+def in_pdos(mapped: Iterable[int]) -> list[list[int]]:
+    """Mapping entries (index, sub-index, bits), shared out to as many PDOs as they need."""
+    pdos: list[list[int]] = [[]]
+    for entry in mapped:
+        if sum(one & 0xFF for one in pdos[-1]) + (entry & 0xFF) > LONGEST_BITS:
+            pdos.append([])
+        pdos[-1].append(entry)
+    return pdos
+
+
+def mapping_values(first_index: int, mapped: Iterable[int]) -> dict[tuple[int, int], int]:
+    """The mapping parameters, by index and sub-index, of the PDOs that :func:`in_pdos` gives."""
+    values: dict[tuple[int, int], int] = {}
+    for index, entries in enumerate(in_pdos(mapped), first_index):
+        values |= {(index, place): entry for place, entry in enumerate(entries, 1)}
+        values[index, 0] = len(entries)
+    return values

@@ -17,9 +17,13 @@ from canfb.eds_files import eds_path
 from canfb.master.access import Master, ModuleObjects, NodeAccess
 from canfb.master.all_or_nothing import check_writable, write_whole
 from canfb.master.session import IDENTITY
-from canfb.module.backup_content import OF_THE_MACHINE, backup_values, restored_configuration
-from canfb.module.delivered import EDS
-from canfb.module.read_configuration import read_configuration
+from canfb.module.device_configuration import (
+    OF_THE_MACHINE,
+    backup_values,
+    read_configuration,
+    restored_configuration,
+)
+from canfb.module.parameters import EDS
 from canfb.sdo.object_description import ObjectDescriptions
 
 

@@ -17,8 +17,8 @@ from canfb.errors import ConfigError
 from canfb.hosting.hosting import saved_configuration
 from canfb.master.access import ModuleObjects
 from canfb.module.configuration_files import ConfigurationFiles, place_names
+from canfb.module.device_configuration import read_configuration
 from canfb.module.module_config import ModuleConfig
-from canfb.module.read_configuration import read_configuration
 
 INLINE, FILE = "inline", "file"
 

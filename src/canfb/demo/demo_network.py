@@ -14,7 +14,7 @@ from canfb.cia301.frame import Frame
 from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.interface.sample_clock import SampleClock
+from canfb.interface.sample_instants import SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.phase import FloatArray

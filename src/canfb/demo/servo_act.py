@@ -18,7 +18,7 @@ from canfb.demo.demo_network import (
     TIMING,
 )
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.interface.sample_clock import SampleClock
+from canfb.interface.sample_instants import SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import Correction

@@ -19,9 +19,8 @@ from canfb.cia301.datatypes import encode
 from canfb.device.core import NEVER
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.node import Node
-from canfb.module.event import DETAILS, Event
+from canfb.module.events import DETAILS, Event, NodeEvents
 from canfb.module.feedback_module import FeedbackModule
-from canfb.module.node_events import NodeEvents
 from canfb.module.parameters import configured_defaults
 
 T = TypeVar("T")

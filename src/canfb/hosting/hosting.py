@@ -34,11 +34,11 @@ from canfb.hosting.serving import ServedDevice, Serving
 from canfb.hosting.state_files import SavedParameters, StateFiles, ThreadedStore
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.interface.interface_config import InterfaceConfig
-from canfb.interface.sample_clock import SampleClock
+from canfb.interface.sample_instants import SampleClock
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of
+from canfb.module.events import NodeEvents
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig
-from canfb.module.node_events import NodeEvents
 from canfb.simulation.scenario import SimulationConfig
 from canfb.sources.protocol import Converter, Source
 from canfb.sources.source_config import SourceConfig

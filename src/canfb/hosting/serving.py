@@ -22,7 +22,7 @@ from canfb.errors import CanfbError
 from canfb.hosting.event_log import EventLog, Served, title_of
 from canfb.hosting.realtime import apply_realtime, outside_collections
 from canfb.hosting.self_diagnosis import SelfDiagnosis
-from canfb.module.node_events import NodeEvents
+from canfb.module.events import NodeEvents
 
 
 class OnBus(ABC):

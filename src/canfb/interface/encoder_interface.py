@@ -12,17 +12,14 @@ from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.cob import CAN_ID
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
-from canfb.cia301.frame import Frame
-from canfb.cia301.pdo_room import mapping_values
+from canfb.cia301.frame import Frame, mapping_values
 from canfb.device.device_protocol import NodeDevice
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.mapping import COMMUNICATION, Direction, numbers
 from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
 from canfb.interface.fast_recording import FastRecorder
-from canfb.interface.hearing import TRUE_TIME, Hearing
-from canfb.interface.sample_clock import SampleClock
-from canfb.interface.several_samples import SeveralSamples
+from canfb.interface.sample_instants import TRUE_TIME, SampleClock, SeveralSamples, TimeBase
 from canfb.signal.sample import Sample
 from canfb.sources.protocol import Grouped, Machine, Source
 from canfb.sources.source_watch import SourceWatch
@@ -35,8 +32,8 @@ class EncoderInterface(NodeDevice):
     """A CANopen node, sans-I/O, with the ADC channels in 6401h and TPDO1 at each SYNC.
 
     ``source`` gives the samples: a :class:`Machine` at the time at which the SYNC was received, another
-    source one sample for each SYNC. That is true time, unless ``hearing`` is set to another one (see
-    :mod:`canfb.interface.hearing`). A SYNC for which it has none gets no TPDO, as if the sample
+    source one sample for each SYNC. That is true time, unless ``time_base`` is set to another one (see
+    :class:`TimeBase`). A SYNC for which it has none gets no TPDO, as if the sample
     were lost on the bus. ``ended`` becomes True when a recording is over. Each sample is an event for the
     TPDOs of type 0; types FEh and FFh have their event timer.
 
@@ -81,9 +78,9 @@ class EncoderInterface(NodeDevice):
         self.on_source: Callable[[str], None] | None = None
         for place in (od.RECORDING_COMMAND, od.RECORDING_RATE, od.INTERFACE_MACHINE):  # nothing to keep
             self.node.storage.entries.leave_out(*place)
-        self.hearing: Hearing = TRUE_TIME
+        self.time_base: TimeBase = TRUE_TIME
         self._now = 0.0
-        self._heard_s = 0.0  # when the frame was received, in the time of the machine
+        self._received_s = 0.0  # when the frame was received, in the time of the machine
         self._clock = SampleClock() if clock is None else clock
         self.recorder = FastRecorder(self.dictionary, source, self.machine_now)
         self.source = source
@@ -92,7 +89,7 @@ class EncoderInterface(NodeDevice):
         grouped = isinstance(source, Grouped) and source.samples_per_sync == samples_per_sync
         several = samples_per_sync > 1 and not grouped
         self._several = SeveralSamples(source, samples_per_sync) if several else None
-        self._watch = SourceWatch(self._ask, self._tell_of_source)
+        self._watch = SourceWatch(self._ask, self._source_message)
         self._reported = False  # EMCY of the source is active
         self.samples = 0
         """Samples sent."""
@@ -118,7 +115,7 @@ class EncoderInterface(NodeDevice):
 
     def machine_now(self) -> float:
         """The time of the machine, seconds, at the running call."""
-        return self.hearing.at(self._now)
+        return self.time_base.at(self._now)
 
     def start(self, now: float) -> list[Frame]:
         """Power-on at ``now`` (seconds): the boot-up frame."""
@@ -129,14 +126,14 @@ class EncoderInterface(NodeDevice):
         """Take a frame from the bus; the frames to send."""
         self._silent = False
         self._now = now
-        self._heard_s = self.hearing.heard_at(frame, now)
+        self._received_s = self.time_base.received_at(frame, now)
         return self._audible(super().receive(frame, now))
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at ``now``, a SYNC of its own too (1005h bit 30); the frames to send."""
         self._silent = False
         self._now = now
-        self._heard_s = self.hearing.at(now)
+        self._received_s = self.time_base.at(now)
         return self._audible(super().tick(now))
 
     def sync_received(self, counter: int | None, now: float) -> None:
@@ -162,12 +159,12 @@ class EncoderInterface(NodeDevice):
             self.node.clear_emergency(EmergencyCode.HARDWARE, now)
 
     def _ask(self) -> Sample | None:
-        """A machine is sampled when the SYNC is heard; a recording has one sample for each SYNC."""
+        """A machine is sampled when the SYNC is received; a recording has one sample for each SYNC."""
         if self._several is not None:
-            return self._several.at_sync(self._heard_s)
-        return self.source.next() if self._machine is None else self._machine.sample_at(self._heard_s)
+            return self._several.at_sync(self._received_s)
+        return self.source.next() if self._machine is None else self._machine.sample_at(self._received_s)
 
-    def _tell_of_source(self, text: str) -> None:
+    def _source_message(self, text: str) -> None:
         if self.on_source is not None:
             self.on_source(text)
 
@@ -180,7 +177,7 @@ class EncoderInterface(NodeDevice):
         for entries, pair in zip(self._earlier, pairs, strict=False):
             for channel, counts in zip(entries, pair, strict=True):
                 channel.value = counts
-        taken_s = self._heard_s if self._several is None else self._several.newest_s
+        taken_s = self._received_s if self._several is None else self._several.newest_s
         self._time.value = self._clock.ticks(taken_s) if time_100ns is None else time_100ns
         flags = od.SampleFlag.INVALID if invalid else 0
         if pulse is not None:

@@ -254,7 +254,7 @@ class NodeAccess:
 
 
 class ModuleObjects:
-    """The node ``node_id``, by SDO (:class:`canfb.module.read_configuration.Objects`)."""
+    """The node ``node_id``, by SDO (:class:`canfb.module.device_configuration.Objects`)."""
 
     def __init__(self, master: Master, node_id: int) -> None:
         self._node = NodeAccess(master, node_id, "node")

@@ -12,8 +12,8 @@ from canfb.device.od.dcf import Commissioning, FileInfo, Place, Reals, dcf_text
 from canfb.device.od.writes import encode_concise
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
-from canfb.module.delivered import EDS
 from canfb.module.device_configuration import DeviceConfiguration
+from canfb.module.parameters import EDS
 
 
 @dataclass(frozen=True)

@@ -1,20 +1,29 @@
-"""The configuration of a module as a master loads it: every parameter that `save` keeps, as SDO writes."""
+"""All parameters of a module as SDO writes: of a running one, of one on a bus, of a backup.
+
+A configuration is what `save` keeps and SDO can write, whether it differs from a default or not, and the
+table. A master writes it (DCF), a backup holds it. The order matters: the module refuses, as CiA 301
+demands, a mapping of a valid PDO, or a lower limit above the upper one.
+"""
 
 from __future__ import annotations
 
+import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from canfb import objects as od
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import SdoAbort
 from canfb.device.od.dcf import Place
-from canfb.device.od.dictionary import Entry
+from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.device.od.writes import TURNS, Write, switched_off, turn
+from canfb.eds_files import eds_path
+from canfb.errors import CanfbError
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from canfb.module.parameters import EDS
 
 OPENING: dict[Place, int] = {od.ENCODER_LOWEST_AMPLITUDE: 0}
 """Values that are always accepted and let others be written: the lower one of two amplitudes."""
@@ -179,3 +188,108 @@ def _is_taken(module: FeedbackModule, write: Write) -> bool:
     except SdoAbort:
         return False
     return True
+
+
+IDENTITY = (od.DEVICE_TYPE, od.IDENTITY_VENDOR_ID, od.IDENTITY_PRODUCT_CODE)  # what a module is known by
+ACTIVE_CONDITIONING = struct.Struct(f"<{len(od.CONDITIONING)}f")
+CHANGED = "the table changed while it was read; try again"
+
+
+class Objects(Protocol):
+    """The objects of a node; CanfbError for what cannot be read."""
+
+    @property
+    def node_id(self) -> int:
+        """1..127."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+
+    def number(self, index: int, subindex: int, layout: str) -> int | float:
+        """A number, ``layout`` as in struct."""
+
+    def data(self, index: int, subindex: int) -> bytes:
+        """The bytes of any object."""
+
+
+def read_configuration(objects: Objects) -> DeviceConfiguration:
+    """The active configuration of a module on a bus. CanfbError if it cannot be read, or is not of canfb.
+
+    Table and conditioning are those in force, one set: between an upload and its activation 2002h and 2005h
+    hold values of another table.
+    """
+    dictionary = Dictionary.load(eds_path(EDS), objects.node_id)
+    for place in IDENTITY:
+        entry = dictionary.entry(*place)
+        found = _read(objects, entry)
+        if found != entry.value:
+            what = f"{place[0]:04X}:{place[1]:02X} is {found:X}h, not {entry.value:X}h"
+            raise CanfbError(f"{objects.name} is not a feedback module of canfb: {what}")
+    serial_number = int(_read(objects, dictionary.entry(*od.IDENTITY_SERIAL_NUMBER)))
+    conditioning = objects.data(*od.TABLE_ACTIVE_CONDITIONING)
+    table = _read_table(objects, dictionary)
+    if objects.data(*od.TABLE_ACTIVE_CONDITIONING) != conditioning:
+        raise CanfbError(f"{objects.name}: {CHANGED}")
+    if len(conditioning) != ACTIVE_CONDITIONING.size:
+        raise CanfbError(f"{objects.name}: 2020:07 has {len(conditioning)} bytes: another version of canfb")
+    in_force = dict(zip(od.CONDITIONING, ACTIVE_CONDITIONING.unpack(conditioning), strict=True))
+
+    def value(entry: Entry) -> Any:
+        place = od.Multiplexer(entry.index, entry.subindex)
+        return in_force[place] if place in in_force else _read(objects, entry)
+
+    return configuration_read(objects.node_id, value, serial_number, table)
+
+
+def _read(objects: Objects, entry: Entry) -> Any:
+    letter = datatypes.FORMATS.get(entry.data_type)
+    if letter is None:
+        return entry.decode(objects.data(entry.index, entry.subindex))
+    return objects.number(entry.index, entry.subindex, letter)
+
+
+def _read_table(objects: Objects, dictionary: Dictionary) -> bytes:
+    """The active table, empty for the identity."""
+    crc32 = _read(objects, dictionary.entry(*od.TABLE_ACTIVE_CRC))
+    if not crc32:
+        return b""
+    table = objects.data(*od.TABLE_STAGED)
+    if zlib.crc32(table) != crc32:
+        raise CanfbError(f"{objects.name}: {CHANGED}")
+    return table
+
+
+OF_THE_MACHINE = (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET, od.OFFSET_VALUE)
+"""What `save` keeps as well, and no master can write back: a preset needs a valid position at standstill."""
+_CAN_ID = 0x1FFFFFFF
+
+
+def backup_values(configuration: DeviceConfiguration) -> dict[Place, Any]:
+    """The parameters of a module, without the table."""
+    return {setting.place: setting.value for setting in configuration.settings}
+
+
+def restored_configuration(
+    values: Mapping[Place, Any], before: Mapping[Place, Any], table: bytes, made_for: int, node_id: int
+) -> DeviceConfiguration:
+    """What the node `node_id` is to be, of the `values` of a backup `made_for` a node-ID, both 1..127.
+
+    What the backup does not have stays as `before`. A COB-ID that has its default follows the node-ID.
+    """
+    merged = dict(before) | moved_values(values, made_for, node_id)
+    serial = 0  # not written by SDO
+    return configuration_read(node_id, lambda entry: merged[entry.index, entry.subindex], serial, table)
+
+
+def moved_values(values: Mapping[Place, Any], old: int, new: int) -> dict[Place, Any]:
+    """The values of node `old` as those of node `new`: CAN-IDs that are the default of `old` follow it."""
+    if old == new:
+        return dict(values)
+    dictionary = Dictionary.load(eds_path(EDS), old)
+    moved = dict(values)
+    for place, value in values.items():
+        entry = dictionary.find(*place)
+        if entry is not None and entry.follows_node_id and not (value ^ entry.default) & _CAN_ID:
+            moved[place] = value + new - old
+    return moved

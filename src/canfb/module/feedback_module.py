@@ -13,27 +13,21 @@ from canfb.device.device_protocol import NodeDevice
 from canfb.device.od.dictionary import Entry
 from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import Store
-from canfb.module.calibration_job import CalibrationJob, Outcome
-from canfb.module.cia406.cyclic_timer import CyclicTimer
-from canfb.module.cia406.operating_time import OperatingTime
-from canfb.module.cia406.position_alarm import REGISTER
-from canfb.module.delivered import delivered_dictionary
-from canfb.module.event_watch import EventWatch
+from canfb.module.cia406.alarms import REGISTER
+from canfb.module.cia406.profile import CyclicTimer, OperatingTime
+from canfb.module.events import EventWatch
 from canfb.module.interval import SamplingInterval
 from canfb.module.jitter_watch import JitterWatch
-from canfb.module.local_source import LocalSource
 from canfb.module.module_config import ModuleConfig
-from canfb.module.objects.adapting import Adapting
-from canfb.module.objects.calibrating import Calibrating
-from canfb.module.objects.recorder import Recorder
-from canfb.module.objects.sample_input import SampleInput
+from canfb.module.objects.calibrating import Calibrating, CalibrationJob, Outcome
+from canfb.module.objects.recorder import Recorder, SampleObservers
+from canfb.module.objects.sample_input import LocalSource, SampleInput
 from canfb.module.objects.second_input import SecondInput
-from canfb.module.objects.table_store import TableStore
+from canfb.module.objects.table_store import Adapting, TableStore
 from canfb.module.objects.write_lock import WriteLock
-from canfb.module.parameters import Limits
+from canfb.module.parameters import Limits, factory_dictionary
 from canfb.module.publishing import Publishing
 from canfb.module.sampling import Sampling
-from canfb.module.tap import Taps
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.correction import Correction
@@ -74,7 +68,7 @@ class FeedbackModule(NodeDevice):
     ) -> None:
         _check(config, source)
         super().__init__(
-            delivered_dictionary(config, samples_itself=source is not None),
+            factory_dictionary(config, samples_itself=source is not None),
             config.node_id,
             autostart=config.autostart,
             store=store,
@@ -107,8 +101,8 @@ class FeedbackModule(NodeDevice):
         self._second = SecondInput(dictionary, node, chain)
         self._source = None
         if source is not None:
-            self._source = LocalSource(source, dictionary, self._input, self._tell_of_source)
-        self._taps = Taps()
+            self._source = LocalSource(source, dictionary, self._input, self._source_message)
+        self._observers = SampleObservers()
         self._publishing = Publishing(dictionary, node, interval, self._limits, chain, self._input)
         self._prediction = self._publishing.prediction
         self.observer = self.events
@@ -121,7 +115,7 @@ class FeedbackModule(NodeDevice):
             chain,
             self._input,
             self._source,
-            self._taps,
+            self._observers,
             self._publishing,
         )
         self._pairing = self._sampling.pairing
@@ -129,7 +123,7 @@ class FeedbackModule(NodeDevice):
         cycles_per_revolution.on_written = self._encoder_changed
         self._jitter = JitterWatch(judge.clock, interval, self._limits, cycles_per_revolution, self._warn)
         judge.on_followed = self._on_followed
-        self._recorder = Recorder(dictionary, interval, self._taps)
+        self._recorder = Recorder(dictionary, interval, self._observers)
 
     def _make_commands(self) -> None:
         """What SDO starts or reads, beside the feedback: tables, calibration, timers."""
@@ -140,7 +134,7 @@ class FeedbackModule(NodeDevice):
         self._operating_time = OperatingTime(dictionary, storage, lambda: self.node.now)
         CyclicTimer(dictionary, storage)
         self._calibrating = Calibrating(
-            dictionary, self.chain, self._tables, self._taps, self._publishing.objects.calibrating
+            dictionary, self.chain, self._tables, self._observers, self._publishing.objects.calibrating
         )
 
     @property
@@ -273,7 +267,7 @@ class FeedbackModule(NodeDevice):
         if self.on_warning is not None:
             self.on_warning(text)
 
-    def _tell_of_source(self, text: str) -> None:
+    def _source_message(self, text: str) -> None:
         if self.on_source is not None:
             self.on_source(text)
 
@@ -296,7 +290,7 @@ class FeedbackModule(NodeDevice):
     def sync_received(self, counter: int | None, now: float) -> None:
         """The next interval, with ``counter``; with 2013:01 the TPDOs get the position of this SYNC."""
         pairing = self._pairing
-        if self._source is not None or not self._prediction.wanted:
+        if self._source is not None or not self._prediction.extrapolates:
             pairing.on_sync(counter, now)  # the sample of a source belongs to this very SYNC
             return
         extra = pairing.extra
@@ -359,7 +353,7 @@ class FeedbackModule(NodeDevice):
         self._calibrating.reset()
 
     def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
-        """Bit 12 of 6503h while there are ``faults``, EMCY 6310h, and the program is told."""
+        """Bit 12 of 6503h while there are ``faults``, EMCY 6310h, and the program is notified."""
         self._publishing.profile.alarm_parameters(bool(faults))
         super().parameters_refused(faults, now)
 

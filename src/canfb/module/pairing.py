@@ -15,8 +15,7 @@ from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.module.interval import SamplingInterval
-from canfb.module.local_source import LocalSource
-from canfb.module.objects.sample_input import SampleInput
+from canfb.module.objects.sample_input import LocalSource, SampleInput
 from canfb.signal.sample import Sample
 from canfb.timing.judge import USUAL, Judge, Passed, Refusal
 from canfb.timing.sync_judge import ON_TIME, SyncVerdict

@@ -1,4 +1,10 @@
-"""Between the configuration, the object dictionary and the signal chain."""
+"""Between configuration, object dictionary and signal chain: factory defaults, and the limits in force.
+
+A configuration replaces defaults of the EDS (:func:`configured_defaults`); after that the dictionary alone
+is read. :class:`Limits` hands its values to the chain, whenever an SDO write, the interval of SYNC or the
+measured noise changes one. What they narrow the residual limit to is worked out in
+:mod:`canfb.view.limits_in_force`.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +16,9 @@ from typing import Any
 from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.cia301.pdo_room import mapping_values
+from canfb.cia301.frame import mapping_values
 from canfb.device.od.dictionary import Dictionary
+from canfb.eds_files import eds_path
 from canfb.module.cia406.position import distinguishable_revolutions, single_turn_resolution
 from canfb.module.interval import SamplingInterval
 from canfb.module.module_config import (
@@ -25,6 +32,21 @@ from canfb.signal.chain_config import MOST_CORNER_HZ, ChainConfig
 from canfb.signal.residual_noise import ResidualNoise
 from canfb.signal.supervision import SampleLimits
 from canfb.view.limits_in_force import limit_settings
+
+EDS = "canfb-module"
+
+
+def factory_dictionary(config: ModuleConfig, *, samples_itself: bool = False) -> Dictionary:
+    """The object dictionary of a module: the EDS, its defaults replaced; nothing saved is in it.
+
+    ``samples_itself``: a source takes the place of the ADC PDO.
+    """
+    dictionary = Dictionary.load(eds_path(EDS), config.node_id)
+    apply_defaults(dictionary, configured_defaults(config))
+    if samples_itself:
+        apply_defaults(dictionary, without_adc_pdo(config))
+    return dictionary
+
 
 SAME_NARROWED, SAME_ANALOG = 0.002, 2e-4  # of the interval: no reason for new limits, other coefficients
 SAME_NOISE = 0.02  # of it: no reason for new limits

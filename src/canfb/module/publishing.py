@@ -14,15 +14,12 @@ from canfb.cia301.cob import is_valid
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.mapping import EVENT_DRIVEN
-from canfb.module.cia406.position_alarm import PositionAlarm
+from canfb.module.cia406.alarms import PositionAlarm, Warnings
 from canfb.module.cia406.profile import EncoderProfile
-from canfb.module.cia406.profile_warnings import Warnings
-from canfb.module.event_watch import EventWatch
+from canfb.module.events import EventWatch
 from canfb.module.interval import SamplingInterval
-from canfb.module.latest import Latest
-from canfb.module.objects.last_loss import LastLoss
 from canfb.module.objects.prediction import Prediction
-from canfb.module.objects.publication import FAULTS, SIXTEEN_BITS, U32, Publication
+from canfb.module.objects.publication import FAULTS, SIXTEEN_BITS, U32, LastLoss, Latest, Publication
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.parameters import Limits
 from canfb.signal.chain import SignalChain

@@ -9,12 +9,11 @@ from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.interval import SamplingInterval
-from canfb.module.local_source import LocalSource
-from canfb.module.objects.sample_input import SampleInput
+from canfb.module.objects.recorder import SampleObservers
+from canfb.module.objects.sample_input import LocalSource, SampleInput
 from canfb.module.pairing import Findings, Pairing
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
-from canfb.module.tap import Taps
 from canfb.module.usual_sample import UsualSample
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
@@ -66,7 +65,7 @@ class Sampling:
         chain: SignalChain,
         parts: SampleInput,
         source: LocalSource | None,
-        taps: Taps,
+        taps: SampleObservers,
         publishing: Publishing,
     ) -> None:
         self._interval, self._limits, self._chain = interval, limits, chain

@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary
+from canfb.module.objects.recorder import SampleObservers
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
-from canfb.module.tap import Taps
 from canfb.signal.chain import SignalChain
 
 
@@ -27,7 +27,7 @@ class UsualSample:
         dictionary: Dictionary,
         chain: SignalChain,
         limits: Limits,
-        taps: Taps,
+        taps: SampleObservers,
         publishing: Publishing,
         unusual: Callable[[float], None],
     ) -> None:

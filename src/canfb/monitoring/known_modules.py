@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from canfb.configuration import Config
-from canfb.module.delivered import delivered_dictionary
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig
+from canfb.module.parameters import factory_dictionary
 from canfb.monitoring.layout import NodeLayout, Origin, layout_of
 from canfb.objects import Multiplexer
 from canfb.view.pdo_map import Number, Read
@@ -48,7 +48,7 @@ def _layout(config: ModuleConfig, origin: Origin) -> NodeLayout:
 
 
 def _reader(config: ModuleConfig) -> Read:
-    dictionary = delivered_dictionary(config, samples_itself=config.source is not None)
+    dictionary = factory_dictionary(config, samples_itself=config.source is not None)
 
     def read(place: Multiplexer) -> Number | None:
         entry = dictionary.find(*place)

@@ -6,7 +6,7 @@ from typing import Any
 
 from canfb import objects as od
 from canfb.cia301 import cob
-from canfb.cia301.pdo_room import mapping_values
+from canfb.cia301.frame import mapping_values
 from canfb.device.od.dcf import Place
 from canfb.planning.traffic import Values
 from canfb.view.pdo_map import Pdo, valid_pdos

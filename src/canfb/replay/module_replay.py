@@ -12,9 +12,9 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.storage.storage import Store
-from canfb.module.calibration_job import Outcome
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from canfb.module.objects.calibrating import Outcome
 from canfb.replay.fault_list import FaultList
 from canfb.replay.log_time import LONGEST_GAP_S, LogTime
 from canfb.replay.margins import Margins

@@ -6,7 +6,7 @@ import random
 from dataclasses import dataclass, field
 
 from canfb.checks import integer_in, number_in
-from canfb.interface.sample_clock import LARGEST_DRIFT_PPM, SampleClock
+from canfb.interface.sample_instants import LARGEST_DRIFT_PPM, SampleClock
 from canfb.simulation.analog_path import AnalogPath
 from canfb.simulation.cia402.drive_config import DriveConfig
 from canfb.simulation.encoder import Encoder, Harmonic
@@ -144,7 +144,7 @@ class SimulationConfig(SyncTiming):
                                  its samples (2000:01), -10000..10000 ppm
     aperture_jitter_ns           rms of the instant at which the tracks are held, 0..1e6 ns
     pace                         "time": the machine turns in true time; "sync": it goes on by one interval
-                                 with each SYNC, however late (:mod:`canfb.interface.hearing`)
+                                 with each SYNC, however late (:mod:`canfb.interface.sample_instants`)
     sync_period_us               of the SYNC of the bus, 10..1e7 us; ``--rate`` takes precedence
     seed                         of everything that is random, 0..2^63 - 1
     """

@@ -83,9 +83,9 @@ def set_up(
     advice = IN_TRUE_TIME
     if simulation.pace == "sync":
         slow_motion, advice = SlowMotion(interface.dictionary, 1.0 / rate_hz), IN_SLOW_MOTION
-        interface.hearing = slow_motion
+        interface.time_base = slow_motion
         if axis is not None:
-            axis.plant.hearing = axis.drive.hearing = slow_motion
+            axis.plant.time_base = axis.drive.time_base = slow_motion
         devices.insert(0, slow_motion)
     recorder = SampleRecorder(interface)
     if play.recorded:

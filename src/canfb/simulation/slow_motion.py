@@ -16,7 +16,7 @@ class SlowMotion:
     """The machine goes on by one nominal interval with each SYNC, however late it is, and stands between.
 
     The samples are equidistant in the time of the machine. Attach it to the bus before the nodes whose
-    ``hearing`` (:mod:`canfb.interface.hearing`) it is; it sends nothing.
+    ``time_base`` (:mod:`canfb.interface.sample_instants`) it is; it sends nothing.
 
     ``dictionary`` is that of the node that samples: its 1005h says which frame is the SYNC, its 1006h how
     long the interval is. ``interval_s``, 1e-6 to 10 s, counts while 1006h is 0; ValueError for another.
@@ -48,7 +48,7 @@ class SlowMotion:
         """No time is waited for."""
         return None
 
-    def heard_at(self, frame: Frame, now: float) -> float:
+    def received_at(self, frame: Frame, now: float) -> float:
         """The time of the last SYNC."""
         return self.time_s
 

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, Protocol
 from canfb.cia301 import cob, datatypes
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.datatypes import DataType
-from canfb.cia301.pdo_room import LONGEST_BITS as LONGEST_BITS
+from canfb.cia301.frame import LONGEST_BITS as LONGEST_BITS
 from canfb.device.od.dictionary import RPDO_ACCESS, TPDO_ACCESS, Dictionary, Entry
 
 UNFIT = (struct.error, OverflowError)

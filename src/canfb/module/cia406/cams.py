@@ -1,11 +1,58 @@
-"""The eight cams of one channel: electronic limit switches over the position (CiA 406, 6300h to 6337h)."""
+"""Cams and work area of one channel (CiA 406, 6300h to 6337h, 6400h to 6402h): limits of the position.
+
+Limits are INTEGER32 beside a position that is UNSIGNED32; :func:`limit_position` is what they mean. Both go
+over the wrap of the range as the position does.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from canfb.device.od.dictionary import Dictionary
-from canfb.module.cia406.limit_values import Span, span_of
+
+U32 = 0xFFFFFFFF
+
+
+class Span(NamedTuple):
+    """Positions from ``low`` to ``high``, both included; over the wrap if ``low`` is above ``high``."""
+
+    low: int
+    high: int
+
+    def holds(self, position: int) -> bool:
+        """Whether the position is in the span."""
+        low, high = self
+        if low <= high:
+            return low <= position <= high
+        return position >= low or position <= high
+
+
+def limit_position(limit: int, total_range: int) -> int:
+    """The position, in measuring units, that a limit (INTEGER32) means in a range 0 .. ``total_range`` - 1.
+
+    A negative limit has the same 32 bits as a position from 2^31 on where the range reaches that far;
+    else it counts back from the end of the range: -1 is the last position. Limits beyond the range
+    stay beyond it.
+    """
+    if limit >= 0:
+        return limit
+    unsigned = limit & U32
+    return unsigned if unsigned < total_range else limit + total_range
+
+
+def span_of(low: int, high: int, total_range: int) -> Span | None:
+    """The positions between two limits (INTEGER32), cut to the range; None for a span wholly beyond it."""
+    first, last = limit_position(low, total_range), limit_position(high, total_range)
+    if first <= last:
+        if last < 0 or first >= total_range:
+            return None
+        return Span(max(first, 0), min(last, total_range - 1))
+    # Over the wrap: the part up to the end and the part from 0 on, each where the range has it.
+    if first >= total_range:
+        return None if last < 0 else Span(0, min(last, total_range - 1))
+    return Span(first, last) if last >= 0 else Span(max(first, 0), total_range - 1)
+
 
 CAMS = 8
 CHANNEL = 1
@@ -112,3 +159,41 @@ class Cams:
             if enabled >> n & 1 and cam.update(position):
                 bits |= 1 << n
         return (bits ^ int(self._polarity.value)) & enabled
+
+
+AREA_STATE, AREA_LOW, AREA_HIGH = 0x6400, 0x6401, 0x6402
+OUT_OF_RANGE, OVERFLOW, UNDERFLOW = 1 << 0, 1 << 1, 1 << 2
+"""Bits of 6400h: outside of the limits; above the high one; below the low one."""
+
+
+def work_area_state(position: int, low: int, high: int, total_range: int) -> int:
+    """Bits of 6400h for a position 0 .. ``total_range`` - 1 and two limits (INTEGER32).
+
+    With ``low`` above ``high`` the area goes over the wrap; outside of it the nearer limit decides.
+    """
+    first, last = limit_position(low, total_range), limit_position(high, total_range)
+    if first <= last:
+        if position < first:
+            return OUT_OF_RANGE | UNDERFLOW
+        return OUT_OF_RANGE | OVERFLOW if position > last else 0
+    if position >= first or position <= last:
+        return 0
+    return OUT_OF_RANGE | (OVERFLOW if position - last <= first - position else UNDERFLOW)
+
+
+class WorkArea:
+    """Object 6400h of channel 1, computed when it is read. It keeps its state without a valid position."""
+
+    def __init__(
+        self, dictionary: Dictionary, position: Callable[[], int | None], total_range: Callable[[], int]
+    ) -> None:
+        """``position()`` is the last valid position, None for none yet: 6400h is 0 then."""
+        self._low, self._high = dictionary.entry(AREA_LOW, CHANNEL), dictionary.entry(AREA_HIGH, CHANNEL)
+        self._position, self._total_range = position, total_range
+        dictionary.entry(AREA_STATE, CHANNEL).on_read = self._state
+
+    def _state(self) -> int:
+        position = self._position()
+        if position is None:
+            return 0
+        return work_area_state(position, self._low.value, self._high.value, self._total_range())

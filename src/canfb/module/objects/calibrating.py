@@ -1,21 +1,34 @@
-"""Object 2030h: a reference measurement from the module's own samples, while it goes on publishing."""
+"""Object 2030h: a reference measurement from the module's own samples, while it goes on publishing.
+
+    IDLE ──start──> RECORDING ──full, or finish──> COMPUTING ──> READY ──accept──> ACCEPTED
+                                                            └──> REFUSED, CHECKED
+
+The samples are recorded here, one a SYNC. The table takes seconds to compute, so that is a
+:class:`CalibrationJob`, which a host runs in another process and brings back (`finish_job`). Only a master's
+command puts the result in force.
+"""
 
 from __future__ import annotations
 
 import math
 from array import array
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from canfb import objects as od
 from canfb.calibration.drift import Drift, drift
-from canfb.calibration.recording import BINS, NO_TIME, covered
+from canfb.calibration.from_motion import calibrate_from_motion
+from canfb.calibration.recording import BINS, NO_TIME, covered, recorded_tracks, timed_tracks
 from canfb.calibration.result import Calibration, Reason
-from canfb.calibration.track_harmonics import counts_at
+from canfb.calibration.simultaneous import recorded_together
+from canfb.calibration.solver import no_progress
+from canfb.calibration.track_harmonics import counts_at, without_harmonics
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary
-from canfb.module.calibration_job import CalibrationJob, Outcome
+from canfb.errors import CalibrationError
+from canfb.module.objects.recorder import SampleObservers
 from canfb.module.objects.table_store import TableStore
-from canfb.module.tap import Taps
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
 from canfb.objects import Multiplexer
@@ -25,6 +38,62 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.sample_recording import SampleRecording
 from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL
+
+
+class Outcome(NamedTuple):
+    """What came out of a :class:`CalibrationJob`.
+
+    reason        a :class:`canfb.calibration.result.Reason`
+    calibration   the measurement; if it was refused, for diagnosis only, and None where there is none
+    text          one line for people
+    """
+
+    reason: Reason
+    calibration: Calibration | None
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationJob:
+    """Samples, and what to make of them: a call computes it, in seconds. It can be pickled.
+
+    samples     as 2050:03 has them
+    times       sample times in 100 ns, rising, INTEGER64 of this machine, NO_TIME for none;
+                None: one sample per interval
+    adc_bits    4..16
+    turned      by how much the machine turned from the sine of each sample to its cosine, rad, REAL32 of this
+                machine; None: both are sampled at once
+    at_speed    the analog path counts at the speed of the samples
+    delays_s    2002:06 and 2002:07, which stay as they are: they do not show at one speed
+    """
+
+    samples: bytes
+    times: bytes | None
+    adc_bits: int
+    turned: bytes | None = None
+    delays_s: tuple[float, float] = (0.0, 0.0)
+    at_speed: bool = False
+
+    def __call__(self, progress: Callable[[float], None] = no_progress) -> Outcome:
+        """Table and conditioning from the samples; ``progress`` is called with 0..1."""
+        time_s = None
+        if self.times is None:
+            sine, cosine = recorded_tracks(self.samples)
+        else:
+            sine, cosine, time_s = timed_tracks(self.samples, self.times)
+        try:
+            if self.turned is not None:
+                cosine = recorded_together(sine, cosine, time_s, self.adc_bits, self.turned, self.times)
+            found = calibrate_from_motion(
+                sine, cosine, "fit", time_s=time_s, adc_bits=self.adc_bits, progress=progress
+            )
+        except CalibrationError as error:
+            return Outcome(Reason(error.reason), error.calibration, str(error))
+        between_s, common_s = self.delays_s
+        kept = replace(found.conditioning, cosine_delay_s=between_s, delay_s=common_s)
+        found = replace(found, conditioning=without_harmonics(kept) if self.at_speed else kept)
+        return Outcome(Reason.ACCEPTED, found, found.verdict)
+
 
 RECORDING_PART = 80.0  # per cent of the progress; the rest is the computation
 COMPUTING_PART = 99.0
@@ -46,14 +115,14 @@ class Calibrating:
         dictionary: Dictionary,
         chain: SignalChain,
         tables: TableStore,
-        taps: Taps,
+        observers: SampleObservers,
         working: Callable[[bool], None],
     ) -> None:
         self._chain = chain
         self._tables = tables
-        self._taps = taps
+        self._observers = observers
         self._working = working
-        self._wanted = dictionary.entry(*od.MEASUREMENT_SAMPLES)
+        self._requested = dictionary.entry(*od.MEASUREMENT_SAMPLES)
         self._full_scale = dictionary.entry(*od.ENCODER_FULL_SCALE)
         self._corner = dictionary.entry(*od.ENCODER_CORNER_FREQUENCY)
         self._calibration: Calibration | None = None
@@ -150,7 +219,7 @@ class Calibrating:
 
     def _start(self, task: Command) -> None:
         self._task = task
-        self._forget(self._wanted.value)
+        self._forget(self._requested.value)
         bits = (max(self._full_scale.value, 1) - 1).bit_length() + 1
         self._adc_bits = min(max(bits, 4), 16)
         # Where the converter's range is no power of two, its ends count as those of the next one.
@@ -185,9 +254,9 @@ class Calibrating:
     def _enter(self, state: State) -> None:
         self.state = state
         if state is State.RECORDING:
-            self._taps.add(self)
+            self._observers.add(self)
         else:
-            self._taps.remove(self)
+            self._observers.remove(self)
         if state is not State.COMPUTING:
             self._job = None
         self._working(state in AT_WORK)

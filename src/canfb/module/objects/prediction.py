@@ -73,7 +73,7 @@ class Prediction:
 
     def forget(self) -> None:
         """No SYNC was seen: 2013h was written, the node was reset, or OPERATIONAL begins."""
-        self.wanted = bool(self._kind.value != OFF)
+        self.extrapolates = bool(self._kind.value != OFF)
         """2013:01 is not 0: :meth:`extrapolate` and :meth:`withdraw` are to be called."""
         self._at_sync: int | None = None  # samples up to the last SYNC
         self._speed_cycles = 0.0  # of the last valid sample

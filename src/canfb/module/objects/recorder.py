@@ -1,15 +1,55 @@
-"""Object 2050h: the samples as they come, for upload."""
+"""Who gets every sample: the observers, and object 2050h, the samples as they come, for upload."""
 
 from __future__ import annotations
+
+from typing import Protocol
 
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.interval import SamplingInterval
-from canfb.module.tap import Taps
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.sample_recording import SampleRecording
+
+
+class SampleObserver(Protocol):
+    """Gets each sample from `add` to `remove`, after its position was published."""
+
+    def take(self, sample: Sample, feedback: Feedback) -> None:
+        """A sample, and what the chain made of it."""
+
+    def miss(self) -> None:
+        """A SYNC without a sample."""
+
+
+class SampleObservers:
+    """The present observers; usually none."""
+
+    __slots__ = ("open",)
+
+    def __init__(self) -> None:
+        self.open: tuple[SampleObserver, ...] = ()
+
+    def add(self, observer: SampleObserver) -> None:
+        """It gets the samples from the next one on; nothing happens when it does already."""
+        if observer not in self.open:
+            self.open = (*self.open, observer)
+
+    def remove(self, observer: SampleObserver) -> None:
+        """No more samples for it."""
+        self.open = tuple(one for one in self.open if one is not observer)
+
+    def take(self, sample: Sample, feedback: Feedback) -> None:
+        """A sample for all of them."""
+        for observer in self.open:
+            observer.take(sample, feedback)
+
+    def miss(self) -> None:
+        """No sample, for all of them."""
+        for observer in self.open:
+            observer.miss()
+
 
 COMMANDS = frozenset(od.RecordingCommand)
 
@@ -22,9 +62,11 @@ class Recorder:
     OPERATIONAL, because time would be lost. 2050:03 gives the samples so far at any time.
     """
 
-    def __init__(self, dictionary: Dictionary, interval: SamplingInterval, taps: Taps) -> None:
+    def __init__(
+        self, dictionary: Dictionary, interval: SamplingInterval, observers: SampleObservers
+    ) -> None:
         self._interval = interval
-        self._taps = taps
+        self._observers = observers
         self._recording = SampleRecording(dictionary.entry(*od.RECORDING_CAPACITY).value)
         self._command = command = dictionary.entry(*od.RECORDING_COMMAND)
         command.on_check = _check_command
@@ -37,7 +79,7 @@ class Recorder:
     @property
     def is_recording(self) -> bool:
         """True while samples are taken."""
-        return self in self._taps.open
+        return self in self._observers.open
 
     def reset(self) -> None:
         """Nothing is recorded, and nothing was."""
@@ -46,7 +88,7 @@ class Recorder:
 
     def stop(self) -> None:
         """No more samples; those that there are stay."""
-        self._taps.remove(self)
+        self._observers.remove(self)
 
     def take(self, sample: Sample, feedback: Feedback) -> None:
         """One sample, whatever the checks say of it; what the encoder interface calls invalid is none."""
@@ -66,7 +108,7 @@ class Recorder:
     def _obey(self) -> None:
         if self._command.value == od.RecordingCommand.START:
             self._recording.clear()
-            self._taps.add(self)
+            self._observers.add(self)
         else:
             self.stop()
 

@@ -1,4 +1,9 @@
-"""Object 2000h: a sample put together from the RPDOs that carry its parts."""
+"""Object 2000h: a sample, put together from the RPDOs that carry its parts, or given by a source.
+
+The parts of one sample may come in several PDOs, in any order that the interface keeps to, and one of them
+may be lost or doubled. :class:`SampleInput` waits until all are there and gives none that is put together
+from two samples. A module with its own ADC has a :class:`LocalSource` in place of them.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +14,9 @@ from canfb import objects as od
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.pdos import Rpdo
-from canfb.signal.sample import Sample
+from canfb.signal.sample import TICK_S, TICKS, Sample
+from canfb.sources.protocol import Grouped, Source
+from canfb.sources.source_watch import SourceWatch
 
 PARTS = (
     od.SAMPLE_SINE,
@@ -42,7 +49,7 @@ class SampleInput:
         self._time, self._flags, self._place = rest
         self._all_earlier = [tuple(dictionary.entry(*part) for part in pair) for pair in od.SAMPLE_EARLIER]
         self._earlier = self._all_earlier[:0]
-        self._wanted = 0  # bit n: RPDO n
+        self._required = 0  # bit n: RPDO n
         self.arrived = 0
         """RPDOs of this sample that have come, bit n: RPDO n."""
         self.alone: int | None = None
@@ -66,7 +73,7 @@ class SampleInput:
         self._waiting: Rpdo | None = None
         self._with_flags = False
         self.pulses = 0
-        """Zero pulses seen."""
+        """Zero pulses so far."""
 
     @property
     def samples_per_sync(self) -> int:
@@ -86,13 +93,13 @@ class SampleInput:
         time, flags, place = with_(od.SAMPLE_TIME), with_(od.SAMPLE_FLAGS), with_(od.SAMPLE_ZERO_PULSE_PLACE)
         earlier = list(itertools.takewhile(_is_there, (with_(*pair) for pair in od.SAMPLE_EARLIER)))
         self._earlier = self._all_earlier[: len(earlier)]
-        self._wanted = 0
+        self._required = 0
         if tracks is not None:
             parts = {
                 number for number in (tracks, coarse, time, flags, place, *earlier) if number is not None
             }
-            self._wanted = sum(1 << number for number in parts)
-        self.alone = tracks if tracks is not None and self._wanted == 1 << tracks else None
+            self._required = sum(1 << number for number in parts)
+        self.alone = tracks if tracks is not None and self._required == 1 << tracks else None
         plain = tracks is not None and coarse is flags is None and not earlier
         self._with_coarse, self.timed = coarse is not None, time is not None
         self._with_flags, self._with_place = flags is not None, place is not None
@@ -114,7 +121,7 @@ class SampleInput:
         begins a sample is left over from the sample before, or comes doubled.
         """
         part = 1 << number
-        if not self._wanted & part:
+        if not self._required & part:
             return False
         if not self.arrived and self._first not in (None, number):
             self._earliest = self._earliest if self._early else number
@@ -125,7 +132,7 @@ class SampleInput:
             self._first = number
         self._is_mixed |= self.arrived & part != 0
         self.arrived |= part
-        if self.arrived != self._wanted:
+        if self.arrived != self._required:
             return False
         mixed, self._is_mixed = self._is_mixed, False
         self.arrived = self._early = self._others_first = 0
@@ -140,7 +147,7 @@ class SampleInput:
         """
         parts, self.arrived, self._is_mixed = self.arrived, 0, False
         early, self._early = self._early, 0
-        if parts and early == self._wanted & ~parts:
+        if parts and early == self._required & ~parts:
             self._others_first += 1
             if self._others_first >= NEW_ORDER:
                 self._first, self._others_first = self._earliest, 0
@@ -189,3 +196,58 @@ def _is_there(number: int | None) -> bool:
 
 def _nothing() -> None:
     pass
+
+
+class LocalSource:
+    """Asks a :class:`canfb.sources.protocol.Source` at each SYNC; nothing that it does raises.
+
+    ``report`` gets one line when the source fails, when it works again, and when it has ended.
+    """
+
+    def __init__(
+        self, source: Source, dictionary: Dictionary, sample_input: SampleInput, report: Callable[[str], None]
+    ) -> None:
+        self._watch = SourceWatch(source.next, report)
+        self._input = sample_input
+        entries = [dictionary.entry(*part) for part in PARTS]
+        self._sine, self._cosine, self._coarse_sine, self._coarse_cosine = entries[:4]
+        self._time, self._flags, self._place = entries[4:]
+        self._earlier = [
+            (dictionary.entry(*sine), dictionary.entry(*cosine)) for sine, cosine in od.SAMPLE_EARLIER
+        ]
+        self.samples_per_sync = source.samples_per_sync if isinstance(source, Grouped) else 1
+        """Pairs in a sample; several have a time."""
+        self.timed_s: float | None = None
+        """Time of the last sample by its time stamps, seconds since the first one; None without them."""
+
+    @property
+    def ended(self) -> bool:
+        """The source has no sample left."""
+        return self._watch.ended
+
+    def next(self, now: float) -> Sample | None:
+        """The sample of the SYNC at ``now`` (seconds), None for a missed one; its counts go into 2000h."""
+        sample = self._watch.sample(now)
+        if sample is not None:
+            self._keep(sample)
+        return sample
+
+    def _keep(self, sample: Sample) -> None:
+        self._sine.value, self._cosine.value = sample.sine, sample.cosine
+        flags = SAMPLE_INVALID if sample.invalid else 0
+        if sample.zero_pulse is not None:
+            self._input.pulses += 1
+            flags |= ZERO_PULSE
+            self._place.value = min(int(sample.zero_pulse * PLACES), 0xFFFF)
+        self._flags.value = flags
+        if sample.time_100ns is not None:
+            self._keep_time(sample.time_100ns)
+        for (first, second), (sine, cosine) in zip(self._earlier, sample.earlier, strict=False):
+            first.value, second.value = sine, cosine
+        if sample.coarse_sine is not None:
+            self._coarse_sine.value, self._coarse_cosine.value = sample.coarse_sine, sample.coarse_cosine
+
+    def _keep_time(self, time_100ns: int) -> None:
+        ticks = (time_100ns - self._time.value) % TICKS
+        self.timed_s = 0.0 if self.timed_s is None else self.timed_s + ticks * TICK_S
+        self._time.value = time_100ns % TICKS

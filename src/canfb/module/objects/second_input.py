@@ -74,7 +74,7 @@ class SecondInput:
         self._values += 1
 
     def interval_over(self, certain: bool) -> None:
-        """At a SYNC, before its sample. ``certain``: the one before it was heard as well."""
+        """At a SYNC, before its sample. ``certain``: the one before it was received as well."""
         values, self._values = self._values, 0
         self._chain.hear_second(values if certain else UNCERTAIN, self._value.value)
 

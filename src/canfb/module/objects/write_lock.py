@@ -12,7 +12,7 @@ from canfb.cia301.nmt import NmtState
 from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Entry
-from canfb.module.cia406.cyclic_timer import CYCLIC_TIMER
+from canfb.module.cia406.profile import CYCLIC_TIMER
 from canfb.objects import WriteLockMode
 
 RETRY_S = 1.0  # after a wrong code none is accepted

@@ -15,7 +15,7 @@ from canfb.device.pdo.mapping import EVENT_DRIVEN
 from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
-from canfb.interface.hearing import TRUE_TIME, Hearing
+from canfb.interface.sample_instants import TRUE_TIME, TimeBase
 from canfb.simulation.cia402.axis import Axis
 from canfb.simulation.cia402.drive_errors import DriveError
 from canfb.simulation.cia402.drive_interval import SyncInterval
@@ -69,9 +69,9 @@ class ServoDrive(Application):
         self.axis.motor_increments = motor_increments
         self._machine = StateMachine()
         self._interval = SyncInterval()
-        self.hearing: Hearing = TRUE_TIME
+        self.time_base: TimeBase = TRUE_TIME
         self._now = 0.0
-        self._heard_s = 0.0  # when the frame was received that is handled now, in the time of the machine
+        self._received_s = 0.0  # when the frame was received that is handled now, in the time of the machine
         self._watched_from_s = 0.0
         self._stop_by_s: float | None = None
         self._shown_error = 0
@@ -113,13 +113,13 @@ class ServoDrive(Application):
     def start(self, now: float) -> list[Frame]:
         """Power-on at ``now`` (seconds): the boot-up frame."""
         self._now = now
-        self._heard_s = self.hearing.at(now)
+        self._received_s = self.time_base.at(now)
         return self.node.start(now)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Take a frame from the bus; the frames to send."""
         self._now = now
-        self._heard_s = self.hearing.heard_at(frame, now)
+        self._received_s = self.time_base.received_at(frame, now)
         if not frame.rtr:
             self._overhear(frame, now)
         return self.node.receive(frame, now)
@@ -127,7 +127,7 @@ class ServoDrive(Application):
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at ``now``; the frames to send."""
         self._now = now
-        self._heard_s = self.hearing.at(now)
+        self._received_s = self.time_base.at(now)
         due = self._sync_due()
         if due is not None and now >= due:
             self._fail(DriveError.SYNC_CONTROLLER, now)
@@ -158,11 +158,11 @@ class ServoDrive(Application):
 
     def sync_received(self, counter: int | None, now: float) -> None:
         """The trajectory goes on by one interval, and the statusword is that of this SYNC."""
-        self._interval.event(self._heard_s)
+        self._interval.event(self._received_s)
         self._watched_from_s = now
-        self.feedback.sync(self._heard_s)
+        self.feedback.sync(self._received_s)
         plant = self.plant
-        self.axis.measure_motor(plant.motor.revolutions_before(plant.ahead_s(self._heard_s)))
+        self.axis.measure_motor(plant.motor.revolutions_before(plant.ahead_s(self._received_s)))
         self._supervise(now)
         period_s = self.interval_s
         self._cycle.value = period_s
@@ -183,10 +183,10 @@ class ServoDrive(Application):
         if used:
             self.axis.measure()
         if used and period_s > 0.0 and self.state in POWERED:
-            self.plant.drive(self.axis.control(period_s), True, self._heard_s)
-            since_sync_s = self._heard_s - (self._interval.last_s or self._heard_s)
+            self.plant.drive(self.axis.control(period_s), True, self._received_s)
+            since_sync_s = self._received_s - (self._interval.last_s or self._received_s)
             self._dead.value = saturated(since_sync_s * 1e6, 32)
-            if self.axis.follows_badly(self._heard_s):
+            if self.axis.follows_badly(self._received_s):
                 self._fail(DriveError.FOLLOWING_ERROR, now)
         self._show()
 
@@ -233,8 +233,8 @@ class ServoDrive(Application):
         if self.state is State.OPERATION_ENABLED or not self.axis.ramp_is_over:
             return
         if self._stop_by_s is None:
-            self._stop_by_s = self._heard_s + STOP_TIMEOUT_S
-        if not self.axis.stands_still and self._heard_s < self._stop_by_s:
+            self._stop_by_s = self._received_s + STOP_TIMEOUT_S
+        if not self.axis.stands_still and self._received_s < self._stop_by_s:
             return
         if self.state is State.FAULT_REACTION_ACTIVE:
             self._finish_reaction(now)
@@ -272,7 +272,7 @@ class ServoDrive(Application):
             self.axis.resume()
         elif after is State.OPERATION_ENABLED:
             self.axis.start()
-            self.plant.drive(0.0, True, self._heard_s)
+            self.plant.drive(0.0, True, self._received_s)
         elif after not in POWERED:
             self._power_off(now)
         self._show()
@@ -286,7 +286,7 @@ class ServoDrive(Application):
             self.axis.ramp_down(self._deceleration if option in (1, 5) else self._quick_deceleration)
 
     def _power_off(self, now: float) -> None:
-        self.plant.drive(0.0, False, self._heard_s)
+        self.plant.drive(0.0, False, self._received_s)
         self.axis.power_off()
 
     def _clear_error(self, now: float) -> None:
@@ -368,7 +368,7 @@ class ServoDrive(Application):
         word = self.state.value | Status.VOLTAGE_ENABLED
         if self.node.state is NmtState.OPERATIONAL:
             word |= Status.REMOTE
-        word |= self.axis.status(self.state is State.OPERATION_ENABLED, self._heard_s)
+        word |= self.axis.status(self.state is State.OPERATION_ENABLED, self._received_s)
         self._statusword.value = int(word)
         self._torque.value = self.axis.scaling.per_mille(self.plant.motor.torque_nm)
         self._shown_error = self.error

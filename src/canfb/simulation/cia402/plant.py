@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
-from canfb.interface.hearing import TRUE_TIME, Hearing
+from canfb.interface.sample_instants import TRUE_TIME, TimeBase
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.coupling import Coupling
 from canfb.simulation.cia402.motor import Motor
@@ -15,7 +15,7 @@ from canfb.simulation.shaft_encoder import ShaftEncoder
 class Plant:
     """A motor that turns in true time, from the first SYNC on, also while no SYNC comes.
 
-    ``hearing`` (:mod:`canfb.interface.hearing`) may be set to another time than the true one: all times
+    ``time_base`` (a :class:`canfb.interface.sample_instants.TimeBase`) need not be true time: all times
     of the plant are of that.
 
     It sends nothing, but must hear the SYNC before those who sample or drive it: attach it first.
@@ -25,7 +25,7 @@ class Plant:
     def __init__(self, motor: Motor) -> None:
         self.motor = motor
         self.syncs = 0
-        self.hearing: Hearing = TRUE_TIME
+        self.time_base: TimeBase = TRUE_TIME
         self._now_s: float | None = None  # time up to which the motor has turned
 
     def start(self, now: float) -> list[Frame]:
@@ -35,10 +35,10 @@ class Plant:
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Go on to the time at which a SYNC was heard; with the first one the machine begins."""
         if frame.can_id == cob.SYNC and not frame.rtr:
-            heard_s = self.hearing.heard_at(frame, now)
+            received_s = self.time_base.received_at(frame, now)
             if self._now_s is None:
-                self._now_s = heard_s
-            self.go_on_to(heard_s)
+                self._now_s = received_s
+            self.go_on_to(received_s)
             self.syncs += 1
         return []
 

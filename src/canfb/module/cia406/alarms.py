@@ -1,4 +1,9 @@
-"""Warnings: the position is valid, but not by much (CiA 406, 6505h and 6506h), and their EMCY."""
+"""Alarm and warnings of CiA 406 (6503h, 6505h, 6506h), and their EMCY.
+
+The alarm is EMCY 7300h: the position is not valid. Its five bytes: the status word 2011:01 (2), the cause
+of the loss as 2012:10 (1), 2012:12 up to 255 (1), 0. The cause is 0 until the position is lost; a loss that
+comes later is reported with an EMCY of its own. A warning says that the position is valid, but not by much.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +11,44 @@ from collections.abc import Callable
 from typing import Protocol
 
 from canfb import objects as od
-from canfb.cia301.codes import ErrorRegister
+from canfb.cia301.codes import EmergencyCode, ErrorRegister
+from canfb.device.core import NEVER
+from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
+from canfb.module.objects.publication import LastLoss
 from canfb.signal.feedback import Feedback
-from canfb.signal.supervision import REFERENCED, SECOND_POSITION, VALID
+from canfb.signal.supervision import LOST, REFERENCED, SECOND_POSITION, VALID
+
+REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE
+SHORTEST_S = 0.1  # from one end of the alarm to the next: ten pairs of EMCY a second at most
+
+
+class PositionAlarm:
+    """Reports the alarm at once, and its end unless there was another one just before."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.reset()
+
+    def reset(self) -> None:
+        """After an NMT reset no error is active."""
+        self.active = self._said_lost = False
+        self._ended_s = -NEVER
+
+    def report(self, valid: bool, status: int, now: float, loss: LastLoss) -> None:
+        """The position is ``valid`` or not; ``status`` is the status word, ``loss`` the last loss."""
+        if not valid:
+            lost = bool(status & LOST) and not self._said_lost
+            if lost or not self.active:
+                self.active, self._said_lost = True, lost
+                why = bytes((int(loss.cause), min(loss.bad_samples, 0xFF))) if lost else b""
+                detail = status.to_bytes(2, "little") + why
+                self._node.emergency(EmergencyCode.SENSOR, REGISTER, detail, now, again=lost)
+        elif now - self._ended_s >= SHORTEST_S:
+            self.active = self._said_lost = False
+            self._ended_s = now
+            self._node.clear_emergency(EmergencyCode.SENSOR, now)
+
 
 FREQUENCY, AMPLITUDE_LOW, NOT_REFERENCED, DISAGREES, DRIFT = (1 << n for n in (0, 1, 5, 12, 13))  # 6505h
 EVERY_SAMPLE = FREQUENCY | AMPLITUDE_LOW | DRIFT
@@ -22,11 +61,10 @@ CODES = {
     DRIFT: od.EncoderEmergency.DRIFT,
 }
 """EMCY of each warning."""
-REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE
 NEAR_LIMIT = 0.8  # residual over this part of the limit
 AMPLITUDE_RESERVE = 1.15  # amplitude below this multiple of the lowest accepted one
 WARNINGS = 0x6505
-NEVER_SEEN = -1  # no status word
+NO_STATUS = -1  # no status word
 
 
 class Reporter(Protocol):
@@ -70,27 +108,27 @@ class Warnings:
         self._low = dictionary.entry(*od.ENCODER_LOWEST_AMPLITUDE)
         self._mask = dictionary.entry(*od.WARNINGS_BY_EMCY)
         self._hold_ms = dictionary.entry(*od.WARNING_OVER_TIME)
-        self._told = 0
-        self._seen_s = dict.fromkeys(CODES, 0.0)
+        self._reported = 0
+        self._present_s = dict.fromkeys(CODES, 0.0)
         self.near_cycles = self.reserve_counts = 0.0
-        self.status = NEVER_SEEN
+        self.status = NO_STATUS
         dictionary.entry(WARNINGS).on_read = lambda: self._present(self._last())
         self._mask.on_written = self.look_again
 
     def reset(self) -> None:
         """After an NMT reset no error is active any more: what persists is reported again."""
-        self._told = 0
+        self._reported = 0
         self.limits_changed()
         self.look_again()
 
     def look_again(self) -> None:
         """Mapping or mask may have changed: follow the next sample in any case."""
-        self.status = NEVER_SEEN
+        self.status = NO_STATUS
 
     def limits_changed(self) -> None:
         """Take over the residual limit and 2001:03."""
         # A reported warning is checked in each sample, so that its end is detected.
-        following = bool(self._told & EVERY_SAMPLE)
+        following = bool(self._reported & EVERY_SAMPLE)
         self.near_cycles = -1.0 if following else NEAR_LIMIT * self._residual_limit()
         self.reserve_counts = AMPLITUDE_RESERVE * self._low.value
 
@@ -103,12 +141,12 @@ class Warnings:
         enabled = present & self._mask.value
         for bit, code in CODES.items():
             if enabled & bit:
-                self._seen_s[bit] = now
-                if not self._told & bit:
-                    self._told |= bit
+                self._present_s[bit] = now
+                if not self._reported & bit:
+                    self._reported |= bit
                     self._reporter.emergency(code, REGISTER, present.to_bytes(2, "little"), now)
-            elif self._told & bit and self._is_over(bit, now):
-                self._told &= ~bit
+            elif self._reported & bit and self._is_over(bit, now):
+                self._reported &= ~bit
                 self._reporter.clear_emergency(code, now)
         self.limits_changed()
 
@@ -117,7 +155,7 @@ class Warnings:
         if bit == NOT_REFERENCED or not self._mask.value & bit:
             return True
         hold_s: float = self._hold_ms.value / 1000.0
-        return now - self._seen_s[bit] >= hold_s
+        return now - self._present_s[bit] >= hold_s
 
     def _present(self, last: Feedback | None) -> int:
         warnings = 0

@@ -1,23 +1,115 @@
-"""What happens in a module becomes events: changes of state, never a look at each sample."""
+"""What happens in a node and in a module, as events: changes of state, never a look at each sample.
+
+An :class:`Event` is a line of a log and the same for programs. :class:`NodeEvents` makes those that any
+node has: its NMT state, its errors, what it saves. :class:`EventWatch` adds those of a module: SYNC, first
+sample, the state of the position with all faults since it was valid, the table. It is called where a state
+changes; what it costs when nobody has set ``on_event`` is one comparison a change.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
 
 from canfb import objects as od
+from canfb.cia301.codes import emergency_text
 from canfb.cia301.nmt import NmtState
+from canfb.device.application import Application, Groups
 from canfb.device.od.dictionary import Dictionary
-from canfb.module.event import EventKind
-from canfb.module.node_events import NodeEvents
-from canfb.module.objects.last_loss import LastLoss
+from canfb.device.storage.image import ParameterGroup
+from canfb.module.objects.publication import LastLoss
 from canfb.module.parameters import Limits
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import AMPLITUDE, MISSED, REFERENCED, RESIDUAL, SECOND_POSITION
 
-NEVER_SEEN = -1  # no status word
-FAULTS = sum(od.FAULT_WORDS)
+
+class EventKind(StrEnum):
+    """What has happened; the value is the name that programs read."""
+
+    NMT = "nmt"
+    SYNC_FOUND = "sync_found"
+    SYNC_LOST = "sync_lost"
+    FIRST_SAMPLE = "first_sample"
+    POSITION = "position"
+    SECOND_POSITION = "second_position"
+    TABLE = "table"
+    SAVED = "saved"
+    SAVE_FAILED = "save_failed"
+    FAULT = "fault"
+    EMCY = "emcy"
+
+
+DETAILS = frozenset({EventKind.FAULT, EventKind.EMCY})
+"""What comes with single samples, or repeats what another event says."""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that has happened in a node.
+
+    kind    what it was
+    time_s  when, seconds on the clock of `now`
+    text    in words, without the node
+    values  the same for programs: names and plain values
+    """
+
+    kind: EventKind
+    time_s: float
+    text: str
+    values: Mapping[str, bool | float | int | str | list[str] | None] = field(default_factory=dict)
+
+
+class NodeEvents(Application):
+    """Calls ``on_event`` with each :class:`.Event`; without it nothing is made.
+
+    ``detailed``: each EMCY, too.
+    """
+
+    def __init__(self) -> None:
+        self.on_event: Callable[[Event], None] | None = None
+        self.detailed = False
+
+    def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
+        """A change of the NMT state, and ``why`` if it was not commanded."""
+        boot_up = "boot-up, " if old is NmtState.INITIALISING else ""
+        name = new.name.replace("_", "-")
+        text = f"{boot_up}{name}{': ' if why else ''}{why}"
+        self._report(EventKind.NMT, now, text, state=name, boot_up=bool(boot_up), reason=why or None)
+
+    def emergency_sent(self, code: int, register: int, detail: bytes, now: float) -> None:
+        """An EMCY goes out."""
+        if self.detailed:
+            words = emergency_text(code, od.EMERGENCY_TEXTS)
+            text = f"EMCY {code:04X}h sent ({words}), 1001h {register:02X}h, detail {detail.hex(' ')}"
+            self._report(EventKind.EMCY, now, text, code=code, register=register, detail=detail.hex())
+
+    def parameters_saved(self, saved: Groups, forgotten: Groups, now: float) -> None:
+        """Parameters were saved, or their defaults loaded."""
+        for groups, what in ((saved, "saved"), (forgotten, "dropped, the defaults come with the next reset")):
+            names = [group.name.lower() for group in groups if group is not ParameterGroup.OPERATING_TIME]
+            if names:
+                text = f"parameters {what}: {', '.join(names)}"
+                self._report(EventKind.SAVED, now, text, groups=names, dropped=groups is forgotten)
+
+    def saving_failed(self, groups: Groups, reason: str, now: float) -> None:
+        """Parameters could not be saved, or their defaults not loaded: the store has what it had."""
+        names = [group.name.lower() for group in groups if group is not ParameterGroup.OPERATING_TIME]
+        if names:
+            text = f"parameters not saved ({reason}): {', '.join(names)}"
+            self._report(EventKind.SAVE_FAILED, now, text, groups=names, reason=reason)
+
+    def _report(
+        self, kind: EventKind, now: float, text: str, **values: bool | float | int | str | list[str] | None
+    ) -> None:
+        if self.on_event is not None:
+            self.on_event(Event(kind, now, text, values))
+
+
+NO_STATUS = -1  # no status word
+FAULT_BITS = sum(od.FAULT_WORDS)
 ANOTHER_RATE = 0.05  # relative change of the SYNC rate that is an event
 
 
@@ -32,7 +124,7 @@ class EventWatch(NodeEvents):
         super().__init__()
         self.unconfirmed: Callable[[], str] = lambda: ""
         """Why a position without a fault is not valid yet, in words; "" if it is not known."""
-        self.status = NEVER_SEEN
+        self.status = NO_STATUS
         self._limits, self._loss = limits, loss
         self._low, self._high = (
             dictionary.entry(*one) for one in (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
@@ -46,7 +138,7 @@ class EventWatch(NodeEvents):
 
     def reset(self) -> None:
         """After a reset of the node: no sample."""
-        self.status = NEVER_SEEN
+        self.status = NO_STATUS
         self._sampled = self._disagrees = False
         self._state: od.PositionState | None = None
         self._causes = 0
@@ -68,14 +160,16 @@ class EventWatch(NodeEvents):
             return
         self._rate_hz = 1.0 / interval_s
         text = f"SYNC now at {self._rate_hz:.6g} Hz" if known else f"SYNC found, {self._rate_hz:.6g} Hz"
-        self._tell(EventKind.SYNC_FOUND, now, text, rate_hz=self._rate_hz)
+        self._report(EventKind.SYNC_FOUND, now, text, rate_hz=self._rate_hz)
 
     def overdue(self, synced_s: float, now: float) -> None:
         """No SYNC and no sample for 2010:06 periods, since ``synced_s``."""
         if self._rate_hz:
             self._rate_hz = 0.0
             silent_s = now - synced_s
-            self._tell(EventKind.SYNC_LOST, now, f"SYNC lost, none for {_time(silent_s)}", silent_s=silent_s)
+            self._report(
+                EventKind.SYNC_LOST, now, f"SYNC lost, none for {_time(silent_s)}", silent_s=silent_s
+            )
 
     def follow(self, feedback: Feedback, now: float) -> None:
         """The status word is another one now."""
@@ -85,13 +179,15 @@ class EventWatch(NodeEvents):
         if not (self._sampled or feedback.status & MISSED):
             self._sampled = True
             values = {"sine_counts": feedback.sine, "cosine_counts": feedback.cosine}
-            self._tell(EventKind.FIRST_SAMPLE, now, f"first sample, {self._amplitude(feedback)}", **values)
-        self._causes |= feedback.status & FAULTS
+            self._report(EventKind.FIRST_SAMPLE, now, f"first sample, {self._amplitude(feedback)}", **values)
+        self._causes |= feedback.status & FAULT_BITS
         state = od.position_state(feedback.status)
         if state is not self._state:
             self._changed(state, feedback, now)
-        elif before != NEVER_SEEN and feedback.status & ~before & REFERENCED:
-            self._tell(EventKind.POSITION, now, "referenced to the zero pulse", state=state, referenced=True)
+        elif before != NO_STATUS and feedback.status & ~before & REFERENCED:
+            self._report(
+                EventKind.POSITION, now, "referenced to the zero pulse", state=state, referenced=True
+            )
         if bool(feedback.status & SECOND_POSITION) is not self._disagrees:
             self._second(not self._disagrees, now)
 
@@ -104,13 +200,13 @@ class EventWatch(NodeEvents):
         else:
             text = "second position disagrees no longer"
         known = None if math.isnan(away) else away
-        self._tell(EventKind.SECOND_POSITION, now, text, disagrees=disagrees, difference_revolutions=known)
+        self._report(EventKind.SECOND_POSITION, now, text, disagrees=disagrees, difference_revolutions=known)
 
     def outdated(self, now: float) -> None:
         """What was published is not the position any more, and nothing takes its place."""
         if self._state is od.PositionState.VALID:
-            self._state, self.status, self._not_valid_s = od.PositionState.NOT_VALID, NEVER_SEEN, now
-            self._tell(
+            self._state, self.status, self._not_valid_s = od.PositionState.NOT_VALID, NO_STATUS, now
+            self._report(
                 EventKind.POSITION, now, "position not valid: no SYNC and no sample", state=self._state
             )
 
@@ -118,7 +214,7 @@ class EventWatch(NodeEvents):
         """A sample without a valid position, if `detailed`."""
         if (faults := od.fault_words(feedback.status)) and self.on_event is not None:
             text = f"sample {feedback.samples}: {', '.join(self._reasons(feedback, feedback.status))}"
-            self._tell(EventKind.FAULT, now, text, sample=feedback.samples, faults=faults)
+            self._report(EventKind.FAULT, now, text, sample=feedback.samples, faults=faults)
 
     def table(self, correction: Correction, now: float) -> None:
         """A table, or none, has come into force."""
@@ -128,9 +224,9 @@ class EventWatch(NodeEvents):
             return
         if table is not None:
             text = f"table in force: {len(table)} entries, CRC {table.crc32:08X}h"
-            self._tell(EventKind.TABLE, now, text, entries=len(table), crc32=table.crc32)
+            self._report(EventKind.TABLE, now, text, entries=len(table), crc32=table.crc32)
         elif before:
-            self._tell(EventKind.TABLE, now, "table in force: none, the identity", entries=0, crc32=0)
+            self._report(EventKind.TABLE, now, "table in force: none, the identity", entries=0, crc32=0)
 
     def _changed(self, state: od.PositionState, feedback: Feedback, now: float) -> None:
         """Another state of the position; a reason is all that went wrong since it was valid."""
@@ -148,7 +244,7 @@ class EventWatch(NodeEvents):
             else:
                 text = f"position {state}: {', '.join(reasons) or self._without_fault(state)}"
         residual = feedback.residual if feedback.residual == feedback.residual else None
-        self._tell(
+        self._report(
             EventKind.POSITION,
             now,
             text,

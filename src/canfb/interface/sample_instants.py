@@ -1,11 +1,71 @@
-"""The samples of one interval of SYNC: an interface that samples by its own clock, locked to SYNC."""
+"""When an encoder interface samples: time of its machine, its clock, several samples for each SYNC."""
 
 from __future__ import annotations
 
-from canfb.interface.sample_clock import TICKS_PER_S
+import math
+from typing import Protocol
+
+from canfb.cia301.frame import Frame
 from canfb.signal.nominal_sync import NominalSync
 from canfb.signal.sample import TICKS, Sample
 from canfb.sources.protocol import Machine, Source
+
+OLDEST_S = 10.0
+
+
+class TimeBase(Protocol):
+    """The time of the machine, as a node has it; one that is simulated may be another than the true time."""
+
+    def received_at(self, frame: Frame, now: float) -> float:
+        """The time of the machine, seconds, at which ``frame`` was received that is handled at ``now``."""
+
+    def at(self, now: float) -> float:
+        """The time of the machine, seconds, at ``now``."""
+
+
+class TrueTime:
+    """The machine turns in true time: at the clock of the bus where there is one."""
+
+    def received_at(self, frame: Frame, now: float) -> float:
+        """Receive time of ``frame`` in seconds on the clock of ``now``, the time at which it is handled.
+
+        A time stamp that lies ahead of ``now``, or more than 10 s behind it, belongs to another clock:
+        ``now``.
+        """
+        stamp = frame.timestamp
+        return now if stamp is None or not now - OLDEST_S <= stamp <= now else stamp
+
+    def at(self, now: float) -> float:
+        """``now``."""
+        return now
+
+
+TRUE_TIME = TrueTime()
+
+
+TICKS_PER_S = 10_000_000  # units of 100 ns
+LARGEST_DRIFT_PPM = 10_000.0
+
+
+class SampleClock:
+    """Counts units of 100 ns as U32, which wraps each 429.5 s; it is never set and never stopped.
+
+    drift_ppm     how much faster than the true time it runs, -10000..10000 ppm; a crystal has up to 100
+    start_100ns   what it shows at the time 0 of the node, any integer
+
+    ValueError for anything else.
+    """
+
+    def __init__(self, drift_ppm: float = 0.0, start_100ns: int = 0) -> None:
+        if not -LARGEST_DRIFT_PPM <= drift_ppm <= LARGEST_DRIFT_PPM:
+            raise ValueError(f"drift_ppm must be a number -10000..10000, not {drift_ppm!r}")
+        self._start = start_100ns
+        self._rate = TICKS_PER_S * (1.0 + drift_ppm * 1e-6)
+
+    def ticks(self, now: float) -> int:
+        """What it shows at the true time ``now``, seconds: 0..2^32 - 1, rounded down as a counter does."""
+        return (self._start + math.floor(now * self._rate)) % TICKS
+
 
 LOCK_SYNCS = 4096  # that the clock of the interface is locked to
 EARLIER_PART = 1.0 / 16.0  # of the interval: so long before the nominal SYNC the newest sample is taken
@@ -29,22 +89,22 @@ class SeveralSamples:
         self.newest_s = 0.0
         """When the newest sample was taken, in the time of the machine, seconds."""
 
-    def at_sync(self, heard_s: float) -> Sample | None:
-        """The samples for the SYNC that was heard at this time; None where one of them is missing.
+    def at_sync(self, received_s: float) -> Sample | None:
+        """The samples for the SYNC that was received at this time; None where one of them is missing.
 
         What ``source`` raises.
         """
         if self._machine is None:
-            self.newest_s = heard_s
+            self.newest_s = received_s
             return _together([self._source.next() for _ in range(self._per_sync)], None)
-        last, self._last_s = self._last_s, heard_s
-        self._lock.sample(round(heard_s * TICKS_PER_S) % TICKS)
-        if last is None or not heard_s > last:
+        last, self._last_s = self._last_s, received_s
+        self._lock.sample(round(received_s * TICKS_PER_S) % TICKS)
+        if last is None or not received_s > last:
             return None
-        period_s, lead_s = heard_s - last, 0.0
+        period_s, lead_s = received_s - last, 0.0
         if self._lock.locked:
             period_s, lead_s = self._lock.period_ticks / TICKS_PER_S, self._lock.lead_ticks / TICKS_PER_S
-        newest_s = min(heard_s + lead_s - EARLIER_PART * period_s, heard_s)
+        newest_s = min(received_s + lead_s - EARLIER_PART * period_s, received_s)
         apart_s = period_s / self._per_sync
         instants = [newest_s - earlier * apart_s for earlier in range(self._per_sync - 1, -1, -1)]
         before, self._taken_s, self.newest_s = self._taken_s, newest_s, newest_s
