@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # what type checkers and readers see; at run time __getattr__ does it
-    from canfb.calibration.drift import Drift, drift
+    from canfb.calibration.deviation import Drift, drift
     from canfb.calibration.from_motion import calibrate_from_motion
     from canfb.calibration.result import Calibration
     from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
@@ -84,7 +84,7 @@ __all__ = [
 # The same names for __getattr__; a test compares both.
 _PLACES = {
     "hosting.state_files": ("StateFiles",),
-    "calibration.drift": ("Drift", "drift"),
+    "calibration.deviation": ("Drift", "drift"),
     "calibration.from_motion": ("calibrate_from_motion",),
     "calibration.result": ("Calibration",),
     "calibration.zero_crossing": ("calibrate_from_zero_crossings",),

@@ -12,8 +12,8 @@ import pytest
 from test_calibrate_on_a_bus import calibrate, position_errors
 from test_recordings_and_own_calibration import with_calculator
 
+from canfb.calibration.analog_path import sampled_together, speeds
 from canfb.calibration.recording import recording
-from canfb.calibration.simultaneous import sampled_together, speeds
 from canfb.device.storage.storage import MemoryStore
 from canfb.master.access import CommissioningError
 from canfb.master.active import put_in_force, read_active, read_conditioning

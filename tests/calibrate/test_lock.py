@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import canfb
-from canfb.calibration.lock import LARGEST_DENOMINATOR, Lock, away_from, find_lock
+from canfb.calibration.recording import LARGEST_DENOMINATOR, Lock, away_from, find_lock
 from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress

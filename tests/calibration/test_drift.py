@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from measurements import extreme_encoder, paper_motion, random_encoder, true_phases, wandering
 
 import canfb
-from canfb.calibration.drift import drift
+from canfb.calibration.deviation import drift
 from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.result import Calibration
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings

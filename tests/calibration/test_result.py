@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from canfb.calibration.result import Reason, error_harmonics
+from canfb.calibration.figures import error_harmonics
+from canfb.calibration.result import Reason
 
 
 def test_reasons_keep_their_numbers():

@@ -25,7 +25,7 @@ from measuring import (
     motion,
 )
 
-from canfb.calibration.drift import drift
+from canfb.calibration.deviation import drift
 from canfb.calibration.result import Reason
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore

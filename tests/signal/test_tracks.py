@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canfb.calibration.drift import drift
+from canfb.calibration.deviation import drift
 from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.signal.batch import process

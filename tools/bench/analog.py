@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import canfb
+from canfb.calibration.analog_path import sampled_together
 from canfb.calibration.over_speeds import SpeedCalibration, TracksAtSpeed, calibrate_over_speeds
 from canfb.calibration.recording import recording
-from canfb.calibration.simultaneous import sampled_together
 from canfb.signal.chain import SignalChain
 from canfb.signal.correction import Correction
 from canfb.signal.harmonics import Corners

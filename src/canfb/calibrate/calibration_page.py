@@ -9,7 +9,7 @@ import numpy as np
 from canfb.calibrate.calibration_summary import comparison, coverage_warning, facts, outcome, verdict
 from canfb.calibrate.measurement import Measurement, SpeedMeasurement
 from canfb.calibrate.procedure import Installation
-from canfb.calibration.recording import BINS
+from canfb.calibration.figures import BINS
 from canfb.errors import CalibrationError
 from canfb.master.circumstances import Circumstances, origins
 from canfb.master.samples import TrackSamples

@@ -9,8 +9,7 @@ from canfb.calibrate.calibration_summary import CalibrateResult
 from canfb.calibrate.error_over_speed import InForce, SpeedSamples, errors_at
 from canfb.calibrate.measurement import Heard, Settings, measure
 from canfb.calibrate.own_calibration import ModuleDrift
-from canfb.calibration.deviation import Deviation
-from canfb.calibration.drift import drift
+from canfb.calibration.deviation import Deviation, drift
 from canfb.calibration.ellipse import fit_ellipse
 from canfb.calibration.over_speeds import measured_at_standstill
 from canfb.calibration.path_fit import NO_PATH

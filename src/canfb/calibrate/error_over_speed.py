@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from canfb.calibrate.supervised_samples import supervise
-from canfb.calibration.circular import about_mean
+from canfb.calibration.analog_path import mean_speed
 from canfb.calibration.deviation import Deviation, best_of_phases
+from canfb.calibration.figures import about_mean
 from canfb.calibration.over_speeds import TracksAtSpeed
 from canfb.calibration.path_fit import PathFit
-from canfb.calibration.simultaneous import mean_speed
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
 from canfb.master.samples import TrackSamples

@@ -9,12 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from canfb.calibrate.error_over_speed import ErrorAtSpeed, InForce, SpeedSamples, errors_over_speed
+from canfb.calibration.analog_path import without_harmonics
 from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.over_speeds import SpeedCalibration, calibrate_over_speeds
 from canfb.calibration.path_fit import LowPass, PathFit
 from canfb.calibration.result import Calibration, Method, Reason
-from canfb.calibration.track_harmonics import without_harmonics
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError

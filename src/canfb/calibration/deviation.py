@@ -1,21 +1,42 @@
-"""How far the positions of samples are from smooth motion, with a table that has not seen them."""
+"""How far positions are from smooth motion, with a table not made of them; drift from the active table.
+
+The proof of a table is another recording. Its positions, corrected by the table, are compared with a cubic
+through each block of samples; the motion is in the cubic, so what is left is noise and what the table does
+not correct. That holds only where a block meets many phases: where it stands still or is locked to the
+samples, any table looks good, and such blocks are left out (:meth:`.Blocks.informative`). Of too long a
+block the cubic misses the motion, so shorter ones are tried, too. N samples with n coefficients leave N - n
+degrees of freedom: the rms is that of the deviations times sqrt(N / (N - n)).
+
+Dust, wear, heat and a shifted head change the tracks slowly. No single sample shows it: the position error
+is small and repeats at the same phase of the cycle. Comparing a new reference measurement with the active
+table (:func:`drift`) shows it early.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from canfb.calibration.circular import about_mean
-from canfb.calibration.evaluate import peak, root_mean
+from canfb.calibration.figures import (
+    BINS,
+    about_mean,
+    coverage,
+    mean_in_bins,
+    peak,
+    root_mean,
+    samples_in_bins,
+)
 from canfb.calibration.motion_blocks import Blocks, cut
-from canfb.calibration.recording import BINS, Recording, check_clipped, coverage
-from canfb.calibration.result import Reason
+from canfb.calibration.recording import Recording, check_clipped
+from canfb.calibration.result import Calibration, Reason
 from canfb.errors import CalibrationError
-from canfb.signal.correction import Correction
-from canfb.signal.phase import FloatArray, raw_phases
+from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.correction import Correction, CorrectionTable, check_table
+from canfb.signal.phase import FloatArray, raw_phases, wrap
 
 # A few samples may be faulty; they do not belong to what the table does.
 FAULTY_SIGMAS = 8.0
@@ -54,7 +75,7 @@ class Deviation:
 
     def samples_over_phase(self) -> NDArray[np.int64]:
         """Samples in each of 64 bins of the phase."""
-        return np.bincount((self.phase % 1.0 * BINS).astype(np.int64) % BINS, minlength=BINS)
+        return samples_in_bins(self.phase)
 
     @property
     def spike(self) -> tuple[float, float] | None:
@@ -67,11 +88,7 @@ class Deviation:
 
     def mean_over_phase(self, before: bool = False) -> FloatArray:
         """Mean error in each of 64 bins of the phase; NaN where there is no sample."""
-        values = self.before if before else self.error
-        bins = (self.phase * BINS).astype(np.int64) % BINS
-        count = np.bincount(bins, minlength=BINS)
-        with np.errstate(invalid="ignore"):
-            return np.asarray(np.bincount(bins, values, BINS) / np.where(count, count, np.nan), np.float64)
+        return mean_in_bins(self.phase, self.before if before else self.error)
 
 
 def best_deviation(record: Recording, used: Correction, before: Correction, block_samples: int) -> Deviation:
@@ -166,3 +183,62 @@ def _sound_blocks(blocks: Blocks, error: FloatArray) -> np.ndarray[tuple[int, ..
     bad = size > FAULTY_BLOCK * float(np.median(size))
     few = bad.sum() <= max(1.0, FAULTY_BLOCKS_PART * len(blocks))
     return np.asarray(~bad if few else np.ones_like(bad), np.bool_)
+
+
+class Drift(NamedTuple):
+    """Present error of the active table, in cycles, without its constant part.
+
+    rms    over the cycle, weighted by distance
+    peak   the largest
+    Both include the uncertainty of the new measurement
+    (``uncertainty_rms`` and ``uncertainty_peak`` of :class:`canfb.Calibration`).
+    """
+
+    rms: float
+    peak: float
+
+
+def drift(fresh: Calibration, table: CorrectionTable | None, conditioning: Conditioning = IDENTITY) -> Drift:
+    """Drift of the encoder measured by ``fresh`` from ``table`` and ``conditioning``.
+
+    ``table`` and ``conditioning`` are the active ones; None is the identity. The constant part of
+    the difference is removed, because the origin of the phase is a convention. If the conditionings
+    differ, the phases that both give are compared on the tracks themselves. ValueError if ``fresh``
+    has another conditioning and no ``tracks``, TypeError for arguments of another type.
+    """
+    check_table(table)
+    if not isinstance(fresh, Calibration) or not isinstance(conditioning, Conditioning):
+        raise TypeError(
+            "drift takes a Calibration, a CorrectionTable and a Conditioning, not "
+            f"{type(fresh).__name__}, {type(table).__name__} and {type(conditioning).__name__}"
+        )
+    active = CorrectionTable.identity() if table is None else table
+    if conditioning == fresh.conditioning:
+        knots = [np.arange(len(one) + 1) / len(one) for one in (active, fresh.table)]
+        raw = np.unique(np.concatenate(knots))
+        return _compared(active(raw), fresh.table(raw))
+    if fresh.tracks is None:
+        raise ValueError(
+            "the conditionings differ and the new measurement has no tracks: "
+            "measure again with the active conditioning"
+        )
+    sine, cosine = np.append(fresh.tracks, fresh.tracks[:, :1], axis=1)
+    return _compared(
+        active(raw_phases(*conditioning.apply(sine, cosine))),
+        fresh.table(raw_phases(*fresh.conditioning.apply(sine, cosine))),
+    )
+
+
+def _compared(active: FloatArray, fresh: FloatArray) -> Drift:
+    """Two phases of the same places, once around; straight between the places."""
+    moved = np.abs(wrap(np.diff(fresh)))
+    weights = (np.append(moved, 0.0) + np.append(0.0, moved)) / 2.0
+    off = active - fresh
+    nowhere = np.isnan(off)  # the tracks as conditioned go through zero: no phase at all
+    off[nowhere] = 0.0
+    off = about_mean(off, weights=weights)
+    off -= np.average(off, weights=weights)
+    off[nowhere] = 0.5
+    first, last = off[:-1], off[1:]
+    square = np.average((first * first + first * last + last * last) / 3.0, weights=moved)
+    return Drift(float(np.sqrt(square)), float(np.abs(off).max()))

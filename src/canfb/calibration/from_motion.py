@@ -1,8 +1,21 @@
 """Reference measurement from any motion, at any speed, also many cycles per sample.
 
-The position of a machine is smooth over tens of samples, the errors of the encoder repeat
-with every cycle. So one least-squares fit (:mod:`.joint`) separates the two. It needs neither a
-constant speed nor many samples per cycle, only different phases in the samples of a block.
+With p(t) the position in cycles and e the error within a cycle, sample k has the raw phase
+
+    raw(k) = p(t_k) + e(p(t_k)) + noise   (modulo 1)
+
+The position of a machine is smooth over tens of samples, and a polynomial of time follows it in each block
+of samples. The error e repeats with every cycle, and no low polynomial follows that, unless the samples of
+a block meet few different phases. So one least-squares fit (:mod:`.joint`) separates the two. It needs
+neither a constant speed nor many samples per cycle, only different phases in the samples of a block.
+
+No figure of the result is that of samples from which it was calculated:
+
+- the deviation of samples: the odd blocks with a table of the even ones, and the other way round;
+- the error of the table: n tables of independent parts of the blocks scatter with sqrt(n) times the error
+  of their mean. The largest of this, of what the covariance of the fit expects, of the mean deviation over
+  the phase beyond its noise (tracks that the series do not fit), and of what the samples cannot rule out,
+  is its uncertainty; the peak is four standard deviations at the phase where it is worst.
 """
 
 from __future__ import annotations
@@ -12,13 +25,34 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.ellipse import angle_cycles, as_real32, fit_ellipse
-from canfb.calibration.evaluate import finish, root_mean
-from canfb.calibration.recording import check_clipped, recording
-from canfb.calibration.result import Calibration
-from canfb.calibration.solver import Progress, Solver, no_progress
-from canfb.calibration.track_harmonics import with_track_harmonics
-from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.calibration.analog_path import with_track_harmonics
+from canfb.calibration.figures import (
+    ErrorCurve,
+    ErrorHarmonic,
+    about_mean,
+    coverage,
+    error_curve,
+    error_harmonics,
+    peak,
+    root_mean,
+    samples_in_bins,
+)
+from canfb.calibration.joint import JointFit, bound_covariance, fit_jointly
+from canfb.calibration.motion_blocks import Blocks
+from canfb.calibration.recording import Recording, prepared
+from canfb.calibration.result import TRACK_POINTS, Calibration, Method, judge
+from canfb.calibration.solver import Progress, Solution, Solver, no_progress
+from canfb.calibration.waveform import (
+    Waveform,
+    grid_phases,
+    origin_of,
+    raw_phase_curve,
+    table_of,
+    table_sensitivity,
+)
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import CorrectionTable
+from canfb.signal.phase import FloatArray, raw_phases
 
 
 def calibrate_from_motion(
@@ -49,24 +83,150 @@ def calibrate_from_motion(
     Raises ValueError for wrong arguments, :class:`canfb.errors.CalibrationError` for a
     measurement that is refused, with the reason and the remedy.
     """
-    if not 16 <= entries <= 4096:
-        raise ValueError(f"entries must be 16..4096, not {entries!r}")
-    if not (conditioning is None or conditioning == "fit" or isinstance(conditioning, Conditioning)):
-        raise ValueError('conditioning must be None, "fit" or a Conditioning')
     report = progress or no_progress
-    record = recording(sine, cosine, time_s, valid, adc_bits, may_be_offset=conditioning is not None)
-    ellipse = fit_ellipse(record.sine, record.cosine, record.valid)
-    angle = angle_cycles(ellipse, record.sine, record.cosine)
-    check_clipped(record, angle)
+    record, ellipse, angle, chosen = prepared(sine, cosine, conditioning, time_s, valid, adc_bits, entries)
     report(0.05)
     amplitude = root_mean(np.hypot(*ellipse.apply(record.sine, record.cosine))[record.valid])
     solution = Solver(record, ellipse, amplitude, report).solve(angle)
     report(0.8)
-    chosen = IDENTITY if conditioning is None else conditioning
-    if not isinstance(chosen, Conditioning):
-        chosen = ellipse
-    result = finish(record, solution, as_real32(chosen), entries)
+    result = finish(record, solution, chosen, entries)
     if conditioning == "fit" and result.tracks is not None:
         result = replace(result, conditioning=with_track_harmonics(result.conditioning, result.tracks))
     report(1.0)
     return result
+
+
+PEAK_SIGMAS = 4.0
+# The scatter of this many independent tables gives their error to some 15 %, that of two to some 30 %.
+PARTS = 8
+SCATTER, SCATTER_OF_TWO = 0.15, 0.3
+MIN_BLOCKS_OF_PART = 24
+
+
+def finish(record: Recording, solution: Solution, conditioning: Conditioning, entries: int) -> Calibration:
+    """Table, figures and verdict. CalibrationError if the measurement cannot be used."""
+    fit, blocks, loss, doubt = solution
+    use = blocks.used
+    position = blocks.evaluate(fit.motion)
+    cycles = float(np.abs(np.diff(position, axis=1))[use[:, 1:] & use[:, :-1]].sum())
+    curve = raw_phase_curve(fit.waveform, conditioning)
+    sensitivity = table_sensitivity(fit.waveform, conditioning)
+    spread = np.sqrt(_variance(sensitivity, fit.covariance))
+    expected = root_mean(spread)
+    tables = [
+        table_of(raw_phase_curve(half, conditioning), entries) for half in _parts(record, blocks, fit, 2)
+    ]
+    enough = len(blocks) >= PARTS * MIN_BLOCKS_OF_PART
+    measured = _measured_error(
+        [
+            table_of(raw_phase_curve(part, conditioning), entries).entries
+            for part in _parts(record, blocks, fit, PARTS)
+        ]
+        if enough
+        else [table.entries for table in tables]
+    )
+    covariance = bound_covariance(blocks, record.sine, record.cosine, fit, fit.noise_counts)
+    bound = float(np.sqrt(_variance(sensitivity, covariance).mean()))
+    before, after = _deviations(record, blocks, position, conditioning, tables)
+    moving = use & blocks.informative(position)[:, None]
+    phase = position - origin_of(curve)
+    curve_of_errors = error_curve(phase[moving], before[moving], after[moving])
+    systematic = _systematic(curve_of_errors, phase[moving], root_mean(after[moving]))
+    correct = float(np.sqrt(blocks.samples / max(1, blocks.freedom)))
+    found = Calibration(
+        table=table_of(curve, entries),
+        conditioning=conditioning,
+        method=Method.MOTION,
+        coverage=coverage(position[use]),
+        cycles_used=cycles,
+        samples_used=blocks.samples,
+        samples_rejected=int(record.valid.sum()) - blocks.samples,
+        residual_rms=root_mean(after[moving]) * correct,
+        residual_peak=peak(after[moving]),
+        before_rms=root_mean(before[moving]) * correct,
+        before_peak=peak(before[moving]),
+        uncertainty_rms=max(expected, measured, systematic, doubt),
+        uncertainty_peak=PEAK_SIGMAS * max(float(spread.max()), measured, systematic, doubt),
+        noise_counts=fit.noise_counts,
+        noise_cycles=fit.noise_cycles,
+        bound_rms=bound,
+        cramer_rao_ratio=measured / bound,
+        cramer_rao_scatter=SCATTER if enough else SCATTER_OF_TWO,
+        track_orders=fit.waveform.orders,
+        harmonics=_harmonics(fit.waveform, conditioning, origin_of(curve), expected),
+        curve=curve_of_errors,
+        block_samples=blocks.index.shape[1],
+        tracks=np.array(fit.waveform.tracks(grid_phases(TRACK_POINTS)[:-1] + origin_of(curve))),
+    )
+    return judge(found, loss)
+
+
+def _variance(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
+    variance: FloatArray = np.einsum("pi,pi->p", sensitivity @ covariance, sensitivity)
+    return np.maximum(variance, 0.0)
+
+
+def _systematic(curve: ErrorCurve, position: FloatArray, noise: float) -> float:
+    """Rms of the mean deviation over the phase, less what noise leaves of it: tracks that do not fit."""
+    count = samples_in_bins(position)
+    seen = count > 0
+    if not seen.any():
+        return 0.0
+    excess = float(np.mean(curve.after[seen] ** 2 - noise**2 / count[seen]))
+    return float(np.sqrt(max(0.0, excess)))
+
+
+def _parts(record: Recording, blocks: Blocks, fit: JointFit, count: int) -> list[Waveform]:
+    """The same fit to each ``count``-th block alone."""
+    waveforms = []
+    for first in range(count):
+        part = np.arange(first, len(blocks), count)
+        one = fit_jointly(
+            blocks.take(part),
+            record.sine,
+            record.cosine,
+            fit.waveform,
+            fit.motion[part],
+            rounds=6,
+            noise=fit.noise,
+        )
+        waveforms.append(one.waveform)
+    return waveforms
+
+
+def _measured_error(tables: list[FloatArray]) -> float:
+    """Rms error of the mean of these independent tables, from how they scatter; mean of each taken off."""
+    centred = np.array([table - table.mean() for table in tables])
+    return float(np.sqrt(np.mean(np.var(centred, axis=0, ddof=1)) / len(tables)))
+
+
+def _deviations(
+    record: Recording,
+    blocks: Blocks,
+    position: FloatArray,
+    conditioning: Conditioning,
+    tables: list[CorrectionTable],
+) -> tuple[FloatArray, FloatArray]:
+    """Deviation from smooth motion with the identity, and with the table of the other half's blocks."""
+    raw = raw_phases(*conditioning.apply(record.sine, record.cosine))[blocks.index]
+    raw = np.where(blocks.used, raw, 0.0)
+    after = np.empty_like(raw)
+    for odd in (0, 1):
+        after[odd::2] = tables[1 - odd].correct_array(raw[odd::2])
+    return _from_smooth(blocks, raw, position), _from_smooth(blocks, after, position)
+
+
+def _from_smooth(blocks: Blocks, phase: FloatArray, position: FloatArray) -> FloatArray:
+    """Deviation of phases from the polynomial of least squares through them in each block."""
+    off = (phase - position) % 1.0
+    off = about_mean(off, of=off[blocks.used])
+    return np.asarray(off - blocks.evaluate(blocks.smooth(off)), np.float64)
+
+
+def _harmonics(
+    waveform: Waveform, conditioning: Conditioning, origin: float, expected: float
+) -> tuple[ErrorHarmonic, ...]:
+    phase = grid_phases(1024)[:-1]
+    s, c = conditioning.apply(*waveform.tracks(phase + origin))
+    angle = np.unwrap(np.arctan2(s, c) / (2.0 * np.pi), period=1.0)
+    return error_harmonics(phase, angle, 3.0 * expected)

@@ -1,12 +1,19 @@
 """A reference measurement at several speeds: encoder and analog path together.
 
-At each speed a fit (:mod:`.from_motion`) gives the mean tracks; their fundamentals over the speed give the
-path (:mod:`.path_fit`); and the tracks of the lowest speed with the path taken out are those at standstill,
-from which conditioning, table and harmonics follow (:mod:`canfb.signal.harmonics`). No speed need be near
-standstill.
+A table of one speed has in it what low-passes and a delay between the tracks do at that speed. The module
+takes these out at any speed (:mod:`canfb.signal.front_end`), and needs the tracks as they are at
+standstill. At each speed a fit (:mod:`.from_motion`) gives the mean tracks, as Fourier series of the phase;
+their fundamentals over the speed give the path (:mod:`.path_fit`). Order k of a track passes the path at k
+f, so with S_k and C_k the coefficients at speed f, those at standstill are
 
-Each speed may vary a little, as real machines do. Where that counts, the samples are moved to the mean speed
-by a first estimate of the path, and fitted again.
+    S_k / H(k f; fs),    C_k / (H(k f; fc) exp(2 pi i k f cosine_delay)),    H(f; fc) = 1 / (1 + i f / fc)
+
+and from these, taken at the lowest speed, where the least is taken out, follow conditioning, table and
+harmonics (:mod:`canfb.signal.harmonics`). No speed need be near standstill.
+
+Each speed may vary a little, as real machines do. Where that counts, which is where the path at the samples
+differs from that at the mean speed by more than repeated measurements do, the samples are moved to the mean
+speed by a first estimate of the path, and fitted again.
 """
 
 from __future__ import annotations
@@ -16,22 +23,31 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from canfb.calibration.analog_path import mean_speed, sampled_together, speeds, with_track_harmonics
 from canfb.calibration.ellipse import fit_ellipse
 from canfb.calibration.from_motion import calibrate_from_motion
-from canfb.calibration.path_fit import NO_PATH, Fundamental, PathFit, check_apart, fit_path, response
+from canfb.calibration.path_fit import (
+    ANGLE_REPEATS_RAD,
+    NO_PATH,
+    RATIO_REPEATS,
+    Fundamental,
+    PathFit,
+    check_apart,
+    fit_path,
+    response,
+)
 from canfb.calibration.recording import Recording, recording
 from canfb.calibration.result import TRACK_POINTS, Calibration, Reason
-from canfb.calibration.simultaneous import mean_speed, sampled_together, speeds
 from canfb.calibration.solver import Progress, no_progress
-from canfb.calibration.track_harmonics import with_track_harmonics
 from canfb.calibration.waveform import Waveform, grid_phases, origin_of, raw_phase_curve, table_of
 from canfb.errors import CalibrationError
 from canfb.signal.correction import Correction
 from canfb.signal.harmonics import Corners
 from canfb.signal.phase import FloatArray
 
-STEADY_RAD = 2e-4  # of the angle between the tracks, rms: what of its change does not count
-STEADY_PART = 2e-4  # and of the amplitudes
+# What of a change within one speed does not count: no more than two measurements differ by anyway.
+STEADY_RAD = ANGLE_REPEATS_RAD  # of the angle between the tracks, rms
+STEADY_PART = RATIO_REPEATS  # of the amplitudes
 SMOOTH_SAMPLES = 33  # a speed between two samples is mostly noise
 MOST_VARIATION = 0.3  # of a speed, from its lowest to its highest: more is no one speed
 

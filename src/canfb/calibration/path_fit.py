@@ -5,11 +5,20 @@ At f cycles per second the fundamentals of the tracks are
     |sine| = A / sqrt(1 + (f / fs)^2),    |cosine| = B / sqrt(1 + (f / fc)^2),
     angle from sine to cosine = angle at standstill + 2 pi f cosine_delay + arctan(f / fs) - arctan(f / fc)
 
-with fs, fc the corners. So the angle over the speed gives the delay between the tracks, and the amplitudes
-give the corners. What both tracks are late shows in no angle; but a low-pass of one pole that takes the
-amplitude to the part r is late by arccos(r) / (2 pi) cycles, which is 1 / (2 pi fs) seconds at low speed. A
-converter that is late, or a filter that leaves the amplitude alone, is not to be seen: the estimate says
-what the low-pass does, and no more.
+with fs, fc the corners. So the amplitudes give the corners: |sine|^-2 is a straight line over f^2, whose
+rise over its value at 0 is 1 / fs^2. With the corners known, the angle is a straight line over f, whose
+rise is 2 pi cosine_delay. Both lines are of least squares, weighed by what the noise and the repeatability
+allow.
+
+Both tracks together (their geometric mean) show the mean corner best, and their ratio, in which changes of
+the encoder's light and supply cancel, the difference of both corners; where that does not stand out, they
+are one.
+
+What both tracks are late shows in no angle; but a low-pass of one pole that takes the amplitude to the part
+r is late by arccos(r) / (2 pi) cycles, which is 1 / (2 pi fs) seconds at low speed. Two equal poles with
+the same amplitudes are later, so both are fitted, and what the amplitudes do not rule out is reported. A
+converter that is late, or a filter that leaves the amplitude alone, does not show: the estimate is that of
+the low-pass.
 
 The amplitudes of an encoder change a little from one measurement to the next (temperature, supply), more
 than the noise of the samples does. The uncertainties are one standard deviation, and have that in them.
@@ -34,7 +43,9 @@ RATIO_REPEATS = 2e-4  # of one amplitude to the other
 ANGLE_REPEATS_RAD = 2e-4  # from sine to cosine
 SEEN_SIGMAS = 3.0  # a low-pass that is there
 APART_SIGMAS = 2.0  # corners that differ
-ERROR_OF_ANGLE = 1.0 / (4.0 * math.pi * math.sqrt(2.0))  # rms of the phase, cycles, from an angle in rad
+# Rms of the phase, cycles, that an angle of d rad between the tracks leaves, or a ratio of amplitudes of
+# exp(d): to first order the arc tangent is off by d/2 cos 2x, or d/2 sin 2x, beside its mean.
+ERROR_OF_ANGLE = 1.0 / (4.0 * math.pi * math.sqrt(2.0))
 MOST_UNCERTAIN_CYCLES = 1e-4  # rms, at the highest speed, from the delay between the tracks
 MOST_OFF_CYCLES = 1e-3  # rms, at any speed: what the model does not explain
 ROUNDS = 30

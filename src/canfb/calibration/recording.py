@@ -1,25 +1,35 @@
-"""A recording of both tracks, checked: what may be used, where it breaks, and its positions."""
+"""A recording of both tracks, checked: what may be used, its positions, and motion that is locked to it.
+
+Locked is motion of nearly p/q cycles per sample: each q-th sample lies at the same place of the cycle, and
+q places are all that is ever sampled. With z = cosine + i sine of amplitude A, the mean of the samples at
+one place over a window in which that place moves by d cycles has the size A |sin(pi d) / (pi d)|. It is
+locked if d < 0.36 / q: the q places are 1/q apart, and over a window of 256 samples none has moved by much
+more than a third of the gap to the next. A reference measurement needs phases that fill these gaps within
+its blocks.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from canfb.calibration.ellipse import angle_cycles, as_real32, fit_ellipse
+from canfb.calibration.figures import samples_in_bins
 from canfb.calibration.following import positions
 from canfb.calibration.motion_blocks import BoolArray, IntArray
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.objects import MISSED_COUNTS
+from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample_recording import BYTES_PER_SAMPLE
 from canfb.signal.tracks import check_counts, pair_of_tracks
 
 MIN_SAMPLES = 200
-BINS = 64
-MIN_PER_BIN = 2
 # Faults may hit the end of the range now and then; a track that is too large hits it in
 # every cycle at the same phase.
 CLIPPED_PART = 0.05
@@ -92,6 +102,30 @@ def recording(
     return Recording(s, c, usable, clipped, time, uneven, breaks.astype(np.int64))
 
 
+def prepared(
+    sine: npt.ArrayLike,
+    cosine: npt.ArrayLike,
+    conditioning: Conditioning | str | None,
+    time_s: npt.ArrayLike | None,
+    valid: npt.ArrayLike | None,
+    adc_bits: int | None,
+    entries: int,
+) -> tuple[Recording, Conditioning, FloatArray, Conditioning]:
+    """The arguments of a reference measurement, checked: the recording, its ellipse, the angles behind that
+    (cycles), and the conditioning that the table is made for, as 2002h holds it.
+    """
+    if not 16 <= entries <= 4096:
+        raise ValueError(f"entries must be 16..4096, not {entries!r}")
+    if not (conditioning is None or conditioning == "fit" or isinstance(conditioning, Conditioning)):
+        raise ValueError('conditioning must be None, "fit" or a Conditioning')
+    record = recording(sine, cosine, time_s, valid, adc_bits, may_be_offset=conditioning is not None)
+    ellipse = fit_ellipse(record.sine, record.cosine, record.valid)
+    angle = angle_cycles(ellipse, record.sine, record.cosine)
+    check_clipped(record, angle)
+    chosen = IDENTITY if conditioning is None else conditioning
+    return record, ellipse, angle, as_real32(chosen if isinstance(chosen, Conditioning) else ellipse)
+
+
 def recorded_tracks(data: bytes) -> tuple[FloatArray, FloatArray]:
     """Sine and cosine, counts, of an uploaded recording (2050:03); NaN where a sample is missing.
 
@@ -159,9 +193,8 @@ def check_clipped(record: Recording, angle: FloatArray) -> None:
     """Refuse tracks that are cut off. ``angle`` of all samples, clipped ones included, in cycles."""
     count = int(record.clipped.sum())
     seen = record.valid | record.clipped
-    bins = (angle * BINS).astype(np.int64) % BINS
-    cut = np.bincount(bins[record.clipped], minlength=BINS)
-    every = np.maximum(1, np.bincount(bins[seen], minlength=BINS))
+    cut = samples_in_bins(angle[record.clipped])
+    every = np.maximum(1, samples_in_bins(angle[seen]))
     worst = float((cut / every).max())
     if count > CLIPPED_PART * seen.sum() or (worst > CLIPPED_PART_OF_BIN and count > 6):
         raise CalibrationError(
@@ -170,12 +203,50 @@ def check_clipped(record: Recording, angle: FloatArray) -> None:
         )
 
 
-def coverage(phase: FloatArray) -> float:
-    """Part of the cycle that is sampled: bins of 1/64 with two of these phases (cycles) in or beside them."""
-    return covered(np.bincount((phase % 1.0 * BINS).astype(np.int64) % BINS, minlength=BINS))
+WINDOW = 256  # samples; a reference measurement needs that the phases move within about this many
+LARGEST_DENOMINATOR = 16
+DRIFT_CYCLES = 0.36  # over the window, times the denominator: less is too close to locked
+# Steps in cycles per sample, far from simple fractions; the first that leads away from them is taken. 0.382
+# is the golden section, whose multiples stay farthest from whole numbers: 0.034 at 13, more at all others
+# up to 16.
+STEPS = (0.382, 0.276, 0.171, 0.236, 0.118, 0.073, 0.045)
+FAR = 0.03
 
 
-def covered(counts: Sequence[int] | IntArray) -> float:
-    """:func:`coverage` for this many samples in each of the bins."""
-    here = np.asarray(counts)
-    return float(np.mean(np.roll(here, 1) + here + np.roll(here, -1) >= MIN_PER_BIN))
+class Lock(NamedTuple):
+    """So many cycles per sample: numerator / denominator, and an unknown whole number."""
+
+    numerator: int
+    denominator: int
+
+
+def find_lock(sine: FloatArray, cosine: FloatArray) -> Lock | None:
+    """The lock of these tracks (ADC counts, NaN for a missed sample); None without one, or below 256 samples.
+
+    Locked at p/q, each q-th sample lies at the same place; here for q up to 16, on windows of 256.
+    """
+    z = cosine + 1j * sine
+    windows = len(z) // WINDOW
+    if not windows:
+        return None
+    rows = z[: windows * WINDOW].reshape(windows, WINDOW)
+    power = np.nanmean(np.abs(rows) ** 2)
+    for q in range(1, LARGEST_DENOMINATOR + 1):
+        length = WINDOW // q * q
+        places = rows[:, :length].reshape(windows, length // q, q)
+        seen = ~np.isnan(places)
+        mean = np.where(seen, places, 0.0).sum(axis=1) / np.maximum(1, seen.sum(axis=1))
+        if np.mean(np.abs(mean) ** 2) > power * np.sinc(DRIFT_CYCLES / q) ** 2:
+            turn = z[1:] * np.conj(z[:-1])
+            step = float(np.angle(np.nansum(turn))) / (2.0 * math.pi)
+            return Lock(round(step * q) % q, q)
+    return None
+
+
+def away_from(fraction: float) -> float:
+    """What to add to these cycles per sample so that they are no simple fraction."""
+    for step in STEPS:
+        multiples = [q * (fraction + step) for q in range(1, LARGEST_DENOMINATOR + 1)]
+        if all(abs(one - round(one)) >= FAR for one in multiples):
+            return step
+    return STEPS[0]

@@ -1,13 +1,12 @@
-"""What a reference measurement gives."""
+"""What a reference measurement gives, and when it is refused. A bad one is never returned as good."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import NamedTuple
 
-import numpy as np
-
+from canfb.calibration.figures import ErrorCurve, ErrorHarmonic
+from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.phase import FloatArray
@@ -61,29 +60,6 @@ class Method(StrEnum):
 
 
 TRACK_POINTS = 1024
-
-
-class ErrorHarmonic(NamedTuple):
-    """One harmonic of the error: amplitude cos(2 pi order phase + angle), amplitude in cycles."""
-
-    order: int
-    amplitude_cycles: float
-    angle_rad: float
-
-
-@dataclass(frozen=True, eq=False)
-class ErrorCurve:
-    """Mean deviation from smooth motion over the phase, in cycles, on data not used for the fit.
-
-    phase    middle of each bin, cycles
-    before   identity table, its mean removed
-    after    correction table
-    NaN in a bin without samples.
-    """
-
-    phase: FloatArray
-    before: FloatArray
-    after: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -166,18 +142,66 @@ class Calibration:
         )
 
 
-def error_harmonics(
-    phase: FloatArray, angle: FloatArray, smallest_cycles: float, highest: int = 64
-) -> tuple[ErrorHarmonic, ...]:
-    """Harmonics of ``angle - phase`` at equidistant ``phase`` (cycles), those above ``smallest_cycles``."""
-    spectrum = np.fft.rfft(angle - phase) / len(phase)
-    found = [
-        ErrorHarmonic(order, 2.0 * float(abs(spectrum[order])), float(np.angle(spectrum[order])))
-        for order in range(1, min(highest, len(spectrum) - 1) + 1)
-    ]
-    return tuple(
-        sorted(
-            (h for h in found if h.amplitude_cycles > smallest_cycles),
-            key=lambda h: -h.amplitude_cycles,
+MIN_COVERAGE = 0.95
+MIN_CYCLES = 10.0
+# The paper's method leaves 0.05 % of a cycle; a table that may be off by that in the mean is refused.
+MAX_UNCERTAINTY_CYCLES = 5e-4
+# Rms of single samples, along the tracks and across them.
+MAX_OFF_CYCLES = 0.03
+# With phases well mixed in every block the motion costs little information; this much more
+# uncertainty than that says that the motion, not the noise, is to blame.
+LOCKED_LOSS = 3.0
+
+CHANGE_SPEED = (
+    "run the machine through many cycles, at a speed that is neither a whole number of cycles per "
+    "sample nor a simple fraction of one"
+)
+
+
+def check_way(coverage: float, cycles: float) -> None:
+    """Refuse a recording that meets too little of the cycle, or too few cycles."""
+    if coverage < MIN_COVERAGE:
+        locked = cycles >= MIN_CYCLES
+        raise CalibrationError(
+            f"only {100 * coverage:.0f} % of the cycle was sampled: {CHANGE_SPEED}",
+            Reason.LOCKED if locked else Reason.COVERAGE,
         )
+    if cycles < MIN_CYCLES:
+        raise CalibrationError(
+            f"the samples cover {cycles:.1f} cycles, too few: at least {MIN_CYCLES:.0f} are needed; "
+            f"{CHANGE_SPEED}",
+            Reason.CYCLES,
+        )
+
+
+def check_smooth(off_cycles: float, loss: float) -> None:
+    """Refuse positions that lie far from any smooth motion."""
+    if off_cycles > MAX_OFF_CYCLES:
+        raise no_fit(f"the positions are {off_cycles:.2f} cycle rms away from any smooth motion", loss)
+
+
+def no_fit(what: str, loss: float) -> CalibrationError:
+    """The error for tracks and motion that cannot be separated.
+
+    ``loss``: how many times the uncertainty grows because the motion has to be found as well.
+    """
+    if loss > LOCKED_LOSS:
+        return CalibrationError(
+            f"{what}: the motion is almost locked to the samples; {CHANGE_SPEED}", Reason.LOCKED
+        )
+    return CalibrationError(
+        f"{what}: noise, too much acceleration between samples, or uneven sample times that are not known",
+        Reason.NOISE,
     )
+
+
+def judge(found: Calibration, loss: float = 1.0) -> Calibration:
+    """The calibration if it can be used, else CalibrationError with it and the reason."""
+    try:
+        check_way(found.coverage, found.cycles_used)
+        if found.uncertainty_rms > MAX_UNCERTAINTY_CYCLES:
+            raise no_fit(f"the table would be uncertain by {found.uncertainty_rms:.1e} cycle rms", loss)
+    except CalibrationError as error:
+        refused = replace(found, reason=Reason(error.reason))
+        raise CalibrationError(str(error), error.reason, refused) from None
+    return found

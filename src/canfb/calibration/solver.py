@@ -1,4 +1,22 @@
-"""From a recording to the joint fit: track, block length, orders, faults left out, track again."""
+"""From a recording to the joint fit: track, block length, orders, faults left out, track again.
+
+The fit (:mod:`.joint`) is linearised: it needs positions that are right to a small part of a cycle, blocks
+in which a polynomial follows the motion, and the orders of the series that the data supports. None is known
+beforehand, so they are found in turn, each with what the one before gave:
+
+1. Positions from the arc tangent behind the ellipse (:mod:`.following`), with orders 1 to 6.
+2. The length of the blocks. A long one has more equations for each coefficient of the motion, a short one
+   follows more of it. Each length is tried on part of the samples, and the one is taken whose fit expects
+   the least error of the table; if motion is left even then, polynomials of higher degree on it.
+3. More orders, as long as the last quarter of them carries something; samples and blocks that do not fit
+   are left out as the fit gets better.
+4. Positions again from the phases on the fitted curve, if there was anything to gain, and 3. again.
+5. Only the orders that stand out of the noise: each one that is kept costs four coefficients of
+   uncertainty.
+
+An order is kept if its four coefficients v, with their covariance C, are unlikely to be noise: v' C^-1 v is
+chi^2 with four degrees of freedom, above 16 with the probability exp(-8) (1 + 8) = 0.3 %.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +26,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from canfb.calibration.figures import coverage
 from canfb.calibration.joint import JointFit, fit_jointly, information_loss, initial_waveform
-from canfb.calibration.judgement import LOCKED_LOSS, MAX_OFF_CYCLES, check_smooth, check_way, no_fit
-from canfb.calibration.motion_blocks import CUBIC, Blocks, cut
-from canfb.calibration.recording import MIN_SAMPLES, Recording, coverage
-from canfb.calibration.result import Reason
-from canfb.calibration.selection import (
-    MIN_BLOCKS,
-    reject,
-    rows_used,
-    significant_orders,
-    uncertainty,
-)
-from canfb.calibration.waveform import Waveform, grid_phases
+from canfb.calibration.motion_blocks import CUBIC, Blocks, BoolArray, cut
+from canfb.calibration.recording import MIN_SAMPLES, Recording
+from canfb.calibration.result import LOCKED_LOSS, MAX_OFF_CYCLES, Reason, check_smooth, check_way, no_fit
+from canfb.calibration.waveform import Waveform, grid_phases, table_sensitivity
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.phase import FloatArray
@@ -37,6 +48,8 @@ FIRST_ORDERS = tuple(range(1, 7))
 ORDER_STEPS = (16, 32)
 SAMPLES_PER_ORDER = 30
 STIFF = tuple(Shape(length, CUBIC) for length in (12, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096))
+# Along the curve to across it. Noise alone gives 1, +- 0.011 on the samples of a trial; 1.15 is a motion
+# beyond the blocks of sqrt(1.15^2 - 1) = 0.57 of the noise.
 LIVELY_NOISE = 1.15
 # With noise alone, all orders are at most this much less certain than the few that show.
 DOUBTFUL = 5.0
@@ -251,3 +264,83 @@ def _more_lively(shape: Shape) -> tuple[Shape, ...]:
     return tuple(
         Shape(times * length, terms) for times, terms in ((1, 6), (2, 8), (2, 12), (4, 12), (4, 24), (4, 40))
     )
+
+
+SIGNIFICANT = 16.0  # chi^2 of an order that stays, see above
+MIN_BLOCKS = 8
+REJECT_SIGMAS = 6.0  # noise alone: once in 5e8 samples
+REJECT_BLOCK = 4.0
+QUANTISATION_COUNTS = 0.3  # rms of rounding, 1/sqrt(12)
+COARSE_CYCLES = 0.05
+
+
+def uncertainty(fit: JointFit, conditioning: Conditioning) -> float:
+    """Expected rms error of the table, cycles."""
+    sensitivity = table_sensitivity(fit.waveform, conditioning)
+    variance = np.einsum("pi,pi->p", sensitivity @ fit.covariance, sensitivity)
+    return float(np.sqrt(max(0.0, float(variance.mean()))))
+
+
+def significant_orders(fit: JointFit) -> tuple[int, ...]:
+    """Orders whose coefficients are more than noise; the fundamental always.
+
+    The least significant one goes first and the others are corrected for it: two that the
+    samples can hardly separate would otherwise drop each other.
+    """
+    half, orders = len(fit.waveform.sine), fit.waveform.orders
+    places = {
+        order: [1 + 2 * at, 2 + 2 * at, half + 1 + 2 * at, half + 2 + 2 * at]
+        for at, order in enumerate(orders)
+    }
+    values = np.concatenate([fit.waveform.sine, fit.waveform.cosine])
+    covariance = fit.covariance.copy()
+    kept = list(orders)
+    while len(kept) > 1:
+        sizes = {order: _size(values, covariance, places[order]) for order in kept if order > 1}
+        weakest = min(sizes, key=lambda order: sizes[order])
+        if sizes[weakest] > SIGNIFICANT:
+            break
+        kept.remove(weakest)
+        at = places[weakest]
+        share = covariance[:, at] @ np.linalg.pinv(covariance[np.ix_(at, at)], hermitian=True)
+        values = values - share @ values[at]
+        covariance = covariance - share @ covariance[at]
+    return tuple(kept)
+
+
+def _size(values: FloatArray, covariance: FloatArray, at: list[int]) -> float:
+    """Square of these values in units of their uncertainty."""
+    inverse = np.linalg.pinv(covariance[np.ix_(at, at)], hermitian=True)
+    return float(values[at] @ inverse @ values[at])
+
+
+def reject(blocks: Blocks, fit: JointFit, coarse: bool = False) -> Blocks:
+    """Leave out samples far off the curve or the motion, and blocks that do not fit as a whole.
+
+    ``coarse``: only what is far off by any measure. Before the harmonics are known, a block that
+    meets all phases fits worse than one at standstill, yet it is the one that informs.
+    """
+    use = blocks.used
+    floor = COARSE_CYCLES * float(np.median(fit.speed[use])) if coarse else 0.0
+    telling = blocks.informative(blocks.evaluate(fit.motion))
+    if telling.sum() < MIN_BLOCKS:
+        telling = rows_used(blocks)[:, 0]
+    judges = use & telling[:, None]
+    good: BoolArray = np.ones_like(use)
+    for off in (fit.along, fit.across):
+        good &= np.abs(off) < max(REJECT_SIGMAS * _sigma(off[judges]), floor)
+    size = np.sqrt(np.sum(np.where(use, fit.along**2, 0.0), axis=1) / np.maximum(1, use.sum(axis=1)))
+    usual = max(float(np.median(size[telling])), QUANTISATION_COUNTS)
+    return blocks.using(use & good & (size < max(REJECT_BLOCK * usual, floor))[:, None])
+
+
+def _sigma(values: FloatArray) -> float:
+    """Robust standard deviation, not below what quantisation leaves."""
+    usual = float(np.median(np.abs(values))) if len(values) else 0.0
+    return max(1.4826 * usual, QUANTISATION_COUNTS)
+
+
+def rows_used(blocks: Blocks) -> BoolArray:
+    """Blocks with samples used, as a column."""
+    rows: BoolArray = np.any(blocks.used, axis=1, keepdims=True)
+    return rows

@@ -14,17 +14,22 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.circular import about_mean
-from canfb.calibration.ellipse import angle_cycles, as_real32, fit_ellipse
-from canfb.calibration.evaluate import error_curve, peak, root_mean
-from canfb.calibration.judgement import judge
+from canfb.calibration.figures import (
+    ErrorHarmonic,
+    about_mean,
+    coverage,
+    error_curve,
+    error_harmonics,
+    peak,
+    root_mean,
+)
 from canfb.calibration.motion_blocks import BoolArray, IntArray
-from canfb.calibration.recording import Recording, check_clipped, coverage, recording
-from canfb.calibration.result import TRACK_POINTS, Calibration, ErrorHarmonic, Method, Reason, error_harmonics
+from canfb.calibration.recording import Recording, prepared
+from canfb.calibration.result import TRACK_POINTS, Calibration, Method, Reason, judge
 from canfb.calibration.solver import Progress, no_progress
 from canfb.calibration.waveform import grid_phases, table_from_phases
 from canfb.errors import CalibrationError
-from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.conditioning import Conditioning
 from canfb.signal.phase import FloatArray, raw_phases
 
 MIN_SAMPLES_PER_CYCLE = 40
@@ -54,16 +59,8 @@ def calibrate_from_zero_crossings(
     Speed and direction may vary; only cycles in the direction with the longer distance are
     used, and only whole ones without an invalid sample.
     """
-    if not 16 <= entries <= 4096:
-        raise ValueError(f"entries must be 16..4096, not {entries!r}")
-    if not (conditioning is None or conditioning == "fit" or isinstance(conditioning, Conditioning)):
-        raise ValueError('conditioning must be None, "fit" or a Conditioning')
     report = progress or no_progress
-    record = recording(sine, cosine, time_s, valid, adc_bits, may_be_offset=conditioning is not None)
-    ellipse = fit_ellipse(record.sine, record.cosine, record.valid)
-    check_clipped(record, angle_cycles(ellipse, record.sine, record.cosine))
-    chosen = IDENTITY if conditioning is None else conditioning
-    chosen = as_real32(chosen if isinstance(chosen, Conditioning) else ellipse)
+    record, _, _, chosen = prepared(sine, cosine, conditioning, time_s, valid, adc_bits, entries)
     report(0.2)
     passage = _Passage.of(record, chosen)
     cycles = _find_cycles(passage)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from canfb.calibrate.supervised_samples import SupervisedSamples
-from canfb.calibration.evaluate import peak, root_mean
+from canfb.calibration.figures import peak, root_mean
 from canfb.signal.phase import FloatArray
 from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
 from canfb.signal.third_order import SECOND as SECOND_ORDER

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from canfb.calibrate.supervised_samples import SupervisedSamples
+from canfb.calibration.figures import BINS, bins_of, mean_in_bins
 from canfb.calibration.path_fit import AMPLITUDE_REPEATS, LowPass, fit_low_pass
-from canfb.calibration.recording import BINS
 from canfb.commission.motion_seen import FOURTH, MOVING_CYCLES, SIGMA_OF_MEDIAN
 from canfb.master.samples import TrackSamples
 from canfb.signal.harmonics import Corners
@@ -153,14 +153,12 @@ def _waves(phase: FloatArray) -> FloatArray:
 
 
 def _over_phase(amplitude: FloatArray, phase: FloatArray) -> FloatArray:
-    bins = np.minimum((phase * BINS).astype(np.int64), BINS - 1)
+    bins = bins_of(phase)
     lowest, highest = np.full(BINS, np.inf), np.full(BINS, -np.inf)
     np.minimum.at(lowest, bins, amplitude)
     np.maximum.at(highest, bins, amplitude)
-    count = np.bincount(bins, minlength=BINS)
-    with np.errstate(invalid="ignore"):
-        mean = np.bincount(bins, amplitude, BINS) / np.where(count, count, np.nan)
-    found: FloatArray = np.where(count > 0, np.array([lowest, mean, highest]), np.nan)
+    mean = mean_in_bins(phase, amplitude)
+    found: FloatArray = np.where(np.isnan(mean), np.nan, np.array([lowest, mean, highest]))
     return found
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from canfb import objects as od
-from canfb.calibration.lock import WINDOW, Lock, away_from, find_lock
+from canfb.calibration.recording import WINDOW, Lock, away_from, find_lock
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError

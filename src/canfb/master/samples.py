@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from canfb.calibration.analog_path import sampled_together, speeds
 from canfb.calibration.recording import Recording, recording
-from canfb.calibration.simultaneous import sampled_together, speeds
 from canfb.master.access import CommissioningError
 from canfb.objects import MISSED_COUNTS
 from canfb.signal.phase import FloatArray

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from canfb import objects as od
-from canfb.calibration.track_harmonics import counts_at
+from canfb.calibration.analog_path import counts_at
 from canfb.master.access import CommissioningError, Master, NodeAccess
 from canfb.master.active import read_active
 from canfb.master.listening import Listener, listen, record

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from canfb.calibration.drift import drift
+from canfb.calibration.analog_path import sampled_together
+from canfb.calibration.deviation import drift
 from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.recording import recording
-from canfb.calibration.simultaneous import sampled_together
 from canfb.errors import CalibrationError
 from canfb.objects import StatusBit
 from canfb.replay.sample_columns import Block

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from canfb.calibration.recording import BINS
+from canfb.calibration.figures import BINS
 from canfb.report.plot import Plot
 from canfb.report.scale import nice_limit
 from canfb.signal.phase import FloatArray

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.evaluate import root_mean
-from canfb.calibration.recording import BINS
+from canfb.calibration.figures import BINS, root_mean
 from canfb.report.plot import Plot
 from canfb.report.scale import nice_limit
 from canfb.signal.correction import CorrectionTable

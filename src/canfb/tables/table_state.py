@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from canfb import objects as od
-from canfb.calibration.evaluate import peak, root_mean
+from canfb.calibration.figures import peak, root_mean
 from canfb.master.access import NodeAccess, ObjectAbsentError
 from canfb.master.active import read_active, read_conditioning
 from canfb.master.circumstances import Circumstances

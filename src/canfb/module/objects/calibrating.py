@@ -17,13 +17,13 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from canfb import objects as od
-from canfb.calibration.drift import Drift, drift
+from canfb.calibration.analog_path import counts_at, recorded_together, without_harmonics
+from canfb.calibration.deviation import Drift, drift
+from canfb.calibration.figures import BINS, covered
 from canfb.calibration.from_motion import calibrate_from_motion
-from canfb.calibration.recording import BINS, NO_TIME, covered, recorded_tracks, timed_tracks
+from canfb.calibration.recording import NO_TIME, recorded_tracks, timed_tracks
 from canfb.calibration.result import Calibration, Reason
-from canfb.calibration.simultaneous import recorded_together
 from canfb.calibration.solver import no_progress
-from canfb.calibration.track_harmonics import counts_at, without_harmonics
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary
 from canfb.errors import CalibrationError

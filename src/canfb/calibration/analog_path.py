@@ -1,6 +1,7 @@
-"""The cosine as if it had been sampled with the sine, where the converter takes it later (2002:06).
+"""Samples behind an analog path: the cosine at the instant of the sine, and harmonics as at standstill.
 
-A reference measurement fits tracks that are functions of one phase. With the delay d(t) = 2 pi f cosine_delay
+**The cosine as if it had been sampled with the sine,** where the converter takes it later (2002:06). A
+reference measurement fits tracks that are functions of one phase. With the delay d(t) = 2 pi f cosine_delay
 (:mod:`canfb.signal.front_end`) the cosine is A cos(x + d - phase_error), and from it and the sine follows
 
     A cos x = (cosine + s sin(d - phase_error)) / cos(d - phase_error),
@@ -8,17 +9,22 @@ A reference measurement fits tracks that are functions of one phase. With the de
 
 s and cosine after offset and gain. Offset and gain are those of the samples themselves, and so is the phase
 error: a fit shows it less the mean of d, and another fit of what follows shows it better.
+
+**Harmonics** (2005h) are those of cosine + i sine at standstill, relative to the fundamental. The module
+takes out what the path does to each of them. A table measured at a speed has their effect at that speed in
+it already: with them the module would correct it twice, so they are left out where the path counts.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
-from canfb.calibration.ellipse import angle_cycles, fit_ellipse
+from canfb.calibration.ellipse import angle_cycles, as_real32, fit_ellipse
 from canfb.calibration.recording import Recording, recording, with_time
-from canfb.signal.conditioning import Conditioning
+from canfb.signal.conditioning import HARMONIC_ORDERS, LARGEST_HARMONIC, Conditioning
 from canfb.signal.phase import FloatArray
 
 FITS = 3
@@ -99,3 +105,37 @@ def _together(sine: FloatArray, cosine: FloatArray, turned_rad: FloatArray, used
     straight = (c - s * np.sin(angle)) / np.cos(angle)
     moved = straight * np.cos(phase_error) + s * np.sin(phase_error)
     return np.asarray(used.cosine_offset_counts + moved / used.cosine_gain, np.float64)
+
+
+MOST_EFFECT_RAD = 0.1  # of the analog path on the fundamental, for harmonics as at standstill
+
+
+def counts_at(hertz: float, cosine_delay_s: float, corner_hz: float) -> bool:
+    """At this speed, cycles per second, the harmonics are not those at standstill.
+
+    A module would correct them twice: their part of the error is in the table of this speed already.
+    """
+    turned = 2.0 * math.pi * abs(hertz * cosine_delay_s)
+    return turned + (abs(hertz) / corner_hz if corner_hz else 0.0) > MOST_EFFECT_RAD
+
+
+def without_harmonics(used: Conditioning) -> Conditioning:
+    """``used`` with none: its table is that of one speed."""
+    return used.with_harmonics([0j] * len(HARMONIC_ORDERS))
+
+
+def with_track_harmonics(used: Conditioning, tracks: FloatArray) -> Conditioning:
+    """``used`` with the harmonics of these mean tracks, ADC counts, shape (2, n), sine first, over one cycle.
+
+    Of cosine + i sine behind the conditioning, relative to the fundamental and its phase.
+    """
+    s, c = used.apply(*tracks)
+    spectrum = np.fft.fft(c + 1j * s) / np.size(s)
+    first = spectrum[1]
+    shift = first / abs(first)
+
+    def at(order: int) -> complex:
+        value = complex(spectrum[order] / abs(first) * shift ** (-order))
+        return value if abs(value) <= LARGEST_HARMONIC else 0j
+
+    return as_real32(used.with_harmonics([at(order) for order in HARMONIC_ORDERS]))
