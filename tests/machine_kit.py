@@ -77,8 +77,8 @@ class SimulatedMachine:
         position = self.positions(count)
         sine, cosine = self.counts(position)
         self.start_s += count / self.rate_hz
-        heard = np.arange(count) / self.rate_hz
-        return replace(TrackSamples.of(sine, cosine, self.rate_hz, "a simulated machine"), heard_s=heard)
+        samples = TrackSamples.of(sine, cosine, self.rate_hz, "a simulated machine")
+        return replace(samples, received_s=np.arange(count) / self.rate_hz)
 
     def counts(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
         """As the encoder gives them, its amplitude changing over the revolution."""

@@ -24,9 +24,9 @@ from canfb.configuration import Config
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CalibrationError, ConfigError
 from canfb.master.access import CommissioningError
-from canfb.master.active import read_active
+from canfb.master.active_table import read_active
 from canfb.master.all_or_nothing import Guard
-from canfb.master.circumstances import Circumstances
+from canfb.master.provenance import Provenance
 from canfb.master.session import read_corners
 from canfb.master.supervision_limits import SupervisionLimits
 from canfb.signal.correction import NO_CORRECTION
@@ -272,5 +272,5 @@ def test_files_without_speeds(tmp_path: Path) -> None:
     ],
 )
 def test_how_sure_the_delay_is(low_pass: LowPass, words: str) -> None:
-    where = Circumstances("", module=MODULE_ID, cycles_per_revolution=CYCLES)
+    where = Provenance("", module=MODULE_ID, cycles_per_revolution=CYCLES)
     assert words in delay_words(low_pass, where)

@@ -20,10 +20,10 @@ from canfb.calibrate.measurement import Measurement
 from canfb.calibrate.procedure import Installation
 from canfb.calibration.deviation import Deviation
 from canfb.errors import CalibrationError
-from canfb.master.circumstances import Circumstances
+from canfb.master.provenance import Provenance
 from commissioning_kit import Bench
 
-WHERE = Circumstances(
+WHERE = Provenance(
     "2026-03-01",
     32,
     16,
@@ -61,7 +61,7 @@ def test_the_report_says_when_with_what_and_how(measured: Measurement, tmp_path:
 
 
 def test_what_is_not_known_is_left_out(measured: Measurement) -> None:
-    page = report_html(measured, Installation(), Circumstances("2026-03-01"))
+    page = report_html(measured, Installation(), Provenance("2026-03-01"))
     assert "Origin" not in page
     assert "1018h" not in page
 

@@ -16,7 +16,7 @@ from canfb.calibrate.procedure import Installation
 from canfb.calibration.deviation import deviation
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
-from canfb.master.circumstances import Circumstances
+from canfb.master.provenance import Provenance
 from canfb.master.samples import TrackSamples, read_npz
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
@@ -24,7 +24,7 @@ from canfb.signal.supervision import SampleLimits
 from canfb.tables.table_file import read_table
 from html_page import Page
 
-WHERE = Circumstances("2026-03-01", 32, 16, "ROD <486> & co", 2500)
+WHERE = Provenance("2026-03-01", 32, 16, "ROD <486> & co", 2500)
 LIMITS = SampleLimits(2048, 600.0, 2300.0)
 
 
@@ -79,14 +79,14 @@ def test_a_refusal_shows_the_tracks_and_the_reason(samples: TrackSamples) -> Non
 
 
 def test_a_dry_run_says_so(measured: Measurement) -> None:
-    text = Page(report_html(measured, Installation(), Circumstances("2026-03-01", 32), None)).text
+    text = Page(report_html(measured, Installation(), Provenance("2026-03-01", 32), None)).text
     assert "Dry run: nothing was written to the module." in text
     assert "fresh" not in text
     assert "″)" not in text, "no angle where the cycles per revolution are not known"
 
 
 def test_the_figures_are_those_of_the_measurement(measured: Measurement, done: Installation) -> None:
-    rows = {row.name: row for row in comparison(measured, done, Circumstances("2026-03-01"))}
+    rows = {row.name: row for row in comparison(measured, done, Provenance("2026-03-01"))}
     assert rows["table"].words[0] == "0BEE4348h, 32 entries"
     assert float(rows["deviation, rms"].words[1].split()[0]) == pytest.approx(
         100 * measured.calibration.residual_rms, rel=0.01
@@ -94,7 +94,7 @@ def test_the_figures_are_those_of_the_measurement(measured: Measurement, done: I
     assert float(rows["deviation, rms"].words[0].split()[0]) > 20 * float(
         rows["deviation, rms"].words[1].split()[0]
     )
-    arc = Circumstances("2026-03-01", cycles_per_revolution=2500).arc_seconds(0.001)
+    arc = Provenance("2026-03-01", cycles_per_revolution=2500).arc_seconds(0.001)
     assert arc == pytest.approx(0.001 * 360 * 3600 / 2500)
 
 

@@ -16,7 +16,7 @@ from canfb.calibration.analog_path import sampled_together, speeds
 from canfb.calibration.recording import recording
 from canfb.device.storage.storage import MemoryStore
 from canfb.master.access import CommissioningError
-from canfb.master.active import put_in_force, read_active, read_conditioning
+from canfb.master.active_table import put_in_force, read_active, read_conditioning
 from canfb.master.samples import TrackSamples
 from canfb.signal.conditioning import HARMONIC_ORDERS, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable

@@ -19,7 +19,7 @@ from canfb.calibrate.procedure import install
 from canfb.cli.backup_command import backup_of
 from canfb.commission.commission_run import set_limits
 from canfb.device.storage.storage import MemoryStore
-from canfb.master.active import put_in_force, save
+from canfb.master.active_table import put_in_force, save
 from canfb.master.all_or_nothing import Guard
 from canfb.master.samples import TrackSamples
 from canfb.objects import Multiplexer

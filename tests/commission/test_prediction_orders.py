@@ -13,7 +13,7 @@ from canfb.calibrate.supervised_samples import supervise
 from canfb.commission.commission_summary import Commissioned, detection_rows, lines
 from canfb.commission.limit_choice import choose
 from canfb.master.access import CommissioningError, NodeAccess
-from canfb.master.circumstances import Circumstances
+from canfb.master.provenance import Provenance
 from canfb.master.supervision_limits import LIMIT_UNITS, SupervisionLimits
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp, Ripple
@@ -89,7 +89,7 @@ def test_a_machine_that_only_third_order_follows_gets_limits_of_its_jerk() -> No
     again = supervise(seen.samples, seen.used, new.chain_limits(interval_s), seen.start_speed)
     assert again.flagged == {}
     done = Commissioned(
-        seen, before, new, [*choices.values()], {}, 2.0, False, False, None, Circumstances("2026-03-01")
+        seen, before, new, [*choices.values()], {}, 2.0, False, False, None, Provenance("2026-03-01")
     )
     assert done.deviation(new) == pytest.approx(limit + 2.0 * motion.jerk, rel=0.02)
     assert done.without_harm(before) == 0
@@ -106,7 +106,7 @@ def test_a_glitch_is_judged_by_the_prediction_that_the_module_has() -> None:
     before = third_order(machine.limits)
     seen = machine.observed(6000, before)
     new = before.changed({one.place: one.value for one in choose(seen.seen, before, 2.0)})
-    done = Commissioned(seen, before, new, [], {}, 2.0, False, False, None, Circumstances("2026-03-01"))
+    done = Commissioned(seen, before, new, [], {}, 2.0, False, False, None, Provenance("2026-03-01"))
     assert done.without_harm(new) == 1
     assert [row.name for row in detection_rows(done)] == ["1", "2"]
     assert detection_rows(done)[1].words[1:] == ("not for sure", "not for sure")

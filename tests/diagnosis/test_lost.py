@@ -128,7 +128,7 @@ LOST = LostPosition(
     keeps_cause=True,
     losses=1,
     missed=3,
-    unheard=0,
+    missed_syncs=0,
     sample_hz=100.0,
     cycles_per_revolution=2500,
     acceleration_rad_s2=0.25,
@@ -148,6 +148,26 @@ def test_the_longest_gap_is_that_of_the_page_on_missed_samples() -> None:
         assert replace(LOST, acceleration_rad_s2=0.999 * rad_s2).longest_gap() == missed
         assert replace(LOST, acceleration_rad_s2=1.01 * rad_s2).longest_gap() == missed - 1
     assert replace(LOST, acceleration_rad_s2=0.0).longest_gap() is None
+
+
+def test_third_order_is_judged_by_the_jerk() -> None:
+    third = replace(LOST, prediction_order=3, acceleration_rad_s2=0.0)
+    for missed, largest in ((1, 1 / 8), (2, 1 / 20)):  # 4 and 10 times a jerk, twice, are a cycle
+        rad_s3 = largest * 100.0**3 / 2500 * 6.283185307
+        assert replace(third, jerk_rad_s3=0.999 * rad_s3).longest_gap() == missed
+        assert replace(third, jerk_rad_s3=1.01 * rad_s3).longest_gap() == missed - 1
+    assert third.longest_gap() is None
+    assert "2010:08 is 0, not declared: set it to the largest jerk" in "\n".join(third.would_have_kept())
+    jump = Loss(LossCause.JUMP, 3.0, 1, 0.3, 0.1, 1.2, 0)
+    kept = replace(third, loss=jump, jerk_rad_s3=50.0).would_have_kept()
+    assert kept[0].startswith("2010:08 is 50 rad/s³, which narrows the residual limit to 0.100 cycle")
+    assert kept[1].startswith("the motion must stay below 837.8 rad/s³ at 100 Hz and 2010:01")
+
+
+def test_2010_03_counts_intervals_of_sync() -> None:
+    loss = Loss(LossCause.COASTED, 3.0, 3, 0.2, 0.333, 1.2, 0)
+    several = replace(LOST, loss=loss, samples_per_sync=3, sample_hz=300.0)
+    assert several.would_have_kept()[0].startswith("2010:03 bridges 24 samples, 80 ms")
 
 
 def test_more_coasting_is_not_proposed_where_it_cannot_help() -> None:
@@ -172,7 +192,7 @@ def test_ages() -> None:
 def test_the_page_shows_what_the_command_prints() -> None:
     (shown,) = re.findall(r"```text\n(.*?)```", PAGE, re.S)
     loss = Loss(LossCause.COASTED, 12.4, 4, 0.5, 1 / 3, 1.2, int(StatusBit.MISSED))
-    lost = replace(LOST, loss=loss, missed=4, unheard=3, acceleration_rad_s2=0.0, coast_samples=3)
+    lost = replace(LOST, loss=loss, missed=4, missed_syncs=3, acceleration_rad_s2=0.0, coast_samples=3)
     assert "\n".join(lost.lines()).startswith(shown.rstrip())
 
 

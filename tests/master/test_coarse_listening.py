@@ -12,8 +12,8 @@ from canfb import objects as od
 from canfb.commission.limit_choice import choose
 from canfb.commission.machine_seen import observe
 from canfb.master.listening import PdoRecorder
-from canfb.master.pdo_layout import PdoLayout, coarse_layout
 from canfb.simulation.encoder import Encoder
+from canfb.view.pdo_map import PdoLayout, coarse_layout
 from commissioning_kit import Bench
 from machine_kit import RATE_HZ, SimulatedMachine, duty
 
@@ -56,28 +56,28 @@ def test_it_is_heard_with_its_sample(same_pdo: bool) -> None:
     coarse = PdoLayout(0x190, 4, 6) if same_pdo else PdoLayout(0x290)
     recorder = PdoRecorder(PdoLayout(0x190, coarse=coarse))
     for k in range(5):
-        recorder.hear_sync(0x80, b"", 0.001 * k)
+        recorder.on_sync(0x80, b"", 0.001 * k)
         if k == 2:
             continue
         tracks = struct.pack("<hh", 100 + k, -100 - k)
         if same_pdo:
             data = tracks + struct.pack("<hh", k, -k)
-            recorder.hear_pdo(0x190, data, 0.0)
-            recorder.hear_coarse(0x190, data, 0.0)
+            recorder.on_pdo(0x190, data, 0.0)
+            recorder.on_coarse(0x190, data, 0.0)
         else:
-            recorder.hear_pdo(0x190, tracks, 0.0)
-            recorder.hear_coarse(0x290, struct.pack("<hh", k, -k), 0.0)
+            recorder.on_pdo(0x190, tracks, 0.0)
+            recorder.on_coarse(0x290, struct.pack("<hh", k, -k), 0.0)
     samples = recorder.result("a test")
     assert samples.coarse is not None
     assert np.array_equal(samples.coarse[0], [0.0, 1.0, np.nan, 3.0], equal_nan=True)
     assert np.array_equal(samples.coarse[1], [0.0, -1.0, np.nan, -3.0], equal_nan=True)
-    assert samples.heard_s is not None
-    assert samples.heard_s == pytest.approx([0.0, 0.001, 0.002, 0.003])
+    assert samples.received_s is not None
+    assert samples.received_s == pytest.approx([0.0, 0.001, 0.002, 0.003])
 
 
 def test_its_pdo_is_found_in_the_module() -> None:
     bench = Bench(sync=False, operational=False)
-    assert coarse_layout(bench.access) is None
+    assert coarse_layout(bench.access.read_known) is None
     write = bench.access.write
     write(0x1401, 1, "I", 0x80000290)
     write(0x1601, 0, "B", 0)
@@ -85,6 +85,6 @@ def test_its_pdo_is_found_in_the_module() -> None:
     write(0x1601, 2, "I", od.SAMPLE_COARSE_COSINE.mapped(16))
     write(0x1601, 0, "B", 2)
     write(0x1401, 1, "I", 0x290)
-    found = coarse_layout(bench.access)
+    found = coarse_layout(bench.access.read_known)
     assert found is not None
     assert (found.can_id, found.sine_byte, found.cosine_byte) == (0x290, 0, 2)

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from canfb.cia301.frame import Frame
 from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.listening import PdoRecorder, listen
-from canfb.master.pdo_layout import PdoLayout, agreed_layout
+from canfb.master.session import agreed_layout
+from canfb.view.pdo_map import PdoLayout
 from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench, random_encoder
 
 LAYOUT = PdoLayout(0x190)
@@ -30,9 +31,9 @@ def heard(*events: bytes | None) -> PdoRecorder:
     for event in events:
         if event is None:
             time_s += 0.001
-            recorder.hear_sync(0x80, b"", time_s)
+            recorder.on_sync(0x80, b"", time_s)
         else:
-            recorder.hear_pdo(0x190, event, time_s + 0.0003)
+            recorder.on_pdo(0x190, event, time_s + 0.0003)
     return recorder
 
 
@@ -66,7 +67,7 @@ def test_late_time_stamps_and_a_pause_do_not_bend_the_rate() -> None:
     times = np.arange(1000) * 0.002 + rng.uniform(0.0, 0.0004, 1000)
     times[500:] += 30.0
     for time_s in times.tolist():
-        recorder.hear_sync(0x80, b"", time_s)
+        recorder.on_sync(0x80, b"", time_s)
     assert recorder.result("here").rate_hz == pytest.approx(500.0, rel=0.002)
 
 
@@ -78,7 +79,7 @@ def test_pauses_of_the_sync_are_in_the_mean_rate_and_in_what_was_skipped() -> No
     place[100::100] += 0.9
     times = place * 0.001 + rng.uniform(0.0, 0.0001, len(place))
     for time_s in times.tolist():
-        recorder.hear_sync(0x80, b"", time_s)
+        recorder.on_sync(0x80, b"", time_s)
     samples = recorder.result("here")
     assert samples.rate_hz == pytest.approx(1000.0, rel=0.01)
     assert samples.mean_rate_hz == pytest.approx(1000.0 * 100 / 120, rel=0.01)
@@ -90,7 +91,7 @@ def test_pauses_of_the_sync_are_in_the_mean_rate_and_in_what_was_skipped() -> No
 def test_listening_takes_what_was_asked_for_and_says_nothing_on_the_bus() -> None:
     bench = Bench()
     parts: list[float] = []
-    samples = listen(bench.master, LAYOUT, 0.5, heard=parts.append)
+    samples = listen(bench.master, LAYOUT, 0.5, progress=parts.append)
     assert 490 < len(samples) < 710
     assert samples.missed == 0
     assert samples.rate_hz == pytest.approx(RATE_HZ, rel=1e-3)

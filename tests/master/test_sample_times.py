@@ -17,9 +17,10 @@ from canfb.cli.progress import Progress
 from canfb.configuration import Config
 from canfb.master.all_or_nothing import Guard
 from canfb.master.listening import PdoRecorder, listen
-from canfb.master.pdo_layout import PdoLayout, agreed_layout
 from canfb.master.samples import TrackSamples, read_npz, write_npz
+from canfb.master.session import agreed_layout
 from canfb.simulation.sync_timing import SyncTiming
+from canfb.view.pdo_map import PdoLayout
 from commissioning_kit import Bench, random_encoder
 
 JITTER = SyncTiming(sync_jitter_us=100.0, sync_drift_ppm=-50.0)
@@ -55,10 +56,10 @@ def test_a_missed_sample_has_a_time_between_its_neighbours(
     for step in steps:
         at.append(at[-1] + step)
     for n, ticks in enumerate(at):
-        recorder.hear_sync(0x80, b"", ticks * 1e-7)
+        recorder.on_sync(0x80, b"", ticks * 1e-7)
         if n not in lost:
-            recorder.hear_pdo(0x190, pdo(ticks), ticks * 1e-7)
-    recorder.hear_sync(0x80, b"", (at[-1] + 10_000) * 1e-7)
+            recorder.on_pdo(0x190, pdo(ticks), ticks * 1e-7)
+    recorder.on_sync(0x80, b"", (at[-1] + 10_000) * 1e-7)
     samples = recorder.result("here")
     came = [n for n in range(len(at)) if n not in lost]
     if len(came) < 2:

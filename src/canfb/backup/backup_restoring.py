@@ -10,8 +10,8 @@ from canfb import objects as od
 from canfb.backup.backup_file import Backup, NodeIdentity
 from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.master.access import CommissioningError, NodeAccess
-from canfb.master.active import save, saving_object
-from canfb.master.all_or_nothing import Guard, all_or_nothing, put_back
+from canfb.master.active_table import check_can_save
+from canfb.master.all_or_nothing import Guard, change
 from canfb.master.node_state import nmt_state
 from canfb.master.session import IDENTITY
 from canfb.sdo.object_description import Place
@@ -97,17 +97,15 @@ class Restoring:
         """
         identity = self._check_identity(backup, wishes.force)
         before = self._read()
-        wanted = made(before.values())
-        changes = differences(before, wanted)
-        if wishes.keep and saving_object(self._module, STORES) is None:
-            raise CommissioningError(
-                f"--save: {self._module.name} cannot save (1010h; canfb run needs a state_dir for it)"
-            )
+        after = made(before.values())
+        changes = differences(before, after)
+        if wishes.keep:
+            check_can_save(self._module, STORES)
         saved_as = None
         if not wishes.dry_run:
             if changes:
                 self._leave_operational(wishes.preop)
-            saved_as = self._write_and_prove(before, wanted, bool(changes), wishes.keep)
+            saved_as = self._write_and_prove(before, after, bool(changes), wishes.keep)
         tables = {od.TABLE_STAGED, od.TABLE_ACTIVATE}
         untouched = sorted(before.values().keys() - backup.values.keys() - tables)
         return Restored(self._module, identity, changes, untouched, wishes, saved_as)
@@ -144,36 +142,25 @@ class Restoring:
         )
 
     def _write_and_prove(
-        self, before: Configured, wanted: Configured, differs: bool, keep: bool
+        self, before: Configured, after: Configured, differs: bool, keep: bool
     ) -> str | None:
-        saving = False
-
-        def undo() -> str:
-            self._put_back(before, differs, saving)
-            return f"the parameters and the table from before are in {self._module.name} again"
-
-        with all_or_nothing(self._module, self._guard, undo):
+        def prove(configured: Configured, wrong: str) -> None:
             if differs:
-                self._write(wanted)
-                left = differences(self._read(), wanted)
+                self._write(configured)
+                left = differences(self._read(), configured)
                 if left:
-                    raise CommissioningError(f"{self._module.name}: not as written: {shown(left)}")
-            saving = keep
-            return save(self._module, STORES) if keep else None
+                    raise CommissioningError(f"{self._module.name}: {wrong}: {shown(left)}")
 
-    def _put_back(self, before: Configured, differs: bool, saving: bool) -> None:
-        """CommissioningError, which says how things stand, if that fails."""
-
-        def act() -> None:
-            if differs:
-                self._write(before)
-                left = differences(self._read(), before)
-                if left:
-                    raise CommissioningError(f"{self._module.name}: not as before: {shown(left)}")
-            if saving:
-                save(self._module, STORES)
-
-        put_back(self._module, "what was before", act, saving=saving)
+        return change(
+            self._module,
+            self._guard,
+            lambda: prove(after, "not as written"),
+            lambda: prove(before, "not as before"),
+            what="what was before",
+            undone=lambda: f"the parameters and the table from before are in {self._module.name} again",
+            keep=keep,
+            stores=STORES,
+        )
 
     def _write(self, configured: Configured) -> None:
         for one in configured.writes():
@@ -194,7 +181,7 @@ def differences(one: Configured, other: Configured) -> dict[Place, tuple[Any, An
 def shown(changes: dict[Place, tuple[Any, Any]]) -> str:
     """Differences in a line."""
     texts = [
-        f"{od.place_text(place)} is {there!r}, not {wanted!r}" for place, (there, wanted) in changes.items()
+        f"{od.place_text(place)} is {there!r}, not {after!r}" for place, (there, after) in changes.items()
     ]
     more = f" and {len(texts) - MOST_SHOWN} more" if len(texts) > MOST_SHOWN else ""
     return ", ".join(texts[:MOST_SHOWN]) + more

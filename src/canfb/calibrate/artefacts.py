@@ -11,7 +11,7 @@ from canfb.calibrate.measurement import Measurement
 from canfb.calibrate.procedure import Installation
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
-from canfb.master.circumstances import Circumstances
+from canfb.master.provenance import Provenance
 from canfb.master.samples import TrackSamples, write_npz
 from canfb.signal.supervision import SampleLimits
 from canfb.tables.table_file import as_yaml
@@ -61,7 +61,7 @@ def write(
     folder: Path,
     measured: Measurement,
     done: Installation,
-    where: Circumstances,
+    where: Provenance,
     limits: SampleLimits | None = None,
 ) -> list[Path]:
     """Write everything; the paths. CommissioningError if that does not work."""
@@ -106,7 +106,7 @@ def write_refusal(
     folder: Path,
     samples: TrackSamples,
     refused: CalibrationError,
-    where: Circumstances,
+    where: Provenance,
     limits: SampleLimits | None = None,
 ) -> list[Path]:
     """Samples and report of a measurement that was refused: they show why. There is no table."""

@@ -11,7 +11,7 @@ from canfb.calibrate.measurement import Measurement, SpeedMeasurement
 from canfb.calibrate.procedure import Installation
 from canfb.calibration.figures import BINS
 from canfb.errors import CalibrationError
-from canfb.master.circumstances import Circumstances, origins
+from canfb.master.provenance import Provenance, origins
 from canfb.master.samples import TrackSamples
 from canfb.report import pictures
 from canfb.report.lissajous import is_dense, lissajous
@@ -29,7 +29,7 @@ ANGLES = " Angles (″) are those of the shaft."
 
 
 def report_html(
-    measured: Measurement, done: Installation, where: Circumstances, limits: SampleLimits | None = None
+    measured: Measurement, done: Installation, where: Provenance, limits: SampleLimits | None = None
 ) -> str:
     """The page. It refers to nothing outside of itself and runs no script."""
     said = [verdict(measured, where), _sentence(outcome(measured, done, where))]
@@ -46,7 +46,7 @@ def report_html(
 
 
 def refusal_html(
-    samples: TrackSamples, refused: CalibrationError, where: Circumstances, limits: SampleLimits | None = None
+    samples: TrackSamples, refused: CalibrationError, where: Provenance, limits: SampleLimits | None = None
 ) -> str:
     """The page of a measurement that was refused: why, and what the tracks look like."""
     said = [f"Refused: {refused}.", "Nothing was written to the module."]
@@ -56,13 +56,13 @@ def refusal_html(
     return _page(where, said, body, good=False)
 
 
-def _page(where: Circumstances, said: list[str], body: str, good: bool = True) -> str:
+def _page(where: Provenance, said: list[str], body: str, good: bool = True) -> str:
     title = f"Reference measurement{f', encoder {where.encoder}' if where.encoder else ''}"
     footer = f"{FOOTER}{ANGLES if where.cycles_per_revolution else ''}"
     return page(title, place_line(where), said, body, footer, good)
 
 
-def place_line(where: Circumstances) -> str:
+def place_line(where: Provenance) -> str:
     """Date, nodes and cycles per revolution, in one line."""
     words = [f"{where.date} {where.time}".strip()]
     if where.module is not None:
@@ -78,7 +78,7 @@ def _sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}."
 
 
-def _origins(where: Circumstances) -> str:
+def _origins(where: Provenance) -> str:
     return table("Origin", origins(where), style="origin") if origins(where) else ""
 
 
@@ -89,7 +89,7 @@ def _lissajous(samples: TrackSamples, used: Correction, limits: SampleLimits | N
     return figure("Lissajous figure", f"should be a circle within the limits; {shown}", picture)
 
 
-def _over_speed(measured: Measurement, where: Circumstances) -> str:
+def _over_speed(measured: Measurement, where: Provenance) -> str:
     """Both curves over the speed; nothing for one speed."""
     if not isinstance(measured, SpeedMeasurement):
         return ""

@@ -19,10 +19,10 @@ from canfb.calibrate.measurement import Measurement, Settings, measure
 from canfb.calibrate.procedure import Installation, install
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError, Master
-from canfb.master.active import check_unlocked
+from canfb.master.active_table import check_unlocked
 from canfb.master.all_or_nothing import Guard
-from canfb.master.circumstances import Circumstances
 from canfb.master.machine_watch import LockWatch, Look, Meanwhile, SpeedReadings, look_at, lost_words
+from canfb.master.provenance import Provenance
 from canfb.master.samples import TrackSamples
 from canfb.master.session import Session, Source
 from canfb.signal.correction import NO_CORRECTION, Correction
@@ -60,7 +60,7 @@ class CalibrationRun:
         refused: Callable[[CalibrationError], None] = lambda error: None,
     ) -> None:
         day, _, time = date.partition(" ")
-        self._where = Circumstances(
+        self._where = Provenance(
             day,
             encoder=choices.encoder,
             cycles_per_revolution=choices.cycles_per_revolution,
@@ -131,7 +131,7 @@ class CalibrationRun:
     @staticmethod
     def _together(session: Session, source: Source) -> Source:
         """The same samples, the cosine at the instant of the sine."""
-        return lambda seconds, least, heard: session.together(source(seconds, least, heard))
+        return lambda seconds, least, progress: session.together(source(seconds, least, progress))
 
     def _look(self, session: Session, before: Look | None) -> Look | None:
         """The module now; said at once if its position is lost, and kept beside the look ``before``."""
@@ -208,7 +208,10 @@ class CalibrationRun:
         readings = SpeedReadings(session.module)
         watch = LockWatch(session.cycles_per_revolution, session.speed_rad_s)
         source = session.source(
-            PDO, self._choices.recorder, self._choices.rate, lambda heard: watch(heard) or readings(heard)
+            PDO,
+            self._choices.recorder,
+            self._choices.rate,
+            lambda listener: watch(listener) or readings(listener),
         )
         samples = source(seconds, least, self._steps.part)
         if watch.found is not None:

@@ -16,7 +16,7 @@ from canfb.calibrate.measurement import Measurement, OverSpeeds, SpeedMeasuremen
 from canfb.calibrate.procedure import Installation
 from canfb.calibration.path_fit import LowPass
 from canfb.calibration.result import Calibration
-from canfb.master.circumstances import PERCENT, Circumstances, percent, where_words
+from canfb.master.provenance import PERCENT, Provenance, percent, where_words
 from canfb.master.samples import TrackSamples
 from canfb.rows import NAME_WIDTH, Result, Row, as_columns, as_figures, as_lines
 from canfb.tables.table_file import conditioning_in_words, conditioning_words, table_words
@@ -32,14 +32,14 @@ class CalibrateResult(Result):
     measured: Measurement | None = None
 
 
-def speed_words(hertz: float, where: Circumstances) -> str:
+def speed_words(hertz: float, where: Provenance) -> str:
     """A speed in rpm, or in cycles per second where the encoder is not known."""
     if not where.cycles_per_revolution:
         return f"{hertz:.6g} cycles/s"
     return f"{60.0 * hertz / where.cycles_per_revolution:.4g} rpm"
 
 
-def speed_rows(over: OverSpeeds, where: Circumstances) -> list[Row]:
+def speed_rows(over: OverSpeeds, where: Provenance) -> list[Row]:
     """Error at each speed: rms before and after, then the mean."""
     errors = over.errors
     rms = [(one.hertz, "rms", one.before, one.after) for one in errors]
@@ -51,7 +51,7 @@ def speed_rows(over: OverSpeeds, where: Circumstances) -> list[Row]:
     return rows
 
 
-def path_rows(over: OverSpeeds, where: Circumstances) -> list[Row]:
+def path_rows(over: OverSpeeds, where: Provenance) -> list[Row]:
     """Delay between the tracks, low-pass, delay; how sure each is. Seconds, hertz."""
     path, low_pass, corners = over.path, over.low_pass, over.after.corners
     seen, sigma_s = low_pass.is_seen, low_pass.delay_sigma_s
@@ -86,7 +86,7 @@ def path_rows(over: OverSpeeds, where: Circumstances) -> list[Row]:
     ]
 
 
-def delay_words(low_pass: LowPass, where: Circumstances) -> str:
+def delay_words(low_pass: LowPass, where: Provenance) -> str:
     """What the amplitude over the speed says of the delay, and how sure that is."""
     at = speed_words(low_pass.top_hz, where)
     if low_pass.rises:
@@ -137,7 +137,7 @@ def _speed_json(one: ErrorAtSpeed) -> dict[str, Any]:
     }
 
 
-def _low_pass_words(over: OverSpeeds, where: Circumstances) -> str:
+def _low_pass_words(over: OverSpeeds, where: Provenance) -> str:
     low_pass, corners = over.low_pass, over.after.corners
     if low_pass.rises:
         return "none: the amplitude rises with the speed"
@@ -150,7 +150,7 @@ def _low_pass_words(over: OverSpeeds, where: Circumstances) -> str:
     return f"{words} (2001:05, 2001:06): {left:.0f} % of the amplitude at {at}"
 
 
-def comparison(measured: Measurement, done: Installation, where: Circumstances) -> list[Row]:
+def comparison(measured: Measurement, done: Installation, where: Provenance) -> list[Row]:
     """Before and after; cycles."""
     found, calibration, on_samples = measured.found, measured.calibration, measured.on_samples
     before, fresh = measured.before, done.fresh
@@ -201,7 +201,7 @@ def comparison(measured: Measurement, done: Installation, where: Circumstances) 
     return rows
 
 
-def facts(measured: Measurement, done: Installation, where: Circumstances) -> list[Row]:
+def facts(measured: Measurement, done: Installation, where: Provenance) -> list[Row]:
     """What else there is to know of the measurement."""
     calibration, samples, fresh = measured.calibration, measured.samples, done.fresh
     spike, meanwhile = measured.on_samples.spike, where.meanwhile
@@ -278,7 +278,7 @@ def rate_words(samples: TrackSamples) -> str:
     return f" at {usual:.6g} Hz"
 
 
-def missed_words(samples: TrackSamples, where: Circumstances) -> str:
+def missed_words(samples: TrackSamples, where: Provenance) -> str:
     """How many samples are missing, and how many the module says."""
     skipped, meanwhile = samples.skipped, where.meanwhile
     words = f"{samples.missed + skipped} missed"
@@ -289,7 +289,7 @@ def missed_words(samples: TrackSamples, where: Circumstances) -> str:
     return words
 
 
-def moved_words(calibration: Calibration, where: Circumstances) -> str:
+def moved_words(calibration: Calibration, where: Provenance) -> str:
     """How far the machine has moved; from even samples alone that is open by whole cycles per sample."""
     by_module = None if where.meanwhile is None else where.meanwhile.cycles
     cycles = max(calibration.cycles_used, by_module or 0)
@@ -315,7 +315,7 @@ def bound_words(calibration: Calibration) -> str:
     return f"{measured}: more than the noise of the converter; motion or tracks change"
 
 
-def outcome(measured: Measurement, done: Installation, where: Circumstances) -> str:
+def outcome(measured: Measurement, done: Installation, where: Provenance) -> str:
     """One line: what the module computes with now."""
     if where.module is None:
         return "measured from a file: nothing was written to a module"
@@ -325,7 +325,7 @@ def outcome(measured: Measurement, done: Installation, where: Circumstances) -> 
     return f"table {measured.calibration.table.crc32:08X}h is active and verified on fresh samples; {saved}"
 
 
-def verdict(measured: Measurement, where: Circumstances) -> str:
+def verdict(measured: Measurement, where: Provenance) -> str:
     """The verdict in plain words."""
     if isinstance(measured, SpeedMeasurement):
         return _verdict_over_speeds(measured, where)
@@ -342,7 +342,7 @@ def verdict(measured: Measurement, where: Circumstances) -> str:
     return f"Accepted. {change} The table itself is good to {PERCENT * calibration.uncertainty_peak:.2g} %."
 
 
-def _verdict_over_speeds(measured: SpeedMeasurement, where: Circumstances) -> str:
+def _verdict_over_speeds(measured: SpeedMeasurement, where: Provenance) -> str:
     errors = measured.over_speeds.errors
     worst = max(errors, key=lambda one: one.after)
     before = [one.before for one in errors if one.before is not None]
@@ -355,7 +355,7 @@ def _verdict_over_speeds(measured: SpeedMeasurement, where: Circumstances) -> st
     )
 
 
-def figures(measured: Measurement, done: Installation, where: Circumstances) -> dict[str, Any]:
+def figures(measured: Measurement, done: Installation, where: Provenance) -> dict[str, Any]:
     """For programs; cycles, counts, seconds."""
     calibration = measured.calibration
     judged = Row(
@@ -369,7 +369,7 @@ def figures(measured: Measurement, done: Installation, where: Circumstances) -> 
 
 
 def result(
-    measured: Measurement, done: Installation, where: Circumstances, paths: Sequence[Path]
+    measured: Measurement, done: Installation, where: Provenance, paths: Sequence[Path]
 ) -> CalibrateResult:
     """What ``canfb calibrate`` says; ``paths`` are the files that it has written."""
     lines = [

@@ -7,14 +7,15 @@ from typing import NamedTuple
 
 from canfb.calibrate.calibration_summary import CalibrateResult
 from canfb.calibrate.error_over_speed import InForce, SpeedSamples, errors_at
-from canfb.calibrate.measurement import Heard, Settings, measure
+from canfb.calibrate.measurement import Settings, measure
 from canfb.calibrate.own_calibration import ModuleDrift
 from canfb.calibration.deviation import Deviation, drift
 from canfb.calibration.ellipse import fit_ellipse
 from canfb.calibration.over_speeds import measured_at_standstill
 from canfb.calibration.path_fit import NO_PATH
 from canfb.calibration.result import Calibration
-from canfb.master.circumstances import PERCENT, Circumstances, percent, where_words
+from canfb.master.access import Progress
+from canfb.master.provenance import PERCENT, Provenance, percent, where_words
 from canfb.master.samples import TrackSamples
 from canfb.rows import Row, as_figures, as_lines
 from canfb.signal.conditioning import Conditioning
@@ -58,16 +59,18 @@ class DriftCheck:
         return self.rms > 2.0 * self.calibration.uncertainty_rms
 
 
-def check(samples: TrackSamples, active: Correction, settings: Settings, heard: Heard) -> DriftCheck:
+def check(samples: TrackSamples, active: Correction, settings: Settings, progress: Progress) -> DriftCheck:
     """Measure again, with the active conditioning, and compare. Errors as for a calibration."""
-    measured = measure(samples, settings, active, heard, active.conditioning)
+    measured = measure(samples, settings, active, progress, active.conditioning)
     return _compared(measured.calibration, active, measured.on_samples)
 
 
-def check_at_speed(measured: SpeedSamples, active: InForce, settings: Settings, heard: Heard) -> DriftCheck:
+def check_at_speed(
+    measured: SpeedSamples, active: InForce, settings: Settings, progress: Progress
+) -> DriftCheck:
     """:func:`check` of samples as they came, at any speed: the analog path that is active is taken out."""
     used = active.correction
-    heard(0.1)
+    progress(0.1)
     found = measured_at_standstill(
         measured.tracks,
         used.conditioning.cosine_delay_s,
@@ -75,7 +78,7 @@ def check_at_speed(measured: SpeedSamples, active: InForce, settings: Settings, 
         adc_bits=settings.adc_bits,
         entries=settings.entries,
     )
-    heard(0.8)
+    progress(0.8)
     now = InForce(found.correction, active.corners)
     errors = errors_at(measured, active, now, NO_PATH, found.block_samples, settings.adc_bits)
     before = errors.after if errors.before is None else errors.before
@@ -101,7 +104,7 @@ def _change(fresh: Calibration, active: Conditioning) -> EllipseChange | None:
     )
 
 
-def module_drift_result(found: ModuleDrift, active: Correction, where: Circumstances) -> CalibrateResult:
+def module_drift_result(found: ModuleDrift, active: Correction, where: Provenance) -> CalibrateResult:
     """The check by the module itself; cycles."""
     rows = [
         Row(**where_words(where)),
@@ -116,7 +119,7 @@ def module_drift_result(found: ModuleDrift, active: Correction, where: Circumsta
     return CalibrateResult(as_figures(rows), as_lines(rows))
 
 
-def drift_result(found: DriftCheck, where: Circumstances) -> CalibrateResult:
+def drift_result(found: DriftCheck, where: Provenance) -> CalibrateResult:
     """The check from samples; cycles."""
     fresh, change = found.calibration, found.change
     now_rms, new_rms = found.on_samples.before_rms, fresh.residual_rms
@@ -146,7 +149,7 @@ def drift_result(found: DriftCheck, where: Circumstances) -> CalibrateResult:
     return CalibrateResult(as_figures(rows), [*as_lines(rows), *nothing])
 
 
-def _error_rows(rms: float, peak: float, active: Correction, where: Circumstances) -> list[Row]:
+def _error_rows(rms: float, peak: float, active: Correction, where: Provenance) -> list[Row]:
     return [
         Row("active table", table_words(active), crc32=f"{active.crc32:08X}"),
         Row("its error now, rms", f"{percent(rms, where)} of a cycle", drift_rms_cycles=rms),

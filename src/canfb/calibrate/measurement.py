@@ -5,7 +5,7 @@ At several speeds: what the module is to compute with, the analog path with it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from canfb.calibrate.error_over_speed import ErrorAtSpeed, InForce, SpeedSamples, errors_over_speed
@@ -17,7 +17,7 @@ from canfb.calibration.path_fit import LowPass, PathFit
 from canfb.calibration.result import Calibration, Method, Reason
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.errors import CalibrationError
-from canfb.master.access import CommissioningError
+from canfb.master.access import CommissioningError, Progress
 from canfb.master.samples import TrackSamples
 from canfb.master.supervision_limits import as_real32
 from canfb.signal.conditioning import Conditioning
@@ -27,7 +27,6 @@ from canfb.signal.harmonics import Corners
 MOTION, ZERO_CROSSINGS = "motion", "zero-crossings"
 METHODS = {MOTION: calibrate_from_motion, ZERO_CROSSINGS: calibrate_from_zero_crossings}
 BLOCK_CYCLES = 4  # of the method of zero crossings
-Heard = Callable[[float], None]
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ def measure(
     samples: TrackSamples,
     settings: Settings,
     before: Correction,
-    heard: Heard,
+    progress: Progress,
     conditioning: Conditioning | None = None,
 ) -> Measurement:
     """Calibrate; with a ``conditioning``, with this one in place of what the settings say.
@@ -93,7 +92,7 @@ def measure(
             time_s=samples.time_s,
             adc_bits=settings.adc_bits,
             entries=settings.entries,
-            progress=heard,
+            progress=progress,
         )
     except ValueError as error:
         raise CommissioningError(f"the samples cannot be used: {error}") from error
@@ -167,7 +166,7 @@ def measure_speeds(
     samples: Sequence[SpeedSamples],
     settings: Settings,
     before: InForce,
-    heard: Heard,
+    progress: Progress,
     delay: str | float | None = None,
 ) -> SpeedMeasurement:
     """Calibrate. ``delay`` is 2002:07 in seconds, or :data:`ESTIMATE`; None: as it is ``before``.
@@ -179,7 +178,7 @@ def measure_speeds(
         [fit.tracks for fit, _ in parts],
         adc_bits=settings.adc_bits,
         entries=settings.entries,
-        progress=lambda part: heard(FIT_PART * part),
+        progress=lambda part: progress(FIT_PART * part),
     )
     found = found.with_delay(_delay(found, delay, before))
     corners = Corners(*map(as_real32, (found.path.corners.corner_hz, found.path.corners.cosine_corner_hz)))
@@ -192,7 +191,7 @@ def measure_speeds(
         found.calibration.block_samples,
         settings.adc_bits,
     )
-    heard(1.0)
+    progress(1.0)
     _check_better(errors)
     over = OverSpeeds(tuple(samples), found.path, before, after, errors)
     lowest = min(samples, key=lambda one: abs(one.hertz))

@@ -11,14 +11,14 @@ from canfb.calibrate.measurement import Measurement, Settings, block_of
 from canfb.calibration.deviation import best_deviation
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError, CanfbError
-from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError
-from canfb.master.active import read_active
+from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError, Progress
+from canfb.master.active_table import read_active
 from canfb.master.listening import Listener
-from canfb.master.pdo_layout import PdoLayout
 from canfb.master.samples import TrackSamples
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
 from canfb.signal.correction import Correction
+from canfb.view.pdo_map import PdoLayout
 
 FIGURES = (
     od.MEASUREMENT_DRIFT_RMS,
@@ -42,7 +42,7 @@ class ModuleDrift:
     coverage: float
 
 
-def let_measure(module: NodeAccess, layout: PdoLayout, heard: Callable[[float], None]) -> TrackSamples:
+def let_measure(module: NodeAccess, layout: PdoLayout, progress: Progress) -> TrackSamples:
     """Let the module measure until it is ready; the samples that were on the bus in the meantime.
 
     CalibrationError, with the module's reason, if it refuses them; CommissioningError if it cannot measure
@@ -51,18 +51,18 @@ def let_measure(module: NodeAccess, layout: PdoLayout, heard: Callable[[float], 
     _start(module, Command.START)
     try:
         with Listener(module.master, layout) as listener:
-            _wait(module, State.READY, heard, listener.look)
+            _wait(module, State.READY, progress, listener.look)
         return listener.result()
     except BaseException:
         discard(module)
         raise
 
 
-def let_check(module: NodeAccess, heard: Callable[[float], None]) -> ModuleDrift:
+def let_check(module: NodeAccess, progress: Progress) -> ModuleDrift:
     """Let the module measure how far its encoder has moved away from its table. Errors as above."""
     _start(module, Command.CHECK)
     try:
-        _wait(module, State.CHECKED, heard, lambda: None)
+        _wait(module, State.CHECKED, progress, lambda: None)
         rms, peak, noise, largest = (float(module.read(*figure, "f")) for figure in FIGURES)
         coverage = module.integer(*od.MEASUREMENT_COVERAGE, "B") / 100.0
     finally:
@@ -133,17 +133,17 @@ class _Samples:
             )
 
 
-def _wait(module: NodeAccess, target: int, heard: Callable[[float], None], look: Callable[[], None]) -> None:
+def _wait(module: NodeAccess, target: int, progress: Progress, look: Callable[[], None]) -> None:
     """Until 2030:02 is ``target``."""
     master = module.master
-    seen, moved = -1, master.now()
+    last, moved = -1, master.now()
     samples = _Samples(module)
     while True:
         master.wait(LOOK_S)
         look()
         state = module.integer(*od.MEASUREMENT_STATE, "B")
-        progress = module.integer(*od.MEASUREMENT_PROGRESS, "B")
-        heard(progress / 100.0)
+        percent = module.integer(*od.MEASUREMENT_PROGRESS, "B")
+        progress(percent / 100.0)
         if state == target:
             return
         if state == State.REFUSED:
@@ -153,7 +153,7 @@ def _wait(module: NodeAccess, target: int, heard: Callable[[float], None], look:
             raise CommissioningError(f"{module.name} has ended its measurement (2030:02 is {state})")
         if state == State.RECORDING:
             samples.look()
-        if progress != seen:
-            seen, moved = progress, master.now()
+        if percent != last:
+            last, moved = percent, master.now()
         elif master.now() - moved > PATIENCE_S:
-            raise CommissioningError(f"{module.name} makes no progress: {progress} % for {PATIENCE_S:g} s")
+            raise CommissioningError(f"{module.name} makes no progress: {percent} % for {PATIENCE_S:g} s")

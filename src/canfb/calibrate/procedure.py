@@ -12,11 +12,9 @@ from canfb.calibrate.measurement import Measurement, Settings, block_of
 from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.errors import CanfbError
 from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError
-from canfb.master.active import put_in_force, put_in_force_again, save
-from canfb.master.all_or_nothing import Guard, put_back
-from canfb.master.node_state import without_restart
+from canfb.master.active_table import put_in_force, put_in_force_again, save
+from canfb.master.all_or_nothing import Guard, all_or_nothing, put_back
 from canfb.master.samples import TrackSamples
-from canfb.signal.correction import Correction
 from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES, MOST_PHASE_ERROR_CYCLES
 from canfb.view.limits_in_force import LIMIT_UNITS
 
@@ -68,9 +66,26 @@ def install(
     """
     done, before = Installation(), measured.before
     declared: int | None = None  # 2010:0C before, once it is written
-    saving = False
+    saving, undone = False, ""
+
+    def restore() -> None:
+        if declared is not None:
+            module.write(*od.SUPERVISION_PHASE_ERROR, "H", declared)
+        back()
+        put_in_force_again(module, before)
+        if saving:
+            save(module)
+
+    def undo() -> str:
+        nonlocal undone
+        with contextlib.suppress(OSError):  # a terminal that has gone
+            step("restoring the old table")
+        put_back(module, "the previous table and conditioning", restore, saving=saving)
+        undone = f"the previous table and conditioning are active in {module.name}"
+        return undone
+
     try:
-        with without_restart(module):
+        with all_or_nothing(module, guard, undo):
             step("activating the table")
             if put is None:
                 put_in_force(module, measured.found)
@@ -90,15 +105,11 @@ def install(
                 _save(module, done)
             else:
                 done.save_note = "not saved, as requested: the table is lost when the module is switched off"
-    except BaseException as error:
-        with guard.held():
-            with contextlib.suppress(OSError):  # a terminal that has gone
-                step("restoring the old table")
-            undone, said = _undo(module, before, declared, saving, back)
-        if isinstance(error, CanfbError) or not undone:
-            raise CommissioningError(f"{str(error) or 'interrupted'}; {said}") from error
+    except CanfbError:
+        raise
+    except BaseException:
         with contextlib.suppress(OSError):
-            step(said)
+            step(undone)
         raise
     return measured, done
 
@@ -147,23 +158,3 @@ def declare_phase_error(module: NodeAccess, fresh: Deviation, peak_cycles: float
     units = math.ceil(largest * LIMIT_UNITS)
     module.write(*od.SUPERVISION_PHASE_ERROR, "H", units)
     return units / LIMIT_UNITS
-
-
-def _undo(
-    module: NodeAccess, before: Correction, declared: int | None, saving: bool, back: Callable[[], None]
-) -> tuple[bool, str]:
-    """Restore the old set, and 2010:0C where it was written; whether that worked, and a line about it."""
-
-    def act() -> None:
-        if declared is not None:
-            module.write(*od.SUPERVISION_PHASE_ERROR, "H", declared)
-        back()
-        put_in_force_again(module, before)
-        if saving:
-            save(module)
-
-    try:
-        put_back(module, "the previous table and conditioning", act, saving=saving)
-    except CanfbError as error:
-        return False, str(error)
-    return True, f"the previous table and conditioning are active in {module.name}"

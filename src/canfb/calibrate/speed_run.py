@@ -23,8 +23,8 @@ from canfb.calibrate.procedure import Installation, check_as_predicted, install
 from canfb.calibration.deviation import Deviation
 from canfb.calibration.path_fit import check_apart
 from canfb.errors import ConfigError
-from canfb.master.access import CommissioningError, Master, NodeAccess
-from canfb.master.active import put_in_force
+from canfb.master.access import CommissioningError, Master, NodeAccess, Progress
+from canfb.master.active_table import put_in_force
 from canfb.master.all_or_nothing import Guard
 from canfb.master.machine_watch import SpeedReadings, check_valid
 from canfb.master.samples import TrackSamples, read_speed
@@ -44,46 +44,46 @@ READINGS, EVERY_S = 5, 0.3
 def wait_for_speed(
     master: Master,
     read_rpm: Callable[[], float],
-    wanted: Sequence[float],
+    speeds_rpm: Sequence[float],
     longest_s: float,
-    heard: Callable[[float], None],
+    progress: Progress,
 ) -> float:
-    """The one of ``wanted``, rpm, at which the machine turns steadily now.
+    """The one of ``speeds_rpm``, rpm, at which the machine turns steadily now.
 
-    Where none of them is negative, it may turn either way. ``heard`` gets the part of the time that has
+    Where none of them is negative, it may turn either way. ``progress`` gets the part of the time that has
     passed. CommissioningError, with the speed that it has, after ``longest_s`` seconds.
     """
     began, last = master.now(), list[float]()
     while True:
         last = [*last[1 - READINGS :], read_rpm()]
-        found = _steady_at(last, wanted)
+        found = _steady_at(last, speeds_rpm)
         if found is not None:
             return found
         passed_s = master.now() - began
         if passed_s > longest_s:
             raise CommissioningError(
-                f"the machine did not turn steadily at {listed(wanted)} rpm within {longest_s:g} s; it "
+                f"the machine did not turn steadily at {listed(speeds_rpm)} rpm within {longest_s:g} s; it "
                 f"turns at {last[-1]:.4g} rpm: --wait, or other --speeds"
             )
-        heard(passed_s / longest_s)
+        progress(passed_s / longest_s)
         master.wait(EVERY_S)
 
 
-def _steady_at(last: Sequence[float], wanted: Sequence[float]) -> float | None:
+def _steady_at(last: Sequence[float], speeds_rpm: Sequence[float]) -> float | None:
     if len(last) < READINGS:
         return None
     mean = math.fsum(last) / len(last)
     if max(last) - min(last) > max(STEADY_PART * abs(mean), STEADY_RPM):
         return None
-    if min(wanted) > 0.0:
+    if min(speeds_rpm) > 0.0:
         mean = abs(mean)
-    near = min(wanted, key=lambda rpm: abs(rpm - mean))
+    near = min(speeds_rpm, key=lambda rpm: abs(rpm - mean))
     return near if abs(near - mean) <= NEAR_PART * abs(near) else None
 
 
-def listed(wanted: Sequence[float]) -> str:
+def listed(speeds_rpm: Sequence[float]) -> str:
     """Speeds in words."""
-    words = [f"{rpm:g}" for rpm in wanted]
+    words = [f"{rpm:g}" for rpm in speeds_rpm]
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
 
 
@@ -209,11 +209,11 @@ class SpeedRun(CalibrationRun):
         return found
 
 
-def write_corners(module: NodeAccess, wanted: Corners) -> None:
+def write_corners(module: NodeAccess, corners: Corners) -> None:
     """Write 2001:05 and 2001:06. CommissioningError if they read otherwise then."""
-    if read_corners(module) == wanted:
+    if read_corners(module) == corners:
         return
-    values = (wanted.corner_hz, wanted.cosine_corner_hz)
+    values = (corners.corner_hz, corners.cosine_corner_hz)
     for place, value in zip(CORNERS, values, strict=True):
         module.write(*place, "f", value)
     if read_corners(module) != Corners(*map(as_real32, values)):

@@ -41,7 +41,7 @@ from canfb.signal.phase import FloatArray, raw_phases, wrap
 # A few samples may be faulty; they do not belong to what the table does.
 FAULTY_SIGMAS = 8.0
 FAULTY_PART = 0.01
-# Nor does a SYNC that was not heard, which moves all samples of its block. A bad table shows in every block.
+# Nor does a missed SYNC, which moves all samples of its block. A bad table shows in every block.
 FAULTY_BLOCK = 4.0
 FAULTY_BLOCKS_PART = 0.1
 MIN_BLOCKS = 8

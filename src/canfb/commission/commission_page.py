@@ -20,7 +20,7 @@ from canfb.commission.commission_summary import (
 )
 from canfb.commission.motion_seen import smooth_acceleration
 from canfb.master.all_or_nothing import write_whole
-from canfb.master.circumstances import origins
+from canfb.master.provenance import origins
 from canfb.report import limit_pictures
 from canfb.report.lissajous import lissajous
 from canfb.report.page import figure, gallery, page, table

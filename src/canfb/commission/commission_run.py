@@ -20,9 +20,8 @@ from canfb.commission.limit_choice import choose
 from canfb.commission.machine_seen import LEAST_SAMPLES, Observation, observe
 from canfb.errors import CanfbError, ConfigError
 from canfb.master.access import CommissioningError, Master, NodeAccess
-from canfb.master.active import check_unlocked, save, saving_object
-from canfb.master.all_or_nothing import Guard, all_or_nothing, put_back
-from canfb.master.circumstances import Circumstances
+from canfb.master.active_table import check_can_save, check_unlocked
+from canfb.master.all_or_nothing import Guard, change
 from canfb.master.listening import UPLOAD_PART, listen, record
 from canfb.master.machine_watch import (
     SpeedReading,
@@ -33,61 +32,50 @@ from canfb.master.machine_watch import (
     read_counters,
     watch,
 )
-from canfb.master.pdo_layout import coarse_layout
+from canfb.master.provenance import Provenance
 from canfb.master.samples import TrackSamples
 from canfb.master.session import Session
 from canfb.master.supervision_limits import SupervisionLimits, write_limits
 from canfb.objects import Multiplexer, StatusBit
 from canfb.rows import Result
+from canfb.view.pdo_map import coarse_layout
 
 Values = Mapping[Multiplexer, float]
-
-
-def check_can_save(module: NodeAccess) -> None:
-    """CommissioningError if the module cannot save."""
-    if saving_object(module) is None:
-        raise CommissioningError(
-            f"--save: {module.name} cannot save (1010h; canfb run needs a state_dir for it)"
-        )
 
 
 def set_limits(
     module: NodeAccess,
     before: Values,
-    wanted: Values,
+    new: Values,
     watched: Callable[[], None],
     guard: Guard,
     *,
     keep: bool = False,
     step: Callable[[str], None] = lambda text: None,
 ) -> str | None:
-    """Write ``wanted``, let ``watched`` see whether that is good, save if ``keep``: the object that saved.
+    """Write ``new``, let ``watched`` see whether that is good, save if ``keep``: the object that saved.
 
     ``before`` has the values of before of the same objects. CommissioningError if anything does not work,
     or ``watched`` raises it; these, and an interruption, leave the limits from before, saved as well if
     saving had begun.
     """
-    saving = False
 
-    def back() -> None:
-        write_limits(module, before)
-        if saving:
-            save(module)
-
-    def undo() -> str:
-        put_back(module, "the limits from before", back, saving=saving)
-        return f"the limits from before are in force in {module.name}{_position(module)}"
-
-    with all_or_nothing(module, guard, undo):
+    def act() -> None:
         step("writing the limits")
-        write_limits(module, wanted)
+        write_limits(module, new)
         step("watching the machine with the new limits")
         watched()
-        if not keep:
-            return None
-        step("saving")
-        saving = True
-        return save(module)
+
+    return change(
+        module,
+        guard,
+        act,
+        lambda: write_limits(module, before),
+        what="the limits from before",
+        undone=lambda: f"the limits from before are in force in {module.name}{_position(module)}",
+        keep=keep,
+        step=step,
+    )
 
 
 def _position(module: NodeAccess) -> str:
@@ -202,14 +190,14 @@ class CommissionRun:
         """The samples, and what the module said of its speed meanwhile."""
         wishes, readings = self._wishes, SpeedReadings(session.module)
         if not wishes.recording:
-            layout = replace(session.layout(), coarse=coarse_layout(session.module))
+            layout = replace(session.layout(), coarse=coarse_layout(session.module.read_known))
             samples = listen(
                 session.master, layout, wishes.seconds, LEAST_SAMPLES, self._steps.part, readings
             )
             return samples, readings.found
         found: list[SpeedReading] = []
 
-        def heard(part: float) -> None:
+        def progress(part: float) -> None:
             self._steps.part(part)
             if part < UPLOAD_PART:  # else the upload is on its way
                 at = session.module.integer(*od.RECORDING_RECORDED, "I")
@@ -217,11 +205,11 @@ class CommissionRun:
                 if at:
                     found.append(SpeedReading(at - 1.0, speed))
 
-        return record(session.module, wishes.seconds, None, heard), found
+        return record(session.module, wishes.seconds, None, progress), found
 
-    def _where(self, session: Session) -> Circumstances:
+    def _where(self, session: Session) -> Provenance:
         day, _, time = self._date.partition(" ")
-        return Circumstances(
+        return Provenance(
             day,
             module=session.module.node_id,
             encoder_interface=None if session.samples_itself else session.interface.node_id,

@@ -12,8 +12,8 @@ from canfb import objects as od
 from canfb.calibrate.calibration_summary import delay_words
 from canfb.commission.limit_choice import Choice, MachineSeen
 from canfb.commission.machine_seen import Observation
-from canfb.master.circumstances import Circumstances, where_words
 from canfb.master.machine_watch import in_words
+from canfb.master.provenance import Provenance, where_words
 from canfb.master.supervision_limits import (
     KINDS,
     SupervisionLimits,
@@ -54,7 +54,7 @@ class Commissioned:
     written: bool
     asked: bool
     saved_as: str | None
-    where: Circumstances
+    where: Provenance
 
     @property
     def machine(self) -> MachineSeen:

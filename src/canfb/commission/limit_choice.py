@@ -9,7 +9,7 @@ from canfb import objects as od
 from canfb.calibration.path_fit import LowPass
 from canfb.commission.motion_seen import MotionSeen
 from canfb.commission.signal_seen import TracksSeen, repeats_of_frozen_input
-from canfb.master.circumstances import PERCENT
+from canfb.master.provenance import PERCENT
 from canfb.master.supervision_limits import CORNER, KINDS, SupervisionLimits, as_real32
 from canfb.objects import Multiplexer
 from canfb.signal.limits import (

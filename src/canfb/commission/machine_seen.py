@@ -174,16 +174,16 @@ def _coarse(
 
 def _longest_pause(samples: TrackSamples, interval_s: float) -> float | None:
     """Between two samples, or two SYNCs, periods; None where the times are not known."""
-    if samples.heard_s is None:
+    if samples.received_s is None:
         return None
     here = np.flatnonzero(np.isfinite(samples.sine))
     missing = float(np.max(np.diff(here), initial=1.0))
-    pauses = np.diff(samples.heard_s) / interval_s
+    pauses = np.diff(samples.received_s) / interval_s
     return max(missing, float(np.max(pauses, initial=1.0)))
 
 
 def _jitter(samples: TrackSamples, interval_s: float) -> float | None:
-    times: FloatArray | None = samples.heard_s if samples.time_s is None else samples.time_s
+    times: FloatArray | None = samples.received_s if samples.time_s is None else samples.time_s
     if times is None or len(times) < 2:
         return None
     return SIGMA_OF_MEDIAN * float(np.median(np.abs(np.diff(times) - interval_s)))

@@ -9,15 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from canfb import objects as od
 from canfb.master.access import NodeAccess, ObjectAbsentError
-from canfb.master.pdo_layout import mapped_objects
 from canfb.objects import LossCause, Multiplexer, PositionState, StatusBit
 from canfb.rows import Result
-from canfb.signal.limits import cycles_per_interval_squared, kept_samples
-from canfb.signal.third_order import SECOND
+from canfb.signal.limits import cycles_per_interval_cubed, cycles_per_interval_squared, kept_samples
+from canfb.signal.third_order import SECOND, THIRD
+from canfb.view.limits_in_force import limit_settings
+from canfb.view.pdo_map import mapped_objects
 
 CYCLE_UNITS = 65536.0  # of a cycle, in 2012:13..15
 RATE_S = 0.25  # over which the rate of the samples is measured
@@ -40,19 +41,31 @@ class Loss:
     faults: int
 
 
+class _Motion(NamedTuple):
+    """What bounds a motion: its name, its object, and the largest one, 0: not declared."""
+
+    name: str
+    place: str
+    unit: str
+    largest: float
+
+
 @dataclass(frozen=True)
 class LostPosition:
     """State of the position of a module, and its last loss.
 
     loss                    the last one since its reset; None without one
     keeps_cause             the module has 2012:10; older ones do not
-    losses, missed, unheard 2012:05, :01 and :0E
+    losses, missed, missed_syncs  2012:05, :01 and :0E
     sample_hz               samples that it processes now; 0.0: none
     cycles_per_revolution   2001:01
     acceleration_rad_s2     2010:02, 0: not declared
     coast_samples           2010:03
     residual_limit_cycles   2010:01
     coarse, zero_pulse, second, timed   which parts of a sample its RPDOs bring
+    prediction_order        2010:07
+    jerk_rad_s3             2010:08, 0: not declared
+    samples_per_sync        pairs that its RPDOs bring
     """
 
     node_id: int
@@ -61,7 +74,7 @@ class LostPosition:
     keeps_cause: bool
     losses: int
     missed: int
-    unheard: int
+    missed_syncs: int
     sample_hz: float
     cycles_per_revolution: int
     acceleration_rad_s2: float
@@ -71,6 +84,9 @@ class LostPosition:
     zero_pulse: bool
     second: bool
     timed: bool
+    prediction_order: int = SECOND
+    jerk_rad_s3: float = 0.0
+    samples_per_sync: int = 1
 
     @property
     def name(self) -> str:
@@ -98,7 +114,7 @@ class LostPosition:
                 "speed_cycles_per_interval": loss.speed_cycles,
                 "faults": od.fault_words(loss.faults),
             },
-            "counters": {"losses": self.losses, "missed": self.missed, "syncs_not_heard": self.unheard},
+            "counters": {"losses": self.losses, "missed": self.missed, "syncs_not_heard": self.missed_syncs},
             "limits": {
                 "acceleration_rad_s2": self.acceleration_rad_s2,
                 "coast_samples": self.coast_samples,
@@ -162,7 +178,7 @@ class LostPosition:
         facts.append(f"speed then: {self._speed_words(loss.speed_cycles)}")
         facts.append(
             f"since the start: {_times(self.losses, 'loss', 'losses')}, {self.missed} missed samples, "
-            f"{self.unheard} SYNCs not heard"
+            f"{self.missed_syncs} SYNCs not heard"
         )
         return facts
 
@@ -205,7 +221,7 @@ class LostPosition:
         if loss.faults & BAD_SIGNAL:
             yield "a signal within 2001:03 to 2001:04: watch it with canfb monitor, check the wiring"
         if cause in MOTION:
-            yield from self._motion(loss)
+            yield from self._gentler(loss)
         if cause is LossCause.TIME:
             if self.timed:
                 yield "a clock of the encoder interface that is not restarted while the module runs"
@@ -222,54 +238,68 @@ class LostPosition:
             yield "limits, prediction order and PDO mapping written while the position is valid"
 
     def _longer(self, loss: Loss) -> Iterator[str]:
-        bridged = f", {self.coast_samples / self.sample_hz * 1e3:.3g} ms" if self.sample_hz else ""
-        text = f"2010:03 bridges {self.coast_samples} samples{bridged}"
+        bridged = self.coast_samples * self.samples_per_sync
+        time = f", {bridged / self.sample_hz * 1e3:.3g} ms" if self.sample_hz else ""
+        text = f"2010:03 bridges {bridged} samples{time}"
         if self.coast_samples >= MOST_MISSED:
             yield f"{text}, the most that it can"
             return
         most = self.longest_gap() if loss.faults & MISSED else None
-        if most is not None and most <= self.coast_samples:
-            yield f"{text}; more would not help at this acceleration (2010:02) and SYNC rate"
+        if most is not None and most <= bridged:
+            motion = self._motion
+            yield f"{text}; more would not help at this {motion.name} ({motion.place}) and SYNC rate"
         else:
             yield f"{text}: a larger value bridges a longer fault"
 
     def _declared(self) -> Iterator[str]:
-        if not self.acceleration_rad_s2:
+        motion = self._motion
+        if not motion.largest:
             yield (
-                "2010:02 is 0, not declared: set it to the largest acceleration of the machine, rad/s², "
-                "so that only motions that it can do are considered"
+                f"{motion.place} is 0, not declared: set it to the largest {motion.name} of the machine, "
+                f"{motion.unit}, so that only motions that it can do are considered"
             )
             return
         most = self.longest_gap()
         said = "" if most is None else f": one motion is certain over {most} missed samples at most"
         yield (
-            f"2010:02 is {self.acceleration_rad_s2:.4g} rad/s²{said}; a smaller one, if it is true, "
+            f"{motion.place} is {motion.largest:.4g} {motion.unit}{said}; a smaller one, if it is true, "
             "or a faster SYNC, over more"
         )
 
-    def longest_gap(self) -> int | None:
-        """Missed samples over which 2010:02 leaves one motion (docs/legal-motion.md); None: not known."""
-        if not (self.acceleration_rad_s2 and self.sample_hz):
-            return None
-        largest = cycles_per_interval_squared(
-            self.acceleration_rad_s2, self.cycles_per_revolution, 1.0 / self.sample_hz
-        )
-        return kept_samples(SECOND, largest, largest, phase_error_cycles=0.0, most=MOST_MISSED)
+    @property
+    def _motion(self) -> _Motion:
+        """What bounds the motion, by the prediction in use."""
+        if self.prediction_order == THIRD:
+            return _Motion("jerk", "2010:08", "rad/s³", self.jerk_rad_s3)
+        return _Motion("acceleration", "2010:02", "rad/s²", self.acceleration_rad_s2)
 
-    def _motion(self, loss: Loss) -> Iterator[str]:
-        if self.acceleration_rad_s2 and loss.limit_cycles < self.residual_limit_cycles:
+    def longest_gap(self) -> int | None:
+        """Missed samples over which 2010:02, in third order 2010:08, leaves one motion; None: not known.
+
+        docs/legal-motion.md has the proof.
+        """
+        if not (self._motion.largest and self.sample_hz):
+            return None
+        in_cycles = (
+            cycles_per_interval_cubed if self.prediction_order == THIRD else cycles_per_interval_squared
+        )
+        largest = in_cycles(self._motion.largest, self.cycles_per_revolution, 1.0 / self.sample_hz)
+        return kept_samples(self.prediction_order, largest, largest, phase_error_cycles=0.0, most=MOST_MISSED)
+
+    def _gentler(self, loss: Loss) -> Iterator[str]:
+        motion = self._motion
+        if motion.largest and loss.limit_cycles < self.residual_limit_cycles:
             yield (
-                f"2010:02 is {self.acceleration_rad_s2:.4g} rad/s², which narrows the residual limit to "
-                f"{loss.limit_cycles:.3f} cycle: is it the largest acceleration, also in a jolt? "
+                f"{motion.place} is {motion.largest:.4g} {motion.unit}, which narrows the residual limit to "
+                f"{loss.limit_cycles:.3f} cycle: is it the largest {motion.name}, also in a jolt? "
                 "See canfb commission"
             )
         if self.sample_hz:
-            largest = (
-                2.0 * math.pi * self.residual_limit_cycles * self.sample_hz**2 / self.cycles_per_revolution
-            )
+            per_s = self.sample_hz**self.prediction_order
+            largest = 2.0 * math.pi * self.residual_limit_cycles * per_s / self.cycles_per_revolution
             yield (
-                f"the motion must stay below {largest:.4g} rad/s² at {self.sample_hz:.4g} Hz and 2010:01: "
-                "a faster SYNC, or a gentler motion"
+                f"the motion must stay below {largest:.4g} {motion.unit} at {self.sample_hz:.4g} Hz and "
+                "2010:01: a faster SYNC, or a gentler motion"
             )
         yield "a correction table, which removes phase errors: canfb calibrate"
 
@@ -279,18 +309,17 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
     master = module.master
     began, first = master.now(), module.integer(*od.FEEDBACK_SAMPLES, "I")
     status = module.integer(*od.FEEDBACK_STATUS, "H")
-    mapped = mapped_objects(module)
+    mapped = mapped_objects(module.read_known)
     tolerance = _read(module, od.SECOND_TOLERANCE, "f")
     loss, keeps_cause = _read_loss(module)
     settings = {
         "losses": int(_read(module, od.COUNTER_LOST, "I")),
         "missed": int(_read(module, od.COUNTER_MISSED, "I")),
-        "unheard": int(_read(module, od.COUNTER_SYNCS_NOT_HEARD, "I")),
+        "missed_syncs": int(_read(module, od.COUNTER_SYNCS_NOT_HEARD, "I")),
         "cycles_per_revolution": module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I"),
         "coast_samples": module.integer(*od.SUPERVISION_COAST, "B"),
     }
-    acceleration = float(_read(module, od.SUPERVISION_ACCELERATION, "f"))
-    limit = module.integer(*od.SUPERVISION_RESIDUAL_LIMIT, "H") / CYCLE_UNITS
+    limits = limit_settings(module.read_known)
     master.wait(max(0.0, began + RATE_S - master.now()))
     samples = module.integer(*od.FEEDBACK_SAMPLES, "I") - first & 0xFFFFFFFF
     return LostPosition(
@@ -299,12 +328,15 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
         loss,
         keeps_cause,
         sample_hz=samples / (master.now() - began) if samples > 1 else 0.0,
-        acceleration_rad_s2=acceleration,
-        residual_limit_cycles=limit,
+        acceleration_rad_s2=limits.acceleration_rad_s2,
+        residual_limit_cycles=limits.widest_cycles,
         coarse=od.SAMPLE_COARSE_SINE.mapped(16) in mapped and od.SAMPLE_COARSE_COSINE.mapped(16) in mapped,
         zero_pulse=od.SAMPLE_FLAGS.mapped(8) in mapped,
         second=od.SAMPLE_SECOND_POSITION.mapped(32) in mapped and tolerance > 0.0,
-        timed=od.SAMPLE_TIME.mapped(32) in mapped,
+        timed=limits.timed,
+        prediction_order=limits.prediction_order,
+        jerk_rad_s3=limits.jerk_rad_s3,
+        samples_per_sync=limits.samples_per_sync,
         **settings,
     )
 

@@ -6,13 +6,12 @@
     access              objects of a node by SDO
     node_state          NMT state, boot-up, restart at standstill
     all_or_nothing      a change as a whole or not at all; the same for files; Ctrl-C
-    pdo_layout          which PDO carries the samples
     listening           samples of the ADC PDO, SYNC by SYNC, and of object 2050h of either node
     samples             what was recorded, also as NPZ and CSV
-    session             both nodes on a bus, read once
-    active              table and conditioning: read, activate, restore, save
-    supervision_limits  2001h and 2010h
-    machine_watch       what the module says during a measurement
-    circumstances       provenance of a measurement: nodes, date, command
+    session             both nodes on a bus, read once, and the PDO on which both agree
+    active_table        table and conditioning: read, activate, restore, save
+    supervision_limits  2001h and 2010h: read, written
+    machine_watch       speed, status and counters of the module during a measurement
+    provenance          of a measurement: nodes, date, command
     marked_yaml         YAML with the lines of its keys, for messages
 """

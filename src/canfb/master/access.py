@@ -21,15 +21,15 @@ Client = Any  # canopen.sdo.SdoClient, which has no types
 SEGMENT = 7
 
 
-def _fetch(client: Client, index: int, subindex: int, block: bool, heard: Callable[[float], None]) -> bytes:
-    """Upload an object, by block transfer if ``block``; ``heard`` gets 0..1 where the size is known."""
+def _fetch(client: Client, index: int, subindex: int, block: bool, progress: Progress) -> bytes:
+    """Upload an object, by block transfer if ``block``; ``progress`` gets 0..1 where the size is known."""
 
     def take(stream: Any) -> bytes:
         chunks: list[bytes] = []
         while chunk := stream.read(SEGMENT):
             chunks.append(chunk)
             if stream.size and len(chunks) % 256 == 0:
-                heard(min(1.0, SEGMENT * len(chunks) / stream.size))
+                progress(min(1.0, SEGMENT * len(chunks) / stream.size))
         data = b"".join(chunks)
         return data[: stream.size] if stream.size else data
 
@@ -66,7 +66,10 @@ def _through(client: Client, stream: io.RawIOBase, act: Callable[[Any], bytes]) 
     return result
 
 
-Hear = Callable[[int, bytes, float], None]
+OnFrame = Callable[[int, bytes, float], None]
+"""Gets CAN-ID, data and time stamp (s) of a data frame."""
+Progress = Callable[[float], None]
+"""Gets the part that is done, 0..1."""
 ABSENT = (AbortCode.NO_OBJECT, AbortCode.NO_SUBINDEX)
 REALS = frozenset(
     {
@@ -102,10 +105,10 @@ class Master(Protocol):
     def sdo(self, node_id: int) -> Client:
         """SDO client for a node."""
 
-    def subscribe(self, can_id: int, hear: Hear) -> None:
-        """Call ``hear`` with CAN-ID, data and time stamp (s) of each data frame."""
+    def subscribe(self, can_id: int, on_frame: OnFrame) -> None:
+        """Call ``on_frame`` with CAN-ID, data and time stamp (s) of each data frame."""
 
-    def unsubscribe(self, can_id: int, hear: Hear) -> None:
+    def unsubscribe(self, can_id: int, on_frame: OnFrame) -> None:
         """No more of it."""
 
     def send(self, can_id: int, data: bytes) -> None:
@@ -181,43 +184,17 @@ class NodeAccess:
         """The bytes of an object, by expedited or segmented transfer."""
         return self._transfer("reading", index, subindex, lambda client: client.upload(index, subindex))
 
-    def upload_domain(
-        self, index: int, subindex: int, heard: Callable[[float], None] = lambda part: None
-    ) -> bytes:
-        """A DOMAIN, by block transfer where the server has it, else segmented; ``heard`` gets 0..1."""
-        try:
-            return self._transfer(
-                "reading",
-                index,
-                subindex,
-                lambda client: _fetch(client, index, subindex, True, heard),
-            )
-        except ObjectAbsentError:
-            raise
-        except CommissioningError:
-            self.master.wait(SETTLE_S)
-        return self._transfer(
-            "reading",
-            index,
-            subindex,
-            lambda client: _fetch(client, index, subindex, False, heard),
+    def upload_domain(self, index: int, subindex: int, progress: Progress = lambda part: None) -> bytes:
+        """A DOMAIN, by block transfer where the server has it, else segmented; ``progress`` gets 0..1."""
+        return self._by_blocks(
+            "reading", index, subindex, lambda client, block: _fetch(client, index, subindex, block, progress)
         )
 
     def download_domain(self, index: int, subindex: int, data: bytes) -> None:
         """A DOMAIN, by block transfer where the server has it, else segmented."""
-        try:
-            self._transfer(
-                "writing",
-                index,
-                subindex,
-                lambda client: _store(client, index, subindex, data, True),
-            )
-        except ObjectAbsentError:
-            raise
-        except CommissioningError:
-            # canopen's block download fails on some servers, and some have none.
-            self.master.wait(SETTLE_S)
-            self.write_bytes(index, subindex, data)
+        self._by_blocks(
+            "writing", index, subindex, lambda client, block: _store(client, index, subindex, data, block)
+        )
 
     def answers(self) -> bool:
         """True if the node answers at all."""
@@ -228,6 +205,18 @@ class NodeAccess:
         except CommissioningError:
             return False
         return True
+
+    def _by_blocks(
+        self, doing: str, index: int, subindex: int, act: Callable[[Client, bool], bytes]
+    ) -> bytes:
+        """By block transfer; segmented if that fails: some servers have none, with some canopen's fails."""
+        try:
+            return self._transfer(doing, index, subindex, lambda client: act(client, True))
+        except ObjectAbsentError:
+            raise
+        except CommissioningError:
+            self.master.wait(SETTLE_S)
+        return self._transfer(doing, index, subindex, lambda client: act(client, False))
 
     def _transfer(self, doing: str, index: int, subindex: int, act: Callable[[Client], bytes]) -> bytes:
         what = f"{self.name}: {doing} {index:04X}:{subindex:02X}"

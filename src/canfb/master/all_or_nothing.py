@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from canfb.errors import CanfbError
 from canfb.master.access import CommissioningError, NodeAccess
+from canfb.master.active_table import STORES, save
 from canfb.master.node_state import without_restart
+from canfb.objects import Multiplexer
 
 
 class Guard:
@@ -64,6 +66,43 @@ def all_or_nothing(module: NodeAccess, guard: Guard, undo: Callable[[], str]) ->
         if isinstance(error, CanfbError) or not undone:
             raise CommissioningError(f"{str(error) or 'interrupted'}; {said}") from error
         raise
+
+
+def change(
+    module: NodeAccess,
+    guard: Guard,
+    act: Callable[[], None],
+    back: Callable[[], None],
+    *,
+    what: str,
+    undone: Callable[[], str],
+    keep: bool = False,
+    stores: Sequence[Multiplexer] = STORES,
+    step: Callable[[str], None] = lambda text: None,
+) -> str | None:
+    """``act`` changes the module, and it is saved if ``keep``: the object that saved it, None: not saved.
+
+    Whatever fails or interrupts this, ``back`` writes ``what`` was before, which is saved again where saving
+    had begun; ``undone`` says that this is in force again. CommissioningError has the failure and this.
+    """
+    saving = False
+
+    def restore() -> None:
+        back()
+        if saving:
+            save(module, stores)
+
+    def undo() -> str:
+        put_back(module, what, restore, saving=saving)
+        return undone()
+
+    with all_or_nothing(module, guard, undo):
+        act()
+        if not keep:
+            return None
+        step("saving")
+        saving = True
+        return save(module, stores)
 
 
 def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: bool = False) -> None:

@@ -13,18 +13,17 @@ from typing import Self
 import numpy as np
 
 from canfb import objects as od
-from canfb.master.access import CommissioningError, Master, NodeAccess, ObjectAbsentError
-from canfb.master.pdo_layout import PdoLayout
+from canfb.master.access import CommissioningError, Master, NodeAccess, ObjectAbsentError, Progress
 from canfb.master.samples import TrackSamples
 from canfb.objects import MISSED_COUNTS
 from canfb.objects import RecordingCommand as Command
+from canfb.view.pdo_map import PdoLayout
 
 PATIENCE_S = 2.0  # for the first SYNC, the first sample, and for either to go on
 LOOK_S = 0.1
 LONGEST = 6.0  # times the duration that was asked for, where SYNCs are rare
 PART_MISSED = 0.5
 MISSED = (MISSED_COUNTS, MISSED_COUNTS)
-Heard = Callable[[float], None]
 
 
 class PdoRecorder:
@@ -50,7 +49,7 @@ class PdoRecorder:
         """SYNCs that came."""
         return len(self._times)
 
-    def hear_sync(self, can_id: int, data: bytes, time_s: float) -> None:
+    def on_sync(self, can_id: int, data: bytes, time_s: float) -> None:
         """A SYNC: a new interval begins."""
         self._pairs.append(MISSED)
         self._times.append(time_s)
@@ -58,7 +57,7 @@ class PdoRecorder:
         self._coarse.append(None)
         self._earlier.append([MISSED] * len(self._layout.earlier))
 
-    def hear_pdo(self, can_id: int, data: bytes, time_s: float) -> None:
+    def on_pdo(self, can_id: int, data: bytes, time_s: float) -> None:
         """A PDO with a sample."""
         if not self._pairs:
             return  # it belongs to a SYNC that was before
@@ -70,9 +69,9 @@ class PdoRecorder:
         if self._layout.time_byte is not None:
             self._stamps[-1] = self._layout.sample_time(data)
         self.samples += 1
-        self.hear_part(can_id, data, time_s)
+        self.on_part(can_id, data, time_s)
 
-    def hear_part(self, can_id: int, data: bytes, time_s: float) -> None:
+    def on_part(self, can_id: int, data: bytes, time_s: float) -> None:
         """A PDO with earlier pairs, or the sample time."""
         if not self._pairs:
             return
@@ -83,7 +82,7 @@ class PdoRecorder:
         if layout.timed_by is not None and layout.timed_by.can_id == can_id and self._stamps[-1] is None:
             self._stamps[-1] = layout.timed_by.sample_time(data)
 
-    def hear_coarse(self, can_id: int, data: bytes, time_s: float) -> None:
+    def on_coarse(self, can_id: int, data: bytes, time_s: float) -> None:
         """A PDO with the coarse track; it may be the one with the sample."""
         layout = self._layout.coarse
         if self._coarse and layout is not None and self._coarse[-1] is None:
@@ -97,7 +96,7 @@ class PdoRecorder:
         pairs = np.array(self._pairs[:last], np.float64).reshape(-1, 2)
         samples = replace(
             TrackSamples.of(pairs[:, 0], pairs[:, 1], self._rate_hz(), origin),
-            heard_s=np.array(self._times[:last]),
+            received_s=np.array(self._times[:last]),
         )
         if self._layout.coarse is not None:
             coarse = [(np.nan, np.nan) if one is None else one for one in self._coarse[:last]]
@@ -118,8 +117,8 @@ class PdoRecorder:
         newest = np.arange(per_sync - 1, len(pairs), per_sync)
         if rate_hz:
             before_s = np.arange(per_sync - 1, -1, -1) / per_sync / rate_hz
-            heard_s = (np.array(self._times[:last])[:, None] - before_s).reshape(-1)
-            samples = replace(samples, heard_s=heard_s)
+            received_s = (np.array(self._times[:last])[:, None] - before_s).reshape(-1)
+            samples = replace(samples, received_s=received_s)
         if self._layout.coarse is not None:
             tracks = np.full((len(pairs), 2), np.nan)
             tracks[newest] = [(np.nan, np.nan) if one is None else one for one in self._coarse[:last]]
@@ -151,21 +150,21 @@ class Listener:
 
     def __enter__(self) -> Self:
         self._last_sync_s = self._last_sample_s = self._master.now()
-        self._master.subscribe(self._layout.can_id, self._recorder.hear_pdo)
+        self._master.subscribe(self._layout.can_id, self._recorder.on_pdo)
         if self._layout.coarse is not None:
-            self._master.subscribe(self._layout.coarse.can_id, self._recorder.hear_coarse)
+            self._master.subscribe(self._layout.coarse.can_id, self._recorder.on_coarse)
         for can_id in self._layout.others:
-            self._master.subscribe(can_id, self._recorder.hear_part)
-        self._master.subscribe(self._layout.sync_id, self._recorder.hear_sync)
+            self._master.subscribe(can_id, self._recorder.on_part)
+        self._master.subscribe(self._layout.sync_id, self._recorder.on_sync)
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._master.unsubscribe(self._layout.sync_id, self._recorder.hear_sync)
+        self._master.unsubscribe(self._layout.sync_id, self._recorder.on_sync)
         for can_id in self._layout.others:
-            self._master.unsubscribe(can_id, self._recorder.hear_part)
+            self._master.unsubscribe(can_id, self._recorder.on_part)
         if self._layout.coarse is not None:
-            self._master.unsubscribe(self._layout.coarse.can_id, self._recorder.hear_coarse)
-        self._master.unsubscribe(self._layout.can_id, self._recorder.hear_pdo)
+            self._master.unsubscribe(self._layout.coarse.can_id, self._recorder.on_coarse)
+        self._master.unsubscribe(self._layout.can_id, self._recorder.on_pdo)
 
     @property
     def intervals(self) -> int:
@@ -219,12 +218,12 @@ def listen(
     layout: PdoLayout,
     duration_s: float,
     least_samples: int = 0,
-    heard: Heard = lambda part: None,
+    progress: Progress = lambda part: None,
     enough: Callable[[Listener], bool] = lambda listener: False,
 ) -> TrackSamples:
     """Samples of ``duration_s`` seconds from the first SYNC on, and of more for ``least_samples`` intervals.
 
-    ``heard`` gets 0..1 as time goes. It takes no longer than six times ``duration_s``, and ends as soon as
+    ``progress`` gets 0..1 as time goes. It takes no longer than six times ``duration_s``, and ends as soon as
     ``enough`` is true of what came. CommissioningError, with what to do, when SYNC or samples do not come.
     """
     with Listener(master, layout) as listener:
@@ -233,7 +232,7 @@ def listen(
             listener.look()
             passed = listener.elapsed_s / duration_s
             part = min(passed, listener.intervals / least_samples if least_samples else passed)
-            heard(min(1.0, max(part, passed / LONGEST)))
+            progress(min(1.0, max(part, passed / LONGEST)))
             if part >= 1.0 or passed >= LONGEST or enough(listener):
                 break
     return listener.result()
@@ -245,10 +244,8 @@ EMPTY_S = 2.0  # none at all for this long: nothing samples
 UPLOAD_PART = 0.5  # of the progress reported
 
 
-def record(
-    node: NodeAccess, duration_s: float, rate_hz: float | None, heard: Callable[[float], None]
-) -> TrackSamples:
-    """Let ``node`` record for ``duration_s`` seconds and upload what it has; ``heard`` gets 0..1.
+def record(node: NodeAccess, duration_s: float, rate_hz: float | None, progress: Progress) -> TrackSamples:
+    """Let ``node`` record for ``duration_s`` seconds and upload what it has; ``progress`` gets 0..1.
 
     The rate is that of 2050:04 where the node has it, else ``rate_hz``. The recording is stopped in any
     case. CommissioningError if the node cannot record, or has recorded nothing.
@@ -258,24 +255,24 @@ def record(
     except ObjectAbsentError:
         raise CommissioningError(f"{node.name} cannot record: it has no object 2050h") from None
     try:
-        _wait(node, duration_s, heard)
+        _wait(node, duration_s, progress)
     finally:
         node.write(*od.RECORDING_COMMAND, "B", Command.STOP)
     count = node.integer(*od.RECORDING_RECORDED, "I")
     if not count:
         raise CommissioningError(f"{node.name} has recorded nothing (2050:02): is it OPERATIONAL?")
     data = node.upload_domain(
-        *od.RECORDING_SAMPLES, lambda part: heard(UPLOAD_PART + (1.0 - UPLOAD_PART) * part)
+        *od.RECORDING_SAMPLES, lambda part: progress(UPLOAD_PART + (1.0 - UPLOAD_PART) * part)
     )
     return TrackSamples.from_bytes(data, _rate(node) or rate_hz, f"recording 2050h of {node.name}")
 
 
-def _wait(node: NodeAccess, duration_s: float, heard: Callable[[float], None]) -> None:
+def _wait(node: NodeAccess, duration_s: float, progress: Progress) -> None:
     master = node.master
     began = grown = master.now()
     count = 0
     while (passed := master.now() - began) < duration_s:
-        heard(UPLOAD_PART * passed / duration_s)
+        progress(UPLOAD_PART * passed / duration_s)
         master.wait(min(RECORDING_LOOK_S, duration_s - passed))
         now_there = node.integer(*od.RECORDING_RECORDED, "I")
         if now_there != count:

@@ -14,7 +14,7 @@ from canfb import objects as od
 from canfb.calibration.recording import WINDOW, Lock, away_from, find_lock
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
-from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError
+from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError, Progress
 from canfb.master.samples import TrackSamples
 from canfb.objects import PositionState, StatusBit, fault_words, position_state
 from canfb.signal.phase import FloatArray
@@ -268,7 +268,7 @@ def watch(
     duration_s: float,
     usual: Mapping[str, int],
     usual_s: float,
-    heard: Callable[[float], None] = lambda part: None,
+    progress: Progress = lambda part: None,
 ) -> None:
     """See for ``duration_s`` seconds that the module flags no more than before.
 
@@ -291,7 +291,7 @@ def watch(
                 f"{module.name} flags samples with the new limits that it did not flag before: "
                 f"{in_words(more)}"
             )
-        heard(min(1.0, passed / duration_s))
+        progress(min(1.0, passed / duration_s))
         left = began + duration_s - master.now()
         if left < SHORTEST_S:
             break

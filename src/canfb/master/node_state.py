@@ -49,16 +49,16 @@ def nmt_state(node: NodeAccess) -> NmtState:
     by a remote frame where neither is heard. CommissioningError if the state is not known then.
     """
     heartbeat_s = node.integer(*HEARTBEAT_TIME, "H") / 1000
-    with _hearing(node) as heard:
+    with _received(node) as received:
         if heartbeat_s:
-            _wait_for(node, heard, LATE * heartbeat_s)
+            _wait_for(node, received, LATE * heartbeat_s)
         else:
-            _wait_for(node, heard, LATE * node.integer(*GUARD_TIME, "H") / 1000)
+            _wait_for(node, received, LATE * node.integer(*GUARD_TIME, "H") / 1000)
             for _ in range(ASKED):
-                if not heard:
+                if not received:
                     node.master.request(cob.ERROR_CONTROL + node.node_id)
-                    _wait_for(node, heard, ANSWER_S)
-    states = [state for data in heard if (state := state_in(data)) is not None]
+                    _wait_for(node, received, ANSWER_S)
+    states = [state for data in received if (state := state_in(data)) is not None]
     if states:
         return states[-1]
     raise CommissioningError(
@@ -70,30 +70,30 @@ def nmt_state(node: NodeAccess) -> NmtState:
 @contextlib.contextmanager
 def without_restart(node: NodeAccess) -> Iterator[None]:
     """CommissioningError at the end if the node was restarted in here: what was written is gone."""
-    with _hearing(node) as heard:
+    with _received(node) as received:
         yield
-    if b"\0" in heard:
+    if b"\0" in received:
         raise CommissioningError(f"{node.name} was restarted meanwhile (boot-up heard)")
 
 
 @contextlib.contextmanager
-def _hearing(node: NodeAccess) -> Iterator[list[bytes]]:
+def _received(node: NodeAccess) -> Iterator[list[bytes]]:
     """The data of all frames with the CAN-ID 700h + id from now on."""
-    heard: list[bytes] = []
+    received: list[bytes] = []
 
-    def hear(can_id: int, data: bytes, at: float) -> None:
-        heard.append(bytes(data))
+    def on_frame(can_id: int, data: bytes, at: float) -> None:
+        received.append(bytes(data))
 
-    node.master.subscribe(cob.ERROR_CONTROL + node.node_id, hear)
+    node.master.subscribe(cob.ERROR_CONTROL + node.node_id, on_frame)
     try:
-        yield heard
+        yield received
     finally:
-        node.master.unsubscribe(cob.ERROR_CONTROL + node.node_id, hear)
+        node.master.unsubscribe(cob.ERROR_CONTROL + node.node_id, on_frame)
 
 
-def _wait_for(node: NodeAccess, heard: list[bytes], within_s: float) -> None:
+def _wait_for(node: NodeAccess, received: list[bytes], within_s: float) -> None:
     end = node.master.now() + within_s
-    while not heard and node.master.now() < end:
+    while not received and node.master.now() < end:
         node.master.wait(STEP_S)
 
 
@@ -196,18 +196,18 @@ def _restart(module: NodeAccess) -> None:
     master, node = module.master, module.node_id
     booted: list[float] = []
 
-    def hear(can_id: int, data: bytes, at: float) -> None:
+    def on_frame(can_id: int, data: bytes, at: float) -> None:
         if data[:1] == b"\x00":
             booted.append(at)
 
-    master.subscribe(cob.ERROR_CONTROL + node, hear)
+    master.subscribe(cob.ERROR_CONTROL + node, on_frame)
     try:
         master.send(0x000, struct.pack("BB", NmtCommand.RESET_NODE, node))
         end = master.now() + BOOT_UP_S
         while not booted and master.now() < end:
             master.wait(EVERY_S)
     finally:
-        master.unsubscribe(cob.ERROR_CONTROL + node, hear)
+        master.unsubscribe(cob.ERROR_CONTROL + node, on_frame)
     if not booted:
         raise CommissioningError(f"{module.name}: no boot-up within {BOOT_UP_S:g} s after the reset")
     master.send(0x000, struct.pack("BB", NmtCommand.START, node))

@@ -35,7 +35,7 @@ class TrackSamples:
     origin    where they come from, for people
     time_s    sample times by the clock of the encoder interface, seconds, rising; at a missed sample one
               between its neighbours. None: not known, the samples are equidistant
-    heard_s   when the SYNC of each sample was received, seconds; None: not known
+    received_s   when the SYNC of each sample was received, seconds; None: not known
     coarse    sine and cosine of the coarse track, ADC counts, NaN where they did not come; None: none
     at_speed  so fast that the analog path of the module counts: their harmonics are not those at standstill
     """
@@ -45,7 +45,7 @@ class TrackSamples:
     rate_hz: float | None
     origin: str
     time_s: FloatArray | None = None
-    heard_s: FloatArray | None = None
+    received_s: FloatArray | None = None
     coarse: tuple[FloatArray, FloatArray] | None = None
     at_speed: bool = False
 
@@ -103,7 +103,7 @@ class TrackSamples:
             sine=self.sine[at],
             cosine=self.cosine[at],
             time_s=None if self.time_s is None else self.time_s[at],
-            heard_s=None if self.heard_s is None else self.heard_s[at],
+            received_s=None if self.received_s is None else self.received_s[at],
             coarse=None if self.coarse is None else (self.coarse[0][at], self.coarse[1][at]),
         )
 
@@ -118,7 +118,7 @@ class TrackSamples:
     @property
     def duration_s(self) -> float | None:
         """How long it took, pauses included; None if neither times nor rate are known."""
-        times = self.heard_s if self.time_s is None else self.time_s
+        times = self.received_s if self.time_s is None else self.time_s
         if times is not None and len(times) > 1 and times[-1] > times[0]:
             return float(times[-1] - times[0]) * len(times) / (len(times) - 1)
         return len(self) / self.rate_hz if self.rate_hz else None

@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 
 from canfb import objects as od
 from canfb.calibration.analog_path import counts_at
-from canfb.master.access import CommissioningError, Master, NodeAccess
-from canfb.master.active import read_active
+from canfb.cia301 import cob
+from canfb.master.access import CommissioningError, Master, NodeAccess, Progress
+from canfb.master.active_table import read_active
 from canfb.master.listening import Listener, listen, record
 from canfb.master.machine_watch import check_valid
-from canfb.master.pdo_layout import PdoLayout, agreed_layout, module_layout
 from canfb.master.samples import TrackSamples
 from canfb.signal.correction import Correction
 from canfb.signal.harmonics import Corners
 from canfb.signal.supervision import SampleLimits
+from canfb.view.pdo_map import PdoLayout, interface_layout, module_layout
 
-Heard = Callable[[float], None]
-Source = Callable[[float, int, Heard], TrackSamples]
-"""Collects samples: seconds, least number of samples, and who hears 0..1 as it goes on."""
+Source = Callable[[float, int, Progress], TrackSamples]
+"""Collects samples: seconds, least number of samples, and a callable that gets 0..1."""
 IDENTITY = (
     od.IDENTITY_VENDOR_ID,
     od.IDENTITY_PRODUCT_CODE,
@@ -94,9 +94,9 @@ class Session:
         if kind == "recording":
             self.check_interface()
             node = self.module if recorder == "module" else self.interface
-            return lambda seconds, least, heard: record(node, seconds, rate_hz, heard)
+            return lambda seconds, least, progress: record(node, seconds, rate_hz, progress)
         layout = self.layout()
-        return lambda seconds, least, heard: listen(self.master, layout, seconds, least, heard, enough)
+        return lambda seconds, least, progress: listen(self.master, layout, seconds, least, progress, enough)
 
     def speed_rad_s(self) -> float:
         """What the module says of its speed (2011:07), 0.0 where it says nothing."""
@@ -133,11 +133,11 @@ class Session:
 
     def check_interface(self) -> None:
         """CommissioningError if the module takes its samples from another interface than the one named."""
-        if self.named and module_layout(self.module) is not None:
+        if self.named and module_layout(self.module.read_known) is not None:
             self.layout()
 
     def layout(self) -> PdoLayout:
-        """The PDO with the samples; the errors of :func:`.pdo_layout.agreed_layout`."""
+        """The PDO with the samples; the errors of :func:`agreed_layout`."""
         return agreed_layout(self.module, self.interface)
 
 
@@ -159,5 +159,39 @@ def _identity_of(node: NodeAccess) -> tuple[int, ...] | None:
 
 def _interface_of(module: NodeAccess) -> int | None:
     """The node from which the module takes its samples, by the COB-ID of its RPDO; None without."""
-    layout = module_layout(module)
+    layout = module_layout(module.read_known)
     return None if layout is None else layout.sender or DEFAULT_INTERFACE
+
+
+def agreed_layout(module: NodeAccess | None, interface: NodeAccess) -> PdoLayout:
+    """The PDO that the interface sends and the module takes.
+
+    CommissioningError if both are known and differ: the table would be that of another encoder.
+    An interface that does not answer is taken to send as the module expects it, or by default, unless the
+    PDO that the module takes is that of another node.
+    """
+    taken = module_layout(module.read_known) if module is not None else None
+    if module is not None and taken is None:
+        raise CommissioningError(
+            f"{module.name} has no valid RPDO with both tracks (2000:01, 2000:02): map and enable one; for a "
+            "module with its own ADC: --source recording --recorder module"
+        )
+    if not interface.answers():
+        if module is not None and taken is not None and taken.sender not in (None, interface.node_id):
+            raise CommissioningError(
+                f"{interface.name} does not answer, and {module.name} receives its samples from node "
+                f"{taken.sender} ({taken.sender:02X}h, PDO {taken.can_id:03X}h): set the right "
+                "--encoder-interface, or link the PDOs (1400:01)"
+            )
+        return taken or PdoLayout(cob.TPDO1 + interface.node_id)
+    sent = interface_layout(interface.read_known)
+    if sent is None:
+        raise CommissioningError(
+            f"{interface.name} has no valid TPDO with both tracks (6401:01, 6401:02): map and enable one"
+        )
+    if module is not None and taken is not None and taken.can_id != sent.can_id:
+        raise CommissioningError(
+            f"{module.name} receives its samples in PDO {taken.can_id:03X}h, but {interface.name} sends "
+            f"them in {sent.can_id:03X}h: set the right --encoder-interface, or link the PDOs (1400:01)"
+        )
+    return sent

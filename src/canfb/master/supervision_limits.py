@@ -149,41 +149,41 @@ class SupervisionLimits:
         )
 
 
-def write_limits(module: NodeAccess, wanted: Mapping[Multiplexer, float]) -> None:
+def write_limits(module: NodeAccess, limits: Mapping[Multiplexer, float]) -> None:
     """Write these objects and read them back. CommissioningError for what does not read as written.
 
     The lower amplitude limit stays below the upper one at every moment.
     """
-    places = [place for place in KINDS if place in wanted]
+    places = [place for place in KINDS if place in limits]
     low, high = AMPLITUDES
-    if low in wanted and high in wanted and wanted[low] >= module.integer(*high, "H"):
+    if low in limits and high in limits and limits[low] >= module.integer(*high, "H"):
         places.remove(low)
         places.insert(places.index(high) + 1, low)
-    if CORNER.place in wanted:
-        places = _about_the_corner(module, places, wanted)
+    if CORNER.place in limits:
+        places = _about_the_corner(module, places, limits)
     error = od.SUPERVISION_PHASE_ERROR
-    if error in wanted and wanted[error] > module.integer(*error, "H"):  # it widens what the others narrow
+    if error in limits and limits[error] > module.integer(*error, "H"):  # it widens what the others narrow
         places.sort(key=lambda place: place != error)
     for place in places:
         layout = KINDS[place].layout
-        module.write(*place, layout, wanted[place] if layout == "f" else int(wanted[place]))
+        module.write(*place, layout, limits[place] if layout == "f" else int(limits[place]))
     for place in places:
         there = module.read(*place, KINDS[place].layout)
-        if there != wanted[place]:
+        if there != limits[place]:
             raise CommissioningError(
-                f"{module.name}: {od.place_text(place)} reads {there:g}, not {wanted[place]:g} as written"
+                f"{module.name}: {od.place_text(place)} reads {there:g}, not {limits[place]:g} as written"
             )
 
 
 def _about_the_corner(
-    module: NodeAccess, places: list[Multiplexer], wanted: Mapping[Multiplexer, float]
+    module: NodeAccess, places: list[Multiplexer], limits: Mapping[Multiplexer, float]
 ) -> list[Multiplexer]:
     """The corner between both limits of the amplitude, so that it is within them before and after."""
     low, high = AMPLITUDES
-    before, after = float(module.read(*CORNER.place, CORNER.layout)), wanted[CORNER.place]
+    before, after = float(module.read(*CORNER.place, CORNER.layout)), limits[CORNER.place]
     rises = after > 0.0 and (before == 0.0 or after < before)
     order = [high, CORNER.place, low] if rises else [low, CORNER.place, high]
-    first = [place for place in order if place in wanted]
+    first = [place for place in order if place in limits]
     return [*first, *(place for place in places if place not in first)]
 
 

@@ -11,7 +11,7 @@ from canfb.calibrate.choices import LEAST_SAMPLES, CalibrateOptions
 from canfb.calibrate.measurement import Measurement
 from canfb.errors import CanfbError
 from canfb.master.access import CommissioningError, Master, NodeAccess
-from canfb.master.active import save
+from canfb.master.active_table import save
 from canfb.master.all_or_nothing import Guard
 from canfb.scope.desk import MeasuredCurves, TaskResult
 from canfb.tables.table_file import table_of_bytes

@@ -10,8 +10,8 @@ import numpy as np
 from canfb import objects as od
 from canfb.calibration.figures import peak, root_mean
 from canfb.master.access import NodeAccess, ObjectAbsentError
-from canfb.master.active import read_active, read_conditioning
-from canfb.master.circumstances import Circumstances
+from canfb.master.active_table import read_active, read_conditioning
+from canfb.master.provenance import Provenance
 from canfb.rows import Result, Row, as_figures, as_lines
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
@@ -118,7 +118,7 @@ class TableState:
 
     def cycles_in_words(self, cycles: float) -> str:
         """A part of a cycle, in degrees as well, and as an angle of the shaft where that is known."""
-        arc = Circumstances("", cycles_per_revolution=self.cycles_per_revolution).arc_seconds(cycles)
+        arc = Provenance("", cycles_per_revolution=self.cycles_per_revolution).arc_seconds(cycles)
         shaft = "" if arc is None else f"; {arc:.2g}″ of the shaft"
         return f"{cycles:.3g} cycle ({DEGREES * cycles:.3g}° of the cycle{shaft})"
 

@@ -11,18 +11,17 @@ from typing import Any
 from canfb import objects as od
 from canfb.errors import CanfbError
 from canfb.master.access import CommissioningError, NodeAccess
-from canfb.master.active import (
+from canfb.master.active_table import (
     activate,
+    check_can_save,
     put_in_force,
     put_in_force_again,
     read_active,
     read_conditioning,
-    save,
-    saving_object,
     stage,
     write_conditioning,
 )
-from canfb.master.all_or_nothing import Guard, all_or_nothing, put_back, write_whole
+from canfb.master.all_or_nothing import Guard, change, write_whole
 from canfb.master.supervision_limits import as_real32
 from canfb.rows import Result, as_figures
 from canfb.signal.conditioning import IDENTITY
@@ -31,7 +30,6 @@ from canfb.tables.table_file import TableFile, as_yaml, is_yaml
 from canfb.tables.table_state import TableState, difference
 
 AS_IT_WAS = "the previous table and conditioning"
-AS_BEFORE = "the table and the conditioning from before are in force in"
 
 
 @dataclass(frozen=True)
@@ -62,21 +60,21 @@ class TableTasks:
             raise CommissioningError(
                 f"{file.path}: it has no table; canfb table clear goes back to the identity"
             )
-        wanted = file.for_module(before.conditioning)
+        new = file.for_module(before.conditioning)
         if active:
-            done = self._in_force(before, wanted, keep, lambda: put_in_force(self._module, wanted))
+            done = self._in_force(before, new, keep, lambda: put_in_force(self._module, new))
         else:
-            self._staged(wanted, table)
+            self._staged(new, table)
             done = {"staged": True, "active": False, "saved_as": None}
         source = f"{file.path}: {table.crc32:08X}h, {len(table)} entries"
         if not file.with_conditioning:
             source += "; it knows no conditioning, that of the module stays"
-        state = self._state_after(wanted, done)
-        lines = [source, self._moves(state, before, wanted), *self._other_settings(file)]
+        state = self._state_after(new, done)
+        lines = [source, self._moves(state, before, new), *self._other_settings(file)]
         if not active:
             how = self._advice.to_activate.format(node=f"{self._module.node_id:#04x}")
             lines.append(f"staged in {self._module.name}, not in force yet: {how}")
-        return _result(state, [*lines, *self._outcome(wanted, done)], done)
+        return _result(state, [*lines, *self._outcome(new, done)], done)
 
     def activate(self, *, keep: bool) -> Result:
         """Put the staged table in force, with the conditioning that 2002h and 2005h hold."""
@@ -91,11 +89,11 @@ class TableTasks:
     def clear(self, *, conditioning: bool, keep: bool) -> Result:
         """Back to the identity; the conditioning stays unless ``conditioning``."""
         before = read_active(self._module)
-        wanted = Correction(None, IDENTITY if conditioning else before.conditioning)
-        done = self._in_force(before, wanted, keep, lambda: put_in_force(self._module, wanted))
-        state = self._state_after(wanted, done)
-        lines = [self._moves(state, before, wanted), *self._outcome(wanted, done)]
-        if not wanted.conditioning.is_identity:
+        new = Correction(None, IDENTITY if conditioning else before.conditioning)
+        done = self._in_force(before, new, keep, lambda: put_in_force(self._module, new))
+        state = self._state_after(new, done)
+        lines = [self._moves(state, before, new), *self._outcome(new, done)]
+        if not new.conditioning.is_identity:
             lines.append("the conditioning (2002h) stays in force; --conditioning clears it as well")
         return _result(state, lines, done)
 
@@ -136,49 +134,46 @@ class TableTasks:
             if (there := self._module.read_known(place)) is not None and there != as_real32(value)
         ]
 
-    def _staged(self, wanted: Correction, table: CorrectionTable) -> None:
+    def _staged(self, new: Correction, table: CorrectionTable) -> None:
         waiting = read_conditioning(self._module)
 
-        def undo() -> str:
-            put_back(self._module, AS_IT_WAS, lambda: write_conditioning(self._module, waiting))
-            return f"{AS_BEFORE} {self._module.name}"
-
-        with all_or_nothing(self._module, self._guard, undo):
-            write_conditioning(self._module, wanted.conditioning)
+        def act() -> None:
+            write_conditioning(self._module, new.conditioning)
             stage(self._module, table)
 
+        def back() -> None:
+            write_conditioning(self._module, waiting)
+
+        change(self._module, self._guard, act, back, what=AS_IT_WAS, undone=self._as_before)
+
+    def _as_before(self) -> str:
+        return f"the table and the conditioning from before are in force in {self._module.name}"
+
     def _in_force(
-        self, before: Correction, wanted: Correction | None, keep: bool, put: Callable[[], None]
+        self, before: Correction, new: Correction | None, keep: bool, put: Callable[[], None]
     ) -> dict[str, Any]:
         """Put it in force, prove it, save it if ``keep``; what was done.
 
         What fails leaves ``before`` in force, and a table that is still staged with its own conditioning.
         """
-        if keep and saving_object(self._module) is None:
-            raise CommissioningError(
-                f"--save: {self._module.name} cannot save (1010h; canfb run needs a state_dir for it)"
-            )
+        if keep:
+            check_can_save(self._module)
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
         waiting = read_conditioning(self._module)
-        saving = False
+
+        def act() -> None:
+            put()
+            if new is not None and read_active(self._module).crc32 != new.crc32:
+                raise CommissioningError(f"{self._module.name}: another table is active than was written")
 
         def back() -> None:
             put_in_force_again(self._module, before)
             if self._module.integer(*od.TABLE_STAGED_CRC, "I") == staged:
                 write_conditioning(self._module, waiting)
-            if saving:
-                save(self._module)
 
-        def undo() -> str:
-            put_back(self._module, AS_IT_WAS, back, saving=saving)
-            return f"{AS_BEFORE} {self._module.name}"
-
-        with all_or_nothing(self._module, self._guard, undo):
-            put()
-            if wanted is not None and read_active(self._module).crc32 != wanted.crc32:
-                raise CommissioningError(f"{self._module.name}: another table is active than was written")
-            saving = keep
-            saved_as = save(self._module) if keep else None
+        saved_as = change(
+            self._module, self._guard, act, back, what=AS_IT_WAS, undone=self._as_before, keep=keep
+        )
         return {"staged": False, "active": True, "saved_as": saved_as}
 
     def _state_after(self, used: Correction | None, done: dict[str, Any]) -> TableState:

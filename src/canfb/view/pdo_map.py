@@ -1,10 +1,18 @@
-"""The PDOs of a node, by its communication and mapping parameters (CiA 301, 7.5.2.36 to 7.5.2.40)."""
+"""The PDOs of a node, and the layout of a sample in them.
+
+By the communication and mapping parameters (CiA 301, 7.5.2.36 to 7.5.2.40). A PDO is as long as what it maps,
+one object behind the other from bit 0 on. A sample is spread over one PDO or several: both tracks in one, and
+beside them or elsewhere the sample time, earlier pairs of the same interval, the coarse track.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
+from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.objects import Multiplexer
 
@@ -56,3 +64,141 @@ def valid_pdos(read: Read, parameters: int, mapping: int) -> Iterator[Pdo]:
             places = (Multiplexer(mapping + number, sub + 1) for sub in range(int(count)))
             entries = tuple(int(read(place) or 0) for place in places)
             yield Pdo(number + 1, int(cob_id) & cob.CAN_ID, entries)
+
+
+INTERFACE_TRACKS = (od.INTERFACE_SINE.mapped(16), od.INTERFACE_COSINE.mapped(16))
+PREDEFINED = (cob.TPDO1, cob.TPDO2, cob.TPDO3, cob.TPDO4)
+MODULE_TRACKS = (od.SAMPLE_SINE.mapped(16), od.SAMPLE_COSINE.mapped(16))
+MODULE_COARSE_TRACKS = (od.SAMPLE_COARSE_SINE.mapped(16), od.SAMPLE_COARSE_COSINE.mapped(16))
+INTERFACE_EARLIER = tuple((sine.mapped(16), cosine.mapped(16)) for sine, cosine in od.INTERFACE_EARLIER)
+MODULE_EARLIER = tuple((sine.mapped(16), cosine.mapped(16)) for sine, cosine in od.SAMPLE_EARLIER)
+SAMPLE_TIMES = (od.INTERFACE_SAMPLE_TIME.mapped(32), od.SAMPLE_TIME.mapped(32))
+
+
+@dataclass(frozen=True)
+class PdoLayout:
+    """COB-ID of the PDO with the samples, the bytes of both tracks in it, and the COB-ID of the SYNC.
+
+    ``time_byte`` is where the sample time begins, None if it is not in that PDO; ``timed_by`` is another PDO
+    that brings it. ``earlier`` are the PDOs, this one or others, and the bytes of earlier pairs in the same
+    interval of SYNC, the newest first. ``coarse`` is the PDO with the coarse track, if it is listened to.
+    """
+
+    can_id: int
+    sine_byte: int = 0
+    cosine_byte: int = 2
+    sync_id: int = cob.SYNC
+    time_byte: int | None = None
+    coarse: PdoLayout | None = None
+    earlier: tuple[PdoLayout, ...] = ()
+    timed_by: PdoLayout | None = None
+
+    @property
+    def others(self) -> list[int]:
+        """COB-IDs of the other PDOs that bring a part of the sample."""
+        parts = (*self.earlier, *(() if self.timed_by is None else (self.timed_by,)))
+        return sorted({part.can_id for part in parts} - {self.can_id})
+
+    @property
+    def is_timed(self) -> bool:
+        """Sample times come."""
+        return self.time_byte is not None or self.timed_by is not None
+
+    @property
+    def sender(self) -> int | None:
+        """The node that sends it by the predefined connection set, None for another COB-ID."""
+        return (self.can_id & 0x7F or None) if self.can_id & 0x780 in PREDEFINED else None
+
+    def unpack(self, data: bytes) -> tuple[int, int] | None:
+        """Sine and cosine, counts; None for a PDO that is too short."""
+        if len(data) < max(self.sine_byte, self.cosine_byte) + 2:
+            return None
+        return (
+            int.from_bytes(data[self.sine_byte : self.sine_byte + 2], "little", signed=True),
+            int.from_bytes(data[self.cosine_byte : self.cosine_byte + 2], "little", signed=True),
+        )
+
+    def sample_time(self, data: bytes) -> int | None:
+        """Sample time, 100 ns, modulo 2^32; None for a PDO that has none."""
+        begin = self.time_byte
+        if begin is None or len(data) < begin + 4:
+            return None
+        return int.from_bytes(data[begin : begin + 4], "little")
+
+
+def module_layout(read: Read) -> PdoLayout | None:
+    """The RPDO from which a module takes its samples, None if it has none."""
+    return _layout(read, od.RPDO, od.RPDO_MAPPING, MODULE_TRACKS, MODULE_EARLIER)
+
+
+def coarse_layout(read: Read) -> PdoLayout | None:
+    """The RPDO from which a module takes the coarse track, None if it has none."""
+    return _layout(read, od.RPDO, od.RPDO_MAPPING, MODULE_COARSE_TRACKS, ())
+
+
+def interface_layout(read: Read) -> PdoLayout | None:
+    """The TPDO in which an encoder interface sends both tracks, None if it has none."""
+    return _layout(read, od.TPDO, od.TPDO_MAPPING, INTERFACE_TRACKS, INTERFACE_EARLIER)
+
+
+def mapped_objects(read: Read) -> set[int]:
+    """All mapping entries of the valid RPDOs of a module: index, sub-index and bits, as in 1600h."""
+    return {entry for pdo in valid_pdos(read, od.RPDO, od.RPDO_MAPPING) for entry in pdo.entries}
+
+
+def _layout(
+    read: Read,
+    parameters: int,
+    mapping: int,
+    entries_of_pair: tuple[int, int],
+    earlier: Sequence[tuple[int, int]],
+) -> PdoLayout | None:
+    pdos = list(_up_to(valid_pdos(read, parameters, mapping), entries_of_pair if not earlier else None))
+    found = _carrier(pdos, entries_of_pair)
+    if found is None:
+        return None
+    can_id, places, time_byte = found
+    others = itertools.takewhile(lambda one: one is not None, (_carrier(pdos, pair) for pair in earlier))
+    pairs = tuple(PdoLayout(other[0], *other[1]) for other in others if other is not None)
+    times = [(pdo.can_id, byte) for pdo in pdos if (byte := _time_place(pdo)) is not None]
+    timed_by = None
+    if earlier and time_byte is None and times:
+        timed_by = PdoLayout(times[0][0], time_byte=times[0][1])
+    sync = read(od.SYNC_COB_ID)
+    sync_id = cob.SYNC if sync is None else int(sync) & cob.CAN_ID
+    return PdoLayout(can_id, *places, sync_id, time_byte, None, pairs, timed_by)
+
+
+def _up_to(pdos: Iterator[Pdo], last: tuple[int, int] | None) -> Iterator[Pdo]:
+    """The PDOs up to the one with the objects ``last``: the others need not be read."""
+    for pdo in pdos:
+        yield pdo
+        if last is not None and _places(pdo, last) is not None:
+            return
+
+
+def _carrier(
+    pdos: Sequence[Pdo], entries_of_pair: tuple[int, int]
+) -> tuple[int, tuple[int, int], int | None] | None:
+    """COB-ID, bytes of both objects and of the sample time in the first PDO that has both objects."""
+    for pdo in pdos:
+        places = _places(pdo, entries_of_pair)
+        if places is not None:
+            return pdo.can_id, places, _time_place(pdo)
+    return None
+
+
+def _places(pdo: Pdo, entries_of_pair: tuple[int, int]) -> tuple[int, int] | None:
+    """Bytes of both objects in this PDO."""
+    at = pdo.bytes_of()
+    return (
+        (at[entries_of_pair[0]], at[entries_of_pair[1]])
+        if all(one in at for one in entries_of_pair)
+        else None
+    )
+
+
+def _time_place(pdo: Pdo) -> int | None:
+    """Byte of the sample time in this PDO."""
+    at = pdo.bytes_of()
+    return next((at[one] for one in SAMPLE_TIMES if one in at), None)

@@ -68,15 +68,15 @@ def read_conditioning(module: NodeAccess) -> Conditioning:
         raise CommissioningError(f"{module.name}: conditioning (2002h) cannot be used: {error}") from None
 
 
-def put_in_force(module: NodeAccess, wanted: Correction) -> None:
+def put_in_force(module: NodeAccess, correction: Correction) -> None:
     """Write conditioning and table, check the staged bytes, activate both together, check again.
 
     CommissioningError where anything is not as it must be; the module may then be in between.
     """
-    write_conditioning(module, wanted.conditioning)
-    if wanted.table is not None and module.integer(*od.TABLE_ACTIVE_CRC, "I") != wanted.crc32:
-        stage(module, wanted.table)
-    activate(module, wanted.crc32)
+    write_conditioning(module, correction.conditioning)
+    if correction.table is not None and module.integer(*od.TABLE_ACTIVE_CRC, "I") != correction.crc32:
+        stage(module, correction.table)
+    activate(module, correction.crc32)
 
 
 def stage(module: NodeAccess, table: CorrectionTable) -> None:
@@ -96,14 +96,6 @@ def put_in_force_again(module: NodeAccess, before: Correction) -> None:
     put_in_force(module, before)
     if read_active(module) != before:
         raise CommissioningError(f"{module.name}: the previous table and conditioning are not active")
-
-
-def is_active(module: NodeAccess, wanted: Correction) -> bool:
-    """True if exactly this is active."""
-    return (
-        module.integer(*od.TABLE_ACTIVE_CRC, "I") == wanted.crc32
-        and active_conditioning(module) == wanted.conditioning
-    )
 
 
 def check_unlocked(module: NodeAccess) -> None:
@@ -127,6 +119,14 @@ def save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> str |
     return f"1010:{store.subindex:02X}"
 
 
+def check_can_save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> None:
+    """CommissioningError if the module cannot save, before anything is written."""
+    if saving_object(module, stores) is None:
+        raise CommissioningError(
+            f"--save: {module.name} cannot save (1010h; canfb run needs a state_dir for it)"
+        )
+
+
 def saving_object(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> od.Multiplexer | None:
     """The first of these objects that saves on command, None where nothing can be kept."""
     for store in stores:
@@ -139,9 +139,9 @@ def saving_object(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES)
     return None
 
 
-def write_conditioning(module: NodeAccess, wanted: Conditioning) -> None:
+def write_conditioning(module: NodeAccess, conditioning: Conditioning) -> None:
     """Write 2002h, which waits for the next activation. CommissioningError if it reads otherwise then."""
-    values = zip(od.CONDITIONING, wanted.values, read_conditioning(module).values, strict=True)
+    values = zip(od.CONDITIONING, conditioning.values, read_conditioning(module).values, strict=True)
     changed = [(place, value) for place, value, before in values if value != before]
     for place, value in changed:
         module.write(*place, "f", value)
@@ -151,9 +151,9 @@ def write_conditioning(module: NodeAccess, wanted: Conditioning) -> None:
         )
 
 
-def _check_crc(module: NodeAccess, place: od.Multiplexer, which: str, wanted: int) -> None:
+def _check_crc(module: NodeAccess, place: od.Multiplexer, which: str, expected: int) -> None:
     found = module.integer(*place, "I")
-    if found != wanted:
+    if found != expected:
         raise CommissioningError(
-            f"{module.name}: the CRC of the {which} table is {found:08X}h, not {wanted:08X}h"
+            f"{module.name}: the CRC of the {which} table is {found:08X}h, not {expected:08X}h"
         )

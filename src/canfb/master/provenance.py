@@ -13,7 +13,7 @@ PERCENT = 100.0
 
 
 @dataclass(frozen=True)
-class Circumstances:
+class Provenance:
     """Where and when it was measured.
 
     date                   ISO 8601
@@ -46,7 +46,7 @@ class Circumstances:
         return cycles * ARC_SECONDS / self.cycles_per_revolution if self.cycles_per_revolution else None
 
 
-def origins(where: Circumstances) -> list[Row]:
+def origins(where: Provenance) -> list[Row]:
     """With what it was measured: nodes by their identity, program, command."""
     module, interface = where.module, where.encoder_interface
     rows = [
@@ -66,8 +66,8 @@ def _node(node_id: int, identity: tuple[int, ...] | None) -> str:
     return f"{words}; {', '.join(f'{name} {number}' for name, number in named)} (1018h)"
 
 
-def where_words(where: Circumstances) -> dict[str, Any]:
-    """Circumstances as keys and values."""
+def where_words(where: Provenance) -> dict[str, Any]:
+    """Provenance as keys and values."""
     return {
         "date": where.date,
         "time": where.time or None,
@@ -86,7 +86,7 @@ def _listed(identity: tuple[int, ...] | None) -> list[int] | None:
     return None if identity is None else list(identity)
 
 
-def percent(cycles: float, where: Circumstances) -> str:
+def percent(cycles: float, where: Provenance) -> str:
     """A part of the cycle in percent, and as an angle of the shaft where that is known."""
     arc = where.arc_seconds(cycles)
     words = f"{PERCENT * cycles:.3g} %"
