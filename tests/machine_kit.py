@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from canfb import objects as od
 from canfb.commission.limit_choice import Choice, choose
-from canfb.commission.machine_seen import Observation, observe
+from canfb.commission.observation import Observation, observe
 from canfb.master.machine_watch import SpeedReading
 from canfb.master.samples import TrackSamples
 from canfb.master.supervision_limits import SupervisionLimits
@@ -116,10 +116,10 @@ class SimulatedMachine:
     def commissioned(
         self, count: int, margin: float = 2.0, known: float = 0.0
     ) -> tuple[Observation, SupervisionLimits, dict[od.Multiplexer, Choice]]:
-        seen = self.observed(count)
-        choices = choose(seen.seen, self.limits, margin, known)
+        observed = self.observed(count)
+        choices = choose(observed.machine, self.limits, margin, known)
         new = self.limits.changed({one.place: one.value for one in choices})
-        return seen, new, {one.place: one for one in choices}
+        return observed, new, {one.place: one for one in choices}
 
 
 def wrapped(phase: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -59,7 +59,7 @@ def test_delay_and_corners_are_found(
 ) -> None:
     path = fit_path(fundamentals(speeds_hz, delay_s, corner_hz, corner_hz * apart, seed))
     low_pass = path.low_pass
-    assert low_pass.is_seen
+    assert low_pass.is_detected
     assert low_pass.is_one_pole
     # A difference of the corners that is taken for none shows as delay.
     same = 0.0 if path.corners.cosine_corner_hz else abs(1.0 - 1.0 / apart) / (2.0 * math.pi * corner_hz)
@@ -87,7 +87,7 @@ def test_an_ideal_path_has_neither_delay_nor_corner() -> None:
     path = fit_path(fundamentals(SPEEDS_HZ, 0.0, 0.0, 0.0, 1))
     assert path.cosine_delay_s == 0.0
     assert not path.corners.are_there
-    assert not path.low_pass.is_seen
+    assert not path.low_pass.is_detected
     assert path.low_pass.delay_s == 0.0
     assert 5e5 < path.low_pass.least_corner_hz < 5e6
     assert 1e-8 < path.low_pass.delay_sigma_s < 3e-7, "a low-pass beyond it would not be seen"
@@ -127,7 +127,7 @@ def test_more_poles_are_seen_by_three_speeds(poles: int) -> None:
     f = np.array(SPEEDS_HZ)
     amplitude = 1500.0 / np.hypot(1.0, f / 150e3) ** poles
     found = fit_low_pass(f, amplitude, np.full(4, AMPLITUDE_REPEATS))
-    assert found.is_seen
+    assert found.is_detected
     assert found.checked
     assert not found.is_one_pole
     assert found.may_have_two_poles == (poles == 2)
@@ -150,14 +150,14 @@ def test_two_speeds_do_not_tell_one_pole_from_two() -> None:
 def test_an_amplitude_that_rises_is_no_low_pass() -> None:
     f = np.array(SPEEDS_HZ)
     found = fit_low_pass(f, 1500.0 * np.hypot(1.0, f / 250e3), np.full(4, AMPLITUDE_REPEATS))
-    assert not found.is_seen
+    assert not found.is_detected
     assert not found.is_one_pole
 
 
 def test_both_directions_at_one_speed_tell_the_delay_alone() -> None:
     path = fit_path(fundamentals((-41_711.0, 41_711.0), 1e-7, 125e3, 125e3))
     assert path.cosine_delay_s == pytest.approx(1e-7, abs=3.0 * path.cosine_delay_sigma_s)
-    assert not path.low_pass.is_seen
+    assert not path.low_pass.is_detected
     assert not path.low_pass.checked
     assert path.low_pass.delay_sigma_s == math.inf
 

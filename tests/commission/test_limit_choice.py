@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from canfb import objects as od
 from canfb.calibrate.supervised_samples import supervise
-from canfb.commission.machine_seen import observe
-from canfb.commission.signal_seen import repeats_of_frozen_input
+from canfb.commission.machine_figures import repeats_of_frozen_input
+from canfb.commission.observation import observe
 from canfb.master.access import CommissioningError
 from canfb.master.machine_watch import SpeedReading
 from canfb.master.samples import TrackSamples
@@ -78,13 +78,13 @@ def flagged(
 @pytest.mark.parametrize("name", MACHINES)
 def test_the_limits_are_near_the_truth_and_hold_on_ten_times_more_data(name: str) -> None:
     machine = fresh(name)
-    seen, new, choices = machine.commissioned(COUNT)
+    observed, new, choices = machine.commissioned(COUNT)
     truth = machine.motion.revolutions_at(np.arange(COUNT) / RATE_HZ) * N
     true = float(np.abs(np.diff(truth, 2)).max())
     noise = (
         math.sqrt(machine.encoder.noise_lsb**2 + 1.0 / 12.0) / machine.encoder.amplitude_counts / 2 / math.pi
     )
-    motion = seen.seen.motion
+    motion = observed.machine.motion
     low = 0.75 if name in ("vibrating", "jitter") else 0.95
     high = 2.5 if name == "jitter" else 1.05
     assert low * true <= motion.acceleration <= high * true
@@ -151,8 +151,8 @@ def test_amplitude_limits_and_frozen_input() -> None:
 def test_a_vibration_is_no_noise_of_the_converter() -> None:
     """A converter without noise in a machine that vibrates."""
     still = SimulatedMachine(duty(300, 0.5, ripples=(Ripple(0.8, 130.0),)), Encoder())
-    seen, _, choices = still.commissioned(COUNT)
-    assert seen.seen.tracks.noise_counts < 0.15
+    observed, _, choices = still.commissioned(COUNT)
+    assert observed.machine.tracks.noise_counts < 0.15
     assert choices[od.SUPERVISION_FROZEN].value == 0
 
 
@@ -227,9 +227,9 @@ def test_the_whole_cycles_per_sample_come_from_the_readings() -> None:
     """A machine that turns already, at 83 cycles per sample."""
     machine = SimulatedMachine(Motion((Ramp(1.0, 2000.0), Ramp(1.5, 2000.0), Ramp(1.0, 900.0)) * 9), GOOD)
     machine.start_s = 1.7
-    seen = machine.observed(3000)
-    assert seen.start_speed == pytest.approx(2000 / 60 * N / RATE_HZ, abs=0.01)
-    assert seen.seen.motion.fastest == pytest.approx(2000 / 60 * N / RATE_HZ, abs=0.1)
+    observed = machine.observed(3000)
+    assert observed.start_speed == pytest.approx(2000 / 60 * N / RATE_HZ, abs=0.01)
+    assert observed.machine.motion.fastest == pytest.approx(2000 / 60 * N / RATE_HZ, abs=0.1)
 
 
 def test_the_account_of_the_chain_is_that_of_the_stream() -> None:

@@ -12,6 +12,7 @@ from canfb import objects as od
 from canfb.calibrate.supervised_samples import supervise
 from canfb.commission.commission_summary import Commissioned, detection_rows, lines
 from canfb.commission.limit_choice import choose
+from canfb.commission.observation import observe
 from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.provenance import Provenance
 from canfb.master.supervision_limits import LIMIT_UNITS, SupervisionLimits
@@ -72,24 +73,24 @@ def test_a_machine_that_only_third_order_follows_gets_limits_of_its_jerk() -> No
         machine.observed(6000)
     machine.start_s = 0.05
     before = third_order(machine.limits)
-    seen = machine.observed(6000, before)
-    motion, interval_s = seen.seen.motion, 1.0 / RATE_HZ
+    observed = machine.observed(6000, before)
+    motion, interval_s = observed.machine.motion, 1.0 / RATE_HZ
     true = machine.motion.revolutions_at(0.05 + np.arange(6000) / RATE_HZ) * N
     jerk = float(np.abs(np.diff(true, 3)).max())
     assert motion.acceleration == pytest.approx(np.abs(np.diff(true, 2)).max(), rel=0.02)
     assert motion.jerk == pytest.approx(jerk, rel=0.05)
     assert jerk < motion.residual_peak < jerk + 12.0 * motion.residual_noise
-    choices = {one.place: one for one in choose(seen.seen, before, 2.0)}
+    choices = {one.place: one for one in choose(observed.machine, before, 2.0)}
     new = before.changed({place: one.value for place, one in choices.items()})
     limit = choices[od.SUPERVISION_RESIDUAL_LIMIT].value / LIMIT_UNITS
     assert 2.0 * jerk < limit < 2.0 * (jerk + 12.0 * motion.residual_noise)
     assert new.residual_limit(interval_s) == pytest.approx(limit, abs=1e-4)
     assert new.bounds(interval_s).jerk == pytest.approx(2.0 * motion.jerk, rel=0.02)
     assert new.bounds(interval_s).acceleration == pytest.approx(2.0 * motion.acceleration, rel=0.02)
-    again = supervise(seen.samples, seen.used, new.chain_limits(interval_s), seen.start_speed)
+    again = supervise(observed.samples, observed.used, new.chain_limits(interval_s), observed.start_speed)
     assert again.flagged == {}
     done = Commissioned(
-        seen, before, new, [*choices.values()], {}, 2.0, False, False, None, Provenance("2026-03-01")
+        observed, before, new, [*choices.values()], {}, 2.0, False, False, None, Provenance("2026-03-01")
     )
     assert done.deviation(new) == pytest.approx(limit + 2.0 * motion.jerk, rel=0.02)
     assert done.without_harm(before) == 0
@@ -104,9 +105,9 @@ def test_a_glitch_is_judged_by_the_prediction_that_the_module_has() -> None:
     """By eq. 9 the same limits would have promised two bad samples in a row."""
     machine = SimulatedMachine(duty(120, 0.5), Encoder(noise_lsb=0.5))
     before = third_order(machine.limits)
-    seen = machine.observed(6000, before)
-    new = before.changed({one.place: one.value for one in choose(seen.seen, before, 2.0)})
-    done = Commissioned(seen, before, new, [], {}, 2.0, False, False, None, Provenance("2026-03-01"))
+    observed = machine.observed(6000, before)
+    new = before.changed({one.place: one.value for one in choose(observed.machine, before, 2.0)})
+    done = Commissioned(observed, before, new, [], {}, 2.0, False, False, None, Provenance("2026-03-01"))
     assert done.without_harm(new) == 1
     assert [row.name for row in detection_rows(done)] == ["1", "2"]
     assert detection_rows(done)[1].words[1:] == ("not for sure", "not for sure")
@@ -120,3 +121,16 @@ def test_a_noise_margin_narrows_the_limit_that_is_judged() -> None:
     acceleration = wide.acceleration_cycles(interval_s)
     assert wide.residual_limit(interval_s) == pytest.approx(acceleration + 4.0 * 819 / 65536)
     assert narrow.residual_limit(interval_s) == pytest.approx(acceleration + 6 * 0.0005)
+
+
+@pytest.mark.parametrize("per_sync", [1, 3])
+def test_a_pause_is_counted_in_periods_of_sync(per_sync: int) -> None:
+    """2010:06 counts these: of several samples in each, one period without any is one period."""
+    machine = SimulatedMachine(duty(120, 0.5), Encoder(noise_lsb=0.5))
+    limits = replace(machine.limits, motion=replace(machine.limits.motion, samples_per_sync=per_sync))
+    readings, samples = machine.readings(6000), machine.samples(6000)
+    samples.sine[3000 : 3000 + per_sync] = samples.cosine[3000 : 3000 + per_sync] = np.nan
+    observed = observe(samples, machine.used, limits, readings)
+    assert observed.machine.longest_pause == pytest.approx(2.0)
+    choices = {one.place: one.value for one in choose(observed.machine, limits, 2.0)}
+    assert choices[od.SUPERVISION_PERIODS] == 3

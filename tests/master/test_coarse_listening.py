@@ -10,7 +10,7 @@ import pytest
 
 from canfb import objects as od
 from canfb.commission.limit_choice import choose
-from canfb.commission.machine_seen import observe
+from canfb.commission.observation import observe
 from canfb.master.listening import PdoRecorder
 from canfb.simulation.encoder import Encoder
 from canfb.view.pdo_map import PdoLayout, coarse_layout
@@ -28,8 +28,8 @@ def with_coarse(machine: SimulatedMachine, count: int, size: float = 1500.0) -> 
     revolutions = machine.motion.revolutions_at(start_s + np.arange(count) / RATE_HZ)
     angle = 2 * np.pi * (revolutions + 0.3 + ERROR_REVOLUTIONS * np.sin(4 * np.pi * revolutions))
     tracks = np.rint(size * np.sin(angle)), np.rint(size * np.cos(angle))
-    seen = observe(replace(samples, coarse=tracks), machine.used, machine.limits, readings)
-    choices = {one.place: one for one in choose(seen.seen, machine.limits, 2.0)}
+    observed = observe(replace(samples, coarse=tracks), machine.used, machine.limits, readings)
+    choices = {one.place: one for one in choose(observed.machine, machine.limits, 2.0)}
     one = choices[od.SUPERVISION_COARSE_LIMIT]
     return one.value / 65536, one.why
 

@@ -54,7 +54,7 @@ def speed_rows(over: OverSpeeds, where: Provenance) -> list[Row]:
 def path_rows(over: OverSpeeds, where: Provenance) -> list[Row]:
     """Delay between the tracks, low-pass, delay; how sure each is. Seconds, hertz."""
     path, low_pass, corners = over.path, over.low_pass, over.after.corners
-    seen, sigma_s = low_pass.is_seen, low_pass.delay_sigma_s
+    seen, sigma_s = low_pass.is_detected, low_pass.delay_sigma_s
     between = f"{path.cosine_delay_s * 1e9:.4g} ± {path.cosine_delay_sigma_s * 1e9:.2g} ns (2002:06)"
     if not path.cosine_delay_s:
         between = f"none; ± {path.cosine_delay_sigma_s * 1e9:.2g} ns"
@@ -91,7 +91,7 @@ def delay_words(low_pass: LowPass, where: Provenance) -> str:
     at = speed_words(low_pass.top_hz, where)
     if low_pass.rises:
         return "not known: the amplitude rises with the speed"
-    if not low_pass.is_seen:
+    if not low_pass.is_detected:
         if not math.isfinite(low_pass.delay_sigma_s):
             return "not known: all measured speeds are of one size"
         return (
@@ -141,7 +141,7 @@ def _low_pass_words(over: OverSpeeds, where: Provenance) -> str:
     low_pass, corners = over.low_pass, over.after.corners
     if low_pass.rises:
         return "none: the amplitude rises with the speed"
-    if not low_pass.is_seen:
+    if not low_pass.is_detected:
         return "none is seen"
     words = f"{corners.corner_hz / 1e3:.4g} ± {low_pass.corner_sigma_hz / 1e3:.1g} kHz"
     if corners.cosine_corner_hz:

@@ -208,7 +208,7 @@ def _delay(found: SpeedCalibration, delay: str | float | None, before: InForce) 
     if not isinstance(delay, str):
         return delay
     low_pass = found.path.low_pass
-    if not low_pass.is_seen:
+    if not low_pass.is_detected:
         raise CalibrationError(
             "the amplitude does not fall with the speed, so it tells no delay: --delay SECONDS with that of "
             "the data sheets, or without --delay",

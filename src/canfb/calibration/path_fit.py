@@ -104,7 +104,7 @@ class LowPass:
     other: TwoPoles | None = None
 
     @property
-    def is_seen(self) -> bool:
+    def is_detected(self) -> bool:
         """There is one."""
         return self.per_hz > 0.0
 
@@ -136,7 +136,7 @@ class LowPass:
     @property
     def delay_sigma_s(self) -> float:
         """Its uncertainty if it is one pole; where none is seen, the longest delay that would not be."""
-        if not self.is_seen:
+        if not self.is_detected:
             return 1.0 / (2.0 * math.pi * self.least_corner_hz) if self.least_corner_hz else math.inf
         return self.sigma_per_hz / (2.0 * math.pi)
 
@@ -198,7 +198,7 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
     sigma = np.hypot(noise, AMPLITUDE_REPEATS)
     both = fit_low_pass(f, size, sigma)
     per_hz = np.array([both.per_hz, both.per_hz])
-    for _ in range(ROUNDS if both.is_seen else 0):
+    for _ in range(ROUNDS if both.is_detected else 0):
         pair, apart_sigma = _corners(found, both.per_hz)
         if abs(pair[1] - pair[0]) < APART_SIGMAS * apart_sigma:
             per_hz[:] = both.per_hz

@@ -18,7 +18,7 @@ from canfb.commission.commission_summary import (
     outcome,
     sum_words,
 )
-from canfb.commission.motion_seen import smooth_acceleration
+from canfb.commission.machine_figures import smooth_acceleration
 from canfb.master.all_or_nothing import write_whole
 from canfb.master.provenance import origins
 from canfb.report import limit_pictures
@@ -67,7 +67,7 @@ def _pictures(done: Commissioned) -> list[str]:
         done.new.values[place] for place in (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
     )
     largest = done.new.acceleration_cycles(interval_s)
-    samples, noise = done.seen.samples, machine.motion.noise
+    samples, noise = done.observed.samples, machine.motion.noise
     to_rad = machine.rad(1.0, 2, done.new.cycles_per_revolution)
     listed = [
         (
@@ -93,7 +93,7 @@ def _pictures(done: Commissioned) -> list[str]:
             lissajous(
                 samples.sine,
                 samples.cosine,
-                done.seen.used.conditioning,
+                done.observed.used.conditioning,
                 done.new.chain_limits(interval_s).sample,
             ),
         ),

@@ -17,7 +17,7 @@ from canfb.calibrate.supervised_samples import supervise
 from canfb.commission.commission_page import write_page
 from canfb.commission.commission_summary import Commissioned, result
 from canfb.commission.limit_choice import choose
-from canfb.commission.machine_seen import LEAST_SAMPLES, Observation, observe
+from canfb.commission.observation import LEAST_SAMPLES, Observation, observe
 from canfb.errors import CanfbError, ConfigError
 from canfb.master.access import CommissioningError, Master, NodeAccess
 from canfb.master.active_table import check_can_save, check_unlocked
@@ -153,10 +153,10 @@ class CommissionRun:
         samples, readings = self._collect(session)
         usual, usual_s = counted(counters, read_counters(node)), master.now() - began_s
         steps.step(f"calculating from {len(samples)} samples")
-        seen = observe(samples, session.active, limits, readings)
-        choices = choose(seen.seen, limits, wishes.margin, wishes.acceleration)
+        observed = observe(samples, session.active, limits, readings)
+        choices = choose(observed.machine, limits, wishes.margin, wishes.acceleration)
         new = limits.changed({one.place: one.value for one in choices})
-        _prove(seen, new)
+        _prove(observed, new)
         changes = [one for one in choices if one.changes]
         saved_as = None
         if wishes.write and changes:
@@ -172,7 +172,7 @@ class CommissionRun:
         steps.clear()
         written = bool(wishes.write and changes)
         done = Commissioned(
-            seen,
+            observed,
             limits,
             new,
             choices,
@@ -184,7 +184,7 @@ class CommissionRun:
             self._where(session),
         )
         out = self._wishes.out
-        return result(done, [write_page(out, done), keep_samples(out, done.seen.samples)] if out else [])
+        return result(done, [write_page(out, done), keep_samples(out, done.observed.samples)] if out else [])
 
     def _collect(self, session: Session) -> tuple[TrackSamples, list[SpeedReading]]:
         """The samples, and what the module said of its speed meanwhile."""
@@ -222,10 +222,12 @@ class CommissionRun:
         )
 
 
-def _prove(seen: Observation, new: SupervisionLimits) -> None:
+def _prove(observed: Observation, new: SupervisionLimits) -> None:
     """The new limits must not flag what the old ones let pass. CommissioningError if they do."""
-    again = supervise(seen.samples, seen.used, new.chain_limits(seen.seen.interval_s), seen.start_speed)
-    before = seen.followed.flagged
+    again = supervise(
+        observed.samples, observed.used, new.chain_limits(observed.machine.interval_s), observed.start_speed
+    )
+    before = observed.followed.flagged
     more = {name: count for name, count in again.flagged.items() if count > before.get(name, 0)}
     if more:
         raise CommissioningError(

@@ -10,8 +10,9 @@ from typing import Any
 
 from canfb import objects as od
 from canfb.calibrate.calibration_summary import delay_words
-from canfb.commission.limit_choice import Choice, MachineSeen
-from canfb.commission.machine_seen import Observation
+from canfb.commission.limit_choice import Choice
+from canfb.commission.machine_figures import MachineFigures
+from canfb.commission.observation import Observation
 from canfb.master.machine_watch import in_words
 from canfb.master.provenance import Provenance, where_words
 from canfb.master.supervision_limits import (
@@ -36,7 +37,7 @@ LEAST_WIDTHS = (11, 13, 12)  # of the columns of detection
 class Commissioned:
     """What came out.
 
-    seen              the machine
+    observed          the machine
     before, new       the limits in the module before, and those that were chosen
     choices           each limit, with its reason
     usual             what the module flagged during the measurement
@@ -45,7 +46,7 @@ class Commissioned:
     saved_as          object that saved them, None: not saved
     """
 
-    seen: Observation
+    observed: Observation
     before: SupervisionLimits
     new: SupervisionLimits
     choices: list[Choice]
@@ -57,9 +58,9 @@ class Commissioned:
     where: Provenance
 
     @property
-    def machine(self) -> MachineSeen:
+    def machine(self) -> MachineFigures:
         """What was seen of it."""
-        return self.seen.seen
+        return self.observed.machine
 
     @property
     def largest_acceleration(self) -> float:
@@ -98,12 +99,12 @@ class Commissioned:
 def machine_facts(done: Commissioned) -> list[Row]:
     """What was measured of the machine; units in the keys, intervals are those of the samples."""
     machine, n = done.machine, done.new.cycles_per_revolution
-    motion, tracks, samples = machine.motion, machine.tracks, done.seen.samples
+    motion, tracks, samples = machine.motion, machine.tracks, done.observed.samples
     slowest, fastest = (
         machine.rad(speed, 1, n) * 60.0 / (2.0 * math.pi) for speed in (motion.slowest, motion.fastest)
     )
     acceleration, jerk = machine.rad(motion.acceleration, 2, n), machine.rad(motion.jerk, 3, n)
-    low_pass = machine.low_pass if machine.low_pass is not None and machine.low_pass.is_seen else None
+    low_pass = machine.low_pass if machine.low_pass is not None and machine.low_pass.is_detected else None
     return [
         Row(
             "samples",
@@ -177,7 +178,7 @@ def _low_pass_words(done: Commissioned) -> str:
     if low_pass is None:
         return "not known: too few speeds were seen"
     words = delay_words(low_pass, done.where)
-    if not low_pass.is_seen:
+    if not low_pass.is_detected:
         return f"delay {words}"
     return f"{low_pass.corner_hz / 1e3:.4g} kHz; delay {words}. 2002:07 stays as it is"
 
@@ -200,8 +201,10 @@ def notes(done: Commissioned) -> list[str]:
         said.append(
             "the machine moved less than one revolution: the amplitude elsewhere on the scale is not known"
         )
-    if done.seen.samples.missed:
-        said.append(f"{done.seen.samples.missed} samples did not come: each is flagged, whatever the limits")
+    if done.observed.samples.missed:
+        said.append(
+            f"{done.observed.samples.missed} samples did not come: each is flagged, whatever the limits"
+        )
     return said
 
 

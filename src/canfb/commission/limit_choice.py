@@ -1,4 +1,4 @@
-"""Each limit of the supervision from what was seen of the machine, with a sentence of why."""
+"""Each limit of the supervision from the figures of the machine, with a sentence of why."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ from dataclasses import dataclass
 
 from canfb import objects as od
 from canfb.calibration.path_fit import LowPass
-from canfb.commission.motion_seen import MotionSeen
-from canfb.commission.signal_seen import TracksSeen, repeats_of_frozen_input
+from canfb.commission.machine_figures import (
+    MachineFigures,
+    MotionFigures,
+    TrackFigures,
+    repeats_of_frozen_input,
+)
 from canfb.master.provenance import PERCENT
 from canfb.master.supervision_limits import CORNER, KINDS, SupervisionLimits, as_real32
 from canfb.objects import Multiplexer
@@ -27,40 +31,12 @@ LEAST_AMPLITUDE_SPREAD = 0.2  # temperature, supply and age of an encoder
 MOST_AMPLITUDE_SPREAD = 0.7
 NOISE_SIGMAS = 6.0  # beyond that a sample in 10^9
 LEAST_RESIDUAL_LIMIT = 0.02  # four times a phase error of 0.005: a table of which temperature has taken half
-SPEED_CHANGE_SEEN = 0.5  # of the top speed: less, and a start or a stop was not seen
+LEAST_SPEED_CHANGE = 0.5  # of the top speed: less, and a start or a stop was not seen
 STEADY_LIMIT = 1.0 / 6.0  # beyond it, a single missed sample may lose the position
 LEAST_TURNED_CYCLES = 8.0  # with fewer, the same few places of the cycle can come again and again
 LEAST_COARSE_LIMIT = 1.0 / 256.0
 MOST_COARSE_LIMIT = 0.25
 USUAL_PERIODS, MOST_PERIODS = 2, 10
-
-
-@dataclass(frozen=True, eq=False)
-class MachineSeen:
-    """What was seen of a machine.
-
-    motion, tracks       see there
-    interval_s           sampling interval, seconds
-    coarse_spread        from the lowest to the highest difference of the coarse track, revolutions; None: not
-                         known
-    coarse_note          why the coarse track says nothing, else ""
-    longest_pause        the longest time without SYNC or sample, periods; None: not known
-    low_pass             by the amplitude over the speed; None: there were too few speeds
-    jitter_s             rms of the time from SYNC to SYNC as received, or by sample times; None: not known
-    """
-
-    motion: MotionSeen
-    tracks: TracksSeen
-    interval_s: float
-    coarse_spread: float | None = None
-    coarse_note: str = ""
-    longest_pause: float | None = None
-    jitter_s: float | None = None
-    low_pass: LowPass | None = None
-
-    def rad(self, cycles: float, power: int, cycles_per_revolution: int) -> float:
-        """Cycles per interval to this power, as rad per second to this power."""
-        return cycles * 2.0 * math.pi / cycles_per_revolution / self.interval_s**power
 
 
 @dataclass(frozen=True)
@@ -84,44 +60,44 @@ class Choice:
 
 
 def choose(
-    seen: MachineSeen, limits: SupervisionLimits, margin: float, known_rad_s2: float = 0.0
+    machine: MachineFigures, limits: SupervisionLimits, margin: float, known_rad_s2: float = 0.0
 ) -> list[Choice]:
     """All limits in the order of :data:`LIMITS`; that of the jerk with third-order prediction only.
 
-    ``margin`` is the factor beyond what was seen, above 1. ``known_rad_s2`` is an acceleration that the
+    ``margin`` is the factor beyond what was measured, above 1. ``known_rad_s2`` is an acceleration that the
     machine is known to do, rad/s^2, 0.0 if there is none.
     """
-    corner = corner_choice(seen.low_pass, limits)
+    corner = corner_choice(machine.low_pass, limits)
     motion = _third_order if limits.prediction_order == THIRD else _motion
-    error = _phase_error(seen, limits, margin)
+    error = _phase_error(machine, limits, margin)
     return [
         *([] if corner is None else [corner]),
-        *_amplitude(seen.tracks, limits, margin),
-        *motion(seen, limits.changed({error.place: error.value}), margin, known_rad_s2),
+        *_amplitude(machine.tracks, limits, margin),
+        *motion(machine, limits.changed({error.place: error.value}), margin, known_rad_s2),
         error,
-        _frozen(seen, limits, margin),
-        _coarse(seen, limits, margin),
-        _periods(seen, limits),
+        _frozen(machine, limits, margin),
+        _coarse(machine, limits, margin),
+        _periods(machine, limits),
     ]
 
 
 def corner_choice(low_pass: LowPass | None, limits: SupervisionLimits) -> Choice | None:
     """2001:05 as the amplitude shows it; None where it shows none, and none is set."""
     before = limits.corners.corner_hz
-    if low_pass is None or (not low_pass.is_seen and not before):
+    if low_pass is None or (not low_pass.is_detected and not before):
         return None
-    seen = f"{PERCENT * low_pass.left:.0f} % of the amplitude at the highest speed"
-    if not low_pass.is_seen:
+    measured = f"{PERCENT * low_pass.left:.0f} % of the amplitude at the highest speed"
+    if not low_pass.is_detected:
         return Choice(CORNER.place, before, before, "the amplitude does not fall with the speed")
     if not low_pass.is_one_pole or not low_pass.checked:
-        why = f"{seen}, which does not fall as by one pole: canfb calibrate --speeds, or data sheets"
+        why = f"{measured}, which does not fall as by one pole: canfb calibrate --speeds, or data sheets"
         return Choice(CORNER.place, before, before, why)
-    seen += f": {low_pass.corner_hz / 1e3:.4g} ± {low_pass.corner_sigma_hz / 1e3:.1g} kHz"
+    measured += f": {low_pass.corner_hz / 1e3:.4g} ± {low_pass.corner_sigma_hz / 1e3:.1g} kHz"
     if limits.motion.corners.cosine_corner_hz or (
         before and abs(low_pass.corner_hz - before) <= max(SAME_CORNER * before, low_pass.corner_sigma_hz)
     ):
-        return Choice(CORNER.place, before, before, seen)
-    return Choice(CORNER.place, before, as_real32(float(f"{low_pass.corner_hz:.4g}")), seen)
+        return Choice(CORNER.place, before, before, measured)
+    return Choice(CORNER.place, before, as_real32(float(f"{low_pass.corner_hz:.4g}")), measured)
 
 
 def _choice(limits: SupervisionLimits, place: Multiplexer, value: float | None, why: str) -> Choice:
@@ -130,33 +106,33 @@ def _choice(limits: SupervisionLimits, place: Multiplexer, value: float | None, 
     return Choice(place, before, before if value is None else value, why)
 
 
-def _amplitude(tracks: TracksSeen, limits: SupervisionLimits, margin: float) -> list[Choice]:
+def _amplitude(tracks: TrackFigures, limits: SupervisionLimits, margin: float) -> list[Choice]:
     places = (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
-    seen = f"{tracks.least:.0f} to {tracks.most:.0f} counts seen, mean {tracks.mean:.0f}"
+    measured = f"{tracks.least:.0f} to {tracks.most:.0f} counts seen, mean {tracks.mean:.0f}"
     wide = margin * tracks.spread
     if wide > MOST_AMPLITUDE_SPREAD:
-        why = f"{seen}: it varies too much for a narrow limit; look at the encoder, or calibrate it"
+        why = f"{measured}: it varies too much for a narrow limit; look at the encoder, or calibrate it"
         return [_choice(limits, place, None, why) for place in places]
     if wide > LEAST_AMPLITUDE_SPREAD:
-        why = f"{seen}: {margin:g} times the largest deviation of {PERCENT * tracks.spread:.1f} %"
+        why = f"{measured}: {margin:g} times the largest deviation of {PERCENT * tracks.spread:.1f} %"
         part = wide
     else:
-        why = f"{seen}: ±{PERCENT * LEAST_AMPLITUDE_SPREAD:.0f} % for temperature, supply and age"
+        why = f"{measured}: ±{PERCENT * LEAST_AMPLITUDE_SPREAD:.0f} % for temperature, supply and age"
         part = LEAST_AMPLITUDE_SPREAD
     values = (math.floor((1.0 - part) * tracks.mean), min(65535, math.ceil((1.0 + part) * tracks.mean)))
     return [_choice(limits, place, value, why) for place, value in zip(places, values, strict=True)]
 
 
 def _motion(
-    seen: MachineSeen, limits: SupervisionLimits, margin: float, known_rad_s2: float
+    machine: MachineFigures, limits: SupervisionLimits, margin: float, known_rad_s2: float
 ) -> tuple[Choice, Choice]:
     """Residual limit and largest acceleration, which belong together."""
-    motion, interval_s, n = seen.motion, seen.interval_s, limits.cycles_per_revolution
+    motion, interval_s, n = machine.motion, machine.interval_s, limits.cycles_per_revolution
     places = (od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_ACCELERATION)
-    to_rad = seen.rad(1.0, 2, n)
+    to_rad = machine.rad(1.0, 2, n)
     known = known_rad_s2 / to_rad
     change = motion.fastest - motion.slowest
-    if known == 0.0 and (change < SPEED_CHANGE_SEEN * motion.top_speed or motion.acceleration == 0.0):
+    if known == 0.0 and (change < LEAST_SPEED_CHANGE * motion.top_speed or motion.acceleration == 0.0):
         why = (
             f"the speed changed by {PERCENT * change / motion.top_speed:.0f} % only, so the largest "
             "acceleration was not seen: let the machine start and stop meanwhile, or set --acceleration"
@@ -189,13 +165,13 @@ def _motion(
 
 
 def _third_order(
-    seen: MachineSeen, limits: SupervisionLimits, margin: float, known_rad_s2: float
+    machine: MachineFigures, limits: SupervisionLimits, margin: float, known_rad_s2: float
 ) -> tuple[Choice, Choice, Choice]:
     """Residual limit and largest jerk, which belong together (docs/legal-motion.md), and the acceleration."""
-    motion, n = seen.motion, limits.cycles_per_revolution
+    motion, n = machine.motion, limits.cycles_per_revolution
     places = (od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_ACCELERATION, od.SUPERVISION_JERK)
     change = motion.fastest - motion.slowest
-    if change < SPEED_CHANGE_SEEN * motion.top_speed or motion.jerk == 0.0 or motion.acceleration == 0.0:
+    if change < LEAST_SPEED_CHANGE * motion.top_speed or motion.jerk == 0.0 or motion.acceleration == 0.0:
         why = (
             f"the speed changed by {PERCENT * change / motion.top_speed:.0f} % only, so the largest jerk was "
             "not seen: let the machine start and stop meanwhile"
@@ -207,8 +183,8 @@ def _third_order(
     limit = min(math.ceil(needed * LIMIT_UNITS), int(RESIDUAL_LIMIT * LIMIT_UNITS))
     # A smaller jerk would narrow the limit.
     largest = max(margin * motion.jerk, limit / LIMIT_UNITS - 8.0 * limits.settings.phase_error_cycles)
-    to_acceleration, to_jerk = seen.rad(1.0, 2, n), seen.rad(1.0, 3, n)
-    most = max_jerk(n, 1.0 / seen.interval_s)
+    to_acceleration, to_jerk = machine.rad(1.0, 2, n), machine.rad(1.0, 3, n)
+    most = max_jerk(n, 1.0 / machine.interval_s)
     jerk = as_real32(min(_rounded_up(largest * to_jerk), most))
     words = f"{motion.jerk * to_jerk:.3g} rad/s³ seen, times {margin:g}"
     if jerk >= most * (1.0 - 1e-6):
@@ -227,9 +203,9 @@ def _third_order(
     )
 
 
-def _phase_error(seen: MachineSeen, limits: SupervisionLimits, margin: float) -> Choice:
+def _phase_error(machine: MachineFigures, limits: SupervisionLimits, margin: float) -> Choice:
     """What the phases are off by, as the machine shows it at its own speeds."""
-    place, motion = od.SUPERVISION_PHASE_ERROR, seen.motion
+    place, motion = od.SUPERVISION_PHASE_ERROR, machine.motion
     if motion.turned < LEAST_TURNED_CYCLES:
         why = f"the machine moved by {motion.turned:.2g} cycles only, so the phases did not show their errors"
         return _choice(limits, place, None, why)
@@ -246,7 +222,7 @@ def _phase_error(seen: MachineSeen, limits: SupervisionLimits, margin: float) ->
     return _choice(limits, place, math.ceil(largest * LIMIT_UNITS), why)
 
 
-def _residual_words(motion: MotionSeen, needed: float, margin: float, known: float) -> str:
+def _residual_words(motion: MotionFigures, needed: float, margin: float, known: float) -> str:
     words = (
         f"residual up to {motion.residual_peak:.2g} cycle seen, {motion.residual_noise:.2g} rms of it noise"
     )
@@ -259,10 +235,10 @@ def _residual_words(motion: MotionSeen, needed: float, margin: float, known: flo
     return f"{words}, times {margin:g}"
 
 
-def _frozen(seen: MachineSeen, limits: SupervisionLimits, margin: float) -> Choice:
-    tracks = seen.tracks
+def _frozen(machine: MachineFigures, limits: SupervisionLimits, margin: float) -> Choice:
+    tracks = machine.tracks
     repeats = repeats_of_frozen_input(
-        tracks.noise_counts, 1.0 / seen.interval_s, margin, tracks.longest_repeat
+        tracks.noise_counts, 1.0 / machine.interval_s, margin, tracks.longest_repeat
     )
     noise = f"noise of {tracks.noise_counts:.2f} counts, {tracks.longest_repeat} repeats in a row seen"
     if not repeats:
@@ -272,20 +248,19 @@ def _frozen(seen: MachineSeen, limits: SupervisionLimits, margin: float) -> Choi
     return _choice(limits, od.SUPERVISION_FROZEN, repeats, why)
 
 
-def _coarse(seen: MachineSeen, limits: SupervisionLimits, margin: float) -> Choice:
+def _coarse(machine: MachineFigures, limits: SupervisionLimits, margin: float) -> Choice:
     place = od.SUPERVISION_COARSE_LIMIT
-    if seen.coarse_spread is None:
-        return _choice(limits, place, None, seen.coarse_note or "no coarse track is mapped")
-    wide = max(margin * seen.coarse_spread, LEAST_COARSE_LIMIT)
+    if machine.coarse_spread is None:
+        return _choice(limits, place, None, machine.coarse_note or "no coarse track is mapped")
+    wide = max(margin * machine.coarse_spread, LEAST_COARSE_LIMIT)
     units = math.ceil(min(wide, MOST_COARSE_LIMIT) * LIMIT_UNITS)
-    why = (
-        f"the coarse track differs by up to {360.0 * seen.coarse_spread:.2g}° of the shaft, times {margin:g}"
-    )
+    degrees = 360.0 * machine.coarse_spread
+    why = f"the coarse track differs by up to {degrees:.2g}° of the shaft, times {margin:g}"
     return _choice(limits, place, units, why)
 
 
-def _periods(seen: MachineSeen, limits: SupervisionLimits) -> Choice:
-    place, pause = od.SUPERVISION_PERIODS, seen.longest_pause
+def _periods(machine: MachineFigures, limits: SupervisionLimits) -> Choice:
+    place, pause = od.SUPERVISION_PERIODS, machine.longest_pause
     if pause is None:
         return _choice(limits, place, None, "the times of the SYNCs are not known")
     periods = USUAL_PERIODS if pause <= 1.5 else math.ceil(pause) + 1

@@ -9,15 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from canfb.calibrate.supervised_samples import SupervisedSamples, supervise
-from canfb.commission.limit_choice import MachineSeen, corner_choice
-from canfb.commission.motion_seen import SIGMA_OF_MEDIAN, motion_seen
-from canfb.commission.signal_seen import low_pass_seen, tracks_seen
+from canfb.calibration.figures import about_mean
+from canfb.commission.limit_choice import corner_choice
+from canfb.commission.machine_figures import (
+    SIGMA_OF_MEDIAN,
+    MachineFigures,
+    low_pass_of,
+    motion_figures,
+    track_figures,
+)
 from canfb.master.access import CommissioningError
 from canfb.master.machine_watch import SpeedReading, in_words
 from canfb.master.samples import TrackSamples
 from canfb.master.supervision_limits import AMPLITUDES, CORNER, SupervisionLimits
 from canfb.signal.correction import Correction
-from canfb.signal.phase import FloatArray, raw_phases, wrap
+from canfb.signal.phase import FloatArray, raw_phases
 from canfb.signal.recovery.coarse import CoarseTrack
 
 LEAST_SAMPLES = 2000
@@ -41,7 +47,7 @@ class Observation:
     used: Correction
     start_speed: float
     followed: SupervisedSamples
-    seen: MachineSeen
+    machine: MachineFigures
 
 
 def observe(
@@ -68,13 +74,13 @@ def observe(
             f"of {len(samples)} samples many are flagged already ({in_words(flagged)}): find the cause first "
             "(docs/faults.md)"
         )
-    low_pass = low_pass_seen(followed, interval_s, limits.corners)
+    low_pass = low_pass_of(followed, interval_s, limits.corners)
     corner = corner_choice(low_pass, limits)
     if corner is not None and corner.changes:
         # With it the amplitude is another one: the limits of before say nothing about that.
         open_limits = limits.changed({CORNER.place: corner.value, AMPLITUDES[1]: WIDEST_AMPLITUDE})
         followed = supervise(samples, used, open_limits.chain_limits(interval_s), start_speed)
-    motion = motion_seen(followed, limits.prediction_order)
+    motion = motion_figures(followed, limits.prediction_order)
     if motion.turned < LEAST_TURNED_CYCLES or motion.moving < LEAST_MOVING:
         raise CommissioningError(
             "the machine stands still: nothing can be said of its acceleration; let it do its normal duty "
@@ -82,17 +88,17 @@ def observe(
         )
     gain = math.sqrt(abs(used.conditioning.sine_gain * used.conditioning.cosine_gain))
     spread, note = _coarse(samples, followed, limits)
-    seen = MachineSeen(
+    machine = MachineFigures(
         motion=motion,
-        tracks=tracks_seen(samples, followed, gain, motion.noise),
+        tracks=track_figures(samples, followed, gain, motion.noise),
         interval_s=interval_s,
         coarse_spread=spread,
         coarse_note=note,
-        longest_pause=_longest_pause(samples, interval_s),
+        longest_pause=_longest_pause(samples, interval_s, limits.motion.samples_per_sync),
         jitter_s=_jitter(samples, interval_s),
         low_pass=low_pass,
     )
-    return Observation(samples, used, start_speed, followed, seen)
+    return Observation(samples, used, start_speed, followed, machine)
 
 
 def _follow(
@@ -168,18 +174,21 @@ def _coarse(
     if None in angles:
         return None, "the coarse track has no amplitude in some samples: find the cause first"
     apart = np.asarray(angles, np.float64) - followed.position[use] / n
-    middle = np.angle(np.mean(np.exp(2j * np.pi * apart))) / (2.0 * np.pi)
-    return float(np.ptp(wrap(np.asarray(apart - middle, np.float64)))), ""
+    return float(np.ptp(about_mean(apart))), ""
 
 
-def _longest_pause(samples: TrackSamples, interval_s: float) -> float | None:
-    """Between two samples, or two SYNCs, periods; None where the times are not known."""
+def _longest_pause(samples: TrackSamples, interval_s: float, per_sync: int) -> float | None:
+    """Between two samples, or two SYNCs, periods of SYNC; None where the times are not known.
+
+    Of ``per_sync`` samples in a period each, those of one that is missing add that many intervals.
+    """
     if samples.received_s is None:
         return None
     here = np.flatnonzero(np.isfinite(samples.sine))
     missing = float(np.max(np.diff(here), initial=1.0))
     pauses = np.diff(samples.received_s) / interval_s
-    return max(missing, float(np.max(pauses, initial=1.0)))
+    longest = max(missing, float(np.max(pauses, initial=1.0)))
+    return 1.0 + (longest - 1.0) / per_sync
 
 
 def _jitter(samples: TrackSamples, interval_s: float) -> float | None:

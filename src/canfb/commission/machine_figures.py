@@ -1,0 +1,362 @@
+"""Figures of a machine from the samples of its duty: its motion, its signal, the noise of both.
+
+**Acceleration and jerk.** The second difference of three phases with noise s has the noise sqrt(6) s, which
+at a fast SYNC is far more than any acceleration. A parabola fitted to a window averages the second
+differences in it with the weights of a bell (Savitzky and Golay), all positive, of sum 1. So an average
+never exceeds the largest acceleration, and its noise is s times the norm of the bell differenced twice. A
+short bell follows a vibration, a long one finds a slow ramp in the noise. Of n averages noise alone makes
+the largest one about sqrt(2 ln n) times its own; what each bell shows beyond that is at most the
+acceleration, and the largest counts.
+
+**Noise of a phase.** The fourth difference has next to nothing of a motion, and sqrt(1 + 16 + 36 + 16 + 1)
+= sqrt(70) times the noise of a sample; 1.4826 times the median of its size is the standard deviation of a
+normal one, whatever a few faults do. Jitter of the sampling grows with the speed, so the noise is that of
+the speeds at which it is largest.
+
+**Low-pass.** The amplitude over the speed, in classes of it, shows the corner of a low-pass before the
+converter (:func:`canfb.calibration.path_fit.fit_low_pass`). The limits of the amplitude (2001:03, 2001:04)
+hold at standstill where the module knows the corner (2001:05): what is fitted is the amplitude without what
+is corrected already.
+
+**Frozen input.** Amplitude over the phase, and the noise of the converter, say how a frozen input is
+recognised (:func:`repeats_of_frozen_input`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from canfb.calibrate.supervised_samples import SupervisedSamples
+from canfb.calibration.figures import BINS, bins_of, mean_in_bins, peak, root_mean
+from canfb.calibration.path_fit import AMPLITUDE_REPEATS, LowPass, fit_low_pass
+from canfb.master.samples import TrackSamples
+from canfb.signal.harmonics import Corners
+from canfb.signal.phase import FloatArray
+from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
+from canfb.signal.third_order import SECOND as SECOND_ORDER
+
+HALVES = (1, 2, 4, 8, 16, 32, 64)  # of the windows of the parabolas, samples to each side
+MOVING_CYCLES = 0.02  # per interval: slower, the counts of neighbours hardly differ and noise hides
+SIGMA_OF_MEDIAN = 1.4826
+FOURTH = math.sqrt(70.0)  # times the noise of a sample: that of the fourth difference
+SECOND = math.sqrt(6.0)
+GROUPS, LEAST_OF_GROUP = 5, 400
+
+
+@dataclass(frozen=True, eq=False)
+class MotionFigures:
+    """What a machine did; cycles and sampling intervals.
+
+    slowest, fastest   speed, cycles per interval, with sign
+    turned             from the lowest to the highest position, cycles
+    moving             part of the samples at which it moved, 0..1
+    acceleration       the largest, cycles per interval squared, noise taken off
+    jerk               the largest change of that in an interval, noise taken off
+    noise              rms of the phase of one sample, cycles, at the speeds at which it is largest
+    residual           of the prediction, cycles; NaN where not known: the second difference at each sample
+                       from the third on, the third difference from the fourth on
+    bend               second difference at each sample from the third on, cycles; NaN where not known
+    order              of the prediction
+    """
+
+    slowest: float
+    fastest: float
+    turned: float
+    moving: float
+    acceleration: float
+    jerk: float
+    noise: float
+    residual: FloatArray
+    bend: FloatArray
+    order: int = SECOND_ORDER
+
+    @property
+    def top_speed(self) -> float:
+        """The largest size of the speed."""
+        return max(abs(self.slowest), abs(self.fastest))
+
+    @property
+    def residual_peak(self) -> float:
+        """The largest residual of eq. 12, cycles."""
+        return peak(self.residual[np.isfinite(self.residual)])
+
+    @property
+    def residual_rms(self) -> float:
+        """Rms of the residual, cycles."""
+        return root_mean(self.residual[np.isfinite(self.residual)])
+
+    @property
+    def phase_error(self) -> float:
+        """The largest error of one phase that the second differences show beyond the motion, cycles.
+
+        They weigh three phases with 1, 2, 1; at most all are off at the same time.
+        """
+        off = self.bend - smooth_acceleration(self.bend, self.noise)
+        off = off[np.isfinite(off)]
+        return peak(off) / 4.0 if len(off) else 0.0
+
+    @property
+    def residual_noise(self) -> float:
+        """Rms of the residual that the noise of three or four samples makes."""
+        return math.sqrt(RESIDUAL_WEIGHTS[self.order]) * self.noise
+
+
+def motion_figures(samples: SupervisedSamples, order: int = SECOND_ORDER) -> MotionFigures:
+    """The motion of these samples, as a prediction of ``order`` has it; at least one step between two valid
+    ones.
+    """
+    speed, elapsed = samples.speed, samples.elapsed
+    known = speed[np.isfinite(speed)]
+    between = (elapsed[2:] + elapsed[1:-1]) / 2.0
+    acceleration = np.diff(speed) / between
+    bend = residual = np.diff(speed) * elapsed[2:]  # eq. 9 carries the last speed on
+    if order != SECOND_ORDER:  # the parabola through three samples: Newton's form
+        residual = np.diff(acceleration) / 2.0 * elapsed[3:] * (elapsed[3:] + elapsed[2:-1])
+    position = samples.position[samples.valid]
+    moves = np.abs(speed) >= MOVING_CYCLES
+    noise = _noise(acceleration, np.where(moves, np.abs(speed), np.nan)[1:])
+    slow = _averaged(speed, _bell(8))  # a speed between two samples is mostly noise
+    slow = slow[np.isfinite(slow)] if np.isfinite(slow).any() else known
+    return MotionFigures(
+        slowest=float(slow.min()),
+        fastest=float(slow.max()),
+        turned=float(np.ptp(position)),
+        moving=float(np.mean(moves[np.isfinite(speed)])),
+        acceleration=_largest(acceleration, noise, np.array([1.0, -2.0, 1.0])),
+        jerk=_largest(np.diff(acceleration), noise, np.array([1.0, -3.0, 3.0, -1.0])),
+        noise=noise,
+        residual=residual,
+        bend=bend,
+        order=order,
+    )
+
+
+def smooth_acceleration(residual: FloatArray, noise: float) -> FloatArray:
+    """Second differences averaged until their noise is a tenth, for a picture; NaN where not known."""
+    for half in HALVES:
+        bell = _bell(half)
+        if np.linalg.norm(np.convolve(bell, [1.0, -2.0, 1.0])) * noise <= 0.1 * SECOND * noise:
+            break
+    pad = len(bell) // 2
+    return np.concatenate([np.full(pad, np.nan), _averaged(residual, bell), np.full(pad, np.nan)])
+
+
+def _noise(acceleration: FloatArray, speed: FloatArray) -> float:
+    """Of one sample, cycles, at the speeds at which it is largest: jitter grows with the speed.
+
+    The fourth difference has next to nothing of a motion. ``speed`` is its size, NaN at standstill.
+    """
+    fourth = np.abs(np.diff(acceleration, 2))
+    known = np.isfinite(fourth) & np.isfinite(speed[1:-1])
+    fourth = fourth[known][np.argsort(speed[1:-1][known])]
+    groups = np.array_split(fourth, max(1, min(GROUPS, len(fourth) // LEAST_OF_GROUP)))
+    return max(SIGMA_OF_MEDIAN * float(np.median(one)) / FOURTH if len(one) else 0.0 for one in groups)
+
+
+def _largest(values: FloatArray, noise: float, difference: FloatArray) -> float:
+    """The largest size of the values, beyond what noise of the positions alone makes of them."""
+    most = 0.0
+    for half in HALVES:
+        bell = _bell(half)
+        averaged = _averaged(values, bell)
+        averaged = averaged[np.isfinite(averaged)]
+        if len(averaged) < len(bell):
+            break
+        sigmas = math.sqrt(2.0 * math.log(len(averaged) + 1.0))  # the largest of so many
+        by_noise = sigmas * noise * float(np.linalg.norm(np.convolve(bell, difference)))
+        most = max(most, peak(averaged) - by_noise)
+    return most
+
+
+def _averaged(values: FloatArray, bell: FloatArray) -> FloatArray:
+    if len(values) < len(bell):
+        return np.zeros(0)
+    averaged: FloatArray = np.convolve(values, bell, "valid")
+    return averaged
+
+
+def _bell(half: int) -> FloatArray:
+    """Weights, all positive, sum 1, with which the second derivative of a fitted parabola weighs the second
+    differences in its window of 2 half + 1 samples (Savitzky and Golay).
+    """
+    place = np.arange(-half, half + 1, dtype=np.float64)
+    second = 2.0 * np.linalg.pinv(np.vander(place, 3))[0]
+    bell: FloatArray = np.cumsum(np.cumsum(second))[:-2]
+    return bell
+
+
+CLASSES = 12
+LEAST_OF_CLASS = 100
+LEAST_CLASSES = 3
+LOWEST_PART = 0.5  # of the top speed: there must be one that is lower
+
+
+def low_pass_of(followed: SupervisedSamples, interval_s: float, corners: Corners) -> LowPass | None:
+    """What these samples show, the known ``corners`` undone; None where there are too few speeds."""
+    hertz = np.abs(followed.speed) / interval_s
+    amplitude = followed.amplitude[1:]
+    known = np.isfinite(hertz) & np.isfinite(amplitude)
+    hertz, amplitude = hertz[known], amplitude[known] * _left(hertz[known], corners)
+    if not len(hertz) or not hertz.max() > 0.0:
+        return None
+    number = np.minimum((hertz / hertz.max() * CLASSES).astype(np.int64), CLASSES - 1)
+    classes = [number == one for one in range(CLASSES) if np.sum(number == one) >= LEAST_OF_CLASS]
+    if len(classes) < LEAST_CLASSES:
+        return None
+    speeds = np.array([np.sqrt(np.mean(hertz[one] ** 2)) for one in classes])
+    if speeds.min() > LOWEST_PART * speeds.max():
+        return None
+    sizes = np.array([amplitude[one].mean() for one in classes])
+    spread = np.array([amplitude[one].std() / np.sqrt(np.sum(one)) for one in classes])
+    return fit_low_pass(speeds, sizes, np.hypot(AMPLITUDE_REPEATS, spread / sizes))
+
+
+def _left(hertz: FloatArray, corners: Corners) -> FloatArray:
+    """Of the amplitude that the known low-passes leave: the mean of both tracks."""
+    both = [hz for hz in (corners.corner_hz, corners.of_cosine_hz) if hz]
+    left = [1.0 / np.hypot(1.0, hertz / hz) for hz in both]
+    return np.asarray(np.mean(left, axis=0) if left else np.ones(len(hertz)), np.float64)
+
+
+ROUNDING_VARIANCE = 1.0 / 12.0  # of a count, of a converter that rounds
+HARMONICS = 12  # of the amplitude over the phase
+FITTED_SAMPLES = 50_000
+SURE_PART = 0.8  # of the noise that was measured; it may be less at another time
+TEN_YEARS_S = 10.0 * 365.25 * 86400.0
+LEAST_REPEATS, MOST_REPEATS = 16, 255
+QUIETEST_COUNTS = 0.15  # less cannot be distinguished from a converter without noise
+
+
+@dataclass(frozen=True, eq=False)
+class TrackFigures:
+    """Amplitude and noise of the tracks, ADC counts after conditioning.
+
+    mean, least, most       of the amplitude over all valid samples
+    over_phase              lowest, mean and highest amplitude in each of 64 bins of the phase, shape (3, 64);
+                            NaN where there is no sample
+    noise_counts            of the converter before it rounds, rms; 0.0: none seen
+    longest_repeat          the most successive samples that repeat the counts of the one before
+    """
+
+    mean: float
+    least: float
+    most: float
+    over_phase: FloatArray
+    noise_counts: float
+    longest_repeat: int
+
+    @property
+    def spread(self) -> float:
+        """How far the amplitude is from its mean, as a part of it."""
+        return max(self.mean - self.least, self.most - self.mean) / self.mean
+
+
+def track_figures(
+    samples: TrackSamples, supervised: SupervisedSamples, gain: float, phase_noise_cycles: float
+) -> TrackFigures:
+    """Amplitude and noise of these samples, some of which are valid. ``gain`` is that of the conditioning.
+
+    The noise is the smaller one of that along the radius, which no motion adds to, and of that of the phase.
+    """
+    valid = supervised.valid & np.isfinite(supervised.amplitude)
+    amplitude, phase = supervised.amplitude[valid], supervised.position[valid] % 1.0
+    mean = float(amplitude.mean())
+    along = _radial_noise(supervised, valid)
+    across = 2.0 * math.pi * mean * phase_noise_cycles
+    counts = min(along, across) / gain
+    return TrackFigures(
+        mean=mean,
+        least=float(amplitude.min()),
+        most=float(amplitude.max()),
+        over_phase=_over_phase(amplitude, phase),
+        noise_counts=math.sqrt(max(0.0, counts * counts - ROUNDING_VARIANCE)),
+        longest_repeat=_longest_repeat(samples),
+    )
+
+
+def repeats_of_frozen_input(noise_counts: float, rate_hz: float, margin: float, longest_repeat: int) -> int:
+    """Repeats of both counts that tell a frozen converter from a working one (2010:04); 0: nothing does.
+
+    A machine that moves whole cycles per sample shows one phase only, in the worst case with both
+    tracks in the middle of a count. With normal noise of ``noise_counts`` (rms) both counts are then the
+    same again with the probability q = erf(1 / (2 sqrt(2) noise))^2, and n times with q^n. The result is
+    large enough for less than one false alarm in ten years of that, at ``rate_hz`` samples per second,
+    and more than ``margin`` times what was seen; at least 16, 0 if it were more than 255.
+    """
+    if noise_counts < QUIETEST_COUNTS:
+        return 0
+    again = math.erf(0.5 / (SURE_PART * noise_counts * math.sqrt(2.0))) ** 2
+    by_chance = math.log(rate_hz * TEN_YEARS_S) / -math.log(again) if again < 1.0 else math.inf
+    repeats = max(float(LEAST_REPEATS), by_chance, margin * (longest_repeat + 1))
+    return math.ceil(repeats) if repeats <= MOST_REPEATS else 0
+
+
+def _radial_noise(
+    supervised: SupervisedSamples, valid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+) -> float:
+    """Noise of the amplitude, counts, its course over the phase taken off."""
+    amplitude = np.where(valid, supervised.amplitude, np.nan)
+    used = np.flatnonzero(valid)[:FITTED_SAMPLES]
+    phase = np.where(valid, supervised.position % 1.0, 0.0)
+    course, *_ = np.linalg.lstsq(_waves(phase[used]), amplitude[used], rcond=None)
+    fourth = np.full(len(amplitude), np.nan)
+    step = 100_000  # bounded memory
+    rest = np.concatenate(
+        [amplitude[k : k + step] - _waves(phase[k : k + step]) @ course for k in range(0, len(phase), step)]
+    )
+    fourth = np.diff(rest, 4)
+    moves = np.abs(supervised.speed[1:-2]) >= MOVING_CYCLES
+    fourth = fourth[np.isfinite(fourth) & moves]
+    return SIGMA_OF_MEDIAN * float(np.median(np.abs(fourth))) / FOURTH if len(fourth) else 0.0
+
+
+def _waves(phase: FloatArray) -> FloatArray:
+    angle = 2.0 * np.pi * phase[:, None] * np.arange(1, HARMONICS + 1)
+    return np.hstack([np.ones((len(phase), 1)), np.sin(angle), np.cos(angle)])
+
+
+def _over_phase(amplitude: FloatArray, phase: FloatArray) -> FloatArray:
+    bins = bins_of(phase)
+    lowest, highest = np.full(BINS, np.inf), np.full(BINS, -np.inf)
+    np.minimum.at(lowest, bins, amplitude)
+    np.maximum.at(highest, bins, amplitude)
+    mean = mean_in_bins(phase, amplitude)
+    found: FloatArray = np.where(np.isnan(mean), np.nan, np.array([lowest, mean, highest]))
+    return found
+
+
+def _longest_repeat(samples: TrackSamples) -> int:
+    same = (np.diff(samples.sine) == 0.0) & (np.diff(samples.cosine) == 0.0)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
+    return int(np.max(edges[1::2] - edges[::2])) if len(edges) else 0
+
+
+@dataclass(frozen=True, eq=False)
+class MachineFigures:
+    """What was seen of a machine.
+
+    motion, tracks       see there
+    interval_s           sampling interval, seconds
+    coarse_spread        from the lowest to the highest difference of the coarse track, revolutions; None: not
+                         known
+    coarse_note          why the coarse track says nothing, else ""
+    longest_pause        the longest time without SYNC or sample, periods; None: not known
+    low_pass             by the amplitude over the speed; None: there were too few speeds
+    jitter_s             rms of the time from SYNC to SYNC as received, or by sample times; None: not known
+    """
+
+    motion: MotionFigures
+    tracks: TrackFigures
+    interval_s: float
+    coarse_spread: float | None = None
+    coarse_note: str = ""
+    longest_pause: float | None = None
+    jitter_s: float | None = None
+    low_pass: LowPass | None = None
+
+    def rad(self, cycles: float, power: int, cycles_per_revolution: int) -> float:
+        """Cycles per interval to this power, as rad per second to this power."""
+        return cycles * 2.0 * math.pi / cycles_per_revolution / self.interval_s**power
