@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb import objects as od
-from canfb.calibrate.supervised_samples import supervise
+from canfb.calibrate.samples_through_chain import supervise
 from canfb.commission.machine_figures import repeats_of_frozen_input
 from canfb.commission.observation import observe
 from canfb.master.access import CommissioningError

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from canfb import objects as od
-from canfb.calibrate.supervised_samples import supervise
+from canfb.calibrate.samples_through_chain import supervise
 from canfb.commission.commission_summary import Commissioned, detection_rows, lines
 from canfb.commission.limit_choice import choose
 from canfb.commission.observation import observe

@@ -7,8 +7,7 @@ From ``canfb.master`` come samples and objects of a node, from ``canfb.tables`` 
     speed_run            the same at several speeds
     own_calibration      the module's own reference measurement, object 2030h
     measurement          samples in, a table out, compared with the one before; at one speed or several
-    supervised_samples   the chain of the module on samples
-    error_over_speed     how far the position is off at each speed
+    samples_through_chain  the chain of the module on samples, and how far the position is off at each speed
     drift_check          how far an encoder has moved away from its table
     procedure            table activated, verified and saved
     calibration_summary  figures for people and programs; calibration_page: the page, from canfb.report

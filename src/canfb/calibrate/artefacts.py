@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from canfb.calibrate.calibration_page import refusal_html, report_html
@@ -46,15 +47,22 @@ META = (
 )
 
 
+@contextlib.contextmanager
+def _writing(place: Path) -> Iterator[None]:
+    """CommissioningError for what cannot be written in here."""
+    try:
+        yield
+    except OSError as error:
+        raise CommissioningError(f"cannot write to {place}: {error.strerror}") from None
+
+
 def prepare(folder: Path) -> None:
     """Make the folder. CommissioningError if it cannot be made or written to: before the work starts."""
-    try:
+    with _writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / f".{REPORT}"
         probe.touch()
         probe.unlink()
-    except OSError as error:
-        raise CommissioningError(f"cannot write to {folder}: {error.strerror}") from None
 
 
 def write(
@@ -67,23 +75,19 @@ def write(
     """Write everything; the paths. CommissioningError if that does not work."""
     figures = figures_of(measured, done, where)
     meta = {key: figures[key] for key in META if figures.get(key) is not None}
-    try:
+    with _writing(folder):
         (folder / TABLE_YAML).write_text(as_yaml(measured.found, meta), encoding="utf-8")
         (folder / TABLE_BIN).write_bytes(measured.calibration.table.to_bytes())
         write_npz(folder / SAMPLES, measured.samples)
         page = report_html(measured, done, where, limits)
         (folder / REPORT).write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise CommissioningError(f"cannot write to {folder}: {error.strerror}") from None
     return [folder / name for name in (TABLE_YAML, TABLE_BIN, SAMPLES, REPORT)]
 
 
 def keep_samples(folder: Path, samples: TrackSamples) -> Path:
     """Write the samples alone; their path. CommissioningError if that does not work."""
-    try:
+    with _writing(folder):
         write_npz(folder / SAMPLES, samples)
-    except OSError as error:
-        raise CommissioningError(f"cannot write to {folder}: {error.strerror}") from None
     return folder / SAMPLES
 
 
@@ -91,14 +95,12 @@ def keep_speeds(folder: Path, measured: Sequence[tuple[TrackSamples, float]]) ->
     """Write the samples of each speed (cycles/s) to a folder in the folder; their paths."""
     place = folder / SPEEDS
     paths = [place / f"{number:02d}.npz" for number in range(1, len(measured) + 1)]
-    try:
+    with _writing(place):
         place.mkdir(exist_ok=True)
         for old in place.glob("*.npz"):  # of an earlier run
             old.unlink()
         for path, (samples, hertz) in zip(paths, measured, strict=True):
             write_npz(path, samples, hertz)
-    except OSError as error:
-        raise CommissioningError(f"cannot write to {place}: {error.strerror}") from None
     return paths
 
 
@@ -110,11 +112,9 @@ def write_refusal(
     limits: SampleLimits | None = None,
 ) -> list[Path]:
     """Samples and report of a measurement that was refused: they show why. There is no table."""
-    try:
+    with _writing(folder):
         for name in (TABLE_YAML, TABLE_BIN):  # of an earlier run: they must not pass for those of this one
             (folder / name).unlink(missing_ok=True)
         write_npz(folder / SAMPLES, samples)
         (folder / REPORT).write_text(refusal_html(samples, refused, where, limits), encoding="utf-8")
-    except OSError as error:
-        raise CommissioningError(f"cannot write to {folder}: {error.strerror}") from None
     return [folder / name for name in (SAMPLES, REPORT)]

@@ -14,9 +14,9 @@ from canfb.calibrate.artefacts import keep_samples, write, write_refusal
 from canfb.calibrate.calibration_summary import CalibrateResult, result
 from canfb.calibrate.choices import MODULE, PDO, CalibrateOptions
 from canfb.calibrate.drift_check import check, check_at_speed, drift_result, module_drift_result
-from canfb.calibrate.error_over_speed import InForce, SpeedSamples
 from canfb.calibrate.measurement import Measurement, Settings, measure
 from canfb.calibrate.procedure import Installation, install
+from canfb.calibrate.samples_through_chain import InForce, SpeedSamples
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError, Master
 from canfb.master.active_table import check_unlocked

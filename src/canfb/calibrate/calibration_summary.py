@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from canfb.calibrate.error_over_speed import ErrorAtSpeed
 from canfb.calibrate.measurement import Measurement, OverSpeeds, SpeedMeasurement
 from canfb.calibrate.procedure import Installation
+from canfb.calibrate.samples_through_chain import ErrorAtSpeed
 from canfb.calibration.path_fit import LowPass
 from canfb.calibration.result import Calibration
 from canfb.master.provenance import PERCENT, Provenance, percent, where_words

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from canfb.calibrate.calibration_summary import CalibrateResult
-from canfb.calibrate.error_over_speed import InForce, SpeedSamples, errors_at
 from canfb.calibrate.measurement import Settings, measure
 from canfb.calibrate.own_calibration import ModuleDrift
+from canfb.calibrate.samples_through_chain import InForce, SpeedSamples, errors_at
 from canfb.calibration.deviation import Deviation, drift
 from canfb.calibration.ellipse import fit_ellipse
 from canfb.calibration.over_speeds import measured_at_standstill
@@ -54,7 +54,7 @@ class DriftCheck:
     change: EllipseChange | None = None
 
     @property
-    def seen(self) -> bool:
+    def is_significant(self) -> bool:
         """False if it is no more than the uncertainty of the measurement."""
         return self.rms > 2.0 * self.calibration.uncertainty_rms
 
@@ -143,9 +143,9 @@ def drift_result(found: DriftCheck, where: Provenance) -> CalibrateResult:
             new_table_rms_cycles=new_rms,
         ),
         Row("changed since", changed, changed=change and change._asdict()),
-        Row(drift_seen=found.seen, coverage=fresh.coverage, samples=fresh.samples_used),
+        Row(drift_seen=found.is_significant, coverage=fresh.coverage, samples=fresh.samples_used),
     ]
-    nothing = [] if found.seen else ["no drift within the uncertainty of this measurement"]
+    nothing = [] if found.is_significant else ["no drift within the uncertainty of this measurement"]
     return CalibrateResult(as_figures(rows), [*as_lines(rows), *nothing])
 
 

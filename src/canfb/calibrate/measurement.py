@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from canfb.calibrate.error_over_speed import ErrorAtSpeed, InForce, SpeedSamples, errors_over_speed
+from canfb.calibrate.samples_through_chain import ErrorAtSpeed, InForce, SpeedSamples, errors_at
 from canfb.calibration.analog_path import without_harmonics
 from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.calibration.from_motion import calibrate_from_motion
@@ -183,14 +183,9 @@ def measure_speeds(
     found = found.with_delay(_delay(found, delay, before))
     corners = Corners(*map(as_real32, (found.path.corners.corner_hz, found.path.corners.cosine_corner_hz)))
     after = InForce(found.correction, corners)
-    errors = errors_over_speed(
-        [held for _, held in parts],
-        before,
-        after,
-        found.path,
-        found.calibration.block_samples,
-        settings.adc_bits,
-    )
+    block, bits = found.calibration.block_samples, settings.adc_bits
+    each = [errors_at(held, before, after, found.path, block, bits) for _, held in parts]
+    errors = tuple(sorted(each, key=lambda one: one.hertz))
     progress(1.0)
     _check_better(errors)
     over = OverSpeeds(tuple(samples), found.path, before, after, errors)

@@ -17,9 +17,9 @@ from canfb.calibrate.artefacts import keep_speeds
 from canfb.calibrate.calibration_run import LEAST_FRESH, CalibrationRun
 from canfb.calibrate.calibration_summary import CalibrateResult
 from canfb.calibrate.choices import RECORDED
-from canfb.calibrate.error_over_speed import InForce, SpeedSamples, errors_at
 from canfb.calibrate.measurement import Measurement, Settings, SpeedMeasurement, measure_speeds
 from canfb.calibrate.procedure import Installation, check_as_predicted, install
+from canfb.calibrate.samples_through_chain import InForce, SpeedSamples, errors_at
 from canfb.calibration.deviation import Deviation
 from canfb.calibration.path_fit import check_apart
 from canfb.errors import ConfigError

@@ -37,7 +37,7 @@ from canfb.calibration.path_fit import (
     response,
 )
 from canfb.calibration.recording import Recording, recording
-from canfb.calibration.result import TRACK_POINTS, Calibration, Reason
+from canfb.calibration.result import TRACK_POINTS, Calibration, Reason, naming_speed
 from canfb.calibration.solver import Progress, no_progress
 from canfb.calibration.waveform import Waveform, grid_phases, origin_of, raw_phase_curve, table_of
 from canfb.errors import CalibrationError
@@ -184,7 +184,7 @@ class _AtSpeed:
     @classmethod
     def of(cls, samples: TracksAtSpeed, adc_bits: int | None, entries: int) -> _AtSpeed:
         """CalibrationError, with the speed, if it is refused."""
-        try:
+        with naming_speed(samples.hertz):
             record = recording(
                 samples.sine, samples.cosine, samples.time_s, None, adc_bits, may_be_offset=True
             )
@@ -195,8 +195,6 @@ class _AtSpeed:
                     f"from {speed.min():.6g} to {speed.max():.6g} cycles/s: not one speed", Reason.SPEED
                 )
             return cls(samples, record, speed, _fit(samples, samples.sine, samples.cosine, adc_bits, entries))
-        except CalibrationError as error:
-            raise CalibrationError(f"at {samples.hertz:.6g} cycles/s: {error}", error.reason) from error
 
     @property
     def hertz(self) -> float:

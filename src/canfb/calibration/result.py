@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -50,6 +52,15 @@ class Reason(StrEnum):
         """The reason by its number in 2030:07; FAILED if the number is not known."""
         members = list(cls)
         return members[number] if number < len(members) else cls.FAILED
+
+
+@contextlib.contextmanager
+def naming_speed(hertz: float) -> Iterator[None]:
+    """CalibrationErrors in here say at which speed, cycles per second."""
+    try:
+        yield
+    except CalibrationError as error:
+        raise CalibrationError(f"at {hertz:.6g} cycles/s: {error}", error.reason) from error
 
 
 class Method(StrEnum):

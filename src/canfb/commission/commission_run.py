@@ -13,7 +13,7 @@ from pathlib import Path
 from canfb import objects as od
 from canfb.calibrate.artefacts import keep_samples
 from canfb.calibrate.calibration_run import Steps
-from canfb.calibrate.supervised_samples import supervise
+from canfb.calibrate.samples_through_chain import supervise
 from canfb.commission.commission_page import write_page
 from canfb.commission.commission_summary import Commissioned, result
 from canfb.commission.limit_choice import choose

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from canfb.calibrate.supervised_samples import SupervisedSamples, supervise
+from canfb.calibrate.samples_through_chain import SupervisedSamples, supervise
 from canfb.calibration.figures import about_mean
 from canfb.commission.limit_choice import corner_choice
 from canfb.commission.machine_figures import (

@@ -1,32 +1,118 @@
-"""How far the position is off at each speed, as the module computes it, before and after a calibration.
+"""Samples through the chain of the module, without the module.
 
-The samples go through the chain of the module with the one set and with the other. What a smooth motion does
-not explain is the error within a cycle. Its mean does not show against the samples themselves: it is the
-delay that the amplitude tells (:mod:`canfb.calibration.path_fit`), less what the module adds for 2002:07.
+What its supervision makes of them (:func:`supervise`), and how far the position is off at each speed, before
+and after a calibration (:func:`errors_at`): the samples go through the chain with the one set and with the
+other, and what a smooth motion does not explain is the error within a cycle. Its mean does not show against
+the samples themselves: it is the delay that follows from the amplitude (:mod:`canfb.calibration.path_fit`),
+less what the module adds for 2002:07.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
-from canfb.calibrate.supervised_samples import supervise
 from canfb.calibration.analog_path import mean_speed
 from canfb.calibration.deviation import Deviation, best_of_phases
 from canfb.calibration.figures import about_mean
 from canfb.calibration.over_speeds import TracksAtSpeed
 from canfb.calibration.path_fit import PathFit
+from canfb.calibration.result import naming_speed
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
 from canfb.master.samples import TrackSamples
-from canfb.signal.chain_config import ChainConfig
+from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.correction import Correction
 from canfb.signal.front_end import FrontEnd
 from canfb.signal.harmonics import NO_LOW_PASS, Corners
 from canfb.signal.phase import FloatArray, wrap
+from canfb.signal.sample import TICK_S, TICKS, Sample
+from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL, VALID
+
+FLAGS = {"residual": RESIDUAL, "amplitude": AMPLITUDE, "clipped": CLIPPED, "frozen": FROZEN, "lost": LOST}
+"""What a sample may be flagged with by its own counts, and its bit of the status word."""
+
+
+@dataclass(frozen=True, eq=False)
+class SupervisedSamples:
+    """The chain's account of each sample: arrays of one length.
+
+    position     cycles since the first sample, NaN where it was not valid
+    amplitude    counts, after conditioning; NaN where there was no sample
+    status       status word, 2011:01
+    elapsed      sampling intervals since the sample before, 1 without sample times
+    """
+
+    position: FloatArray
+    amplitude: FloatArray
+    status: npt.NDArray[np.int64]
+    elapsed: FloatArray
+
+    @property
+    def valid(self) -> npt.NDArray[np.bool_]:
+        """Where the position may be used and was measured."""
+        return np.isfinite(self.position)
+
+    @property
+    def flagged(self) -> dict[str, int]:
+        """Samples with each of :data:`FLAGS`, of those that have any."""
+        counts = {name: int(np.count_nonzero(self.status & bit)) for name, bit in FLAGS.items()}
+        return {name: count for name, count in counts.items() if count}
+
+    @property
+    def speed(self) -> FloatArray:
+        """Cycles per sampling interval at each sample but the first, NaN where it is not known."""
+        speed: FloatArray = np.diff(self.position) / self.elapsed[1:]
+        return speed
+
+
+def supervise(
+    samples: TrackSamples, used: Correction, limits: ChainLimits, speed_cycles: float
+) -> SupervisedSamples:
+    """Take the samples through the chain, as the module does that has these limits.
+
+    ``speed_cycles`` is the speed at the first sample, cycles per interval, right to half a cycle. The
+    samples have a rate.
+    """
+    chain = SignalChain(ChainConfig(), used.table)
+    chain.set_limits(limits)
+    chain.activate(used)
+    if samples.rate_hz:
+        chain.interval_s = 1.0 / samples.rate_hz
+    chain.restart(0, speed_cycles)
+    count = len(samples)
+    cycles, phase = np.zeros(count, np.int64), np.full(count, math.nan)
+    amplitude, status = np.full(count, math.nan), np.zeros(count, np.int64)
+    stamps = [None] * count if samples.time_s is None else _stamps(samples.time_s)
+    tracks = zip(samples.sine.tolist(), samples.cosine.tolist(), stamps, strict=True)
+    for k, (sine, cosine, stamp) in enumerate(tracks):
+        if math.isnan(sine) or math.isnan(cosine):
+            status[k] = chain.miss().status
+            continue
+        found = chain.step(Sample(sine, cosine, time_100ns=stamp))
+        status[k], amplitude[k] = found.status, found.amplitude
+        if found.status & VALID:
+            cycles[k], phase[k] = found.cycles, found.phase
+    seen = np.isfinite(phase)
+    origin = int(cycles[seen][0]) if seen.any() else 0
+    return SupervisedSamples((cycles - origin) + phase, amplitude, status, _elapsed(samples))
+
+
+def _stamps(time_s: FloatArray) -> list[int | None]:
+    """As 2000:05 has them."""
+    return [int(ticks) % TICKS for ticks in np.rint(time_s / TICK_S).tolist()]
+
+
+def _elapsed(samples: TrackSamples) -> FloatArray:
+    elapsed = np.ones(len(samples))
+    if samples.time_s is not None and samples.rate_hz:
+        elapsed[1:] = np.diff(samples.time_s) * samples.rate_hz
+    return elapsed
+
 
 SETTLING_SAMPLES = 16  # until the chain knows the speed well
 HELD_OUT = 0.25  # of the samples at each speed: not for the fit
@@ -101,24 +187,17 @@ def errors_at(
     adc_bits: int | None,
 ) -> ErrorAtSpeed:
     """Errors of these samples. CalibrationError, with the speed, where they cannot be judged."""
-    try:
-        return _errors_at(measured, before, after, path, block_samples, adc_bits)
-    except CalibrationError as error:
-        raise CalibrationError(f"at {measured.hertz:.6g} cycles/s: {error}", error.reason) from error
+    with naming_speed(measured.hertz):
+        return _errors(measured, before, after, path, block_samples, adc_bits)
 
 
-def _errors_at(
-    measured: SpeedSamples,
-    before: InForce,
-    after: InForce,
-    path: PathFit,
-    block_samples: int,
-    adc_bits: int | None,
+def _errors(
+    measured: SpeedSamples, before: InForce, after: InForce, path: PathFit, block: int, adc_bits: int | None
 ) -> ErrorAtSpeed:
     record = measured.samples.recording(adc_bits)
     speed = mean_speed(record, measured.hertz / measured.rate_hz)
     old, new = (_phases(measured.samples, used, speed) for used in (before, after))
-    deviation = best_of_phases(record, new, new, block_samples)
+    deviation = best_of_phases(record, new, new, block)
     hertz = speed * measured.rate_hz
     late = path.low_pass.delay_cycles(hertz)
     mean_after = after.added_cycles(hertz) - late
@@ -126,24 +205,11 @@ def _errors_at(
     both = np.isfinite(old) & np.isfinite(new)
     if both.mean() > 0.5:
         try:
-            rms_before = best_of_phases(record, old, old, block_samples).rms
+            rms_before = best_of_phases(record, old, old, block).rms
             mean_before = before.added_cycles(hertz) - late + _mean(old[both] - new[both])
         except CalibrationError:
             rms_before = mean_before = None
     return ErrorAtSpeed(hertz, rms_before, deviation.rms, mean_before, mean_after, deviation)
-
-
-def errors_over_speed(
-    measured: Sequence[SpeedSamples],
-    before: InForce,
-    after: InForce,
-    path: PathFit,
-    block_samples: int,
-    adc_bits: int | None,
-) -> tuple[ErrorAtSpeed, ...]:
-    """:func:`errors_at` for each of them, from the lowest speed on."""
-    found = [errors_at(one, before, after, path, block_samples, adc_bits) for one in measured]
-    return tuple(sorted(found, key=lambda one: one.hertz))
 
 
 def _phases(samples: TrackSamples, used: InForce, speed_cycles: float) -> FloatArray:
