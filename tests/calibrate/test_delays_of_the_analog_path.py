@@ -12,7 +12,7 @@ import pytest
 from test_calibrate_on_a_bus import calibrate, position_errors
 from test_recordings_and_own_calibration import with_calculator
 
-from canfb.calibration.analog_path import sampled_together, speeds
+from canfb.calibration.path_correction import sampled_together, speeds
 from canfb.calibration.recording import recording
 from canfb.device.storage.storage import MemoryStore
 from canfb.master.access import CommissioningError

@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import canfb
-from canfb.calibration.analog_path import sampled_together
 from canfb.calibration.over_speeds import SpeedCalibration, TracksAtSpeed, calibrate_over_speeds
+from canfb.calibration.path_correction import sampled_together
 from canfb.calibration.recording import recording
 from canfb.signal.chain import SignalChain
 from canfb.signal.correction import Correction

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from canfb.calibrate.samples_through_chain import ErrorAtSpeed, InForce, SpeedSamples, errors_at
-from canfb.calibration.analog_path import without_harmonics
 from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.over_speeds import SpeedCalibration, calibrate_over_speeds
+from canfb.calibration.path_correction import without_harmonics
 from canfb.calibration.path_fit import LowPass, PathFit
 from canfb.calibration.result import Calibration, Method, Reason
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings

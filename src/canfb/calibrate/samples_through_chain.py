@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.analog_path import mean_speed
 from canfb.calibration.deviation import Deviation, best_of_phases
 from canfb.calibration.figures import about_mean
 from canfb.calibration.over_speeds import TracksAtSpeed
+from canfb.calibration.path_correction import mean_speed
 from canfb.calibration.path_fit import PathFit
 from canfb.calibration.result import naming_speed
 from canfb.errors import CalibrationError

@@ -25,7 +25,6 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.analog_path import with_track_harmonics
 from canfb.calibration.figures import (
     ErrorCurve,
     ErrorHarmonic,
@@ -39,6 +38,7 @@ from canfb.calibration.figures import (
 )
 from canfb.calibration.joint import JointFit, bound_covariance, fit_jointly
 from canfb.calibration.motion_blocks import Blocks
+from canfb.calibration.path_correction import with_track_harmonics
 from canfb.calibration.recording import Recording, prepared
 from canfb.calibration.result import TRACK_POINTS, Calibration, Method, judge
 from canfb.calibration.solver import Progress, Solution, Solver, no_progress

@@ -23,9 +23,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from canfb.calibration.analog_path import mean_speed, sampled_together, speeds, with_track_harmonics
 from canfb.calibration.ellipse import fit_ellipse
 from canfb.calibration.from_motion import calibrate_from_motion
+from canfb.calibration.path_correction import mean_speed, sampled_together, speeds, with_track_harmonics
 from canfb.calibration.path_fit import (
     ANGLE_REPEATS_RAD,
     NO_PATH,

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.analog_path import sampled_together, speeds
+from canfb.calibration.path_correction import sampled_together, speeds
 from canfb.calibration.recording import Recording, recording
 from canfb.master.access import CommissioningError
 from canfb.objects import MISSED_COUNTS

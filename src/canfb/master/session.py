@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from canfb import objects as od
-from canfb.calibration.analog_path import counts_at
+from canfb.calibration.path_correction import counts_at
 from canfb.cia301 import cob
 from canfb.master.access import CommissioningError, Master, NodeAccess, Progress
 from canfb.master.active_table import read_active

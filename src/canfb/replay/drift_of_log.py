@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from canfb.calibration.analog_path import sampled_together
 from canfb.calibration.deviation import drift
 from canfb.calibration.from_motion import calibrate_from_motion
+from canfb.calibration.path_correction import sampled_together
 from canfb.calibration.recording import recording
 from canfb.errors import CalibrationError
 from canfb.objects import StatusBit
