@@ -14,11 +14,9 @@ from planning_kit import planned
 import canfb
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.planning.budget import ResidualBudget
-from canfb.planning.detection import SAMPLE_BOUNDS
+from canfb.planning.budget import PEAK, RAW_PHASE_ERROR_CYCLES, ResidualBudget
 from canfb.planning.jerk_budget import budget_of
-from canfb.planning.phase_errors import PEAK, RAW_PHASE_ERROR_CYCLES
-from canfb.planning.plan import Limited, Plan
+from canfb.planning.plan import SAMPLE_BOUNDS, Limited, Plan
 from canfb.signal.limits import narrowed_residual_limit, samples_without_harm
 from canfb.simulation.demand import of_motion
 from canfb.simulation.scenario import MotionConfig
@@ -33,8 +31,8 @@ def budget(**stated: object) -> ResidualBudget:
 
 
 def known(plan: Plan, acceleration: float) -> ResidualBudget:
-    module = plan.situation.modules[0].with_values({(0x2010, 2): acceleration})
-    return budget_of(plan.situation, module)
+    module = plan.plan_input.modules[0].with_values({(0x2010, 2): acceleration})
+    return budget_of(plan.plan_input, module)
 
 
 def test_without_errors_it_is_the_public_formula() -> None:

@@ -12,8 +12,16 @@ from hypothesis import strategies as st
 from planning_kit import planned
 
 from canfb.cia301.frame import frame_bits
-from canfb.planning.bus_load import BIT_RATES, BusLoad, in_order
-from canfb.planning.traffic import Message, Values, adc_messages, node_messages, sync_message
+from canfb.planning.traffic import (
+    BIT_RATES,
+    BusLoad,
+    Message,
+    Values,
+    adc_messages,
+    in_order,
+    node_messages,
+    sync_message,
+)
 from canfb.simulation.wire import LONGEST_FRAME_BITS
 
 NODE = 0x20
@@ -128,7 +136,7 @@ def test_heartbeats_emcy_and_what_is_not_valid() -> None:
 
 
 def test_the_frames_of_a_module_as_delivered() -> None:
-    bus = planned().situation.bus
+    bus = planned().plan_input.bus
     found = {message.can_id: (message.data_bytes, message.rate_hz(1000.0)) for message in bus.messages}
     assert found == {
         0x80: (0, 1000.0),
@@ -141,7 +149,7 @@ def test_the_frames_of_a_module_as_delivered() -> None:
     bits = 1000 * (frame_bits(0) + frame_bits(4) + 2 * frame_bits(8)) + 40 * frame_bits(8)
     assert bus.load == pytest.approx(bits / 1e6)
     assert bus.load_at(bus.largest_sync_hz) == pytest.approx(1.0)
-    assert planned(times=True).situation.bus.load > bus.load
+    assert planned(times=True).plan_input.bus.load > bus.load
 
 
 @settings(max_examples=12)
@@ -155,13 +163,13 @@ def test_the_load_grows_with_all_that_is_added(
     modules: int, rate_hz: float, extra: float, faster: float
 ) -> None:
     words = {"rate_hz": rate_hz, "extra_load": extra, "heartbeat_ms": 100.0}
-    bus = planned(modules, **words).situation.bus
-    assert planned(modules + 1, **words).situation.bus.load > bus.load
-    assert planned(modules + 1, **words).situation.bus.largest_sync_hz <= bus.largest_sync_hz
+    bus = planned(modules, **words).plan_input.bus
+    assert planned(modules + 1, **words).plan_input.bus.load > bus.load
+    assert planned(modules + 1, **words).plan_input.bus.largest_sync_hz <= bus.largest_sync_hz
     assert bus.load_at(rate_hz * faster) > bus.load
-    assert planned(modules, **{**words, "extra_load": extra + 0.05}).situation.bus.load > bus.load
-    assert planned(modules, **{**words, "heartbeat_ms": 50.0}).situation.bus.load > bus.load
-    slower = planned(modules, **words, bit_rate=500_000).situation.bus
+    assert planned(modules, **{**words, "extra_load": extra + 0.05}).plan_input.bus.load > bus.load
+    assert planned(modules, **{**words, "heartbeat_ms": 50.0}).plan_input.bus.load > bus.load
+    slower = planned(modules, **words, bit_rate=500_000).plan_input.bus
     assert slower.load > bus.load
     assert slower.largest_sync_hz <= bus.largest_sync_hz
     if bus.largest_sync_hz:
@@ -169,12 +177,12 @@ def test_the_load_grows_with_all_that_is_added(
 
 
 def test_a_bus_that_others_fill_carries_no_sync() -> None:
-    assert planned(extra_load=1.0).situation.bus.largest_sync_hz == 0.0
+    assert planned(extra_load=1.0).plan_input.bus.largest_sync_hz == 0.0
 
 
 def test_what_delays_a_sync() -> None:
     def delay_us(**words: float) -> float:
-        return planned(**words).situation.bus.sync_delay_s * 1e6
+        return planned(**words).plan_input.bus.sync_delay_s * 1e6
 
     assert delay_us() == 0.0, "all frames follow a SYNC, and are through before the next one"
     assert delay_us(heartbeat_ms=100.0) == frame_bits(1)

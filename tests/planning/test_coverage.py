@@ -14,8 +14,17 @@ import pytest
 from planning_kit import planned
 
 from canfb.cli.main import main
-from canfb.planning.coverage import KINDS, FaultCoverage, SampleWindow, area_coverage, fault_coverage
-from canfb.planning.plan_coverage import coverage_figures, second_tolerance, window_of
+from canfb.planning.coverage import (
+    KINDS,
+    FaultCoverage,
+    SampleWindow,
+    area_coverage,
+    fault_coverage,
+    second_tolerance,
+    window_of,
+)
+from canfb.planning.plan_rows import coverage_rows
+from canfb.rows import as_figures
 
 DEFAULT = SampleWindow(
     full_scale_counts=2048,
@@ -100,7 +109,7 @@ def test_the_window_of_a_plan() -> None:
     assert window.motion_cycles == pytest.approx(25.0 * 2500 / (2 * math.pi) * 1e-6)
     assert window.tolerance_cycles == 25.0
     assert second_tolerance(budget) is None
-    figures = coverage_figures(plan, budget)
+    figures = as_figures(coverage_rows(plan, budget))["coverage"]
     assert figures["second_position_mapped"] is False
     assert list(figures["faults"]) == list(KINDS)
 

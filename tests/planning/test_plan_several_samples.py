@@ -14,8 +14,8 @@ from canfb.hosting.hosting import saved_configuration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.planning.plan import Plan
+from canfb.planning.plan_changes import changes_of
 from canfb.planning.planned_module import PlannedModule
-from canfb.planning.remedies import remedies_of
 
 HELD, FLAGGED = 0.95, 1.05
 RPM = 2.0 * math.pi / 60.0
@@ -131,11 +131,11 @@ def test_the_frames_are_those_on_the_wire() -> None:
     for count, times in ALL:
         plan = planned(samples_per_sync=count, times=times)
         found = play(lambda now: 0.0, 0.1, samples_per_sync=count, times=times)
-        for message in plan.situation.bus.messages:
+        for message in plan.plan_input.bus.messages:
             if not message.on_error:
                 syncs = message.rate_hz(RATE_HZ) * 0.1
                 assert found.frames[message.can_id or 0] == pytest.approx(syncs, abs=2.0)
-    assert planned(samples_per_sync=4, times=True).situation.bus.bit_rate == BIT_RATE
+    assert planned(samples_per_sync=4, times=True).plan_input.bus.bit_rate == BIT_RATE
 
 
 def test_sample_times_widen_the_limit_as_in_the_module() -> None:
@@ -156,7 +156,7 @@ def test_sample_times_widen_the_limit_as_in_the_module() -> None:
         plan = planned(rpm=rpm, times=True, samples_per_sync=2, prediction_order=order)
         known: dict[tuple[int, int], float] = {od.SUPERVISION_JERK: jerk}
         known |= {od.SUPERVISION_ACCELERATION: acceleration}
-        one = type(plan.budgets[0])(plan.situation, plan.budgets[0].module.with_values(known))
+        one = type(plan.budgets[0])(plan.plan_input, plan.budgets[0].module.with_values(known))
         speed = cycles(rpm * RPM) / (2.0 * RATE_HZ)  # cycles per sample
         limits = module.limits
         weight = 8.0 if order == 3 else 4.0
@@ -170,8 +170,8 @@ def test_the_known_jerk_with_a_margin_by_the_measured_noise(part: float) -> None
     """The module measures the noise at 730 cycles per second, then a known jerk is played."""
     known, noise = 200_000.0, {"noise_margin": 6, "phase_error_cycles": 0.0}
     plan = planned(**ORDER_3, **noise, table=True)
-    module = plan.situation.modules[0].with_values({od.SUPERVISION_JERK: known})
-    one = type(plan.budgets[0])(plan.situation, module)
+    module = plan.plan_input.modules[0].with_values({od.SUPERVISION_JERK: known})
+    one = type(plan.budgets[0])(plan.plan_input, module)
     assert one.has_noise_margin
     assert one.margin == 1.0
     assert one.largest_jerk_rad_s3 == pytest.approx(known)
@@ -190,8 +190,8 @@ def test_the_known_jerk_with_a_margin_by_the_measured_noise(part: float) -> None
 def test_the_noise_margin_is_sharper_and_never_wider() -> None:
     def limit(**stated: Any) -> float:
         plan = planned(**ORDER_3, **stated)
-        module = plan.situation.modules[0].with_values({od.SUPERVISION_JERK: 100_000.0})
-        return type(plan.budgets[0])(plan.situation, module).limit_cycles
+        module = plan.plan_input.modules[0].with_values({od.SUPERVISION_JERK: 100_000.0})
+        return type(plan.budgets[0])(plan.plan_input, module).limit_cycles
 
     assert limit(table=True, phase_error_cycles=0.0, noise_margin=6) == pytest.approx(0.041, abs=5e-4)
     assert limit(table=True) == pytest.approx(0.14, abs=5e-4)
@@ -200,7 +200,7 @@ def test_the_noise_margin_is_sharper_and_never_wider() -> None:
 
 
 def texts(plan: Plan) -> list[str]:
-    return [f"{one.for_what}: {one.text}" for one in remedies_of(plan)]
+    return [f"{one.for_what}: {one.text}" for one in changes_of(plan)]
 
 
 def test_two_samples_hold_a_move_and_cost_four_bytes() -> None:

@@ -124,7 +124,7 @@ def test_the_limit_that_the_known_acceleration_gives() -> None:
 @pytest.mark.parametrize("part", [HELD, FLAGGED])
 def test_the_sync_rate_that_the_wire_carries(part: float, times: bool) -> None:
     plan = planned(times=times, acceleration_rad_s2=GENTLE)
-    rate_hz = part * plan.situation.bus.largest_sync_hz
+    rate_hz = part * plan.plan_input.bus.largest_sync_hz
     assert planned(times=times, rate_hz=rate_hz).holds is (part == HELD)
     seconds = 0.4
     found = play(up_to_speed(cycles(5.0), cycles(GENTLE)), seconds, rate_hz=rate_hz, times=times)
@@ -143,7 +143,7 @@ def test_what_goes_over_the_wire_is_what_the_table_says() -> None:
     plan = planned(acceleration_rad_s2=GENTLE)
     seconds = 0.5
     found = play(up_to_speed(cycles(5.0), cycles(GENTLE)), seconds)
-    for message in plan.situation.bus.messages:
+    for message in plan.plan_input.bus.messages:
         if not message.on_error:
             assert found.frames[message.can_id or 0] == pytest.approx(
                 message.rate_hz(RATE_HZ) * seconds, abs=1.0

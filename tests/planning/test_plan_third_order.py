@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from planning_kit import RATE_HZ, cycles, jerked, planned, play, up_to_speed
 
 import canfb
-from canfb.planning.detection import JerkDetection
 from canfb.planning.jerk_budget import JerkBudget
-from canfb.planning.plan import Limited, Plan
-from canfb.planning.remedies import remedies_of
+from canfb.planning.plan import JerkDetection, Limited, Plan
+from canfb.planning.plan_changes import changes_of
 from canfb.signal.declared import Declared
 from canfb.signal.limits import limit_narrowed_by_jerk
 
@@ -26,7 +25,7 @@ SERVO: dict[str, Any] = {"acceleration_rad_s2": 7850.0, "jerk_rad_s3": 785_000.0
 
 
 def texts(plan: Plan) -> list[str]:
-    return [f"{one.for_what}: {one.text}" for one in remedies_of(plan)]
+    return [f"{one.for_what}: {one.text}" for one in changes_of(plan)]
 
 
 @pytest.mark.parametrize("part", [HELD, FLAGGED])
@@ -90,8 +89,8 @@ def test_the_known_acceleration(part: float) -> None:
     """2010:02 of the module; the acceleration comes smoothly, and lasts."""
     jerk, known = 5000.0, 1000.0
     plan = planned(**ORDER_3, table=True, jerk_rad_s3=jerk, acceleration_rad_s2=known)
-    module = plan.situation.modules[0].with_values({(0x2010, 2): known})
-    limit = JerkBudget(plan.situation, module).largest_acceleration_rad_s2
+    module = plan.plan_input.modules[0].with_values({(0x2010, 2): known})
+    limit = JerkBudget(plan.plan_input, module).largest_acceleration_rad_s2
     assert limit > known
     motion = jerked(cycles(jerk), part * limit / jerk)
     found = play(motion, 0.6, table=True, max_acceleration_rad_s2=known, **ORDER_3)
@@ -150,18 +149,18 @@ def test_the_first_change(words: dict[str, float], first: str) -> None:
 
 
 def test_what_eq_9_cannot_guard_sharply_third_order_can() -> None:
-    first, then = remedies_of(planned(acceleration_rad_s2=600.0, jerk_rad_s3=10_000.0))
+    first, then = changes_of(planned(acceleration_rad_s2=600.0, jerk_rad_s3=10_000.0))
     assert first.for_what == then.for_what == "detection"
     assert then.text == "set prediction_order: 3 (2010:07), and max_jerk_rad_s3 (2010:08) to 10000"
-    after = Plan(then.situation)
+    after = Plan(then.plan_input)
     assert after.holds
     assert after.detection(after.budgets[0]).is_sharp
 
 
 def test_the_known_jerk_narrows_as_in_the_module_and_its_margin_is_1() -> None:
     plan = planned(**ORDER_3)
-    module = plan.situation.modules[0].with_values({(0x2010, 8): 25_000.0})
-    one = JerkBudget(plan.situation, module)
+    module = plan.plan_input.modules[0].with_values({(0x2010, 8): 25_000.0})
+    one = JerkBudget(plan.plan_input, module)
     assert one.limit_cycles == limit_narrowed_by_jerk(
         LIMIT, 25_000.0, 2500, 1e-3, phase_error_cycles=819 / 65536
     )

@@ -39,11 +39,9 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.monitoring.units import MachineUnits
 from canfb.planning.plan import Plan
-from canfb.planning.plan_figures import plan_figures
-from canfb.planning.plan_lines import plan_lines
-from canfb.planning.planned_config import numbered
-from canfb.planning.remedies import remedies_of
-from canfb.planning.stated import PlanOptions, situation_of
+from canfb.planning.plan_changes import changes_of
+from canfb.planning.plan_input import PlanOptions, numbered, plan_input_of
+from canfb.planning.plan_rows import plan_figures, plan_lines
 from canfb.replay import summary_of_replay
 from canfb.scope.desk import Desk, ScopeTask, allowed_tasks
 from canfb.scope.gate import Gate, GateVerdict, Request
@@ -150,10 +148,10 @@ def _plan(path: Path, data: bytes) -> None:
     """As ``canfb plan``; ValueError of what it computes is told as one of its options."""
     config = numbered(load_config(path))
     modules = [saved_configuration(one) for one in config.modules[:3]]
-    plan = Plan(situation_of(replace(config, modules=config.modules[:3]), modules, PlanOptions()))
-    remedies = remedies_of(plan)
-    plan_lines(plan, remedies, coverage=data[-1:] == b"#")
-    json.dumps(plan_figures(plan, remedies), allow_nan=False)
+    plan = Plan(plan_input_of(replace(config, modules=config.modules[:3]), modules, PlanOptions()))
+    changes = changes_of(plan)
+    plan_lines(plan, changes, coverage=data[-1:] == b"#")
+    json.dumps(plan_figures(plan, changes), allow_nan=False)
 
 
 def _settings(path: Path, data: bytes) -> None:

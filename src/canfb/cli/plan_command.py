@@ -11,11 +11,9 @@ from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
 from canfb.hosting.hosting import saved_configuration
 from canfb.planning.plan import Plan
-from canfb.planning.plan_figures import plan_figures
-from canfb.planning.plan_lines import plan_lines
-from canfb.planning.planned_config import modules_alike, numbered
-from canfb.planning.remedies import remedies_of
-from canfb.planning.stated import PlanOptions, situation_of
+from canfb.planning.plan_changes import changes_of
+from canfb.planning.plan_input import PlanOptions, modules_alike, numbered, plan_input_of
+from canfb.planning.plan_rows import plan_figures, plan_lines
 
 HOLDS, EXCEEDED = 0, 1
 # Option, field of PlanOptions, word for its value, help.
@@ -89,15 +87,15 @@ def plan(options: argparse.Namespace) -> int:
     """Print the plan; 0 if it holds, 1 if it does not."""
     try:
         config = _config(options)
-        stated = PlanOptions(**{field.name: getattr(options, field.name) for field in fields(PlanOptions)})
-        found = Plan(situation_of(config, [saved_configuration(one) for one in config.modules], stated))
+        overrides = PlanOptions(**{field.name: getattr(options, field.name) for field in fields(PlanOptions)})
+        found = Plan(plan_input_of(config, [saved_configuration(one) for one in config.modules], overrides))
     except ValueError as error:
         raise ConfigError(_named(str(error))) from None
-    remedies = remedies_of(found)
+    changes = changes_of(found)
     if options.json:
-        print(json.dumps(plan_figures(found, remedies), indent=2))
+        print(json.dumps(plan_figures(found, changes), indent=2))
     else:
-        print("\n".join(plan_lines(found, remedies, coverage=options.coverage)))
+        print("\n".join(plan_lines(found, changes, coverage=options.coverage)))
     return HOLDS if found.holds else EXCEEDED
 
 

@@ -10,6 +10,9 @@ interface that sends several samples for each SYNC takes them by its own timer, 
 for eq. 9, 8 for third-order prediction. What the motion leaves is, for eq. 9, a N/(2 pi) T^2 with the
 acceleration a and the interval T from sample to sample; unequal intervals, which sample times allow, make it
 larger. :mod:`canfb.planning.jerk_budget` is that of third-order prediction.
+
+The errors of a phase (:class:`PhaseErrors`) add up as the weights of the difference say (:class:`Weights`):
+their sizes for the largest, their squares for the rms.
 """
 
 from __future__ import annotations
@@ -17,10 +20,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
-from canfb.planning.phase_errors import PEAK, SECOND_DIFFERENCE, PhaseErrors, Weights
+from canfb.planning.plan_input import EncoderErrors, PlanInput
 from canfb.planning.planned_module import PlannedModule
-from canfb.planning.situation import Situation
 from canfb.signal.declared import Declared
 from canfb.signal.limits import (
     cycles_per_interval_squared,
@@ -29,7 +32,68 @@ from canfb.signal.limits import (
 )
 from canfb.signal.sample import TICK_S
 from canfb.signal.supervision import SampleLimits
+from canfb.signal.third_order import SECOND, THIRD
 from canfb.view.limits_in_force import MotionBounds
+
+RAW_PHASE_ERROR_CYCLES = 0.0113  # of Table 1, without a correction table
+TABLE_PHASE_ERROR_CYCLES = 0.001  # of what a reference measurement leaves
+PEAK = 6.0  # standard deviations of the noise: one healthy sample in 5e8 is further off
+ROUNDING_VARIANCE = 1.0 / 12.0  # counts^2
+RPM = 60.0 / (2.0 * math.pi)  # of a speed in rad/s
+
+
+class Weights(NamedTuple):
+    """How a difference of phases adds up their errors.
+
+    order            of the prediction
+    errors           sum of the sizes of the weights
+    variance         sum of their squares
+    """
+
+    order: int
+    errors: float
+    variance: float
+
+
+SECOND_DIFFERENCE = Weights(SECOND, 4.0, 6.0)  # 1, 2, 1
+THIRD_DIFFERENCE = Weights(THIRD, 8.0, 20.0)  # 1, 3, 3, 1
+
+
+@dataclass(frozen=True)
+class PhaseErrors:
+    """Of the encoder of a module, without those of the sampling instants."""
+
+    errors: EncoderErrors
+    module: PlannedModule
+
+    @cached_property
+    def noise_cycles(self) -> float:
+        """The rms noise of a phase; inf without an amplitude."""
+        counts = math.sqrt(self.errors.noise_counts**2 + ROUNDING_VARIANCE)
+        amplitude = self.errors.amplitude * self.module.full_scale_counts
+        return counts / (2.0 * math.pi * amplitude) if amplitude else math.inf
+
+    @property
+    def largest_cycles(self) -> float:
+        """The largest error of a phase but for noise, given or usual."""
+        if self.errors.phase_cycles is not None:
+            return self.errors.phase_cycles
+        return TABLE_PHASE_ERROR_CYCLES if self.module.has_table else RAW_PHASE_ERROR_CYCLES
+
+    def largest_in(self, weights: Weights) -> float:
+        """At most in a difference: all errors at the same time, and the noise."""
+        noise = PEAK * math.sqrt(weights.variance) * self.noise_cycles
+        return weights.errors * self.largest_cycles + noise
+
+    def rms_in(self, weights: Weights) -> float:
+        """The rms of a difference, as the module measures it (2011:0B).
+
+        At speed the errors of the table are as good as random: up to their largest size, all alike.
+        """
+        return math.sqrt(weights.variance) * math.hypot(
+            self.noise_cycles, self.largest_cycles / math.sqrt(3.0)
+        )
+
 
 HALF_TICK_S = TICK_S / 2.0  # a sample time is rounded down
 ROUNDING, ROUNDING_CYCLES = 1e-6, 1e-9  # of sums: a limit that is narrowed to the motion holds
@@ -47,7 +111,7 @@ class ResidualPart:
 class ResidualBudget:
     """One module under the motion of the plan. What is not given counts as 0."""
 
-    situation: Situation
+    plan_input: PlanInput
     module: PlannedModule
 
     weights = SECOND_DIFFERENCE
@@ -60,11 +124,11 @@ class ResidualBudget:
     @property
     def sample_hz(self) -> float:
         """Samples per second."""
-        return self.situation.sync_hz * self.module.samples_per_sync
+        return self.plan_input.sync_hz * self.module.samples_per_sync
 
     @cached_property
     def limit_cycles(self) -> float:
-        """The residual limit in force at the stated speed: uncertain sample times widen a narrowed one."""
+        """The residual limit in force at the given speed: uncertain sample times widen a narrowed one."""
         uncertain = self.weights.errors * self._cycles_per_s * self.known_uncertainty_s
         return min(self.slow_limit_cycles + uncertain, self.module.widest_limit_cycles)
 
@@ -120,18 +184,18 @@ class ResidualBudget:
 
     @property
     def asked_rad_s2(self) -> float | None:
-        """The largest acceleration that the module has to follow; None: not stated."""
-        return self.situation.motion.acceleration_of(self.module)
+        """The largest acceleration that the module has to follow; None: not given."""
+        return self.plan_input.motion.acceleration_of(self.module)
 
     @property
     def asked_rad_s3(self) -> float | None:
-        """The largest jerk of the machine; None: not stated."""
-        return self.situation.motion.jerk_of(self.module)
+        """The largest jerk of the machine; None: not given."""
+        return self.plan_input.motion.jerk_of(self.module)
 
     @cached_property
     def sync_jitter_s(self) -> float:
         """Half the range of the SYNC on the bus: that of its producer, and of the frames before it."""
-        return self.situation.jitter_s + self.situation.bus.sync_delay_s / 2.0
+        return self.plan_input.jitter_s + self.plan_input.bus.sync_delay_s / 2.0
 
     @cached_property
     def uncertainty_s(self) -> float:
@@ -139,7 +203,7 @@ class ResidualBudget:
         if self.module.samples_itself:
             return 0.0
         jitter_s = 0.0 if self.module.samples_per_sync > 1 else self.sync_jitter_s
-        return (self.known_uncertainty_s if self.module.times else jitter_s) + self.situation.aperture_s
+        return (self.known_uncertainty_s if self.module.times else jitter_s) + self.plan_input.aperture_s
 
     @property
     def known_uncertainty_s(self) -> float:
@@ -183,12 +247,12 @@ class ResidualBudget:
 
     @property
     def largest_acceleration_rad_s2(self) -> float:
-        """With the speed as stated, unless that alone is too much; 0.0 if the errors need the whole limit."""
+        """With the speed as given, unless that alone is too much; 0.0 if the errors need the whole limit."""
         return self._acceleration(self.left_in_force_cycles, 1.0 / self.worst_interval_s)
 
     @property
     def largest_jerk_rad_s3(self) -> float:
-        """With the speed as stated; inf: eq. 9 limits the acceleration alone."""
+        """With the speed as given; inf: eq. 9 limits the acceleration alone."""
         return math.inf
 
     @property
@@ -203,7 +267,7 @@ class ResidualBudget:
 
     @property
     def largest_speed_rad_s(self) -> float:
-        """With the acceleration as stated, unless that alone is too much.
+        """With the acceleration as given, unless that alone is too much.
 
         0.0 if the errors need the whole limit, inf if the sampling instants are known.
         """
@@ -231,11 +295,11 @@ class ResidualBudget:
         taken, left = self.motion_part.cycles, self.left_cycles(widest, widest)
         if not taken:
             return 0.0
-        return self.situation.sync_hz * (taken / left) ** (1.0 / self.power) if left > 0.0 else math.inf
+        return self.plan_input.sync_hz * (taken / left) ** (1.0 / self.power) if left > 0.0 else math.inf
 
     @property
     def jerk_rad_s2(self) -> float | None:
-        """How far the jerk changes the acceleration within one interval; None: not stated."""
+        """How far the jerk changes the acceleration within one interval; None: not given."""
         return None if self.asked_rad_s3 is None else self.asked_rad_s3 * self.interval_s
 
     @property
@@ -269,7 +333,7 @@ class ResidualBudget:
     @cached_property
     def phase_errors(self) -> PhaseErrors:
         """Those of the encoder."""
-        return PhaseErrors(self.situation.errors, self.module)
+        return PhaseErrors(self.plan_input.errors, self.module)
 
     def phase_cycles(self, weights: Weights | None = None) -> float:
         """Errors of the phases in a difference, without those of their instants.
@@ -282,9 +346,9 @@ class ResidualBudget:
 
     @property
     def _cycles_per_s(self) -> float:
-        """The stated speed."""
+        """The given speed."""
         cycles = self.module.cycles_per_revolution
-        return (self.situation.motion.speed_rad_s or 0.0) * cycles / (2 * math.pi)
+        return (self.plan_input.motion.speed_rad_s or 0.0) * cycles / (2 * math.pi)
 
     def instants_cycles(self, weights: Weights | None = None) -> float:
         """Errors of the sampling instants in a difference of phases."""
@@ -292,7 +356,7 @@ class ResidualBudget:
 
     def rest_cycles(self, instants_cycles: float, weights: Weights | None = None) -> float:
         """All but the motion, not below what the module itself allows for an uncorrected phase."""
-        uncorrected = self.situation.errors.phase_cycles is None and not self.module.has_table
+        uncorrected = self.plan_input.errors.phase_cycles is None and not self.module.has_table
         rest = self.phase_cycles(weights) + instants_cycles
         return max(rest, self._declared_cycles(weights or self.weights)) if uncorrected else rest
 
@@ -306,7 +370,7 @@ class ResidualBudget:
         return self.left_cycles(self.limit_cycles, self.slow_limit_cycles)
 
     def left_cycles(self, limit_cycles: float, slow_limit_cycles: float) -> float:
-        """What a limit leaves for the motion, with the speed as stated unless that alone is too much.
+        """What a limit leaves for the motion, with the speed as given unless that alone is too much.
 
         ``slow_limit_cycles`` is that of a machine that turns slowly.
         """

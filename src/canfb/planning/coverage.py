@@ -6,7 +6,7 @@ only the phases within L of the predicted one are left of the ring.
 
 :func:`fault_coverage` takes the faults one by one, those that IEC 61800-5-2 names for such encoders: each is
 put into the tracks of a machine in motion, and equations 9 and 12 say how the count goes on and which sample
-is refused. It knows neither the doubt after a fault nor the frozen input of 2010:04. A computation is no
+is refused. It knows neither the ambiguity after a fault nor the frozen input of 2010:04. A computation is no
 certificate: what the faults of a machine are, and how often they come, is for its analysis to say.
 """
 
@@ -20,14 +20,22 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from canfb import objects as od
+from canfb.planning.budget import ResidualBudget
+from canfb.planning.plan import Plan
+from canfb.signal.third_order import THIRD
 from canfb.simulation import faults
 from canfb.simulation.faults import Fault, Samples, Signal
+from canfb.view.pdo_map import valid_pdos
 
 CASES = 400  # of each fault
 FAULTY_SAMPLES = 200  # as in docs/fault-campaign.md
 HARM_CYCLES = 0.25
 LONGEST_RAMP = 200
 SEED = 61800
+USUAL_TOLERANCE = 0.01  # revolutions, as in docs/second-position.md
+LEAST_MOTION_CYCLES = 0.01  # where no motion is given
+SECOND = od.SAMPLE_SECOND_POSITION.mapped(32)
 
 Rng = np.random.Generator
 Floats = npt.NDArray[np.float64]
@@ -78,6 +86,31 @@ class FaultCoverage:
     harmful: int
     shares: Shares
     within: int | None
+
+
+def window_of(plan: Plan, budget: ResidualBudget) -> SampleWindow:
+    """What the samples of a module are held against; a second position of 0.01 revolution if it has none."""
+    module = budget.module
+    low, high = module.amplitude_limits_counts
+    tolerance = second_tolerance(budget) or USUAL_TOLERANCE
+    return SampleWindow(
+        full_scale_counts=module.full_scale_counts,
+        low_counts=low,
+        high_counts=high,
+        nominal_counts=plan.plan_input.errors.amplitude * module.full_scale_counts,
+        limit_cycles=budget.limit_cycles,
+        order=THIRD if module.is_third_order else 2,
+        motion_cycles=min(budget.motion_part.cycles or LEAST_MOTION_CYCLES, budget.limit_cycles),
+        tolerance_cycles=tolerance * module.cycles_per_revolution,
+    )
+
+
+def second_tolerance(budget: ResidualBudget) -> float | None:
+    """2014:04, revolutions, of a module that gets a second position; else None."""
+    values = budget.module.values
+    mapped = (pdo.entries for pdo in valid_pdos(values.get, od.RPDO, od.RPDO_MAPPING))
+    tolerance = float(values.get(od.SECOND_TOLERANCE, 0.0))
+    return tolerance if tolerance and any(SECOND in one for one in mapped) else None
 
 
 def area_coverage(window: SampleWindow) -> Shares:

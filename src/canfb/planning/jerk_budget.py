@@ -10,10 +10,15 @@ from __future__ import annotations
 import math
 from functools import cached_property
 
-from canfb.planning.budget import ROUNDING_CYCLES, ResidualBudget, ResidualPart
-from canfb.planning.phase_errors import SECOND_DIFFERENCE, THIRD_DIFFERENCE
+from canfb.planning.budget import (
+    ROUNDING_CYCLES,
+    SECOND_DIFFERENCE,
+    THIRD_DIFFERENCE,
+    ResidualBudget,
+    ResidualPart,
+)
+from canfb.planning.plan_input import PlanInput
 from canfb.planning.planned_module import PlannedModule
-from canfb.planning.situation import Situation
 from canfb.signal.limits import cycles_per_interval_cubed, cycles_per_interval_squared, max_jerk
 
 OF_A_STEP = 0.75
@@ -51,7 +56,7 @@ class JerkBudget(ResidualBudget):
 
     @property
     def largest_jerk_rad_s3(self) -> float:
-        """With the speed as stated, unless that alone is too much; 0.0 if the errors need the whole limit."""
+        """With the speed as given, unless that alone is too much; 0.0 if the errors need the whole limit."""
         return max(0.0, self.left_in_force_cycles) / self._cycles_per_rad_s3
 
     @property
@@ -69,7 +74,7 @@ class JerkBudget(ResidualBudget):
 
     @property
     def largest_speed_rad_s(self) -> float:
-        """With the motion as stated; 2010:02 leaves as much for errors as with eq. 9."""
+        """With the motion as given; 2010:02 leaves as much for errors as with eq. 9."""
         left = self._known_cycles - self.acceleration_cycles(self.asked_rad_s2 or 0.0)
         if left < self.rest_cycles(0.0, SECOND_DIFFERENCE) - ROUNDING_CYCLES:
             left = self._known_cycles
@@ -116,6 +121,6 @@ class JerkBudget(ResidualBudget):
         return OF_A_STEP * self.acceleration_cycles(1.0) * longest / self._stretched * self._two_cycles
 
 
-def budget_of(situation: Situation, module: PlannedModule) -> ResidualBudget:
+def budget_of(plan_input: PlanInput, module: PlannedModule) -> ResidualBudget:
     """The budget of the module's order."""
-    return JerkBudget(situation, module) if module.is_third_order else ResidualBudget(situation, module)
+    return JerkBudget(plan_input, module) if module.is_third_order else ResidualBudget(plan_input, module)

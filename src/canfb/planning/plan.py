@@ -1,4 +1,11 @@
-"""A plan: the limits of its input, each with its margin, and whether all of them hold."""
+"""A plan: the limits of its input, each with its margin, and which errors of the count cannot pass.
+
+Detection goes by the residual limit L and what the motion uses of it. Eq. 9: the bounds of
+docs/legal-motion.md ("Effect of a glitch"), with the acceleration a in cycles per interval squared: n samples
+in a row are without harm while (n + 2) (L + a) <= 1 and floor((n + 2)^2 / 4) (L + a) <= 1. Third-order
+prediction: those of the same page, with the jerk. What is kept after missed or flagged samples follows from
+what is declared ("Missed samples").
+"""
 
 from __future__ import annotations
 
@@ -6,12 +13,86 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
+from typing import Any
 
 from canfb.planning.budget import ResidualBudget, over
-from canfb.planning.detection import CountDetection, JerkDetection
 from canfb.planning.jerk_budget import budget_of
+from canfb.planning.plan_input import PlanInput
 from canfb.planning.planned_module import PlannedModule
-from canfb.planning.situation import Situation
+from canfb.signal.declared import Declared
+from canfb.signal.limits import ROUNDING, safe_deviation, samples_without_harm
+
+SAMPLE_BOUNDS = {n: safe_deviation(n) for n in (1, 2, 3)}
+"""Largest L + a for so many samples in a row."""
+WELL = 1.0 / 6.0  # docs/faults.md: keep the limit below 1/6
+WELL_THIRD_ORDER = 0.25  # docs/legal-motion.md: a single bad sample is without harm
+
+
+@dataclass(frozen=True)
+class CountDetection:
+    """What a supervision by eq. 12 detects.
+
+    limit_cycles       the residual limit, L
+    motion_cycles      what the motion uses of it: the largest acceleration, cycles per interval squared
+    declared           what is declared of machine and encoder: the motions that are followed after a gap
+    """
+
+    limit_cycles: float
+    motion_cycles: float
+    declared: Declared
+
+    well = WELL
+
+    @property
+    def bad_samples(self) -> int:
+        """Bad samples in a row, of any phase, that cannot make an unseen error of the count."""
+        return samples_without_harm(self.limit_cycles + self.motion_cycles)
+
+    @property
+    def missed_samples(self) -> int:
+        """Missed or flagged samples in a row after which exactly one motion is left."""
+        return self.declared.kept_samples(self.motion_cycles)
+
+    def kept_with(self, **declared: Any) -> int:
+        """:attr:`missed_samples` if this were declared instead, by the names of :class:`Declared`."""
+        return replace(self.declared, **declared).kept_samples(self.motion_cycles)
+
+    @property
+    def is_declared(self) -> bool:
+        """The motion is within what is declared, or assumed after a gap."""
+        return self.motion_cycles <= self.declared.followed + ROUNDING
+
+    @property
+    def unseen_jump_cycles(self) -> float:
+        """A jump of the phase below this one may pass."""
+        return self.limit_cycles
+
+    @property
+    def half_cycle(self) -> bool:
+        """A jump of half a cycle (both tracks inverted) is over the limit in its own sample."""
+        return self.limit_cycles + self.motion_cycles < 0.5
+
+    @property
+    def is_sharp(self) -> bool:
+        """The limit is as narrow as docs/faults.md recommends."""
+        return self.limit_cycles + self.motion_cycles <= self.well + ROUNDING
+
+
+@dataclass(frozen=True)
+class JerkDetection(CountDetection):
+    """The same with third-order prediction: the motion is the jerk, cycles per interval cubed."""
+
+    well = WELL_THIRD_ORDER
+
+    @property
+    def bad_samples(self) -> int:
+        """1 or 0: two in succession nearly always lose the position."""
+        return int(self.is_sharp)
+
+    @property
+    def unseen_jump_cycles(self) -> float:
+        """The sample after a jump counts twice: a third difference is 1, -2, 1 times the jump."""
+        return self.limit_cycles / 2.0 if self.limit_cycles <= 1.0 / 3.0 else self.limit_cycles
 
 
 class Limited(StrEnum):
@@ -26,7 +107,7 @@ class Limited(StrEnum):
 
 @dataclass(frozen=True)
 class Margin:
-    """A stated value against its limit.
+    """A given value against its limit.
 
     module    whose limit it is; None: that of the bus
     factor    limit over value; inf where nothing is limited or nothing is asked
@@ -44,14 +125,14 @@ class Margin:
 
 @dataclass(frozen=True)
 class Plan:
-    """What :class:`canfb.planning.situation.Situation` allows."""
+    """What :class:`canfb.planning.plan_input.PlanInput` allows."""
 
-    situation: Situation
+    plan_input: PlanInput
 
     @cached_property
     def budgets(self) -> tuple[ResidualBudget, ...]:
         """One for each module."""
-        return tuple(budget_of(self.situation, module) for module in self.situation.modules)
+        return tuple(budget_of(self.plan_input, module) for module in self.plan_input.modules)
 
     @cached_property
     def margins(self) -> tuple[Margin, ...]:
@@ -78,7 +159,7 @@ class Plan:
         return kind(limit, budget.motion_part.cycles, declared)
 
     def _margins(self) -> Iterator[Margin]:
-        load, motion = self.situation.bus.load, self.situation.motion
+        load, motion = self.plan_input.bus.load, self.plan_input.motion
         yield Margin(Limited.BUS, None, over(1.0, load))
         for budget in self.budgets:
             module = budget.module

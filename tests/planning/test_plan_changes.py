@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from planning_kit import planned
 
 from canfb.planning.plan import Plan
-from canfb.planning.remedies import remedies_of
+from canfb.planning.plan_changes import changes_of
 
 
 def texts(plan: Plan) -> list[str]:
-    return [f"{one.for_what}: {one.text}" for one in remedies_of(plan)]
+    return [f"{one.for_what}: {one.text}" for one in changes_of(plan)]
 
 
 @pytest.mark.parametrize(
@@ -67,10 +67,10 @@ def test_a_plan_that_cannot_be_sharper_has_nothing_to_change() -> None:
 
 
 def test_after_the_limit_is_narrowed_the_rate_makes_it_sharp() -> None:
-    first, then = remedies_of(planned(acceleration_rad_s2=200.0))
+    first, then = changes_of(planned(acceleration_rad_s2=200.0))
     assert first.for_what == then.for_what == "detection"
     assert then.text == "raise the SYNC rate to 1200 Hz"
-    assert Plan(then.situation).detection(Plan(then.situation).budgets[0]).is_sharp
+    assert Plan(then.plan_input).detection(Plan(then.plan_input).budgets[0]).is_sharp
 
 
 @settings(max_examples=20)
@@ -110,12 +110,12 @@ def test_each_change_is_for_the_tightest_limit_and_makes_it_hold(
         noise_counts=noise,
         times=times,
     )
-    found = remedies_of(plan)
+    found = changes_of(plan)
     assert len({step.for_what for step in found} - {"detection"}) == len(
         [step for step in found if step.for_what != "detection"]
     )
     for step in found:
-        after = Plan(step.situation)
+        after = Plan(step.plan_input)
         if step.for_what == "detection":
             assert plan.holds
             assert after.holds

@@ -9,7 +9,7 @@ import pytest
 
 from canfb import ModuleConfig
 from canfb.module.parameters import configured_defaults
-from canfb.planning.analog_lines import analog_lines
+from canfb.planning.plan_rows import analog_row
 from canfb.planning.planned_module import PlannedModule
 from canfb.signal.conditioning import Conditioning
 
@@ -18,7 +18,7 @@ SPEED = 3000.0 / 60.0 * 2.0 * math.pi
 
 def lines(**fields: Any) -> list[str]:
     values = configured_defaults(ModuleConfig(node_id=32, **fields))
-    return analog_lines(PlannedModule(node_id=32, values=values), SPEED)
+    return list(analog_row(PlannedModule(node_id=32, values=values), SPEED).words)
 
 
 def test_the_path_of_the_issue() -> None:
@@ -33,7 +33,7 @@ def test_the_path_of_the_issue() -> None:
 def test_a_module_that_knows_none_has_no_line() -> None:
     assert lines() == []
     values = configured_defaults(ModuleConfig(node_id=32, corner_hz=1e5))
-    assert analog_lines(PlannedModule(node_id=32, values=values), None) == []
+    assert analog_row(PlannedModule(node_id=32, values=values), None).words == ()
 
 
 @pytest.mark.parametrize(("delay_us", "exceeded"), [(1.8, False), (2.0, True), (-2.0, True)])

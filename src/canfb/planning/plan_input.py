@@ -1,0 +1,342 @@
+"""The input of a plan: a bus, its SYNC, its modules, and the motion of their encoders.
+
+:func:`plan_input` takes it from a configuration, as far as :class:`PlanOptions` do not override it;
+:func:`modules_alike` and :func:`numbered` make the configuration.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+from canfb import objects as od
+from canfb.checks import integer_in, number_in
+from canfb.configuration import Config
+from canfb.device.od.dictionary import Dictionary
+from canfb.eds_files import eds_path
+from canfb.module.device_configuration import DeviceConfiguration
+from canfb.module.module_config import UNCONFIGURED, ModuleConfig
+from canfb.module.parameters import LIMIT_UNITS
+from canfb.planning.planned_module import PlannedModule
+from canfb.planning.traffic import (
+    HEARTBEAT,
+    BusLoad,
+    Message,
+    Values,
+    adc_messages,
+    heartbeat_message,
+    in_order,
+    node_messages,
+    sync_message,
+)
+from canfb.signal.subsamples import MOST_PER_SYNC
+from canfb.signal.third_order import check_order
+from canfb.signal.tracker import check_residual_limit
+from canfb.simulation.cia402.drive_config import DriveConfig
+from canfb.simulation.demand import MotionDemand, of_motion
+from canfb.simulation.scenario import SimulationConfig
+from canfb.simulation.set_up import sync_rate
+from canfb.simulation.simulated_axis import profile_demand
+from canfb.simulation.sync_timing import CUT_OFF
+
+ROUNDED_AMPLITUDE = 0.75  # of full scale, as the simulated encoder has it
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionInput:
+    """Motion that the encoders have to follow; None: not given.
+
+    speed_rad_s            largest speed
+    acceleration_rad_s2    largest acceleration
+    jerk_rad_s3            largest jerk; None: the acceleration steps from 0 to its largest value
+    is_final               no module has to follow more, whatever its 2010:02 says
+    where                  who says so, for people
+    """
+
+    speed_rad_s: float | None = None
+    acceleration_rad_s2: float | None = None
+    jerk_rad_s3: float | None = None
+    is_final: bool = False
+    where: str = ""
+
+    def acceleration_of(self, module: PlannedModule) -> float | None:
+        """What this module has to follow: the largest acceleration of its machine counts, too."""
+        known = module.known_acceleration_rad_s2
+        if self.is_final or not known:
+            return self.acceleration_rad_s2
+        return max(known, self.acceleration_rad_s2 or 0.0)
+
+    def jerk_of(self, module: PlannedModule) -> float | None:
+        """The largest jerk of the machine of this module; None: neither given nor in 2010:08."""
+        return self.jerk_rad_s3 if self.jerk_rad_s3 is not None else module.known_jerk_rad_s3 or None
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncoderErrors:
+    """What makes residuals without any motion.
+
+    noise_counts     rms noise of a track before the ADC, counts
+    amplitude        of the tracks, relative to full scale
+    phase_cycles     largest error of a phase that enters eq. 9; None: that of the module with its table,
+                     or without
+    """
+
+    noise_counts: float = 0.5
+    amplitude: float = ROUNDED_AMPLITUDE
+    phase_cycles: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanInput:
+    """All that a plan depends on.
+
+    bit_rate        bit/s, 10000..1000000
+    sync_hz         SYNC rate
+    jitter_s        of the SYNC at its producer, +-
+    aperture_s      of the instant at which the tracks are held, +-, whatever the sample time says
+    extra_load      of frames of other nodes, 0..1
+    heartbeat_s     of every node, 0.0: as each node has it
+    modules         at least one
+    others          further nodes, by node-ID: their objects
+    """
+
+    bit_rate: int
+    sync_hz: float
+    modules: tuple[PlannedModule, ...]
+    motion: MotionInput
+    errors: EncoderErrors = field(default_factory=EncoderErrors)
+    jitter_s: float = 0.0
+    aperture_s: float = 0.0
+    extra_load: float = 0.0
+    heartbeat_s: float = 0.0
+    others: tuple[tuple[int, Values], ...] = ()
+
+    @cached_property
+    def bus(self) -> BusLoad:
+        """The frames on the bus."""
+        messages: list[Message] = [sync_message(self.modules[0].values)]
+        for module in self.modules:
+            messages += self._beating(module.node_id, module.values, sampled=True)
+            messages += [] if module.samples_itself else adc_messages(module.values)
+        for node_id, values in self.others:
+            messages += self._beating(node_id, values, sampled=False)
+        return BusLoad(self.bit_rate, self.sync_hz, in_order(messages), self.extra_load)
+
+    def _beating(self, node_id: int, values: Values, *, sampled: bool) -> list[Message]:
+        found = node_messages(values, node_id, sampled=sampled)
+        if self.heartbeat_s and not values.get(HEARTBEAT):
+            found.append(heartbeat_message(node_id, self.heartbeat_s))
+        return found
+
+
+RAD_S = 2.0 * math.pi / 60.0  # of a speed in rpm
+LARGEST_ACCELERATION = 1e9  # rad/s^2, as 2010:02 has it
+LARGEST_EXTRA = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanOptions:
+    """Command-line overrides of the configuration. None: as the configuration has it.
+
+    bit_rate                   bit/s, 10000..1000000
+    rate_hz                    SYNC rate, 0.1..100000 Hz
+    jitter_us                  of the SYNC at its producer, +-, 0..1e6 us
+    extra_load                 of frames of other nodes, 0..1
+    heartbeat_ms               of each node that has none yet, 1..65535 ms
+    rpm                        largest speed, 0..1e6 rpm
+    acceleration_rad_s2        largest acceleration, 0..1e9 rad/s^2
+    jerk_rad_s3                largest jerk, 0..1e12 rad/s^3
+    noise_counts               rms noise of a track, 0..1000 counts
+    phase_error_cycles         largest error of a phase, 0..0.25 cycle
+    cycles_per_revolution      2001:01 of every module
+    residual_limit             2010:01 of every module, cycles
+    prediction_order           2010:07 of every module, 2 or 3
+    samples_per_sync           1..4 pairs that the interface of every module sends for each SYNC
+    noise_margin               2010:09 of every module, 0..255
+    times                      True: the ADC PDOs carry sample times
+    table                      True: a correction table is in force
+
+    ValueError for a value that cannot be.
+    """
+
+    bit_rate: int | None = None
+    rate_hz: float | None = None
+    jitter_us: float | None = None
+    extra_load: float | None = None
+    heartbeat_ms: float | None = None
+    rpm: float | None = None
+    acceleration_rad_s2: float | None = None
+    jerk_rad_s3: float | None = None
+    noise_counts: float | None = None
+    phase_error_cycles: float | None = None
+    cycles_per_revolution: int | None = None
+    residual_limit: float | None = None
+    prediction_order: int | None = None
+    samples_per_sync: int | None = None
+    noise_margin: int | None = None
+    times: bool = False
+    table: bool = False
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("rate_hz", 0.1, 100_000.0),
+            ("jitter_us", 0.0, 1e6),
+            ("extra_load", 0.0, LARGEST_EXTRA),
+            ("heartbeat_ms", 1.0, 65_535.0),
+            ("rpm", 0.0, 1e6),
+            ("acceleration_rad_s2", 0.0, LARGEST_ACCELERATION),
+            ("jerk_rad_s3", 0.0, 1e12),
+            ("noise_counts", 0.0, 1000.0),
+            ("phase_error_cycles", 0.0, 0.25),
+        ):
+            if getattr(self, name) is not None:
+                number_in(name, getattr(self, name), low, high)
+        if self.bit_rate is not None:
+            integer_in("bit_rate", self.bit_rate, 10_000, 1_000_000)
+        if self.cycles_per_revolution is not None:
+            integer_in("cycles_per_revolution", self.cycles_per_revolution, 1, 1_048_576)
+        if self.residual_limit is not None:
+            check_residual_limit(self.residual_limit)
+        if self.prediction_order is not None:
+            check_order("prediction_order", self.prediction_order)
+        if self.samples_per_sync is not None:
+            integer_in("samples_per_sync", self.samples_per_sync, 1, MOST_PER_SYNC)
+        if self.noise_margin is not None:
+            integer_in("noise_margin", self.noise_margin, 0, 255)
+
+
+def plan_input_of(config: Config, modules: Iterable[DeviceConfiguration], options: PlanOptions) -> PlanInput:
+    """What is planned: ``modules`` are those of ``config`` as they come up, in its order.
+
+    ValueError for a bit rate of the configuration that no classic CAN has.
+    """
+    simulation = config.simulation
+    planned = tuple(
+        _planned(module, one, options) for module, one in zip(config.modules, modules, strict=True)
+    )
+    rate_hz = sync_rate(simulation, options.rate_hz)
+    jitter_us = simulation.sync_jitter_us + CUT_OFF * simulation.sync_jitter_rms_us
+    bit_rate = options.bit_rate or config.bus.get("bitrate") or simulation.bus_bit_rate
+    integer_in("bitrate", bit_rate, 10_000, 1_000_000)
+    return PlanInput(
+        bit_rate=bit_rate,
+        sync_hz=rate_hz,
+        modules=planned,
+        motion=_motion(simulation, config.modules[0], rate_hz, options),
+        errors=EncoderErrors(
+            noise_counts=_first(options.noise_counts, simulation.encoder.noise_lsb),
+            amplitude=simulation.encoder.amplitude,
+            phase_cycles=options.phase_error_cycles,
+        ),
+        jitter_s=_first(options.jitter_us, jitter_us) * 1e-6,
+        aperture_s=CUT_OFF * simulation.aperture_jitter_s,
+        extra_load=_first(options.extra_load, simulation.bus_load),
+        heartbeat_s=(options.heartbeat_ms or 0.0) * 1e-3,
+        others=_others(config),
+    )
+
+
+def _planned(config: ModuleConfig, found: DeviceConfiguration, options: PlanOptions) -> PlannedModule:
+    module = PlannedModule(
+        node_id=found.node_id,
+        values=found.values(with_table=False),
+        has_table=options.table or bool(found.table),
+        samples_itself=config.source is not None,
+    )
+    if options.cycles_per_revolution is not None:
+        module = module.with_values({od.ENCODER_CYCLES_PER_REVOLUTION: options.cycles_per_revolution})
+    if options.residual_limit is not None:
+        limit = int(options.residual_limit * LIMIT_UNITS)
+        module = module.with_values({od.SUPERVISION_RESIDUAL_LIMIT: limit})
+    if options.prediction_order is not None:
+        module = module.with_values({od.SUPERVISION_ORDER: options.prediction_order})
+    if options.noise_margin is not None:
+        module = module.with_values({od.SUPERVISION_NOISE_MARGIN: options.noise_margin})
+    if options.samples_per_sync is not None:
+        module = module.with_samples(options.samples_per_sync)
+    return module.with_times() if options.times else module
+
+
+def _motion(
+    simulation: SimulationConfig, config: ModuleConfig, rate_hz: float, options: PlanOptions
+) -> MotionInput:
+    """What is options, else what ``canfb simulate`` plays."""
+    speed, acceleration, where = None, None, ""
+    demand = _demand(simulation, config, rate_hz)
+    if demand is not None:
+        speed = (demand.speed_cycles or 0.0) * rate_hz / config.cycles_per_revolution * 2.0 * math.pi
+        acceleration, where = demand.acceleration_rad_s2, demand.what
+    if options.rpm is not None:
+        speed = options.rpm * RAD_S
+    is_final = options.acceleration_rad_s2 is not None
+    return MotionInput(
+        speed_rad_s=speed,
+        acceleration_rad_s2=options.acceleration_rad_s2 if is_final else acceleration,
+        jerk_rad_s3=options.jerk_rad_s3,
+        is_final=is_final,
+        where="" if is_final and options.rpm is not None else where,
+    )
+
+
+def _demand(simulation: SimulationConfig, config: ModuleConfig, rate_hz: float) -> MotionDemand | None:
+    """Demand of the motion of ``canfb simulate``; None if the configuration does not define a motion."""
+    if simulation.drive is not None:
+        return profile_demand(simulation.drive, _drive_objects(simulation.drive), config, rate_hz)
+    if simulation.motion == SimulationConfig().motion:
+        return None
+    return of_motion(simulation.motion, config, rate_hz)
+
+
+def _others(config: Config) -> tuple[tuple[int, Values], ...]:
+    """The encoder interfaces but for their PDOs, which the RPDOs of the modules show, and the drive."""
+    own = sorted({one.encoder_interface for one in config.modules if one.source is None})
+    found: list[tuple[int, Values]] = [(node, {}) for node in own]
+    drive = config.simulation.drive
+    if drive is not None:
+        objects = {(entry.index, entry.subindex): entry.value for entry in _drive_objects(drive)}
+        found.append((drive.node_id, objects))
+    return tuple(found)
+
+
+def _drive_objects(drive: DriveConfig) -> Dictionary:
+    return Dictionary.load(eds_path("drive"), drive.node_id)
+
+
+def _first(given: float | None, configured: float) -> float:
+    return configured if given is None else given
+
+
+FIRST_MODULE, FIRST_INTERFACE, MOST_MODULES = 0x20, 0x10, 32
+FURTHER_INTERFACES = FIRST_MODULE + MOST_MODULES
+
+
+def modules_alike(count: int, adc_bits: int) -> Config:
+    """``count`` modules (1..32), factory defaults, each with an encoder interface of its own. ValueError."""
+    integer_in("modules", count, 1, MOST_MODULES)
+    room = FIRST_MODULE - FIRST_INTERFACE
+    return Config(
+        modules=[
+            ModuleConfig(
+                node_id=FIRST_MODULE + n,
+                encoder_interface=FIRST_INTERFACE + n if n < room else FURTHER_INTERFACES + n,
+                adc_bits=adc_bits,
+            )
+            for n in range(count)
+        ]
+    )
+
+
+def numbered(config: Config) -> Config:
+    """The same, with a free node-ID for each module that is to get one by LSS."""
+    nodes = {node for one in config.modules for node in (one.node_id, one.encoder_interface)}
+    if config.simulation.drive is not None:
+        nodes.add(config.simulation.drive.node_id)
+    free = (node for node in range(127, 0, -1) if node not in nodes)
+    return replace(
+        config,
+        modules=[
+            replace(one, node_id=next(free)) if one.node_id == UNCONFIGURED else one for one in config.modules
+        ],
+    )

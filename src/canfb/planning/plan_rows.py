@@ -1,0 +1,481 @@
+"""A plan for people and for programs: the bus as a table, each module with its margins, what to change first.
+
+The rows of a module are printed, named ones as ``name: words``, the others below them, and give its JSON:
+figures in the units of their keys, null for what is not limited or not given.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from itertools import groupby
+from typing import Any
+
+from canfb import objects as od
+from canfb.planning.budget import RPM, ResidualBudget, over
+from canfb.planning.coverage import (
+    CASES,
+    FAULTY_SAMPLES,
+    USUAL_TOLERANCE,
+    Shares,
+    area_coverage,
+    fault_coverage,
+    second_tolerance,
+    window_of,
+)
+from canfb.planning.plan import CountDetection, Plan
+from canfb.planning.plan_changes import PlanChange
+from canfb.planning.planned_module import PlannedModule
+from canfb.planning.traffic import BusLoad, Message
+from canfb.rows import Row, as_figures
+from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.front_end import LARGEST_RAD, FrontEnd
+from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES
+
+EXCEEDED = "   <- exceeded"
+MOST_COASTED = 255
+
+
+def plan_figures(plan: Plan, changes: list[PlanChange]) -> dict[str, Any]:
+    """For programs."""
+    tight = plan.tightest
+    return {
+        "holds": plan.holds,
+        "tightest": {
+            "limit": tight.limited.value,
+            "node_id": None if tight.module is None else tight.module.node_id,
+            "margin": _finite(tight.factor),
+        },
+        "bus": as_figures(_bus_rows(plan.plan_input.bus)),
+        "modules": [
+            as_figures(_module_rows(plan, budget), coverage_rows(plan, budget)) for budget in plan.budgets
+        ],
+        "changes": [{"for": one.for_what, "change": one.text} for one in changes],
+    }
+
+
+def plan_lines(plan: Plan, changes: list[PlanChange], *, coverage: bool = False) -> list[str]:
+    """For people."""
+    bus = plan.plan_input.bus
+    lines = [*_frame_lines(bus), *_as_lines(_bus_rows(bus)), ""]
+    for names, budget in _alike(plan):
+        rows = _module_rows(plan, budget) + (coverage_rows(plan, budget) if coverage else [])
+        lines += [*_heading(names, budget), *_as_lines(rows), ""]
+    return [*lines, *_verdict(plan, changes)]
+
+
+def _as_lines(rows: Iterable[Row]) -> list[str]:
+    """``name: words``; a name alone; words alone, set in below those above."""
+    shown = [(row.name, word) for row in rows for word in row.words]
+    return [f"  {name}: {word}".removesuffix(": ") if name else f"    {word}" for name, word in shown]
+
+
+def _margin_row(name: str, words: str, factor: float, **figures: Any) -> Row:
+    return Row(name, f"{words}, margin {_factor(factor)}{'' if factor >= 1.0 else EXCEEDED}", **figures)
+
+
+def _factor(factor: float) -> str:
+    """Rounded down, so that 0.999 is not shown as 1.0."""
+    if math.isinf(factor):
+        return "unlimited"
+    digits = 2 if factor < 2.0 else 1
+    return f"{math.floor(factor * 10**digits + 1e-6) / 10**digits:.{digits}f}"
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _margin(limit: float, value: float | None) -> float | None:
+    return None if value is None else _finite(over(limit, value))
+
+
+# The bus.
+
+
+def _frame_lines(bus: BusLoad) -> list[str]:
+    """All frames; neighbours that differ by their node alone share a line."""
+    lines = [
+        f"bus: {bus.bit_rate} bit/s, SYNC {bus.sync_hz:g} Hz; frames with the most stuff bits",
+        f"  {'COB-ID':<12}{'frame':<28}{'bytes':>5}{'bits':>6}{'per s':>9}{'load %':>8}",
+    ]
+    for _, group in groupby(bus.messages, lambda one: (one.kind, one.data_bytes, one.least_hz, one.most_hz)):
+        alike: list[Message] = list(group)
+        rate, message = alike[0].rate_hz(bus.sync_hz), alike[0]
+        share = 100.0 * len(alike) * message.bits_per_s(bus.sync_hz) / bus.bit_rate
+        ids = (".." if len(alike) > 2 else ", ").join(
+            dict.fromkeys(f"{one.can_id:03X}h" for one in (message, alike[-1]))
+        )
+        what = message.what if len(alike) == 1 else f"{message.kind}, {len(alike)} nodes"
+        lines.append(
+            f"  {ids:<12}{what:<28}{message.data_bytes:>5}{message.bits:>6}{rate:>9.4g}{share:>8.2f}"
+        )
+    if bus.extra_load:
+        lines.append(f"  {'':<12}{'other nodes':<28}{'':>20}{100.0 * bus.extra_load:>8.2f}")
+    return lines
+
+
+def _bus_rows(bus: BusLoad) -> list[Row]:
+    turn_ms, interval_ms, margin = bus.longest_turn_s * 1e3, 1e3 / bus.sync_hz, over(1.0, bus.load)
+    longer = " (longer than an interval)" if turn_ms > interval_ms else ""
+    return [
+        Row(bit_rate=bus.bit_rate, extra_load=bus.extra_load, sync_delay_s=bus.sync_delay_s),
+        _margin_row(
+            "bus load",
+            f"{100.0 * bus.load:.1f} of 100 %",
+            margin,
+            load=bus.load,
+            margin=_finite(margin),
+        ),
+        Row(
+            "SYNC rate",
+            f"{bus.sync_hz:g} of {bus.largest_sync_hz:.4g} Hz that the bus carries",
+            sync_hz=bus.sync_hz,
+            largest_sync_hz=bus.largest_sync_hz,
+        ),
+        Row(
+            "a turn (SYNC to the last PDO, all at once)",
+            f"{turn_ms:.3g} of {interval_ms:.4g} ms{longer}",
+            longest_turn_s=bus.longest_turn_s,
+        ),
+        Row(
+            messages=[
+                {
+                    "cob_id": message.can_id,
+                    "what": message.what,
+                    "node_id": message.node_id,
+                    "bytes": message.data_bytes,
+                    "bits": message.bits,
+                    "rate_hz": message.rate_hz(bus.sync_hz),
+                    "load": message.bits_per_s(bus.sync_hz) / bus.bit_rate,
+                    "follows_sync": message.follows_sync(bus.sync_hz),
+                }
+                for message in bus.messages
+            ]
+        ),
+    ]
+
+
+# A module.
+
+
+def _alike(plan: Plan) -> list[tuple[str, ResidualBudget]]:
+    """Modules that differ by their node-ID alone share their lines."""
+    found: dict[tuple[object, ...], tuple[list[str], ResidualBudget]] = {}
+    for budget in plan.budgets:
+        module = budget.module
+        low_high, frozen = module.amplitude_limits_counts, module.frozen_samples
+        key = (module.cycles_per_revolution, module.times, module.has_table, module.samples_itself, low_high,
+               frozen, module.is_third_order, module.samples_per_sync, budget.limit_cycles,
+               budget.needed_cycles, module.full_scale_counts)  # fmt: skip
+        found.setdefault(key, ([], budget))[0].append(f"{module.node_id:02X}h")
+    return [(", ".join(names), budget) for names, budget in found.values()]
+
+
+def _heading(names: str, budget: ResidualBudget) -> list[str]:
+    module, where = budget.module, budget.plan_input.motion.where
+    order = "third-order prediction, " if module.is_third_order else ""
+    several = f"{module.samples_per_sync} samples per SYNC, " if module.samples_per_sync > 1 else ""
+    narrowed = ""
+    if budget.is_narrowed:
+        known = "2010:08" if module.is_third_order else "2010:02"
+        narrowed = f", narrowed by {known}{' and 2010:09' if budget.has_noise_margin else ''}"
+    return [
+        f"node{'s' if ',' in names else ''} {names}: {module.cycles_per_revolution} cycles per revolution, "
+        f"{several}{order}residual limit {budget.limit_cycles:.3f} cycle{narrowed}",
+        *([f"  {where}"] if where else []),
+    ]
+
+
+def _module_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
+    module, motion = budget.module, plan.plan_input.motion
+    return [
+        Row(
+            node_id=module.node_id,
+            cycles_per_revolution=module.cycles_per_revolution,
+            prediction_order=budget.weights.order,
+            samples_per_sync=module.samples_per_sync,
+            sample_bytes=module.sample_bytes,
+            times=module.times,
+            table=module.has_table,
+            residual_limit_cycles=budget.limit_cycles,
+            noise_margin=module.noise_margin,
+            measured_noise_cycles=_finite(budget.measured_noise_cycles),
+            sync_jitter_s=budget.sync_jitter_s,
+        ),
+        _speed_row(budget, motion.speed_rad_s),
+        analog_row(module, motion.speed_rad_s),
+        Row("", _instants(budget)),
+        *_motion_rows(budget),
+        _margin_row(
+            "residual",
+            f"{budget.needed_cycles:.3f} of {budget.limit_cycles:.3f} cycle",
+            budget.margin,
+            residual={
+                "needed_cycles": _finite(budget.needed_cycles),
+                "parts_cycles": {part.what: _finite(part.cycles) for part in budget.parts},
+                "margin": budget.margin,
+            },
+        ),
+        Row("", " + ".join(f"{part.what} {part.cycles:.3f}" for part in budget.parts)),
+        *_detection_rows(plan, budget),
+    ]
+
+
+def _speed_row(budget: ResidualBudget, given: float | None) -> Row:
+    largest = budget.largest_speed_rad_s
+    allowed = "no limit" if math.isinf(largest) else f"{largest * RPM:.4g} rpm"
+    figures = {
+        "stated_rpm": None if given is None else _finite(given * RPM),
+        "largest_rpm": _finite(largest * RPM),
+        "equation_rpm": _finite(budget.equation_speed_rad_s * RPM),
+        "margin": _margin(largest, given),
+    }
+    if given is None:
+        return Row("speed", allowed, speed=figures)
+    if math.isinf(largest):
+        return Row("speed", f"{given * RPM:.4g} rpm, {allowed}", speed=figures)
+    return _margin_row("speed", f"{given * RPM:.4g} of {allowed}", over(largest, given), speed=figures)
+
+
+def analog_row(module: PlannedModule, speed_rad_s: float | None) -> Row:
+    """The analog path at the largest speed (2002:06, 2002:07, 2001:05); nothing where none of it is known."""
+    hertz = (speed_rad_s or 0.0) * module.cycles_per_revolution / (2.0 * math.pi)
+    pairs = zip(od.CONDITIONING, IDENTITY.values, strict=True)
+    used = Conditioning(*(float(module.values.get(place, default)) for place, default in pairs))
+    corners = module.settings.corners
+    front = FrontEnd(used, corners)
+    front.use_interval(1.0)
+    parts = []
+    turned = front.turned_rad(hertz)
+    exceeded = abs(turned) + abs(used.phase_error_rad) >= LARGEST_RAD
+    if turned:
+        parts.append(f"{turned / (2.0 * math.pi):+.3f} cycle between the tracks, removed")
+    if corners.corner_hz:
+        left = 1.0 / math.hypot(1.0, hertz / corners.corner_hz)
+        parts.append(f"{100.0 * left:.0f} % of the amplitude left")
+    if used.delay_s:
+        parts.append(f"{front.lag_intervals(hertz) * hertz:+.3f} cycle of delay, added to the position")
+    words = f"analog path at {hertz / 1e3:.4g} kHz: {'; '.join(parts)}{EXCEEDED * exceeded}"
+    return Row("", words if parts and hertz else None)
+
+
+def _instants(budget: ResidualBudget) -> str:
+    if budget.module.samples_itself:
+        return "the module samples itself: the jitter of SYNC does not matter"
+    if budget.module.times:
+        return "sample times: the jitter of SYNC does not limit the speed"
+    if budget.module.samples_per_sync > 1:
+        return "the interface samples by its own timer: the jitter of SYNC does not limit the speed"
+    bus_us, own_us = budget.plan_input.bus.sync_delay_s / 2.0 * 1e6, budget.plan_input.jitter_s * 1e6
+    said = f"no sample times; SYNC ±{own_us + bus_us:.3g} µs"
+    return f"{said}: producer {own_us:.3g}, frames before it {bus_us:.3g}"
+
+
+def _motion_rows(budget: ResidualBudget) -> list[Row]:
+    """Acceleration and jerk: eq. 9 limits the one, third-order prediction the other."""
+    third, asked, jerk = budget.module.is_third_order, budget.asked_rad_s2, budget.asked_rad_s3
+    largest, least, changed = budget.largest_acceleration_rad_s2, budget.least_sync_hz, budget.jerk_rad_s2
+    needs = "no SYNC rate is enough" if math.isinf(least) else f"a SYNC of {least:.4g} Hz or more is needed"
+    acceleration = {
+        "stated_rad_s2": asked,
+        "largest_rad_s2": _finite(largest),
+        "equation_12_rad_s2": budget.equation_rad_s2,
+        "equation_10_rad_s2": budget.paper_rad_s2,
+        "least_sync_hz": _finite(least),
+        "margin": _margin(largest, asked),
+    }
+    cycles = None if changed is None else budget.acceleration_cycles(changed)
+    jerks = {
+        "stated_rad_s3": jerk,
+        "largest_rad_s3": _finite(budget.largest_jerk_rad_s3),
+        "equation_rad_s3": _finite(budget.equation_rad_s3),
+        "margin": _margin(budget.largest_jerk_rad_s3, jerk),
+        "within_one_interval_rad_s2": changed,
+        "within_one_interval_cycles": cycles,
+    }
+    allowed = "no limit" if math.isinf(largest) else f"{largest:.4g} rad/s^2"
+    if asked is None:
+        rows = [Row("acceleration", allowed, acceleration=acceleration)]
+    elif math.isinf(largest):
+        rows = [Row("acceleration", f"{asked:.4g} rad/s^2, {allowed}", acceleration=acceleration)]
+    else:
+        words = f"{asked:.4g} of {allowed}"
+        rows = [_margin_row("acceleration", words, over(largest, asked), acceleration=acceleration)]
+    if not third:
+        equations = f"eq. 12 alone allows {budget.equation_rad_s2:.4g}, eq. 10 {budget.paper_rad_s2:.4g}"
+        rows.append(Row("", f"{equations}; {needs}" if asked else equations))
+        said = None
+        if changed is not None:
+            said = f"{jerk:.4g} rad/s^3, in one interval {changed:.4g} rad/s^2 or {cycles:.3f} cycle"
+        return [*rows, Row("jerk", said and f"{said} (eq. 9 does not use it)", jerk=jerks)]
+    most = f"{budget.largest_jerk_rad_s3:.6g} rad/s^3"
+    equation = f"third-order prediction alone allows {budget.equation_rad_s3:.6g}"
+    if jerk is None:
+        step = "no jerk is stated: the acceleration steps from 0 in one interval"
+        rows.append(Row("", f"{step}; {needs}" if asked else step))
+        return [*rows, Row("jerk", most, jerk=jerks), Row("", equation)]
+    factor = over(budget.largest_jerk_rad_s3, jerk)
+    rows.append(_margin_row("jerk", f"{jerk:.6g} of {most}", factor, jerk=jerks))
+    return [*rows, Row("", f"{equation}; {needs}" if jerk else equation)]
+
+
+# What is detected.
+
+
+def _detection_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
+    found, module = plan.detection(budget), budget.module
+    needed = plan.detection(budget, min(budget.needed_cycles, 0.5))
+    frozen = f"after {module.frozen_samples} equal samples" if module.frozen_samples else "not looked for"
+    half = "always" if found.half_cycle else "not always"
+    motion, well = ("j", "1/4") if module.is_third_order else ("a", "1/6")
+    low, high = module.amplitude_limits_counts
+    nominal = budget.plan_input.errors.amplitude * module.full_scale_counts
+    amplitude = f"{low} to {high} counts"
+    if nominal:
+        amplitude = f"{low / nominal:.2g} to {high / nominal:.2g} of nominal"
+    area = area_coverage(window_of(plan, budget))
+    return [
+        Row(
+            "detection (docs/faults.md)",
+            f"L + {motion} = {found.limit_cycles + found.motion_cycles:.3f} cycle, "
+            + (f"at most {well}: sharp" if found.is_sharp else f"above {well}: weak"),
+            detection=_detection(found),
+            detection_at_needed_limit=_detection(needed),
+        ),
+        Row("", f"bad samples in a row that cannot change the count unseen: {found.bad_samples}"),
+        *(Row("", words) for words in _kept_words(found, budget)),
+        Row(
+            "",
+            f"a jump of half a cycle is seen {half}; one below {found.unseen_jump_cycles:.3f} cycle may pass",
+        ),
+        Row("", f"amplitude limits {amplitude}; frozen input: {frozen}"),
+        Row(
+            "",
+            "coverage of any voltages (1 - allowed area / whole area): "
+            f"{_percent(area.amplitude)} by the amplitude, {_percent(area.residual)} with the residual",
+        ),
+    ]
+
+
+def _detection(found: CountDetection) -> dict[str, Any]:
+    return {
+        "limit_cycles": found.limit_cycles,
+        "limit_and_motion_cycles": found.limit_cycles + found.motion_cycles,
+        "bad_samples": found.bad_samples,
+        "missed_samples": found.missed_samples,
+        "declared": {
+            "cycles_per_interval_to_the_order": found.declared.followed,
+            "phase_error_cycles": found.declared.phase_error,
+            "bad_samples": found.declared.bad_samples,
+            "coast_samples": found.declared.coast_samples,
+            "holds": found.is_declared,
+        },
+        "half_cycle": found.half_cycle,
+        "unseen_jump_cycles": found.unseen_jump_cycles,
+        "sharp": found.is_sharp,
+    }
+
+
+def _kept_words(found: CountDetection, budget: ResidualBudget) -> list[str]:
+    """What is bridged for certain with what is declared, and what other declarations would bridge."""
+    declared, third = found.declared, budget.module.is_third_order
+    known = declared.jerk if third else declared.acceleration
+    power, place = ("³", "2010:08") if third else ("²", "2010:02")
+    followed = f"{place} {declared.followed:.3g} cycle per interval{power}"
+    if known is None:
+        source = "by the residual limit" if third or not declared.assumes else "2010:0B"
+        followed = f"{place} not set, {declared.followed:.3g} cycle per interval{power} assumed, {source}"
+    kept = found.missed_samples
+    lines = [
+        "missed or flagged samples in a row after which the position is certain: "
+        f"{kept}, at most {budget.module.coast_samples} (2010:03)",
+        f"  declared: {followed}; phase error {declared.phase_error:.3g} cycle (2010:0C); "
+        f"up to {declared.bad_samples} bad unnoticed (2010:0A)",
+    ]
+    if not found.is_declared:
+        lines.append(f"  the motion is larger: after a gap a position can be valid and wrong; set {place}")
+    motion = "jerk" if third else "acceleration"
+    choices: dict[str, dict[str, float]] = {
+        f"{place} for the motion of this plan": {motion: found.motion_cycles} if known is None else {},
+        f"a phase error of {CALIBRATED_PHASE_ERROR_CYCLES:g}, as after canfb calibrate": {
+            "phase_error": min(declared.phase_error, CALIBRATED_PHASE_ERROR_CYCLES)
+        },
+        "a larger 2010:03": {"coast_samples": MOST_COASTED},
+    }
+    for words, change in choices.items():
+        if change and found.motion_cycles and (other := found.kept_with(**change)) != kept:
+            lines.append(f"  {other} with {words}")
+    return lines
+
+
+def coverage_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
+    """Diagnostic coverage of the faults one by one; parts 0..1, seconds."""
+    window, tolerance = window_of(plan, budget), second_tolerance(budget)
+    within, mapped = (USUAL_TOLERANCE, "none is mapped") if tolerance is None else (tolerance, "2014:04")
+    found, of_samples = fault_coverage(window), f"{CASES} faults each of {FAULTY_SAMPLES} samples"
+    return [
+        Row(f"diagnostic coverage in motion, {of_samples}, no certificate", ""),
+        Row(
+            "",
+            f"(docs/faults.md); second position within {within:g} revolution ({mapped})",
+        ),
+        Row("", f"{'fault':<26}{'amplitude':>10}{'+ residual':>12}{'+ second':>10}{'99 % within':>20}"),
+        *(
+            Row(
+                "",
+                f"{one.name:<26}{_percent(one.shares.amplitude):>10}{_percent(one.shares.residual):>12}"
+                f"{_percent(one.shares.second):>10}{_time(one.within, budget):>20}",
+            )
+            for one in found
+        ),
+        Row(
+            coverage={
+                "any_voltages": _shares(area_coverage(window)),
+                "second_position_cycles": window.tolerance_cycles,
+                "second_position_mapped": tolerance is not None,
+                "faults": {
+                    one.name: {
+                        **_shares(one.shares),
+                        "harmful": one.harmful / CASES,
+                        "within_s": None if one.within is None else one.within * budget.interval_s,
+                    }
+                    for one in found
+                },
+            }
+        ),
+    ]
+
+
+def _shares(shares: Shares) -> dict[str, float | None]:
+    return {"amplitude": shares.amplitude, "residual": shares.residual, "second_position": shares.second}
+
+
+def _time(within: int | None, budget: ResidualBudget) -> str:
+    if within is None:
+        return "-"
+    samples = "sample" if within == 1 else "samples"
+    return f"{within} {samples}, {within * budget.interval_s * 1e3:.3g} ms"
+
+
+def _percent(part: float | None) -> str:
+    """Rounded down: what is not whole is not shown as whole."""
+    return "-" if part is None else f"{int(1000.0 * part + 1e-9) / 10.0:.1f} %"
+
+
+# The verdict.
+
+
+def _verdict(plan: Plan, changes: list[PlanChange]) -> list[str]:
+    tight = plan.tightest
+    which = "" if tight.module is None or len(plan.budgets) == 1 else f" of node {tight.module.node_id:02X}h"
+    said = "the plan holds" if plan.holds else "the plan does NOT hold"
+    lines = [f"{said}; tightest: {tight.limited}{which}, margin {_factor(tight.factor)}"]
+    if not changes:
+        lines.append("nothing to change" if plan.holds else "no single change helps")
+    for n, one in enumerate(changes):
+        lines.append(f"{'first' if n == 0 else 'then'}, for {one.for_what}: {one.text}")
+    last = Plan(changes[-1].plan_input) if changes else plan
+    if changes and not last.holds:
+        lines.append(f"still exceeded then: {last.tightest.limited}, margin {_factor(last.tightest.factor)}")
+    return lines
