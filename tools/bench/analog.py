@@ -4,7 +4,7 @@ Each row is an encoder of 2500 cycles with 1 % of third harmonic behind a conver
 count of noise. Its table comes from a reference measurement at 61 rpm; then it turns at each speed, and the
 error is that against the position at the instant of the sample, in cycles: mean / rms without the mean.
 "compensated" has the path as it is; "--speeds" has what `canfb calibrate --speeds 61,1500,3000` finds of it,
-with the delay (2002:07) given, and with the one that the amplitude tells.
+with the delay (2002:07) given, and with the one that the amplitude shows.
 
     python -m tools.bench.analog [--check]
 """
@@ -15,7 +15,7 @@ import argparse
 import math
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -40,46 +40,26 @@ SPEEDS_RPM = (60.0, 300.0, 1000.0, 2000.0, 3000.0)
 SAMPLES, START = 3000, 40
 GOAL_RMS, GOAL_MULTIPLEXER, GOAL_MEAN, GOAL_ESTIMATED = 0.0003, 0.002, 0.003, 0.02
 COMPENSATED, GIVEN, ESTIMATED = "compensated", "--speeds, delay given", "--speeds, delay estimated"
+COMPENSATIONS = (COMPENSATED, GIVEN, ESTIMATED)
 
 
-@dataclass(frozen=True)
-class Row:
-    """An analog path, and what the module is told of it."""
-
-    name: str
-    path: AnalogPath
-
-
-@dataclass(frozen=True)
-class Told:
-    """What a module computes with."""
-
-    correction: Correction
-    corners: Corners
-
-
-ROWS = (
-    Row("ideal", IDEAL_PATH),
-    Row("multiplexed, cosine 1 µs after sine", AnalogPath(cosine_delay_s=1e-6)),
-    Row("low-pass 125 kHz on both tracks", AnalogPath(sine_corner_hz=125e3, cosine_corner_hz=125e3)),
-    Row("the same, corners 2 % apart", AnalogPath(sine_corner_hz=125e3, cosine_corner_hz=127.5e3)),
-    Row(
-        "multiplexer 100 ns, low-pass 250 kHz, 2 % apart",
-        AnalogPath(sine_corner_hz=250e3, cosine_corner_hz=255e3, cosine_delay_s=1e-7),
+PATHS = {
+    "ideal": IDEAL_PATH,
+    "multiplexed, cosine 1 µs after sine": AnalogPath(cosine_delay_s=1e-6),
+    "low-pass 125 kHz on both tracks": AnalogPath(sine_corner_hz=125e3, cosine_corner_hz=125e3),
+    "the same, corners 2 % apart": AnalogPath(sine_corner_hz=125e3, cosine_corner_hz=127.5e3),
+    "multiplexer 100 ns, low-pass 250 kHz, 2 % apart": AnalogPath(
+        sine_corner_hz=250e3, cosine_corner_hz=255e3, cosine_delay_s=1e-7
     ),
-)
+}
 HARMONICS = {
     "1 % third harmonic": (Harmonic(3, 0.01, 0.01),),
     "1 % third harmonic, tracks of one shape": (Harmonic(3, 0.01, -0.01),),
 }
 
 
-@dataclass(frozen=True)
-class Error:
-    """Of the position, cycles."""
-
-    mean: float
-    rms: float
+Error = tuple[float, float]
+"""Mean and rms without the mean of the position error, cycles."""
 
 
 def positions(rpm: float, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -95,7 +75,7 @@ def positions(rpm: float, samples: int, seed: int) -> tuple[np.ndarray, np.ndarr
 
 
 def reference(encoder: Encoder, cosine_delay_s: float) -> Correction:
-    """Table and conditioning of a reference measurement at 61 rpm by a module that is told this delay."""
+    """Table and conditioning of a reference measurement at 61 rpm by a module with this delay in 2002:06."""
     position, hertz = positions(REFERENCE_RPM, 20000, 1)
     sine, cosine = (
         np.asarray(one, float) for one in encoder.sample(position, np.random.default_rng(2), hertz)
@@ -117,68 +97,67 @@ def over_speeds(encoder: Encoder) -> SpeedCalibration:
     return calibrate_over_speeds(measured, adc_bits=12)
 
 
-def told(used: Correction, path: AnalogPath) -> Told:
-    """With this path as it is."""
+def compensated(encoder: Encoder, path: AnalogPath) -> SignalChain:
+    """The chain of a module that is configured with this path."""
+    used = reference(encoder, path.cosine_delay_s)
     known = replace(used.conditioning, cosine_delay_s=path.cosine_delay_s, delay_s=path.lag_s(0.0))
-    return Told(Correction(used.table, known), Corners(path.sine_corner_hz, path.cosine_corner_hz))
+    return chain(Correction(used.table, known), Corners(path.sine_corner_hz, path.cosine_corner_hz))
 
 
-def errors(encoder: Encoder, used: Told, rpm: float, samples: int) -> Error:
-    """At this speed, with what the module is told."""
-    position, hertz = positions(rpm, samples, 3)
-    sine, cosine = encoder.sample(position, np.random.default_rng(4), hertz)
+def chain(used: Correction, corners: Corners) -> SignalChain:
+    """With the conditioning and table of ``used``, behind a low-pass with these corners."""
     config = canfb.ChainConfig(
-        conditioning=used.correction.conditioning,
-        corner_hz=used.corners.corner_hz,
-        cosine_corner_hz=used.corners.cosine_corner_hz,
+        conditioning=used.conditioning,
+        corner_hz=corners.corner_hz,
+        cosine_corner_hz=corners.cosine_corner_hz,
         interval_s=INTERVAL_S,
     )
-    chain = SignalChain(config, used.correction.table)
+    return SignalChain(config, used.table)
+
+
+def error(encoder: Encoder, chain: SignalChain, rpm: float, samples: int) -> Error:
+    """At this speed, from the instant of the sample on."""
+    position, hertz = positions(rpm, samples, 3)
+    tracks = encoder.sample(position, np.random.default_rng(4), hertz)
+    chain.reset()
     chain.restart(0, float(hertz[0]) * INTERVAL_S)
     found = []
-    for pair, true in zip(zip(sine.tolist(), cosine.tolist(), strict=True), position.tolist(), strict=True):
-        got = chain.step(Sample(*pair))
+    for sine, cosine, true in zip(*(one.tolist() for one in (*tracks, position)), strict=True):
+        got = chain.step(Sample(sine, cosine))
         lag = chain.lag_intervals
-        way = (got.speed_cycles + got.acceleration_cycles * (1.0 + lag) / 2.0) * lag
-        found.append((got.cycles - true) + got.phase + way)
+        moved = (got.speed_cycles + got.acceleration_cycles * (1.0 + lag) / 2.0) * lag
+        found.append((got.cycles - true) + got.phase + moved)
     off = np.array(found[START:])
     off -= np.round(np.median(off))
-    return Error(float(off.mean()), float(off.std()))
+    return float(off.mean()), float(off.std())
 
 
-def measured(harmonics: tuple[Harmonic, ...], samples: int) -> Iterator[tuple[Row, dict[str, list[Error]]]]:
-    """For each row the errors at each speed, without compensation and with each."""
-    for row in ROWS:
-        encoder = Encoder(amplitude_counts=1500.0, harmonics=harmonics, noise_lsb=0.5, path=row.path)
+def measured(
+    harmonics: tuple[Harmonic, ...], samples: int
+) -> Iterator[tuple[str, AnalogPath, dict[str, list[Error]]]]:
+    """Each path with its errors at each speed, without compensation and with each."""
+    for name, path in PATHS.items():
+        encoder = Encoder(amplitude_counts=1500.0, harmonics=harmonics, noise_lsb=0.5, path=path)
         fitted = over_speeds(encoder)
-        corners = fitted.path.corners
-        modules = {
-            row.name: told(reference(encoder, 0.0), IDEAL_PATH),
-            COMPENSATED: told(reference(encoder, row.path.cosine_delay_s), row.path),
-            GIVEN: Told(fitted.with_delay(row.path.lag_s(0.0)).correction, corners),
-            ESTIMATED: Told(fitted.with_delay(fitted.path.low_pass.delay_s).correction, corners),
+        delays = {GIVEN: path.lag_s(0.0), ESTIMATED: fitted.path.low_pass.delay_s}
+        modules = {name: compensated(encoder, IDEAL_PATH), COMPENSATED: compensated(encoder, path)}
+        modules |= {
+            what: chain(fitted.with_delay(delay_s).correction, fitted.path.corners)
+            for what, delay_s in delays.items()
         }
-        yield (
-            row,
-            {
-                name: [errors(encoder, used, rpm, samples) for rpm in SPEEDS_RPM]
-                for name, used in modules.items()
-            },
-        )
+        found = {
+            what: [error(encoder, one, rpm, samples) for rpm in SPEEDS_RPM] for what, one in modules.items()
+        }
+        yield name, path, found
 
 
-def goal(row: Row, rpm: float) -> float:
-    """Largest rms of issue and page, cycles."""
-    return GOAL_MULTIPLEXER if row.path.cosine_delay_s >= 1e-6 and rpm >= 3000.0 else GOAL_RMS
-
-
-def misses(row: Row, what: str, found: list[Error]) -> list[float]:
-    """Speeds at which an error is over its goal; none for what is not compensated."""
-    if what == row.name:
-        return []
-    mean = GOAL_ESTIMATED if what == ESTIMATED else GOAL_MEAN
-    pairs = zip(SPEEDS_RPM, found, strict=True)
-    return [rpm for rpm, one in pairs if one.rms > goal(row, rpm) or abs(one.mean) > mean]
+def is_missed(path: AnalogPath, what: str, rpm: float, found: Error) -> bool:
+    """Whether an error of a compensated module is over its goal (docs/analog-front-end.md)."""
+    multiplexed = path.cosine_delay_s >= 1e-6 and rpm >= 3000.0
+    rms, mean = GOAL_MULTIPLEXER if multiplexed else GOAL_RMS, GOAL_MEAN
+    if what == ESTIMATED:
+        mean = GOAL_ESTIMATED
+    return what in COMPENSATIONS and (found[1] > rms or abs(found[0]) > mean)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -192,10 +171,10 @@ def main(arguments: list[str] | None = None) -> int:
     for name, harmonics in HARMONICS.items():
         print(f"\n{name}\n")
         rows = []
-        for row, found in measured(harmonics, options.samples):
+        for _, path, found in measured(harmonics, options.samples):
             for what, over in found.items():
-                rows.append([what, *(f"{one.mean:+.4f} / {one.rms:.5f}" for one in over)])
-                missed = missed or bool(misses(row, what, over))
+                rows.append([what, *(f"{mean:+.4f} / {rms:.5f}" for mean, rms in over)])
+                missed |= any(is_missed(path, what, *one) for one in zip(SPEEDS_RPM, over, strict=True))
         print("\n".join(table(["", *(f"{rpm:g}" for rpm in SPEEDS_RPM)], rows)))
     return 1 if options.check and missed else 0
 

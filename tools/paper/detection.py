@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb import max_acceleration, track
+from canfb.simulation.faults import (
+    Fault,
+    InvertedTracks,
+    JoinedTracks,
+    OpenTrack,
+    Samples,
+    Signal,
+    SwappedTracks,
+)
 from tools.paper.claim import Claim, Effort, Verdict, grouped, percent, verdict
 from tools.paper.plant import (
     CYCLES_PER_REVOLUTION,
@@ -193,35 +201,12 @@ def never_forgets(effort: Effort) -> Iterator[Claim]:
     )
 
 
-Fault = Callable[[npt.NDArray[np.int16], npt.NDArray[np.int16], int], None]
-
-
-def _dead_sine(sine: npt.NDArray[np.int16], cosine: npt.NDArray[np.int16], at: int) -> None:
-    sine[at:] = 0
-
-
-def _dead_cosine(sine: npt.NDArray[np.int16], cosine: npt.NDArray[np.int16], at: int) -> None:
-    cosine[at:] = 0
-
-
-def _joined(sine: npt.NDArray[np.int16], cosine: npt.NDArray[np.int16], at: int) -> None:
-    sine[at:] = cosine[at:] = (sine[at:] + cosine[at:]) // 2
-
-
-def _swapped(sine: npt.NDArray[np.int16], cosine: npt.NDArray[np.int16], at: int) -> None:
-    sine[at:], cosine[at:] = cosine[at:].copy(), sine[at:].copy()
-
-
-def _inverted(sine: npt.NDArray[np.int16], cosine: npt.NDArray[np.int16], at: int) -> None:
-    sine[at:] = -sine[at:]
-
-
 CABLE_FAULTS: dict[str, Fault] = {
-    "sine dead": _dead_sine,
-    "cosine dead": _dead_cosine,
-    "tracks joined": _joined,
-    "tracks swapped": _swapped,
-    "sine inverted": _inverted,
+    "sine dead": OpenTrack(Signal.SINE),
+    "cosine dead": OpenTrack(Signal.COSINE),
+    "tracks joined": JoinedTracks(),
+    "tracks swapped": SwappedTracks(),
+    "sine inverted": InvertedTracks(Signal.SINE),
 }
 
 
@@ -257,10 +242,10 @@ def _detected(fault: Fault, cases: int, top_speed: float, rng: np.random.Generat
         speed = rng.uniform(-top_speed, top_speed)
         ramp = np.full(300, speed / 300)
         way = Way.from_steps(np.concatenate([[0.0], ramp, np.zeros(60)]), float(rng.uniform()))
-        sine, cosine = sampled(USUAL, way, rng)
         at = len(way) - 40
-        fault(sine, cosine, at)
-        result = bare(sine, cosine, table)
+        samples = Samples.of(*sampled(USUAL, way, rng))
+        faulty = fault.inject(samples, at, len(samples), np.random.default_rng(0))
+        result = bare(faulty.sine, faulty.cosine, table)
         assert result.ok[:at].all()
         found += not result.ok[at : at + 20].all()
     return found / cases
