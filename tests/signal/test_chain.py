@@ -247,6 +247,36 @@ def test_after_a_pause_at_standstill_the_count_goes_on_from_the_nearest_cycle() 
     assert chain.step(sample_at(0.5)).cycles == 0
 
 
+@pytest.mark.parametrize("missed", [1, 2])
+def test_a_valid_position_in_doubt_goes_on_after_a_pause(missed: int) -> None:
+    """Behind missing samples it is valid at once, and the samples after it still decide."""
+    chain = SignalChain(ChainConfig())
+    position = stopped(chain, ramp_up(chain, 3.0), 3.0)
+    for _ in range(missed):
+        chain.miss()
+    assert chain.step(sample_at(position)).valid
+    assert chain._estimator.in_doubt
+    chain.resume(100.0)
+    for _ in range(5):
+        got = chain.step(sample_at(position + 0.3))
+        assert got.valid
+        assert got.cycles == math.floor(position + 0.3)
+
+
+def test_a_position_that_is_not_valid_at_a_pause_is_lost() -> None:
+    """It began again at cycle count 0, and no status word said that the old count is gone."""
+    chain = SignalChain(ChainConfig())
+    position = stopped(chain, ramp_up(chain, 3.0), 3.0)
+    assert not chain.miss().valid
+    chain.resume(100.0)
+    got = chain.step(sample_at(position))
+    assert flags(got) & StatusBit.LOST
+    assert not got.valid
+    stand(chain, position)
+    chain.resume(100.0)
+    assert chain.step(sample_at(position)).cycles == 0
+
+
 def stand(chain: SignalChain, position: float) -> None:
     """As long as it takes until a position that is lost can start at standstill."""
     for _ in range(STILL_SAMPLES):

@@ -81,17 +81,18 @@ class Pauses(UsualStep):
         """Go on after a pause in which the machine stood still: less than half a cycle from here.
 
         ``intervals`` is how long the pause was, in intervals of SYNC. If the machine was moving and
-        at that speed could have left the cycle meanwhile, the position is lost. One that was lost
-        before the pause starts again, at cycle count 0: at once if the machine stood when it was lost
-        and its phases did since, or if they did for STILL_SAMPLES; else once they have. Likewise after
-        :meth:`reset` while it turned, unless by the declared acceleration it has stayed below half a
-        cycle per interval.
+        at that speed could have left the cycle meanwhile, the position is lost; so is one that is in doubt
+        and was not valid: the samples that would have decided do not come. One that was lost before the
+        pause starts again, at cycle count 0: at once if the machine stood when it was lost and its phases
+        did since, or if they did for STILL_SAMPLES; else once they have. Likewise after :meth:`reset`
+        while it turned, unless by the declared acceleration it has stayed below half a cycle per interval.
         """
         was_lost = self._estimator.lost
         if was_lost or self._waits or self._turned:
             self._start_again(intervals)
             return
         moved = self._could_move(intervals, STANDSTILL_CYCLES)
+        moved |= self._estimator.in_doubt and not self._was_valid
         self._reference.restart(keep=not moved)
         self._restart_second(not moved, True)
         self._estimator.resume()
