@@ -26,7 +26,8 @@ Disturbance = Callable[[World], None]
 
 
 def samples_lost(world: World) -> None:
-    """Up to three ADC PDOs in a row, and each of them is counted."""
+    """Up to three ADC PDOs in a row, and each of them is counted, but for the first after a start."""
+    world.recover()
     lost, before, interruptions = world.rng.randint(1, 3), world.missed(), world.interruptions
     world.cable.losing[SAMPLES] = lost
     world.pass_(0.02)
