@@ -61,7 +61,6 @@ class SignalChain(Pauses):
         self._per_sync = 1
         self.between: tuple[Feedback, ...] = ()
         """Of the last interval: what the samples before the newest gave, oldest first."""
-        self._was_valid = 0  # the sample before
         self._times = SampleTimes()
         self.nominal_sync = self._times.nominal_sync
         """The clock of the encoder interface, by the sample times so far."""

@@ -18,6 +18,7 @@ class Pauses(UsualStep):
 
     def __init__(self) -> None:
         super().__init__()
+        self._was_valid = 0  # the sample before
         self._waits = False  # for a standstill, at which it can start
         self._waited = 0.0  # intervals without a sample since the last one with a sample time
         self._turned = 0.0  # the speed at a reset, cycles per interval, where the position started again
