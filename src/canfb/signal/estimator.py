@@ -135,10 +135,7 @@ class Estimator:
         self._count_by(SECOND if self.lost else self.order)
 
     def resume(self) -> None:
-        """Go on at standstill from the last position, or from cycle count 0 if it was lost.
-
-        Also in doubt: whether its motions agree on the position is for the caller to know.
-        """
+        """Go on at standstill from the last position, also of a doubt; from cycle count 0 if it was lost."""
         if self.lost or not self.places:
             self.restart()
         else:
