@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from canfb.cia301 import datatypes
 from canfb.cia301.datatypes import DataType
 from canfb.device.od.dictionary import Entry
-from canfb.device.pdo.mapping import AlignedLayout, BitLayout, Slot, compile_layout
+from canfb.device.pdo.mapping import Slot, struct_of
+from canfb.device.pdo.rpdo import bit_unpacker, length_of, unpacker
+from canfb.device.pdo.tpdo import bit_packer, packer
 
 MAPPABLE = [code for code in DataType if datatypes.bit_length(code)]
 
@@ -49,23 +51,28 @@ def mapped(draw: st.DrawFn) -> tuple[list[Slot], list[object]]:
 @given(mapped())
 def test_pack_and_unpack_are_inverse(drawn: tuple[list[Slot], list[object]]) -> None:
     slots, values = drawn
-    layout = compile_layout(slots)
+    pack, unpack = packer(slots), unpacker(slots)
     for slot, value in zip(slots, values, strict=True):
         entry_of(slot).value = value
-    data = layout.pack()
-    assert len(data) == layout.length == math.ceil(sum(slot.bits for slot in slots) / 8)
+    data = pack()
+    assert len(data) == length_of(slots) == math.ceil(sum(slot.bits for slot in slots) / 8)
     for slot in slots:
         entry_of(slot).reset()
-    assert layout.unpack(data + b"\xff") == 0
+    assert unpack(data + b"\xff") == 0
     assert [entry_of(slot).value for slot in slots] == values
 
 
 @given(mapped())
-def test_both_layouts_give_the_same_bytes(drawn: tuple[list[Slot], list[object]]) -> None:
+def test_struct_and_bits_give_the_same(drawn: tuple[list[Slot], list[object]]) -> None:
     slots, values = drawn
     for slot, value in zip(slots, values, strict=True):
         entry_of(slot).value = value
-    assert compile_layout(slots).pack() == BitLayout(slots).pack()
+    data = packer(slots)()
+    assert data == bit_packer(slots)()
+    for slot in slots:
+        entry_of(slot).reset()
+    assert bit_unpacker(slots)(data) == 0
+    assert [entry_of(slot).value for slot in slots] == values
 
 
 def test_the_order_of_bits() -> None:
@@ -74,21 +81,20 @@ def test_the_order_of_bits() -> None:
     for slot, value in zip(slots, (True, 0xAB, True, 0x123456), strict=True):
         entry_of(slot).value = value
     word = 1 | 0xAB << 1 | 1 << 9 | 0x123456 << 10
-    assert BitLayout(slots).pack() == word.to_bytes(5, "little")
+    assert bit_packer(slots)() == word.to_bytes(5, "little")
 
 
 def test_dummies_leave_gaps() -> None:
     (slot,) = slots_of([DataType.UNSIGNED16])
     for gap, length in ((DataType.UNSIGNED8, 3), (DataType.UNSIGNED32, 6)):
         slots = [Slot(None, gap, datatypes.bit_length(gap)), slot]
-        layout = compile_layout(slots)
-        assert isinstance(layout, AlignedLayout)
-        assert layout.length == length
-        assert layout.unpack(bytes(length - 2) + b"\x34\x12") == 0
+        assert struct_of(slots) is not None
+        assert length_of(slots) == length
+        assert unpacker(slots)(bytes(length - 2) + b"\x34\x12") == 0
         assert entry_of(slot).value == 0x1234
-    layout = compile_layout([Slot(None, DataType.BOOLEAN, 1), slot])
-    assert isinstance(layout, BitLayout)
-    assert layout.unpack(b"\x03\x00\x00") == 0
+    slots = [Slot(None, DataType.BOOLEAN, 1), slot]
+    assert struct_of(slots) is None
+    assert unpacker(slots)(b"\x03\x00\x00") == 0
     assert entry_of(slot).value == 1
 
 
@@ -99,10 +105,10 @@ def test_limits_and_hooks_of_mapped_entries(types: list[DataType]) -> None:
     second.high = 10
     seen: list[object] = []
     second.on_written = lambda: seen.append(second.value)
-    layout = compile_layout(slots)
+    unpack = unpacker(slots)
     bits = slots[0].bits
-    assert layout.unpack((1 | 9 << bits).to_bytes(2, "little")) == 0
-    assert layout.unpack((0 | 11 << bits).to_bytes(2, "little")) == 1
+    assert unpack((1 | 9 << bits).to_bytes(2, "little")) == 0
+    assert unpack((0 | 11 << bits).to_bytes(2, "little")) == 1
     assert seen == [9]
     assert (first.value, second.value) == (0, 9)
 
@@ -111,8 +117,8 @@ def test_limits_and_hooks_of_mapped_entries(types: list[DataType]) -> None:
 def test_live_values_are_sampled(types: list[DataType]) -> None:
     slots = slots_of(types)
     entry_of(slots[-1]).on_read = lambda: -1
-    layout = compile_layout(slots)
-    assert layout.pack() == ((1 << 32) - 1 << 32 - 32 + (slots[0].bits & 1)).to_bytes(layout.length, "little")
+    data = ((1 << 32) - 1 << 32 - 32 + (slots[0].bits & 1)).to_bytes(length_of(slots), "little")
+    assert packer(slots)() == data
 
 
 @pytest.mark.parametrize("value", [70000, -1, 1.5, "text", None])
@@ -120,17 +126,17 @@ def test_a_value_that_does_not_fit_is_named(value: object) -> None:
     slots = slots_of([DataType.UNSIGNED8, DataType.UNSIGNED16])
     entry_of(slots[1]).value = value
     with pytest.raises(ValueError, match="2000h:02"):
-        compile_layout(slots).pack()
+        packer(slots)()
 
 
 def test_a_float_that_is_too_large_is_named() -> None:
     slots = slots_of([DataType.REAL32])
     entry_of(slots[0]).value = 1e39
     with pytest.raises(ValueError, match="2000h:01"):
-        compile_layout(slots).pack()
+        packer(slots)()
 
 
 def test_struct_and_codec_agree_on_floats() -> None:
     slots = slots_of([DataType.REAL32, DataType.REAL32])
     entry_of(slots[0]).value, entry_of(slots[1]).value = 0.1, -3.25
-    assert compile_layout(slots).pack() == struct.pack("<ff", 0.1, -3.25)
+    assert packer(slots)() == struct.pack("<ff", 0.1, -3.25)

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Protocol
 
 from canfb.cia301.nmt import NmtState
 from canfb.device.od.dictionary import Entry
 from canfb.device.storage.image import ParameterGroup
 
 Groups = list[ParameterGroup]
+
+
+class Expiry(Protocol):
+    """Until when the process data that the program has put into the dictionary holds.
+
+    `until` is seconds, infinite for no end. The program moves it on; the node looks at it with every call.
+    """
+
+    until: float
 
 
 class Application:
@@ -44,6 +54,12 @@ class Application:
 
     def rpdo_too_short(self, number: int, received: int, mapped: int, now: float) -> None:
         """RPDO `number` was dropped: `received` bytes, of `mapped`."""
+
+    def expired(self, now: float) -> None:
+        """A frame received after `Expiry.until` is about to be taken, and no `tick` came in between."""
+
+    def overdue(self, now: float) -> None:
+        """A `tick` at or after `Expiry.until`."""
 
     def time_received(self, days: int, milliseconds: int, now: float) -> None:
         """A TIME while 1012h consumes it: days since 1984-01-01, and the milliseconds of the day."""

@@ -1,7 +1,7 @@
 """What a host asks of a device: the runner on a real bus, and the embedded bus.
 
 :class:`Device` is all that a device must have; each further protocol is one thing that it may have as well.
-:class:`NodeDevice` has all of them but `Computing`: a device that is one node and its application.
+:class:`NodeDevice` has all of them but `Computing`: a node that is its own application.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.application import Application, Groups
+from canfb.device.application import Application, Expiry, Groups
 from canfb.device.core import CanIds
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
@@ -95,10 +95,10 @@ class Computing(Protocol):
         """How far it is, 0..1."""
 
 
-class NodeDevice(Application):
-    """A device that is one node and its application: what a host asks of it goes to the node.
+class NodeDevice(Node, Application):
+    """A node that is its own application, as FeedbackModule and EncoderInterface are.
 
-    A subclass overrides what it adds to. What happens in the node goes on to the program that runs it:
+    A subclass overrides events. What happens in the node goes on to the program that runs it:
     ``on_parameter_faults`` is called with the groups of stored parameters that were refused, and the
     reasons; ``on_duplicate`` as (can_id, now) when another node uses this node-ID; ``on_bit_rate`` as
     (kbit_s, delay_s, now) when LSS changes the bit rate, see :meth:`Application.bit_rate_activated`.
@@ -115,54 +115,27 @@ class NodeDevice(Application):
         autostart: bool,
         store: Store | None,
         bit_rates_kbit_s: Collection[int],
+        expiry: Expiry | None = None,
     ) -> None:
-        self.dictionary = dictionary
-        self.node = Node(
-            dictionary, node_id, self, autostart=autostart, store=store, bit_rates_kbit_s=bit_rates_kbit_s
+        super().__init__(
+            dictionary,
+            node_id,
+            self,
+            expiry=expiry,
+            autostart=autostart,
+            store=store,
+            bit_rates_kbit_s=bit_rates_kbit_s,
         )
-        self.inhibited = self.node.inhibited
-        """By CAN-ID: frames that the node has to follow until they have left; see :meth:`sent`."""
         self.observer = Application()
         """Gets the NMT state, EMCY and saved parameters as well."""
         self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None = None
         self.on_duplicate: Callable[[int, float], None] | None = None
         self.on_bit_rate: Callable[[int, float, float], None] | None = None
 
-    def start(self, now: float) -> list[Frame]:
-        """Power-on at ``now`` (seconds): the boot-up frame."""
-        return self.node.start(now)
-
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Take a frame from the bus; the frames to send."""
-        return self.node.receive(frame, now)
-
-    def tick(self, now: float) -> list[Frame]:
-        """Do what is due at ``now``; the frames to send."""
-        return self.node.tick(now)
-
-    def deadline(self) -> float | None:
-        """When :meth:`tick` is due next, None for not at all."""
-        return self.node.deadline()
-
-    def can_ids(self) -> CanIds:
-        """The CAN-IDs that it listens to: a host need not give it other frames."""
-        return self.node.can_ids()
-
-    def follow_can_ids(self, moved: Callable[[], None]) -> None:
-        """Have ``moved`` called in each call after which :meth:`can_ids` may give others."""
-        self.node.follow_can_ids(moved)
-
-    def sent(self, can_id: int, now: float) -> None:
-        """A frame with this CAN-ID has left at ``now``: inhibit times count from there."""
-        self.node.sent(can_id, now)
-
-    def bus_off(self, now: float) -> list[Frame]:
-        """The bus is lost at ``now``: the reaction of 1029h; the frames to send, if any."""
-        return self.node.bus_off(now)
-
-    def bus_back(self, now: float) -> list[Frame]:
-        """The bus is back at ``now``: EMCY 8140h."""
-        return self.node.bus_back(now)
+    @property
+    def node(self) -> Node:
+        """The device as a node alone."""
+        return self
 
     # Application: called by the node.
 
@@ -186,9 +159,9 @@ class NodeDevice(Application):
         """EMCY 6310h while stored parameters are refused, with their groups; and to the program."""
         if faults:
             groups = bytes(sorted(faults))[:5]
-            self.node.emergency(EmergencyCode.DATA_SET, self.register_bits, groups, now)
+            self.emergency(EmergencyCode.DATA_SET, self.register_bits, groups, now)
         else:
-            self.node.clear_emergency(EmergencyCode.DATA_SET, now)
+            self.clear_emergency(EmergencyCode.DATA_SET, now)
         if self.on_parameter_faults is not None:
             self.on_parameter_faults(faults)
 

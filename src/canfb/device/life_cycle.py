@@ -26,10 +26,9 @@ from canfb.device.error_control import HeartbeatConsumer, HeartbeatProducer, Nod
 from canfb.device.lss import REQUEST_ID, UNCONFIGURED, LssSlave
 from canfb.device.nmt_slave import COMMUNICATING, ErrorBehaviour, Nmt, Startup
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.pdo.pdos import Pdos
 from canfb.device.sdo.server import SdoChannel, channel_indices
 from canfb.device.storage.storage import Storage, Store
-from canfb.device.sync import Sync, TimeStamp
+from canfb.device.sync import Pdos, Sync, TimeStamp
 
 
 class Silence(Timed):

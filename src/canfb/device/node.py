@@ -30,18 +30,24 @@ from collections.abc import Callable, Collection
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.application import Application
+from canfb.device.application import Application, Expiry
 from canfb.device.core import NEVER, CanIds
 from canfb.device.emergency import check_error
 from canfb.device.life_cycle import LifeCycle
 from canfb.device.lss import UNCONFIGURED, is_node_id
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.mapping import rpdo_with
-from canfb.device.pdo.pdos import Rpdo
+from canfb.device.pdo.rpdo import Rpdo
 from canfb.device.sdo.server import TIMEOUT_S
 from canfb.device.storage.storage import Store
 
 _BUS = "bus"
+
+
+class _NeverExpires:
+    """Process data that holds without an end."""
+
+    until = NEVER
 
 
 class Node:
@@ -65,6 +71,7 @@ class Node:
         node_id: int,
         application: Application | None = None,
         *,
+        expiry: Expiry | None = None,
         autostart: bool = False,
         sdo_timeout_s: float = TIMEOUT_S,
         store: Store | None = None,
@@ -72,7 +79,8 @@ class Node:
     ) -> None:
         """Make the node `node_id` (1..127, 255); ValueError for another, or for an impossible EDS.
 
-        Without an `application` nothing happens beside the services of CiA 301.
+        Without an `application` nothing happens beside the services of CiA 301. `expiry` is its own
+        deadline; None: it has none.
 
         With `autostart` it goes on to OPERATIONAL after each boot-up without a master: bit 2 of
         1F80h is then 0 by default. `sdo_timeout_s` is how long an SDO client may be silent within a
@@ -84,10 +92,12 @@ class Node:
             raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127, or 255 for none yet")
         if not 0 < sdo_timeout_s < NEVER:
             raise ValueError(f"sdo_timeout_s is {sdo_timeout_s}; give a time in seconds, more than 0")
+        self._application = Application() if application is None else application
+        self._expiry: Expiry = _NeverExpires() if expiry is None else expiry
         self._life = life = LifeCycle(
             dictionary,
             node_id,
-            Application() if application is None else application,
+            self._application,
             autostart=autostart,
             sdo_timeout_s=sdo_timeout_s,
             store=store,
@@ -164,10 +174,16 @@ class Node:
         return self._sent()
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Take a frame from the bus, whatever it holds; gives what is to be sent."""
+        """Take a frame from the bus, whatever it holds; gives what is to be sent.
+
+        `frame.timestamp` is when it was received, if the bus gives it, and `now` is no earlier. A late caller
+        first gives all the frames that wait, in their order, and then calls `tick`.
+        """
         call = self.call
         call.now = now
         can_id, data, rtr, timestamp = frame
+        if now > self._expiry.until and (timestamp is None or timestamp > self._expiry.until):
+            self._application.expired(now)
         if timestamp is None:
             call.received, call.proved = now, False
         elif call.stamp <= timestamp <= now:  # as usual: later than the last
@@ -192,6 +208,8 @@ class Node:
         call = self.call
         call.now = call.received = now
         call.proved = True  # a SYNC of its own goes out now
+        if now >= self._expiry.until:
+            self._application.overdue(now)
         self._agenda.tick(now)
         return self._sent()
 
@@ -199,8 +217,10 @@ class Node:
         """When `tick` is due next, seconds; None when nothing is waiting."""
         if self._outbox:
             return self.call.now
-        agenda = self._agenda
+        agenda, until = self._agenda, self._expiry.until
         due = agenda.due() if agenda.moved else agenda.earliest
+        if until < due:
+            return until
         return None if due == NEVER else due
 
     def sent(self, can_id: int, now: float) -> None:
@@ -257,11 +277,11 @@ class Node:
         beyond these ranges.
         """
         check_error(code, register_bits, manufacturer)
-        self._core.emergency.report(code, register_bits, manufacturer, self._time(now), again=again)
+        self._core.emergency.report(code, register_bits, manufacturer, self._at(now), again=again)
 
     def clear_emergency(self, code: int, now: float | None = None) -> None:
         """End an error: EMCY 0000h with what is left of 1001h. Nothing when it is not active."""
-        self._core.emergency.clear(code, self._time(now))
+        self._core.emergency.clear(code, self._at(now))
 
     def communication_error(self, now: float) -> None:
         """The device had a communication error, such as bus-off: the NMT state that 1029h:01 names.
@@ -291,7 +311,7 @@ class Node:
         self.call.now = now
         self._life.communication_error(why, now)
 
-    def _time(self, now: float | None) -> float:
+    def _at(self, now: float | None) -> float:
         if now is not None:
             self.call.now = now
         return self.call.now

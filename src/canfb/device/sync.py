@@ -11,9 +11,17 @@ and outputs change together.
         │  RPDOs: come now ...                            │ ... and take effect here
 
 It has no data, or with 1019h above 1 one byte: a counter 1 to 1019h, then 1 again. A device that counts can
-say how many SYNCs it has not received; this one leaves that to its application. What a SYNC does to PDOs is
-in :mod:`canfb.device.pdo.pdos`. Without PDOs, in PRE-OPERATIONAL, the application gets it as well
-(`idle_sync_received`), because its period is known then before the first sample.
+say how many SYNCs it has not received; this one leaves that to its application. What a SYNC
+does to PDOs, `Pdos.synchronise` does in one order, so that what is sent belongs to what was received before:
+
+1. the application says whether this SYNC counts (`accepts_sync`);
+2. synchronous RPDOs that came since the last one are taken over, each with `rpdo_received`;
+3. `sync_received`: the program acts on the new interval;
+4. synchronous TPDOs are sampled and sent in the same call, so the window of 1007h always holds for them; then
+   `tpdos_sampled`.
+
+Without PDOs, in PRE-OPERATIONAL, the application gets it as well (`idle_sync_received`): its period is known
+then before the first sample.
 
 Rules of 7.5.2.5 to 7.5.2.7 and 7.5.2.22 that are checked here: the CAN-ID does not change while the device
 produces SYNC, the counter does not change while 1006h is not 0, and it is 0 or 2 to 240.
@@ -28,12 +36,69 @@ from typing import Any
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
-from canfb.device.core import NEVER, Core, Timed
-from canfb.device.pdo.pdos import Pdos
+from canfb.device.core import NEVER, Core, Routes, Timed
+from canfb.device.pdo.mapping import Direction, numbers
+from canfb.device.pdo.rpdo import Rpdo
+from canfb.device.pdo.tpdo import Tpdo
 
 _SYNC_OBJECT = 0x1005
 _DEFAULT_COB_ID = 0x080
 _LONGEST_COUNTER = 240
+
+
+class Pdos:
+    """The RPDOs and TPDOs, by their numbers."""
+
+    def __init__(self, core: Core) -> None:
+        self._core, self._application = core, core.application
+        self.rpdos = {number: Rpdo(core, number) for number in numbers(core.dictionary, Direction.RECEIVE)}
+        self.tpdos = {number: Tpdo(core, number) for number in numbers(core.dictionary, Direction.TRANSMIT)}
+        self._operational = False
+        self._sync_rpdos: list[Rpdo] = []
+        self._sync_tpdos: list[Tpdo] = []
+
+    def enable(self, operational: bool, now: float) -> None:
+        """Whether the NMT state allows PDOs."""
+        self._operational = operational
+        for rpdo in self.rpdos.values():
+            rpdo.enable(operational, now)
+        for tpdo in self.tpdos.values():
+            tpdo.enable(operational, now)
+
+    def synchronous_rpdo(self, number: int) -> Rpdo | None:
+        """RPDO `number` if it is taken over at a SYNC now, else None."""
+        return next((rpdo for rpdo in self._sync_rpdos if rpdo.number == number), None)
+
+    def add_routes(self, routes: Routes) -> None:
+        """Who listens to which CAN-ID in OPERATIONAL, and who follows what leaves."""
+        for rpdo in self.rpdos.values():
+            routes.add(rpdo.can_id, rpdo.handle)
+        for tpdo in self.tpdos.values():
+            routes.add_remote(tpdo.remote_can_id, tpdo.request)
+            if tpdo.is_inhibited:
+                routes.add_sent(tpdo.configured_can_id, tpdo.sent)
+
+    def choose(self) -> None:
+        """Look which of them act at a SYNC, with these parameters."""
+        self._sync_rpdos = [rpdo for rpdo in self.rpdos.values() if rpdo.is_synchronous]
+        self._sync_tpdos = [tpdo for tpdo in self.tpdos.values() if tpdo.is_synchronous]
+
+    def synchronise(self, counter: int | None, now: float) -> None:
+        """A SYNC, with its counter if it has one: in OPERATIONAL, and if the program accepts it."""
+        core, application = self._core, self._application
+        if core.window_s:
+            core.window_end = now + core.window_s
+        if not self._operational:
+            application.idle_sync_received(counter)
+            return
+        if not application.accepts_sync(counter, now):
+            return
+        for rpdo in self._sync_rpdos:
+            rpdo.synchronise(now)
+        application.sync_received(counter, now)
+        for tpdo in self._sync_tpdos:
+            tpdo.synchronise(counter, now)
+        application.tpdos_sampled()
 
 
 class Sync(Timed):

@@ -77,7 +77,7 @@ class EncoderInterface(NodeDevice):
         )
         self.on_source: Callable[[str], None] | None = None
         for place in (od.RECORDING_COMMAND, od.RECORDING_RATE, od.INTERFACE_MACHINE):  # nothing to keep
-            self.node.storage.entries.leave_out(*place)
+            self.storage.entries.leave_out(*place)
         self.time_base: TimeBase = TRUE_TIME
         self._now = 0.0
         self._received_s = 0.0  # when the frame was received, in the time of the machine
@@ -149,14 +149,14 @@ class EncoderInterface(NodeDevice):
         self._keep(sample)
         for number, kind in self._types.items():
             if kind.value == 0:  # FEh and FFh have their event timer; a sample of each SYNC would be too much
-                self.node.trigger_tpdo(number, now)
+                self.trigger_tpdo(number, now)
 
     def _report_source(self, now: float) -> None:
         self._reported = self._watch.failing
         if self._reported:
-            self.node.emergency(EmergencyCode.HARDWARE, ErrorRegister.GENERIC, b"", now)
+            self.emergency(EmergencyCode.HARDWARE, ErrorRegister.GENERIC, b"", now)
         else:
-            self.node.clear_emergency(EmergencyCode.HARDWARE, now)
+            self.clear_emergency(EmergencyCode.HARDWARE, now)
 
     def _ask(self) -> Sample | None:
         """A machine is sampled when the SYNC is received; a recording has one sample for each SYNC."""

@@ -162,7 +162,7 @@ class EventWatch(NodeEvents):
         text = f"SYNC now at {self._rate_hz:.6g} Hz" if known else f"SYNC found, {self._rate_hz:.6g} Hz"
         self._report(EventKind.SYNC_FOUND, now, text, rate_hz=self._rate_hz)
 
-    def overdue(self, synced_s: float, now: float) -> None:
+    def sync_lost(self, synced_s: float, now: float) -> None:
         """No SYNC and no sample for 2010:06 periods, since ``synced_s``."""
         if self._rate_hz:
             self._rate_hz = 0.0

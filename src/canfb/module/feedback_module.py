@@ -8,7 +8,6 @@ from math import inf
 from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.core import NEVER
 from canfb.device.device_protocol import NodeDevice
 from canfb.device.od.dictionary import Entry
 from canfb.device.storage.image import ParameterGroup
@@ -67,12 +66,14 @@ class FeedbackModule(NodeDevice):
         bit_rates_kbit_s: Collection[int] = (),
     ) -> None:
         _check(config, source)
+        self._judge = Judge()
         super().__init__(
             factory_dictionary(config, samples_itself=source is not None),
             config.node_id,
             autostart=config.autostart,
             store=store,
             bit_rates_kbit_s=bit_rates_kbit_s,
+            expiry=self._judge,
         )
         self.config = config
         self.chain = SignalChain(ChainConfig())  # limits and correction are those of the dictionary
@@ -81,7 +82,7 @@ class FeedbackModule(NodeDevice):
         self._make_chain_around(source)
         self._make_commands()
         self._choose_parameters()
-        self._lock = WriteLock(self.node)
+        self._lock = WriteLock(self)
         self._limits.apply()
         self._tables.reset()
         self._adapting.reset()
@@ -93,22 +94,21 @@ class FeedbackModule(NodeDevice):
 
     def _make_chain_around(self, source: Source | None) -> None:
         """What feeds the chain, and what its feedback becomes."""
-        dictionary, node, chain = self.dictionary, self.node, self.chain
-        self._judge = judge = Judge()
+        dictionary, chain, judge = self.dictionary, self.chain, self._judge
         self._interval = interval = SamplingInterval(dictionary.entry(*od.CYCLE_PERIOD), judge.clock)
         self._limits = Limits(dictionary, chain, interval)
-        self._input = SampleInput(dictionary, node)
-        self._second = SecondInput(dictionary, node, chain)
+        self._input = SampleInput(dictionary, self)
+        self._second = SecondInput(dictionary, self, chain)
         self._source = None
         if source is not None:
             self._source = LocalSource(source, dictionary, self._input, self._source_message)
         self._observers = SampleObservers()
-        self._publishing = Publishing(dictionary, node, interval, self._limits, chain, self._input)
+        self._publishing = Publishing(dictionary, self, interval, self._limits, chain, self._input)
         self._prediction = self._publishing.prediction
         self.observer = self.events
         self._sampling = Sampling(
             dictionary,
-            node,
+            self,
             judge,
             interval,
             self._limits,
@@ -127,11 +127,11 @@ class FeedbackModule(NodeDevice):
 
     def _make_commands(self) -> None:
         """What SDO starts or reads, beside the feedback: tables, calibration, timers."""
-        dictionary, storage = self.dictionary, self.node.storage
+        dictionary, storage = self.dictionary, self.storage
         self._tables = TableStore(dictionary, self.chain, storage)
         self._tables.on_in_force = self._on_correction
         self._adapting = Adapting(dictionary, self.chain, self._limits, storage)
-        self._operating_time = OperatingTime(dictionary, storage, lambda: self.node.now)
+        self._operating_time = OperatingTime(dictionary, storage, lambda: self.now)
         CyclicTimer(dictionary, storage)
         self._calibrating = Calibrating(
             dictionary, self.chain, self._tables, self._observers, self._publishing.objects.calibrating
@@ -170,11 +170,6 @@ class FeedbackModule(NodeDevice):
         """Put the table and conditioning of ``correction`` in force between two samples, until a reset."""
         self._tables.take_over(correction)
 
-    @property
-    def state(self) -> NmtState:
-        """The NMT state."""
-        return self.node.state
-
     def speed_limit(self) -> str:
         """One line: how fast the machine may turn for a jitter of SYNC; empty with sample times or a source.
 
@@ -182,31 +177,6 @@ class FeedbackModule(NodeDevice):
         """
         config = self.config
         return "" if config.times or config.source is not None else self._jitter.in_words()
-
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Take a frame from the bus; the frames to send.
-
-        ``frame.timestamp`` is when it was received, if the bus says it, and ``now`` is no earlier. A
-        late caller first gives all the frames that wait, in their order, and then calls :meth:`tick`.
-        """
-        until = self._judge.until
-        if now > until and (frame.timestamp is None or frame.timestamp > until):
-            self._publishing.withhold()
-        return self.node.receive(frame, now)
-
-    def tick(self, now: float) -> list[Frame]:
-        """Do what is due at ``now``; the frames to send."""
-        if now >= self._judge.until:
-            self.events.overdue(self._judge.synced_s, now)
-            self._sampling.overdue(now)
-        return self.node.tick(now)
-
-    def deadline(self) -> float | None:
-        """When :meth:`tick` is to be called next, None for not at all."""
-        due, until = self.node.deadline(), self._judge.until
-        if until == NEVER:
-            return due
-        return until if due is None or until < due else due
 
     def end(self, now: float) -> None:
         """The program ends at ``now``: the operating time is stored."""
@@ -217,7 +187,7 @@ class FeedbackModule(NodeDevice):
 
         A module that stays in OPERATIONAL has lost its position: no SYNCs are counted meanwhile.
         """
-        frames = self.node.bus_off(now)
+        frames = super().bus_off(now)
         if self.state is NmtState.OPERATIONAL:
             self._sampling.uncounted(now)
         return frames
@@ -245,7 +215,7 @@ class FeedbackModule(NodeDevice):
 
     def _choose_parameters(self) -> None:
         """What `save` keeps beside the entries that it keeps anyway, and what is not a parameter."""
-        entries = self.node.storage.entries
+        entries = self.storage.entries
         for preset in (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET):
             entries.keep(*preset)  # its value alone: 6509h is what it led to
         entries.keep(*od.OFFSET_VALUE)
@@ -273,7 +243,7 @@ class FeedbackModule(NodeDevice):
 
     def _on_correction(self, correction: Correction) -> None:
         """Another table and conditioning are in force."""
-        self.events.table(correction, self.node.call.now)
+        self.events.table(correction, self.call.now)
         self._limits.noise_changes()
 
     def _encoder_changed(self) -> None:
@@ -319,6 +289,15 @@ class FeedbackModule(NodeDevice):
     def rpdo_too_short(self, number: int, received: int, mapped: int, now: float) -> None:
         """Counted in 2012:08, whatever ``number``, ``received`` and ``mapped`` are."""
         self._pairing.count_bad_frame()
+
+    def expired(self, now: float) -> None:
+        """No sample for 2010:06 periods, and nobody has said so yet: what can be read is not valid."""
+        self._publishing.withhold()
+
+    def overdue(self, now: float) -> None:
+        """No SYNC and no sample for 2010:06 periods."""
+        self.events.sync_lost(self._judge.synced_s, now)
+        self._sampling.overdue(now)
 
     def check_write(self, entry: Entry | None) -> None:
         """The write lock (2040h) for this ``entry``; None: for LSS."""

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from canfb import objects as od
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.pdo.pdos import Rpdo
+from canfb.device.pdo.rpdo import Rpdo
 from canfb.signal.sample import TICK_S, TICKS, Sample
 from canfb.sources.protocol import Grouped, Source
 from canfb.sources.source_watch import SourceWatch

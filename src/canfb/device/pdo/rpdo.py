@@ -1,0 +1,242 @@
+"""Receive PDOs (CiA 301, 7.2.2): from the frame into the dictionary.
+
+| type, 14xxh:02 | takes effect |
+| --- | --- |
+| 0 to F0h | at the next SYNC, if it comes within the window of 1007h; the last of several counts |
+| FEh, FFh | at once |
+
+The mapping is compiled once, when the PDO becomes active (:func:`unpacker`). Usually it is two or three
+plain values, a sample: then a frame costs one `struct` call and as many assignments, and no list is made.
+
+Length errors: a PDO that is too short is dropped (EMCY 8210h), one that is too long is used as far as it is
+mapped (EMCY 8220h), each reported once, until a PDO of the mapped length comes. Sub-index 5 is a time-out
+(EMCY 8250h).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from canfb.cia301 import datatypes
+from canfb.cia301.codes import EmergencyCode, ErrorRegister, SdoAbort
+from canfb.device.core import NEVER, Core, Timed
+from canfb.device.od.dictionary import Entry
+from canfb.device.pdo.mapping import SYNCHRONOUS, Direction, PdoParameters, Slot, struct_of
+
+Unpack = Callable[[bytes], int]
+
+ERRORS = (EmergencyCode.RPDO_LENGTH, EmergencyCode.RPDO_LENGTH_EXCEEDED, EmergencyCode.RPDO_TIMEOUT)
+"""What an RPDO of the mapped length ends."""
+
+
+class Rpdo(Timed):
+    """Takes data into the dictionary: at once (types FEh, FFh) or at the next SYNC (0 to F0h).
+
+    The application is called when the data is in the dictionary, and when a PDO was dropped because it is
+    too short (EMCY 8210h). One that is too long is used as far as it is mapped (EMCY 8220h).
+    Sub-index 5 is the time-out in milliseconds: it runs from the first PDO on and gives EMCY 8250h.
+    Each error is reported once; a PDO of the mapped length ends it.
+    """
+
+    def __init__(self, core: Core, number: int) -> None:
+        self.number = number
+        self.deadline = NEVER
+        self._core = core
+        self._application = core.application
+        self._counters = core.counters
+        self._emergency = core.emergency
+        self._parameters = PdoParameters(core.dictionary, number, Direction.RECEIVE, self._written)
+        self._timeout = self._parameters.find(5)
+        if self._timeout is not None:
+            self._timeout.on_written = self._written
+        self._operational = False
+        self._length = 0
+        self._unpack: Unpack | None = None  # while it is active
+        self._timeout_s = 0.0
+        self.is_synchronous = False
+        self._failed = False
+        self._supervised = False
+        self._pending: bytes | None = None
+        self.waiting = 0
+        """PDOs of a synchronous type that came since the last SYNC; the last one is taken over."""
+
+    @property
+    def can_id(self) -> int | None:
+        """The CAN-ID it listens to now, None while it is not active."""
+        return None if self._unpack is None else self._parameters.can_id
+
+    @property
+    def configured_can_id(self) -> int | None:
+        """The CAN-ID it has, in any NMT state; None while it is not valid."""
+        return self._parameters.can_id if self._parameters.is_valid else None
+
+    def enable(self, operational: bool, now: float) -> None:
+        """Whether the NMT state allows PDOs. The mapping is compiled here."""
+        self._operational = operational
+        slots = self._parameters.active_slots() if operational else []
+        self._length, self._unpack = length_of(slots), unpacker(slots) if slots else None
+        self.is_synchronous = self._parameters.type.value in SYNCHRONOUS
+        self._timeout_s = 0.0 if self._timeout is None else self._timeout.value / 1000
+        self._pending, self.waiting = None, 0
+        self.deadline = NEVER
+        self._supervised = self._failed or self._timeout_s > 0
+
+    def handle(self, data: bytes, now: float) -> None:
+        """The PDO from the bus."""
+        unpack = self._unpack
+        if unpack is None:
+            return
+        if len(data) != self._length:
+            if len(data) < self._length:
+                self._refuse(len(data), self._length, now)
+                return
+            self._accept_long(len(data), self._length, now)
+        elif self._supervised:
+            self._supervise(now)
+        if self.is_synchronous:
+            self._keep(data, now)
+            return
+        refused = unpack(data)
+        if refused:
+            self._counters.refused_rpdo_values += refused
+        self._application.rpdo_received(self.number, now)
+
+    def synchronise(self, now: float) -> None:
+        """Take over what came since the last SYNC."""
+        data, unpack = self._pending, self._unpack
+        self.waiting = 0
+        if data is not None and unpack is not None:
+            self._pending = None
+            self._counters.refused_rpdo_values += unpack(data)
+            self._application.rpdo_received(self.number, now)
+
+    def tick(self, now: float) -> None:
+        """Report that the PDO did not come in time, once."""
+        if now >= self.deadline:
+            self.deadline = NEVER
+            self._report(EmergencyCode.RPDO_TIMEOUT, bytes([self.number & 0xFF]), now)
+
+    def _keep(self, data: bytes, now: float) -> None:
+        """Until the next SYNC."""
+        if now <= self._core.window_end:
+            self._pending = data
+            self.waiting += 1
+        else:
+            self._counters.late_rpdos += 1
+
+    def _refuse(self, received: int, mapped: int, now: float) -> None:
+        self._counters.short_rpdos += 1
+        self._report(EmergencyCode.RPDO_LENGTH, bytes([self.number & 0xFF, received, mapped]), now)
+        self._clear(EmergencyCode.RPDO_LENGTH_EXCEEDED, now)
+        self._application.rpdo_too_short(self.number, received, mapped, now)
+
+    def _accept_long(self, received: int, mapped: int, now: float) -> None:
+        """The data is there, and in time; only its length is an error."""
+        self._counters.long_rpdos += 1
+        self._report(EmergencyCode.RPDO_LENGTH_EXCEEDED, bytes([self.number & 0xFF, received, mapped]), now)
+        self._clear(EmergencyCode.RPDO_LENGTH, now)
+        self._clear(EmergencyCode.RPDO_TIMEOUT, now)
+        self._restart_timeout(now)
+
+    def _report(self, code: EmergencyCode, manufacturer: bytes, now: float) -> None:
+        self._failed = self._supervised = True
+        self._emergency.report(code, ErrorRegister.COMMUNICATION, manufacturer, now, self._source)
+
+    def _supervise(self, now: float) -> None:
+        """A good PDO: errors are over, the time-out restarts."""
+        if self._failed:
+            self._clear_errors(now)
+            self._supervised = self._timeout_s > 0
+        self._restart_timeout(now)
+
+    def _restart_timeout(self, now: float) -> None:
+        self.deadline = now + self._timeout_s if self._timeout_s else NEVER
+
+    def _clear_errors(self, now: float) -> None:
+        self._failed = False
+        for code in ERRORS:
+            self._clear(code, now)
+
+    def _clear(self, code: EmergencyCode, now: float) -> None:
+        self._emergency.clear(code, now, self._source)
+
+    @property
+    def _source(self) -> tuple[str, int]:
+        return "RPDO", self.number
+
+    def _written(self) -> None:
+        now = self._core.call.now
+        self._clear_errors(now)
+        self.enable(self._operational, now)
+        self._core.reactions.pdo_changed()
+
+
+def length_of(slots: Sequence[Slot]) -> int:
+    """Bytes of a PDO."""
+    return (sum(slot.bits for slot in slots) + 7) // 8
+
+
+def unpacker(slots: Sequence[Slot]) -> Unpack:
+    """What stores the data of a PDO, at least its length, and gives the number of values that were refused.
+
+    Limits and hooks of the entries are looked at now, not later.
+    """
+    entries = tuple(slot.entry for slot in slots if slot.entry is not None)
+    whole = struct_of(slots)
+    if whole is None:
+        return bit_unpacker(slots)
+    unpack = whole.unpack_from
+
+    def unpack_any(data: bytes) -> int:
+        return sum(not _store(entry, value) for entry, value in zip(entries, unpack(data), strict=True))
+
+    def unpack_plain(data: bytes) -> int:
+        for entry, value in zip(entries, unpack(data), strict=True):
+            entry.value = value
+        return 0
+
+    if not all(_is_plain(entry) for entry in entries):
+        return unpack_any
+    if len(entries) not in (2, 3):
+        return unpack_plain
+    first, second, third = (entries * 2)[:3]
+
+    def unpack_two(data: bytes) -> int:
+        first.value, second.value = unpack(data)
+        return 0
+
+    def unpack_three(data: bytes) -> int:
+        first.value, second.value, third.value = unpack(data)
+        return 0
+
+    return unpack_two if len(entries) == 2 else unpack_three
+
+
+def bit_unpacker(slots: Sequence[Slot]) -> Unpack:
+    """Any lengths, one after the other without gaps, least significant bit first."""
+
+    def unpack(data: bytes) -> int:
+        word = int.from_bytes(data, "little")
+        refused = 0
+        for slot in slots:
+            if slot.entry is not None:
+                raw = (word & (1 << slot.bits) - 1).to_bytes((slot.bits + 7) // 8, "little")
+                refused += not _store(slot.entry, datatypes.decode(slot.data_type, raw))
+            word >>= slot.bits
+        return refused
+
+    return unpack
+
+
+def _is_plain(entry: Entry) -> bool:
+    no_limits = entry.low is None and entry.high is None
+    return no_limits and entry.on_check is None and entry.on_written is None
+
+
+def _store(entry: Entry, value: Any) -> bool:
+    try:
+        entry.store(value)
+    except SdoAbort:
+        return False
+    return True

@@ -1,0 +1,303 @@
+"""Transmit PDOs (CiA 301, 7.2.2): from the dictionary into a frame.
+
+| type, 18xxh:02 | is sent |
+| --- | --- |
+| 0 | at the SYNC after an event |
+| 1 to F0h | at every n-th SYNC, with a counter (1019h) from that of sub-index 6 on |
+| FCh | on a remote frame, as sampled at the last SYNC |
+| FDh | on a remote frame |
+| FEh, FFh | at an event, not before the inhibit time, at the latest when the event timer is over |
+
+`Tpdo.trigger` is the event. It is the way of every position PDO, so the usual case, an active TPDO that no
+time delays, is one test and one call of its packer. The packer is compiled once, when the PDO becomes
+active (:func:`packer`): for up to three plain values it makes no list.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+
+from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.cia301.frame import Frame
+from canfb.device.core import NEVER, Core, Timed
+from canfb.device.od.dictionary import Entry
+from canfb.device.pdo.mapping import (
+    EVENT_DRIVEN,
+    SYNC_REMOTE,
+    SYNCHRONOUS,
+    Direction,
+    PdoParameters,
+    Slot,
+    struct_of,
+)
+
+Pack = Callable[[], bytes]
+UNFIT = (struct.error, OverflowError)
+"""What `struct` raises for a value that does not fit."""
+
+_LARGEST_START = 240
+_new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
+
+
+class Tpdo(Timed):
+    """Samples the dictionary and sends it.
+
+    A remote frame asks for a TPDO of any type whose COB-ID has bit 30 = 0; types FEh and FFh keep their
+    inhibit time (sub-index 3, 100 us) then, too. The event timer is sub-index 5, ms.
+
+    Synchronous TPDOs go out with the SYNC itself, so that the window of 1007h always holds.
+    """
+
+    def __init__(self, core: Core, number: int) -> None:
+        self.deadline = NEVER
+        self._core = core
+        self._emit = core.emit
+        self._parameters = PdoParameters(core.dictionary, number, Direction.TRANSMIT, self._written)
+        self._inhibit = self._parameters.find(3)
+        self._event_timer = self._parameters.find(5)
+        self._start_value = self._parameters.find(6)
+        self._install()
+        self._operational = False
+        self._pack: Pack | None = None  # while it is active
+        self._can_id = 0
+        self._type = 0
+        self._event_driven = False
+        self._inhibit_s = 0.0
+        self._timer_s = 0.0
+        self._limited = False
+        self._pack_at_once: Pack | None = None  # at an event that nothing delays
+        self._not_before = -NEVER
+        self._timer_end = NEVER
+        self._event = False
+        self._waits_for_start = False
+        self._pack_each_sync: Pack | None = None
+        self._syncs = 0
+        self._sampled: bytes | None = None
+
+    @property
+    def remote_can_id(self) -> int | None:
+        """The CAN-ID on which it answers remote frames now, None when it does not."""
+        if self._pack is None or not self._parameters.allows_remote:
+            return None
+        return self._can_id
+
+    @property
+    def configured_can_id(self) -> int | None:
+        """The CAN-ID it has, in any NMT state; None while it is not valid."""
+        return self._parameters.can_id if self._parameters.is_valid else None
+
+    @property
+    def is_synchronous(self) -> bool:
+        """Whether the TPDO acts at a SYNC now."""
+        return self._pack is not None and (self._type in SYNCHRONOUS or self._type == SYNC_REMOTE)
+
+    def enable(self, operational: bool, now: float) -> None:
+        """Whether the NMT state allows PDOs. The mapping is compiled here."""
+        self._operational = operational
+        slots = self._parameters.active_slots() if operational else []
+        self._pack = packer(slots) if slots else None
+        self._can_id = self._parameters.can_id
+        self._type = self._parameters.type.value
+        self._event_driven = self._pack is not None and self._type in EVENT_DRIVEN
+        self._inhibit_s = _value(self._inhibit) / 10_000
+        self._timer_s = _value(self._event_timer) / 1000 if self._event_driven else 0.0
+        self._limited = self._inhibit_s > 0 or self._timer_s > 0
+        self._pack_at_once = self._pack if self._event_driven and not self._limited else None
+        if not self._inhibit_s:
+            self._not_before = -NEVER
+        self._timer_end = now + self._timer_s if self._timer_s else NEVER
+        self._event = False
+        self._waits_for_start = _value(self._start_value) > 0
+        self._pack_each_sync = (
+            self._pack if self._type == 1 and not (self._waits_for_start or self._limited) else None
+        )
+        self._syncs = 0
+        self._sampled = None
+        self._schedule()
+
+    def trigger(self, now: float) -> None:
+        """An event of the application; without effect while the TPDO is not active."""
+        pack = self._pack_at_once
+        if pack is not None:
+            emit = self._emit
+            emit(_new(Frame, (self._can_id, pack(), False, None)))
+        elif self._event_driven:
+            if self._limited and now < self._not_before:
+                self._event = True
+                self._schedule()
+            else:
+                self._send(now)
+        elif self._pack is not None:
+            self._event = True
+
+    def synchronise(self, counter: int | None, now: float) -> None:
+        """A SYNC, with its counter if it has one."""
+        pack = self._pack_each_sync
+        if pack is not None:
+            emit = self._emit
+            emit(_new(Frame, (self._can_id, pack(), False, None)))
+        elif self._type == 0:
+            if self._event:
+                self._event = False
+                self._send(now)
+        elif self._type == SYNC_REMOTE:
+            self._sampled = self._sample()
+        elif self._is_turn(counter):
+            self._send(now)
+
+    def request(self, now: float) -> None:
+        """A remote frame asks for the TPDO."""
+        if self._type == SYNC_REMOTE:
+            if self._sampled is not None:
+                self._emit(Frame(self._can_id, self._sampled))
+        elif self._event_driven:
+            self.trigger(now)
+        else:
+            self._send(now)
+
+    @property
+    def is_inhibited(self) -> bool:
+        """Whether an inhibit time holds it now."""
+        return self._event_driven and self._inhibit_s > 0
+
+    def sent(self, now: float) -> None:
+        """The TPDO went onto the bus at `now`, later than given out: the inhibit time counts from here."""
+        if self.is_inhibited:
+            self._not_before = now + self._inhibit_s
+            self._schedule()
+
+    def tick(self, now: float) -> None:
+        """Send what waited for the inhibit time, or what the event timer asks for."""
+        timer_over = now >= self._timer_end
+        if (self._event and self._event_driven) or timer_over:
+            if now >= self._not_before:
+                self._send(now)
+            else:
+                self._event = True
+                self._timer_end = NEVER
+                self._schedule()
+
+    def _is_turn(self, counter: int | None) -> bool:
+        if self._waits_for_start and counter is not None:
+            if counter != _value(self._start_value):
+                return False
+            self._waits_for_start = False
+            self._syncs = 0
+            return True
+        self._syncs += 1
+        if self._syncs < self._type:
+            return False
+        self._syncs = 0
+        return True
+
+    def _sample(self) -> bytes:
+        return b"" if self._pack is None else self._pack()
+
+    def _send(self, now: float) -> None:
+        pack = self._pack
+        if pack is None:
+            return
+        self._emit(_new(Frame, (self._can_id, pack(), False, None)))
+        if self._limited:
+            self._event = False
+            if self._inhibit_s and self._event_driven:
+                self._not_before = now + self._inhibit_s
+            if self._timer_s:
+                self._timer_end = now + self._timer_s
+            self._schedule()
+
+    def _schedule(self) -> None:
+        waits = self._event and self._event_driven
+        self.deadline = min(self._not_before if waits else NEVER, self._timer_end)
+
+    def _install(self) -> None:
+        if self._inhibit is not None:
+            self._inhibit.on_check = self._parameters.refuse_while_valid
+        if self._start_value is not None:
+            self._start_value.on_check = self._check_start_value
+        if self._event_timer is not None:
+            self._event_timer.on_written = self._written
+
+    def _check_start_value(self, value: int) -> None:
+        self._parameters.refuse_while_valid(value)
+        if value > _LARGEST_START:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+
+    def _written(self) -> None:
+        self.enable(self._operational, self._core.call.now)
+        self._core.reactions.pdo_changed()
+
+
+def packer(slots: Sequence[Slot]) -> Pack:
+    """What gives the data of a PDO from the current values; ValueError when one does not fit its type.
+
+    Hooks of the entries are looked at now, not later.
+    """
+    entries = tuple(slot.entry for slot in slots if slot.entry is not None)
+    whole = struct_of(slots)
+    if whole is None:
+        return bit_packer(slots)
+    pack = whole.pack
+    if any(entry.on_read for entry in entries) or len(entries) not in (1, 2, 3):
+        return _packer_of_any(pack, entries)
+    first, second, third = (entries * 3)[:3]
+
+    def pack_one() -> bytes:
+        try:
+            return pack(first.value)
+        except UNFIT:
+            raise _unfit(entries) from None
+
+    def pack_two() -> bytes:
+        try:
+            return pack(first.value, second.value)
+        except UNFIT:
+            raise _unfit(entries) from None
+
+    def pack_three() -> bytes:
+        try:
+            return pack(first.value, second.value, third.value)
+        except UNFIT:
+            raise _unfit(entries) from None
+
+    return (pack_one, pack_two, pack_three)[len(entries) - 1]
+
+
+def _packer_of_any(pack: Callable[..., bytes], entries: tuple[Entry, ...]) -> Pack:
+    def pack_any() -> bytes:
+        try:
+            return pack(*[entry.current() for entry in entries])
+        except UNFIT:
+            raise _unfit(entries) from None
+
+    return pack_any
+
+
+def _unfit(entries: tuple[Entry, ...]) -> ValueError:
+    """The error that names the entry whose value does not fit."""
+    for entry in entries:
+        try:
+            entry.encode()
+        except ValueError as error:
+            return error
+    return ValueError(f"the values of {entries} do not fit their types")
+
+
+def bit_packer(slots: Sequence[Slot]) -> Pack:
+    """Any lengths, one after the other without gaps, least significant bit first; the rest is 0."""
+    length = (sum(slot.bits for slot in slots) + 7) // 8
+
+    def pack() -> bytes:
+        word = offset = 0
+        for slot in slots:
+            if slot.entry is not None:
+                word |= int.from_bytes(slot.entry.encode(), "little") << offset
+            offset += slot.bits
+        return word.to_bytes(length, "little")
+
+    return pack
+
+
+def _value(entry: Entry | None) -> int:
+    return 0 if entry is None else int(entry.value)
