@@ -138,6 +138,22 @@ def test_a_wrong_time_at_the_start_is_refused_too(heard_s: float | None, after: 
     assert clock.next() > 0.0
 
 
+@pytest.mark.parametrize("proved", [None, False])
+@pytest.mark.parametrize("off_s", [-0.49e-3, 0.49e-3])
+def test_a_time_half_an_interval_off_is_refused_while_jitter_is_learned(
+    off_s: float, proved: bool | None
+) -> None:
+    """From the line through the first times it is further off than any of them, twice; from the time before,
+    which jitters as well, it may not be.
+    """
+    for seed in range(40):
+        clock = Clock(0.0, None if proved is None else 20e-6, seed, learned=0, proved=bool(proved))
+        for n in range(8 + seed % 8):
+            assert clock.next(float(clock.rng.uniform(-100e-6, 100e-6)), speed=0.0) > 0.0, n
+        assert clock.next(off_s) == SUSPECT, seed
+        assert clock.next() > 0.0, seed
+
+
 def test_a_start_with_more_jitter_than_the_bound_learns_it_at_rest() -> None:
     clock = Clock(150e-6, learned=0)
     assert all(clock.next(speed=0.0) > 0.0 for _ in range(32))

@@ -4,6 +4,9 @@ A timer of a drive locks on SYNC; this is the same lock on sample times (2000:05
 all of them, held at the last ``memory_syncs``. Its gains are those of the least squares line through n + 1
 points. Of the jitter of SYNC 2 / sqrt(memory) of the rms value is left, of the drift of the clock nothing.
 
+It begins with the second distance: through fewer than FIRST_SYNCS goes the line of the median slope and the
+median offset (Theil, Sen), which a few wrong times do not move.
+
 The line is the one estimate of that clock: how long an interval is (:mod:`canfb.signal.sample_times`), how
 far a time is off, where the samples within an interval lie, and to which instant 2013:02 moves a position. A
 time is held against the line, and not against the one before: of two times that jitter, only one enters.
@@ -11,15 +14,15 @@ time is held against the line, and not against the one before: of two times that
 
 from __future__ import annotations
 
-import itertools
-import statistics
+from itertools import accumulate, combinations
+from statistics import linear_regression, median
 
 from canfb.signal.sample import TICKS
 
 MEMORY_SYNCS = 256  # that the lock remembers, about
 LEARNED_SYNCS = 64  # from then on positions are moved by it
 FIRST_SYNCS = 16  # distances, for the first straight line
-BEFORE = 5  # distances as before, beside them: fewer that jitter make no other period
+BEFORE = 5  # slopes as before, beside those of the first: fewer that jitter make no other period
 LEAST_APART = 0.5  # of the period
 MOST_MISSED = 16  # from one sample to the next: beyond that the clock was started again
 
@@ -51,6 +54,11 @@ class NominalSync:
         self.period_ticks = 0.0
         self.restart()
 
+    def expect(self, period_ticks: float) -> None:
+        """The period is said to be this; the samples may soon show another one."""
+        self.period_ticks = period_ticks
+        self.restart()
+
     def restart(self) -> None:
         """Lock on the next samples; the period stays until they show it."""
         self._last: int | None = None
@@ -59,7 +67,7 @@ class NominalSync:
         self._phase = self._slope = 0.0  # gains
         self.lead_ticks = 0.0
         self.first_off_ticks: list[float] = []
-        """How far the first samples were off the line that began with them."""
+        """How far the first samples are off the line that begins with them."""
         self.seen = 0
         """Samples that the line stands on, 0 before there is one; at most ``memory_syncs``."""
 
@@ -69,10 +77,7 @@ class NominalSync:
         return self.seen >= LEARNED_SYNCS
 
     def off_ticks(self, ticks: float, syncs: float) -> float:
-        """By how much a sample ``ticks`` and ``syncs`` after the last one is later than the line has it.
-
-        Before there is a line, than by the period alone.
-        """
+        """By how much a sample ``ticks`` and ``syncs`` after the last one is later than the line has it."""
         return ticks - self.lead_ticks - syncs * self.period_ticks
 
     def take(self, ticks: float, syncs: float) -> None:
@@ -101,26 +106,33 @@ class NominalSync:
             self.lead_ticks += round((ticks - self.lead_ticks) / period) * period - ticks
 
     def _begin(self, ticks: float, syncs: float) -> None:
-        """The median of the first distances; then a line through them."""
+        """The line through the first samples, which single wrong times do not move."""
         first = self._first
         first.append((ticks, syncs))
-        usual = statistics.median([one / (n or 1.0) for one, n in first] + self._before)
-        self.period_ticks = usual
-        if len(first) < FIRST_SYNCS:
-            return
+        usual = median([one / (n or 1.0) for one, n in first] + self._before)
         counted = (n or max(1.0, round(one / usual)) for one, n in first)
-        places = list(itertools.accumulate(counted, initial=0.0))
-        times = list(itertools.accumulate((one for one, _ in first), initial=0.0))
-        line = statistics.linear_regression(places, times)
-        lead = line.intercept + line.slope * places[-1] - times[-1]
-        if line.slope > 0.0 and abs(lead) <= LEAST_APART * line.slope:
-            self.period_ticks, self.lead_ticks = line.slope, lead
+        places = list(accumulate(counted, initial=0.0))
+        times = list(accumulate((one for one, _ in first), initial=0.0))
+        slope, begins = self._through(places, times)
+        lead = begins + slope * places[-1] - times[-1]
+        if abs(lead) <= LEAST_APART * slope:
+            self.period_ticks, self.lead_ticks = slope, lead
             self.first_off_ticks = [
-                time - line.intercept - place * line.slope for place, time in zip(places, times, strict=True)
+                time - begins - place * slope for place, time in zip(places, times, strict=True)
             ]
-        # Else these times are not those of a SYNC.
-        self.seen = FIRST_SYNCS + 1
-        first.clear()
+        else:  # these times are not those of a SYNC
+            self.period_ticks, self.lead_ticks = usual, 0.0
+        if len(first) >= FIRST_SYNCS:
+            self.seen = FIRST_SYNCS + 1
+            first.clear()
+
+    def _through(self, places: list[float], times: list[float]) -> tuple[float, float]:
+        """Slope and intercept: the median ones, and of least squares once there are enough."""
+        if len(places) > FIRST_SYNCS:
+            return linear_regression(places, times)
+        slopes = [(b - a) / (q - p) for (p, a), (q, b) in combinations(zip(places, times, strict=True), 2)]
+        slope = median(slopes + self._before)
+        return slope, median([time - place * slope for place, time in zip(places, times, strict=True)])
 
     def sample(self, time_100ns: int) -> None:
         """A sample was taken at this time, 0 .. 2^32 - 1, for which nobody has counted SYNCs."""

@@ -74,7 +74,7 @@ class SampleTimes:
     def reset(self) -> None:
         """:meth:`forget`, and what is usual: it may be another interface, or another bus."""
         self._jitter = UsualScatter()  # of the sample times around their line
-        self._on_line = False  # until there is one, the jitter is that of distances
+        self._on_line = False  # until then the jitter is that of the first times around theirs
         self._heard = UsualScatter()  # of the sample times against the receptions of SYNC
         self._pace_s = 0.0  # the interval, while nobody says how long it is
         self.nominal_sync.forget()
@@ -166,6 +166,8 @@ class SampleTimes:
         """
         last = self._last
         if last is None:
+            if self.interval_s and not self.nominal_sync.period_ticks:
+                self.nominal_sync.expect(self.interval_s / TICK_S)
             self._accept(time_100ns, received_s, synced_s)
             return counted
         ticks = (time_100ns - last) % TICKS
@@ -221,11 +223,9 @@ class SampleTimes:
             self._off_line = 0
             line.restart()
         line.take(ticks, whole)
-        if line.first_off_ticks and not self._on_line:
-            self._on_line = True
-            self._jitter = UsualScatter()
-            for off in line.first_off_ticks:
-                self._jitter.learn(abs(off) * TICK_S)
+        if not self._on_line:
+            self._on_line = line.seen > 0
+            self._jitter.begin([abs(off) * TICK_S for off in line.first_off_ticks])
 
     def _is_off(self, ticks: int, whole: float) -> bool:
         return abs(self._off_s(ticks, whole)) > self._jitter.limit_of(self.unit_s, LINE_PART)

@@ -3,15 +3,17 @@
 Phases one interval apart cannot show whole cycles per interval: the truth is y + c + s t with y as it is
 counted and whole numbers c and s. At uneven instants s t is no whole number any more, and the second
 difference of a wrong s is off by s times that of the instants. So each s is followed by itself, one cycle
-count for each sample, the nearest to eq. 9, and goes where its residual leaves the window of the declared
-motion (:mod:`canfb.signal.bounded_motion`),
+count for each sample, the nearest to eq. 9, and goes where it leaves a window of the declared motion
+(:mod:`canfb.signal.bounded_motion`). From two earlier samples, f apart, to one that is e after the later,
 
-    B e (e + f) / 2 + (eps + tau |v|) (2 + 2 e / f),
+    B e (e + f) / 2 + (eps + tau |v|) (2 + 2 e / f).
 
-e and f the last two elapsed times. The neighbours s +- 1 decide: with instants that deviate by sigma
-(intervals), q = sqrt(6) sigma / (B + 4 (eps + tau v)). From q = 1.5 on one speed is left after 5 to 8
-samples, at 0.4 after 12 to 40, at 0.1 never (docs/legal-motion.md). The true speed never goes while what is
-declared holds.
+Each pair of BASELINES gives such a window, a necessary condition. The last two samples are the sharpest for
+the motion; where they are close together, or where the errors of the times count, longer ones are sharper:
+with all four a speed is known after two thirds of the samples. The neighbours s +- 1 decide: with instants
+that deviate by sigma (intervals), q = sqrt(6) sigma / (B + 4 (eps + tau v)). From q = 1.5 on one speed is
+left after 5 to 8 samples, at 0.4 after 12 to 40, at 0.1 never (docs/legal-motion.md). The true speed never
+goes while what is declared holds.
 
 A bad sample can remove the truth, and leave a speed by chance. So the last one left counts when random
 phases would leave any with a probability of at most 1e-5, and when it has lasted for as many more samples as
@@ -43,6 +45,7 @@ KNOWN_SAMPLES = 32  # from then on their rms is known; before, the largest diffe
 LEAST_SAMPLES = 5  # of uneven times, before these count as even after all
 EVEN = 2e-4  # of the interval: drift of two crystals
 HALF_CYCLE = 0.5
+BASELINES = ((1, 2), (1, 3), (2, 3), (2, 4))  # samples back; the first one counts the cycles
 # q: below the first nothing is told within MOST_WAITING samples; first samples below the second show that it
 # is below the first.
 TELLING, SILENT = 0.4, 0.1
@@ -72,9 +75,10 @@ class SpeedSet:
         self._patience = patience
         most = USUAL_SPEED if not instant_error else int(min(MOST_SPEED, MOST_TIME_CYCLES / instant_error))
         self._most = most
-        self._last = self._before = np.zeros(1, np.int64)  # cycle counts of the speeds that are left
-        self._phase = self._phase_before = 0.0
-        self._elapsed = 0.0
+        # The last samples, newest first: cycle counts of the speeds that are left, phase, intervals since.
+        self._counts: list[npt.NDArray[np.int64]] = []
+        self._phases: list[float] = []
+        self._since: list[float] = []
         self._gap = 0.0
         self._chance = 2.0 * most + 1.0  # speeds that random phases would leave
         self._alone = 0  # samples
@@ -90,7 +94,7 @@ class SpeedSet:
     @property
     def left(self) -> int:
         """Speeds that are left; 0 after a false sample."""
-        return len(self._last)
+        return len(self._counts[0]) if self._counts else 1
 
     def skip(self, elapsed: float) -> None:
         """No usable phase after so many intervals."""
@@ -101,45 +105,55 @@ class SpeedSet:
         elapsed += self._gap
         self._gap = 0.0
         self.samples += 1
+        self._since = [one + elapsed for one in self._since]
         if self.samples == 1:
-            self._phase = phase
-            return True
-        if self.samples == 2:
-            self._before, self._last = (
-                self._last.repeat(2 * self._most + 1),
-                np.arange(-self._most, self._most + 1),
-            )
-        elif not self._remove(phase, elapsed):
-            return False
-        self._look_at_times(elapsed)
-        self._phase_before, self._phase = self._phase, phase
-        self._elapsed = elapsed
+            counts = np.zeros(1, np.int64)
+        elif self.samples == 2:
+            self._counts = [self._counts[0].repeat(2 * self._most + 1)]
+            counts = np.arange(-self._most, self._most + 1)
+        else:
+            off, radius = self._window(1, 2, phase)
+            if radius.max() >= HALF_CYCLE:
+                return False
+            ahead = np.rint(off)
+            kept = np.abs(off - ahead) <= radius
+            self._chance *= 2.0 * float(radius[kept].max(initial=0.0))
+            counts = self._keep(kept, self._counts[0] + ahead.astype(np.int64))
+            for first, second in BASELINES[1:]:
+                if second <= len(self._counts):
+                    off, radius = self._window(first, second, phase)
+                    counts = self._keep(np.abs(off + self._counts[first - 1] - counts) <= radius, counts)
+            self._look_at_times(elapsed)
+        self._counts = [counts, *self._counts[: BASELINES[-1][1] - 1]]
+        self._phases = [phase, *self._phases[: BASELINES[-1][1] - 1]]
+        self._since = [0.0, *self._since[: BASELINES[-1][1] - 1]]
         self._alone = self._alone + 1 if self.left == 1 else 0
         return bool(self.left) and self.samples <= MOST_SAMPLES
 
-    def _remove(self, phase: float, elapsed: float) -> bool:
-        ratio = elapsed / self._elapsed
-        step = (self._last - self._before) + (self._phase - self._phase_before)
-        ahead = step * ratio + (self._phase - phase)  # whole for the right speed, from its last count
-        counts = np.rint(ahead)
-        radius = self._radius(elapsed, np.abs(step) / self._elapsed)
-        if radius.max() >= HALF_CYCLE:
-            return False
-        kept = np.abs(ahead - counts) <= radius
-        self._chance *= 2.0 * float(radius[kept].max(initial=0.0))
-        self._before, self._last = self._last[kept], (self._last + counts.astype(np.int64))[kept]
-        return True
+    def _keep(self, kept: npt.NDArray[np.bool_], counts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """These speeds stay; their counts of the sample that is looked at."""
+        self._counts = [one[kept] for one in self._counts]
+        return counts[kept]
 
-    def _radius(self, elapsed: float, speed: FloatArray | float) -> npt.NDArray[np.float64]:
-        weights = 2.0 + 2.0 * elapsed / self._elapsed
-        motion = self._largest * elapsed * (elapsed + self._elapsed) / 2.0
-        return np.asarray(motion + weights * (self._error + self._instant_error * speed))
+    def _window(self, first: int, second: int, phase: float) -> tuple[FloatArray, FloatArray]:
+        """How far the line through two samples is ahead of this phase, and how far it may be off a count.
+
+        For each speed, in cycles from the count of sample ``first``, whose place counts from the newest.
+        """
+        later, earlier = first - 1, second - 1
+        elapsed = self._since[later]
+        apart = self._since[earlier] - elapsed
+        step = (self._counts[later] - self._counts[earlier]) + (self._phases[later] - self._phases[earlier])
+        motion = self._largest * elapsed * (elapsed + apart) / 2.0
+        weights = 2.0 + 2.0 * elapsed / apart
+        radius = motion + weights * (self._error + self._instant_error * np.abs(step) / apart)
+        return np.asarray(step * (elapsed / apart) + (self._phases[later] - phase)), np.asarray(radius)
 
     def _look_at_times(self, elapsed: float) -> None:
         least = self._largest + 4.0 * self._error
-        if self.samples == 2:
-            return
-        off = abs(elapsed - self._elapsed)  # second difference of the instants: its rms is sqrt(6) sigma
+        off = abs(
+            elapsed - (self._since[1] - self._since[0])
+        )  # second difference of the instants: its rms is sqrt(6) sigma
         self._largest_off, self._squares = max(self._largest_off, off), self._squares + off * off
         known = self.samples >= KNOWN_SAMPLES
         q = (math.sqrt(self._squares / (self.samples - 2)) if known else self._largest_off) / least
@@ -151,12 +165,12 @@ class SpeedSet:
         """The speed, as soon as it is the only one and no chance."""
         if self._alone <= self._patience or self._chance > FALSE_ACCEPTANCE:
             return None
-        before = (int(self._before[0]), self._phase_before)
-        return Found(before, (int(self._last[0]), self._phase), self._elapsed)
+        last, before = ((int(self._counts[n][0]), self._phases[n]) for n in (0, 1))
+        return Found(before, last, self._since[1])
 
     def has(self, count: int) -> bool:
         """One of the speeds that are left has this cycle count now."""
-        return bool((self._last == count).any())
+        return bool((self._counts[0] == count).any())
 
 
 class SpeedVerdict(Enum):

@@ -75,6 +75,12 @@ class UsualScatter:
         if self.learned < LEARNED_SAMPLES:
             self.learned += 1
 
+    def begin(self, deviations_s: list[float]) -> None:
+        """These are all that are known, seconds, at least 0; what was refused stays so."""
+        self._largest_s = max(deviations_s, default=0.0)
+        self.learned = len(deviations_s)
+        self._find_limit()
+
     def refuse(self, deviation_s: float) -> None:
         """Another one was beyond the limit: a wrong time, or jitter that begins."""
         if self._passed >= APART:
