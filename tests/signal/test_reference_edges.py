@@ -40,6 +40,41 @@ def applied(
     return made.apply(sample, after, bits, pulse, elapsed)
 
 
+@each("acceleration", [-3.0, -0.5, 0.0, 1.0, 3.0])
+@each("elapsed", [0.5, 1.0, 2.0])
+@each("place", [0.0, 0.2, 0.5, 0.9])
+def test_a_pulse_between_two_samples_is_where_the_machine_was(
+    acceleration: float, elapsed: float, place: float
+) -> None:
+    def position(time: float) -> float:
+        return 7.3 + 20.0 * time + acceleration * time * time / 2.0
+
+    tracks = [Track(math.floor(p), p % 1.0, 0.0, True) for p in (position(0.0), position(elapsed))]
+    pulse = pulse_between(tracks[0], tracks[1], place, 100.0, elapsed, acceleration)
+    assert pulse.cycles + pulse.phase == pytest.approx(position(place * elapsed), abs=1e-9)
+    assert pulse.time == pytest.approx(100.0 - elapsed * (1.0 - place))
+
+
+def test_a_zero_pulse_of_a_machine_that_accelerates_is_at_its_place() -> None:
+    """With up to 9 cycles per interval^2 a straight line is a cycle off; no pulse must contradict."""
+    n, jerk, given = 400, 0.1, []
+    chain = SignalChain(ChainConfig(cycles_per_revolution=n, prediction_order=3))
+    before = 0.25
+    chain.step(at(before))
+    for sample in range(1, 90):
+        here = 0.25 + jerk * sample**3 / 6.0
+        mark, place = math.floor(here / n) * n, None
+        if before < mark <= here:
+            place = (6.0 * (mark - 0.25) / jerk) ** (1.0 / 3.0) - (sample - 1)
+            given.append(sample)
+        got = chain.step(at(here, zero_pulse=place))
+        assert got.valid, sample
+        before = here
+    assert len(given) >= 10
+    assert chain.reference.zero.referenced
+    assert chain.reference.set_right == 0
+
+
 class Turned:
     """A machine at rest whose coarse track can be turned away."""
 

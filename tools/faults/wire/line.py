@@ -37,6 +37,7 @@ TIMES_LATER_US = 60.0  # the next PDO of the interface
 LATEST_PDO = 0.45  # T after its SYNC, on a healthy wire
 COARSE_COUNTS = 1500.0
 FIRST_PULSE = 40.0  # cycles
+INSTANTS = 65  # of an interval, between which the motion is a straight line
 
 
 @dataclass
@@ -229,12 +230,12 @@ def _send_samples(plan: Plan, samplings: list[_Sampling], positions: np.ndarray,
                 if earlier is not None and not slot.times_lost:
                     at = sent + (later + TIMES_LATER_US) * us
                     events.append(Event(at, len(events), "pdo", Frame(TIMES_ID, stamp), n))
-        extra = _extra(plan, slot, before, positions[n])
+        extra = _extra(plan, slot, before, one.time)
         if extra and not slot.extra_lost:
             for later in (0.0, *slot.extra_again_us):
                 at = sent + (70.0 + later) * us
                 events.append(Event(at, len(events), "extra", Frame(EXTRA_ID, extra), n))
-        before = positions[n]
+        before = one.time
 
 
 def _send_foreign(plan: Plan, events: list[Event]) -> None:
@@ -248,23 +249,27 @@ def _send_foreign(plan: Plan, events: list[Event]) -> None:
 
 
 def _extra(plan: Plan, slot: Slot, before: float, here: float) -> bytes:
-    """What RPDO2 carries: coarse track, zero pulse, both, or nothing."""
+    """What RPDO2 carries of a sample at time ``here``: coarse track, zero pulse, both, or nothing."""
     data = b""
     if plan.options.coarse:
-        angle = 2.0 * math.pi * (here / CYCLES_PER_REVOLUTION % 1.0)
+        angle = 2.0 * math.pi * (plan.motion.at([here])[0] / CYCLES_PER_REVOLUTION % 1.0)
         data = struct.pack(
             "<hh", round(COARSE_COUNTS * math.sin(angle)), round(COARSE_COUNTS * math.cos(angle))
         )
     if plan.options.extra:
-        place = _zero_pulse(before, here) if slot.false_pulse is None else slot.false_pulse
+        place = _zero_pulse(plan.motion, before, here) if slot.false_pulse is None else slot.false_pulse
         data += struct.pack("<BH", 0, 0) if place is None else struct.pack("<BH", 1, int(place * 65536))
     return data
 
 
-def _zero_pulse(before: float, here: float) -> float | None:
-    """Where in the interval the zero pulse was: 40 cycles from the start, then once a revolution."""
-    low, high = sorted((before - FIRST_PULSE, here - FIRST_PULSE))
+def _zero_pulse(motion: Motion, before: float, here: float) -> float | None:
+    """Where between these two times the zero pulse was: 40 cycles from the start, then once a revolution."""
+    begin, end = motion.at([before, here]).tolist()
+    low, high = sorted((begin - FIRST_PULSE, end - FIRST_PULSE))
     turn = math.floor(high / CYCLES_PER_REVOLUTION) * CYCLES_PER_REVOLUTION
     if not low < turn <= high:
         return None
-    return min((turn + FIRST_PULSE - before) / (here - before), 65535 / 65536)
+    away = motion.at(np.linspace(before, here, INSTANTS)) - (turn + FIRST_PULSE)
+    crossed = int(np.flatnonzero(np.sign(away[1:]) != np.sign(away[0]))[0])
+    part = away[crossed] / (away[crossed] - away[crossed + 1])
+    return min(float(crossed + part) / (INSTANTS - 1), 65535 / 65536)

@@ -282,10 +282,18 @@ class Reference:
 
 
 def pulse_between(
-    before: Track | Feedback, track: Track | Feedback, place: float, time: float, elapsed: float
+    before: Track | Feedback,
+    track: Track | Feedback,
+    place: float,
+    time: float,
+    elapsed: float,
+    acceleration: float = 0.0,
 ) -> Pulse:
-    """The zero pulse at the fraction ``place`` (0..1) between two samples, the second of them at ``time``."""
+    """The zero pulse at the fraction ``place`` (0..1) of the time between two samples, the later at ``time``.
+
+    ``acceleration`` in cycles per interval^2: a straight line would be up to 1/8 of it off, in one interval.
+    """
     way = (track.cycles - before.cycles) + (track.phase - before.phase)
-    position = before.phase + place * way
+    position = before.phase + place * way - acceleration * elapsed * elapsed * place * (1.0 - place) / 2.0
     turns = math.floor(position)
     return Pulse(time - (1.0 - place) * elapsed, before.cycles + turns, position - turns)
