@@ -244,7 +244,7 @@ class Pairing:
             passed = judge.free(moment.received, moment.proved)
         if isinstance(passed, Passed):
             if judge.advanced:
-                self._pass_lost(judge.advanced, now)
+                self._pass_lost(judge.advanced, passed, now)
             return passed
         self.count_bad_frame()
         if passed is Refusal.ANOTHER:
@@ -253,14 +253,19 @@ class Pairing:
                 self._findings.lose_count(1.0, now)
         return None
 
-    def _pass_lost(self, syncs: int, now: float) -> None:
-        """So many SYNCs were not received, and these tracks answer the last of them."""
+    def _pass_lost(self, syncs: int, passed: Passed, now: float) -> None:
+        """So many SYNCs were not received, and these tracks answer the last of them.
+
+        The sample before them may have answered the first, so what is missing is what has passed for certain.
+        """
         self.judge.advanced = 0
         if self._input.give_up():
             self.count_bad_frame()
         _count(self._lost_syncs, syncs)
-        if syncs > 1:
-            self._miss(syncs - 1, now)
+        elapsed = passed.elapsed
+        least = elapsed if isinstance(elapsed, float) else elapsed[0]
+        if syncs > 1 and least > 1.0:
+            self._miss(min(syncs, int(least)) - 1, now)
         self._sample_came = False
 
     def _complete(self, sample: Sample, now: float) -> None:

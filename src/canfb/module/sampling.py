@@ -125,13 +125,18 @@ class Sampling:
         return True
 
     def _since_last(self, passed: Passed) -> tuple[float, ...]:
-        """Intervals since the last sample or miss, all possible ones; none if more were missed already."""
+        """Intervals since the last sample or miss, all possible ones; none if it may be one of those missed.
+
+        Then it comes too late: the time goes on from the miss, and the set would lack what may be true.
+        """
         elapsed, waited = passed.elapsed, self._waited
         options = elapsed if isinstance(elapsed, tuple) else (elapsed,)
-        self._waited = max(0.0, waited - options[0])
+        if options[0] <= waited:
+            return ()
+        self._waited = 0.0
         if len(options) > 1:
             self._set_waited = waited
-        return tuple([one - waited for one in options if one > waited]) if waited else options
+        return tuple([one - waited for one in options]) if waited else options
 
     def _take_usual_timed(self, received_s: float | None, synced_s: float | None, now: float) -> bool:
         """A sample with its time as it stands in the dictionary; False if it is to be looked at closely."""

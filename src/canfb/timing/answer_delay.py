@@ -86,7 +86,10 @@ class AnswerDelay:
         taken.clear()
         if self._count >= LEARNED:
             self.low_s = SOONEST * min(self._least_s, self._before_s)
-            self.high_s = usual + max(SPARE * period_s, SPREADS * self._spread_s)
+            spare_s = SPARE * period_s
+            self.high_s = min(
+                usual + max(spare_s, SPREADS * self._spread_s), max(LATEST * period_s, usual + spare_s)
+            )
 
     def answers(
         self, delay_s: float, longest_s: float, period_s: float, before_open: bool, proved: bool

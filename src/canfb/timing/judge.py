@@ -20,8 +20,8 @@ from enum import IntEnum
 from math import inf, isfinite
 from typing import NamedTuple
 
+from canfb.timing.answer_delay import MOST_LATE, AnswerDelay
 from canfb.timing.answer_delay import TOGETHER as DELAYS_TOGETHER
-from canfb.timing.answer_delay import AnswerDelay
 from canfb.timing.sync_judge import MOST_INTERVALS, MOST_OPTIONS, SyncJudge
 
 UNRECEIVED = 1.15
@@ -113,9 +113,11 @@ class Judge(SyncJudge):
         later = passed - self.delay.usual_s / period
         if passed < UNRECEIVED or later < LATER:
             return Refusal.ANOTHER
-        self.advanced = max(1, round(min(later, MOST_INTERVALS)))
-        self._advance(self.advanced)
-        return self._sampled((0,))
+        self.advanced = newest = max(1, round(min(later, MOST_INTERVALS)))
+        self._advance(newest)
+        usual = self.delay.low_s <= time_s - self.synced_s <= self.delay.high_s
+        late = 0 if usual else min(newest - 1, MOST_LATE)  # it may answer one before the newest
+        return self._sampled(tuple(range(-late, 1)))
 
     def free(self, time_s: float, proved: bool) -> Passed | Refusal:
         """Tracks where there is no SYNC: each is its own."""
@@ -129,13 +131,15 @@ class Judge(SyncJudge):
         low, high = max(1, since + offsets[0]), max(1, since + offsets[-1] + self._slack)
         most = min(high, low + MOST_OPTIONS - 1)
         options = tuple([float(n) for n in range(low, most + 1)])
-        certain = high == most and not self._uneven
+        # A SYNC that it may have answered before it was received: the next one shows it.
+        certain = high == most and not self._uneven and offsets[-1] <= 0
         if self.is_open:
             certain = certain and not (self._offered or self._unclear)
             if not self._offered and len(options) == 1:
                 options = self._set
             self._offered = True
         self._slack = min(offsets[-1] - offsets[0], MOST_OPTIONS)
+        self._earlier = max(0, -offsets[0])
         self._lowest = options[0] if self._slack and not self.is_open and offsets[0] == 0 else None
         self._since_before, self._since = since, -offsets[-1]
         error = self._error
@@ -147,7 +151,7 @@ class Judge(SyncJudge):
     def _came(self) -> None:
         self._answered = self.sampled = True
         self._usual = False
-        if self._high_s == -inf:
+        if self._high_s == -inf or self._slack:
             self._look_ahead()
 
     def taken(self) -> Passed:

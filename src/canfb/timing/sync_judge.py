@@ -150,7 +150,8 @@ class SyncJudge:
         self._gap = False  # SYNCs were missing, and none was on its grid since
         self._streak: list[float] = []
         self._uneven = False  # extra SYNCs came, and this one is late: it may be another rate
-        self._slack = 0  # periods that the last sample may have been later
+        self._slack = 0  # intervals that the next sample may be further from the last one
+        self._earlier = 0  # of these, because the last one may have answered the SYNC before the last
         self._lowest: float | None = None  # of its intervals, if it was not
         self._error = 0.0  # of the instant of this SYNC, periods
         self.late_s = 0.0
@@ -274,7 +275,11 @@ class SyncJudge:
             clock.due_s += (1 + lost) * clock.period_s
         self._since = min(self._since + 1 + lost, MOST_INTERVALS)
         if not lost and not sync.behind:  # what came before this SYNC answers none after the one before
-            self._slack, confirmed, self._lowest = 0, confirmed or self._lowest, None
+            self._since += self._slack - self._earlier
+            self._slack, confirmed = self._earlier, confirmed or self._lowest
+        else:  # it may have answered one of those that were not received
+            self._earlier = self._slack
+        self._lowest = None
         self._uneven, self._error = False, 0.0
         self._gap = lost > 0 or (self._gap and abs(sync.off) > clock.jitter)
         self.synced_s = self._received_s = sync.time_s
@@ -345,7 +350,7 @@ class SyncJudge:
         turn = self.overflow if sync.counter is not None and self.overflow >= 2 else 1
         verdict = self._take(sync)
         self.is_open, self._debt, self.late_s = True, sync.behind, sync.off * self.clock.period_s
-        first, most = float(self._since), sync.behind // turn
+        first, most = float(max(1, self._since)), sync.behind // turn
         uneven = max(sync.off - sync.behind, abs(sync.apart - 1 - sync.lost - sync.behind))
         self._unclear = most + 1 > MOST_OPTIONS or uneven > self._early
         self._set = tuple(first + n * turn for n in range(min(most + 1, MOST_OPTIONS)))
