@@ -64,6 +64,7 @@ class Shown:
     error: float
     truth: float
     cause_time: float = -1.0  # when the ADC PDO was received that made the module send it
+    sample: int = -1  # in that PDO
 
 
 @dataclass
@@ -148,7 +149,7 @@ class Judge:
         verdict.right_at_end = ended_valid and abs(positions[-1].error) <= self._plan.tolerance
         if verdict.wrong:
             physics = self._is_p8() if self._plan.note.startswith("P8") else self._plan.note.startswith("P")
-            verdict.outcome = "physics" if physics or self._is_p7() else "wrong"
+            verdict.outcome = "physics" if physics or self._is_p7() or self._is_p9() else "wrong"
         elif self._lost or not ended_valid:
             verdict.outcome = "lost"
         elif verdict.not_valid:
@@ -164,12 +165,24 @@ class Judge:
         """A PDO answered another SYNC, and a machine that keeps the limits moves as was shown."""
         if self._plan.setup.times or not answers_another(self._line):
             return False
+        return self._is_legal([(self._last_sync(one.cause_time), one.position) for one in self._answers()])
+
+    def _is_p9(self) -> bool:
+        """Sample times are off by no more than the wire can be, and a machine moves as was shown at them."""
+        line, options = self._line, self._plan.options
+        if not self._plan.setup.times or options.jerk is not None:
+            return False
+        off = [abs(named - time) for named, time in zip(line.named, line.sample_times, strict=True)]
+        if not 0.0 < max(off, default=0.0) <= self._tolerance:
+            return False
+        return self._is_legal([(line.named[one.sample], one.position) for one in self._answers()])
+
+    def _answers(self) -> list[Shown]:
+        """The valid positions that were sent upon an ADC PDO."""
+        return [one for one in self.shown if one.what == "TPDO" and one.status & VALID and one.sample >= 0]
+
+    def _is_legal(self, shown: list[tuple[float, float]]) -> bool:
         limit = self._plan.options.limit or RESIDUAL_LIMIT
-        shown = [
-            (self._last_sync(one.cause_time), one.position)
-            for one in self.shown
-            if one.what == "TPDO" and one.status & VALID and one.cause_time >= 0.0
-        ]
         return is_smooth(shown, limit + LIMIT_MARGIN, RANGE_CYCLES)
 
     def _see_sdo(self, one: Sent, data: bytes) -> None:
@@ -200,8 +213,8 @@ class Judge:
         ):
             error = self._after_loss(error)
         cause = one.cause
-        upon = cause.time if cause is not None and cause.what == "pdo" else -1.0
-        shown = Shown(one.now, what, position, status, residual, error, truth, upon)
+        upon, sample = (cause.time, cause.number) if cause is not None and cause.what == "pdo" else (-1.0, -1)
+        shown = Shown(one.now, what, position, status, residual, error, truth, upon, sample)
         self.shown.append(shown)
         verdict.shown += 1
         if not valid:

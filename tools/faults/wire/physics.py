@@ -26,6 +26,11 @@ P4  A sample time is off by e, no more than SYNC and receive times can be (:func
     Proof: a healthy machine whose SYNC came later by e, and whose sample was taken then, at v e cycles from
     here: if that is a whole number, counts and time are the same. A position is right if it is that of the
     moment that its sample time names.
+P9  The same error, and the positions shown lie on one motion within the limits, at the moments that the
+    sample times name.
+    Proof: the machine that moves as was shown, whose SYNC came later by e. Frames and order are the same,
+    receive times within their noise, and that machine is healthy. So the speed, too, may be off by whole
+    cycles from there on: no later sample contradicts it.
 """
 
 from __future__ import annotations
@@ -113,13 +118,13 @@ def within_half(value: float, whole: float) -> float:
     return (value + whole / 2) % whole - whole / 2
 
 
-def is_smooth(shown: Sequence[tuple[int, float]], limit: float, whole: float) -> bool:
-    """Whether a motion within ``limit`` (cycles/T^2) goes through all (slot, position); modulo ``whole``."""
+def is_smooth(shown: Sequence[tuple[float, float]], limit: float, whole: float) -> bool:
+    """Whether a motion within ``limit`` (cycles/T^2) goes through all (time, position); modulo ``whole``."""
     speeds = []
-    for (slot, position), (next_slot, next_position) in itertools.pairwise(shown):
-        if next_slot > slot:
+    for (time, position), (next_time, next_position) in itertools.pairwise(shown):
+        if next_time > time:
             moved = within_half(next_position - position, whole)
-            speeds.append((moved / (next_slot - slot), next_slot - slot))
+            speeds.append((moved / (next_time - time), next_time - time))
     return all(
         abs(speed - before) <= limit * (intervals + earlier) / 2
         for (before, earlier), (speed, intervals) in itertools.pairwise(speeds)
