@@ -20,7 +20,7 @@ from canfb.signal.harmonics import corrected
 from canfb.signal.pauses import Pauses
 from canfb.signal.phase import AnyArray, raw_phase
 from canfb.signal.recovery.coarse import CoarseTrack
-from canfb.signal.recovery.reference import Pulse, Reference, pulse_between
+from canfb.signal.recovery.reference import Pulse, Reference
 from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import CROWDED, REPEATED, SUSPECT, SampleTimes
@@ -302,7 +302,7 @@ class SignalChain(Pauses):
             if after is None or (between and (between[-1].status ^ feedback.status) & (VALID | LOST)):
                 pulse = None
             elif one.zero_pulse is not None and before is not None:
-                pulse = self._pulse_between(before, after, one.zero_pulse, one.elapsed)
+                pulse = self._reference.pulse(before, after, one.zero_pulse, self._clock, one.elapsed)
             between.append(feedback)
         newest = samples[-1]
         whole = elapsed * self._per_sync if bad else newest.elapsed
@@ -370,7 +370,7 @@ class SignalChain(Pauses):
         if coarse is not None or zero_pulse is not None or pulse is not None or reference.in_doubt:
             before = self._before if measured else None
             if pulse is None and zero_pulse is not None and before is not None:
-                pulse = self._pulse_between(before, track, zero_pulse, elapsed)
+                pulse = reference.pulse(before, track, zero_pulse, self._clock, elapsed)
             bits, jump = reference.apply(sample, track, bits, pulse, elapsed if before else 0.0)
             self._referenced = REFERENCED if self._reference.zero.referenced else 0
         if self._second is not None:
@@ -379,12 +379,6 @@ class SignalChain(Pauses):
         if elapsed > HOLE_INTERVALS and not (next_one and bits & VALID):
             bits |= MISSED
         return self._feedback(s, c, amplitude, raw, track, bits | faults, jump)
-
-    def _pulse_between(
-        self, before: Track | Feedback, after: Track | Feedback, place: float, elapsed: float
-    ) -> Pulse:
-        acceleration = speeds.acceleration(self._estimator.places)
-        return pulse_between(before, after, place, self._clock, elapsed, acceleration)
 
     @property
     def _doubtful(self) -> int:

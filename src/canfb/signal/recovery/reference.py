@@ -14,6 +14,7 @@ import math
 from typing import NamedTuple
 
 from canfb.objects import LossCause
+from canfb.signal import speeds
 from canfb.signal.estimator import Estimator
 from canfb.signal.feedback import Feedback
 from canfb.signal.recovery.coarse import CoarseTrack
@@ -108,6 +109,13 @@ class Reference:
         if self.in_doubt and bits & VALID:
             bits = bits & ~VALID | COASTING
         return bits, jump
+
+    def pulse(
+        self, before: Track | Feedback, after: Track | Feedback, place: float, time: float, elapsed: float
+    ) -> Pulse:
+        """:func:`pulse_between` the last two samples, with the acceleration by the last three."""
+        acceleration = speeds.acceleration(self._estimator.places)
+        return pulse_between(before, after, place, time, elapsed, acceleration)
 
     def position_lost(self) -> None:
         """The position has been lost: what pulses said of its count does not matter any more."""
