@@ -33,7 +33,7 @@ LEAST_FRESH = 1500
 
 
 class Steps(Protocol):
-    """Who hears how far it is."""
+    """Receives the progress."""
 
     def step(self, text: str) -> None:
         """A new step begins."""
@@ -145,7 +145,7 @@ class CalibrationRun:
     def _by_module(
         self, session: Session, source: Source, settings: Settings, guard: Guard, before: Look | None
     ) -> CalibrateResult:
-        """The module measures; what it hears is measured here as well, for the figures and the pictures."""
+        """The module measures; its samples on the bus are measured here as well, for figures and pictures."""
         self._steps.step("the module measures")
         if self._choices.check:
             session.check_interface()

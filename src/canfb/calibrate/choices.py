@@ -26,7 +26,7 @@ MOST_RPM = 1e6
 RECORDED = "recorded"  # speeds: those that the files of samples have
 LEAST_SAMPLES = 8000
 SECONDS_AT_SPEED = 10.0
-NEAREST = 1.05  # times: speeds to be told from each other as the machine turns
+NEAREST = 1.05  # times: between speeds, so that the machine turns at one of them
 RANGES = (
     ("seconds", 0.1, 3600.0),
     ("verify", 0.1, 600.0),

@@ -76,7 +76,7 @@ def measure(
     """Calibrate; with a ``conditioning``, with this one in place of what the settings say.
 
     The tracks of ``samples`` are sampled at once (:meth:`TrackSamples.together`). The delays of ``before``
-    stay: they are not to be seen at one speed.
+    stay: one speed does not show them.
     CalibrationError for samples that cannot be used, CommissioningError for wrong settings.
     """
     if before.conditioning.cosine_delay_s and settings.conditioning is None:

@@ -105,7 +105,7 @@ MIN_BLOCKS_OF_PART = 24
 
 def finish(record: Recording, solution: Solution, conditioning: Conditioning, entries: int) -> Calibration:
     """Table, figures and verdict. CalibrationError if the measurement cannot be used."""
-    fit, blocks, loss, doubt = solution
+    fit, blocks, loss, undetermined = solution
     use = blocks.used
     position = blocks.evaluate(fit.motion)
     cycles = float(np.abs(np.diff(position, axis=1))[use[:, 1:] & use[:, :-1]].sum())
@@ -145,8 +145,8 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
         residual_peak=peak(after[moving]),
         before_rms=root_mean(before[moving]) * correct,
         before_peak=peak(before[moving]),
-        uncertainty_rms=max(expected, measured, systematic, doubt),
-        uncertainty_peak=PEAK_SIGMAS * max(float(spread.max()), measured, systematic, doubt),
+        uncertainty_rms=max(expected, measured, systematic, undetermined),
+        uncertainty_peak=PEAK_SIGMAS * max(float(spread.max()), measured, systematic, undetermined),
         noise_counts=fit.noise_counts,
         noise_cycles=fit.noise_cycles,
         bound_rms=bound,

@@ -41,7 +41,7 @@ from canfb.signal.phase import FloatArray
 AMPLITUDE_REPEATS = 1e-3  # relative, both tracks together, from one speed to the next
 RATIO_REPEATS = 2e-4  # of one amplitude to the other
 ANGLE_REPEATS_RAD = 2e-4  # from sine to cosine
-SEEN_SIGMAS = 3.0  # a low-pass that is there
+DETECTED_SIGMAS = 3.0  # a low-pass, or a delay, that is detected
 APART_SIGMAS = 2.0  # corners that differ
 # Rms of the phase, cycles, that an angle of d rad between the tracks leaves, or a ratio of amplitudes of
 # exp(d): to first order the arc tangent is off by d/2 cos 2x, or d/2 sin 2x, beside its mean.
@@ -49,8 +49,8 @@ ERROR_OF_ANGLE = 1.0 / (4.0 * math.pi * math.sqrt(2.0))
 MOST_UNCERTAIN_CYCLES = 1e-4  # rms, at the highest speed, from the delay between the tracks
 MOST_OFF_CYCLES = 1e-3  # rms, at any speed: what the model does not explain
 ROUNDS = 30
-MOST_MISFIT = SEEN_SIGMAS * AMPLITUDE_REPEATS
-BEYOND = 3.0  # standard deviations: a low-pass beyond them would have been seen
+MOST_MISFIT = DETECTED_SIGMAS * AMPLITUDE_REPEATS
+BEYOND = 3.0  # standard deviations: a low-pass beyond them would have been detected
 
 
 @dataclass(frozen=True)
@@ -82,13 +82,13 @@ class TwoPoles:
 class LowPass:
     """A low-pass of one pole as the amplitudes over the speed show it.
 
-    per_hz          1 / corner, 0.0: none is seen
+    per_hz          1 / corner, 0.0: none is detected
     sigma_per_hz    its uncertainty
     top_hz          the highest speed
     left            part of the amplitude at this speed, as the fit has it
     misfit          largest relative difference of an amplitude from the fit
     checked         there are more speeds than it takes, so misfit says whether it is one pole
-    least_corner_hz where none is seen: a lower one would have been
+    least_corner_hz where none is detected: a lower one would have been
     rises           the amplitude rises with the speed
     other           two equal poles, as the same amplitudes show them
     """
@@ -105,7 +105,7 @@ class LowPass:
 
     @property
     def is_detected(self) -> bool:
-        """There is one."""
+        """It stands out of its uncertainty."""
         return self.per_hz > 0.0
 
     @property
@@ -135,7 +135,7 @@ class LowPass:
 
     @property
     def delay_sigma_s(self) -> float:
-        """Its uncertainty if it is one pole; where none is seen, the longest delay that would not be."""
+        """Its uncertainty if it is one pole; where none is detected, the longest delay that would not be."""
         if not self.is_detected:
             return 1.0 / (2.0 * math.pi * self.least_corner_hz) if self.least_corner_hz else math.inf
         return self.sigma_per_hz / (2.0 * math.pi)
@@ -154,7 +154,7 @@ class LowPass:
 class PathFit:
     """The analog path between an encoder and its counts.
 
-    cosine_delay_s        the cosine is sampled this much after the sine (2002:06), 0.0: no delay is seen
+    cosine_delay_s        the cosine is sampled this much after the sine (2002:06), 0.0: none is detected
     cosine_delay_sigma_s  its uncertainty
     corners               of the low-passes (2001:05, 2001:06)
     low_pass              that of the sine, which the position is late by
@@ -188,7 +188,7 @@ def response(hertz: npt.ArrayLike, corner_hz: float) -> npt.NDArray[np.complex12
 
 
 def fit_path(found: Sequence[Fundamental]) -> PathFit:
-    """The path of these fundamentals. CalibrationError ("speed") where the speeds are too close to tell,
+    """The path of these fundamentals. CalibrationError ("speed") where the speeds are too close together,
     or where no such path gives these tracks.
     """
     f = np.array([one.hertz for one in found])
@@ -230,7 +230,7 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
     low_pass = replace(both, per_hz=float(per_hz[0]), left=left)
     corner, cosine = (1.0 / float(one) if one else 0.0 for one in per_hz)
     return PathFit(
-        delay_s if abs(delay_s) > SEEN_SIGMAS * delay_sigma_s else 0.0,
+        delay_s if abs(delay_s) > DETECTED_SIGMAS * delay_sigma_s else 0.0,
         delay_sigma_s,
         Corners(corner, 0.0 if cosine == corner else cosine),
         low_pass,
@@ -239,7 +239,7 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
 
 
 def check_apart(hertz: FloatArray, noise: FloatArray | float = 0.0) -> None:
-    """Refuse speeds (cycles/s) whose tracks cannot tell a delay, with what would be left uncertain."""
+    """Refuse speeds (cycles/s) that do not determine a delay, with what would be left uncertain."""
     apart, top = float(np.ptp(hertz)), float(np.abs(hertz).max())
     sigma_rad = math.sqrt(2.0) * math.hypot(ANGLE_REPEATS_RAD, float(np.max(noise)))
     if apart > 0.0 and ERROR_OF_ANGLE * sigma_rad * top / apart <= MOST_UNCERTAIN_CYCLES:
@@ -267,8 +267,8 @@ def fit_low_pass(hertz: FloatArray, amplitude: FloatArray, sigma: FloatArray) ->
     if np.ptp(square) < 1e-3:
         return LowPass(0.0, 0.0, top, 1.0, 0.0, False, 0.0)
     ratio2, sigma2, misfit = _poles(square, amplitude, sigma, 1)
-    rises = ratio2 < -SEEN_SIGMAS * sigma2
-    if ratio2 <= SEEN_SIGMAS * sigma2:
+    rises = ratio2 < -DETECTED_SIGMAS * sigma2
+    if ratio2 <= DETECTED_SIGMAS * sigma2:
         least = top / math.sqrt(max(ratio2, 0.0) + BEYOND * sigma2)
         return LowPass(0.0, 0.0, top, 1.0, misfit, checked, least, rises)
     ratio, left = math.sqrt(ratio2), 1.0 / math.sqrt(1.0 + ratio2)

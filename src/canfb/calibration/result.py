@@ -169,7 +169,7 @@ CHANGE_SPEED = (
 )
 
 
-def check_way(coverage: float, cycles: float) -> None:
+def check_distance(coverage: float, cycles: float) -> None:
     """Refuse a recording that meets too little of the cycle, or too few cycles."""
     if coverage < MIN_COVERAGE:
         locked = cycles >= MIN_CYCLES
@@ -209,7 +209,7 @@ def no_fit(what: str, loss: float) -> CalibrationError:
 def judge(found: Calibration, loss: float = 1.0) -> Calibration:
     """The calibration if it can be used, else CalibrationError with it and the reason."""
     try:
-        check_way(found.coverage, found.cycles_used)
+        check_distance(found.coverage, found.cycles_used)
         if found.uncertainty_rms > MAX_UNCERTAINTY_CYCLES:
             raise no_fit(f"the table would be uncertain by {found.uncertainty_rms:.1e} cycle rms", loss)
     except CalibrationError as error:

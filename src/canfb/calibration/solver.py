@@ -30,7 +30,7 @@ from canfb.calibration.figures import coverage
 from canfb.calibration.joint import JointFit, fit_jointly, information_loss, initial_waveform
 from canfb.calibration.motion_blocks import CUBIC, Blocks, BoolArray, cut
 from canfb.calibration.recording import MIN_SAMPLES, Recording
-from canfb.calibration.result import LOCKED_LOSS, MAX_OFF_CYCLES, Reason, check_smooth, check_way, no_fit
+from canfb.calibration.result import LOCKED_LOSS, MAX_OFF_CYCLES, Reason, check_distance, check_smooth, no_fit
 from canfb.calibration.waveform import Waveform, grid_phases, table_sensitivity
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
@@ -52,10 +52,10 @@ STIFF = tuple(Shape(length, CUBIC) for length in (12, 16, 32, 64, 128, 256, 512,
 # beyond the blocks of sqrt(1.15^2 - 1) = 0.57 of the noise.
 LIVELY_NOISE = 1.15
 # With noise alone, all orders are at most this much less certain than the few that show.
-DOUBTFUL = 5.0
+MOST_UNDETERMINED = 5.0
 # And at most this much less certain than if every sample met another phase.
 INSEPARABLE = 20.0
-WAY_SAMPLES = 64
+DISTANCE_SAMPLES = 64
 # Enough to choose the block length by.
 TRIAL_SAMPLES = 8000
 TRIAL_ROUNDS = 4
@@ -72,14 +72,14 @@ class Solution(NamedTuple):
     """What was found.
 
     loss   how many times the unknown motion made the uncertainty larger
-    doubt  uncertainty of the table, cycles, where the samples cannot rule out orders that do not
+    undetermined  uncertainty of the table, cycles, where the samples cannot rule out orders that do not
            show: positions are unsteady, or determine some orders only together. Else 0
     """
 
     fit: JointFit
     blocks: Blocks
     loss: float
-    doubt: float
+    undetermined: float
 
 
 Progress = Callable[[float], None]
@@ -103,7 +103,7 @@ class Solver:
     def solve(self, angle: FloatArray) -> Solution:
         """Tracks and motion from the ellipse's ``angle`` (cycles). CalibrationError if there are none."""
         first = Start(self._positions(angle), None)
-        check_way(coverage(angle[self.record.valid]), self._way(first.position))
+        check_distance(coverage(angle[self.record.valid]), self._distance(first.position))
         shape, lively = self._choose_shape(first, STIFF)
         self.report(0.3)
         fit, blocks = self._fit(self._cut(shape), first)
@@ -125,12 +125,12 @@ class Solver:
         if all_orders > INSEPARABLE * mixed:
             raise no_fit("the samples have too few different phases to separate the harmonics", np.inf)
         fit, blocks = self._only_significant(fit, blocks)
-        doubt = all_orders if all_orders > DOUBTFUL * uncertainty(fit, self.ellipse) else 0.0
+        undetermined = all_orders if all_orders > MOST_UNDETERMINED * uncertainty(fit, self.ellipse) else 0.0
         off = max(self._off_cycles(fit), fit.noise.across / (2.0 * np.pi * self.amplitude_counts))
         telling = blocks.used[blocks.informative(blocks.evaluate(fit.motion))].sum()
         if self._curve(fit.waveform) is None or off > MAX_OFF_CYCLES or telling < MIN_SAMPLES:
             raise no_fit("tracks and motion cannot be separated", loss)
-        return Solution(fit, blocks, loss, doubt)
+        return Solution(fit, blocks, loss, undetermined)
 
     def _off_cycles(self, fit: JointFit) -> float:
         return fit.noise.along / (2.0 * np.pi * self.amplitude_counts)
@@ -139,9 +139,9 @@ class Solver:
         motion = blocks.smooth(position[blocks.index])
         return information_loss(blocks, self._circle(), motion)
 
-    def _way(self, position: FloatArray) -> float:
+    def _distance(self, position: FloatArray) -> float:
         """Cycles gone through, without noise, as far as the samples show."""
-        seen = position[self.record.valid][::WAY_SAMPLES]
+        seen = position[self.record.valid][::DISTANCE_SAMPLES]
         return float(np.abs(np.diff(seen)).sum())
 
     def _circle(self) -> Waveform:

@@ -12,7 +12,7 @@ from canfb.cli.options import Commands, add_bus_options, add_command, bus_option
 from canfb.cli.watch_options import positive
 from canfb.cli.yaml_argument import node_or_yaml, take_yaml
 from canfb.configuration import ANY_NODES, Config, load_config
-from canfb.diagnosis.nodes_on_bus import HeardFrames, node_facts, scan
+from canfb.diagnosis.nodes_on_bus import FrameCounts, node_facts, scan
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import CanfbError
 from canfb.hosting import self_diagnosis as facts
@@ -75,7 +75,7 @@ def _ask(options: argparse.Namespace, config: Config, parts: dict[str, Any]) -> 
     options.configuration = None
     known = [eds_path(name) for name in EDS_NAMES]
     with node_options.master_of(options) as master:
-        parts["bus"]["frames"] = HeardFrames().listen(master, options.seconds)
+        parts["bus"]["frames"] = FrameCounts().listen(master, options.seconds)
         parts["bus"]["seconds"] = options.seconds
         chosen = options.nodes or _configured(config)
         if not chosen:

@@ -237,7 +237,7 @@ class TrackFigures:
     mean, least, most       of the amplitude over all valid samples
     over_phase              lowest, mean and highest amplitude in each of 64 bins of the phase, shape (3, 64);
                             NaN where there is no sample
-    noise_counts            of the converter before it rounds, rms; 0.0: none seen
+    noise_counts            of the converter before it rounds, rms; 0.0: none detected
     longest_repeat          the most successive samples that repeat the counts of the one before
     """
 
@@ -278,13 +278,13 @@ def track_figures(
 
 
 def repeats_of_frozen_input(noise_counts: float, rate_hz: float, margin: float, longest_repeat: int) -> int:
-    """Repeats of both counts that tell a frozen converter from a working one (2010:04); 0: nothing does.
+    """Repeats of both counts that distinguish a frozen converter from a working one (2010:04); 0: none do.
 
     A machine that moves whole cycles per sample shows one phase only, in the worst case with both
     tracks in the middle of a count. With normal noise of ``noise_counts`` (rms) both counts are then the
     same again with the probability q = erf(1 / (2 sqrt(2) noise))^2, and n times with q^n. The result is
     large enough for less than one false alarm in ten years of that, at ``rate_hz`` samples per second,
-    and more than ``margin`` times what was seen; at least 16, 0 if it were more than 255.
+    and more than ``margin`` times the longest repeat; at least 16, 0 if it were more than 255.
     """
     if noise_counts < QUIETEST_COUNTS:
         return 0

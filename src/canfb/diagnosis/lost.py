@@ -156,7 +156,7 @@ class LostPosition:
             )
 
     def happened(self) -> list[str]:
-        """Cause and circumstances of the last loss."""
+        """Cause and conditions of the last loss."""
         loss = self.loss
         if loss is None:
             if not self.keeps_cause:

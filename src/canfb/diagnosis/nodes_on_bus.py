@@ -89,13 +89,13 @@ def scan(master: Master, listen_s: float) -> list[FoundNode]:
     def answered(can_id: int, data: bytes, at: float) -> None:
         answers.add(can_id - cob.SDO_RESPONSE)
 
-    def told(can_id: int, data: bytes, at: float) -> None:
+    def heartbeat(can_id: int, data: bytes, at: float) -> None:
         if len(data) == 1:
             states[can_id - cob.ERROR_CONTROL] = state_in(data)
 
     for node in NODES:
         master.subscribe(cob.SDO_RESPONSE + node, answered)
-        master.subscribe(cob.ERROR_CONTROL + node, told)
+        master.subscribe(cob.ERROR_CONTROL + node, heartbeat)
     try:
         end = master.now() + listen_s
         for node in NODES:
@@ -116,7 +116,7 @@ def scan(master: Master, listen_s: float) -> list[FoundNode]:
         return found
     finally:
         for node in NODES:
-            master.unsubscribe(cob.ERROR_CONTROL + node, told)
+            master.unsubscribe(cob.ERROR_CONTROL + node, heartbeat)
 
 
 def _described(node: NodeAccess, state: NmtState | None) -> FoundNode:
@@ -184,7 +184,7 @@ def _read_all(node: NodeAccess, described: ObjectDescriptions, objects: Figures)
             objects[entry.number] = f"refused: {error.code:08X}h"
 
 
-class HeardFrames:
+class FrameCounts:
     """Counts the frames of all CAN-IDs with 11 bits while it listens."""
 
     def __init__(self) -> None:
@@ -193,13 +193,13 @@ class HeardFrames:
     def listen(self, master: Master, seconds: float) -> dict[str, int]:
         """Frames within ``seconds``, by CAN-ID."""
         for can_id in range(0x800):
-            master.subscribe(can_id, self._hear)
+            master.subscribe(can_id, self._count)
         try:
             master.wait(seconds)
         finally:
             for can_id in range(0x800):
-                master.unsubscribe(can_id, self._hear)
+                master.unsubscribe(can_id, self._count)
         return {f"{can_id:03X}": count for can_id, count in sorted(self._counts.items())}
 
-    def _hear(self, can_id: int, data: bytes, at: float) -> None:
+    def _count(self, can_id: int, data: bytes, at: float) -> None:
         self._counts[can_id] = self._counts.get(can_id, 0) + 1

@@ -130,7 +130,7 @@ class TrackSamples:
 
     @property
     def skipped(self) -> int:
-        """Intervals in which not even a SYNC came, by the times; 0 where the times do not tell."""
+        """Intervals in which not even a SYNC came, by the times; 0 where they do not determine it."""
         if not self.rate_hz or not self.duration_s:
             return 0
         more = round(self.duration_s * self.rate_hz) - len(self)
