@@ -89,23 +89,11 @@ class PdoRecorder:
             self._coarse[-1] = layout.unpack(data)
 
     def result(self, origin: str) -> TrackSamples:
-        """What came; the last interval may still be open and is left out."""
-        last, apart = len(self._pairs) - 1, 1 + len(self._layout.earlier)
-        if apart > 1:
-            return self._several(last, apart, origin)
-        pairs = np.array(self._pairs[:last], np.float64).reshape(-1, 2)
-        samples = replace(
-            TrackSamples.of(pairs[:, 0], pairs[:, 1], self._rate_hz(), origin),
-            received_s=np.array(self._times[:last]),
-        )
-        if self._layout.coarse is not None:
-            coarse = [(np.nan, np.nan) if one is None else one for one in self._coarse[:last]]
-            tracks = np.array(coarse, np.float64).reshape(-1, 2)
-            samples = replace(samples, coarse=(tracks[:, 0], tracks[:, 1]))
-        return samples if self._layout.time_byte is None else samples.timed(self._stamps[:last])
+        """What came, in the order in which it was sampled; the last interval may be open and is left out.
 
-    def _several(self, last: int, per_sync: int, origin: str) -> TrackSamples:
-        """All samples of all intervals, in their order; what belongs to an interval, with its newest."""
+        What belongs to an interval, time and coarse track, belongs to its newest sample.
+        """
+        last, per_sync = len(self._pairs) - 1, 1 + len(self._layout.earlier)
         rate_hz = self._rate_hz()
         in_order = [
             pair
@@ -114,14 +102,13 @@ class PdoRecorder:
         ]
         pairs = np.array(in_order, np.float64).reshape(-1, 2)
         samples = TrackSamples.of(pairs[:, 0], pairs[:, 1], rate_hz and rate_hz * per_sync, origin)
-        newest = np.arange(per_sync - 1, len(pairs), per_sync)
-        if rate_hz:
-            before_s = np.arange(per_sync - 1, -1, -1) / per_sync / rate_hz
+        if rate_hz or per_sync == 1:
+            before_s = np.arange(per_sync - 1, -1, -1) / per_sync / (rate_hz or 1.0)
             received_s = (np.array(self._times[:last])[:, None] - before_s).reshape(-1)
             samples = replace(samples, received_s=received_s)
         if self._layout.coarse is not None:
             tracks = np.full((len(pairs), 2), np.nan)
-            tracks[newest] = [(np.nan, np.nan) if one is None else one for one in self._coarse[:last]]
+            tracks[per_sync - 1 :: per_sync] = [one or (np.nan, np.nan) for one in self._coarse[:last]]
             samples = replace(samples, coarse=(tracks[:, 0], tracks[:, 1]))
         if not self._layout.is_timed:
             return samples

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from canfb import objects as od
@@ -66,6 +66,7 @@ def valid_pdos(read: Read, parameters: int, mapping: int) -> Iterator[Pdo]:
             yield Pdo(number + 1, int(cob_id) & cob.CAN_ID, entries)
 
 
+Pair = tuple[int, int]  # mapping entries of a sine and its cosine
 INTERFACE_TRACKS = (od.INTERFACE_SINE.mapped(16), od.INTERFACE_COSINE.mapped(16))
 PREDEFINED = (cob.TPDO1, cob.TPDO2, cob.TPDO3, cob.TPDO4)
 MODULE_TRACKS = (od.SAMPLE_SINE.mapped(16), od.SAMPLE_COSINE.mapped(16))
@@ -147,58 +148,29 @@ def mapped_objects(read: Read) -> set[int]:
 
 
 def _layout(
-    read: Read,
-    parameters: int,
-    mapping: int,
-    entries_of_pair: tuple[int, int],
-    earlier: Sequence[tuple[int, int]],
+    read: Read, parameters: int, mapping: int, tracks: Pair, earlier: Sequence[Pair]
 ) -> PdoLayout | None:
-    pdos = list(_up_to(valid_pdos(read, parameters, mapping), entries_of_pair if not earlier else None))
-    found = _carrier(pdos, entries_of_pair)
+    pdos = [(pdo.can_id, pdo.bytes_of()) for pdo in valid_pdos(read, parameters, mapping)]
+
+    def carrier(pair: Pair) -> PdoLayout | None:
+        """The first PDO that has both objects."""
+        both = ((can_id, at) for can_id, at in pdos if at.keys() >= set(pair))
+        return next((PdoLayout(can_id, at[pair[0]], at[pair[1]]) for can_id, at in both), None)
+
+    found = carrier(tracks)
     if found is None:
         return None
-    can_id, places, time_byte = found
-    others = itertools.takewhile(lambda one: one is not None, (_carrier(pdos, pair) for pair in earlier))
-    pairs = tuple(PdoLayout(other[0], *other[1]) for other in others if other is not None)
-    times = [(pdo.can_id, byte) for pdo in pdos if (byte := _time_place(pdo)) is not None]
-    timed_by = None
+    times = {can_id: at[one] for can_id, at in reversed(pdos) for one in SAMPLE_TIMES if one in at}
+    time_byte, timed_by = times.get(found.can_id), None
     if earlier and time_byte is None and times:
-        timed_by = PdoLayout(times[0][0], time_byte=times[0][1])
+        can_id = next(can_id for can_id, _ in pdos if can_id in times)
+        timed_by = PdoLayout(can_id, time_byte=times[can_id])
+    others = itertools.takewhile(lambda one: one is not None, map(carrier, earlier))
     sync = read(od.SYNC_COB_ID)
-    sync_id = cob.SYNC if sync is None else int(sync) & cob.CAN_ID
-    return PdoLayout(can_id, *places, sync_id, time_byte, None, pairs, timed_by)
-
-
-def _up_to(pdos: Iterator[Pdo], last: tuple[int, int] | None) -> Iterator[Pdo]:
-    """The PDOs up to the one with the objects ``last``: the others need not be read."""
-    for pdo in pdos:
-        yield pdo
-        if last is not None and _places(pdo, last) is not None:
-            return
-
-
-def _carrier(
-    pdos: Sequence[Pdo], entries_of_pair: tuple[int, int]
-) -> tuple[int, tuple[int, int], int | None] | None:
-    """COB-ID, bytes of both objects and of the sample time in the first PDO that has both objects."""
-    for pdo in pdos:
-        places = _places(pdo, entries_of_pair)
-        if places is not None:
-            return pdo.can_id, places, _time_place(pdo)
-    return None
-
-
-def _places(pdo: Pdo, entries_of_pair: tuple[int, int]) -> tuple[int, int] | None:
-    """Bytes of both objects in this PDO."""
-    at = pdo.bytes_of()
-    return (
-        (at[entries_of_pair[0]], at[entries_of_pair[1]])
-        if all(one in at for one in entries_of_pair)
-        else None
+    return replace(
+        found,
+        sync_id=cob.SYNC if sync is None else int(sync) & cob.CAN_ID,
+        time_byte=time_byte,
+        earlier=tuple(one for one in others if one is not None),
+        timed_by=timed_by,
     )
-
-
-def _time_place(pdo: Pdo) -> int | None:
-    """Byte of the sample time in this PDO."""
-    at = pdo.bytes_of()
-    return next((at[one] for one in SAMPLE_TIMES if one in at), None)
