@@ -134,15 +134,7 @@ class _Cycles:
 
     def position(self, time: FloatArray) -> FloatArray:
         """Cubic through the crossings, 0..1 between the inner two; time has shape (cycles, n)."""
-        position = np.zeros_like(time)
-        for one in (0, 2, 3):  # the second crossing has position 0
-            part = np.full_like(time, float(one - 1))
-            for other in range(4):
-                if other != one:
-                    span = self.times[:, one] - self.times[:, other]
-                    part *= (time - self.times[:, other, None]) / span[:, None]
-            position += part
-        return position
+        return _interpolate(self.times[:, None, :], np.arange(-1.0, 3.0), time)
 
 
 def _ideal_phase(raw: FloatArray) -> FloatArray:
@@ -193,15 +185,9 @@ def _crossing_times(passage: _Passage, at: IntArray) -> FloatArray:
     """Time of zero sine between samples ``at`` and ``at + 1``: inverse cubic through four samples."""
     around = at[:, None] + np.arange(-1, 3)
     sine, time = passage.sine[around], passage.time[around]
-    crossing = np.zeros(len(at))
     with np.errstate(divide="ignore", invalid="ignore"):  # events that are not a clean crossing
-        for one in range(4):
-            part = time[:, one] - time[:, 1]
-            for other in range(4):
-                if other != one:
-                    part = part * sine[:, other] / (sine[:, other] - sine[:, one])
-            crossing += part
-    return crossing + passage.time[at]
+        after = _interpolate(sine, time - time[:, 1:2], np.zeros(len(at)))
+    return after + passage.time[at]
 
 
 def _resample(passage: _Passage, cycles: _Cycles, nodes: FloatArray) -> FloatArray:
