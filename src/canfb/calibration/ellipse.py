@@ -1,4 +1,18 @@
-"""Ellipse through the samples (Heydemann): offset, gain and phase error of the tracks."""
+"""Ellipse through the samples (Heydemann): offset, gain and phase error of the tracks.
+
+With sine s = s0 + A sin x and cosine c = c0 + B cos(x - d), whatever x is, the samples lie on the ellipse
+
+    r' Q^-1 r = 1,   r = (s - s0, c - c0),   Q = [ A^2        A B sin d ]
+                                                 [ A B sin d  B^2       ]
+
+A conic a s^2 + b s c + e c^2 + f s + g c = 1 is linear in its coefficients, so it is found by least
+squares; its centre is the offset, and Q gives both amplitudes and sin d = Q12 / sqrt(Q11 Q22). The gains
+bring both amplitudes to their geometric mean.
+
+Samples are not spread evenly, and some are faults. So the tracks are scaled by what they span between two
+percentiles, no square of a grid keeps more samples than an even motion would leave there, and the fit is
+repeated without the samples that lie further from it than five of their standard deviations.
+"""
 
 from __future__ import annotations
 

@@ -140,11 +140,7 @@ def _motion(
         first, second = (_choice(limits, place, None, why) for place in places)
         return first, second
     largest = max(margin * motion.acceleration, known)
-    noise = NOISE_SIGMAS * motion.residual_noise
-    needed = margin * max(motion.residual_peak, motion.acceleration + noise)
-    needed = max(needed, known + margin * noise, LEAST_RESIDUAL_LIMIT)
-    limit = math.ceil(min(needed, RESIDUAL_LIMIT) * LIMIT_UNITS)
-    limit = min(limit, int(RESIDUAL_LIMIT * LIMIT_UNITS))
+    needed, limit = _residual_limit(motion, motion.acceleration, margin, known)
     # A smaller acceleration would narrow the limit.
     largest = max(largest, limit / LIMIT_UNITS - 4.0 * limits.settings.phase_error_cycles)
     most = max_acceleration(n, 1.0 / interval_s)
@@ -178,9 +174,7 @@ def _third_order(
         )
         first, second, third = (_choice(limits, place, None, why) for place in places)
         return first, second, third
-    noise = NOISE_SIGMAS * motion.residual_noise
-    needed = max(margin * max(motion.residual_peak, motion.jerk + noise), LEAST_RESIDUAL_LIMIT)
-    limit = min(math.ceil(needed * LIMIT_UNITS), int(RESIDUAL_LIMIT * LIMIT_UNITS))
+    needed, limit = _residual_limit(motion, motion.jerk, margin, 0.0)
     # A smaller jerk would narrow the limit.
     largest = max(margin * motion.jerk, limit / LIMIT_UNITS - 8.0 * limits.settings.phase_error_cycles)
     to_acceleration, to_jerk = machine.rad(1.0, 2, n), machine.rad(1.0, 3, n)
@@ -220,6 +214,17 @@ def _phase_error(machine: MachineFigures, limits: SupervisionLimits, margin: flo
         largest = MOST_PHASE_ERROR_CYCLES
         why += ", which is more than can be declared: calibrate the encoder"
     return _choice(limits, place, math.ceil(largest * LIMIT_UNITS), why)
+
+
+def _residual_limit(motion: MotionFigures, largest: float, margin: float, known: float) -> tuple[float, int]:
+    """The limit that is needed, cycles, and 2010:01, for the largest acceleration or jerk of this machine.
+
+    ``known`` is a larger one that is given, cycles per interval; 0.0: none.
+    """
+    noise = NOISE_SIGMAS * motion.residual_noise
+    needed = max(margin * max(motion.residual_peak, largest + noise), known + margin * noise)
+    needed = max(needed, LEAST_RESIDUAL_LIMIT)
+    return needed, min(math.ceil(needed * LIMIT_UNITS), int(RESIDUAL_LIMIT * LIMIT_UNITS))
 
 
 def _residual_words(motion: MotionFigures, needed: float, margin: float, known: float) -> str:

@@ -1,4 +1,12 @@
-"""Figures of a machine from the samples of its duty; or why there are none."""
+"""Samples of a machine in its duty, followed by the chain of the module; or why they cannot be.
+
+The figures of a machine need positions that count every cycle. The chain gets the samples with the limits
+that the module has in force, as the module got them. It does not see where the module was when they began:
+samples leave the speed open by whole cycles per interval. The speed that the module reports meanwhile
+(2011:07) closes that: the chain is started with the speed of the first two samples that is nearest to it,
+and started again, by whole cycles per interval faster or slower, until the speeds agree over the whole
+recording.
+"""
 
 from __future__ import annotations
 
