@@ -6,9 +6,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from canfb.device.application import Application
+from canfb.device.application import Application, ProcessData
 
-METHODS = [name for name in vars(Application) if not name.startswith("_")]
+METHODS = [name for one in (ProcessData, Application) for name in vars(one) if not name.startswith("_")]
 
 
 class RecordingApplication(Application):

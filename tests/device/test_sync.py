@@ -29,14 +29,16 @@ def test_the_order_within_a_sync(bench: Bench) -> None:
     bench.operational()
     sine, out = bench.dictionary.entry(0x2000, 1), bench.dictionary.entry(0x2010, 1)
     order: list[object] = []
+    asks = True  # to be called again
 
     def accepts_sync(counter: int | None, now: float) -> bool:
         order.append("accepted")
         return True
 
-    def sync_received(counter: int | None, now: float) -> None:
+    def sync_received(counter: int | None, now: float) -> bool:
         order.append(("sync", sine.value))
         out.value = sine.value * 2
+        return asks
 
     bench.application.react(
         accepts_sync=accepts_sync,
@@ -50,6 +52,9 @@ def test_the_order_within_a_sync(bench: Bench) -> None:
     assert order == ["accepted", ("rpdo", 1, 5), ("sync", 5), "sampled"]
     bench.sync()
     assert order[4:] == ["accepted", ("sync", 5), "sampled"]
+    asks = False
+    bench.sync()
+    assert order[7:] == ["accepted", ("sync", 5)]
 
 
 def test_a_wrong_length_is_no_sync_and_reported_once(bench: Bench) -> None:

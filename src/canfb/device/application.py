@@ -21,16 +21,12 @@ class Expiry(Protocol):
     until: float
 
 
-class Application:
-    """The program behind a :class:`canfb.device.node.Node`, which is given it once, at construction.
-
-    A subclass overrides what it needs; the rest does nothing. The methods may write entries and call
-    `trigger_tpdo`, `emergency` and `clear_emergency` of the node, but not `receive` or `tick`. What
-    they raise comes out of the call: it is a mistake in the program. Times are seconds, monotonic.
+class ProcessData:
+    """What SYNCs and PDOs are for the program: in one object, so that a frame takes no detour.
 
     In OPERATIONAL a SYNC goes through four steps (CiA 301, 7.2.5): `accepts_sync`, then the data of
     synchronous RPDOs (`rpdo_received` for each), then `sync_received`, then the synchronous TPDOs are
-    sampled, and `tpdos_sampled` is called.
+    sampled. The rules of `Application` hold.
     """
 
     def accepts_sync(self, counter: int | None, now: float) -> bool:
@@ -43,17 +39,32 @@ class Application:
     def rpdo_received(self, number: int, now: float) -> None:
         """The data of RPDO `number` is in the dictionary."""
 
-    def sync_received(self, counter: int | None, now: float) -> None:
-        """A SYNC in OPERATIONAL that was accepted, before synchronous TPDOs are sampled."""
+    def sync_received(self, counter: int | None, now: float) -> bool:
+        """A SYNC in OPERATIONAL that was accepted, before synchronous TPDOs are sampled.
+
+        True: call `tpdos_sampled` once they are.
+        """
+        return False
 
     def tpdos_sampled(self) -> None:
-        """The synchronous TPDOs of a SYNC are sampled."""
+        """The synchronous TPDOs of a SYNC are sampled, and `sync_received` asked for this call."""
 
     def idle_sync_received(self, counter: int | None) -> None:
         """A SYNC in PRE-OPERATIONAL."""
 
     def rpdo_too_short(self, number: int, received: int, mapped: int, now: float) -> None:
         """RPDO `number` was dropped: `received` bytes, of `mapped`."""
+
+
+class Application(ProcessData):
+    """The program behind a :class:`canfb.device.node.Node`, which is given it once, at construction.
+
+    A subclass overrides what it needs; the rest does nothing. The methods may write entries and call
+    `trigger_tpdo`, `emergency` and `clear_emergency` of the node, but not `receive` or `tick`. What
+    they raise comes out of the call: it is a mistake in the program. Times are seconds, monotonic.
+
+    It is its own `ProcessData`, unless the program names another object as `Node.process`.
+    """
 
     def expired(self, now: float) -> None:
         """A frame received after `Expiry.until` is about to be taken, and no `tick` came in between."""

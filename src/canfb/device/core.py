@@ -22,7 +22,7 @@ from typing import NamedTuple, Protocol
 from canfb.cia301.codes import AbortCode
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.application import Application
+from canfb.device.application import Application, ProcessData
 from canfb.device.od.dictionary import Dictionary
 
 NEVER = float("inf")
@@ -324,6 +324,7 @@ class Core:
         "node_id",
         "outbox",
         "pending",
+        "process",
         "reactions",
         "routes",
         "sdo_timeout_s",
@@ -348,6 +349,7 @@ class Core:
         self.node_id = node_id
         """The present node-ID, 255 for none. Services hold for one: they are made again with another."""
         self.application = application
+        self.process: ProcessData = application
         self.reactions = reactions
         self.sdo_timeout_s = sdo_timeout_s
         self.state = NmtState.INITIALISING

@@ -30,7 +30,7 @@ from collections.abc import Callable, Collection
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.application import Application, Expiry
+from canfb.device.application import Application, Expiry, ProcessData
 from canfb.device.core import NEVER, CanIds
 from canfb.device.emergency import check_error
 from canfb.device.life_cycle import LifeCycle
@@ -117,6 +117,15 @@ class Node:
         self._silence = life.silence
         self.inhibited = core.routes.sent
         """By CAN-ID: what `sent` calls; the same mapping for the life of the node."""
+
+    @property
+    def process(self) -> ProcessData:
+        """What SYNCs and PDOs go to: the application, unless another object is set, before the start."""
+        return self._core.process
+
+    @process.setter
+    def process(self, process: ProcessData) -> None:
+        self._core.process = process
 
     @property
     def node_id(self) -> int:

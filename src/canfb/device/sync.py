@@ -14,13 +14,13 @@ It has no data, or with 1019h above 1 one byte: a counter 1 to 1019h, then 1 aga
 say how many SYNCs it has not received; this one leaves that to its application. What a SYNC
 does to PDOs, `Pdos.synchronise` does in one order, so that what is sent belongs to what was received before:
 
-1. the application says whether this SYNC counts (`accepts_sync`);
+1. the program (`ProcessData`) says whether this SYNC counts (`accepts_sync`);
 2. synchronous RPDOs that came since the last one are taken over, each with `rpdo_received`;
 3. `sync_received`: the program acts on the new interval;
 4. synchronous TPDOs are sampled and sent in the same call, so the window of 1007h always holds for them; then
-   `tpdos_sampled`.
+   `tpdos_sampled`, if it was asked for.
 
-Without PDOs, in PRE-OPERATIONAL, the application gets it as well (`idle_sync_received`): its period is known
+Without PDOs, in PRE-OPERATIONAL, the program gets it as well (`idle_sync_received`): its period is known
 then before the first sample.
 
 Rules of 7.5.2.5 to 7.5.2.7 and 7.5.2.22 that are checked here: the CAN-ID does not change while the device
@@ -50,7 +50,7 @@ class Pdos:
     """The RPDOs and TPDOs, by their numbers."""
 
     def __init__(self, core: Core) -> None:
-        self._core, self._application = core, core.application
+        self._core = core
         self.rpdos = {number: Rpdo(core, number) for number in numbers(core.dictionary, Direction.RECEIVE)}
         self.tpdos = {number: Tpdo(core, number) for number in numbers(core.dictionary, Direction.TRANSMIT)}
         self._operational = False
@@ -85,20 +85,21 @@ class Pdos:
 
     def synchronise(self, counter: int | None, now: float) -> None:
         """A SYNC, with its counter if it has one: in OPERATIONAL, and if the program accepts it."""
-        core, application = self._core, self._application
+        core, process = self._core, self._core.process
         if core.window_s:
             core.window_end = now + core.window_s
         if not self._operational:
-            application.idle_sync_received(counter)
+            process.idle_sync_received(counter)
             return
-        if not application.accepts_sync(counter, now):
+        if not process.accepts_sync(counter, now):
             return
         for rpdo in self._sync_rpdos:
             rpdo.synchronise(now)
-        application.sync_received(counter, now)
+        follows = process.sync_received(counter, now)
         for tpdo in self._sync_tpdos:
             tpdo.synchronise(counter, now)
-        application.tpdos_sampled()
+        if follows:
+            process.tpdos_sampled()
 
 
 class Sync(Timed):

@@ -104,7 +104,6 @@ class FeedbackModule(NodeDevice):
             self._source = LocalSource(source, dictionary, self._input, self._source_message)
         self._observers = SampleObservers()
         self._publishing = Publishing(dictionary, self, interval, self._limits, chain, self._input)
-        self._prediction = self._publishing.prediction
         self.observer = self.events
         self._sampling = Sampling(
             dictionary,
@@ -115,10 +114,11 @@ class FeedbackModule(NodeDevice):
             chain,
             self._input,
             self._source,
+            self._second,
             self._observers,
             self._publishing,
         )
-        self._pairing = self._sampling.pairing
+        self.process = self._pairing = self._sampling.pairing
         cycles_per_revolution = dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         cycles_per_revolution.on_written = self._encoder_changed
         self._jitter = JitterWatch(judge.clock, interval, self._limits, cycles_per_revolution, self._warn)
@@ -253,43 +253,6 @@ class FeedbackModule(NodeDevice):
 
     # Application: called by the node.
 
-    def accepts_sync(self, counter: int | None, now: float) -> bool:
-        """Whether a SYNC with this ``counter``, in OPERATIONAL, is there for the first time."""
-        return self._pairing.accepts_sync(counter, now)
-
-    def sync_received(self, counter: int | None, now: float) -> None:
-        """The next interval, with ``counter``; with 2013:01 the TPDOs get the position of this SYNC."""
-        pairing = self._pairing
-        if self._source is not None or not self._prediction.extrapolates:
-            pairing.on_sync(counter, now)  # the sample of a source belongs to this very SYNC
-            return
-        extra = pairing.extra
-        pairing.on_sync(counter, now)
-        if extra:  # no sample belongs to it, and so none is extrapolated to it
-            self._publishing.withhold()
-        else:
-            self._publishing.extrapolate()
-
-    def tpdos_sampled(self) -> None:
-        """The measured position again."""
-        if self._prediction.measured is not None:
-            self._prediction.withdraw()
-
-    def idle_sync_received(self, counter: int | None) -> None:
-        """A SYNC in PRE-OPERATIONAL, with its ``counter``, measures the interval."""
-        self._pairing.on_idle_sync(counter)
-
-    def rpdo_received(self, number: int, now: float) -> None:
-        """RPDO ``number`` brings a sample or a part of it, or the position of the other sensor."""
-        if number == self._second.number:
-            self._second.value_received()
-        if self._source is None:
-            self._pairing.on_rpdo(number, now)
-
-    def rpdo_too_short(self, number: int, received: int, mapped: int, now: float) -> None:
-        """Counted in 2012:08, whatever ``number``, ``received`` and ``mapped`` are."""
-        self._pairing.count_bad_frame()
-
     def expired(self, now: float) -> None:
         """No sample for 2010:06 periods, and nobody has said so yet: what can be read is not valid."""
         self._publishing.withhold()
@@ -343,7 +306,6 @@ class FeedbackModule(NodeDevice):
         per_sync = self._input.samples_per_sync if source is None else source.samples_per_sync
         self._sampling.configured(per_sync, timed or (source is not None and per_sync > 1))
         self._second.configure()
-        self._pairing.on_interval = None if self._second.number is None else self._second.interval_over
         self._publishing.configured()
 
 

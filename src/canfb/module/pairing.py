@@ -11,11 +11,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from canfb import objects as od
+from canfb.device.application import ProcessData
 from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.module.interval import SamplingInterval
+from canfb.module.objects.prediction import Prediction
 from canfb.module.objects.sample_input import LocalSource, SampleInput
+from canfb.module.objects.second_input import SecondInput
 from canfb.signal.sample import Sample
 from canfb.timing.judge import USUAL, Judge, Passed, Refusal
 from canfb.timing.sync_judge import ON_TIME, SyncVerdict
@@ -41,6 +44,7 @@ class Findings(NamedTuple):
     slips(intervals)              whether the machine leaves its position in so many intervals
     withhold()                    what stands in the dictionary is not valid any more
     repeats(sine, cosine)         whether these are the counts of the last sample
+    extrapolate()                 a SYNC, before its TPDOs are sampled, if 2013:01 is not 0
     """
 
     take_usual: Callable[[float], None]
@@ -53,9 +57,10 @@ class Findings(NamedTuple):
     slips: Callable[[float], bool]
     withhold: Callable[[], None]
     repeats: Callable[[float, float], bool]
+    extrapolate: Callable[[], None]
 
 
-class Pairing:
+class Pairing(ProcessData):
     """SYNCs and RPDOs in, samples out. All times are receive times where the bus gives them.
 
     With a ``source`` each SYNC is answered by it, and RPDOs are not looked at.
@@ -69,6 +74,8 @@ class Pairing:
         interval: SamplingInterval,
         sample_input: SampleInput,
         source: LocalSource | None,
+        second: SecondInput,
+        prediction: Prediction,
         findings: Findings,
     ) -> None:
         self.judge = judge
@@ -80,10 +87,9 @@ class Pairing:
         )
         self._input = sample_input
         sample_input.on_mixed = self.count_bad_frame
-        self._source = source
+        self._source, self._second = source, second
+        self._prediction = prediction
         self._findings = findings
-        self.on_interval: Callable[[bool], None] | None = None
-        """Called at each SYNC, before its sample, with whether the one before it was heard in its time."""
         self._bad_frames, self._duplicate_syncs, self._lost_syncs = (
             dictionary.entry(*counter) for counter in COUNTERS
         )
@@ -116,7 +122,7 @@ class Pairing:
 
     # SYNC.
 
-    def on_idle_sync(self, counter: int | None) -> None:
+    def idle_sync_received(self, counter: int | None) -> None:
         """A SYNC in PRE-OPERATIONAL: the first samples are judged by a period that is known."""
         self._hear(counter)
         self.judge.until = NEVER
@@ -169,14 +175,20 @@ class Pairing:
         if missed > 0:
             self._miss(missed, now)
 
-    def on_sync(self, counter: int | None, now: float) -> None:
-        """A SYNC that was accepted: the interval before it is over, unless it is an extra one."""
+    def sync_received(self, counter: int | None, now: float) -> bool:
+        """A SYNC that was accepted: the interval before it is over, unless it is an extra one.
+
+        With 2013:01 the TPDOs get the position of this SYNC; the sample of a source belongs to it anyway.
+        """
+        extrapolates = self._prediction.extrapolates and self._source is None
         if self.extra:
             self.extra = self._stale = False
-            return
+            if extrapolates:  # no sample belongs to it, and so none is extrapolated to it
+                self._findings.withhold()
+            return False
         parts, judge = self._input, self.judge
-        if self.on_interval is not None:
-            self.on_interval(not (self._verdict.lost or judge.is_open or self._extra_came))
+        if self._second.number is not None:
+            self._second.interval_over(not (self._verdict.lost or judge.is_open or self._extra_came))
         if parts.arrived and parts.give_up():
             self.count_bad_frame()
         if not self._sample_came and self.sampled:
@@ -190,6 +202,13 @@ class Pairing:
         self._synced = True
         if self._source is not None:
             self._sample_source(self._source, now)
+        if extrapolates:
+            self._findings.extrapolate()
+        return extrapolates
+
+    def tpdos_sampled(self) -> None:
+        """The measured position again."""
+        self._prediction.withdraw()
 
     def _miss(self, samples: int, now: float) -> None:
         """Before the first sample there is nothing to miss."""
@@ -211,10 +230,16 @@ class Pairing:
 
     # Samples.
 
-    def on_rpdo(self, number: int, now: float) -> None:
-        """RPDO ``number`` has come, or is taken over at a SYNC."""
+    def rpdo_too_short(self, number: int, received: int, mapped: int, now: float) -> None:
+        """Counted in 2012:08, whatever ``number``, ``received`` and ``mapped`` are."""
+        self.count_bad_frame()
+
+    def rpdo_received(self, number: int, now: float) -> None:
+        """RPDO ``number``, or its data at a SYNC: a sample, a part of it, or the other sensor."""
+        if number == self._second.number:
+            self._second.value_received()
         parts = self._input
-        if self._stale:
+        if self._stale or self._source is not None:
             return
         if number == parts.whole_timed and self._synced:
             received_s, synced_s = self._receptions()

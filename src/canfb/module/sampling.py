@@ -11,6 +11,7 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.module.interval import SamplingInterval
 from canfb.module.objects.recorder import SampleObservers
 from canfb.module.objects.sample_input import LocalSource, SampleInput
+from canfb.module.objects.second_input import SecondInput
 from canfb.module.pairing import Findings, Pairing
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
@@ -65,6 +66,7 @@ class Sampling:
         chain: SignalChain,
         parts: SampleInput,
         source: LocalSource | None,
+        second: SecondInput,
         taps: SampleObservers,
         publishing: Publishing,
     ) -> None:
@@ -101,8 +103,11 @@ class Sampling:
             chain.slips,
             publishing.withhold,
             chain.repeats,
+            publishing.extrapolate,
         )
-        self.pairing = Pairing(dictionary, node, judge, interval, parts, source, found)
+        self.pairing = Pairing(
+            dictionary, node, judge, interval, parts, source, second, self._prediction, found
+        )
 
     def _take_counts(self, parts: SampleInput, now: float) -> None:
         """A sample without a time, in its turn."""

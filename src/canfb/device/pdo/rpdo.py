@@ -43,7 +43,6 @@ class Rpdo(Timed):
         self.number = number
         self.deadline = NEVER
         self._core = core
-        self._application = core.application
         self._counters = core.counters
         self._emergency = core.emergency
         self._parameters = PdoParameters(core.dictionary, number, Direction.RECEIVE, self._written)
@@ -100,7 +99,7 @@ class Rpdo(Timed):
         refused = unpack(data)
         if refused:
             self._counters.refused_rpdo_values += refused
-        self._application.rpdo_received(self.number, now)
+        self._core.process.rpdo_received(self.number, now)
 
     def synchronise(self, now: float) -> None:
         """Take over what came since the last SYNC."""
@@ -109,7 +108,7 @@ class Rpdo(Timed):
         if data is not None and unpack is not None:
             self._pending = None
             self._counters.refused_rpdo_values += unpack(data)
-            self._application.rpdo_received(self.number, now)
+            self._core.process.rpdo_received(self.number, now)
 
     def tick(self, now: float) -> None:
         """Report that the PDO did not come in time, once."""
@@ -129,7 +128,7 @@ class Rpdo(Timed):
         self._counters.short_rpdos += 1
         self._report(EmergencyCode.RPDO_LENGTH, bytes([self.number & 0xFF, received, mapped]), now)
         self._clear(EmergencyCode.RPDO_LENGTH_EXCEEDED, now)
-        self._application.rpdo_too_short(self.number, received, mapped, now)
+        self._core.process.rpdo_too_short(self.number, received, mapped, now)
 
     def _accept_long(self, received: int, mapped: int, now: float) -> None:
         """The data is there, and in time; only its length is an error."""
