@@ -113,7 +113,8 @@ def test_a_start_at_standstill_waits_until_the_times_have_told(jitter: float) ->
         assert set(bits[100:]) == {VALID}
         assert {one for one in off if one is not None} == {started_at(shown)}
         if not jitter:
-            assert set(bits) == {VALID}, "the times tell nothing"
+            assert bits[1:4] == [COASTING] * 3, "the next time may be uneven"
+            assert set(bits[4:]) == {VALID}, "the times tell nothing"
         elif abs(elapsed[1] - 1.0) > 1e-3:
             assert bits[1] == COASTING
 
@@ -153,11 +154,24 @@ def test_a_lost_position_gets_its_speed_and_no_count() -> None:
         assert abs(estimator.tracker.step_cycles - speed) < 0.5
 
 
-def test_times_that_are_even_follow_nothing() -> None:
+def test_times_that_are_even_are_followed_for_five_samples() -> None:
     estimator = Estimator(declared(0.01))
-    for _ in range(20):
-        assert estimator.good(0.3, 1.0)[1] == VALID
-        assert not estimator.searches
+    bits = [estimator.good(0.3, 1.0)[1] for _ in range(20)]
+    assert bits == [VALID] + [COASTING] * 3 + [VALID] * 16
+    assert not estimator.searches
+
+
+@pytest.mark.parametrize("jitter", [0.1, 0.03])
+def test_a_first_interval_that_is_even_by_chance_makes_no_start_in_motion_valid(jitter: float) -> None:
+    """The first interval is the unit of the next ones, where nothing else says how long it is."""
+    machine = declared(0.01)
+    generator = np.random.default_rng(12)
+    for _ in range(60):
+        speed = float(generator.uniform(2.0, 125.0))
+        elapsed, shown = motion(machine, speed, jitter, 60, generator)
+        elapsed = elapsed / elapsed[1]
+        _, off = offsets(Estimator(machine), elapsed, shown)
+        assert {one for one in off[1:] if one is not None} <= {started_at(shown)}, speed
 
 
 def test_a_position_lost_before_its_first_sample_starts_again_at_its_speed() -> None:

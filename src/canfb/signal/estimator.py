@@ -232,8 +232,7 @@ class Estimator:
                 self.places.append((followed[0], phase, 1.0))
                 return followed, VALID
         options = elapsed if isinstance(elapsed, tuple) else (elapsed,)
-        follows = self.phases_keep
-        if follows and self._speeds.begin(self.declared, options, self.lost, self._start_places()):
+        if self.phases_keep and self._speeds.begin(self.declared, options, self.lost, self._start_places()):
             return self._by_speed(phase, options)
         return self._taken(phase, options)
 
@@ -267,6 +266,8 @@ class Estimator:
             track = tracker.look(phase)
             tracker.accept(track)
             self._begin_places()
+            if self.phases_keep:  # the next interval may be even by chance
+                self._speeds.begin(self.declared, (1.0,), False, self._start_places())
             return track, VALID
         if self._coasted + max(0, round(options[0]) - 1) > self.declared.coast_samples + 0.5:
             self.lose(LossCause.COASTED)

@@ -60,6 +60,8 @@ class Pauses(UsualStep):
         creeps = abs(speeds.steady_speed(self._estimator.places)) >= STANDSTILL_CYCLES
         lost = self.uncertain(max(1.0, self._times.passed) if creeps else 1.0)
         self._waited = 0.0
+        if self._estimator.lost:  # what its times say of the speed begins here
+            self._estimator.lose(LossCause.TIME, starts=False)
         return self.step(sample._replace(time_100ns=None)) if lost is None else lost
 
     def reset(self) -> None:

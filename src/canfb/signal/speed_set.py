@@ -194,6 +194,7 @@ class Starts:
         self.last_two: Found = NOTHING_FOUND
         self._tried = False
         self._is_declared = False
+        self._least = 0  # samples that show whether the times are even
         self._unit = 1.0  # that of the speeds, in intervals as they are counted now
 
     def rescale(self, factor: float) -> None:
@@ -215,7 +216,9 @@ class Starts:
         """Those to hold the next sample against; ``places`` are the samples of a start that is assumed."""
         if self.active is not None or self._tried:
             return self.active
-        if self.origin is None and abs(options[0] - 1.0) <= EVEN + 4.0 * declared.instant_error:
+        known = declared.acceleration is not None and declared.instant_error > 0.0
+        even = abs(options[0] - 1.0) <= EVEN + 4.0 * declared.instant_error
+        if self.origin is None and even and (lost or not known):  # else the next times may be uneven
             return None
         bound = declared.second_order
         if bound is None or len(options) > 1 or not (lost or places):
@@ -225,6 +228,7 @@ class Starts:
         )
         self._unit = 1.0
         self._is_declared = declared.acceleration is not None
+        self._least = LEAST_SAMPLES if known else 0
         if places:
             self.origin = places[0][0]
         for _, phase, elapsed in places:
@@ -250,7 +254,7 @@ class Starts:
             self.stop()
             return SpeedVerdict.UNKNOWN
         # Without a declared acceleration q is small, and a healthy start would wait for nothing.
-        waits = self._is_declared and not speeds.silent
+        waits = self._is_declared and not (speeds.silent and speeds.samples >= self._least)
         return SpeedVerdict.OPEN if waits else SpeedVerdict.UNKNOWN
 
     def _of_lost(self, speeds: SpeedSet) -> SpeedVerdict:
