@@ -441,3 +441,14 @@ def test_no_sample_ever_raises_whatever_it_brings(data: st.DataObject) -> None:
         flags = struct.pack("<IBH", data.draw(times), data.draw(st.integers(0, 3)), data.draw(words))
         bench.sent(Frame(0x290, flags))
     assert bench.sdo[0x1001].raw >= 0
+
+
+def test_a_converter_without_a_range_is_refused() -> None:
+    """2001:02 = 0 divides nothing: refused by SDO, and NMT start and reset go on."""
+    module = FeedbackModule(ModuleConfig(node_id=32))
+    module.start(0.0)
+    (answer,) = module.receive(Frame(0x620, bytes.fromhex("2b01200200000000")), 0.1)
+    assert answer.data == bytes.fromhex("8001200230000906")
+    assert module.dictionary.entry(0x2001, 2).value == 2048
+    for command in (1, 129):
+        module.receive(Frame(0, bytes([command, 32])), 0.2)

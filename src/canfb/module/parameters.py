@@ -209,6 +209,7 @@ class Limits:
         """What the chain has, narrowed or not: the same object until :meth:`apply`."""
         self.on_applied: Callable[[], None] | None = None
         self._upper_is_old = False
+        self._full_scale.on_check = self._check(lambda full_scale: full_scale > 0)
         self._low.on_check = self._check(lambda low: low < self._high.value or self._upper_is_old)
         self._high.on_check = self._check(lambda high: high > self._low.value)
         self._acceleration.on_check = self._check(lambda value: 0.0 <= value <= MOST_ACCELERATION_RAD_S2)
