@@ -45,8 +45,8 @@ NOT_OFFERED = {
     }
 }
 """Objects that the code of device/ would serve, by device, and why its EDS does without."""
-GENERIC = {"mapping.py"}
-"""Modules that look up whatever a master names, and so serve nothing by that."""
+GENERIC = {("mapping.py", "resolve")}
+"""Files and functions that look up whatever a master names, and so serve nothing by that."""
 
 Device = FeedbackModule | EncoderInterface | ServoDrive
 
@@ -87,7 +87,8 @@ class Spy:
 
         def spied_find(dictionary: Dictionary, index: int, subindex: int = 0) -> Entry | None:
             found = find(dictionary, index, subindex)
-            if Path(sys._getframe(1).f_code.co_filename).name not in GENERIC:
+            code = sys._getframe(1).f_code
+            if (Path(code.co_filename).name, code.co_name) not in GENERIC:
                 (self.missed if found is None else self.touched).add((index, subindex))
             return found
 

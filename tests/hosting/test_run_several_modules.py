@@ -106,8 +106,8 @@ def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
         clock = FakeClock()
         bus = story_bus = EndingBus(clock, plan)
 
-        def make_runner(bus: Any, devices: Any, meanwhile: Any) -> Runner:
-            story_bus.runner = Runner(bus, devices, clock=clock, sleep=clock.sleep, meanwhile=meanwhile)
+        def make_runner(bus: Any, devices: Any, **options: Any) -> Runner:
+            story_bus.runner = Runner(bus, devices, clock=clock, sleep=clock.sleep, **options)
             return story_bus.runner
 
         monkeypatch.setattr(serving, "open_device_bus", lambda words: frame_bus(bus))
