@@ -24,6 +24,8 @@ ALLOWED: dict[str, set[str]] = {
     "objects": set(),
     # What a command found, for the terminal, for a page and as JSON.
     "rows": set(),
+    # YAML with the line of each key, for whoever reads a file.
+    "marked_yaml": set(),
     "signal": {"checks", "objects", "errors"},
     # What times prove, and no more: it knows no frame, and nothing of what a sample holds.
     "timing": {"checks", "objects", "errors"},
@@ -39,16 +41,17 @@ ALLOWED: dict[str, set[str]] = {
     "simulation": {"signal", "device", "sources", "interface", "eds_files"} | WORDS,
     # Time is an argument here as well: frames of a log in, what the module made of them out.
     "replay": {"signal", "calibration", "device", "module", "view"} | WORDS,
-    "configuration": {"signal", "sources", "module", "interface", "simulation", "checks", "errors"},
+    "configuration": {"signal", "sources", "module", "interface", "simulation", "checks", "errors",
+                      "marked_yaml"},
     # Pictures need what is measured, and nothing of how: so the demo and every tool on top may use them.
     "report": {"signal", "calibration", "rows"},
     # What a module is, from its objects; whoever reads them. The limits in force are arithmetic of signal.
     "view": {"signal"} | WORDS,
     # What all tools share that are the master of a bus: objects by SDO, samples, changes that are undone.
     "master": {"signal", "calibration", "sources", "view"} | WORDS,
-    "tables": {"signal", "calibration", "master"} | WORDS - {"checks", "cia301"},
-    "sdo": {"calibration", "master"} | WORDS - {"checks", "rows"},
-    "backup": {"signal", "master", "sdo"} | WORDS - {"checks", "errors"},
+    "tables": {"marked_yaml", "signal", "calibration", "master"} | WORDS - {"checks", "cia301"},
+    "sdo": {"marked_yaml", "calibration", "master"} | WORDS - {"checks", "rows"},
+    "backup": {"marked_yaml", "signal", "master", "sdo"} | WORDS - {"checks", "errors"},
     "diagnosis": {"signal", "view", "master", "sdo"} | WORDS - {"checks"},
     "calibrate": {"signal", "calibration", "sources", "report", "view", "master", "tables"} | WORDS,
     "commission": {"signal", "calibration", "report", "view", "master", "calibrate"} | WORDS,
@@ -70,7 +73,7 @@ ALLOWED: dict[str, set[str]] = {
     "cli": {"signal", "calibration", "device", "sources", "module", "simulation", "configuration",
             "eds_files", "bus", "hosting", "demo", "master", "tables", "sdo", "backup", "diagnosis",
             "calibrate", "commission", "report", "monitoring", "replay", "logs", "planning", "scope",
-            "view"} | WORDS,
+            "marked_yaml", "view"} | WORDS,
     # StateFiles of hosting, when it is asked for.
     "__init__": {"signal", "calibration", "module", "configuration", "eds_files", "hosting"} | WORDS,
     "__main__": {"cli"},
@@ -96,8 +99,9 @@ FOREIGN: dict[str, set[str]] = {
     "planning": {"numpy"},
     "replay": {"numpy"},
     "configuration": {"yaml"},
+    "marked_yaml": {"yaml"},
     "report": {"numpy"},
-    "master": {"numpy", "canopen", "can", "yaml"},
+    "master": {"numpy", "canopen", "can"},
     "tables": {"numpy", "yaml"},
     "sdo": {"canopen"},
     "backup": {"yaml"},

@@ -17,9 +17,11 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from canfb.checks import flag, integer_in, yaml_size
+from canfb.checks import flag, integer_in
 from canfb.errors import ConfigError
 from canfb.interface.interface_config import InterfaceConfig
+from canfb.marked_yaml import YamlError, compose, construct, found_at, pairs, read_bytes
+from canfb.marked_yaml import line_of as yaml_line
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig, SecondPositionConfig
 from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import Conditioning
@@ -113,31 +115,13 @@ _LONGEST_MESSAGE = 300
 _NO_VALUE = (ValueError, KeyError, IndexError, AttributeError, TypeError, RecursionError, OverflowError)
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML 1.1, and numbers such as 1e6, which it takes for text. ValueError for too many values."""
-
-    def get_single_node(self) -> yaml.Node | None:
-        """The nodes, None for an empty text."""
-        root: yaml.Node | None = super().get_single_node()
-        yaml_size(root)
-        return root
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
-)
-
-
 def load_config(path: str | Path, needs: Sequence[str] = MODULES) -> Config:
     """Read and validate the configuration at ``path``; one of the lists ``needs`` must not be empty.
 
     ConfigError, in one line with file, line and key, for a bad one.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    data = read_bytes(path, ConfigError)
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -173,7 +157,7 @@ def changed_module(module: ModuleConfig, settings: Sequence[str]) -> ModuleConfi
             why = _Reader.unknown(key, known, "a module") if equals else "write it as KEY=VALUE"
             raise ConfigError(_short(f"--set {setting}: {why}"))
         try:
-            values[key] = yaml.load(text, _Loader)
+            values[key] = construct(compose(text, exponents=True))
             if key in _NESTED and not (key in _OR_FLAG and isinstance(values[key], bool)):
                 values[key] = _NESTED[key](**values[key])
         except (yaml.YAMLError, *_NO_VALUE) as error:
@@ -189,42 +173,17 @@ def line_of(path: str | Path, *keys: str | int, said: str = "") -> int:
 
     Of the last key that is there. If that is a mapping: the line of the key in it of which ``said`` speaks.
     """
-    node = _compose(Path(path).read_text(encoding="utf-8"), str(path))
-    line = 1
-    for key in keys:
-        if isinstance(node, yaml.SequenceNode) and isinstance(key, int):
-            node = node.value[key]
-        elif isinstance(node, yaml.MappingNode):
-            found = [pair for pair in node.value if pair[0].value == key]
-            if not found:
-                return line
-            line, node = found[0][0].start_mark.line + 1, found[0][1]
-    if isinstance(node, yaml.MappingNode):
-        lines = {name.value: name.start_mark.line + 1 for name, _ in node.value}
-        words = re.findall(r"\w+", said)
-        return next((lines[word] for word in words if word in lines), line)
-    return line
+    line, node = found_at(_compose(Path(path).read_text(encoding="utf-8"), str(path)), *keys)
+    lines = {name.value: yaml_line(name) for name, _ in pairs(node)}
+    return next((lines[word] for word in re.findall(r"\w+", said) if word in lines), line)
 
 
 def _compose(text: str, name: str) -> yaml.Node | None:
-    """The nodes of the text, each with its line; None for an empty text."""
+    """The nodes of the text; None for an empty text."""
     try:
-        loader = _Loader(text)
-    except yaml.reader.ReaderError as error:
-        line = text.count("\n", 0, error.position) + 1
-        raise _config_error(name, line, f"this is not YAML: {error.reason}") from None
-    try:
-        return loader.get_single_node()
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        words = " ".join(filter(None, (error.context, error.problem)))
-        raise _config_error(name, mark.line + 1 if mark else 1, f"this is not YAML: {words}") from None
-    except RecursionError:
-        raise _config_error(name, loader.line + 1, "nested too deeply") from None
-    except ValueError as error:
-        raise _config_error(name, loader.line + 1, str(error)) from None
-    finally:
-        loader.dispose()
+        return compose(text, exponents=True)
+    except YamlError as error:
+        raise _config_error(name, error.line, error.said) from None
 
 
 def _config_error(name: str, line: int, text: str) -> ConfigError:
@@ -244,7 +203,7 @@ class _Reader:
         self._name = name
 
     def fail(self, node: yaml.Node, text: str) -> ConfigError:
-        return _config_error(self._name, node.start_mark.line + 1, text)
+        return _config_error(self._name, yaml_line(node), text)
 
     def read(self, node: yaml.Node, kind: type, where: str) -> Any:
         """One mapping as a ``kind``."""
@@ -343,15 +302,12 @@ class _Reader:
         return self._plain(node, what)
 
     def _plain(self, node: yaml.Node, what: str) -> Any:
-        loader = _Loader("")
         try:
-            return loader.construct_document(node)
+            return construct(node)
         except yaml.MarkedYAMLError as error:
             raise self.fail(node, f"{what} cannot be read: {error.problem}") from None
         except _NO_VALUE:
             raise self.fail(node, f"{what} cannot be read: {node.value!r}; quote text values") from None
-        finally:
-            loader.dispose()
 
     @staticmethod
     def unknown(key: str, known: list[str], where: str) -> str:

@@ -58,7 +58,7 @@ ROOMS = {
     "timing": Room(385, 130, 8, "what times prove", "mathematics"),
     "signal": Room(575, 325, 8, "mathematics of a sample: counts in, position out", "mathematics"),
 }
-GROUND = ("cia301", "objects", "checks", "errors", "eds_files", "rows")
+GROUND = ("cia301", "objects", "checks", "errors", "eds_files", "marked_yaml", "rows")
 ARROWS = [
     ("cli", "commission"),
     ("cli", "backup"),

@@ -12,8 +12,8 @@ import yaml
 
 from canfb import objects as od
 from canfb.cia301.datatypes import DataType
+from canfb.marked_yaml import MarkedYaml, read_bytes
 from canfb.master.access import CommissioningError
-from canfb.master.marked_yaml import MarkedYaml, read_bytes
 from canfb.sdo.object_description import (
     ObjectDescription,
     ObjectDescriptions,

@@ -10,9 +10,9 @@ from canfb.cli.options import Commands, add_command
 from canfb.cli.yaml_argument import is_yaml
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import ConfigError
+from canfb.marked_yaml import read_bytes
 from canfb.master.access import CommissioningError, Master, NodeAccess
 from canfb.master.all_or_nothing import check_writable, write_whole
-from canfb.master.marked_yaml import read_bytes
 from canfb.rows import Result
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import SdoTasks, described_by, is_lost

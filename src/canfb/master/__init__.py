@@ -13,5 +13,4 @@
     supervision_limits  2001h and 2010h: read, written
     machine_watch       speed, status and counters of the module during a measurement
     provenance          of a measurement: nodes, date, command
-    marked_yaml         YAML with the lines of its keys, for messages
 """

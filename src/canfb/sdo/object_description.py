@@ -22,8 +22,8 @@ from canfb import objects as od
 from canfb.cia301 import datatypes
 from canfb.cia301.datatypes import DataType
 from canfb.errors import ConfigError
+from canfb.marked_yaml import read_bytes
 from canfb.master.access import CommissioningError
-from canfb.master.marked_yaml import read_bytes
 
 Place = tuple[int, int]
 DOMAIN_OBJECT = 0x2

@@ -13,9 +13,9 @@ from canfb import objects as od
 from canfb.cia301 import datatypes
 from canfb.cia301.datatypes import DataType
 from canfb.errors import ConfigError
+from canfb.marked_yaml import read_bytes
 from canfb.master.access import CommissioningError, NodeAccess, RefusedError
 from canfb.master.active_table import SAVE_WITHIN_S
-from canfb.master.marked_yaml import read_bytes
 from canfb.sdo.object_description import (
     ObjectDescription,
     ObjectDescriptions,

@@ -10,8 +10,8 @@ from typing import Any
 import yaml
 
 from canfb import objects as od
+from canfb.marked_yaml import MarkedYaml, read_bytes
 from canfb.master.access import CommissioningError
-from canfb.master.marked_yaml import MarkedYaml, read_bytes
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 
