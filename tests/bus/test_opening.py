@@ -296,6 +296,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     monkeypatch.setattr(RawCanBus, "open", raw)
     monkeypatch.setattr(can, "Bus", python_can)
     monkeypatch.setattr("canfb.bus.opening.PythonCanBus", lambda bus: bus)
+    monkeypatch.setattr("canfb.bus.opening.enlarge_queue_of", lambda bus: None)
     return calls
 
 

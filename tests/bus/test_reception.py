@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import socket
+from pathlib import Path
 from typing import Any
 
 import can
@@ -11,7 +12,7 @@ import pytest
 from can.interfaces.socketcan import SocketcanBus
 
 from canfb.bus.python_can_bus import PythonCanBus
-from canfb.bus.reception import NamedInterface, Reception
+from canfb.bus.reception import NamedInterface, Reception, enlarge_queue_of
 from canfb.bus.shared_bus import SharedBus
 from canfb.errors import BusError
 from canfb.monitoring.dumping import Dumping
@@ -132,3 +133,36 @@ def test_frames_go_on_after_a_link_was_down(caplog: pytest.LogCaptureFixture) ->
     frames = [(at, one.can_id) for at, one in dumping.bus(FakeBus(clock, plan))]  # type: ignore[arg-type]
     assert frames == [(0.0, 1), (pytest.approx(1.9), 2)]
     assert caplog.messages == [f"the bus fails: {down}", WORKS]
+
+
+class BusOnSocket:
+    """A bus of python-can with a descriptor; -1: one that says so wrongly."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    def fileno(self) -> int:
+        return self._descriptor
+
+
+def test_more_frames_wait_in_a_socket_than_by_default() -> None:
+    one, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    with one, other:
+        before = one.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        bus: Any = BusOnSocket(one.fileno())
+        enlarge_queue_of(bus)
+        assert one.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) >= before
+        assert one.fileno() == bus.fileno(), "it is still open"
+        other.send(b"x")
+        assert one.recv(1) == b"x"
+
+
+def test_a_bus_that_is_no_socket_is_left_alone(tmp_path: Path) -> None:
+    with can.Bus(interface="virtual", channel="canfb no socket") as virtual:
+        enlarge_queue_of(virtual)
+    bus: Any = BusOnSocket(-1)
+    enlarge_queue_of(bus)
+    with (tmp_path / "serial").open("wb") as file:
+        bus = BusOnSocket(file.fileno())
+        enlarge_queue_of(bus)
+        assert file.write(b"x") == 1

@@ -14,14 +14,13 @@ from typing import Any
 
 import pytest
 
-from canfb.bus.runner import ending_on_signals
+from canfb.bus.runner import ending_on_signals, outside_collections
 from canfb.configuration import RealtimeConfig
 from canfb.hosting.realtime import (
     MCL_CURRENT,
     MCL_FUTURE,
     RealtimeThread,
     apply_realtime,
-    outside_collections,
 )
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

@@ -20,7 +20,7 @@ from canfb.monitoring.units import MachineUnits
 from canfb.scope.desk import Desk, allowed_tasks
 from canfb.scope.gate import SESSION
 from canfb.scope.scope_page import LARGEST_MESSAGE, ScopePage
-from canfb.scope.scope_server import LONGEST_LINE, NOISY
+from canfb.scope.scope_server import LONGEST_LINE, NOISY, _OneCollection
 from canfb.scope.traces import MOMENTS, BusTraces
 from monitored_network import NODE, MonitoredNetwork
 from scope_running import LINES_S, Running
@@ -205,3 +205,21 @@ def test_a_day_on_one_page_leaves_nothing_behind() -> None:
                 shown.update()
         sizes.append((len(list(document.models)), len(traces.modules[NODE].moments)))
     assert sizes[0] == sizes[1] == sizes[2]
+
+
+def test_pages_that_are_closed_together_are_one_collection(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bokeh asks for one at the end of each; no other thread runs meanwhile, that of the bus included."""
+    monkeypatch.setattr("canfb.scope.scope_server.COLLECT_S", 0.01)
+    collections: list[str] = []
+    monkeypatch.setattr("canfb.scope.scope_server.gc.collect", lambda: collections.append("one"))
+    loop = asyncio.new_event_loop()
+    with contextlib.closing(loop), _OneCollection(loop):
+        for turn in (1, 2):
+            for _ in range(5):
+                page_document = Document()
+                session = object()
+                page_document.on_change_dispatch_to(session)
+                page_document.destroy(session)
+            assert len(collections) == turn - 1
+            loop.run_until_complete(asyncio.sleep(0.05))
+            assert len(collections) == turn

@@ -29,11 +29,11 @@ from can.interfaces.socketcan import SocketcanBus, socketcan
 from canfb.bus.frame_bus import FrameBus
 from canfb.bus.python_can_bus import PythonCanBus
 from canfb.bus.raw_can_bus import RawCanBus
-from canfb.bus.runner import LONGEST_WAIT_S
+from canfb.bus.runner import LONGEST_WAIT_S, outside_collections
 from canfb.cli.main import main as canfb
 from canfb.configuration import RealtimeConfig
 from canfb.hosting import serving
-from canfb.hosting.realtime import apply_realtime, outside_collections
+from canfb.hosting.realtime import apply_realtime
 from tools.bench.cycle import (
     ADC_PDO,
     ENCODER_INTERFACE,

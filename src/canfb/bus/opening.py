@@ -25,6 +25,7 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 
 from canfb.bus.frame_bus import FrameBus
 from canfb.bus.python_can_bus import PythonCanBus
+from canfb.bus.reception import enlarge_queue_of
 from canfb.errors import BusError, ConfigError, reason
 
 FORCE_PYTHON_CAN = "python_can"
@@ -56,7 +57,9 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
     """
     words = {key: value for key, value in options.items() if key != FORCE_PYTHON_CAN}
     with _told(options):
-        return can.Bus(**(words | _port_of(words)))
+        bus = can.Bus(**(words | _port_of(words)))
+    enlarge_queue_of(bus)
+    return bus
 
 
 def group_port(group: object) -> int | None:

@@ -20,6 +20,7 @@ from typing import Any, Self
 from canfb.bus.bus_state import ERROR_RESTARTED, INTERFACE_DOWN
 from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE, Received
 from canfb.bus.receive_times import HardwareTimes
+from canfb.bus.reception import enlarge_queue
 
 MOST_FRAMES = 32  # of one call
 
@@ -62,10 +63,6 @@ class _Message(ctypes.Structure):
 
 
 _MESSAGE_BYTES = ctypes.sizeof(_Message)
-
-# Of frames that wait, as the kernel counts them: 768 for each, and twice what is asked for. As delivered a
-# socket holds 277 frames, 30 ms of a full bus at 1 Mbit/s. The kernel grants net.core.rmem_max, usually 554.
-QUEUE_BYTES = 1 << 20
 
 
 class FrameReader:
@@ -170,7 +167,7 @@ class RawCanBus:
         self._chosen = _ANY_STANDARD
         if self._is_can:
             raw.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ALL_ERRORS)
-            raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, QUEUE_BYTES)
+            enlarge_queue(raw)
 
     @classmethod
     def open(cls, channel: str) -> Self:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import os
 import socket
 import time
 from collections.abc import Callable
@@ -15,6 +17,29 @@ from canfb.bus.shared_bus import SharedBus
 from canfb.errors import BusError, reason
 
 AF_CAN = getattr(socket, "AF_CAN", None)  # on Linux only
+
+# Of frames that wait, as the kernel counts them: 768 for each, and twice what is asked for. By default a
+# socket holds 277 frames, 30 ms of a full bus at 1 Mbit/s; these are 2700. Without CAP_NET_ADMIN the kernel
+# grants at most net.core.rmem_max, by default 554.
+QUEUE_BYTES = 1 << 20
+_SO_RCVBUFFORCE = 33  # asm-generic/socket.h
+
+
+def enlarge_queue(one: socket.socket) -> None:
+    """For the frames that wait while this process is busy or does not run; the kernel drops the others."""
+    for option in (_SO_RCVBUFFORCE, socket.SO_RCVBUF):
+        with contextlib.suppress(OSError):
+            one.setsockopt(socket.SOL_SOCKET, option, QUEUE_BYTES)
+            return
+
+
+def enlarge_queue_of(bus: can.BusABC) -> None:
+    """That of a bus of python-can, if it is a socket."""
+    with (
+        contextlib.suppress(OSError, NotImplementedError, ValueError),
+        socket.socket(fileno=os.dup(bus.fileno())) as one,
+    ):
+        enlarge_queue(one)
 
 
 class NamedInterface:

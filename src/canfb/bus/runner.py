@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import logging
 import signal
 import time
@@ -400,3 +401,17 @@ def ending_on_signals(stop: Callable[[], None]) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def outside_collections() -> Iterator[None]:
+    """What there is when this is entered is left out of garbage collections, until the end.
+
+    With canopen and the dictionaries that is some 50 000 objects: a full collection takes 40 ms, in which
+    no frame is served, and 5 µs without them. With Bokeh it is half a million.
+    """
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()

@@ -15,12 +15,12 @@ from types import TracebackType
 from typing import Any, Protocol, Self
 
 from canfb.bus.opening import check_device_bus, open_device_bus
-from canfb.bus.runner import BusCounters, DeviceFailure, Runner
+from canfb.bus.runner import BusCounters, DeviceFailure, Runner, outside_collections
 from canfb.configuration import Config, RealtimeConfig
 from canfb.device.device_protocol import Device
 from canfb.errors import CanfbError
 from canfb.hosting.event_log import EventLog, Served, title_of
-from canfb.hosting.realtime import apply_realtime, outside_collections
+from canfb.hosting.realtime import apply_realtime
 from canfb.hosting.self_diagnosis import SelfDiagnosis
 from canfb.module.events import NodeEvents
 
