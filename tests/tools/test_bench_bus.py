@@ -11,9 +11,9 @@ import pytest
 import canfb
 from canfb.cia301.frame import Frame
 from tools.bench import bus, bus_others
-from tools.bench.bus_load import SDO_REQUEST, SdoClient, TransferFailed, set_up, table, tables
+from tools.bench.bus_load import SDO_REQUEST, SdoClient, TransferFailed, set_up, tables
 from tools.bench.bus_others import Times
-from tools.bench.cycle import NODE_ID
+from tools.bench.cycle import NODE_ID, encoder_table
 
 ROOT = Path(__file__).parents[2]
 ENTRIES = 100  # 400 bytes: 57 segments, two blocks of 31 down and one up, and a byte over
@@ -88,7 +88,7 @@ def test_tables_are_transferred_and_in_force() -> None:
     load, module = SdoClient(tables(ENTRIES, rounds=2)), Module()
     transfer(load, module)
     assert module.module.dictionary.entry(0x2020, 5).value == ENTRIES
-    assert module.module.dictionary.entry(0x2020, 4).value == table(ENTRIES, 0.001).crc32
+    assert module.module.dictionary.entry(0x2020, 4).value == encoder_table(ENTRIES, 0.001).crc32
     assert not load.waits
 
 
@@ -110,7 +110,7 @@ def test_a_table_that_is_refused_is_no_load() -> None:
 
 def test_the_table_of_the_load_corrects_table_1_of_the_paper() -> None:
     raw = canfb.phase_in_cycle(3.0, 4.0)
-    assert table(4096, 0.0)(raw) == pytest.approx(0.10242, abs=2e-5)
+    assert encoder_table(4096, 0.0)(raw) == pytest.approx(0.10242, abs=2e-5)
 
 
 @pytest.mark.parametrize(

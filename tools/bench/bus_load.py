@@ -9,12 +9,8 @@ from collections import deque
 from collections.abc import Callable, Generator
 from itertools import count
 
-import numpy as np
-
 from canfb import objects as od
-from canfb.signal.correction import CorrectionTable
-from canfb.signal.phase import phase_in_cycle
-from tools.bench.cycle import NODE_ID
+from tools.bench.cycle import NODE_ID, encoder_table
 
 SDO_REQUEST, SDO_ANSWER = 0x600 + NODE_ID, 0x580 + NODE_ID
 OTHERS_ID = 0x3A0  # of a PDO that the module does not listen to
@@ -82,7 +78,7 @@ class SdoClient(Load):
 
 def set_up(alone: bool) -> Talk:
     """A table in force; ``alone``: TPDO2 off, which a stock node does not have."""
-    content = table(FEW_ENTRIES, DEPTHS[0]).to_bytes()
+    content = encoder_table(FEW_ENTRIES, DEPTHS[0]).to_bytes()
     yield from _download(*od.TABLE_STAGED, content, [])
     yield from _write_u32(*od.TABLE_ACTIVATE, zlib.crc32(content))
     if alone:
@@ -91,7 +87,7 @@ def set_up(alone: bool) -> Talk:
 
 def tables(entries: int = ENTRIES, rounds: int | None = None) -> Talk:
     """Block download to 2020:01, activation, block upload, of two tables in turns; None: for ever."""
-    contents = [table(entries, depth).to_bytes() for depth in DEPTHS]
+    contents = [encoder_table(entries, depth).to_bytes() for depth in DEPTHS]
     last: list[bytes] = []  # has no answer, and goes with what comes next
     for _ in count() if rounds is None else range(rounds):
         for content in contents:
@@ -104,20 +100,13 @@ def tables(entries: int = ENTRIES, rounds: int | None = None) -> Talk:
 LOADS: dict[str, Callable[[], Load]] = {"alone": Load, "sdo": lambda: SdoClient(tables()), "full": FullBus}
 
 
-def table(entries: int, depth_cycles: float) -> CorrectionTable:
-    """Corrects what Table 1 of the paper leaves, and an error of the encoder of ``depth_cycles``."""
-    phase = np.arange(entries) / entries
-    raw = phase_in_cycle(np.sin(2 * np.pi * phase), np.cos(2 * np.pi * phase))
-    return CorrectionTable(np.interp(phase, raw, phase) + depth_cycles * np.sin(2 * np.pi * phase))
-
-
 def _multiplexer(index: int, subindex: int) -> bytes:
     return struct.pack("<HB", index, subindex)
 
 
-def _checked(answer: bytes, mask: int, wanted: int) -> bytes:
-    if answer[0] & mask != wanted:
-        raise TransferFailed(f"{answer.hex(' ')} where {wanted:02X}h was to come")
+def _checked(answer: bytes, mask: int, expected: int) -> bytes:
+    if answer[0] & mask != expected:
+        raise TransferFailed(f"{answer.hex(' ')} where {expected:02X}h was expected")
     return answer
 
 
@@ -144,8 +133,8 @@ def _download(index: int, subindex: int, content: bytes, before: list[bytes]) ->
     _checked((yield [end]), 0xFF, 0xA1)
 
 
-def _upload(index: int, subindex: int, wanted: bytes) -> Generator[list[bytes], bytes, list[bytes]]:
-    """Block upload (CiA 301, 7.2.4.3.12 to 7.2.4.3.15) of ``wanted``.
+def _upload(index: int, subindex: int, expected: bytes) -> Generator[list[bytes], bytes, list[bytes]]:
+    """Block upload (CiA 301, 7.2.4.3.12 to 7.2.4.3.15) of ``expected``.
 
     Returns the last request, which has no answer.
     """
@@ -153,15 +142,15 @@ def _upload(index: int, subindex: int, wanted: bytes) -> Generator[list[bytes], 
     _checked((yield request), 0xFB, 0xC2)
     request = [b"\xa3" + bytes(7)]
     content = b""
-    while len(content) < len(wanted):
+    while len(content) < len(expected):
         number = 0
-        while number < UPLOAD_BLOCK and len(content) < len(wanted):
+        while number < UPLOAD_BLOCK and len(content) < len(expected):
             number += 1
             segment = _checked((yield request), 0x7F, number)
             content += segment[1:]
             request = []
         request = [bytes([0xA2, number, UPLOAD_BLOCK]) + bytes(5)]
     _checked((yield request), 0xE3, 0xC1)
-    if content[: len(wanted)] != wanted:
+    if content[: len(expected)] != expected:
         raise TransferFailed("what came is not the table that is active")
     return [b"\xa1" + bytes(7)]

@@ -156,16 +156,16 @@ def stock_node(network: canopen.Network) -> None:
     received.add_callback(answer)
 
 
-def encoder_table() -> canfb.CorrectionTable:
-    """Corrects what Table 1 of the paper leaves, and an encoder of 1 % error."""
+def encoder_table(entries: int = TABLE_ENTRIES, error_cycles: float = 0.01) -> canfb.CorrectionTable:
+    """Corrects what Table 1 of the paper leaves, and an encoder with this error."""
     phase = np.arange(4096) / 4096
     raw = canfb.phase_in_cycle(np.sin(2 * np.pi * phase), np.cos(2 * np.pi * phase))
-    ideal = np.interp(np.arange(TABLE_ENTRIES) / TABLE_ENTRIES, raw, phase)
-    return canfb.CorrectionTable(ideal + 0.01 * np.sin(2 * np.pi * (ideal + 0.1)))
+    ideal = np.interp(np.arange(entries) / entries, raw, phase)
+    return canfb.CorrectionTable(ideal + error_cycles * np.sin(2 * np.pi * (ideal + 0.1)))
 
 
 def feedback_module(order: int = 2, times: bool = False, **fields: Any) -> canfb.FeedbackModule:
-    """The module as it is delivered, operational, with an active correction table."""
+    """The module with factory defaults, operational, with an active correction table."""
     module = canfb.FeedbackModule(
         canfb.ModuleConfig(
             node_id=NODE_ID,
@@ -403,7 +403,7 @@ def sample_comparisons(cycles: int) -> list[Comparison]:
 def comparisons(cycles: int, samples: int) -> list[Comparison]:
     module = ("canfb.FeedbackModule: ADC PDO, SYNC in, position out", ModuleRun(cycles))
     third = ("the same, with third-order prediction", ModuleRun(cycles, 3))
-    second = ("canfb.FeedbackModule as delivered", ModuleRun(cycles))
+    second = ("canfb.FeedbackModule with factory defaults", ModuleRun(cycles))
     delayed, lagging, attenuated = (
         (f"the same, with {what}", ModuleRun(cycles, **fields)) for what, fields in ANALOG_PATHS.items()
     )

@@ -269,9 +269,7 @@ def _storage(reader: Reader) -> Step:
 
 def _lss(reader: Reader) -> Step:
     """The LSS master: state, node-ID, bit rate, store, identification, fastscan."""
-    command = reader.choose(
-        [0x04, 0x11, 0x13, 0x15, 0x17, 0x40, 0x41, 0x42, 0x43, 0x46, 0x4C, 0x51, 0x5A, 0x5E]
-    )
+    command = reader.choose(LSS_COMMANDS)
     if command == 0x11:
         return Step((Frame(LSS, bytes([command, reader.choose(NODE_IDS)]) + bytes(6)),))
     if command in (0x04, 0x13):

@@ -87,7 +87,7 @@ def eds() -> list[bytes]:
 
 
 def dcf() -> list[bytes]:
-    """Of a module that is not as delivered."""
+    """Of a module with other values than the factory defaults."""
     configuration = configuration_of(_module())
     return [abridged(dcf_text(eds_path("canfb-module"), INFO, PLACE, configuration.values()))]
 
