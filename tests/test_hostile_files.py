@@ -26,8 +26,10 @@ from canfb.master.samples import read_npz, read_speed
 from canfb.module.module_config import ModuleConfig
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import Correction, CorrectionTable
 from canfb.sources import tracks_file
-from canfb.tables.table_file import read_table
+from canfb.sources.recording_source import RecordingLayout, RecordingSource
+from canfb.tables.table_file import as_yaml, read_table
 
 LISTS = [f"&b{n} [{', '.join([f'*b{n - 1}' if n else '0.5'] * 9)}]" for n in range(9)]
 BOMB = "x:\n" + "".join(f"- {one}\n" for one in LISTS)
@@ -180,3 +182,56 @@ def test_notes_of_a_replay_that_name_no_log(tmp_path: Path) -> None:
     assert work_of(folder, settings, tmp_path / "out.parquet").done == []
     notes.write_text(json.dumps(row))
     assert work_of(folder, settings, tmp_path / "out.parquet").done == [row]
+
+
+def test_a_log_of_long_words_is_refused_in_a_short_line(tmp_path: Path) -> None:
+    """python-can quotes the number that is none."""
+    path = tmp_path / "a.csv"
+    with can.Logger(path) as log:
+        log.on_message_received(can.Message(timestamp=1.7e9, arbitration_id=1))
+    path.write_text(path.read_text().replace("1700000000.0", "1.0" * 1000))
+    with pytest.raises(CanfbError, match=r"this is no \.csv log") as raised:
+        list(BusLogFile(path))
+    assert len(str(raised.value)) < 600
+
+
+def test_an_object_with_a_long_name_is_refused_in_a_short_line() -> None:
+    described = ObjectDescriptions(eds_path("canfb-module"), 1)
+    for name in ("2012:" + HUGE, HUGE):
+        with pytest.raises(ConfigError) as raised:
+            described.meant(name)
+        assert len(str(raised.value)) < 300
+
+
+@pytest.mark.parametrize("value", ["1e308", "-1e300", "inf", "nan"])
+def test_a_recording_with_a_time_beyond_any(tmp_path: Path, value: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"t,s,c\n{value},1,2\n1e-320,3,4\n")
+    with pytest.raises(CanfbError, match="is not a time in seconds"):
+        RecordingSource(path, RecordingLayout(("s", "c"), 0.0, "t", time_stamps=True, paced=True))
+
+
+def test_a_recording_with_hardly_a_step_of_time(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("t,s,c\n0,1,2\n1e-320,3,4\n2e-320,3,4\n")
+    source = RecordingSource(path, RecordingLayout(("s", "c"), 0.0, "t", time_stamps=True, paced=True))
+    assert [source.next().time_100ns for _ in range(3)] == [0, 0, 0]  # type: ignore[union-attr]
+
+
+def test_an_entry_of_a_table_that_is_no_float(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(f"entries: [0.0, {HUGE}]\n")
+    with pytest.raises(CanfbError, match=r"line 1: .*entries must be less"):
+        read_table(path)
+
+
+def test_a_long_offset_is_that_of_the_file_that_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(
+        as_yaml(Correction(CorrectionTable.identity(16)), {}).replace(
+            "offset_counts: 0.0", f"offset_counts: {2**53 + 1}"
+        )
+    )
+    used = read_table(path)
+    path.write_text(as_yaml(used, {}))
+    assert read_table(path) == used

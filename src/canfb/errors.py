@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from canfb.calibration.result import Calibration
 
 
+LONGEST_REASON = 300
+"""Characters: the messages of others quote what they were given, of any length."""
+
+
 class CanfbError(Exception):
     """Root of all errors of this package."""
 
@@ -44,8 +48,8 @@ class BusError(CanfbError):
 
 
 def reason(error: Exception) -> str:
-    """One line: the message of an error of another library or of the system."""
+    """One line of at most LONGEST_REASON characters: the message of another library or of the system."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     text = str(error).strip().splitlines()
-    return text[0] if text else type(error).__name__
+    return text[0][:LONGEST_REASON] if text else type(error).__name__

@@ -95,6 +95,14 @@ def test_a_task_begins_after_its_answer() -> None:
     assert all(one.disabled for one in page.all(Button) if one.label in [task.label for task in tasks.TASKS])
 
 
+def test_a_module_that_is_none_is_not_chosen() -> None:
+    """A browser may send any value."""
+    page = OpenPage(nodes=(NODE, OTHER))
+    for value in ({"type": "ndarray"}, ["32"], None, "999"):
+        page.page._choose("value", str(NODE), value)
+    assert page.page._node == NODE
+
+
 def test_the_answer_is_for_what_was_asked() -> None:
     """Another module and another file that are chosen between the question and the answer."""
     page = OpenPage(nodes=(NODE, OTHER))
@@ -190,9 +198,10 @@ def test_without_a_file_or_a_module_it_says_so() -> None:
     page.press("Upload table")
     assert "choose a table file first" in page.text_of_question()
     page.choose("table.bin", b"")
-    page.page._choose_file("value", "", "no base64!")
-    page.press("Upload table")
-    assert "choose a table file first" in page.text_of_question()
+    for data in ("no base64!", "AAA\ufffd"):
+        page.page._choose_file("value", "", data)
+        page.press("Upload table")
+        assert "choose a table file first" in page.text_of_question()
     empty = OpenPage(nodes=())
     empty.press("Calibrate")
     assert "no module is heard yet" in empty.text_of_question()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
 from functools import partial
 from importlib.resources import files
 from typing import Any, NamedTuple
@@ -134,7 +133,7 @@ class ScopePage:
         self._figures.dress(dark=dark)
 
     def _choose(self, name: str, old: Any, new: Any) -> None:
-        self._node = {str(node): node for node in self._traces.modules}.get(new, self._node)
+        self._node = {str(node): node for node in self._traces.modules}.get(str(new), self._node)
         self.update()
 
     def _choose_file(self, name: str, old: Any, new: Any) -> None:
@@ -230,5 +229,5 @@ class ScopePage:
             return None
         try:
             return Upload(name, base64.b64decode(data, validate=True))
-        except binascii.Error:
+        except ValueError:  # binascii.Error, or characters beyond ASCII
             return None

@@ -28,6 +28,7 @@ from canfb.master.access import CommissioningError
 Place = tuple[int, int]
 DOMAIN_OBJECT = 0x2
 MOST_LISTED = 12
+LONGEST_NAME = 80  # in a message
 _UNIT = re.compile(r"^; *Unit *=(.*)\r?\n(\[\w+\].*)$", re.MULTILINE)
 _NUMBERED = re.compile(r"(?:0x)?([0-9a-f]{4})h?(?:[:.](?:0x)?([0-9a-f]{1,2})h?)?", re.IGNORECASE)
 
@@ -108,6 +109,7 @@ class ObjectDescriptions:
         entry, that of the object, or both. ConfigError for one that is not known, or means several.
         """
         place = numbered(text)
+        text = text[:LONGEST_NAME]
         return self._numbered(text, *place) if place else self._named(text)
 
     def _numbered(self, text: str, index: int, subindex: int | None) -> list[ObjectDescription]:

@@ -45,10 +45,13 @@ def phase_in_cycle(sine: Any, cosine: Any) -> Any:
 
 
 def real_array(name: str, values: npt.ArrayLike) -> FloatArray:
-    """``values`` as an array of float64; ValueError, with this name, for complex numbers."""
+    """``values`` as an array of float64; ValueError, with this name, for complex or too large numbers."""
     if np.iscomplexobj(values):
         raise ValueError(f"{name} must be real numbers, not complex ones")
-    return np.asarray(values, dtype=np.float64)
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except OverflowError:
+        raise ValueError(f"{name} must be less than 1.8e308") from None
 
 
 def wrap(cycles: FloatArray) -> FloatArray:

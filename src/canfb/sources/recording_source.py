@@ -22,6 +22,11 @@ from canfb.sources.source_config import SourceConfig, column
 from canfb.sources.surroundings import Surroundings
 from canfb.sources.tracks_file import read_tracks
 
+LARGEST_TIME_S = 1e12
+"""Of a time column: the times of a clock of any epoch have less."""
+SHORTEST_STEP_S = 1e-9
+"""Rows that are closer have no rate to which they could be stretched."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingSourceConfig(SourceConfig):
@@ -200,7 +205,7 @@ def _stretch(rows: list[tuple[float, int, int]], layout: RecordingLayout) -> flo
     if layout.time_column is None or not layout.paced or len(rows) < 2:
         return 1.0
     step_s = statistics.median(after[0] - row[0] for row, after in itertools.pairwise(rows))
-    return layout.interval_s / step_s if step_s > 0.0 else 1.0
+    return layout.interval_s / step_s if step_s > SHORTEST_STEP_S else 1.0
 
 
 def _read(path: Path, layout: RecordingLayout) -> list[tuple[float, int, int]]:
@@ -243,7 +248,7 @@ def _row(
         seconds = 0.0 if time is None else float(row[time])
     except (IndexError, ValueError, OverflowError):
         raise CanfbError(f"{path}:{line}: a value in one of the selected columns is not a number") from None
-    if not math.isfinite(seconds):
+    if not abs(seconds) <= LARGEST_TIME_S:
         raise CanfbError(f"{path}:{line}: {seconds} is not a time in seconds")
     if not (-32768 <= sine <= 32767 and -32768 <= cosine <= 32767):
         raise CanfbError(f"{path}:{line}: {sine}, {cosine} does not fit INTEGER16; is mid-scale right?")

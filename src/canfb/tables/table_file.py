@@ -163,7 +163,8 @@ def _from_yaml(path: Path, data: bytes) -> TableFile:
 
 def _conditioning(marked: MarkedYaml, words: dict[str, float]) -> Conditioning:
     try:
-        return Conditioning(**words)
+        Conditioning(**words)  # which refuses what is no number
+        return Conditioning(**{key: float(value) for key, value in words.items()})
     except ValueError as error:
         named = [key for key in words if str(error).startswith(key)]
         raise ValueError(f"line {marked.line('conditioning', *named)}: {error}") from None
