@@ -114,3 +114,6 @@ class _Reading:
 
     def sdo(self, node_id: int) -> Any:
         return self._network[node_id].sdo
+
+    def wait(self, seconds: float) -> None:
+        """The bus has not failed."""

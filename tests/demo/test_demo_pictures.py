@@ -14,6 +14,7 @@ from canfb.demo import demo_page
 from canfb.demo.demo_pictures import error_after, error_before, fault_samples, residual, servo, tracks
 from canfb.demo.story import FAULT_SAMPLES, FAULTS, LOST_SAMPLE, Story
 from canfb.report.plot import Plot
+from canfb.rows import Row
 from canfb.simulation.encoder import Encoder
 from html_page import Page
 
@@ -76,7 +77,7 @@ def test_no_error_is_beyond_the_picture(draw: Any) -> None:
 
 
 def test_a_story_that_did_not_hold_is_shown_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(demo_page, "run_facts", lambda told: [("samples", "3")])
+    monkeypatch.setattr(demo_page, "run_facts", lambda told: [Row("samples", "3")])
     good, bad = story(), story()
     bad.checks = {"it flies": True, "it <floats>": False}
     pages = [

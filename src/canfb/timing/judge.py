@@ -131,8 +131,7 @@ class Judge(SyncJudge):
         low, high = max(1, since + offsets[0]), max(1, since + offsets[-1] + self._slack)
         most = min(high, low + MOST_OPTIONS - 1)
         options = tuple([float(n) for n in range(low, most + 1)])
-        # A SYNC that it may have answered before it was received: the next one shows it.
-        certain = high == most and not self._uneven and offsets[-1] <= 0
+        certain = high == most and not self._uneven
         if self.is_open:
             certain = certain and not (self._offered or self._unclear)
             if not self._offered and len(options) == 1:
