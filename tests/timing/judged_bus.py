@@ -141,7 +141,7 @@ class Result:
             self._clock, self._past = 0.0, [(0.0, instant, error)]
             return
         true = (instant - before) * self.scale
-        elapsed = passed.elapsed if isinstance(passed.elapsed, tuple) else (passed.elapsed,)
+        elapsed = passed.options
         taken = min(elapsed, key=lambda one: abs(true - one))
         if len(elapsed) > 1:
             self.sets += 1

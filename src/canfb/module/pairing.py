@@ -287,8 +287,7 @@ class Pairing(ProcessData):
         if self._input.give_up():
             self.count_bad_frame()
         _count(self._lost_syncs, syncs)
-        elapsed = passed.elapsed
-        least = elapsed if isinstance(elapsed, float) else elapsed[0]
+        least = passed.options[0]
         if syncs > 1 and least > 1.0:
             self._miss(min(syncs, int(least)) - 1, now)
         self._sample_came = False

@@ -134,8 +134,7 @@ class Sampling:
 
         Then it comes too late: the time goes on from the miss, and the set would lack what may be true.
         """
-        elapsed, waited = passed.elapsed, self._waited
-        options = elapsed if isinstance(elapsed, tuple) else (elapsed,)
+        options, waited = passed.options, self._waited
         if options[0] <= waited:
             return ()
         self._waited = 0.0

@@ -46,6 +46,7 @@ LEAST_SAMPLES = 5  # of uneven times, before these count as even after all
 EVEN = 2e-4  # of the interval: drift of two crystals
 HALF_CYCLE = 0.5
 BASELINES = ((1, 2), (1, 3), (2, 3), (2, 4))  # samples back; the first one counts the cycles
+SAMPLES_BEFORE = 3  # the newest: as far as these reach back
 # q: below the first nothing is told within MOST_WAITING samples; first samples below the second show that it
 # is below the first.
 TELLING, SILENT = 0.4, 0.1
@@ -124,9 +125,9 @@ class SpeedSet:
                     off, radius = self._window(first, second, phase)
                     counts = self._keep(np.abs(off + self._counts[first - 1] - counts) <= radius, counts)
             self._look_at_times(elapsed)
-        self._counts = [counts, *self._counts[: BASELINES[-1][1] - 1]]
-        self._phases = [phase, *self._phases[: BASELINES[-1][1] - 1]]
-        self._since = [0.0, *self._since[: BASELINES[-1][1] - 1]]
+        self._counts = [counts, *self._counts[:SAMPLES_BEFORE]]
+        self._phases = [phase, *self._phases[:SAMPLES_BEFORE]]
+        self._since = [0.0, *self._since[:SAMPLES_BEFORE]]
         self._alone = self._alone + 1 if self.left == 1 else 0
         return bool(self.left) and self.samples <= MOST_SAMPLES
 
@@ -151,9 +152,8 @@ class SpeedSet:
 
     def _look_at_times(self, elapsed: float) -> None:
         least = self._largest + 4.0 * self._error
-        off = abs(
-            elapsed - (self._since[1] - self._since[0])
-        )  # second difference of the instants: its rms is sqrt(6) sigma
+        # The second difference of the instants: its rms is sqrt(6) sigma.
+        off = abs(elapsed - (self._since[1] - self._since[0]))
         self._largest_off, self._squares = max(self._largest_off, off), self._squares + off * off
         known = self.samples >= KNOWN_SAMPLES
         q = (math.sqrt(self._squares / (self.samples - 2)) if known else self._largest_off) / least

@@ -67,6 +67,10 @@ class AnswerDelay:
         """Enough delays are known."""
         return self._count >= LEARNED
 
+    def is_usual(self, delay_s: float) -> bool:
+        """False while too few delays are known."""
+        return self.low_s <= delay_s <= self.high_s
+
     def learn(self, period_s: float) -> None:
         """Follow the delays in ``taken``, and empty it."""
         taken = self.taken
@@ -107,7 +111,7 @@ class AnswerDelay:
                 if self._refused >= REFUSED:
                     self.forget()
                 return ANSWERS_EARLIER
-            if self.low_s <= delay_s <= self.high_s:
+            if self.is_usual(delay_s):
                 return ANSWERS_LAST
         elif passed < LATEST:
             return ANSWERS_LAST

@@ -40,6 +40,11 @@ class Passed(NamedTuple):
     instant_error: float = 0.0
     certain: bool = True
 
+    @property
+    def options(self) -> tuple[float, ...]:
+        """All that are possible, the least first; usually one."""
+        return self.elapsed if isinstance(self.elapsed, tuple) else (self.elapsed,)
+
 
 class Refusal(IntEnum):
     """Why a sample is not to be used."""
@@ -115,8 +120,8 @@ class Judge(SyncJudge):
             return Refusal.ANOTHER
         self.advanced = newest = max(1, round(min(later, MOST_INTERVALS)))
         self._advance(newest)
-        usual = self.delay.low_s <= time_s - self.synced_s <= self.delay.high_s
-        late = 0 if usual else min(newest - 1, MOST_LATE)  # it may answer one before the newest
+        # Unless its delay is the usual one, it may answer one before the newest.
+        late = 0 if self.delay.is_usual(time_s - self.synced_s) else min(newest - 1, MOST_LATE)
         return self._sampled(tuple(range(-late, 1)))
 
     def free(self, time_s: float, proved: bool) -> Passed | Refusal:

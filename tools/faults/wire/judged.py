@@ -90,7 +90,7 @@ class JudgedModule:
             self._forget()
         true, error = self._true(event, proved), passed.instant_error
         if self._past:
-            options = passed.elapsed if isinstance(passed.elapsed, tuple) else (passed.elapsed,)
+            options = passed.options
             since = true - self._past[-1][1]
             taken = min((one for one in options), key=lambda one: abs(one - since))
             self._set_true = taken if len(options) > 1 else self._set_true
