@@ -36,7 +36,7 @@ def applied(
     if before is None:
         return made.apply(sample, after, bits, None, 0.0)
     place = sample.zero_pulse
-    pulse = None if place is None else pulse_between(before, after, place, time, elapsed)
+    pulse = None if place is None else pulse_between(before, after, place, time, elapsed, 0.0)
     return made.apply(sample, after, bits, pulse, elapsed)
 
 

@@ -295,7 +295,7 @@ def pulse_between(
     place: float,
     time: float,
     elapsed: float,
-    acceleration: float = 0.0,
+    acceleration: float,
 ) -> Pulse:
     """The zero pulse at the fraction ``place`` (0..1) of the time between two samples, the later at ``time``.
 
