@@ -10,6 +10,9 @@ VCAN := $(PYTHON) -m tools.vcan
 DEMO_OUT ?= build/demo
 # The tests run side by side already: more threads of the linear algebra only wait for each other.
 export OPENBLAS_NUM_THREADS ?= 1
+# Where this is set (in container images), each of some hundred processes compiles canfb again, and each pytest
+# all tests: 12 s of processor time.
+unexport PYTHONDONTWRITEBYTECODE
 
 # What pip has installed, one stamp for each set of extras; a change of pyproject.toml installs again.
 INSTALLED := $(VENV)/.installed
