@@ -8,9 +8,22 @@ import re
 import select
 import signal
 import subprocess
+from collections.abc import Callable
 from typing import Any
 
 import pytest
+
+
+def executed(arguments: tuple[str, ...]) -> subprocess.Popen[bytes]:
+    """A process of its own, in a session of its own."""
+    return subprocess.Popen(
+        arguments,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        start_new_session=True,
+    )
 
 
 class Process:
@@ -20,20 +33,18 @@ class Process:
     While the command goes on saying something, it may take as long as it takes.
     """
 
-    def __init__(self, arguments: tuple[str, ...], patience_s: float = 60.0) -> None:
+    def __init__(
+        self,
+        arguments: tuple[str, ...],
+        patience_s: float = 60.0,
+        start: Callable[[tuple[str, ...]], Any] = executed,
+    ) -> None:
         self.arguments = arguments
         self.patience_s = patience_s
         self.lines: list[str] = []
         self._rest = b""
         self._unread = 0
-        self._child = subprocess.Popen(
-            arguments,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env={**os.environ, "PYTHONUNBUFFERED": "1"},
-            start_new_session=True,
-        )
+        self._child = start(arguments)
 
     @property
     def pid(self) -> int:

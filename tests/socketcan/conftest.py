@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,8 @@ import pytest
 from network import skip_unless_required
 from pace import Pace, measure
 
-from processes import Process
+from preloaded import Preloaded
+from processes import Process, executed
 
 CHANNEL = "vcan0"
 NO_VCAN = f"no SocketCAN interface {CHANNEL}; run: python -m tools.vcan run -- pytest tests/socketcan"
@@ -68,24 +68,26 @@ def can_utils() -> None:
 
 
 @contextlib.contextmanager
-def commands(patience_s: float) -> Iterator[Callable[..., Process]]:
+def commands(
+    patience_s: float, start: Callable[[tuple[str, ...]], Any] = executed
+) -> Iterator[Callable[..., Process]]:
     """Starts any command; all are ended afterwards, and what they said is shown where a test fails."""
-    started: list[Process] = []
-
-    def start(*arguments: str) -> Process:
-        started.append(Process(arguments, patience_s))
-        return started[-1]
-
     with contextlib.ExitStack() as stack:
-        yield start
-        for one in started:
+
+        def start_one(*arguments: str) -> Process:
+            one = Process(arguments, patience_s, start)
             stack.callback(print, one)
             stack.callback(one.stop)
+            return one
+
+        yield start_one
 
 
-def of_the_project(start: Callable[..., Process]) -> Callable[..., Process]:
-    """Starts a command of the project."""
-    return lambda *arguments: start(sys.executable, "-m", "canfb", *arguments)
+@pytest.fixture(scope="session")
+def preloaded() -> Iterator[Preloaded]:
+    """What the commands of the project are forked from."""
+    with Preloaded() as made:
+        yield made
 
 
 @pytest.fixture
@@ -96,16 +98,17 @@ def command(pace: Pace) -> Iterator[Callable[..., Process]]:
 
 
 @pytest.fixture
-def process(command: Callable[..., Process]) -> Callable[..., Process]:
+def process(pace: Pace, preloaded: Preloaded) -> Iterator[Callable[..., Process]]:
     """Starts a command of the project: process("run", "module.yaml"). All are ended after the test."""
-    return of_the_project(command)
+    with commands(pace.patience_s, preloaded.start) as start:
+        yield start
 
 
 @pytest.fixture(scope="module")
-def lasting_process(pace: Pace) -> Iterator[Callable[..., Process]]:
-    """The same for a process that serves all tests of a file: the start of one may take long."""
-    with commands(pace.patience_s) as start:
-        yield of_the_project(start)
+def lasting_process(pace: Pace, preloaded: Preloaded) -> Iterator[Callable[..., Process]]:
+    """The same for a process that serves all tests of a file."""
+    with commands(pace.patience_s, preloaded.start) as start:
+        yield start
 
 
 @contextlib.contextmanager

@@ -27,10 +27,10 @@ from pace import Pace
 from canfb.objects import StatusBit
 from processes import Process
 
-SAMPLES = 1000
+SAMPLES = 500
 ENCODER = """{amplitude: 0.7, sine_offset: 0.05, cosine_offset: -0.03, cosine_amplitude: 0.94,
             phase_error_rad: 0.05, harmonics: [{order: 3, sine: 0.01, cosine: 0.008}]}"""
-MOTION = "{standstill_s: 0.02, ramp_s: 0.15, rpm: 155, ripple_rpm: 2.5, ripple_hz: 1.5}"
+MOTION = "{standstill_s: 0.02, ramp_s: 0.15, rpm: 155, ripple_rpm: 2.5, ripple_hz: 3.0}"
 
 
 def test_a_table_is_measured_proven_and_reported_and_ctrl_c_takes_it_back(

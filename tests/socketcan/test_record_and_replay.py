@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -47,10 +45,9 @@ def test_every_pdo_comes_again(
     for one in (simulate, run, record):
         one.send(signal.SIGINT)
         assert one.wait() == 0
-    words = [sys.executable, "-m", "canfb", "replay", str(log), "--config", config, "--json"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    (module,) = json.loads(done.stdout)["modules"]
+    replay = process("replay", str(log), "--config", config, "--json")
+    assert replay.wait() == 0, str(replay)
+    (module,) = json.loads("\n".join(replay.lines))["modules"]
     for can_id in PDOS:
         found = module["compared"][can_id]
         assert found["different"] == found["only_recorded"] == found["only_replayed"] == 0, found
