@@ -1,6 +1,6 @@
 """What the machine can do, from which every limit of these tests comes.
 
-A user-mode Linux takes from 20 to 140 µs for a system call, and other work may take the processor away. So
+A user-mode Linux takes 13 µs and more for a system call, and other work may take the processor away. So
 no test says how long something takes: it waits for what must happen, and gives up when nothing has happened
 for a time in which this machine does many times as much. The simulated machine turns in slow motion, by one
 period with each SYNC (`pace: sync`), and its samples say so (`times: true`). A test in true time says that it

@@ -71,6 +71,7 @@ def test_kernel_command_line_boots_our_files_with_our_script() -> None:
     assert arguments[arguments.index("--") :] == ["--", "/tmp/x/init"]
     assert {"rootfstype=hostfs", "rootflags=/", "mem=1024M", "con0=null,fd:1"} < set(arguments)
     assert "quiet" not in arguments
+    assert arguments[:3] == ["taskset", "--cpu-list", str(max(os.sched_getaffinity(0)))]
 
 
 def test_a_shell_boots_without_a_word() -> None:

@@ -34,6 +34,7 @@ PACKAGES = {
     "ip": "iproute2",
     "mount": "mount",
     "setpriv": "util-linux",
+    "taskset": "util-linux",
 }
 FPREGS_SOURCE = Path(__file__).with_name("fpregs.c")
 FPREGS_FIXED_IN = (6, 13)
@@ -134,7 +135,12 @@ def find_machine() -> Machine:
 def kernel_arguments(kernel: str, init: Path, console: str, *, quiet: bool) -> list[str]:
     """Command line of the kernel; console is where its log and /dev/tty0 go, in its own words."""
     talk = ["quiet", "loglevel=0"] if quiet else ["loglevel=7"]
+    # The kernel and its programs are processes here that stop each other at each system call and page fault:
+    # one of them runs at a time. On one processor that is a switch; on two the other one has to wake up each
+    # time, which in a virtual machine takes 3.5 times as long.
+    processor = max(os.sched_getaffinity(0))
     return [
+        *("taskset", "--cpu-list", str(processor)),
         *("setpriv", "--pdeathsig", "TERM"),  # nothing stays when this process is killed: it then ends itself
         kernel,
         f"mem={MEMORY_MIB}M",
