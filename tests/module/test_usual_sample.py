@@ -6,7 +6,7 @@ import math
 import struct
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canfb.cia301.codes import SdoAbort
@@ -149,6 +149,9 @@ def read(entry: object) -> str:
 
 @pytest.mark.parametrize("times", [False, True])
 @given(happenings=happenings, speed=st.floats(0.05, 0.4))
+@example(  # the interval of SYNC changes by less than a limit, by more than the delay of the cosine bears
+    happenings=[("missed", 0.0), ("cosine delay", 0.0), ("missed", 0.0), ("run", 0.0)], speed=0.25
+)
 def test_frames_and_objects_are_those_of_the_parts(
     times: bool, happenings: list[tuple[str, float]], speed: float
 ) -> None:

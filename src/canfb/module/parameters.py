@@ -201,8 +201,7 @@ class Limits:
         """Samples bring their time, in units of 100 ns."""
         self.interval = interval
         self._applied_s = 0.0
-        self.shortest_s = self.longest_s = 0.0
-        """While :attr:`SamplingInterval.measured_s` is between them :meth:`follow` has nothing to do."""
+        self._shortest_s = self._longest_s = 0.0  # while the interval is between them, all stays
         self.narrowed = False
         """The limits, or what the analog path does, depend on the sampling interval, which may change."""
         self.in_force = ChainConfig().chain_limits
@@ -254,15 +253,25 @@ class Limits:
         self.apply()
 
     def follow(self) -> None:
-        """Before a sample, if it is :attr:`narrowed`: take the residual limit along with the interval."""
-        known_s, chain = self.interval.known_s, self._chain
-        same = SAME_NARROWED * self._applied_s
-        if abs(known_s - self._applied_s) > same:
+        """Before a sample, if it is :attr:`narrowed`: take limits and analog path along with the interval."""
+        known_s = self.interval.known_s
+        if self._shortest_s < known_s < self._longest_s:
+            return
+        if abs(known_s - self._applied_s) > SAME_NARROWED * self._applied_s:
             self.apply()
-        elif chain.needs_interval:
-            chain.use_interval(self.interval.seconds / self.interval.samples_per_sync)
-            same = SAME_ANALOG * known_s
-        self.shortest_s, self.longest_s = known_s - same, known_s + same
+        else:
+            self._use_interval()
+
+    def _use_interval(self) -> None:
+        """The analog path at this interval, and how far it may change before something is to be done."""
+        chain, known_s, applied_s = self._chain, self.interval.known_s, self._applied_s
+        chain.use_interval(self.interval.sample_s)
+        same_s = SAME_NARROWED * applied_s
+        self._shortest_s, self._longest_s = applied_s - same_s, applied_s + same_s
+        if chain.needs_interval:
+            same_s = SAME_ANALOG * known_s
+            self._shortest_s = max(self._shortest_s, known_s - same_s)
+            self._longest_s = min(self._longest_s, known_s + same_s)
 
     def measured(self) -> None:
         """Another block of :attr:`noise`: the limits follow where it has changed."""
@@ -296,7 +305,7 @@ class Limits:
             corners=settings.corners,
         )
         self._chain.set_limits(self.in_force)
-        self._chain.use_interval(self.interval.seconds / per_sync)
+        self._use_interval()
         self.narrowed = by_motion or self._chain.needs_interval
         if self.on_applied is not None:
             self.on_applied()

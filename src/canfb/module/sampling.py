@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from canfb import objects as od
 from canfb.device.core import NEVER
 from canfb.device.node import Node
@@ -15,7 +13,6 @@ from canfb.module.objects.second_input import SecondInput
 from canfb.module.pairing import Findings, Pairing
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
-from canfb.module.usual_sample import UsualSample
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
 from canfb.signal.nominal_sync import MEMORY_SYNCS
@@ -53,7 +50,11 @@ def doubt_words(before: SampleInstant, now: SampleInstant, interval_s: float) ->
 class Sampling:
     """Gives the chain what the pairing finds, and withholds what is not certain.
 
-    ``pairing`` is fed by the node. ``taps`` see each sample and each one that was missed.
+    ``pairing`` is fed by the node. ``observers`` see each sample and each one that was missed.
+
+    Nearly each sample is usual: two counts in time, with their own time or without, and nothing wrong. It
+    goes to the chain as it stands in the dictionary (`canfb.signal.usual_step`), and all others as a
+    :class:`Sample`; tests/module/test_usual_sample.py compares both, frame by frame.
     """
 
     def __init__(
@@ -67,11 +68,11 @@ class Sampling:
         parts: SampleInput,
         source: LocalSource | None,
         second: SecondInput,
-        taps: SampleObservers,
+        observers: SampleObservers,
         publishing: Publishing,
     ) -> None:
         self._interval, self._limits, self._chain = interval, limits, chain
-        self._taps, self._publishing, self._prediction = taps, publishing, publishing.prediction
+        self._observers, self._publishing, self._prediction = observers, publishing, publishing.prediction
         self._paused_s = 0.0
         self._grid_learned_s = 0.0
         self._timed: SampleInstant | None = None  # of the last valid sample with a time
@@ -84,16 +85,10 @@ class Sampling:
             dictionary.entry(*part)
             for part in (od.SAMPLE_SINE, od.SAMPLE_COSINE, od.SAMPLE_TIME, od.SAMPLE_FLAGS)
         )
-        self._usual = UsualSample(
-            dictionary,
-            chain,
-            limits,
-            taps,
-            publishing,
-            unusual=partial(self._take_counts, parts),
-        )
+        self._parts = parts
+        self._unconfirmed = 0  # samples after a pause that are not called valid yet
         found = Findings(
-            self._usual.take,
+            self._take_usual,
             self._take,
             self._take_usual_timed,
             self._take_timed,
@@ -109,9 +104,22 @@ class Sampling:
             dictionary, node, judge, interval, parts, source, second, self._prediction, found
         )
 
-    def _take_counts(self, parts: SampleInput, now: float) -> None:
-        """A sample without a time, in its turn."""
-        self._take(parts.sample(), USUAL, now)
+    def _take_usual(self, now: float) -> None:
+        """Two counts that answer the last SYNC, as they stand in the dictionary."""
+        if self._unconfirmed or self._observers.open or self._flags.value:
+            self._take(self._parts.sample(), USUAL, now)
+            return
+        limits = self._limits
+        if limits.narrowed:
+            limits.follow()
+        feedback = self._chain.usual(self._sine.value, self._cosine.value)
+        if feedback is None:
+            self._take(self._parts.sample(), USUAL, now)
+            return
+        noise = limits.noise
+        if feedback[-1] >= noise.due and noise.take(feedback):
+            limits.measured()
+        self._publishing.publish(feedback, now)
 
     def _take(self, sample: Sample, passed: Passed, now: float) -> bool:
         """A sample without a time through the chain, and out; False if nothing came of it."""
@@ -124,7 +132,7 @@ class Sampling:
         placed = not (passed.instant_error and self._chain.slips(passed.instant_error))
         feedback = self._chain.after(sample, options[0], several, placed=placed)
         self._set_back = 0 if several else self._set_back + 1
-        if feedback.status & VALID and (self._usual.unconfirmed or not passed.certain):
+        if feedback.status & VALID and (self._unconfirmed or not passed.certain):
             feedback = self._withheld(feedback)
         self._out(sample, feedback, now)
         return True
@@ -144,7 +152,7 @@ class Sampling:
 
     def _take_usual_timed(self, received_s: float | None, synced_s: float | None, now: float) -> bool:
         """A sample with its time as it stands in the dictionary; False if it is to be looked at closely."""
-        if self._prediction.follows or self._usual.unconfirmed or self._taps.open or self._flags.value:
+        if self._prediction.follows or self._unconfirmed or self._observers.open or self._flags.value:
             return False
         limits = self._limits
         if limits.narrowed:
@@ -183,7 +191,7 @@ class Sampling:
         self._waited = 0.0
         self._interval.timed_s = self._chain.unit_s
         self._remember(feedback, (time_100ns, received_s, synced_s))
-        if feedback.status & VALID and self._usual.unconfirmed:
+        if feedback.status & VALID and self._unconfirmed:
             feedback = self._withheld(feedback)
         self._out(sample, feedback, now)
         return True
@@ -205,34 +213,34 @@ class Sampling:
         if noise.take(feedback):
             self._limits.measured()
         self._publishing.publish(feedback, now)
-        if self._taps.open:
-            self._tap(sample, feedback)
+        if self._observers.open:
+            self._observe(sample, feedback)
 
-    def _tap(self, sample: Sample, feedback: Feedback) -> None:
-        """All samples of this SYNC for the taps, each with its own time."""
+    def _observe(self, sample: Sample, feedback: Feedback) -> None:
+        """All samples of this SYNC for the observers, each with its own time."""
         between, apart = self._chain.between, round(self._chain.unit_s / TICK_S)
         for place in range(self._interval.samples_per_sync - 1, 0, -1):
             if place > len(between):
-                self._taps.miss()
+                self._observers.miss()
                 continue
             time = sample.time_100ns
             at = None if time is None else (time - place * apart) % TICKS
             sine, cosine = sample.earlier[place - 1]
-            self._taps.take(
+            self._observers.take(
                 Sample(sine, cosine, invalid=sample.invalid, time_100ns=at), between[len(between) - place]
             )
-        self._taps.take(sample, feedback)
+        self._observers.take(sample, feedback)
 
     def _withheld(self, feedback: Feedback) -> Feedback:
         """What may be right, but is not confirmed."""
         self._chain.adaptation.drop()
-        if self._usual.unconfirmed:
-            self._usual.unconfirmed -= 1
+        if self._unconfirmed:
+            self._unconfirmed -= 1
         return feedback._replace(status=feedback.status & ~VALID | COASTING)
 
     def _why_unconfirmed(self) -> str:
         """What keeps a position without a fault from being valid, in words; "" where that is not known."""
-        if self._usual.unconfirmed:
+        if self._unconfirmed:
             return f"{CONFIRMING_SAMPLES} samples must confirm it after the pause"
         if self._judge.is_open:
             late_ms = self._judge.late_s * 1e3
@@ -277,7 +285,7 @@ class Sampling:
             self._publishing.publish(self._chain.miss(), now, send=not left and not known_as_lost)
             self._set_back += 1
             for _ in range(self._interval.samples_per_sync):
-                self._taps.miss()
+                self._observers.miss()
 
     def _confirm(self, elapsed: float) -> None:
         """So many intervals had passed at the last sample that had several."""
@@ -318,7 +326,7 @@ class Sampling:
         chain, interval_s = self._chain, self._interval.seconds
         self._begin()
         self._timed = self._doubted = None
-        self._usual.unconfirmed = CONFIRMING_SAMPLES if chain.begun and not chain.lost else 0
+        self._unconfirmed = CONFIRMING_SAMPLES if chain.begun and not chain.lost else 0
         # Since the last SYNC, whose sample may not have come any more.
         chain.resume((now - self._paused_s) / interval_s + 1.0 if interval_s else NEVER)
         self._prediction.pause(self._publishing.last)
